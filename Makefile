@@ -1,0 +1,52 @@
+# Every target sets up what it needs. PYTHON chooses the interpreter that makes .venv (3.11 to 3.13).
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+STORE := sqlite:///outputs/mlflow.db
+
+.DEFAULT_GOAL := help
+.PHONY: help setup train test test-slow lint types check ui tensorboard benchmark clean
+
+help:  ## show this list
+	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):[^#]*## /\1\t/' | expand -t 14
+
+setup: $(VENV)/.installed  ## make .venv and install the package with pinned versions
+
+$(VENV)/.installed: pyproject.toml constraints.txt
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/pip install --quiet --constraint constraints.txt --editable '.[dev]'
+	@touch $@
+
+$(VENV)/.ui: $(VENV)/.installed
+	$(BIN)/pip install --quiet --constraint constraints.txt --editable '.[dev,ui]'
+	@touch $@
+
+train: setup  ## train the default recipe (ARGS='key=value ...' to change it)
+	$(BIN)/python scripts/train.py $(ARGS)
+
+test: setup  ## the fast test suite
+	$(BIN)/python -m pytest $(ARGS)
+
+test-slow: setup  ## the proofs that take minutes
+	$(BIN)/python -m pytest -m slow $(ARGS)
+
+lint: setup  ## style and format
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+
+types: setup  ## static types
+	$(BIN)/mypy
+
+check: lint types test  ## lint + types + tests, as CI runs them
+
+benchmark: setup  ## speed, as ratios measured side by side
+	$(BIN)/python scripts/benchmark.py $(ARGS)
+
+ui: $(VENV)/.ui  ## MLflow's web UI on our store
+	$(BIN)/mlflow ui --backend-store-uri $(STORE) $(ARGS)
+
+tensorboard: setup  ## TensorBoard on all runs
+	$(BIN)/tensorboard --logdir outputs $(ARGS)
+
+clean:  ## delete .venv and caches; outputs/ stays
+	rm -rf $(VENV) .mypy_cache .pytest_cache .ruff_cache dist build *.egg-info

@@ -1,0 +1,63 @@
+"""Config -> Stable-Baselines3 model: the one place where third-party classes are instantiated."""
+
+from typing import Any
+
+from hydra.utils import get_class, instantiate
+from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
+from stable_baselines3.common.vec_env import VecEnv
+
+from parking_exp.config import RunConfig
+from parking_exp.errors import ConfigError
+from parking_exp.features import EgoFrameExtractor
+from parking_exp.policy import Policy
+
+
+def build_model(config: RunConfig, env: VecEnv, seed: int, *, for_training: bool = True) -> OffPolicyAlgorithm:
+    """Build the model that a config describes.
+
+    Args:
+        config: the run.
+        env: training envs, or one env of the same spaces.
+        seed: of weights, exploration and minibatches.
+        for_training: False skips the replay buffer, for a model that only predicts.
+
+    Raises:
+        ConfigError: the library refuses an argument.
+    """
+    arguments = config.algorithm.arguments
+    train_freq, gradient_steps = config.update_rounds()
+    node: dict[str, Any] = {
+        **arguments,
+        "_target_": config.algorithm.target,
+        "_convert_": "all",
+        "_partial_": True,
+        "train_freq": train_freq,
+        "gradient_steps": gradient_steps,
+        "buffer_size": config.buffer.buffer_size if for_training else env.num_envs,
+        "seed": seed,
+        "device": config.device,
+    }
+    node.pop("policy_kwargs", None)
+    # Objects are given to the partial afterwards: Hydra would copy them into its config.
+    build = instantiate(node)
+    objects: dict[str, Any] = {"env": env, "policy_kwargs": _policy_kwargs(config)}
+    if for_training:
+        objects["replay_buffer_class"] = get_class(config.buffer.target)
+        objects["replay_buffer_kwargs"] = config.buffer.arguments
+    try:
+        return build(**objects)
+    except (TypeError, AssertionError) as error:
+        raise ConfigError(f"algorithm: {config.algorithm.target} refuses its arguments: {error}") from error
+
+
+def greedy_policy(model: OffPolicyAlgorithm) -> Policy:
+    """Return the model's policy without exploration."""
+    return lambda observation: model.predict(observation, deterministic=True)[0]
+
+
+def _policy_kwargs(config: RunConfig) -> dict[str, Any]:
+    policy_kwargs: dict[str, Any] = {"net_arch": list(config.algorithm.net_arch)}
+    if config.algorithm.features == "ego":
+        policy_kwargs["features_extractor_class"] = EgoFrameExtractor
+        policy_kwargs["features_extractor_kwargs"] = {"scales": list(config.env.observation.scales)}
+    return policy_kwargs | (config.algorithm.arguments.get("policy_kwargs") or {})

@@ -1,0 +1,207 @@
+"""The training state, saved whole or not at all, and restored only when it is whole.
+
+A checkpoint is a directory `step=<n>` with the model (policy, target networks, optimizers: Stable-Baselines3's
+zip), the filled part of the replay buffer, the counters, and a manifest of hashes. It is written under another name
+and renamed when all of it is on the disk. Nothing in it is unpickled on restoring.
+"""
+
+import json
+import logging
+import shutil
+import warnings
+from collections import deque
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from stable_baselines3.common.buffers import ReplayBuffer
+from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
+from stable_baselines3.common.save_util import load_from_zip_file, recursive_setattr
+from stable_baselines3.her import HerReplayBuffer
+
+from parking_exp.files import read_json, sha256, sync, write_json
+
+log = logging.getLogger(__name__)
+
+MODEL, BUFFER, BEST, STATE, MANIFEST = "model.zip", "replay_buffer.npz", "best.zip", "state.json", "manifest.json"
+
+
+@dataclass
+class Progress:
+    """What a run must remember besides the model and its buffer.
+
+    Attributes:
+        step: env steps so far.
+        evaluated, saved: env steps at the last evaluation and checkpoint.
+        best: rank of the best evaluation so far (`evaluation.rank`).
+        cpu_s, wall_s: time spent so far, earlier processes included.
+        log_sizes: bytes of each append-only file at this step; on resume, files are cut back to them.
+    """
+
+    step: int = 0
+    evaluated: int = 0
+    saved: int = 0
+    best: list[float] | None = None
+    cpu_s: float = 0.0
+    wall_s: float = 0.0
+    log_sizes: dict[str, int] = field(default_factory=dict)
+
+
+def save(directory: Path, model: OffPolicyAlgorithm, progress: Progress, best: Path, keep_last: int) -> Path:
+    """Write a checkpoint, then delete all but the last `keep_last`.
+
+    Args:
+        directory: of the run's checkpoints.
+        model: what is trained.
+        progress: of the run.
+        best: the best model's file; it travels with the checkpoint, since a later one may replace it.
+        keep_last: how many whole checkpoints stay.
+
+    Raises:
+        OSError: the disk is full; earlier checkpoints are untouched.
+    """
+    target = directory / f"step={progress.step:010d}"
+    with _new_directory(target) as folder:
+        model.save(folder / MODEL)
+        _save_buffer(model.replay_buffer, folder / BUFFER)
+        if best.exists():
+            shutil.copyfile(best, folder / BEST)
+        write_json(folder / STATE, {"progress": asdict(progress), "model": _counters(model)})
+    for old in _found(directory)[:-keep_last]:
+        shutil.rmtree(old)
+    return target
+
+
+def latest(directory: Path) -> Path | None:
+    """Return the newest whole checkpoint, or None. Truncated or corrupt ones are passed over, with a warning."""
+    for folder in reversed(_found(directory)):
+        problem = check(folder)
+        if problem is None:
+            return folder
+        log.warning("checkpoint %s is not whole (%s); trying the one before it", folder, problem)
+    return None
+
+
+def check(folder: Path) -> str | None:
+    """Return what is wrong with a checkpoint, or None when all files are there and have their hashes."""
+    try:
+        manifest = read_json(folder / MANIFEST)
+    except json.JSONDecodeError:
+        return f"{MANIFEST} is not readable"
+    if manifest is None:
+        return f"{MANIFEST} is missing"
+    for name, digest in manifest.items():
+        if not (folder / name).exists():
+            return f"{name} is missing"
+        if sha256(folder / name) != digest:
+            return f"{name} has changed"
+    return None
+
+
+def read_progress(folder: Path) -> Progress:
+    """Read a checkpoint's progress."""
+    return Progress(**read_json(folder / STATE)["progress"])
+
+
+def buffer_record(folder: Path) -> dict[str, Any]:
+    """Return path, hash and size of a checkpoint's replay buffer, which stays in the run directory."""
+    path = folder / BUFFER
+    return {"path": str(path), "sha256": read_json(folder / MANIFEST)[BUFFER], "bytes": path.stat().st_size}
+
+
+def restore(folder: Path, model: OffPolicyAlgorithm, best: Path) -> None:
+    """Bring a freshly built model, and the best model's file, to a checkpoint's state.
+
+    Episodes that were under way end as truncated.
+    """
+    load_weights(folder / MODEL, model)
+    if (folder / BEST).exists():
+        shutil.copyfile(folder / BEST, best)
+    else:
+        best.unlink(missing_ok=True)
+    counters = read_json(folder / STATE)["model"]
+    for name in ("ep_info_buffer", "ep_success_buffer"):
+        setattr(model, name, deque(counters.pop(name), maxlen=model._stats_window_size))
+    for name, value in counters.items():
+        setattr(model, name, value)
+    _load_buffer(model.replay_buffer, folder / BUFFER)
+
+
+def load_weights(path: Path, model: OffPolicyAlgorithm) -> None:
+    """Load parameters and optimizers from a Stable-Baselines3 zip; its pickled part is not read."""
+    _, parameters, variables = load_from_zip_file(path, device=model.device, load_data=False)
+    model.set_parameters(parameters, device=model.device)
+    for name, value in (variables or {}).items():
+        if value is not None:  # e.g. log_ent_coef, absent where the coefficient is fixed
+            recursive_setattr(model, f"{name}.data", value.data)
+
+
+@contextmanager
+def _new_directory(target: Path) -> Iterator[Path]:
+    """Yield a directory that takes its name, with a manifest, only when all of it is on the disk."""
+    target.parent.mkdir(parents=True, exist_ok=True)
+    for stale in target.parent.glob(".tmp-*"):
+        shutil.rmtree(stale)
+    folder = target.with_name(f".tmp-{target.name}")
+    folder.mkdir()
+    try:
+        yield folder
+        files = sorted(folder.iterdir())
+        for file in files:
+            sync(file)
+        write_json(folder / MANIFEST, {file.name: sha256(file) for file in files})
+        if target.exists():  # the same step, found corrupt before
+            shutil.rmtree(target)
+        folder.rename(target)
+        sync(target.parent)
+    except BaseException:
+        shutil.rmtree(folder, ignore_errors=True)
+        raise
+
+
+def _found(directory: Path) -> list[Path]:
+    return sorted(directory.glob("step=*"))
+
+
+def _counters(model: OffPolicyAlgorithm) -> dict[str, Any]:
+    return {
+        "num_timesteps": model.num_timesteps,
+        "_n_updates": model._n_updates,
+        "_episode_num": model._episode_num,
+        "ep_info_buffer": [{key: float(value) for key, value in info.items()} for info in model.ep_info_buffer or ()],
+        "ep_success_buffer": [bool(success) for success in model.ep_success_buffer or ()],
+    }
+
+
+def _save_buffer(buffer: ReplayBuffer | None, path: Path) -> None:
+    """Write the filled part of every array of a buffer, and its scalars."""
+    assert buffer is not None
+    arrays: dict[str, np.ndarray] = {"pos": np.asarray(buffer.pos), "full": np.asarray(buffer.full)}
+    for name, array in _arrays(buffer):
+        arrays[name] = array[: buffer.size()] if len(array) == buffer.buffer_size else array
+    with path.open("wb") as file:
+        np.savez(file, allow_pickle=False, **arrays)
+
+
+def _load_buffer(buffer: ReplayBuffer | None, path: Path) -> None:
+    assert buffer is not None
+    with np.load(path, allow_pickle=False) as stored:
+        buffer.pos, buffer.full = int(stored["pos"]), bool(stored["full"])
+        for name, array in _arrays(buffer):
+            array[: len(stored[name])] = stored[name]
+    if isinstance(buffer, HerReplayBuffer):
+        with warnings.catch_warnings():
+            warnings.filterwarnings("ignore", message="The last trajectory in the replay buffer will be truncated")
+            buffer.truncate_last_trajectory()
+
+
+def _arrays(buffer: ReplayBuffer) -> Iterator[tuple[str, np.ndarray]]:
+    """Yield every numeric array of a buffer, those in dicts under `name/key`."""
+    for name, value in vars(buffer).items():
+        entries = value.items() if isinstance(value, dict) else [(None, value)]
+        for key, entry in entries:
+            if isinstance(entry, np.ndarray) and entry.dtype != object:
+                yield (name if key is None else f"{name}/{key}"), entry

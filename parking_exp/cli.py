@@ -1,0 +1,185 @@
+"""The command line: composes with Hydra, refuses what cannot run, and prints sentences instead of tracebacks.
+
+A command line is checked before Hydra gets to run it, because Hydra makes directories first. Torch and mlflow are
+imported only once a command is known to be good.
+"""
+
+import argparse
+import os
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import NoReturn
+
+import hydra
+from hydra import compose, initialize_config_dir
+from hydra._internal.core_plugins.basic_sweeper import BasicSweeper
+from hydra._internal.utils import get_args_parser
+from hydra.core.global_hydra import GlobalHydra
+from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.core.override_parser.types import Override, OverrideType
+from hydra.errors import HydraException
+from omegaconf import DictConfig, OmegaConf
+from omegaconf.errors import OmegaConfBaseException
+
+from parking_exp.errors import ConfigError, InterruptedRunError, ParkingError
+from parking_exp.signatures import UnknownTarget, signature
+from parking_exp.validation import closest, validate
+
+VERSION_BASE = "1.3"
+
+
+def config_dir() -> Path:
+    """Return the directory of the Hydra tree: inside the package in a wheel, at the repository's top otherwise."""
+    package = Path(__file__).resolve().parent
+    inside = package / "conf"
+    return inside if inside.is_dir() else package.parent / "conf"
+
+
+def train() -> None:
+    """Entry point of `scripts/train.py` and `parking-train`."""
+
+    def run(config: DictConfig) -> None:
+        from parking_exp.training import train as train_run
+
+        train_run(config)
+
+    _command("config", check=validate, task=run)
+
+
+def evaluate() -> None:
+    """Entry point of `scripts/evaluate.py` and `parking-evaluate`."""
+    from parking_exp.evaluate_run import evaluate_run, validate_request
+
+    _command("evaluate", check=validate_request, task=evaluate_run)
+
+
+def composed(config_name: str, overrides: list[str], extra_config_dir: str | None = None) -> list[DictConfig]:
+    """Compose the config of every run that a command line stands for (one, or each point of a sweep).
+
+    `extra_config_dir` is Hydra's `--config-dir`: a directory of the user's own options.
+
+    Raises:
+        ConfigError: an override names no key or option, or the config does not compose.
+    """
+    if extra_config_dir:
+        overrides = [f"hydra.searchpath=[file://{Path(extra_config_dir).absolute()}]", *overrides]
+    with initialize_config_dir(version_base=VERSION_BASE, config_dir=str(config_dir())):
+        try:
+            parsed = OverridesParser.create().parse_overrides(overrides)
+            _refuse_unknown_names(config_name, parsed)
+            first = compose(config_name, _without_sweeps(parsed), return_hydra_config=True)
+            params = OmegaConf.to_container(first.hydra.sweeper.get("params") or OmegaConf.create({}))
+            swept = [f"{key!s}={value}" for key, value in params.items()] if isinstance(params, dict) else []
+            sweep = OverridesParser.create().parse_overrides([*swept, *overrides])
+            return [compose(config_name, point) for point in BasicSweeper.split_arguments(sweep, None)[0]]
+        except (HydraException, OmegaConfBaseException) as error:
+            raise ConfigError(_first_sentence(error)) from error
+
+
+def _command(config_name: str, check: Callable[[DictConfig], object], task: Callable[[DictConfig], object]) -> None:
+    arguments = get_args_parser().parse_args()
+    if not _only_shows(arguments):
+        try:
+            for config in composed(config_name, arguments.overrides, arguments.config_dir):
+                check(config)
+        except ParkingError as error:
+            _fail(error)
+
+    def guarded(config: DictConfig) -> None:
+        try:
+            task(config)
+        except ParkingError as error:
+            _fail(error)
+
+    hydra.main(version_base=VERSION_BASE, config_path=str(config_dir()), config_name=config_name)(guarded)()
+
+
+def _only_shows(arguments: argparse.Namespace) -> bool:
+    """Whether the command line asks Hydra to show something and run nothing."""
+    return bool(
+        arguments.help
+        or arguments.hydra_help
+        or arguments.cfg
+        or arguments.info
+        or arguments.shell_completion
+        or arguments.experimental_rerun
+        or arguments.config_name
+        or arguments.config_path
+    )
+
+
+def _fail(error: ParkingError) -> NoReturn:
+    if os.environ.get("HYDRA_FULL_ERROR") == "1":
+        raise error
+    for line in str(error).splitlines():
+        print(f"error: {line}", file=sys.stderr)
+    sys.exit(128 + error.signal_number if isinstance(error, InterruptedRunError) else 2)
+
+
+def _without_sweeps(overrides: list[Override]) -> list[str]:
+    """Overrides as typed, with the first value of each swept one."""
+    lines = []
+    for override in overrides:
+        if override.is_sweep_override():
+            lines.append(f"{override.get_key_element()}={next(iter(override.sweep_string_iterator()))}")
+        else:
+            lines.append(str(override.input_line))
+    return lines
+
+
+def _refuse_unknown_names(config_name: str, overrides: list[Override]) -> None:
+    loader = GlobalHydra.instance().config_loader()
+    groups, keys = [], []
+    for override in overrides:
+        name = override.key_or_group
+        if name == "hydra" or name.startswith(("hydra.", "hydra/")):
+            continue
+        options = [option for option in loader.get_group_options(name) if not option.startswith("_")]
+        if not options:
+            keys.append(override)
+            continue
+        groups.append(override)
+        values = list(override.sweep_string_iterator()) if override.is_sweep_override() else [override.value()]
+        for value in values:
+            if isinstance(value, str) and value not in options:
+                raise ConfigError(f"{name}={value}: there is no such option{closest(value, options)}")
+    paths = [line for line in _without_sweeps(overrides) if line.startswith("hydra.searchpath")]
+    base = compose(config_name, [*paths, *_without_sweeps(groups)])
+    for override in keys:
+        if override.type in {OverrideType.CHANGE, OverrideType.DEL}:
+            _refuse_unknown_key(base, override, loader.list_groups(""))
+
+
+def _refuse_unknown_key(base: DictConfig, override: Override, groups: list[str]) -> None:
+    node: object = base
+    parts = override.key_or_group.split(".")
+    for depth, part in enumerate(parts):
+        known = [str(key) for key in node] if isinstance(node, DictConfig) else []
+        if part not in known:
+            parent = ".".join(parts[:depth])
+            arguments = _arguments(node)
+            if part in arguments:
+                raise ConfigError(
+                    f"{override.key_or_group}: an argument of {parent}._target_ that its YAML does not list; "
+                    f"write +{override.input_line}"
+                )
+            choices = {*known, *arguments, *([] if parent else set(groups) - {"hydra"})}
+            raise ConfigError(f"{override.key_or_group}: there is no such key{closest(part, choices)}")
+        assert isinstance(node, DictConfig)
+        node = node._get_node(part) if node._is_none() else node[part]
+
+
+def _arguments(node: object) -> set[str]:
+    """Constructor arguments of a `_target_` node."""
+    if not isinstance(node, DictConfig) or "_target_" not in node:
+        return set()
+    try:
+        return set(signature(node["_target_"]).parameters)
+    except UnknownTarget:
+        return set()
+
+
+def _first_sentence(error: Exception) -> str:
+    lines = [line.strip() for line in str(error).splitlines() if line.strip()]
+    return lines[0] if lines else type(error).__name__

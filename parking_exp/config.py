@@ -1,0 +1,235 @@
+"""The schema: what a run's config may contain, in which types and ranges.
+
+Values and their comments stand in `conf/`; this module says which are valid. Our own knobs are typed fields;
+arguments of third-party classes stay under the library's own names (`validation` checks them).
+"""
+
+import hashlib
+import json
+import math
+from fractions import Fraction
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+DEFAULT_FEATURES = ["x", "y", "vx", "vy", "cos_h", "sin_h"]
+# Seeds of training scenes start here; evaluation scenes lie below, so the two never meet.
+TRAINING_SCENES_START = 2**31
+
+Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$", max_length=80)]
+Positive = Annotated[int, Field(ge=1)]
+Count = Annotated[int, Field(ge=0)]
+PositiveFloat = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+Share = Annotated[float, Field(gt=0, le=1)]
+Bounds = Annotated[list[float], Field(min_length=2, max_length=2)]
+Scene = Annotated[int, Field(ge=0, lt=TRAINING_SCENES_START)]
+
+
+class Section(BaseModel):
+    """A strict, frozen part of the config: unknown keys and wrong types are errors."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
+
+
+class ObservationConfig(Section):
+    """highway-env's `observation` options."""
+
+    type: Literal["KinematicsGoal"]
+    features: Annotated[list[Literal["x", "y", "vx", "vy", "heading", "cos_h", "sin_h"]], Field(min_length=1)]
+    scales: list[PositiveFloat]
+    normalize: bool
+
+
+class ActionConfig(Section):
+    """highway-env's `action` options."""
+
+    type: Literal["ContinuousAction"]
+    acceleration_range: Bounds | None
+    steering_range: Bounds | None
+    speed_range: Bounds | None
+    longitudinal: bool
+    lateral: bool
+    dynamical: bool
+    clip: bool
+
+
+class EnvConfig(Section):
+    """The `env` group: highway-env's options under their own names, and three of ours."""
+
+    name: Name
+    id: Literal["parking-v0"]
+    reward: Literal["dense", "sparse"]
+    training_duration: PositiveFloat | None
+
+    observation: ObservationConfig
+    action: ActionConfig
+    reward_weights: Annotated[list[Annotated[float, Field(ge=0)]], Field(min_length=6, max_length=6)]
+    success_goal_reward: PositiveFloat
+    collision_reward: float
+    steering_range: PositiveFloat
+    simulation_frequency: Positive
+    policy_frequency: Positive
+    duration: PositiveFloat
+    controlled_vehicles: Literal[1]
+    vehicles_count: Annotated[int, Field(ge=0, le=26)]
+    add_walls: bool
+    other_vehicles_type: str
+    neighbour_vehicles_connected_lanes: bool
+    screen_width: Positive
+    screen_height: Positive
+    centering_position: Bounds
+    scaling: PositiveFloat
+    show_trajectories: bool
+    render_agent: bool
+    offscreen_rendering: bool | None
+    manual_control: Literal[False]
+    real_time_rendering: bool
+
+    def highway_options(self, training: bool = False) -> dict[str, Any]:
+        """Return the `config` for `gym.make(self.id, config=...)`; `training` applies `training_duration`."""
+        options = self.model_dump(exclude={"name", "id", "reward", "training_duration"})
+        options["action"] = {key: value for key, value in options["action"].items() if value is not None}
+        if training and self.training_duration is not None:
+            options["duration"] = self.training_duration
+        return options
+
+    def episode_steps(self, training: bool = False) -> int:
+        """Longest episode in policy steps, counted as highway-env counts time: by adding floats."""
+        duration = self.highway_options(training)["duration"]
+        time, steps = 0.0, 0
+        while time < duration:
+            time += 1 / self.policy_frequency
+            steps += 1
+        return steps
+
+
+class ThirdParty(BaseModel):
+    """A section with fields of ours and, besides them, constructor arguments of the class in `_target_`."""
+
+    model_config = ConfigDict(extra="allow", frozen=True, strict=True)
+
+    name: Name
+    target: Annotated[str, Field(alias="_target_")]
+
+    @property
+    def arguments(self) -> dict[str, Any]:
+        """The constructor arguments, under the library's own names."""
+        return dict(self.model_extra or {})
+
+
+class AlgorithmConfig(ThirdParty):
+    """The `algorithm` group."""
+
+    features: Literal["raw", "ego"]
+    net_arch: Annotated[list[Positive], Field(min_length=1)]
+
+
+class BufferConfig(ThirdParty):
+    """The `buffer` group."""
+
+    buffer_size: Positive
+    optimize_memory_usage: Literal[False]
+
+    @property
+    def is_her(self) -> bool:
+        """Whether transitions are relabelled, so that whole episodes are needed before the first update."""
+        return "n_sampled_goal" in self.arguments
+
+
+class EvaluationConfig(Section):
+    """Evaluation on fixed scenes, during training and at its end."""
+
+    every_n_steps: Positive | None
+    n_scenes: Positive
+    final_n_scenes: Positive
+    first_scene: Scene
+    video_episodes: Count
+
+
+class CheckpointConfig(Section):
+    """Checkpoints of the whole training state."""
+
+    every_n_steps: Positive | None
+    keep_last: Positive
+
+
+class TrackingConfig(Section):
+    """Where metrics go."""
+
+    mlflow: bool
+    uri: str | None
+    stdout: bool
+    csv: bool
+    tensorboard: bool
+    log_interval: Positive
+    progress_bar: bool
+
+
+class RunConfig(Section):
+    """One run, seed included."""
+
+    experiment_name: Name
+    output_dir: str
+    seed: Annotated[int, Field(ge=0, lt=2**32)]
+    total_timesteps: Positive
+    n_envs: Positive
+    updates_per_step: PositiveFloat
+    device: Annotated[str, Field(pattern=r"^(cpu|auto|mps|cuda(:\d+)?)$")]
+    torch_threads: Positive | None
+    env: EnvConfig
+    algorithm: AlgorithmConfig
+    buffer: BufferConfig
+    evaluation: EvaluationConfig
+    checkpoint: CheckpointConfig
+    tracking: TrackingConfig
+
+    def plain(self) -> dict[str, Any]:
+        """Return the config as plain containers, as it would stand in YAML."""
+        return self.model_dump(by_alias=True)
+
+    @property
+    def output_path(self) -> Path:
+        """Absolute output directory."""
+        return Path(self.output_dir).expanduser().absolute()
+
+    @property
+    def cell_key(self) -> str:
+        """Short hash of everything that can change a result, but the seed."""
+        return _hash({key: value for key, value in self._result().items() if key != "seed"})
+
+    @property
+    def run_key(self) -> str:
+        """Short hash of everything that can change a result, the seed included."""
+        return _hash(self._result())
+
+    @property
+    def cell(self) -> str:
+        """Readable and unique name of this config without its seed."""
+        return f"{self.env.name}-{self.algorithm.name}-{self.buffer.name}-{self.cell_key}"
+
+    @property
+    def run_dir(self) -> Path:
+        """Absolute run directory."""
+        return self.output_path / self.experiment_name / self.cell / f"seed={self.seed}"
+
+    def update_rounds(self) -> tuple[int, int]:
+        """Return (`train_freq`, `gradient_steps`): the shortest round that makes `updates_per_step` exact."""
+        train_freq = self.algorithm.arguments.get("train_freq")
+        gradient_steps = self.algorithm.arguments.get("gradient_steps")
+        per_vec_step = Fraction(self.updates_per_step).limit_denominator(1000) * self.n_envs
+        if train_freq is None:
+            train_freq = 1 if gradient_steps is not None else per_vec_step.denominator
+        if gradient_steps is None:
+            gradient_steps = math.ceil(per_vec_step * train_freq)
+        return train_freq, gradient_steps
+
+    def _result(self) -> dict[str, Any]:
+        without = {"experiment_name", "output_dir", "tracking", "checkpoint"}
+        plain = {key: value for key, value in self.plain().items() if key not in without}
+        plain["evaluation"] = {k: v for k, v in plain["evaluation"].items() if k != "video_episodes"}
+        return plain
+
+
+def _hash(value: Any) -> str:
+    return hashlib.sha256(json.dumps(value, sort_keys=True).encode()).hexdigest()[:10]

@@ -1,0 +1,31 @@
+"""Training envs side by side, as Stable-Baselines3 wants them."""
+
+import time
+from pathlib import Path
+
+from stable_baselines3.common.monitor import ResultsWriter
+from stable_baselines3.common.vec_env import DummyVecEnv, VecMonitor
+
+from parking_exp.config import EnvConfig
+from parking_exp.envs.highway import make_env
+
+MONITORED = ("is_success", "crashed")
+
+
+def make_training_envs(
+    config: EnvConfig, n_envs: int, monitor: Path | None = None, elapsed_s: float = 0.0
+) -> VecMonitor:
+    """Make the training envs.
+
+    Args:
+        config: the `env` group; episodes last its `training_duration`.
+        n_envs: how many.
+        monitor: file of finished training episodes (Stable-Baselines3's Monitor CSV). Rows are appended.
+        elapsed_s: time that the run has taken before, so that the file's clock goes on.
+    """
+    envs = VecMonitor(DummyVecEnv([lambda: make_env(config, training=True)] * n_envs), info_keywords=MONITORED)
+    envs.t_start = time.time() - elapsed_s
+    if monitor is not None:
+        header: dict[str, float | str] = {"t_start": envs.t_start, "env_id": config.id}
+        envs.results_writer = ResultsWriter(str(monitor), header, MONITORED, override_existing=not monitor.exists())
+    return envs

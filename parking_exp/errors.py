@@ -1,0 +1,33 @@
+"""Errors that a user can meet. Their message is a sentence, and the command line prints it without a traceback."""
+
+
+class ParkingError(Exception):
+    """Base of all errors that are the user's to mend."""
+
+
+class ConfigError(ParkingError, ValueError):
+    """A config that cannot run. Each line is one sentence: which key, what is wrong, what to type instead."""
+
+
+class RunNotFoundError(ParkingError, LookupError):
+    """No run answers to a name."""
+
+
+class RunLockedError(ParkingError):
+    """Another process is working on the same run."""
+
+
+class InterruptedRunError(ParkingError):
+    """A run was stopped by a signal, after its state was saved.
+
+    Attributes:
+        signal_number: the signal, e.g. `signal.SIGINT`.
+    """
+
+    def __init__(self, message: str, signal_number: int) -> None:
+        super().__init__(message)
+        self.signal_number = signal_number
+
+
+class FailedRunError(ParkingError):
+    """A run that broke. The cause is its `__cause__`, and its traceback is in the run directory."""

@@ -1,0 +1,127 @@
+"""Evaluate a stored run on real highway-env: rates with intervals, an episodes table, a video."""
+
+import hashlib
+import json
+from pathlib import Path
+from typing import Annotated, Literal
+
+from omegaconf import DictConfig
+from pydantic import Field
+
+from parking_exp.config import TRAINING_SCENES_START, Count, EnvConfig, Name, Positive, RunConfig, Scene, Section
+from parking_exp.errors import ConfigError, RunNotFoundError
+from parking_exp.files import write_json
+from parking_exp.runs import RunDirectory, find_run
+from parking_exp.validation import parse
+
+
+class StoreConfig(Section):
+    """Where results go besides the run directory."""
+
+    mlflow: bool
+    uri: str | None
+
+
+class EvaluationRequest(Section):
+    """The config of scripts/evaluate.py."""
+
+    run: Annotated[str, Field(min_length=1)]
+    output_dir: str
+    model: Literal["final", "best"]
+    episodes: Positive
+    first_scene: Scene
+    video: Count
+    gif: bool
+    name: Name | None
+    tracking: StoreConfig
+    env: EnvConfig | None = None
+
+
+def validate_request(config: DictConfig) -> EvaluationRequest:
+    """Check a composed config and return it typed.
+
+    Raises:
+        ConfigError: with a sentence for each thing that is wrong.
+    """
+    request = parse(EvaluationRequest, config)
+    if request.video > request.episodes:
+        raise ConfigError(f"video={request.video} is above episodes; the closest valid choice is {request.episodes}")
+    if request.gif and not request.video:
+        raise ConfigError("gif=true needs a video to be made from; set video=N as well")
+    if request.first_scene + request.episodes > TRAINING_SCENES_START:
+        raise ConfigError(
+            f"first_scene={request.first_scene} reaches into the training scenes; "
+            f"the closest valid choice is {TRAINING_SCENES_START - request.episodes}"
+        )
+    return request
+
+
+def evaluate_run(config: DictConfig) -> Path:
+    """Evaluate, print, and store; return the folder of the results.
+
+    Raises:
+        ConfigError: the config is not valid.
+        RunNotFoundError: no run answers to `run`, or it has no such model yet.
+    """
+    request = validate_request(config)
+    directory = find_run(request.run, Path(request.output_dir).expanduser().absolute())
+    weights = directory.models / f"{request.model}.zip"
+    if not weights.exists():
+        raise RunNotFoundError(
+            f"run={request.run}: {directory.path} ({directory.status}) has no {request.model} model yet; "
+            + ("try model=best" if (directory.models / "best.zip").exists() else "let it train first")
+        )
+    run = directory.config()
+    env = request.env or run.env
+    folder = directory.path / "evaluations" / (request.name or _folder_name(request, run, env))
+    print(f"run directory  {directory.path}")
+    _evaluate(request, run, env, weights, folder)
+    _store(request, directory, folder)
+    print(f"results        {folder}")
+    return folder
+
+
+def _evaluate(request: EvaluationRequest, run: RunConfig, env: EnvConfig, weights: Path, folder: Path) -> None:
+    from rich.console import Console
+    from rich.progress import Progress
+    from stable_baselines3.common.vec_env import DummyVecEnv
+
+    from parking_exp.algorithms import build_model, greedy_policy
+    from parking_exp.checkpoints import load_weights
+    from parking_exp.envs import make_env
+    from parking_exp.evaluation import evaluate, summarise
+    from parking_exp.summary import describe
+    from parking_exp.video import record
+
+    model = build_model(run, DummyVecEnv([lambda: make_env(env)]), seed=0, for_training=False)
+    load_weights(weights, model)
+    policy = greedy_policy(model)
+    scenes = range(request.first_scene, request.first_scene + request.episodes)
+    with Progress(console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task(f"{request.episodes} episodes of {env.name}", total=request.episodes)
+        episodes = evaluate(policy, env, scenes, on_step=lambda finished: bar.update(task, completed=finished))
+    folder.mkdir(parents=True, exist_ok=True)
+    episodes.to_csv(folder / "episodes.csv", index=False)
+    write_json(folder / "summary.json", {"env": env.name, "model": request.model, **summarise(episodes)})
+    print(f"{request.model} model on {request.episodes} scenes of {env.name}, from scene {request.first_scene}")
+    print(describe(episodes))
+    if request.video:
+        record(policy, env, scenes[: request.video], folder / "video.mp4", gif=request.gif)
+
+
+def _store(request: EvaluationRequest, directory: RunDirectory, folder: Path) -> None:
+    """Log the results as artifacts of the run, where it has a store."""
+    uri = request.tracking.uri or directory.tracking_uri
+    if not (request.tracking.mlflow and uri and directory.run_id):
+        return
+    from parking_exp.tracking import connect
+
+    connect(uri).log_artifacts(directory.run_id, str(folder), f"evaluations/{folder.name}")
+
+
+def _folder_name(request: EvaluationRequest, run: RunConfig, env: EnvConfig) -> str:
+    name = f"{env.name}-{request.model}-scenes-{request.first_scene}-{request.first_scene + request.episodes - 1}"
+    if request.env is not None and env != run.env:
+        # The same option with other values is another evaluation.
+        name += "-" + hashlib.sha256(json.dumps(env.model_dump(), sort_keys=True).encode()).hexdigest()[:6]
+    return name

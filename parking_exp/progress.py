@@ -1,0 +1,63 @@
+"""What a person sees of a training: a bar on a terminal, a line now and then elsewhere."""
+
+import time
+from types import TracebackType
+from typing import Self
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+LINES = 10  # lines a run, where there is no terminal
+
+
+class TrainingProgress:
+    """Progress of one run, with its success rate, return and speed."""
+
+    def __init__(self, total_steps: int, start: int, enabled: bool, console: Console | None = None) -> None:
+        self.console = console or Console(stderr=True)
+        self.total, self.start, self.enabled = total_steps, start, enabled
+        self._started = time.monotonic()
+        self._next_line = start + max(1, total_steps // LINES)
+        self._bar = Progress(
+            TextColumn("{task.description}"),
+            BarColumn(bar_width=None),
+            MofNCompleteColumn(),
+            TextColumn("{task.fields[figures]}"),
+            TimeElapsedColumn(),
+            TimeRemainingColumn(),
+            console=self.console,
+            disable=not (enabled and self.console.is_terminal),
+            transient=True,
+        )
+        self._task = self._bar.add_task("train", total=total_steps, completed=start, figures="")
+
+    def __enter__(self) -> Self:
+        self._bar.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._bar.stop()
+
+    def update(self, step: int, success_rate: float | None, episode_return: float | None) -> None:
+        """Show the step, and the mean of the last training episodes."""
+        if not self.enabled:
+            return
+        rate = (step - self.start) / max(time.monotonic() - self._started, 1e-9)
+        figures = f"{rate:.0f} steps/s"
+        if success_rate is not None and episode_return is not None:
+            figures = f"success {success_rate:4.0%}  return {episode_return:6.1f}  {figures}"
+        self._bar.update(self._task, completed=step, figures=figures, description="train")
+        if not self.console.is_terminal and step >= self._next_line:
+            self._next_line += max(1, self.total // LINES)
+            self.say(f"train  {step}/{self.total} steps  {figures}")
+
+    def busy(self, what: str) -> None:
+        """Say what goes on besides training."""
+        self._bar.update(self._task, description=what)
+
+    def say(self, text: str) -> None:
+        """Print a line, above the bar where there is one."""
+        if self.enabled:
+            self._bar.console.print(text, highlight=False, soft_wrap=True)

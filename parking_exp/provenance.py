@@ -1,0 +1,51 @@
+"""What exactly was run: versions, commit, machine."""
+
+import platform
+import subprocess
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+
+from parking_exp import __version__
+
+PACKAGES = ["torch", "stable-baselines3", "highway-env", "gymnasium", "numpy", "hydra-core", "mlflow-skinny"]
+
+
+def provenance() -> dict[str, str]:
+    """Return tags: `version.<package>`, `git_commit`, `git_dirty`, `cpu`. What can't be known is left out."""
+    tags = {"version.python": platform.python_version(), "version.parking-exp": __version__}
+    for package in PACKAGES:
+        try:
+            tags[f"version.{package}"] = version(package)
+        except PackageNotFoundError:
+            continue
+    return tags | _git() | {"cpu": _cpu()}
+
+
+def _git() -> dict[str, str]:
+    """Commit of this package's checkout, and whether tracked files differ from it."""
+    root = Path(__file__).resolve().parents[1]
+    if not (root / ".git").exists():
+        return {}
+    commit = _run_git(root, "rev-parse", "HEAD")
+    if commit is None:
+        return {}
+    changes = _run_git(root, "status", "--porcelain", "--untracked-files=no")
+    return {"git_commit": commit, "git_dirty": str(bool(changes)).lower()}
+
+
+def _run_git(root: Path, *arguments: str) -> str | None:
+    try:
+        command = ["git", "-C", str(root), *arguments]
+        done = subprocess.run(command, check=False, capture_output=True, text=True, timeout=10)
+    except (OSError, subprocess.TimeoutExpired):
+        return None
+    return done.stdout.strip() if done.returncode == 0 else None
+
+
+def _cpu() -> str:
+    info = Path("/proc/cpuinfo")
+    if info.exists():
+        for line in info.read_text(encoding="utf-8", errors="replace").splitlines():
+            if line.startswith("model name"):
+                return line.partition(":")[2].strip()
+    return platform.processor() or platform.machine()

@@ -1,0 +1,144 @@
+"""Run directories: where a run lives, how far it is, and how to find it again.
+
+    outputs/<experiment_name>/<cell>/seed=<n>/
+        config.yaml  status.json  result.json  metrics.jsonl  episodes.csv  monitor.csv  progress.csv
+        checkpoints/  models/  evaluations/  tensorboard/  video.mp4  curves.png
+
+The run directory is the truth; MLflow is its index.
+"""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+from filelock import FileLock, Timeout
+from omegaconf import OmegaConf
+
+from parking_exp.config import RunConfig
+from parking_exp.errors import RunLockedError, RunNotFoundError
+from parking_exp.files import read_json, write_atomically, write_json
+from parking_exp.validation import parse
+
+Status = Literal["pending", "running", "done", "failed", "interrupted"]
+STATUS_FILE = "status.json"
+
+
+@dataclass(frozen=True)
+class RunResult:
+    """What a finished run came to.
+
+    Attributes:
+        run_dir: absolute run directory.
+        run_id: MLflow run id; None without MLflow.
+        steps: env steps trained.
+        metrics: last value of every metric, `final/success_rate` among them.
+    """
+
+    run_dir: str
+    run_id: str | None
+    steps: int
+    metrics: dict[str, float]
+
+
+class RunDirectory:
+    """The directory of one run."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+
+    @property
+    def checkpoints(self) -> Path:
+        """Directory of checkpoints."""
+        return self.path / "checkpoints"
+
+    @property
+    def models(self) -> Path:
+        """Directory of the best and the final model."""
+        return self.path / "models"
+
+    @property
+    def status(self) -> Status:
+        """How far the run is. A run that was killed still says `running`; its lock is free."""
+        return self._read().get("status", "pending")
+
+    @property
+    def run_id(self) -> str | None:
+        """MLflow run id, once the run has one."""
+        return self._read().get("run_id")
+
+    @property
+    def tracking_uri(self) -> str | None:
+        """Store that the run is tracked in."""
+        return self._read().get("tracking_uri")
+
+    def update(self, **values: Any) -> None:
+        """Change entries of status.json."""
+        write_json(self.path / STATUS_FILE, {**self._read(), **values})
+
+    def result(self) -> RunResult | None:
+        """Return the stored result of a finished run, else None."""
+        stored = read_json(self.path / "result.json")
+        return RunResult(**stored) if stored and self.status == "done" else None
+
+    def finish(self, result: RunResult) -> None:
+        """Store the result; from here on the run is done."""
+        write_json(self.path / "result.json", asdict(result))
+        self.update(status="done")
+
+    def create(self, config: RunConfig) -> None:
+        """Make the directory and write the resolved config into it."""
+        self.path.mkdir(parents=True, exist_ok=True)
+        write_atomically(self.path / "config.yaml", OmegaConf.to_yaml(OmegaConf.create(config.plain())))
+
+    def config(self) -> RunConfig:
+        """Read the run's config.
+
+        Raises:
+            ConfigError: it was written by another version of this package, and no longer fits.
+        """
+        return parse(RunConfig, OmegaConf.load(self.path / "config.yaml"))  # type: ignore[arg-type]
+
+    @contextmanager
+    def locked(self) -> Iterator[None]:
+        """Keep other processes off the run. The lock ends with the process, however that ends.
+
+        Raises:
+            RunLockedError: another process holds it.
+        """
+        self.path.mkdir(parents=True, exist_ok=True)
+        lock = FileLock(self.path / ".lock", timeout=0)
+        try:
+            lock.acquire()
+        except Timeout:
+            raise RunLockedError(f"another process is working on {self.path}; wait for it, or stop it first") from None
+        try:
+            yield
+        finally:
+            lock.release()
+
+    def _read(self) -> dict[str, Any]:
+        return read_json(self.path / STATUS_FILE) or {}
+
+
+def find_run(name: str, output_dir: Path) -> RunDirectory:
+    """Find a run by its directory, its MLflow run id, or `latest` (the one that was last worked on).
+
+    Raises:
+        RunNotFoundError: there is none.
+    """
+    if (Path(name).expanduser() / STATUS_FILE).exists():
+        return RunDirectory(Path(name).expanduser().absolute())
+    files = sorted(output_dir.glob(f"*/*/*/{STATUS_FILE}"), key=lambda file: file.stat().st_mtime)
+    if not files:
+        raise RunNotFoundError(f"run={name}: there are no runs in {output_dir}; train one first, or set output_dir")
+    if name == "latest":
+        return RunDirectory(files[-1].parent.absolute())
+    for file in files:
+        if read_json(file).get("run_id") == name:
+            return RunDirectory(file.parent.absolute())
+    raise RunNotFoundError(
+        f"run={name}: no run directory and no MLflow run id of the {len(files)} runs in {output_dir}; "
+        f"the latest is {files[-1].parent}"
+    )

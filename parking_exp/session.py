@@ -1,0 +1,197 @@
+"""A run under way: its model, envs and logs, and what happens between two of its steps."""
+
+import time
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+from stable_baselines3.common.callbacks import BaseCallback
+
+from parking_exp import checkpoints
+from parking_exp.algorithms import build_model, greedy_policy
+from parking_exp.checkpoints import Progress
+from parking_exp.config import RunConfig
+from parking_exp.envs.vector import make_training_envs
+from parking_exp.errors import InterruptedRunError
+from parking_exp.evaluation import evaluate, rank, summarise
+from parking_exp.figures import learning_curves
+from parking_exp.loggers import make_logger
+from parking_exp.logs import MetricsLog, append_episodes, sizes
+from parking_exp.progress import TrainingProgress
+from parking_exp.runs import RunDirectory
+from parking_exp.seeding import derive_seeds
+from parking_exp.stopping import StopRequest
+from parking_exp.summary import success_line
+from parking_exp.tracking import Tracker
+from parking_exp.video import record
+
+BAR_UPDATES_A_SECOND = 5
+
+
+class Session:
+    """One process's work on one run."""
+
+    def __init__(
+        self,
+        *,
+        config: RunConfig,
+        directory: RunDirectory,
+        tracker: Tracker,
+        progress: Progress,
+        checkpoint: Path | None,
+        stop: StopRequest,
+        bar: TrainingProgress,
+    ) -> None:
+        self.config, self.directory, self.tracker = config, directory, tracker
+        self.progress, self.stop, self.bar = progress, stop, bar
+        self._cpu_start = time.process_time() - progress.cpu_s
+        self._wall_start = time.monotonic() - progress.wall_s
+        path = directory.path
+        directory.models.mkdir(exist_ok=True)
+        self.metrics = MetricsLog(path / "metrics.jsonl")
+        seeds = derive_seeds(config.seed, progress.step)
+        self.env = make_training_envs(config.env, config.n_envs, path / "monitor.csv", progress.wall_s)
+        self.model = build_model(config, self.env, seeds.policy)
+        self.policy = greedy_policy(self.model)
+        self.env.seed(seeds.training_scenes)  # after the model, which seeds the envs with its own seed
+        if checkpoint is not None:
+            checkpoints.restore(checkpoint, self.model, best=self._best)
+            bar.say(f"resuming at step {progress.step}")
+        self.model.set_logger(make_logger(config.tracking, path, self.metrics, progress.step))
+
+    def learn(self) -> None:
+        """Train up to `total_timesteps`, with evaluations and checkpoints on the way."""
+        remaining = self.config.total_timesteps - self.model.num_timesteps
+        if remaining > 0:
+            interval = self.config.tracking.log_interval
+            self.model.learn(remaining, _Schedule(self), log_interval=interval, reset_num_timesteps=False)
+        self.save_checkpoint()
+
+    def finish(self) -> pd.DataFrame:
+        """Evaluate the final model on all scenes, store everything, and return the episodes."""
+        path, evaluation = self.directory.path, self.config.evaluation
+        self.bar.busy("final evaluation")
+        episodes = self._run_episodes(evaluation.final_n_scenes)
+        self._store_evaluation(episodes.head(evaluation.n_scenes), "eval")
+        self._store_evaluation(episodes, "final")
+        self._dump()
+        self.model.logger.close()
+        self.model.save(self.directory.models / "final.zip")
+        learning_curves(self.metrics.frame(), f"{self.config.experiment_name}: {path.parent.name}", path / "curves.png")
+        if evaluation.video_episodes:
+            self.bar.busy("video")
+            record(self.policy, self.config.env, self._scenes(evaluation.video_episodes), path / "video.mp4")
+        for name in ("episodes.csv", "curves.png", "video.mp4", "monitor.csv", "progress.csv"):
+            if (path / name).exists():
+                self.tracker.log_file(path / name)
+        for file in sorted(self.directory.models.iterdir()):
+            self.tracker.log_file(file, "models")
+        self.env.close()
+        return episodes
+
+    def evaluate(self) -> None:
+        """Evaluate on the first of the fixed scenes, and keep the model if it is the best so far."""
+        self.bar.busy("evaluation")
+        episodes = self._run_episodes(self.config.evaluation.n_scenes)
+        summary = self._store_evaluation(episodes, "eval")
+        self._dump()
+        self.bar.say(success_line(summary, self.model.num_timesteps))
+
+    def save_checkpoint(self) -> None:
+        """Save the whole state, then send what is known so far to the store."""
+        step = self.model.num_timesteps
+        if step == self.progress.saved:
+            return
+        self.progress.step = self.progress.saved = step
+        self.progress.cpu_s, self.progress.wall_s = self.times()
+        self.progress.log_sizes = sizes(self.directory.path)
+        folder = checkpoints.save(
+            self.directory.checkpoints, self.model, self.progress, self._best, self.config.checkpoint.keep_last
+        )
+        self.tracker.flush()
+        self.tracker.log_file(folder / checkpoints.MODEL, f"checkpoints/{folder.name}")
+        self.tracker.log_json(checkpoints.buffer_record(folder), f"checkpoints/{folder.name}/replay_buffer.json")
+        self.tracker.keep_only("checkpoints", [kept.name for kept in folder.parent.glob("step=*")])
+
+    def stop_if_asked(self) -> None:
+        """Leave, with a checkpoint, if a signal has asked for it."""
+        if self.stop.signal_number is not None:
+            self.save_checkpoint()
+            raise InterruptedRunError(
+                f"stopped at step {self.model.num_timesteps} with its state saved; type the same command to go on",
+                self.stop.signal_number,
+            )
+
+    def times(self) -> tuple[float, float]:
+        """Return CPU and wall seconds of the run, earlier processes included."""
+        return time.process_time() - self._cpu_start, time.monotonic() - self._wall_start
+
+    @property
+    def _best(self) -> Path:
+        return self.directory.models / "best.zip"
+
+    def _scenes(self, number: int) -> range:
+        first = self.config.evaluation.first_scene
+        return range(first, first + number)
+
+    def _run_episodes(self, number: int) -> pd.DataFrame:
+        return evaluate(self.policy, self.config.env, self._scenes(number), on_step=lambda _: self.stop_if_asked())
+
+    def _store_evaluation(self, episodes: pd.DataFrame, phase: str) -> dict[str, float]:
+        step, summary = self.model.num_timesteps, summarise(episodes)
+        append_episodes(self.directory.path / "episodes.csv", episodes, phase, step)
+        for name, value in summary.items():
+            self.model.logger.record(f"{phase}/{name}", value)
+        if phase == "eval":
+            self.progress.evaluated = step
+            if self.progress.best is None or list(rank(summary)) > self.progress.best:
+                self.progress.best = list(rank(summary))
+                temporary = self._best.with_name(".best.zip")
+                self.model.save(temporary)
+                temporary.replace(self._best)
+        return summary
+
+    def _dump(self) -> None:
+        cpu_s, wall_s = self.times()
+        self.model.logger.record("time/cpu_s", cpu_s)
+        self.model.logger.record("time/wall_s", wall_s)
+        self.model.logger.dump(self.model.num_timesteps)
+
+
+class _Schedule(BaseCallback):
+    """Evaluates, saves and stops between rollouts, where Stable-Baselines3's state is whole.
+
+    Inside a step the transition is counted already and not yet stored.
+    """
+
+    def __init__(self, session: Session) -> None:
+        super().__init__()
+        self.session = session
+        self._next_update = 0.0
+
+    def _on_rollout_start(self) -> None:
+        session = self.session
+        config, progress, step = session.config, session.progress, self.num_timesteps
+        session.stop_if_asked()
+        if _due(step, progress.evaluated, config.evaluation.every_n_steps):
+            session.evaluate()
+        if _due(step, progress.saved, config.checkpoint.every_n_steps):
+            session.save_checkpoint()
+        if (now := time.monotonic()) >= self._next_update:
+            self._next_update = now + 1 / BAR_UPDATES_A_SECOND
+            session.bar.update(step, *self._recent())
+
+    def _on_step(self) -> bool:
+        return True
+
+    def _recent(self) -> tuple[float | None, float | None]:
+        """Success rate and mean return of the last training episodes."""
+        successes, episodes = self.model.ep_success_buffer, self.model.ep_info_buffer
+        if not successes or not episodes:
+            return None, None
+        return float(np.mean(successes)), float(np.mean([episode["r"] for episode in episodes]))
+
+
+def _due(step: int, last: int, every: int | None) -> bool:
+    """Whether a multiple of `every` lies in (last, step]."""
+    return every is not None and step // every > last // every

@@ -1,0 +1,190 @@
+"""Constructor signatures of third-party classes, read from their source.
+
+A typo in a config must be refused within two seconds, and importing torch alone takes longer. So signatures are read
+with `ast` and nothing is imported: a dotted path is followed through re-exports to the class, and through its
+bases to the first `__init__`.
+"""
+
+import ast
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cache
+from importlib.machinery import PathFinder
+from pathlib import Path
+
+SIMPLE_TYPES: dict[str, tuple[type, ...]] = {
+    "int": (int,),
+    "float": (int, float),
+    "bool": (bool,),
+    "str": (str,),
+    "None": (type(None),),
+}
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One constructor parameter: its name, its annotation as written, and whether it has a default."""
+
+    name: str
+    annotation: str | None
+    required: bool
+
+    def accepts(self, value: object) -> bool:
+        """Whether a YAML scalar fits the annotation. Other values, and annotations beyond scalars, are not judged."""
+        if self.annotation is None or not isinstance(value, bool | int | float | str):
+            return True
+        parts = [part.strip().strip("\"'") for part in self.annotation.split("|")]
+        if any(part in {"Any", "object"} for part in parts):
+            return True
+        if isinstance(value, bool):
+            return "bool" in parts
+        return any(isinstance(value, SIMPLE_TYPES[part]) for part in parts if part in SIMPLE_TYPES and part != "bool")
+
+
+@dataclass(frozen=True)
+class Signature:
+    """What a constructor takes. `open` says that it also takes any other keyword (`**kwargs`)."""
+
+    parameters: dict[str, Parameter]
+    open: bool
+
+
+class UnknownTarget(LookupError):
+    """A dotted path that names nothing; `known` are the names that stand beside it."""
+
+    def __init__(self, target: str, reason: str, known: list[str]) -> None:
+        super().__init__(f"{target}: {reason}")
+        self.reason = reason
+        self.known = known
+
+
+@cache
+def signature(target: str) -> Signature:
+    """Return what the constructor (or function) at a dotted path takes, e.g. `stable_baselines3.SAC`.
+
+    Raises:
+        UnknownTarget: no such package, module or class, or one without Python source.
+    """
+    module, _, name = target.rpartition(".")
+    if not module:
+        raise UnknownTarget(target, "is not the dotted path of a class", [])
+    definition, home = _resolve(_source(module, target), name, target)
+    if isinstance(definition, ast.FunctionDef):
+        return _signature(definition, is_method=False)
+    constructor = _constructor(definition, home, target)
+    return _signature(constructor, is_method=True) if constructor else Signature({}, open=False)
+
+
+def _source(module: str, target: str) -> Path:
+    """Find the source file of a module without importing its parents (which would import torch)."""
+    first, *rest = module.split(".")
+    spec = PathFinder.find_spec(first)
+    if spec is None or spec.origin is None:
+        raise UnknownTarget(target, f"the package {first!r} is not installed", [])
+    path = Path(spec.origin)
+    for name in rest:
+        folder = path.parent if path.name == "__init__.py" else None
+        choices = [folder / name / "__init__.py", folder / f"{name}.py"] if folder else []
+        found = next((choice for choice in choices if choice.exists()), None)
+        if found is None:
+            known = sorted(p.stem for p in folder.iterdir() if not p.name.startswith("_")) if folder else []
+            raise UnknownTarget(target, f"there is no module {name!r} in {path.parent.name}", known)
+        path = found
+    if path.suffix != ".py":
+        raise UnknownTarget(target, "has no Python source to read its signature from", [])
+    return path
+
+
+@cache
+def _tree(path: Path) -> ast.Module:
+    return ast.parse(path.read_text(encoding="utf-8"))
+
+
+def _module_name(path: Path) -> list[str]:
+    """Dotted name of a source file, as parts, from the packages above it."""
+    parts = [] if path.name == "__init__.py" else [path.stem]
+    folder = path.parent
+    while (folder / "__init__.py").exists():
+        parts.insert(0, folder.name)
+        folder = folder.parent
+    return parts
+
+
+Definition = ast.ClassDef | ast.FunctionDef
+
+
+def _resolve(path: Path, name: str, target: str) -> tuple[Definition, Path]:
+    """Follow re-exports from a module to the file where a name is defined."""
+    for node in _top_level(_tree(path)):
+        if isinstance(node, ast.ClassDef | ast.FunctionDef) and node.name == name:
+            return node, path
+        if isinstance(node, ast.ImportFrom):
+            for alias in node.names:
+                if (alias.asname or alias.name) == name:
+                    return _resolve(_source(_imported_module(node, path), target), alias.name, target)
+        if isinstance(node, ast.Assign) and isinstance(node.value, ast.Name):
+            names = [item.id for item in node.targets if isinstance(item, ast.Name)]
+            if name in names and node.value.id != name:
+                return _resolve(path, node.value.id, target)
+    raise UnknownTarget(target, f"there is no {name!r} in {'.'.join(_module_name(path))}", _names(path))
+
+
+def _imported_module(node: ast.ImportFrom, path: Path) -> str:
+    if not node.level:
+        return node.module or ""
+    package = _module_name(path) if path.name == "__init__.py" else _module_name(path)[:-1]
+    base = package[: len(package) - node.level + 1]
+    return ".".join([*base, *([node.module] if node.module else [])])
+
+
+def _top_level(tree: ast.Module) -> Iterator[ast.stmt]:
+    """Yield statements of a module, those inside top-level `if` and `try` included."""
+    pending: list[ast.stmt] = list(tree.body)
+    while pending:
+        node = pending.pop(0)
+        yield node
+        if isinstance(node, ast.If | ast.Try):
+            pending = [*node.body, *node.orelse, *pending]
+
+
+def _names(path: Path) -> list[str]:
+    names: list[str] = []
+    for node in _top_level(_tree(path)):
+        if isinstance(node, ast.ClassDef | ast.FunctionDef):
+            names.append(node.name)
+        elif isinstance(node, ast.ImportFrom):
+            names.extend(alias.asname or alias.name for alias in node.names)
+    return names
+
+
+def _constructor(node: ast.ClassDef, path: Path, target: str) -> ast.FunctionDef | None:
+    for item in node.body:
+        if isinstance(item, ast.FunctionDef) and item.name == "__init__":
+            return item
+    for base in node.bases:
+        if isinstance(base, ast.Name):
+            try:
+                parent, home = _resolve(path, base.id, target)
+            except UnknownTarget:
+                continue  # a builtin such as `object`, which takes nothing
+            if isinstance(parent, ast.ClassDef) and (found := _constructor(parent, home, target)):
+                return found
+    return None
+
+
+def _signature(node: ast.FunctionDef, is_method: bool) -> Signature:
+    arguments = node.args
+    positional = [*arguments.posonlyargs, *arguments.args]
+    required = len(positional) - len(arguments.defaults)
+    parameters = {
+        item.arg: Parameter(item.arg, _annotation(item), index < required) for index, item in enumerate(positional)
+    }
+    if is_method:
+        parameters.pop(positional[0].arg)
+    for item, default in zip(arguments.kwonlyargs, arguments.kw_defaults, strict=True):
+        parameters[item.arg] = Parameter(item.arg, _annotation(item), default is None)
+    return Signature(parameters, open=arguments.kwarg is not None)
+
+
+def _annotation(argument: ast.arg) -> str | None:
+    return ast.unparse(argument.annotation) if argument.annotation else None

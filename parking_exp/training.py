@@ -1,0 +1,122 @@
+"""One run, from its config to its result."""
+
+import os
+import signal
+import socket
+import traceback
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from typing import Any
+
+import torch
+from omegaconf import DictConfig
+
+from parking_exp import checkpoints
+from parking_exp.checkpoints import Progress
+from parking_exp.config import RunConfig
+from parking_exp.errors import FailedRunError, InterruptedRunError
+from parking_exp.logs import cut_back
+from parking_exp.progress import TrainingProgress
+from parking_exp.runs import RunDirectory, RunResult
+from parking_exp.session import Session
+from parking_exp.stopping import StopRequest, stop_on_signal
+from parking_exp.summary import describe
+from parking_exp.tracking import Tracker, open_tracker
+from parking_exp.validation import validate
+
+
+def train(config: DictConfig | Mapping[str, Any] | RunConfig) -> RunResult:
+    """Train, evaluate and track one run, or finish what is left of it.
+
+    A run that is done returns its stored result. One that was cut off goes on from its latest whole checkpoint.
+
+    Raises:
+        ConfigError: the config cannot run; nothing was made on disk.
+        RunLockedError: another process is working on the same run.
+        InterruptedRunError: SIGINT or SIGTERM; the state is saved.
+        FailedRunError: anything else; the run is marked failed, its traceback kept.
+    """
+    config = validate(config)
+    directory = RunDirectory(config.run_dir)
+    with directory.locked():
+        if (result := directory.result()) is not None:
+            print(
+                f"already done; to train it afresh, change the seed or delete its directory\n{_closing_words(result)}"
+            )
+            return result
+        directory.create(config)
+        with stop_on_signal() as stop, _torch_threads(config.torch_threads):
+            return _train(config, directory, stop)
+
+
+def _train(config: RunConfig, directory: RunDirectory, stop: StopRequest) -> RunResult:
+    directory.update(status="running", error=None, pid=os.getpid(), host=socket.gethostname())
+    tracker = Tracker()
+    try:
+        checkpoint = checkpoints.latest(directory.checkpoints)
+        progress = checkpoints.read_progress(checkpoint) if checkpoint else Progress()
+        cut_back(directory.path, progress.log_sizes)
+        tracker = open_tracker(config, directory)
+        with TrainingProgress(config.total_timesteps, progress.step, config.tracking.progress_bar) as bar:
+            session = Session(
+                config=config,
+                directory=directory,
+                tracker=tracker,
+                progress=progress,
+                checkpoint=checkpoint,
+                stop=stop,
+                bar=bar,
+            )
+            session.learn()
+            episodes = session.finish()
+        tracker.end("done")
+        result = RunResult(str(directory.path), tracker.run_id, session.model.num_timesteps, session.metrics.latest())
+        directory.finish(result)
+    except (InterruptedRunError, KeyboardInterrupt) as error:
+        tracker.end("interrupted")
+        directory.update(status="interrupted")
+        if isinstance(error, InterruptedRunError):
+            raise
+        raise InterruptedRunError("left at once; the last checkpoint stands", signal.SIGINT) from None
+    except BaseException as error:
+        _record_failure(error, directory, tracker)
+        raise FailedRunError(
+            f"the run failed: {type(error).__name__}: {error}; its traceback is in {directory.path / 'traceback.txt'}"
+        ) from error
+    print(f"{describe(episodes)}\n{_closing_words(result)}")
+    return result
+
+
+def _record_failure(error: BaseException, directory: RunDirectory, tracker: Tracker) -> None:
+    """Leave a status and a traceback behind, as far as a full disk or a lost store allows."""
+    steps = (
+        lambda: (directory.path / "traceback.txt").write_text("".join(traceback.format_exception(error))),
+        lambda: directory.update(status="failed", error=f"{type(error).__name__}: {error}"),
+        lambda: tracker.log_file(directory.path / "traceback.txt"),
+        lambda: tracker.end("failed"),
+    )
+    for step in steps:
+        try:
+            step()
+        except Exception as another:  # the first error is the one to report; this one rides along
+            error.add_note(f"while recording the failure: {type(another).__name__}: {another}")
+
+
+def _closing_words(result: RunResult) -> str:
+    rate = result.metrics.get("final/success_rate")
+    lines = [f"final success rate {rate:.1%} after {result.steps} env steps"] if rate is not None else []
+    lines.append(f"run directory  {result.run_dir}")
+    if result.run_id:
+        lines.append(f"MLflow run     {result.run_id}   (make ui)")
+    return "\n".join(lines)
+
+
+@contextmanager
+def _torch_threads(number: int | None) -> Iterator[None]:
+    before = torch.get_num_threads()
+    if number is not None:
+        torch.set_num_threads(number)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)

@@ -1,0 +1,277 @@
+"""Is a config one that can run? Types and ranges, third-party arguments, and the rules between keys.
+
+Every complaint is one sentence that names the key, what is wrong and the closest valid choice. Nothing here imports
+torch or mlflow: a typo is refused in well under two seconds.
+"""
+
+import difflib
+from collections.abc import Iterable, Mapping
+from typing import Annotated, Any, Literal, TypeVar
+
+from omegaconf import DictConfig, OmegaConf
+from omegaconf.errors import OmegaConfBaseException
+from pydantic import BaseModel, Field, TypeAdapter, ValidationError
+
+from parking_exp.config import (
+    DEFAULT_FEATURES,
+    TRAINING_SCENES_START,
+    Count,
+    Positive,
+    PositiveFloat,
+    RunConfig,
+    Share,
+    ThirdParty,
+)
+from parking_exp.errors import ConfigError
+from parking_exp.signatures import Signature, UnknownTarget, signature
+
+Model = TypeVar("Model", bound=BaseModel)
+
+# Ranges that third-party signatures don't state. Scalars only: a schedule or "auto" passes.
+ARGUMENT_RANGES: dict[str, Any] = {
+    "learning_rate": PositiveFloat,
+    "buffer_size": Positive,
+    "learning_starts": Count,
+    "batch_size": Positive,
+    "tau": Share,
+    "gamma": Share,
+    "train_freq": Positive,
+    "gradient_steps": Positive,
+    "n_steps": Annotated[int, Field(ge=1, le=1)],
+    "policy_delay": Positive,
+    "target_update_interval": Positive,
+    "target_policy_noise": Annotated[float, Field(ge=0)],
+    "target_noise_clip": Annotated[float, Field(ge=0)],
+    "ent_coef": PositiveFloat,
+    "stats_window_size": Positive,
+    "top_quantiles_to_drop_per_net": Count,
+    "n_sampled_goal": Positive,
+    "goal_selection_strategy": Literal["future", "final", "episode"],
+    "policy": Literal["MultiInputPolicy"],
+}
+# Constructor arguments of an algorithm that the run feeds from elsewhere, and from where.
+FED_TO_ALGORITHM = {
+    "env": "env",
+    "seed": "seed",
+    "device": "device",
+    "buffer_size": "buffer.buffer_size",
+    "optimize_memory_usage": "buffer.optimize_memory_usage",
+    "replay_buffer_class": "buffer._target_",
+    "replay_buffer_kwargs": "buffer",
+    "tensorboard_log": "tracking.tensorboard",
+    "verbose": "tracking.stdout",
+    "_init_setup_model": None,
+}
+FED_TO_BUFFER = {
+    "observation_space": "env",
+    "action_space": "env",
+    "env": "env",
+    "n_envs": "n_envs",
+    "device": "device",
+}
+
+
+def validate(config: DictConfig | Mapping[str, Any] | RunConfig) -> RunConfig:
+    """Check a composed config and return it typed.
+
+    Raises:
+        ConfigError: with one sentence for each of the first five things that are wrong.
+    """
+    if isinstance(config, RunConfig):
+        return config
+    run = parse(RunConfig, config)
+    problems = [
+        *_check_arguments("algorithm", run.algorithm, FED_TO_ALGORITHM),
+        *_check_arguments("buffer", run.buffer, FED_TO_BUFFER, own={"buffer_size", "optimize_memory_usage"}),
+        *_check_rules(run),
+    ]
+    if problems:
+        raise ConfigError("\n".join(problems[:5]))
+    return run
+
+
+def parse(model: type[Model], config: DictConfig | Mapping[str, Any]) -> Model:
+    """Resolve interpolations and check a config against a schema; raise ConfigError where it doesn't fit."""
+    try:
+        node = config if isinstance(config, DictConfig) else OmegaConf.create(dict(config))
+        plain = OmegaConf.to_container(node, resolve=True, throw_on_missing=True)
+    except OmegaConfBaseException as error:
+        raise ConfigError(f"{error.full_key}: {str(error).splitlines()[0]}") from error
+    try:
+        return model.model_validate(plain)
+    except ValidationError as error:
+        raise ConfigError("\n".join(_sentences(error, model)[:5])) from error
+
+
+def closest(word: str, choices: Iterable[str]) -> str:
+    """Return ` (did you mean 'x'?)`, or the choices when none is close and they are few, or nothing."""
+    names = sorted(set(choices))
+    if match := difflib.get_close_matches(word, names, n=1, cutoff=0.5):
+        return f"; did you mean {match[0]!r}?"
+    if names and len(names) <= 30:
+        return "; choose from " + ", ".join(names)
+    return ""
+
+
+def _sentences(error: ValidationError, model: type[BaseModel] | None, prefix: str = "") -> list[str]:
+    return [_sentence(item, model, prefix) for item in error.errors()]
+
+
+def _sentence(item: Any, model: type[BaseModel] | None, prefix: str) -> str:
+    parts = [str(part) for part in item["loc"] if part != "nullable"]
+    key = ".".join([*([prefix] if prefix else []), *parts])
+    context, value = item.get("ctx", {}), item["input"]
+    match item["type"]:
+        case "extra_forbidden":
+            return f"{key}: there is no such key{closest(parts[-1], _keys(model, parts[:-1]))}"
+        case "missing":
+            return f"{key} is missing"
+        case "greater_than_equal":
+            return f"{key}={value} is out of range; the closest valid choice is {context['ge']}"
+        case "less_than_equal":
+            return f"{key}={value} is out of range; the closest valid choice is {context['le']}"
+        case "less_than":
+            return f"{key}={value} is out of range; the closest valid choice is {context['lt'] - 1}"
+        case "greater_than":
+            return f"{key}={value} is out of range; it must be greater than {context['gt']}"
+        case "literal_error":
+            choices = [part.strip().strip("'") for part in context["expected"].replace(" or ", ", ").split(", ")]
+            hint = closest(str(value), choices) if len(choices) > 1 else f"; it can only be {choices[0]}"
+            return f"{key}={value} is not a valid choice{hint}"
+        case "model_type":
+            return f"{key}={value!r} is not a group of keys; it holds {', '.join(_keys(model, parts))}"
+        case "string_pattern_mismatch" if parts == ["device"]:
+            return f"device={value!r} is not a valid choice; choose from cpu, auto, cuda, cuda:N, mps"
+        case "string_pattern_mismatch":
+            return f"{key}={value!r} is not valid; it must match {context['pattern']}"
+    problem = item["msg"][0].lower() + item["msg"][1:]
+    return f"{key}={value!r}: {problem}"
+
+
+def _keys(model: type[BaseModel] | None, path: list[str]) -> list[str]:
+    """Keys of the (nested) section at a path."""
+    for part in path:
+        field = model.model_fields.get(part) if model else None
+        annotation = field.annotation if field else None
+        model = annotation if isinstance(annotation, type) and issubclass(annotation, BaseModel) else None
+    return list(model.model_fields) if model else []
+
+
+def _check_arguments(
+    key: str, section: ThirdParty, fed: Mapping[str, str | None], own: set[str] | None = None
+) -> list[str]:
+    """Check a section's constructor arguments, and every `_target_` node among them."""
+    try:
+        expected = signature(section.target)
+    except UnknownTarget as error:
+        return [_no_target(f"{key}._target_", section.target, error)]
+    problems = []
+    for name in section.arguments:
+        if name in fed:
+            source = fed[name]
+            problems.append(f"{key}.{name} is set by the run itself" + (f"; use {source}" if source else ""))
+    given = {name: value for name, value in section.arguments.items() if name not in fed}
+    names = set(section.arguments) | set(type(section).model_fields) - {"target"}
+    supplied = set(fed) | (own or set()) | {"policy_kwargs", "features", "net_arch"}
+    problems += _check_call(key, section.target, expected, given, supplied=supplied, siblings=names)
+    return problems
+
+
+def _check_call(
+    key: str, target: str, expected: Signature, given: Mapping[str, Any], supplied: set[str], siblings: set[str]
+) -> list[str]:
+    problems = []
+    choices = (set(expected.parameters) - supplied) | siblings
+    for name, value in given.items():
+        parameter = expected.parameters.get(name)
+        if parameter is None:
+            if not expected.open:
+                problems.append(f"{key}.{name}: {target} has no such argument{closest(name, choices - {name})}")
+            continue
+        if isinstance(value, Mapping) and "_target_" in value:
+            problems += _check_node(f"{key}.{name}", value)
+        elif not parameter.accepts(value):
+            problems.append(f"{key}.{name}={value!r} has the wrong type; {target} takes {parameter.annotation}")
+        elif name in ARGUMENT_RANGES and isinstance(value, int | float | str):
+            problems += _check_range(f"{key}.{name}", name, value)
+    for name, parameter in expected.parameters.items():
+        if parameter.required and name not in given and name not in supplied:
+            problems.append(f"{key}.{name} is missing; {target} needs it")
+    return problems
+
+
+def _check_node(key: str, node: Mapping[str, Any]) -> list[str]:
+    target = node["_target_"]
+    try:
+        expected = signature(target)
+    except UnknownTarget as error:
+        return [_no_target(f"{key}._target_", target, error)]
+    given = {name: value for name, value in node.items() if name not in {"_target_", "_partial_"}}
+    return _check_call(key, target, expected, given, supplied=set(), siblings=set())
+
+
+def _no_target(key: str, target: str, error: UnknownTarget) -> str:
+    extra = "; pip install 'parking-exp[contrib]'" if target.startswith("sb3_contrib.") and not error.known else ""
+    return f"{key}={target}: {error.reason}{closest(target.rpartition('.')[2], error.known)}{extra}"
+
+
+def _check_range(key: str, name: str, value: float | str) -> list[str]:
+    if isinstance(value, str) and name in {"learning_rate", "ent_coef"}:
+        return []  # "auto" and its kind
+    try:
+        TypeAdapter(ARGUMENT_RANGES[name]).validate_python(value, strict=True)
+    except ValidationError as error:
+        return [_sentence({**item, "loc": ()}, None, key) for item in error.errors()]
+    return []
+
+
+def _check_rules(run: RunConfig) -> list[str]:
+    """Rules between keys."""
+    problems = []
+    env, evaluation = run.env, run.evaluation
+    longest = env.episode_steps(training=True)
+    where = f"the longest training episode ({longest} steps) x n_envs ({run.n_envs})"
+    starts = run.algorithm.arguments.get("learning_starts")
+    if run.buffer.is_her and isinstance(starts, int) and starts < longest * run.n_envs:
+        problems.append(
+            f"algorithm.learning_starts={starts} is shorter than {where}, and HER samples finished episodes only; "
+            f"the closest valid choice is {longest * run.n_envs}"
+        )
+    if run.buffer.buffer_size // run.n_envs <= longest:
+        problems.append(
+            f"buffer.buffer_size={run.buffer.buffer_size} cannot hold one whole episode of each env, {where}; "
+            f"the closest valid choice is {(longest + 1) * run.n_envs}"
+        )
+    if len(env.observation.scales) != len(env.observation.features):
+        problems.append(
+            f"env.observation.scales has {len(env.observation.scales)} entries and env.observation.features "
+            f"{len(env.observation.features)}; give one scale for each feature"
+        )
+    if env.observation.features != DEFAULT_FEATURES and run.algorithm.features == "ego":
+        problems.append(
+            f"algorithm.features=ego reads the observation features {', '.join(DEFAULT_FEATURES)} in this order; "
+            "the closest valid choice is algorithm.features=raw"
+        )
+    if not (env.action.longitudinal or env.action.lateral):
+        problems.append("env.action.longitudinal and env.action.lateral are both false; set one of them to true")
+    if env.policy_frequency > env.simulation_frequency:
+        problems.append(
+            f"env.policy_frequency={env.policy_frequency} is above env.simulation_frequency="
+            f"{env.simulation_frequency}; the closest valid choice is {env.simulation_frequency}"
+        )
+    if evaluation.final_n_scenes < evaluation.n_scenes:
+        problems.append(
+            f"evaluation.final_n_scenes={evaluation.final_n_scenes} is below evaluation.n_scenes="
+            f"{evaluation.n_scenes}; the closest valid choice is {evaluation.n_scenes}"
+        )
+    if evaluation.video_episodes > evaluation.final_n_scenes:
+        problems.append(
+            f"evaluation.video_episodes={evaluation.video_episodes} is above evaluation.final_n_scenes; "
+            f"the closest valid choice is {evaluation.final_n_scenes}"
+        )
+    if evaluation.first_scene + evaluation.final_n_scenes > TRAINING_SCENES_START:
+        problems.append(
+            f"evaluation.first_scene={evaluation.first_scene} reaches into the training scenes; "
+            f"the closest valid choice is {TRAINING_SCENES_START - evaluation.final_n_scenes}"
+        )
+    return problems
