@@ -2,10 +2,11 @@
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
+TORCH ?= 2.13.0
 STORE := sqlite:///outputs/mlflow.db
 
 .DEFAULT_GOAL := help
-.PHONY: help setup train test test-slow lint types check ui tensorboard benchmark clean
+.PHONY: help setup train test test-slow lint types check ui tensorboard benchmark lock clean
 
 help:  ## show this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):[^#]*## /\1\t/' | expand -t 14
@@ -47,6 +48,13 @@ ui: $(VENV)/.ui  ## MLflow's web UI on our store
 
 tensorboard: setup  ## TensorBoard on all runs
 	$(BIN)/tensorboard --logdir outputs $(ARGS)
+
+lock:  ## write constraints.txt anew: the newest versions that fit (TORCH=VERSION chooses torch)
+	$(PYTHON) -m venv .venv-lock
+	.venv-lock/bin/pip install --quiet torch==$(TORCH) '.[dev,ui]'
+	echo '# Versions that were resolved and tested together (make lock writes this file).' > constraints.txt
+	.venv-lock/bin/pip freeze --exclude parking-exp | sed 's/+cpu$$//' >> constraints.txt
+	rm -rf .venv-lock
 
 clean:  ## delete .venv and caches; outputs/ stays
 	rm -rf $(VENV) .mypy_cache .pytest_cache .ruff_cache dist build *.egg-info

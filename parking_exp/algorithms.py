@@ -4,6 +4,7 @@ from typing import Any
 
 from hydra.utils import get_class, instantiate
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
+from stable_baselines3.common.torch_layers import CombinedExtractor
 from stable_baselines3.common.vec_env import VecEnv
 
 from parking_exp.config import RunConfig
@@ -60,4 +61,7 @@ def _policy_kwargs(config: RunConfig) -> dict[str, Any]:
     if config.algorithm.features == "ego":
         policy_kwargs["features_extractor_class"] = EgoFrameExtractor
         policy_kwargs["features_extractor_kwargs"] = {"scales": list(config.env.observation.scales)}
+    else:
+        # What a MultiInputPolicy has by default, except CrossQ's.
+        policy_kwargs["features_extractor_class"] = CombinedExtractor
     return policy_kwargs | (config.algorithm.arguments.get("policy_kwargs") or {})

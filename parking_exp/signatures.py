@@ -72,7 +72,8 @@ def signature(target: str) -> Signature:
     if isinstance(definition, ast.FunctionDef):
         return _signature(definition, is_method=False)
     constructor = _constructor(definition, home, target)
-    return _signature(constructor, is_method=True) if constructor else Signature({}, open=False)
+    # No source for any `__init__`: nothing can be said, so anything passes here.
+    return _signature(constructor, is_method=True) if constructor else Signature({}, open=True)
 
 
 def _source(module: str, target: str) -> Path:
@@ -162,14 +163,19 @@ def _constructor(node: ast.ClassDef, path: Path, target: str) -> ast.FunctionDef
         if isinstance(item, ast.FunctionDef) and item.name == "__init__":
             return item
     for base in node.bases:
-        if isinstance(base, ast.Name):
-            try:
-                parent, home = _resolve(path, base.id, target)
-            except UnknownTarget:
-                continue  # a builtin such as `object`, which takes nothing
-            if isinstance(parent, ast.ClassDef) and (found := _constructor(parent, home, target)):
-                return found
+        try:
+            parent, home = _resolve_base(ast.unparse(base), path, target)
+        except UnknownTarget:
+            continue  # a builtin, or made at run time
+        if isinstance(parent, ast.ClassDef) and (found := _constructor(parent, home, target)):
+            return found
     return None
+
+
+def _resolve_base(name: str, path: Path, target: str) -> tuple[Definition, Path]:
+    """Resolve a base class as written: `Name`, or `package.module.Name` after an `import package`."""
+    module, _, last = name.rpartition(".")
+    return _resolve(_source(module, target), last, target) if module else _resolve(path, last, target)
 
 
 def _signature(node: ast.FunctionDef, is_method: bool) -> Signature:

@@ -11,11 +11,15 @@ from parking_exp.config import EnvConfig
 gym.register_envs(highway_env)
 
 
-class SparseReward(gym.Wrapper):
+class SparseReward(gym.Wrapper, gym.utils.RecordConstructorArgs):
     """Replace the goal reward by 0 on success and -1 otherwise (Andrychowicz et al. 2017, section 4).
 
     Success stays what highway-env calls success, and `collision_reward` is still added to the step of a crash.
     """
+
+    def __init__(self, env: gym.Env) -> None:
+        gym.utils.RecordConstructorArgs.__init__(self)  # so that gymnasium can make the env again from its spec
+        gym.Wrapper.__init__(self, env)
 
     def step(self, action: np.ndarray) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         """Step the env; the reward is 0 or -1, plus the penalty of a collision."""

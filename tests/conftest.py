@@ -1,0 +1,71 @@
+"""Shared by all tests: composed configs, and real runs in real processes."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import torch
+
+from parking_exp.cli import composed
+from parking_exp.runs import RunDirectory
+from parking_exp.validation import validate
+
+torch.set_num_threads(1)  # networks this small gain nothing from more, and other processes do
+
+ROOT = Path(__file__).resolve().parents[1]
+GROUPS = ("env", "algorithm", "buffer", "experiment")
+
+
+def options(group):
+    """Names of a config group's options."""
+    return sorted(path.stem for path in (ROOT / "conf" / group).glob("*.yaml") if not path.stem.startswith("_"))
+
+
+def make_config(*overrides):
+    """Compose and check one run's config."""
+    (config,) = composed("config", list(overrides))
+    return validate(config)
+
+
+def script(name, *arguments, cwd=None, env=None):
+    """Command and options of `python scripts/NAME.py ...` as a process of its own."""
+    command = [sys.executable, str(ROOT / "scripts" / f"{name}.py"), *arguments]
+    return command, {"cwd": cwd, "env": {**os.environ, **(env or {})}, "text": True}
+
+
+def run_script(name, *arguments, cwd=None, env=None, timeout=180):
+    """Run a script to its end."""
+    command, keywords = script(name, *arguments, cwd=cwd, env=env)
+    return subprocess.run(command, check=False, capture_output=True, timeout=timeout, **keywords)
+
+
+def only_run(output_dir):
+    """The one run directory under an output directory."""
+    (path,) = output_dir.glob("*/*/seed=*")
+    return RunDirectory(path)
+
+
+def store(output_dir):
+    """A client of an output directory's own store."""
+    from parking_exp.tracking import connect, default_uri
+
+    return connect(default_uri(output_dir))
+
+
+def artifacts(client, run_id, folder=None):
+    """All artifact paths of a run."""
+    found = []
+    for item in client.list_artifacts(run_id, folder):
+        found += artifacts(client, run_id, item.path) if item.is_dir else [item.path]
+    return sorted(found)
+
+
+@pytest.fixture(scope="session")
+def smoke(tmp_path_factory):
+    """A finished smoke run: (its directory, the completed process, its output directory)."""
+    output_dir = tmp_path_factory.mktemp("smoke") / "outputs"
+    process = run_script("train", "experiment=smoke", f"output_dir={output_dir}")
+    assert process.returncode == 0, process.stderr
+    return only_run(output_dir), process, output_dir

@@ -1,0 +1,124 @@
+"""Configs become models, and models learn."""
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from conftest import make_config, options
+from hydra.utils import get_class
+from stable_baselines3 import HerReplayBuffer
+from stable_baselines3.common.buffers import DictReplayBuffer
+from stable_baselines3.common.vec_env import DummyVecEnv
+
+from parking_exp.algorithms import build_model, greedy_policy
+from parking_exp.envs.vector import make_training_envs
+from parking_exp.errors import ConfigError
+from parking_exp.features import EgoFrameExtractor
+
+SMALL = ("experiment=smoke", "tracking.mlflow=false")
+
+
+class Reach(gym.Env):
+    """An oracle: a point in the plane that must come within 0.2 of a goal. A straight line does it in 10 steps."""
+
+    STEPS = 20
+    observation_space = gym.spaces.Dict(
+        {key: gym.spaces.Box(-2, 2, (2,), np.float64) for key in ("observation", "achieved_goal", "desired_goal")}
+    )
+    action_space = gym.spaces.Box(-1, 1, (2,), np.float32)
+
+    def reset(self, *, seed=None, options=None):
+        super().reset(seed=seed)
+        self.point, self.goal = self.np_random.uniform(-1, 1, (2, 2))
+        self.steps = 0
+        return self._observe(), {}
+
+    def step(self, action):
+        self.point = np.clip(self.point + 0.2 * np.asarray(action, dtype=float), -2, 2)
+        self.steps += 1
+        reward = float(self.compute_reward(self.point, self.goal, {}))
+        info = {"is_success": reward == 0}
+        return self._observe(), reward, reward == 0, self.steps >= self.STEPS, info
+
+    def compute_reward(self, achieved_goal, desired_goal, info):
+        return np.where(np.linalg.norm(achieved_goal - desired_goal, axis=-1) <= 0.2, 0.0, -1.0)
+
+    def _observe(self):
+        return {"observation": self.point.copy(), "achieved_goal": self.point.copy(), "desired_goal": self.goal.copy()}
+
+
+def success_rate(model, episodes=50):
+    env, policy, successes = Reach(), greedy_policy(model), 0
+    for seed in range(episodes):
+        observation, info = env.reset(seed=seed)
+        done = False
+        while not done:
+            action = policy({key: value[None] for key, value in observation.items()})[0]
+            observation, _, terminated, truncated, info = env.step(action)
+            done = terminated or truncated
+        successes += info["is_success"]
+    return successes / episodes
+
+
+@pytest.mark.parametrize("algorithm", ["sac", "td3", "ddpg", "crossq"])
+def test_each_algorithm_learns_to_reach_a_goal(algorithm):
+    config = make_config(
+        *SMALL, f"algorithm={algorithm}", "algorithm.features=raw", "algorithm.net_arch=[32,32]",
+        "algorithm.batch_size=64", "algorithm.learning_starts=200", "algorithm.learning_rate=3e-3",
+        "updates_per_step=1.0", *([] if algorithm == "crossq" else ["algorithm.tau=0.02"]),
+    )  # fmt: skip
+    env = DummyVecEnv([Reach, Reach])
+    model = build_model(config, env, seed=0)
+    before = success_rate(model)
+    model.learn(1500)
+    assert before <= 0.5
+    assert success_rate(model) >= 0.9
+
+
+@pytest.mark.parametrize("algorithm", options("algorithm"))
+def test_every_algorithm_binds_to_its_constructor_and_updates(algorithm):
+    config = make_config(*SMALL, f"algorithm={algorithm}", "algorithm.net_arch=[16,16]", "algorithm.batch_size=8",
+                         "algorithm.learning_starts=40")  # fmt: skip
+    model = build_model(config, make_training_envs(config.env, config.n_envs), seed=0)
+    model.learn(60)
+    assert type(model) is get_class(config.algorithm.target)
+    assert model._n_updates > 0
+    assert isinstance(model.actor.features_extractor, EgoFrameExtractor)
+
+
+@pytest.mark.parametrize("buffer", options("buffer"))
+def test_every_buffer_binds_to_its_constructor(buffer):
+    config = make_config(*SMALL, f"buffer={buffer}", "algorithm.learning_starts=40")
+    model = build_model(config, make_training_envs(config.env, config.n_envs), seed=0)
+    if buffer == "replay":
+        assert type(model.replay_buffer) is DictReplayBuffer
+    else:
+        assert type(model.replay_buffer) is HerReplayBuffer
+        assert model.replay_buffer.goal_selection_strategy.name.lower() == buffer.removeprefix("her_")
+        assert model.replay_buffer.n_sampled_goal == config.buffer.arguments["n_sampled_goal"]
+
+
+def test_every_argument_arrives():
+    config = make_config(
+        *SMALL, "algorithm=td3", "algorithm.policy_delay=3", "algorithm.target_policy_noise=0.3", "algorithm.gamma=0.9",
+        "algorithm.tau=0.02", "algorithm.batch_size=33", "algorithm.net_arch=[7,5]", "algorithm.features=raw",
+        "algorithm.action_noise.sigma=[0.2,0.3]", "+algorithm.policy_kwargs.n_critics=3", "buffer.buffer_size=640",
+    )  # fmt: skip
+    model = build_model(config, make_training_envs(config.env, config.n_envs), seed=5)
+    assert (model.policy_delay, model.target_policy_noise, model.gamma, model.tau) == (3, 0.3, 0.9, 0.02)
+    assert (model.batch_size, model.buffer_size, model.seed) == (33, 640, 5)
+    assert model.policy_kwargs["net_arch"] == [7, 5]
+    assert len(model.critic.q_networks) == 3
+    assert list(model.action_noise._sigma) == [0.2, 0.3]
+
+
+def test_a_learning_rate_schedule_is_a_target_node():
+    schedule = "{_target_: stable_baselines3.common.utils.LinearSchedule, start: 1e-2, end: 1e-3, end_fraction: 1.0}"
+    config = make_config(*SMALL, f"algorithm.learning_rate={schedule}")
+    model = build_model(config, make_training_envs(config.env, config.n_envs), seed=0)
+    assert [model.lr_schedule(progress) for progress in (1.0, 0.5, 0.0)] == pytest.approx([1e-2, 5.5e-3, 1e-3])
+
+
+def test_what_the_library_refuses_is_a_config_error():
+    config = make_config(*SMALL, "+algorithm.policy_kwargs.n_critic=3")
+    with pytest.raises(ConfigError, match=r"stable_baselines3\.SAC refuses its arguments: .*n_critic"):
+        build_model(config, make_training_envs(config.env, config.n_envs), seed=0)

@@ -1,0 +1,167 @@
+"""Checkpoints are whole or not there, and bring everything back."""
+
+import json
+
+import numpy as np
+import pytest
+import torch
+from conftest import make_config
+
+from parking_exp import checkpoints
+from parking_exp.algorithms import build_model
+from parking_exp.checkpoints import Progress
+from parking_exp.envs.vector import make_training_envs
+from parking_exp.logs import APPENDED, cut_back, sizes
+
+
+def trained(*overrides, steps=100):
+    config = make_config("experiment=smoke", "algorithm.learning_starts=40", *overrides)
+    model = build_model(config, make_training_envs(config.env, config.n_envs), seed=0)
+    if steps:
+        model.learn(steps)
+    return model
+
+
+def save(directory, model, step, keep_last=2, best=None):
+    return checkpoints.save(directory, model, Progress(step=step), best or directory / "no-best.zip", keep_last)
+
+
+def assert_same_parameters(one, two):
+    ours, theirs = one.get_parameters(), two.get_parameters()
+    assert ours.keys() == theirs.keys()
+    for name in ours:
+        torch.testing.assert_close(ours[name], theirs[name], rtol=0, atol=0)
+
+
+@pytest.mark.parametrize("algorithm", ["sac", "td3", "ddpg", "tqc", "crossq"])
+def test_model_optimizers_buffer_and_counters_come_back(tmp_path, algorithm):
+    model, fresh = trained(f"algorithm={algorithm}"), trained(f"algorithm={algorithm}", steps=0)
+    folder = save(tmp_path, model, step=100)
+    checkpoints.restore(folder, fresh, best=tmp_path / "best.zip")
+    assert_same_parameters(model, fresh)
+    if algorithm in {"sac", "tqc", "crossq"}:
+        assert torch.equal(model.log_ent_coef, fresh.log_ent_coef)
+    for name in ("num_timesteps", "_n_updates", "_episode_num"):
+        assert getattr(fresh, name) == getattr(model, name) > 0
+    assert list(fresh.ep_success_buffer) == list(model.ep_success_buffer)
+    ours, theirs = model.replay_buffer, fresh.replay_buffer
+    assert (theirs.pos, theirs.full) == (ours.pos, ours.full)
+    for name in ("observation", "achieved_goal", "desired_goal"):
+        np.testing.assert_array_equal(theirs.observations[name], ours.observations[name])
+        np.testing.assert_array_equal(theirs.next_observations[name], ours.next_observations[name])
+    for name in ("actions", "rewards", "dones", "timeouts"):
+        filled = slice(0, ours.pos - 1)  # the last row ends episodes that were under way
+        np.testing.assert_array_equal(getattr(theirs, name)[filled], getattr(ours, name)[filled])
+
+
+def test_a_full_buffer_comes_back_too(tmp_path):
+    small = ("buffer.buffer_size=60", "buffer=replay")
+    model, fresh = trained(*small), trained(*small, steps=0)
+    checkpoints.restore(save(tmp_path, model, step=100), fresh, best=tmp_path / "best.zip")
+    assert fresh.replay_buffer.full
+    assert fresh.replay_buffer.pos == model.replay_buffer.pos
+    np.testing.assert_array_equal(fresh.replay_buffer.rewards, model.replay_buffer.rewards)
+
+
+def test_episodes_under_way_end_as_truncated_so_that_her_can_use_them(tmp_path):
+    model, fresh = trained(steps=105), trained(steps=0)
+    checkpoints.restore(save(tmp_path, model, step=105), fresh, best=tmp_path / "best.zip")
+    buffer = fresh.replay_buffer
+    assert (buffer._current_ep_start == buffer.pos).all()
+    assert (buffer.ep_length[: buffer.pos] > 0).all()
+
+
+def test_only_the_filled_part_of_the_buffer_is_saved(tmp_path):
+    model = trained("buffer.buffer_size=1000000")
+    folder = save(tmp_path, model, step=100)
+    assert (folder / checkpoints.BUFFER).stat().st_size < 100 * 500
+
+
+def test_keep_last_bounds_what_is_on_disk(tmp_path):
+    model = trained(steps=0)
+    for step in (10, 20, 30, 40):
+        save(tmp_path, model, step, keep_last=2)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["step=0000000030", "step=0000000040"]
+    assert sorted(path.name for path in (tmp_path / "step=0000000040").iterdir()) == [
+        "manifest.json", "model.zip", "replay_buffer.npz", "state.json",
+    ]  # fmt: skip
+
+
+def test_checkpoints_sort_by_step_not_by_name(tmp_path):
+    model = trained(steps=0)
+    for step in (900, 1000, 100_000):
+        save(tmp_path, model, step, keep_last=3)
+    assert checkpoints.latest(tmp_path).name == "step=0000100000"
+
+
+@pytest.mark.parametrize("name", ["model.zip", "replay_buffer.npz", "state.json"])
+@pytest.mark.parametrize("damage", ["truncated", "changed", "missing"])
+def test_a_damaged_checkpoint_is_recognised(tmp_path, name, damage):
+    model = trained(steps=0)
+    older, newer = save(tmp_path, model, 10), save(tmp_path, model, 20)
+    assert checkpoints.latest(tmp_path) == newer
+    content = bytearray((newer / name).read_bytes())
+    if damage == "missing":
+        (newer / name).unlink()
+    elif damage == "truncated":
+        (newer / name).write_bytes(content[: len(content) // 2])
+    else:
+        content[len(content) // 2] ^= 1
+        (newer / name).write_bytes(content)
+    assert checkpoints.latest(tmp_path) == older
+
+
+@pytest.mark.parametrize("manifest", [None, "", '{"model.zip"'])
+def test_a_checkpoint_without_its_manifest_does_not_count(tmp_path, manifest):
+    folder = save(tmp_path, trained(steps=0), 10)
+    (folder / "manifest.json").unlink()
+    if manifest is not None:
+        (folder / "manifest.json").write_text(manifest)
+    assert checkpoints.latest(tmp_path) is None
+
+
+def test_a_failed_write_leaves_the_earlier_checkpoint_and_no_rest(tmp_path, monkeypatch):
+    model = trained(steps=0)
+    older = save(tmp_path, model, 10)
+    # A value that JSON can't hold stands in for an error in the middle of writing.
+    monkeypatch.setattr(model, "num_timesteps", object())
+    with pytest.raises(TypeError):
+        save(tmp_path, model, 20)
+    assert list(tmp_path.iterdir()) == [older]
+
+
+def test_leftovers_of_a_killed_write_are_cleared_away(tmp_path):
+    (tmp_path / ".tmp-step=0000000005").mkdir()
+    (tmp_path / ".tmp-step=0000000005" / "model.zip").write_bytes(b"half")
+    folder = save(tmp_path, trained(steps=0), 10)
+    assert list(tmp_path.iterdir()) == [folder]
+
+
+def test_the_best_model_goes_back_with_the_checkpoint(tmp_path):
+    model, best = trained(steps=0), tmp_path / "best.zip"
+    best.write_bytes(b"best so far")
+    folder = save(tmp_path / "checkpoints", model, 10, best=best)
+    best.write_bytes(b"a later one, from steps that are going to be done again")
+    checkpoints.restore(folder, model, best=best)
+    assert best.read_bytes() == b"best so far"
+
+
+def test_restoring_unpickles_nothing(tmp_path, monkeypatch):
+    model, fresh = trained(), trained(steps=0)
+    folder = save(tmp_path, model, 100)
+    for name in ("pickle.load", "pickle.loads", "cloudpickle.load", "cloudpickle.loads"):
+        monkeypatch.setattr(name, lambda *_, **__: pytest.fail("unpickled"))
+    checkpoints.restore(folder, fresh, best=tmp_path / "best.zip")
+    assert fresh.num_timesteps == 100
+
+
+def test_logs_are_cut_back_to_the_checkpoint(tmp_path):
+    for name in APPENDED:
+        (tmp_path / name).write_text("kept\n")
+    before = sizes(tmp_path)
+    (tmp_path / "metrics.jsonl").write_text("kept\n" + json.dumps({"step": 9}))
+    (tmp_path / "episodes.csv").write_text("kept\nhalf a l")
+    cut_back(tmp_path, {name: before[name] for name in ("metrics.jsonl", "episodes.csv")})
+    assert (tmp_path / "metrics.jsonl").read_text() == "kept\n"
+    assert (tmp_path / "episodes.csv").read_text() == "kept\n"
+    assert not (tmp_path / "monitor.csv").exists()  # it did not exist yet at the checkpoint

@@ -1,0 +1,122 @@
+"""The command line, as a process of its own."""
+
+import subprocess
+import sys
+
+import pytest
+from conftest import ROOT, run_script
+
+IMPORTS = """
+import sys
+sys.argv = {argv!r}
+sys.path.insert(0, {root!r})
+from parking_exp.cli import train
+try:
+    train()
+finally:
+    print("heavy:", sorted({{"torch", "mlflow", "stable_baselines3", "pandas"}} & set(sys.modules)), file=sys.stderr)
+"""
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["sead=1"], "error: sead: there is no such key; did you mean 'seed'?\n"),
+        (["env=parkin"], "error: env=parkin: there is no such option; did you mean 'parking'?\n"),
+        (["algorithm.gamma=2"], "error: algorithm.gamma=2 is out of range; the closest valid choice is 1.0\n"),
+        (["-m", "seed=0,1", "n_envs=0"], "error: n_envs=0 is out of range; the closest valid choice is 1\n"),
+        (["seed=[1"], "error: "),
+        (["experiment=smoke", "+nonsense=1"], "error: nonsense: there is no such key"),
+    ],
+)
+def test_a_bad_command_line_gets_a_sentence_and_leaves_nothing_behind(tmp_path, arguments, message):
+    done = run_script("train", *arguments, cwd=tmp_path)
+    assert done.returncode == 2
+    assert done.stderr.startswith(message)
+    assert "Traceback" not in done.stderr
+    assert done.stdout == ""
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("argv", [["train.py", "--help"], ["train.py", "sead=1"], ["train.py", "algorithm.gamma=2"]])
+def test_help_and_refusals_import_nothing_heavy(tmp_path, argv):
+    code = IMPORTS.format(argv=argv, root=str(ROOT))
+    done = subprocess.run([sys.executable, "-c", code], check=False, capture_output=True, text=True, cwd=tmp_path)
+    assert done.stderr.endswith("heavy: []\n")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_help_names_groups_keys_and_examples():
+    for name, words in {
+        "train": [
+            "algorithm: ",
+            "env: parking, parking_2021",
+            "total_timesteps: ",
+            "python scripts/train.py experiment=article",
+        ],
+        "evaluate": ["run: latest", "episodes: 100", "python scripts/evaluate.py run=latest video=5 gif=true"],
+    }.items():
+        done = run_script(name, "--help")
+        assert done.returncode == 0
+        assert [word for word in words if word not in done.stdout] == []
+
+
+def test_showing_the_config_runs_nothing(tmp_path):
+    done = run_script("train", "--cfg", "job", "experiment=article", cwd=tmp_path)
+    assert done.returncode == 0
+    assert "total_timesteps: 10000" in done.stdout
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_hydras_own_config_dir_adds_options(tmp_path):
+    (tmp_path / "mine" / "env").mkdir(parents=True)
+    (tmp_path / "mine" / "env" / "short.yaml").write_text("defaults: [parking]\nname: short\nduration: 0.2\n")
+    arguments = ("--config-dir", str(tmp_path / "mine"), "env=short")
+    done = run_script("train", *arguments, "--cfg", "job", cwd=tmp_path)
+    assert "name: short" in done.stdout
+    refused = run_script("train", *arguments, "n_envs=0", cwd=tmp_path)
+    assert refused.stderr == "error: n_envs=0 is out of range; the closest valid choice is 1\n"
+
+
+def test_a_multirun_runs_every_point(tmp_path):
+    done = run_script(
+        "train", "-m", "experiment=smoke", "seed=0,1", "total_timesteps=60", "tracking.mlflow=false",
+        "evaluation.video_episodes=0", "evaluation.final_n_scenes=3", f"output_dir={tmp_path / 'outputs'}",
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    found = sorted(path.parent.name for path in tmp_path.glob("outputs/*/*/*/result.json"))
+    assert found == ["seed=0", "seed=1"]
+
+
+def test_a_built_wheel_works_from_any_directory(tmp_path):
+    """The wheel carries conf/ inside the package; nothing of the clone is on the path."""
+    build = [sys.executable, "-m", "pip", "wheel", "--quiet", "--no-deps", "--wheel-dir", str(tmp_path), str(ROOT)]
+    subprocess.run(build, check=True, capture_output=True, timeout=300)
+    (wheel,) = tmp_path.glob("*.whl")
+    site = tmp_path / "site"
+    unpack = [sys.executable, "-m", "pip", "install", "--quiet", "--no-deps", "--target", str(site), str(wheel)]
+    subprocess.run(unpack, check=True, capture_output=True, timeout=300)
+    elsewhere = tmp_path / "elsewhere"
+    elsewhere.mkdir()
+    code = f"import sys; sys.path.insert(0, {str(site)!r}); import parking_exp.cli as cli; print(cli.config_dir()); cli.train()"
+    done = subprocess.run(
+        [sys.executable, "-c", code, "experiment=smoke", "total_timesteps=60", "evaluation.video_episodes=0"],
+        check=False, capture_output=True, text=True, cwd=elsewhere, timeout=180,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.startswith(str(site / "parking_exp" / "conf"))
+    assert (elsewhere / "outputs" / "mlflow.db").exists()
+    assert sorted(path.name for path in (site / "bin").iterdir()) == ["parking-evaluate", "parking-train"]
+
+
+def test_an_editable_install_has_the_console_scripts(tmp_path):
+    from pathlib import Path
+
+    done = subprocess.run(
+        [Path(sys.executable).parent / "parking-train", "sead=1"],
+        check=False,
+        capture_output=True,
+        text=True,
+        cwd=tmp_path,
+    )
+    assert done.stderr == "error: sead: there is no such key; did you mean 'seed'?\n"

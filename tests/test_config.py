@@ -1,0 +1,70 @@
+"""Names, keys and derived values of a run's config."""
+
+import pytest
+from conftest import make_config
+from highway_env.envs.parking_env import ParkingEnv
+
+
+def test_parking_has_highway_envs_own_options_and_values():
+    ours = make_config("env=parking").env.highway_options()
+    theirs = ParkingEnv.default_config()
+    extra = {"longitudinal": True, "lateral": True, "dynamical": False, "clip": True}
+    assert ours.pop("action") == {**theirs.pop("action"), **extra}
+    assert ours == theirs
+
+
+def test_training_duration_changes_training_envs_only():
+    env = make_config("env=parking", "env.training_duration=20").env
+    assert env.highway_options()["duration"] == 100
+    assert env.highway_options(training=True)["duration"] == 20
+
+
+@pytest.mark.parametrize(
+    ("option", "steps"),
+    [("parking", 500), ("parking_sparse", 500), ("parking_action_repeat", 20), ("parking_2021", 100)],
+)
+def test_longest_episode_counts_time_as_highway_env_does(option, steps):
+    assert make_config(f"env={option}").env.episode_steps() == steps
+
+
+@pytest.mark.parametrize(
+    ("updates_per_step", "n_envs", "expected"),
+    [(1.0, 1, (1, 1)), (1.0, 8, (1, 8)), (0.5, 8, (1, 4)), (0.125, 8, (1, 1)), (0.125, 1, (8, 1)), (0.3, 1, (10, 3))],
+)
+def test_update_rounds_keep_updates_per_step_whatever_n_envs_is(updates_per_step, n_envs, expected):
+    config = make_config(f"updates_per_step={updates_per_step}", f"n_envs={n_envs}")
+    assert config.update_rounds() == expected
+    train_freq, gradient_steps = expected
+    assert gradient_steps / (train_freq * n_envs) == pytest.approx(updates_per_step)
+
+
+def test_train_freq_and_gradient_steps_can_be_set_by_hand():
+    assert make_config("algorithm.train_freq=4").update_rounds() == (4, 32)
+    assert make_config("algorithm.gradient_steps=2").update_rounds() == (1, 2)
+
+
+def test_the_cell_is_the_config_without_its_seed():
+    one, two = make_config("seed=1"), make_config("seed=2")
+    assert one.cell == two.cell
+    assert one.run_key != two.run_key
+    assert one.run_dir.name == "seed=1"
+    assert one.run_dir.parent == two.run_dir.parent
+
+
+@pytest.mark.parametrize(
+    "override",
+    ["output_dir=elsewhere", "tracking.mlflow=false", "checkpoint.keep_last=9", "evaluation.video_episodes=0"],
+)
+def test_the_run_key_ignores_what_cannot_change_results(override):
+    assert make_config(override).run_key == make_config().run_key
+
+
+@pytest.mark.parametrize("override", ["algorithm.gamma=0.9", "total_timesteps=10", "env.duration=50", "n_envs=4"])
+def test_the_run_key_changes_with_what_can_change_results(override):
+    assert make_config(override).run_key != make_config().run_key
+
+
+def test_run_directories_are_absolute_and_readable(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    config = make_config("experiment=smoke", "seed=3")
+    assert config.run_dir == tmp_path / "outputs" / "smoke" / f"parking-sac-her_future-{config.cell_key}" / "seed=3"

@@ -1,0 +1,365 @@
+"""A run from its config to its result: what it leaves behind, and that nothing is lost when it is cut off."""
+
+import json
+import os
+import re
+import signal
+import subprocess
+import time
+from pathlib import Path
+
+import imageio.v3 as iio
+import pandas as pd
+import pytest
+from conftest import artifacts, make_config, only_run, run_script, script, store
+from PIL import Image, ImageSequence
+
+from parking_exp import __version__
+from parking_exp.errors import FailedRunError, RunLockedError
+from parking_exp.evaluation import EPISODE_COLUMNS
+from parking_exp.files import read_json, sha256
+from parking_exp.runs import RunDirectory
+from parking_exp.tracking import flatten
+from parking_exp.training import train
+
+EVALUATED = [
+    "success_rate", "crash_rate", "timeout_rate", "parked_rate", "return_mean", "steps_mean", "distance_m_mean",
+    "heading_error_rad_mean", "speed_mps_mean",
+]  # fmt: skip
+
+
+def history(client, run_id, key):
+    return [(point.step, point.value) for point in client.get_metric_history(run_id, key)]
+
+
+def assert_store_is_whole(output_dir, total_timesteps):
+    """The run is finished in the store, has every step once, and the values of the run directory."""
+    directory, client = only_run(output_dir), store(output_dir)
+    run = client.get_run(directory.run_id)
+    assert run.info.status == "FINISHED"
+    assert run.data.tags["status"] == "done"
+    local = {}
+    for line in (directory.path / "metrics.jsonl").read_text().splitlines():
+        record = json.loads(line)
+        for key, value in record["metrics"].items():
+            local.setdefault(key, []).append((record["step"], value))
+    assert set(run.data.metrics) == set(local)
+    for key, points in local.items():
+        steps = [step for step, _ in points]
+        assert steps == sorted(set(steps)), key
+        assert [step for step, _ in history(client, directory.run_id, key)] == steps, key
+    assert history(client, directory.run_id, "final/success_rate")[-1][0] == total_timesteps
+    return local
+
+
+def wait_for(condition, process, timeout=120):
+    deadline = time.monotonic() + timeout
+    while not condition():
+        assert process.poll() is None, process.communicate()
+        assert time.monotonic() < deadline
+        time.sleep(0.02)
+
+
+def test_a_run_prints_rates_with_intervals_and_where_things_are(smoke):
+    directory, process, _ = smoke
+    assert re.search(
+        r"^success +\d+\.\d%   95 % interval \d+\.\d% to \d+\.\d%   \d of 5$", process.stdout, re.MULTILINE
+    )
+    assert f"run directory  {directory.path}" in process.stdout
+    assert f"MLflow run     {directory.run_id}" in process.stdout
+    assert "Traceback" not in process.stderr
+
+
+def test_without_a_terminal_progress_comes_as_lines(smoke):
+    lines = [line for line in smoke[1].stderr.splitlines() if line.startswith("train ")]
+    assert 5 <= len(lines) <= 11
+    assert re.match(r"train  \d+/400 steps  success +\d+%  return +-?\d+\.\d  \d+ steps/s", lines[-1])
+
+
+def test_the_store_has_every_metric_of_an_evaluation(smoke):
+    directory, _, output_dir = smoke
+    client = store(output_dir)
+    for name in EVALUATED:
+        assert [step for step, _ in history(client, directory.run_id, f"eval/{name}")] == [100, 200, 300, 400]
+        assert [step for step, _ in history(client, directory.run_id, f"final/{name}")] == [400]
+    for name in ("time/cpu_s", "time/wall_s"):
+        values = [value for _, value in history(client, directory.run_id, name)]
+        assert values == sorted(values)
+        assert len(values) == 4
+    metrics = set(client.get_run(directory.run_id).data.metrics)
+    assert {"rollout/success_rate", "rollout/ep_rew_mean", "rollout/ep_len_mean", "train/critic_loss"} <= metrics
+    assert_store_is_whole(output_dir, 400)
+
+
+def test_the_stores_parameters_are_the_resolved_config(smoke):
+    directory, _, output_dir = smoke
+    params = store(output_dir).get_run(directory.run_id).data.params
+    assert params == flatten(directory.config().plain())
+    assert params["algorithm._target_"] == "stable_baselines3.SAC"
+    assert params["algorithm.net_arch"] == "[16, 16]"
+    assert params["env.observation.scales"] == "[100.0, 100.0, 5.0, 5.0, 1.0, 1.0]"
+
+
+def test_the_stores_tags_say_what_was_run(smoke):
+    directory, _, output_dir = smoke
+    tags = store(output_dir).get_run(directory.run_id).data.tags
+    config = directory.config()
+    assert tags["experiment"] == "smoke"
+    assert tags["cell"] == config.cell
+    assert tags["seed"] == "0"
+    assert tags["run_key"] == config.run_key
+    assert tags["status"] == "done"
+    assert tags["version.parking-exp"] == __version__
+    for package in ("python", "torch", "stable-baselines3", "highway-env", "gymnasium"):
+        assert re.match(r"\d+\.\d+", tags[f"version.{package}"])
+    assert tags["cpu"]
+    assert "git_commit" not in tags or re.fullmatch(r"[0-9a-f]{40}", tags["git_commit"])
+    assert ("git_commit" in tags) == ("git_dirty" in tags)
+
+
+def test_the_stores_artifacts_are_all_there(smoke):
+    directory, _, output_dir = smoke
+    assert artifacts(store(output_dir), directory.run_id) == [
+        "checkpoints/step=0000000300/model.zip",
+        "checkpoints/step=0000000300/replay_buffer.json",
+        "checkpoints/step=0000000400/model.zip",
+        "checkpoints/step=0000000400/replay_buffer.json",
+        "config.yaml",
+        "curves.png",
+        "episodes.csv",
+        "models/best.zip",
+        "models/final.zip",
+        "monitor.csv",
+        "progress.csv",
+        "video.mp4",
+    ]
+
+
+def test_the_store_knows_where_the_replay_buffer_is(smoke):
+    directory, _, output_dir = smoke
+    client = store(output_dir)
+    stored = client.download_artifacts(directory.run_id, "checkpoints/step=0000000400/replay_buffer.json")
+    record = read_json(Path(stored))
+    assert record["path"] == str(directory.checkpoints / "step=0000000400" / "replay_buffer.npz")
+    assert record["sha256"] == sha256(directory.checkpoints / "step=0000000400" / "replay_buffer.npz")
+
+
+def test_episodes_have_one_row_each(smoke):
+    table = pd.read_csv(smoke[0].path / "episodes.csv")
+    assert list(table.columns) == ["phase", "step", *EPISODE_COLUMNS]
+    counts = table.groupby(["phase", "step"])["scene"].agg(list).to_dict()
+    assert counts == {**{("eval", step): [0, 1, 2] for step in (100, 200, 300, 400)}, ("final", 400): [0, 1, 2, 3, 4]}
+
+
+def test_the_metrics_are_those_of_the_episodes(smoke):
+    directory, _, output_dir = smoke
+    table = pd.read_csv(directory.path / "episodes.csv").query("phase == 'final'")
+    metrics = store(output_dir).get_run(directory.run_id).data.metrics
+    assert metrics["final/distance_m_mean"] == pytest.approx(table["distance_m"].mean())
+    assert metrics["final/timeout_rate"] == (table["outcome"] == "timeout").mean()
+
+
+def test_the_video_decodes_and_has_every_frame(smoke):
+    directory, _, _ = smoke
+    frames = iio.imread(directory.path / "video.mp4", plugin="FFMPEG")
+    episodes = pd.read_csv(directory.path / "episodes.csv").query("phase == 'final' and scene < 2")
+    # Each episode: its start, three simulation frames a step, and a second of its end at 15 frames a second.
+    assert len(frames) == sum(1 + 3 * steps + 15 for steps in episodes["steps"])
+    assert frames.shape[1:] == (300, 600, 3)
+    assert frames.std() > 10  # something is drawn
+
+
+def test_sb3s_own_logs_are_there(smoke):
+    from stable_baselines3.common.results_plotter import load_results
+    from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+
+    path = smoke[0].path
+    monitor = load_results(str(path))
+    assert set(monitor.columns) >= {"r", "l", "t", "is_success", "crashed"}
+    assert monitor["l"].max() == 11  # training_duration of 2 s
+    assert pd.read_csv(path / "progress.csv")["eval/success_rate"].notna().sum() == 4
+    events = EventAccumulator(str(path / "tensorboard"))
+    events.Reload()
+    assert [event.step for event in events.Scalars("eval/success_rate")] == [100, 200, 300, 400]
+
+
+def test_a_finished_run_is_not_run_again(smoke):
+    directory, _, output_dir = smoke
+    before = (directory.path / "metrics.jsonl").read_bytes()
+    again = run_script("train", "experiment=smoke", f"output_dir={output_dir}")
+    assert again.returncode == 0
+    assert again.stdout.startswith("already done")
+    assert (directory.path / "metrics.jsonl").read_bytes() == before
+    assert len(store(output_dir).search_runs([store(output_dir).get_experiment_by_name("smoke").experiment_id])) == 1
+
+
+def test_evaluate_prints_and_stores_episodes_and_a_video(smoke, tmp_path):
+    directory, _, output_dir = smoke
+    done = run_script(
+        "evaluate", f"run={directory.run_id}", f"output_dir={output_dir}", "episodes=6", "video=2", "gif=true"
+    )
+    assert done.returncode == 0, done.stderr
+    for name in ("success", "crash", "timeout", "parked"):
+        assert re.search(rf"^{name} +\d+\.\d%   95 % interval", done.stdout, re.MULTILINE)
+    assert re.search(r"steps, return .*; at the end .* m from the slot's centre, .* rad off, .* m/s", done.stdout)
+    folder = directory.path / "evaluations" / "parking-final-scenes-0-5"
+    table = pd.read_csv(folder / "episodes.csv")
+    assert table["scene"].tolist() == [0, 1, 2, 3, 4, 5]
+    frames = sum(1 + 3 * steps + 15 for steps in table["steps"][:2])
+    assert len(iio.imread(folder / "video.mp4", plugin="FFMPEG")) == frames
+    with Image.open(folder / "video.gif") as gif:  # frames that repeat are shown longer instead
+        shown_ms = sum(frame.info["duration"] for frame in ImageSequence.Iterator(gif))
+    assert shown_ms == 200 * -(-frames // 3)
+    stored = artifacts(store(output_dir), directory.run_id, f"evaluations/{folder.name}")
+    assert [path.rpartition("/")[2] for path in stored] == ["episodes.csv", "summary.json", "video.gif", "video.mp4"]
+    # The same model on the same scenes: what the run itself saw at its end.
+    final = pd.read_csv(directory.path / "episodes.csv").query("phase == 'final'").reset_index(drop=True)
+    pd.testing.assert_frame_equal(table.head(5), final[EPISODE_COLUMNS], rtol=1e-6)
+
+
+def test_evaluate_finds_the_latest_run_and_takes_another_env(smoke):
+    directory, _, output_dir = smoke
+    done = run_script("evaluate", f"output_dir={output_dir}", "episodes=2", "env=parking_parked", "env.duration=2",
+                      "model=best", "tracking.mlflow=false", "name=parked")  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    assert "best model on 2 scenes of parking_parked" in done.stdout
+    assert len(pd.read_csv(directory.path / "evaluations" / "parked" / "episodes.csv")) == 2
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["run=nowhere"], "run=nowhere: no run directory and no MLflow run id of the 1 runs in"),
+        (["epsodes=3"], "epsodes: there is no such key; did you mean 'episodes'?"),
+        (["episodes=0"], "episodes=0 is out of range; the closest valid choice is 1"),
+        (["episodes=3", "video=5"], "video=5 is above episodes; the closest valid choice is 3"),
+        (["gif=true"], "gif=true needs a video to be made from; set video=N as well"),
+        (["model=last"], "model=last is not a valid choice"),
+        (["env=parkin"], "env=parkin: there is no such option; did you mean 'parking'?"),
+    ],
+)
+def test_evaluate_refuses_in_a_sentence(smoke, arguments, message):
+    done = run_script("evaluate", f"output_dir={smoke[2]}", *arguments)
+    assert done.returncode == 2
+    assert done.stderr.startswith(f"error: {message}")
+    assert done.stderr.count("\n") == 1
+
+
+def test_a_killed_run_resumes_in_the_same_mlflow_run_with_no_step_twice(tmp_path):
+    output_dir = tmp_path / "outputs"
+    arguments = ("experiment=smoke", f"output_dir={output_dir}", "total_timesteps=600", "evaluation.video_episodes=0")
+    command, keywords = script("train", *arguments)
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, **keywords)
+    checkpoints = lambda: sorted(path.name for path in output_dir.glob("*/*/*/checkpoints/step=*"))  # noqa: E731
+    wait_for(lambda: len(checkpoints()) == 2, process)
+    time.sleep(1.0)  # into the steps after a checkpoint
+    process.kill()
+    process.wait()
+    directory = only_run(output_dir)
+    killed_at, run_id = checkpoints()[-1], directory.run_id
+    assert directory.status == "running"
+
+    done = run_script("train", *arguments)
+    assert done.returncode == 0, done.stderr
+    assert f"resuming at step {int(killed_at.removeprefix('step='))}" in done.stderr
+    assert directory.run_id == run_id
+    assert directory.status == "done"
+    local = assert_store_is_whole(output_dir, 600)
+    assert [step for step, _ in local["eval/success_rate"]] == [100, 200, 300, 400, 500, 600]
+    updates = [value for _, value in local["train/n_updates"]]
+    assert updates == sorted(set(updates))  # counters go on where they were
+    assert updates[-1] == pytest.approx(0.5 * (600 - 40), abs=10)
+    episodes = [value for _, value in local["time/episodes"]]
+    assert episodes == sorted(set(episodes))
+    assert checkpoints() == ["step=0000000500", "step=0000000600"]
+    assert len(pd.read_csv(directory.path / "progress.csv")["eval/success_rate"].dropna()) == 6
+    table = pd.read_csv(directory.path / "episodes.csv")
+    assert not table.duplicated(["phase", "step", "scene"]).any()
+
+
+@pytest.mark.parametrize(("signal_number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_a_signal_saves_a_checkpoint_and_the_same_command_goes_on(tmp_path, signal_number, status):
+    output_dir = tmp_path / "outputs"
+    arguments = ("experiment=smoke", f"output_dir={output_dir}", "checkpoint.every_n_steps=null",
+                 "evaluation.video_episodes=0", "evaluation.every_n_steps=null")  # fmt: skip
+    command, keywords = script("train", *arguments)
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, **keywords)
+    wait_for(lambda: any(output_dir.glob("*/*/*/metrics.jsonl")), process)
+    process.send_signal(signal_number)
+    _, errors = process.communicate(timeout=60)
+    assert process.returncode == status
+    assert "type the same command to go on" in errors
+    assert "Traceback" not in errors
+    directory, client = only_run(output_dir), store(output_dir)
+    (checkpoint,) = directory.checkpoints.iterdir()
+    assert directory.status == "interrupted"
+    run = client.get_run(directory.run_id)
+    assert (run.info.status, run.data.tags["status"]) == ("KILLED", "interrupted")
+
+    done = run_script("train", *arguments)
+    assert done.returncode == 0, done.stderr
+    assert f"resuming at step {int(checkpoint.name.removeprefix('step='))}" in done.stderr
+    assert_store_is_whole(output_dir, 400)
+
+
+def test_a_corrupt_checkpoint_is_passed_over_with_a_warning(tmp_path):
+    output_dir = tmp_path / "outputs"
+    arguments = ("experiment=smoke", f"output_dir={output_dir}", "evaluation.video_episodes=0")
+    command, keywords = script("train", *arguments)
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, **keywords)
+    wait_for(lambda: len(list(output_dir.glob("*/*/*/checkpoints/step=*"))) == 2, process)
+    process.kill()
+    process.wait()
+    older, newer = sorted(only_run(output_dir).checkpoints.glob("step=*"))
+    os.truncate(newer / "replay_buffer.npz", 1000)
+    done = run_script("train", *arguments)
+    assert done.returncode == 0, done.stderr
+    assert f"checkpoint {newer} is not whole (replay_buffer.npz has changed); trying the one before it" in done.stderr
+    assert f"resuming at step {int(older.name.removeprefix('step='))}" in done.stderr
+    assert_store_is_whole(output_dir, 400)
+
+
+def test_a_run_that_fails_is_failed_in_the_store_with_its_traceback(tmp_path):
+    config = make_config("experiment=smoke", f"output_dir={tmp_path}", "env.other_vehicles_type=no.such.Vehicle",
+                         "algorithm.policy_kwargs={optimizer_kwargs: {lr: 1}}")  # fmt: skip
+    with pytest.raises(FailedRunError, match=r"the run failed: .*; its traceback is in .*traceback\.txt"):
+        train(config)
+    directory, client = RunDirectory(config.run_dir), store(tmp_path)
+    assert directory.status == "failed"
+    run = client.get_run(directory.run_id)
+    assert (run.info.status, run.data.tags["status"]) == ("FAILED", "failed")
+    assert "traceback.txt" in artifacts(client, directory.run_id)
+    assert (directory.path / "traceback.txt").read_text().startswith("Traceback")
+
+
+def test_two_processes_do_not_work_on_one_run(tmp_path):
+    config = make_config("experiment=smoke", f"output_dir={tmp_path}")
+    with RunDirectory(config.run_dir).locked(), pytest.raises(RunLockedError, match="another process is working on"):
+        train(config)
+
+
+def test_a_disk_that_fills_up_fails_the_run_and_keeps_what_was_there(tmp_path):
+    """A file-size limit stands in for a full disk: the checkpoint's buffer does not fit."""
+    output_dir = tmp_path / "outputs"
+    arguments = ("experiment=smoke", f"output_dir={output_dir}", "tracking.mlflow=false", "tracking.tensorboard=false",
+                 "evaluation.video_episodes=0", "checkpoint.keep_last=1")  # fmt: skip
+    command, keywords = script("train", *arguments)
+    limited = ["bash", "-c", 'ulimit -f 120; exec "$@"', "_", *command]  # in KiB: the third checkpoint is too large
+    failed = subprocess.run(limited, check=False, capture_output=True, timeout=180, **keywords)
+    assert failed.returncode == 2
+    assert "error: the run failed: OSError: [Errno 27] File too large" in failed.stderr
+    directory = only_run(output_dir)
+    assert directory.status == "failed"
+    (kept,) = directory.checkpoints.iterdir()
+    done = run_script("train", *arguments)
+    assert done.returncode == 0, done.stderr
+    assert f"resuming at step {int(kept.name.removeprefix('step='))}" in done.stderr
+
+
+def test_without_mlflow_everything_else_is_there(tmp_path):
+    result = train(make_config("experiment=smoke", f"output_dir={tmp_path}", "tracking.mlflow=false",
+                               "total_timesteps=100", "tracking.progress_bar=false"))  # fmt: skip
+    assert result.run_id is None
+    assert result.steps == 100
+    assert "final/success_rate" in result.metrics
+    assert not (tmp_path / "mlflow.db").exists()

@@ -1,0 +1,198 @@
+"""What a config may be, and what is said about one that can't run."""
+
+import re
+
+import pytest
+from conftest import GROUPS, make_config, options
+from omegaconf import OmegaConf
+
+from parking_exp.cli import composed
+from parking_exp.errors import ConfigError
+from parking_exp.validation import validate
+
+ARTICLE = {
+    "total_timesteps": 10_000,
+    "n_envs": 1,
+    "updates_per_step": 1.0,
+    "algorithm.target": "stable_baselines3.SAC",
+    "algorithm.features": "raw",
+    "algorithm.net_arch": [256, 256, 256],
+    "algorithm.learning_rate": 1e-3,
+    "algorithm.gamma": 0.95,
+    "algorithm.batch_size": 256,
+    "algorithm.tau": 0.005,
+    "algorithm.learning_starts": 500,
+    "buffer.buffer_size": 1_000_000,
+    "buffer.n_sampled_goal": 4,
+    "buffer.goal_selection_strategy": "future",
+    "evaluation.every_n_steps": 1000,
+    "evaluation.n_scenes": 5,
+    "checkpoint.keep_last": 1,
+    "env.training_duration": None,
+    "env.duration": 100,
+}
+
+
+@pytest.mark.parametrize(("group", "option"), [(group, option) for group in GROUPS for option in options(group)])
+def test_every_option_of_every_group_composes_and_validates(group, option):
+    overrides = [f"{group}={option}"]
+    if option == "parking_2021":
+        assert make_config(*overrides).env.add_walls is False
+    config = make_config(*overrides)
+    if group != "experiment":
+        assert getattr(config, group).name == option
+    else:
+        assert config.experiment_name == option
+
+
+def test_the_expected_options_are_there():
+    assert {group: options(group) for group in GROUPS} == {
+        "env": ["parking", "parking_2021", "parking_action_repeat", "parking_parked", "parking_sparse"],
+        "algorithm": ["crossq", "ddpg", "sac", "td3", "tqc"],
+        "buffer": ["her_episode", "her_final", "her_future", "replay"],
+        "experiment": ["article", "smoke"],
+    }
+
+
+@pytest.mark.parametrize(
+    ("override", "message"),
+    [
+        ("sead=1", "sead: there is no such key; did you mean 'seed'?"),
+        ("algoritm=sac", "algoritm: there is no such key; did you mean 'algorithm'?"),
+        ("env=parkin_sparse", "env=parkin_sparse: there is no such option; did you mean 'parking_sparse'?"),
+        ("algorithm=sca", "algorithm=sca: there is no such option; did you mean 'sac'?"),
+        ("experiment=artcle", "experiment=artcle: there is no such option; did you mean 'article'?"),
+        ("env.duratoin=3", "env.duratoin: there is no such key; did you mean 'duration'?"),
+        ("+env.duratoin=3", "env.duratoin: there is no such key; did you mean 'duration'?"),
+        ("env.observation.scale=3", "env.observation.scale: there is no such key; did you mean 'scales'?"),
+        ("algorithm.learning_rat=1", "algorithm.learning_rat: there is no such key; did you mean 'learning_rate'?"),
+        (
+            "+algorithm.gama=1",
+            "algorithm.gama: stable_baselines3.SAC has no such argument; did you mean 'gamma'?",
+        ),
+        ("buffer.n_sampled_goals=3", "buffer.n_sampled_goals: there is no such key; did you mean 'n_sampled_goal'?"),
+        (
+            "+buffer.n_sampled_goals=3",
+            "buffer.n_sampled_goals: stable_baselines3.HerReplayBuffer has no such argument; "
+            "did you mean 'n_sampled_goal'?",
+        ),
+        ("evaluation.n_scene=3", "evaluation.n_scene: there is no such key; did you mean 'n_scenes'?"),
+        ("checkpoint.keep=3", "checkpoint.keep: there is no such key; did you mean 'keep_last'?"),
+        ("tracking.mlfow=true", "tracking.mlfow: there is no such key; did you mean 'mlflow'?"),
+    ],
+)
+def test_a_misspelt_name_is_refused_by_name_with_the_closest_valid_one(override, message):
+    with pytest.raises(ConfigError, match=f"^{re.escape(message)}$"):
+        make_config(override)
+
+
+@pytest.mark.parametrize(
+    ("override", "message"),
+    [
+        ("seed=abc", "seed='abc': input should be a valid integer"),
+        ("seed=-1", "seed=-1 is out of range; the closest valid choice is 0"),
+        ("seed=true", "seed=True: input should be a valid integer"),
+        ("total_timesteps=0", "total_timesteps=0 is out of range; the closest valid choice is 1"),
+        ("n_envs=0", "n_envs=0 is out of range; the closest valid choice is 1"),
+        ("device=gpu", "device='gpu' is not a valid choice; choose from cpu, auto, cuda, cuda:N, mps"),
+        ("algorithm.gamma=1.5", "algorithm.gamma=1.5 is out of range; the closest valid choice is 1.0"),
+        ("algorithm.tau=0", "algorithm.tau=0 is out of range; it must be greater than 0.0"),
+        ("algorithm.learning_rate=-1", "algorithm.learning_rate=-1 is out of range; it must be greater than 0.0"),
+        ("algorithm.batch_size=0", "algorithm.batch_size=0 is out of range; the closest valid choice is 1"),
+        (
+            "algorithm.batch_size=1.5",
+            "algorithm.batch_size=1.5 has the wrong type; stable_baselines3.SAC takes int",
+        ),
+        ("algorithm.use_sde=3", "algorithm.use_sde=3 has the wrong type; stable_baselines3.SAC takes bool"),
+        ("algorithm.features=egoo", "algorithm.features=egoo is not a valid choice; did you mean 'ego'?"),
+        ("buffer.goal_selection_strategy=futur", "buffer.goal_selection_strategy=futur is not a valid choice; did you mean 'future'?"),
+        ("+algorithm.seed=3", "algorithm.seed is set by the run itself; use seed"),
+        ("+algorithm.buffer_size=3", "algorithm.buffer_size is set by the run itself; use buffer.buffer_size"),
+        (
+            "algorithm._target_=stable_baselines3.SACC",
+            "algorithm._target_=stable_baselines3.SACC: there is no 'SACC' in stable_baselines3; did you mean 'SAC'?",
+        ),
+        ("algorithm._target_=nowhere.SAC", "algorithm._target_=nowhere.SAC: the package 'nowhere' is not installed"),
+        ("evaluation=often", "evaluation='often' is not a group of keys; it holds every_n_steps, n_scenes, final_n_scenes, first_scene, video_episodes"),
+        ("checkpoint.keep_last=0", "checkpoint.keep_last=0 is out of range; the closest valid choice is 1"),
+        ("env.controlled_vehicles=2", "env.controlled_vehicles=2 is not a valid choice; it can only be 1"),
+        (
+            "env.policy_frequency=20 n_envs=1",
+            "env.policy_frequency=20 is above env.simulation_frequency=15; the closest valid choice is 15",
+        ),
+        (
+            "algorithm.learning_starts=100",
+            "algorithm.learning_starts=100 is shorter than the longest training episode (101 steps) x n_envs (8), "
+            "and HER samples finished episodes only; the closest valid choice is 808",
+        ),
+        (
+            "buffer.buffer_size=800",
+            "buffer.buffer_size=800 cannot hold one whole episode of each env, the longest training episode "
+            "(101 steps) x n_envs (8); the closest valid choice is 816",
+        ),
+        (
+            "evaluation.first_scene=2147483600",
+            "evaluation.first_scene=2147483600 reaches into the training scenes; the closest valid choice is 2147483548",
+        ),
+        (
+            "env.observation.features=[y,x,vx,vy,cos_h,sin_h]",
+            "algorithm.features=ego reads the observation features x, y, vx, vy, cos_h, sin_h in this order; "
+            "the closest valid choice is algorithm.features=raw",
+        ),
+    ],
+)  # fmt: skip
+def test_a_value_that_cannot_be_is_refused_with_the_closest_valid_choice(override, message):
+    with pytest.raises(ConfigError, match=f"^{re.escape(message)}$"):
+        make_config(*override.split())
+
+
+def test_the_suggested_choices_are_valid():
+    assert make_config("algorithm.learning_starts=808").algorithm.arguments["learning_starts"] == 808
+    assert make_config("buffer.buffer_size=816").buffer.buffer_size == 816
+
+
+def test_plain_replay_may_start_learning_within_an_episode():
+    config = make_config("buffer=replay", "algorithm.learning_starts=10")
+    assert config.algorithm.arguments["learning_starts"] == 10
+
+
+def test_nested_targets_are_checked_too():
+    with pytest.raises(ConfigError, match=r"NormalActionNoise has no such argument; did you mean 'sigma'"):
+        make_config("algorithm=td3", "+algorithm.action_noise.sigm=1")
+    schedule = "{_target_: stable_baselines3.common.utils.LinearSchedule, start: 1e-3, end: 1e-4}"
+    with pytest.raises(ConfigError, match=r"algorithm.learning_rate.end_fraction is missing"):
+        make_config(f"algorithm.learning_rate={schedule}")
+
+
+def test_every_point_of_a_sweep_is_checked():
+    assert len(composed("config", ["seed=0,1", "buffer=her_future,replay"])) == 4
+    with pytest.raises(ConfigError, match=r"algorithm.gamma=2 is out of range"):
+        for config in composed("config", ["algorithm.gamma=0.9,2"]):
+            validate(config)
+
+
+def test_the_experiment_overrides_the_root_and_the_command_line_overrides_both():
+    assert make_config("experiment=article").total_timesteps == 10_000
+    assert make_config("experiment=article", "total_timesteps=123").total_timesteps == 123
+
+
+def test_article_is_the_tutorials_recipe():
+    config = make_config("experiment=article")
+    found = {}
+    for key in ARTICLE:
+        section, _, name = key.rpartition(".")
+        node = getattr(config, section) if section else config
+        found[key] = getattr(node, name) if name in type(node).model_fields else node.arguments[name]
+    assert found == ARTICLE
+
+
+def test_validating_does_not_change_the_config():
+    (config,) = composed("config", [])
+    before = OmegaConf.to_yaml(config)
+    validate(config)
+    assert OmegaConf.to_yaml(config) == before
+
+
+def test_a_checked_config_survives_a_round_trip():
+    config = make_config("experiment=smoke")
+    assert validate(config.plain()) == config
