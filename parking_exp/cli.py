@@ -24,7 +24,7 @@ from omegaconf.errors import OmegaConfBaseException
 
 from parking_exp.errors import ConfigError, InterruptedRunError, ParkingError
 from parking_exp.signatures import UnknownTarget, signature
-from parking_exp.validation import closest, validate
+from parking_exp.validation import closest, parse, validate
 
 VERSION_BASE = "1.3"
 
@@ -52,6 +52,14 @@ def evaluate() -> None:
     from parking_exp.evaluate_run import evaluate_run, validate_request
 
     _command("evaluate", check=validate_request, task=evaluate_run)
+
+
+def benchmark() -> None:
+    """Entry point of `scripts/benchmark.py` and `parking-benchmark`."""
+    from parking_exp.benchmark import BenchmarkConfig
+    from parking_exp.benchmark import benchmark as measure
+
+    _command("benchmark", check=lambda config: parse(BenchmarkConfig, config), task=measure)
 
 
 def composed(config_name: str, overrides: list[str], extra_config_dir: str | None = None) -> list[DictConfig]:
@@ -164,6 +172,8 @@ def _refuse_unknown_key(base: DictConfig, override: Override, groups: list[str])
                     f"{override.key_or_group}: an argument of {parent}._target_ that its YAML does not list; "
                     f"write +{override.input_line}"
                 )
+            if parent and isinstance(node, DictConfig) and not known:
+                raise ConfigError(f"{override.key_or_group}: {parent} is empty so far; write +{override.input_line}")
             choices = {*known, *arguments, *([] if parent else set(groups) - {"hydra"})}
             raise ConfigError(f"{override.key_or_group}: there is no such key{closest(part, choices)}")
         assert isinstance(node, DictConfig)
@@ -181,5 +191,6 @@ def _arguments(node: object) -> set[str]:
 
 
 def _first_sentence(error: Exception) -> str:
-    lines = [line.strip() for line in str(error).splitlines() if line.strip()]
-    return lines[0] if lines else type(error).__name__
+    lines = [line.strip().rstrip(".") for line in str(error).splitlines() if line.strip()]
+    hint = [line for line in lines[1:2] if line.startswith("To append")]
+    return "; ".join([*lines[:1], *hint]) or type(error).__name__

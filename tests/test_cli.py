@@ -106,7 +106,11 @@ def test_a_built_wheel_works_from_any_directory(tmp_path):
     assert done.returncode == 0, done.stderr
     assert done.stdout.startswith(str(site / "parking_exp" / "conf"))
     assert (elsewhere / "outputs" / "mlflow.db").exists()
-    assert sorted(path.name for path in (site / "bin").iterdir()) == ["parking-evaluate", "parking-train"]
+    assert sorted(path.name for path in (site / "bin").iterdir()) == [
+        "parking-benchmark",
+        "parking-evaluate",
+        "parking-train",
+    ]
 
 
 def test_an_editable_install_has_the_console_scripts(tmp_path):

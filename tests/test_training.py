@@ -320,8 +320,9 @@ def test_a_corrupt_checkpoint_is_passed_over_with_a_warning(tmp_path):
 
 
 def test_a_run_that_fails_is_failed_in_the_store_with_its_traceback(tmp_path):
-    config = make_config("experiment=smoke", f"output_dir={tmp_path}", "env.other_vehicles_type=no.such.Vehicle",
-                         "algorithm.policy_kwargs={optimizer_kwargs: {lr: 1}}")  # fmt: skip
+    config = make_config(
+        "experiment=smoke", f"output_dir={tmp_path}", "+algorithm.policy_kwargs.optimizer_kwargs={lr: 1}"
+    )  # the policy gives its optimizer lr itself
     with pytest.raises(FailedRunError, match=r"the run failed: .*; its traceback is in .*traceback\.txt"):
         train(config)
     directory, client = RunDirectory(config.run_dir), store(tmp_path)

@@ -78,6 +78,11 @@ def test_the_expected_options_are_there():
         ),
         ("evaluation.n_scene=3", "evaluation.n_scene: there is no such key; did you mean 'n_scenes'?"),
         ("checkpoint.keep=3", "checkpoint.keep: there is no such key; did you mean 'keep_last'?"),
+        (
+            "algorithm.policy_kwargs.n_critics=3",
+            "algorithm.policy_kwargs.n_critics: algorithm.policy_kwargs is empty so far; "
+            "write +algorithm.policy_kwargs.n_critics=3",
+        ),
         ("tracking.mlfow=true", "tracking.mlfow: there is no such key; did you mean 'mlflow'?"),
     ],
 )
