@@ -14,12 +14,16 @@ help:  ## show this list
 setup: $(VENV)/.installed  ## make .venv and install the package with pinned versions
 
 $(VENV)/.installed: pyproject.toml constraints.txt
+	@echo "setting up $(VENV), once; this takes a few minutes"
+	@$(PYTHON) -c 'import sys; sys.exit(not (3, 11) <= sys.version_info < (3, 14))' || \
+		{ echo "$(PYTHON) is not Python 3.11 to 3.13; choose one with: make PYTHON=python3.11 ..." >&2; exit 2; }
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/pip install --quiet --constraint constraints.txt --editable '.[dev]'
+	$(BIN)/pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[dev]'
 	@touch $@
 
 $(VENV)/.ui: $(VENV)/.installed
-	$(BIN)/pip install --quiet --constraint constraints.txt --editable '.[dev,ui]'
+	@echo "installing the full mlflow, once"
+	$(BIN)/pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[dev,ui]'
 	@touch $@
 
 train: setup  ## train the default recipe (ARGS='key=value ...' to change it)

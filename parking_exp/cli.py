@@ -7,14 +7,16 @@ imported only once a command is known to be good.
 import argparse
 import os
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import NoReturn
 
 import hydra
-from hydra import compose, initialize_config_dir
+from hydra import compose
 from hydra._internal.core_plugins.basic_sweeper import BasicSweeper
-from hydra._internal.utils import get_args_parser
+from hydra._internal.hydra import Hydra
+from hydra._internal.utils import create_config_search_path, get_args_parser
 from hydra.core.global_hydra import GlobalHydra
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import Override, OverrideType
@@ -70,9 +72,7 @@ def composed(config_name: str, overrides: list[str], extra_config_dir: str | Non
     Raises:
         ConfigError: an override names no key or option, or the config does not compose.
     """
-    if extra_config_dir:
-        overrides = [f"hydra.searchpath=[file://{Path(extra_config_dir).absolute()}]", *overrides]
-    with initialize_config_dir(version_base=VERSION_BASE, config_dir=str(config_dir())):
+    with _hydra(extra_config_dir):
         try:
             parsed = OverridesParser.create().parse_overrides(overrides)
             _refuse_unknown_names(config_name, parsed)
@@ -83,6 +83,20 @@ def composed(config_name: str, overrides: list[str], extra_config_dir: str | Non
             return [compose(config_name, point) for point in BasicSweeper.split_arguments(sweep, None)[0]]
         except (HydraException, OmegaConfBaseException) as error:
             raise ConfigError(_first_sentence(error)) from error
+
+
+@contextmanager
+def _hydra(extra_config_dir: str | None) -> Iterator[None]:
+    """Make Hydra ready to compose from our tree and, with `--config-dir`, from one of the user's."""
+    search_path = create_config_search_path(str(config_dir()))
+    if extra_config_dir:
+        search_path.prepend("command-line", str(Path(extra_config_dir).absolute()), anchor="schema")
+    hydra.version.setbase(VERSION_BASE)
+    Hydra.create_main_hydra2(task_name="parking_exp", config_search_path=search_path)
+    try:
+        yield
+    finally:
+        GlobalHydra.instance().clear()
 
 
 def _command(config_name: str, check: Callable[[DictConfig], object], task: Callable[[DictConfig], object]) -> None:
@@ -99,6 +113,8 @@ def _command(config_name: str, check: Callable[[DictConfig], object], task: Call
             task(config)
         except ParkingError as error:
             _fail(error)
+        except OSError as error:  # an output directory that can't be made, say
+            _fail(ParkingError(str(error)))
 
     hydra.main(version_base=VERSION_BASE, config_path=str(config_dir()), config_name=config_name)(guarded)()
 
@@ -152,8 +168,7 @@ def _refuse_unknown_names(config_name: str, overrides: list[Override]) -> None:
         for value in values:
             if isinstance(value, str) and value not in options:
                 raise ConfigError(f"{name}={value}: there is no such option{closest(value, options)}")
-    paths = [line for line in _without_sweeps(overrides) if line.startswith("hydra.searchpath")]
-    base = compose(config_name, [*paths, *_without_sweeps(groups)])
+    base = compose(config_name, _without_sweeps(groups))
     for override in keys:
         if override.type in {OverrideType.CHANGE, OverrideType.DEL}:
             _refuse_unknown_key(base, override, loader.list_groups(""))

@@ -76,7 +76,7 @@ class Session:
         self._store_evaluation(episodes, "final")
         self._dump()
         self.model.logger.close()
-        self.model.save(self.directory.models / "final.zip")
+        self._save_model(self.directory.models / "final.zip")
         learning_curves(self.metrics.frame(), f"{self.config.experiment_name}: {path.parent.name}", path / "curves.png")
         if evaluation.video_episodes:
             self.bar.busy("video")
@@ -146,10 +146,14 @@ class Session:
             self.progress.evaluated = step
             if self.progress.best is None or list(rank(summary)) > self.progress.best:
                 self.progress.best = list(rank(summary))
-                temporary = self._best.with_name(".best.zip")
-                self.model.save(temporary)
-                temporary.replace(self._best)
+                self._save_model(self._best)
         return summary
+
+    def _save_model(self, path: Path) -> None:
+        """Save a model that Stable-Baselines3 loads anywhere: a HER buffer would want an env to load with."""
+        temporary = path.with_name(f".{path.name}")
+        self.model.save(temporary, exclude=["replay_buffer_class", "replay_buffer_kwargs"])
+        temporary.replace(path)
 
     def _dump(self) -> None:
         cpu_s, wall_s = self.times()

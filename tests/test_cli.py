@@ -61,6 +61,14 @@ def test_help_names_groups_keys_and_examples():
         assert [word for word in words if word not in done.stdout] == []
 
 
+def test_an_output_directory_that_cannot_be_made_gets_a_sentence(tmp_path):
+    (tmp_path / "file").touch()
+    done = run_script("train", "experiment=smoke", f"output_dir={tmp_path / 'file' / 'outputs'}")
+    assert done.returncode == 2
+    assert done.stderr.startswith("error: [Errno 20] Not a directory")
+    assert done.stderr.count("\n") == 1
+
+
 def test_showing_the_config_runs_nothing(tmp_path):
     done = run_script("train", "--cfg", "job", "experiment=article", cwd=tmp_path)
     assert done.returncode == 0

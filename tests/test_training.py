@@ -193,6 +193,23 @@ def test_a_finished_run_is_not_run_again(smoke):
     assert len(store(output_dir).search_runs([store(output_dir).get_experiment_by_name("smoke").experiment_id])) == 1
 
 
+def test_a_saved_model_is_a_plain_stable_baselines3_zip(smoke):
+    from stable_baselines3 import SAC
+
+    from parking_exp.algorithms import build_model, greedy_policy
+    from parking_exp.checkpoints import load_weights
+    from parking_exp.envs.vector import make_training_envs
+
+    directory, _, _ = smoke
+    config = directory.config()
+    env = make_training_envs(config.env, 1)
+    observation = env.reset()
+    plain = SAC.load(directory.models / "final.zip")
+    ours = build_model(config, env, seed=1, for_training=False)
+    load_weights(directory.models / "final.zip", ours)
+    assert (plain.predict(observation, deterministic=True)[0] == greedy_policy(ours)(observation)).all()
+
+
 def test_evaluate_prints_and_stores_episodes_and_a_video(smoke, tmp_path):
     directory, _, output_dir = smoke
     done = run_script(
