@@ -61,7 +61,7 @@ def benchmark(config: DictConfig) -> Path:
 
 
 def _overhead(settings: BenchmarkConfig) -> dict[str, float | list[float]]:
-    from parking_exp.cli import composed
+    from parking_exp.composition import composed
     from parking_exp.validation import validate
 
     steps = [] if settings.steps is None else [f"total_timesteps={settings.steps}"]

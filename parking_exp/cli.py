@@ -1,4 +1,4 @@
-"""The command line: composes with Hydra, refuses what cannot run, and prints sentences instead of tracebacks.
+"""The command lines: refuse what cannot run, hand the rest to Hydra, print sentences instead of tracebacks.
 
 A command line is checked before Hydra gets to run it, because Hydra makes directories first. Torch and mlflow are
 imported only once a command is known to be good.
@@ -7,35 +7,16 @@ imported only once a command is known to be good.
 import argparse
 import os
 import sys
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from pathlib import Path
+from collections.abc import Callable
 from typing import NoReturn
 
 import hydra
-from hydra import compose
-from hydra._internal.core_plugins.basic_sweeper import BasicSweeper
-from hydra._internal.hydra import Hydra
-from hydra._internal.utils import create_config_search_path, get_args_parser
-from hydra.core.global_hydra import GlobalHydra
-from hydra.core.override_parser.overrides_parser import OverridesParser
-from hydra.core.override_parser.types import Override, OverrideType
-from hydra.errors import HydraException
-from omegaconf import DictConfig, OmegaConf
-from omegaconf.errors import OmegaConfBaseException
+from hydra._internal.utils import get_args_parser
+from omegaconf import DictConfig
 
-from parking_exp.errors import ConfigError, InterruptedRunError, ParkingError
-from parking_exp.signatures import UnknownTarget, signature
-from parking_exp.validation import closest, parse, validate
-
-VERSION_BASE = "1.3"
-
-
-def config_dir() -> Path:
-    """Return the directory of the Hydra tree: inside the package in a wheel, at the repository's top otherwise."""
-    package = Path(__file__).resolve().parent
-    inside = package / "conf"
-    return inside if inside.is_dir() else package.parent / "conf"
+from parking_exp.composition import VERSION_BASE, composed, config_dir
+from parking_exp.errors import InterruptedRunError, ParkingError
+from parking_exp.validation import parse, validate
 
 
 def train() -> None:
@@ -62,41 +43,6 @@ def benchmark() -> None:
     from parking_exp.benchmark import benchmark as measure
 
     _command("benchmark", check=lambda config: parse(BenchmarkConfig, config), task=measure)
-
-
-def composed(config_name: str, overrides: list[str], extra_config_dir: str | None = None) -> list[DictConfig]:
-    """Compose the config of every run that a command line stands for (one, or each point of a sweep).
-
-    `extra_config_dir` is Hydra's `--config-dir`: a directory of the user's own options.
-
-    Raises:
-        ConfigError: an override names no key or option, or the config does not compose.
-    """
-    with _hydra(extra_config_dir):
-        try:
-            parsed = OverridesParser.create().parse_overrides(overrides)
-            _refuse_unknown_names(config_name, parsed)
-            first = compose(config_name, _without_sweeps(parsed), return_hydra_config=True)
-            params = OmegaConf.to_container(first.hydra.sweeper.get("params") or OmegaConf.create({}))
-            swept = [f"{key!s}={value}" for key, value in params.items()] if isinstance(params, dict) else []
-            sweep = OverridesParser.create().parse_overrides([*swept, *overrides])
-            return [compose(config_name, point) for point in BasicSweeper.split_arguments(sweep, None)[0]]
-        except (HydraException, OmegaConfBaseException) as error:
-            raise ConfigError(_first_sentence(error)) from error
-
-
-@contextmanager
-def _hydra(extra_config_dir: str | None) -> Iterator[None]:
-    """Make Hydra ready to compose from our tree and, with `--config-dir`, from one of the user's."""
-    search_path = create_config_search_path(str(config_dir()))
-    if extra_config_dir:
-        search_path.prepend("command-line", str(Path(extra_config_dir).absolute()), anchor="schema")
-    hydra.version.setbase(VERSION_BASE)
-    Hydra.create_main_hydra2(task_name="parking_exp", config_search_path=search_path)
-    try:
-        yield
-    finally:
-        GlobalHydra.instance().clear()
 
 
 def _command(config_name: str, check: Callable[[DictConfig], object], task: Callable[[DictConfig], object]) -> None:
@@ -139,73 +85,3 @@ def _fail(error: ParkingError) -> NoReturn:
     for line in str(error).splitlines():
         print(f"error: {line}", file=sys.stderr)
     sys.exit(128 + error.signal_number if isinstance(error, InterruptedRunError) else 2)
-
-
-def _without_sweeps(overrides: list[Override]) -> list[str]:
-    """Overrides as typed, with the first value of each swept one."""
-    lines = []
-    for override in overrides:
-        if override.is_sweep_override():
-            lines.append(f"{override.get_key_element()}={next(iter(override.sweep_string_iterator()))}")
-        else:
-            lines.append(str(override.input_line))
-    return lines
-
-
-def _refuse_unknown_names(config_name: str, overrides: list[Override]) -> None:
-    loader = GlobalHydra.instance().config_loader()
-    groups, keys = [], []
-    for override in overrides:
-        name = override.key_or_group
-        if name == "hydra" or name.startswith(("hydra.", "hydra/")):
-            continue
-        options = [option for option in loader.get_group_options(name) if not option.startswith("_")]
-        if not options:
-            keys.append(override)
-            continue
-        groups.append(override)
-        values = list(override.sweep_string_iterator()) if override.is_sweep_override() else [override.value()]
-        for value in values:
-            if isinstance(value, str) and value not in options:
-                raise ConfigError(f"{name}={value}: there is no such option{closest(value, options)}")
-    base = compose(config_name, _without_sweeps(groups))
-    for override in keys:
-        if override.type in {OverrideType.CHANGE, OverrideType.DEL}:
-            _refuse_unknown_key(base, override, loader.list_groups(""))
-
-
-def _refuse_unknown_key(base: DictConfig, override: Override, groups: list[str]) -> None:
-    node: object = base
-    parts = override.key_or_group.split(".")
-    for depth, part in enumerate(parts):
-        known = [str(key) for key in node] if isinstance(node, DictConfig) else []
-        if part not in known:
-            parent = ".".join(parts[:depth])
-            arguments = _arguments(node)
-            if part in arguments:
-                raise ConfigError(
-                    f"{override.key_or_group}: an argument of {parent}._target_ that its YAML does not list; "
-                    f"write +{override.input_line}"
-                )
-            if parent and isinstance(node, DictConfig) and not known:
-                raise ConfigError(f"{override.key_or_group}: {parent} is empty so far; write +{override.input_line}")
-            choices = {*known, *arguments, *([] if parent else set(groups) - {"hydra"})}
-            raise ConfigError(f"{override.key_or_group}: there is no such key{closest(part, choices)}")
-        assert isinstance(node, DictConfig)
-        node = node._get_node(part) if node._is_none() else node[part]
-
-
-def _arguments(node: object) -> set[str]:
-    """Constructor arguments of a `_target_` node."""
-    if not isinstance(node, DictConfig) or "_target_" not in node:
-        return set()
-    try:
-        return set(signature(node["_target_"]).parameters)
-    except UnknownTarget:
-        return set()
-
-
-def _first_sentence(error: Exception) -> str:
-    lines = [line.strip().rstrip(".") for line in str(error).splitlines() if line.strip()]
-    hint = [line for line in lines[1:2] if line.startswith("To append")]
-    return "; ".join([*lines[:1], *hint]) or type(error).__name__

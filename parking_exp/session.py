@@ -188,6 +188,9 @@ class _Schedule(BaseCallback):
     def _on_step(self) -> bool:
         return True
 
+    def _on_training_end(self) -> None:
+        self.session.bar.update(self.num_timesteps, *self._recent())
+
     def _recent(self) -> tuple[float | None, float | None]:
         """Success rate and mean return of the last training episodes."""
         successes, episodes = self.model.ep_success_buffer, self.model.ep_info_buffer

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 import torch
 
-from parking_exp.cli import composed
+from parking_exp.composition import composed
 from parking_exp.runs import RunDirectory
 from parking_exp.validation import validate
 

@@ -106,7 +106,7 @@ def test_a_built_wheel_works_from_any_directory(tmp_path):
     subprocess.run(unpack, check=True, capture_output=True, timeout=300)
     elsewhere = tmp_path / "elsewhere"
     elsewhere.mkdir()
-    code = f"import sys; sys.path.insert(0, {str(site)!r}); import parking_exp.cli as cli; print(cli.config_dir()); cli.train()"
+    code = f"import sys; sys.path.insert(0, {str(site)!r}); from parking_exp import cli, composition; print(composition.config_dir()); cli.train()"
     done = subprocess.run(
         [sys.executable, "-c", code, "experiment=smoke", "total_timesteps=60", "evaluation.video_episodes=0"],
         check=False, capture_output=True, text=True, cwd=elsewhere, timeout=180,

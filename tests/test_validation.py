@@ -6,7 +6,7 @@ import pytest
 from conftest import GROUPS, make_config, options
 from omegaconf import OmegaConf
 
-from parking_exp.cli import composed
+from parking_exp.composition import composed
 from parking_exp.errors import ConfigError
 from parking_exp.validation import validate
 
