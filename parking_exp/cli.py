@@ -14,7 +14,7 @@ import hydra
 from hydra._internal.utils import get_args_parser
 from omegaconf import DictConfig
 
-from parking_exp.composition import VERSION_BASE, composed, config_dir
+from parking_exp.composition import VERSION_BASE, composed, config_dir, quoted
 from parking_exp.errors import InterruptedRunError, ParkingError
 from parking_exp.validation import parse, validate
 
@@ -46,6 +46,7 @@ def benchmark() -> None:
 
 
 def _command(config_name: str, check: Callable[[DictConfig], object], task: Callable[[DictConfig], object]) -> None:
+    sys.argv[1:] = [quoted(argument) for argument in sys.argv[1:]]
     arguments = get_args_parser().parse_args()
     if not _only_shows(arguments):
         try:

@@ -30,6 +30,19 @@ def config_dir() -> Path:
     return inside if inside.is_dir() else package.parent / "conf"
 
 
+def quoted(argument: str) -> str:
+    """Quote a path that Hydra's grammar can't read as it stands, e.g. `run=outputs/.../seed=0`."""
+    key, equals, value = argument.partition("=")
+    if not (equals and "/" in value):
+        return argument
+    try:
+        OverridesParser.create().parse_override(argument)
+    except HydraException:
+        escaped = value.replace("\\", "\\\\").replace("'", "\\'")
+        return f"{key}='{escaped}'"
+    return argument
+
+
 def composed(config_name: str, overrides: list[str], extra_config_dir: str | None = None) -> list[DictConfig]:
     """Compose the config of every run that a command line stands for (one, or each point of a sweep).
 

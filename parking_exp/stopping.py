@@ -1,7 +1,7 @@
 """Ctrl-C and SIGTERM as a wish that is granted at the next safe moment."""
 
+import os
 import signal
-import sys
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -31,7 +31,8 @@ def stop_on_signal() -> Iterator[StopRequest]:
         if request.signal_number is not None:
             raise KeyboardInterrupt
         request.signal_number = number
-        print("\nsaving a checkpoint before leaving; once more to leave at once", file=sys.stderr)
+        # Not print: the signal may have come in the middle of one.
+        os.write(2, b"\nsaving a checkpoint before leaving; once more to leave at once\n")
 
     before = {number: signal.signal(number, handle) for number in (signal.SIGINT, signal.SIGTERM)}
     try:

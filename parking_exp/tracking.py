@@ -90,7 +90,7 @@ class MlflowTracker(Tracker):
             "status": "running",
             **provenance(),
         }
-        found = self._find(experiment_id, directory, tags)
+        found = self._find(experiment_id, tags)
         if found is None:
             name = f"{config.cell}-seed={config.seed}"
             found = self.client.create_run(experiment_id, tags=tags, run_name=name).info.run_id
@@ -152,11 +152,10 @@ class MlflowTracker(Tracker):
                 return experiment.experiment_id
             return self.client.create_experiment(config.experiment_name, location.as_uri() if embedded else None)
 
-    def _find(self, experiment_id: str, directory: RunDirectory, tags: Mapping[str, str]) -> str | None:
+    def _find(self, experiment_id: str, tags: Mapping[str, str]) -> str | None:
         """Find this run in the store, also when it was killed before its directory knew the id."""
-        condition = " and ".join(f"tags.{key} = '{tags[key]}'" for key in ("run_key", "run_dir"))
-        runs = self.client.search_runs([experiment_id], condition, max_results=1, order_by=["start_time DESC"])
-        return runs[0].info.run_id if runs else None
+        runs = self.client.search_runs([experiment_id], f"tags.run_key = '{tags['run_key']}'")
+        return next((run.info.run_id for run in runs if run.data.tags.get("run_dir") == tags["run_dir"]), None)
 
     def _log_params(self, params: Mapping[str, str]) -> None:
         """Log the parameters that the run does not have yet: they can't be changed."""

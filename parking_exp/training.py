@@ -73,8 +73,8 @@ def _train(config: RunConfig, directory: RunDirectory, stop: StopRequest) -> Run
         result = RunResult(str(directory.path), tracker.run_id, session.model.num_timesteps, session.metrics.latest())
         directory.finish(result)
     except (InterruptedRunError, KeyboardInterrupt) as error:
-        tracker.end("interrupted")
         directory.update(status="interrupted")
+        tracker.end("interrupted")
         if isinstance(error, InterruptedRunError):
             raise
         raise InterruptedRunError("left at once; the last checkpoint stands", signal.SIGINT) from None

@@ -6,6 +6,8 @@ import sys
 import pytest
 from conftest import ROOT, run_script
 
+from parking_exp.composition import composed, quoted
+
 IMPORTS = """
 import sys
 sys.argv = {argv!r}
@@ -67,6 +69,21 @@ def test_an_output_directory_that_cannot_be_made_gets_a_sentence(tmp_path):
     assert done.returncode == 2
     assert done.stderr.startswith("error: [Errno 20] Not a directory")
     assert done.stderr.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("argument", "expected"),
+    [
+        ("seed=1", "seed=1"),
+        ("run=outputs/a/seed=0", "run='outputs/a/seed=0'"),
+        ("output_dir=/my runs/it's", r"output_dir='/my runs/it\'s'"),
+        ("output_dir='/my runs'", "output_dir='/my runs'"),
+        ("output_dir=/plain", "output_dir=/plain"),
+    ],
+)
+def test_paths_that_hydras_grammar_cannot_read_are_quoted(argument, expected):
+    assert quoted(argument) == expected
+    assert composed("evaluate", [quoted("run=outputs/a/seed=0")])[0].run == "outputs/a/seed=0"
 
 
 def test_showing_the_config_runs_nothing(tmp_path):

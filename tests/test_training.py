@@ -234,9 +234,9 @@ def test_evaluate_prints_and_stores_episodes_and_a_video(smoke, tmp_path):
     pd.testing.assert_frame_equal(table.head(5), final[EPISODE_COLUMNS], rtol=1e-6)
 
 
-def test_evaluate_finds_the_latest_run_and_takes_another_env(smoke):
-    directory, _, output_dir = smoke
-    done = run_script("evaluate", f"output_dir={output_dir}", "episodes=2", "env=parking_parked", "env.duration=2",
+def test_evaluate_takes_a_directory_another_env_and_the_best_model(smoke):
+    directory, _, _ = smoke
+    done = run_script("evaluate", f"run={directory.path}", "episodes=2", "env=parking_parked", "env.duration=2",
                       "model=best", "tracking.mlflow=false", "name=parked")  # fmt: skip
     assert done.returncode == 0, done.stderr
     assert "best model on 2 scenes of parking_parked" in done.stdout
