@@ -1,5 +1,7 @@
-# Every target sets up what it needs. PYTHON chooses the interpreter that makes .venv (3.11 to 3.13).
-PYTHON ?= python3
+# Every target sets up what it needs. PYTHON chooses the interpreter that makes .venv; by default the first that fits.
+FITS := import sys; sys.exit(not (3, 11) <= sys.version_info < (3, 14))
+PYTHON ?= $(shell for p in python3 python3.13 python3.12 python3.11; do \
+	$$p -c '$(FITS)' 2>/dev/null && echo $$p && break; done)
 VENV := .venv
 BIN := $(VENV)/bin
 TORCH ?= 2.13.0
@@ -15,8 +17,7 @@ setup: $(VENV)/.installed  ## make .venv and install the package with pinned ver
 
 $(VENV)/.installed: pyproject.toml constraints.txt
 	@echo "setting up $(VENV), once; this takes a few minutes"
-	@$(PYTHON) -c 'import sys; sys.exit(not (3, 11) <= sys.version_info < (3, 14))' || \
-		{ echo "$(PYTHON) is not Python 3.11 to 3.13; choose one with: make PYTHON=python3.11 ..." >&2; exit 2; }
+	@$(or $(PYTHON),false) -c '$(FITS)' || { echo "no Python 3.11 to 3.13 found; name one: make PYTHON=/path/to/python" >&2; exit 2; }
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[dev]'
 	@touch $@
@@ -48,7 +49,7 @@ benchmark: setup  ## speed, as ratios measured side by side
 	$(BIN)/python scripts/benchmark.py $(ARGS)
 
 ui: $(VENV)/.ui  ## MLflow's web UI on our store
-	$(BIN)/mlflow ui --backend-store-uri $(STORE) $(ARGS)
+	MLFLOW_DISABLE_TELEMETRY=true $(BIN)/mlflow ui --backend-store-uri $(STORE) $(ARGS)
 
 tensorboard: setup  ## TensorBoard on all runs
 	$(BIN)/tensorboard --logdir outputs $(ARGS)

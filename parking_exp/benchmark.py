@@ -26,12 +26,14 @@ TRACKED = [
 TRACKED_SIDE = "import sys; from parking_exp.cli import train; sys.argv[1:] = {overrides!r}; train()"
 BARE_SIDE = """
 import json, sys, torch
+from stable_baselines3.common.logger import Logger
 from parking_exp.algorithms import build_model
 from parking_exp.config import RunConfig
 from parking_exp.envs.vector import make_training_envs
 config = RunConfig.model_validate(json.load(sys.stdin))
 torch.set_num_threads(config.torch_threads or torch.get_num_threads())
 model = build_model(config, make_training_envs(config.env, config.n_envs), seed=config.seed)
+model.set_logger(Logger(None, []))
 model.learn(config.total_timesteps)
 """
 

@@ -5,7 +5,6 @@ zip), the filled part of the replay buffer, the counters, and a manifest of hash
 and renamed when all of it is on the disk. Nothing in it is unpickled on restoring.
 """
 
-import json
 import logging
 import shutil
 import warnings
@@ -70,8 +69,11 @@ def save(directory: Path, model: OffPolicyAlgorithm, progress: Progress, best: P
         if best.exists():
             shutil.copyfile(best, folder / BEST)
         write_json(folder / STATE, {"progress": asdict(progress), "model": _counters(model)})
-    for old in _found(directory)[:-keep_last]:
-        shutil.rmtree(old)
+    found = _found(directory)
+    # What lies above this step was passed over as corrupt when the run was resumed, or it would be where we are.
+    later, earlier = [f for f in found if f.name > target.name], [f for f in found if f.name < target.name]
+    for stale in [*later, *earlier[: max(0, len(earlier) - keep_last + 1)]]:
+        shutil.rmtree(stale)
     return target
 
 
@@ -89,10 +91,12 @@ def check(folder: Path) -> str | None:
     """Return what is wrong with a checkpoint, or None when all files are there and have their hashes."""
     try:
         manifest = read_json(folder / MANIFEST)
-    except json.JSONDecodeError:
+    except ValueError:  # not JSON, or not even text
         return f"{MANIFEST} is not readable"
     if manifest is None:
         return f"{MANIFEST} is missing"
+    if not isinstance(manifest, dict) or not {MODEL, BUFFER, STATE} <= manifest.keys():
+        return f"{MANIFEST} does not name all files"
     for name, digest in manifest.items():
         if not (folder / name).exists():
             return f"{name} is missing"

@@ -60,8 +60,6 @@ def _command(config_name: str, check: Callable[[DictConfig], object], task: Call
             task(config)
         except ParkingError as error:
             _fail(error)
-        except OSError as error:  # an output directory that can't be made, say
-            _fail(ParkingError(str(error)))
 
     hydra.main(version_base=VERSION_BASE, config_path=str(config_dir()), config_name=config_name)(guarded)()
 

@@ -18,7 +18,7 @@ from omegaconf.errors import OmegaConfBaseException
 
 from parking_exp.errors import ConfigError
 from parking_exp.signatures import UnknownTarget, signature
-from parking_exp.validation import closest
+from parking_exp.wording import closest
 
 VERSION_BASE = "1.3"
 
@@ -33,7 +33,7 @@ def config_dir() -> Path:
 def quoted(argument: str) -> str:
     """Quote a path that Hydra's grammar can't read as it stands, e.g. `run=outputs/.../seed=0`."""
     key, equals, value = argument.partition("=")
-    if not (equals and "/" in value):
+    if not equals or "/" not in value or key.startswith("-"):
         return argument
     try:
         OverridesParser.create().parse_override(argument)
@@ -53,12 +53,13 @@ def composed(config_name: str, overrides: list[str], extra_config_dir: str | Non
     """
     with _hydra(extra_config_dir):
         try:
-            parsed = OverridesParser.create().parse_overrides(overrides)
+            parser = OverridesParser.create(config_loader=GlobalHydra.instance().config_loader())
+            parsed = parser.parse_overrides(overrides)
             _refuse_unknown_names(config_name, parsed)
             first = compose(config_name, _without_sweeps(parsed), return_hydra_config=True)
             params = OmegaConf.to_container(first.hydra.sweeper.get("params") or OmegaConf.create({}))
             swept = [f"{key!s}={value}" for key, value in params.items()] if isinstance(params, dict) else []
-            sweep = OverridesParser.create().parse_overrides([*swept, *overrides])
+            sweep = parser.parse_overrides([*swept, *overrides])
             return [compose(config_name, point) for point in BasicSweeper.split_arguments(sweep, None)[0]]
         except (HydraException, OmegaConfBaseException) as error:
             raise ConfigError(_first_sentence(error)) from error
@@ -70,12 +71,16 @@ def _hydra(extra_config_dir: str | None) -> Iterator[None]:
     search_path = create_config_search_path(str(config_dir()))
     if extra_config_dir:
         search_path.prepend("command-line", str(Path(extra_config_dir).absolute()), anchor="schema")
+    instance = GlobalHydra.instance()
+    outer = instance.hydra  # we may be called within a Hydra app, such as a benchmark or a user's own
+    instance.clear()
     hydra.version.setbase(VERSION_BASE)
     Hydra.create_main_hydra2(task_name="parking_exp", config_search_path=search_path)
     try:
         yield
     finally:
-        GlobalHydra.instance().clear()
+        instance.clear()
+        instance.hydra = outer
 
 
 def _without_sweeps(overrides: list[Override]) -> list[str]:
@@ -126,6 +131,8 @@ def _refuse_unknown_key(base: DictConfig, override: Override, groups: list[str])
                 )
             if parent and isinstance(node, DictConfig) and not known:
                 raise ConfigError(f"{override.key_or_group}: {parent} is empty so far; write +{override.input_line}")
+            if not parent and part in groups:
+                raise ConfigError(f"{part}: no option is chosen; write {part}=OPTION {override.input_line}")
             choices = {*known, *arguments, *([] if parent else set(groups) - {"hydra"})}
             raise ConfigError(f"{override.key_or_group}: there is no such key{closest(part, choices)}")
         assert isinstance(node, DictConfig)

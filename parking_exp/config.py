@@ -14,6 +14,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, ConfigDict, Field
 
 DEFAULT_FEATURES = ["x", "y", "vx", "vy", "cos_h", "sin_h"]
+DEFAULT_SCALES = [100, 100, 5, 5, 1, 1]
 # Seeds of training scenes start here; evaluation scenes lie below, so the two never meet.
 TRAINING_SCENES_START = 2**31
 
@@ -131,11 +132,6 @@ class BufferConfig(ThirdParty):
     buffer_size: Positive
     optimize_memory_usage: Literal[False]
 
-    @property
-    def is_her(self) -> bool:
-        """Whether transitions are relabelled, so that whole episodes are needed before the first update."""
-        return "n_sampled_goal" in self.arguments
-
 
 class EvaluationConfig(Section):
     """Evaluation on fixed scenes, during training and at its end."""
@@ -170,11 +166,13 @@ class RunConfig(Section):
     """One run, seed included."""
 
     experiment_name: Name
-    output_dir: str
+    # A sqlite URL ends at a question mark.
+    output_dir: Annotated[str, Field(pattern=r"^[^?]+$")]
     seed: Annotated[int, Field(ge=0, lt=2**32)]
     total_timesteps: Positive
     n_envs: Positive
-    updates_per_step: PositiveFloat
+    # Below, a round would be longer than 1,000 steps of each env.
+    updates_per_step: Annotated[float, Field(ge=0.001, allow_inf_nan=False)]
     device: Annotated[str, Field(pattern=r"^(cpu|auto|mps|cuda(:\d+)?)$")]
     torch_threads: Positive | None
     env: EnvConfig
@@ -213,10 +211,17 @@ class RunConfig(Section):
         """Absolute run directory."""
         return self.output_path / self.experiment_name / self.cell / f"seed={self.seed}"
 
-    def update_rounds(self) -> tuple[int, int]:
-        """Return (`train_freq`, `gradient_steps`): the shortest round that makes `updates_per_step` exact."""
+    def update_rounds(self) -> tuple[int | tuple[int, str], int]:
+        """Return (`train_freq`, `gradient_steps`): the shortest round that makes `updates_per_step` exact.
+
+        Where the algorithm sets them by hand, these count: `train_freq: [1, episode]` comes with as many updates as
+        steps (-1) unless `gradient_steps` says otherwise.
+        """
         train_freq = self.algorithm.arguments.get("train_freq")
         gradient_steps = self.algorithm.arguments.get("gradient_steps")
+        if isinstance(train_freq, list):
+            number, unit = train_freq
+            return (number, unit), -1 if gradient_steps is None else gradient_steps
         per_vec_step = Fraction(self.updates_per_step).limit_denominator(1000) * self.n_envs
         if train_freq is None:
             train_freq = 1 if gradient_steps is not None else per_vec_step.denominator

@@ -13,6 +13,10 @@ class RunNotFoundError(ParkingError, LookupError):
     """No run answers to a name."""
 
 
+class OutputDirectoryError(ParkingError):
+    """A run directory cannot be made."""
+
+
 class RunLockedError(ParkingError):
     """Another process is working on the same run."""
 

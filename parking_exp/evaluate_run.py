@@ -11,6 +11,7 @@ from pydantic import Field
 from parking_exp.config import TRAINING_SCENES_START, Count, EnvConfig, Name, Positive, RunConfig, Scene, Section
 from parking_exp.errors import ConfigError, RunNotFoundError
 from parking_exp.files import write_json
+from parking_exp.rules import check_env
 from parking_exp.runs import RunDirectory, find_run
 from parking_exp.validation import parse
 
@@ -53,6 +54,8 @@ def validate_request(config: DictConfig) -> EvaluationRequest:
             f"first_scene={request.first_scene} reaches into the training scenes; "
             f"the closest valid choice is {TRAINING_SCENES_START - request.episodes}"
         )
+    if request.env is not None and (problems := check_env(request.env)):
+        raise ConfigError("\n".join(problems))
     return request
 
 
@@ -101,6 +104,8 @@ def _evaluate(request: EvaluationRequest, run: RunConfig, env: EnvConfig, weight
         task = bar.add_task(f"{request.episodes} episodes of {env.name}", total=request.episodes)
         episodes = evaluate(policy, env, scenes, on_step=lambda finished: bar.update(task, completed=finished))
     folder.mkdir(parents=True, exist_ok=True)
+    for stale in folder.glob("video.*"):
+        stale.unlink()
     episodes.to_csv(folder / "episodes.csv", index=False)
     write_json(folder / "summary.json", {"env": env.name, "model": request.model, **summarise(episodes)})
     print(f"{request.model} model on {request.episodes} scenes of {env.name}, from scene {request.first_scene}")

@@ -10,13 +10,18 @@ from typing import Any
 
 import pandas as pd
 
+from parking_exp.files import sync
+
 APPENDED = ["metrics.jsonl", "episodes.csv", "monitor.csv"]
 """Files of a run directory that only ever grow."""
 
 
-def sizes(run_dir: Path) -> dict[str, int]:
-    """Return the present size of each append-only file, in bytes."""
-    return {name: (run_dir / name).stat().st_size for name in APPENDED if (run_dir / name).exists()}
+def sync_logs(run_dir: Path) -> dict[str, int]:
+    """Wait until the append-only files are on the disk, and return the size of each, in bytes."""
+    found = [run_dir / name for name in APPENDED if (run_dir / name).exists()]
+    for path in found:
+        sync(path)
+    return {path.name: path.stat().st_size for path in found}
 
 
 def cut_back(run_dir: Path, sizes: Mapping[str, int]) -> None:

@@ -17,7 +17,7 @@ from filelock import FileLock, Timeout
 from omegaconf import OmegaConf
 
 from parking_exp.config import RunConfig
-from parking_exp.errors import RunLockedError, RunNotFoundError
+from parking_exp.errors import OutputDirectoryError, RunLockedError, RunNotFoundError
 from parking_exp.files import read_json, write_atomically, write_json
 from parking_exp.validation import parse
 
@@ -106,8 +106,12 @@ class RunDirectory:
 
         Raises:
             RunLockedError: another process holds it.
+            OutputDirectoryError: the directory cannot be made.
         """
-        self.path.mkdir(parents=True, exist_ok=True)
+        try:
+            self.path.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise OutputDirectoryError(f"output_dir: {self.path} cannot be made: {error.strerror}") from error
         lock = FileLock(self.path / ".lock", timeout=0)
         try:
             lock.acquire()

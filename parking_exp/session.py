@@ -16,7 +16,7 @@ from parking_exp.errors import InterruptedRunError
 from parking_exp.evaluation import evaluate, rank, summarise
 from parking_exp.figures import learning_curves
 from parking_exp.loggers import make_logger
-from parking_exp.logs import MetricsLog, append_episodes, sizes
+from parking_exp.logs import MetricsLog, append_episodes, sync_logs
 from parking_exp.progress import TrainingProgress
 from parking_exp.runs import RunDirectory
 from parking_exp.seeding import derive_seeds
@@ -84,8 +84,9 @@ class Session:
         for name in ("episodes.csv", "curves.png", "video.mp4", "monitor.csv", "progress.csv"):
             if (path / name).exists():
                 self.tracker.log_file(path / name)
-        for file in sorted(self.directory.models.iterdir()):
-            self.tracker.log_file(file, "models")
+        for name in ("best.zip", "final.zip"):
+            self.tracker.log_file(self.directory.models / name, "models")
+        self.tracker.flush()
         self.env.close()
         return episodes
 
@@ -104,7 +105,7 @@ class Session:
             return
         self.progress.step = self.progress.saved = step
         self.progress.cpu_s, self.progress.wall_s = self.times()
-        self.progress.log_sizes = sizes(self.directory.path)
+        self.progress.log_sizes = sync_logs(self.directory.path)
         folder = checkpoints.save(
             self.directory.checkpoints, self.model, self.progress, self._best, self.config.checkpoint.keep_last
         )
@@ -118,7 +119,7 @@ class Session:
         if self.stop.signal_number is not None:
             self.save_checkpoint()
             raise InterruptedRunError(
-                f"stopped at step {self.model.num_timesteps} with its state saved; type the same command to go on",
+                f"stopped at step {self.model.num_timesteps}; type the same command to go on from there",
                 self.stop.signal_number,
             )
 

@@ -6,10 +6,11 @@ bases to the first `__init__`.
 """
 
 import ast
+import importlib.util
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cache
-from importlib.machinery import PathFinder
 from pathlib import Path
 
 SIMPLE_TYPES: dict[str, tuple[type, ...]] = {
@@ -21,6 +22,10 @@ SIMPLE_TYPES: dict[str, tuple[type, ...]] = {
 }
 
 
+# Annotations of what a YAML scalar can't be.
+OBJECT_TYPES = re.compile(r"(tuple|list|dict|type|Sequence|Mapping|Callable)\b.*|Schedule|ActionNoise|np\.ndarray")
+
+
 @dataclass(frozen=True)
 class Parameter:
     """One constructor parameter: its name, its annotation as written, and whether it has a default."""
@@ -30,15 +35,17 @@ class Parameter:
     required: bool
 
     def accepts(self, value: object) -> bool:
-        """Whether a YAML scalar fits the annotation. Other values, and annotations beyond scalars, are not judged."""
-        if self.annotation is None or not isinstance(value, bool | int | float | str):
+        """Whether a YAML value fits the annotation, as far as its names are known: `int | None`, `float | Schedule`."""
+        if self.annotation is None:
             return True
         parts = [part.strip().strip("\"'") for part in self.annotation.split("|")]
-        if any(part in {"Any", "object"} for part in parts):
+        if not all(part in SIMPLE_TYPES or OBJECT_TYPES.fullmatch(part) for part in parts):
             return True
-        if isinstance(value, bool):
-            return "bool" in parts
-        return any(isinstance(value, SIMPLE_TYPES[part]) for part in parts if part in SIMPLE_TYPES and part != "bool")
+        if isinstance(value, bool) or value is None:
+            return type(value).__name__.replace("NoneType", "None") in parts
+        if isinstance(value, int | float | str):
+            return any(isinstance(value, SIMPLE_TYPES[part]) for part in parts if part in SIMPLE_TYPES)
+        return any(part not in SIMPLE_TYPES for part in parts)  # a list or a mapping: for an object, then
 
 
 @dataclass(frozen=True)
@@ -79,7 +86,7 @@ def signature(target: str) -> Signature:
 def _source(module: str, target: str) -> Path:
     """Find the source file of a module without importing its parents (which would import torch)."""
     first, *rest = module.split(".")
-    spec = PathFinder.find_spec(first)
+    spec = importlib.util.find_spec(first)  # a top-level name: nothing is imported
     if spec is None or spec.origin is None:
         raise UnknownTarget(target, f"the package {first!r} is not installed", [])
     path = Path(spec.origin)

@@ -1,7 +1,9 @@
 """Metrics, parameters, tags and artifacts -> MLflow.
 
-Values are written to the run directory first and sent from there in batches, at checkpoints and at the end. So a
-run that is killed and resumed sends each step once: what came after its last checkpoint had not been sent yet.
+Values are written to the run directory first and sent from there in batches, only right after a checkpoint and when
+the run is done. So a run that breaks and is resumed sends each step once, and the store agrees with the run
+directory: what came after the last checkpoint had not been sent. (Where that checkpoint turns out to be corrupt and
+the one before it is taken, the store keeps the points between the two as they were first.)
 """
 
 import logging
@@ -31,6 +33,12 @@ MLFLOW_STATUS = {"done": "FINISHED", "failed": "FAILED", "interrupted": "KILLED"
 def default_uri(output_dir: Path) -> str:
     """Return the URI of the embedded store under an output directory."""
     return f"{SQLITE}{output_dir / 'mlflow.db'}"
+
+
+def store_uri(config: RunConfig) -> str:
+    """Return the URI of a run's store; a sqlite path is made absolute, so that it means the same everywhere."""
+    uri = config.tracking.uri or default_uri(config.output_path)
+    return f"{SQLITE}{Path(uri.removeprefix(SQLITE)).absolute()}" if uri.startswith(SQLITE) else uri
 
 
 def connect(uri: str) -> "MlflowClient":
@@ -77,10 +85,10 @@ class MlflowTracker(Tracker):
     """A run's MLflow run: created, or found again after the run was cut off."""
 
     def __init__(self, config: RunConfig, directory: RunDirectory) -> None:
-        uri = config.tracking.uri or default_uri(config.output_path)
+        uri = store_uri(config)
         self.client = connect(uri)
         self.metrics = MetricsLog(directory.path / "metrics.jsonl")
-        experiment_id = self._experiment(config, embedded=config.tracking.uri is None)
+        experiment_id = self._experiment(config, embedded=uri.startswith(SQLITE))
         tags = {
             "experiment": config.experiment_name,
             "cell": config.cell,
@@ -90,7 +98,7 @@ class MlflowTracker(Tracker):
             "status": "running",
             **provenance(),
         }
-        found = self._find(experiment_id, tags)
+        found = self._find(experiment_id, tags, directory.run_id)
         if found is None:
             name = f"{config.cell}-seed={config.seed}"
             found = self.client.create_run(experiment_id, tags=tags, run_name=name).info.run_id
@@ -138,8 +146,7 @@ class MlflowTracker(Tracker):
                 get_artifact_repository(uri).delete_artifacts(item.path)
 
     def end(self, status: Ending) -> None:
-        """Send what is left and close the MLflow run."""
-        self.flush()
+        """Close the MLflow run."""
         self.client.set_tag(self.run_id, "status", status)
         self.client.set_terminated(self.run_id, MLFLOW_STATUS[status])
 
@@ -152,10 +159,15 @@ class MlflowTracker(Tracker):
                 return experiment.experiment_id
             return self.client.create_experiment(config.experiment_name, location.as_uri() if embedded else None)
 
-    def _find(self, experiment_id: str, tags: Mapping[str, str]) -> str | None:
-        """Find this run in the store, also when it was killed before its directory knew the id."""
-        runs = self.client.search_runs([experiment_id], f"tags.run_key = '{tags['run_key']}'")
-        return next((run.info.run_id for run in runs if run.data.tags.get("run_dir") == tags["run_dir"]), None)
+    def _find(self, experiment_id: str, tags: Mapping[str, str], known: str | None) -> str | None:
+        """Find this run in the store: by the id in its directory, or by tag where a kill came before the id."""
+        runs = {
+            run.info.run_id: run.data.tags.get("run_dir")
+            for run in self.client.search_runs([experiment_id], f"tags.run_key = '{tags['run_key']}'")
+        }
+        if known in runs:
+            return known
+        return next((run_id for run_id, run_dir in runs.items() if run_dir == tags["run_dir"]), None)
 
     def _log_params(self, params: Mapping[str, str]) -> None:
         """Log the parameters that the run does not have yet: they can't be changed."""

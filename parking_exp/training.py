@@ -50,6 +50,7 @@ def train(config: DictConfig | Mapping[str, Any] | RunConfig) -> RunResult:
 
 
 def _train(config: RunConfig, directory: RunDirectory, stop: StopRequest) -> RunResult:
+    (directory.path / "traceback.txt").unlink(missing_ok=True)
     directory.update(status="running", error=None, pid=os.getpid(), host=socket.gethostname())
     tracker = Tracker()
     try:

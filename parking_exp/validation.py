@@ -4,26 +4,19 @@ Every complaint is one sentence that names the key, what is wrong and the closes
 torch or mlflow: a typo is refused in well under two seconds.
 """
 
-import difflib
-from collections.abc import Iterable, Mapping
+import re
+from collections.abc import Mapping
 from typing import Annotated, Any, Literal, TypeVar
 
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 from pydantic import BaseModel, Field, TypeAdapter, ValidationError
 
-from parking_exp.config import (
-    DEFAULT_FEATURES,
-    TRAINING_SCENES_START,
-    Count,
-    Positive,
-    PositiveFloat,
-    RunConfig,
-    Share,
-    ThirdParty,
-)
+from parking_exp.config import Count, Positive, PositiveFloat, RunConfig, Share, ThirdParty
 from parking_exp.errors import ConfigError
+from parking_exp.rules import check_rules
 from parking_exp.signatures import Signature, UnknownTarget, signature
+from parking_exp.wording import closest, no_target
 
 Model = TypeVar("Model", bound=BaseModel)
 
@@ -36,13 +29,14 @@ ARGUMENT_RANGES: dict[str, Any] = {
     "tau": Share,
     "gamma": Share,
     "train_freq": Positive,
-    "gradient_steps": Positive,
+    "gradient_steps": Annotated[int, Field(ge=-1)],  # -1: as many as steps
     "n_steps": Annotated[int, Field(ge=1, le=1)],
     "policy_delay": Positive,
     "target_update_interval": Positive,
     "target_policy_noise": Annotated[float, Field(ge=0)],
     "target_noise_clip": Annotated[float, Field(ge=0)],
     "ent_coef": PositiveFloat,
+    "target_entropy": float,
     "stats_window_size": Positive,
     "top_quantiles_to_drop_per_net": Count,
     "n_sampled_goal": Positive,
@@ -62,6 +56,8 @@ FED_TO_ALGORITHM = {
     "verbose": "tracking.stdout",
     "_init_setup_model": None,
 }
+# Arguments that may be null in our YAML although the library's own annotation says otherwise: we fill them in.
+UNSET = {"train_freq", "gradient_steps"}
 FED_TO_BUFFER = {
     "observation_space": "env",
     "action_space": "env",
@@ -83,8 +79,8 @@ def validate(config: DictConfig | Mapping[str, Any] | RunConfig) -> RunConfig:
     problems = [
         *_check_arguments("algorithm", run.algorithm, FED_TO_ALGORITHM),
         *_check_arguments("buffer", run.buffer, FED_TO_BUFFER, own={"buffer_size", "optimize_memory_usage"}),
-        *_check_rules(run),
     ]
+    problems = problems or check_rules(run)
     if problems:
         raise ConfigError("\n".join(problems[:5]))
     return run
@@ -101,16 +97,6 @@ def parse(model: type[Model], config: DictConfig | Mapping[str, Any]) -> Model:
         return model.model_validate(plain)
     except ValidationError as error:
         raise ConfigError("\n".join(_sentences(error, model)[:5])) from error
-
-
-def closest(word: str, choices: Iterable[str]) -> str:
-    """Return ` (did you mean 'x'?)`, or the choices when none is close and they are few, or nothing."""
-    names = sorted(set(choices))
-    if match := difflib.get_close_matches(word, names, n=1, cutoff=0.5):
-        return f"; did you mean {match[0]!r}?"
-    if names and len(names) <= 30:
-        return "; choose from " + ", ".join(names)
-    return ""
 
 
 def _sentences(error: ValidationError, model: type[BaseModel] | None, prefix: str = "") -> list[str]:
@@ -164,7 +150,7 @@ def _check_arguments(
     try:
         expected = signature(section.target)
     except UnknownTarget as error:
-        return [_no_target(f"{key}._target_", section.target, error)]
+        return [no_target(f"{key}._target_", section.target, error)]
     problems = []
     for name in section.arguments:
         if name in fed:
@@ -190,6 +176,8 @@ def _check_call(
             continue
         if isinstance(value, Mapping) and "_target_" in value:
             problems += _check_node(f"{key}.{name}", value)
+        elif name in UNSET and value is None:
+            continue
         elif not parameter.accepts(value):
             problems.append(f"{key}.{name}={value!r} has the wrong type; {target} takes {parameter.annotation}")
         elif name in ARGUMENT_RANGES and isinstance(value, int | float | str):
@@ -205,73 +193,17 @@ def _check_node(key: str, node: Mapping[str, Any]) -> list[str]:
     try:
         expected = signature(target)
     except UnknownTarget as error:
-        return [_no_target(f"{key}._target_", target, error)]
+        return [no_target(f"{key}._target_", target, error)]
     given = {name: value for name, value in node.items() if name not in {"_target_", "_partial_"}}
     return _check_call(key, target, expected, given, supplied=set(), siblings=set())
 
 
-def _no_target(key: str, target: str, error: UnknownTarget) -> str:
-    extra = "; pip install 'parking-exp[contrib]'" if target.startswith("sb3_contrib.") and not error.known else ""
-    return f"{key}={target}: {error.reason}{closest(target.rpartition('.')[2], error.known)}{extra}"
-
-
 def _check_range(key: str, name: str, value: float | str) -> list[str]:
-    if isinstance(value, str) and name in {"learning_rate", "ent_coef"}:
-        return []  # "auto" and its kind
+    if name in {"ent_coef", "target_entropy"} and isinstance(value, str):
+        fits = re.fullmatch(r"auto(_\d+(\.\d*)?(e-?\d+)?)?" if name == "ent_coef" else "auto", value)
+        return [] if fits else [f"{key}={value} is not a valid choice; choose from auto and a number"]
     try:
         TypeAdapter(ARGUMENT_RANGES[name]).validate_python(value, strict=True)
     except ValidationError as error:
         return [_sentence({**item, "loc": ()}, None, key) for item in error.errors()]
     return []
-
-
-def _check_rules(run: RunConfig) -> list[str]:
-    """Rules between keys."""
-    problems = []
-    env, evaluation = run.env, run.evaluation
-    longest = env.episode_steps(training=True)
-    where = f"the longest training episode ({longest} steps) x n_envs ({run.n_envs})"
-    starts = run.algorithm.arguments.get("learning_starts")
-    if run.buffer.is_her and isinstance(starts, int) and starts < longest * run.n_envs:
-        problems.append(
-            f"algorithm.learning_starts={starts} is shorter than {where}, and HER samples finished episodes only; "
-            f"the closest valid choice is {longest * run.n_envs}"
-        )
-    if run.buffer.buffer_size // run.n_envs <= longest:
-        problems.append(
-            f"buffer.buffer_size={run.buffer.buffer_size} cannot hold one whole episode of each env, {where}; "
-            f"the closest valid choice is {(longest + 1) * run.n_envs}"
-        )
-    if len(env.observation.scales) != len(env.observation.features):
-        problems.append(
-            f"env.observation.scales has {len(env.observation.scales)} entries and env.observation.features "
-            f"{len(env.observation.features)}; give one scale for each feature"
-        )
-    if env.observation.features != DEFAULT_FEATURES and run.algorithm.features == "ego":
-        problems.append(
-            f"algorithm.features=ego reads the observation features {', '.join(DEFAULT_FEATURES)} in this order; "
-            "the closest valid choice is algorithm.features=raw"
-        )
-    if not (env.action.longitudinal or env.action.lateral):
-        problems.append("env.action.longitudinal and env.action.lateral are both false; set one of them to true")
-    if env.policy_frequency > env.simulation_frequency:
-        problems.append(
-            f"env.policy_frequency={env.policy_frequency} is above env.simulation_frequency="
-            f"{env.simulation_frequency}; the closest valid choice is {env.simulation_frequency}"
-        )
-    if evaluation.final_n_scenes < evaluation.n_scenes:
-        problems.append(
-            f"evaluation.final_n_scenes={evaluation.final_n_scenes} is below evaluation.n_scenes="
-            f"{evaluation.n_scenes}; the closest valid choice is {evaluation.n_scenes}"
-        )
-    if evaluation.video_episodes > evaluation.final_n_scenes:
-        problems.append(
-            f"evaluation.video_episodes={evaluation.video_episodes} is above evaluation.final_n_scenes; "
-            f"the closest valid choice is {evaluation.final_n_scenes}"
-        )
-    if evaluation.first_scene + evaluation.final_n_scenes > TRAINING_SCENES_START:
-        problems.append(
-            f"evaluation.first_scene={evaluation.first_scene} reaches into the training scenes; "
-            f"the closest valid choice is {TRAINING_SCENES_START - evaluation.final_n_scenes}"
-        )
-    return problems

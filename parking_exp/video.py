@@ -4,10 +4,12 @@ import os
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import gymnasium as gym
-import imageio.v3 as iio
+import imageio.v2 as iio
 import numpy as np
+from PIL import Image, ImageDraw
 
 from parking_exp.config import EnvConfig
 from parking_exp.envs import make_env
@@ -28,17 +30,23 @@ def record(policy: Policy, env: EnvConfig, scenes: Sequence[int], path: Path, gi
         The number of frames.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
-    with _headless():
-        frames = list(_frames(policy, env, scenes))
     rate = env.simulation_frequency
     temporary = path.with_name(f".{path.name}")
-    iio.imwrite(temporary, frames, extension=".mp4", plugin="FFMPEG", fps=rate, codec="libx264", macro_block_size=2)
+    # Every third frame and a palette: a README's picture should not weigh megabytes.
+    number, stride, kept = 0, max(1, rate // 5), []
+    with _headless():
+        video: Any = iio.get_writer(temporary, format="FFMPEG", fps=rate, codec="libx264", macro_block_size=2)
+        with video:
+            for number, frame in enumerate(_frames(policy, env, scenes), start=1):
+                video.append_data(frame)
+                if gif and number % stride == 1 % stride:
+                    kept.append(Image.fromarray(frame).quantize(64))
     temporary.replace(path)
     if gif:
-        # Every third frame and a small palette: a README's picture should not weigh megabytes.
-        step = max(1, rate // 5)
-        iio.imwrite(path.with_suffix(".gif"), frames[::step], duration=1000 * step / rate, loop=0, plugin="pillow")
-    return len(frames)
+        first, *rest = kept
+        duration_ms = 1000 * stride / rate
+        first.save(path.with_suffix(".gif"), save_all=True, append_images=rest, duration=duration_ms, loop=0)
+    return number
 
 
 class _IntermediateFrames:
@@ -78,8 +86,6 @@ def _frames(policy: Policy, config: EnvConfig, scenes: Sequence[int]) -> Iterato
 
 
 def _captioned(frame: np.ndarray, text: str) -> np.ndarray:
-    from PIL import Image, ImageDraw
-
     image = Image.fromarray(frame)
     ImageDraw.Draw(image).text((8, 6), text, fill="white", stroke_width=1, stroke_fill="black", font_size=16)
     return np.asarray(image)

@@ -1,5 +1,6 @@
 """Shared by all tests: composed configs, and real runs in real processes."""
 
+import json
 import os
 import subprocess
 import sys
@@ -60,6 +61,30 @@ def artifacts(client, run_id, folder=None):
     for item in client.list_artifacts(run_id, folder):
         found += artifacts(client, run_id, item.path) if item.is_dir else [item.path]
     return sorted(found)
+
+
+def history(client, run_id, key):
+    return [(point.step, point.value) for point in client.get_metric_history(run_id, key)]
+
+
+def assert_store_is_whole(output_dir, total_timesteps):
+    """The run is finished in the store, has every step once, and the values of the run directory."""
+    directory, client = only_run(output_dir), store(output_dir)
+    run = client.get_run(directory.run_id)
+    assert run.info.status == "FINISHED"
+    assert run.data.tags["status"] == "done"
+    local = {}
+    for line in (directory.path / "metrics.jsonl").read_text().splitlines():
+        record = json.loads(line)
+        for key, value in record["metrics"].items():
+            local.setdefault(key, []).append((record["step"], value))
+    assert set(run.data.metrics) == set(local)
+    for key, points in local.items():
+        steps = [step for step, _ in points]
+        assert steps == sorted(set(steps)), key
+        assert history(client, directory.run_id, key) == points, key
+    assert history(client, directory.run_id, "final/success_rate")[-1][0] == total_timesteps
+    return local
 
 
 @pytest.fixture(scope="session")

@@ -7,6 +7,7 @@ from conftest import make_config, options
 from hydra.utils import get_class
 from stable_baselines3 import HerReplayBuffer
 from stable_baselines3.common.buffers import DictReplayBuffer
+from stable_baselines3.common.logger import Logger
 from stable_baselines3.common.vec_env import DummyVecEnv
 
 from parking_exp.algorithms import build_model, greedy_policy
@@ -68,6 +69,7 @@ def test_each_algorithm_learns_to_reach_a_goal(algorithm):
     )  # fmt: skip
     env = DummyVecEnv([Reach, Reach])
     model = build_model(config, env, seed=0)
+    model.set_logger(Logger(None, []))
     before = success_rate(model)
     model.learn(1500)
     assert before <= 0.5
@@ -79,6 +81,7 @@ def test_every_algorithm_binds_to_its_constructor_and_updates(algorithm):
     config = make_config(*SMALL, f"algorithm={algorithm}", "algorithm.net_arch=[16,16]", "algorithm.batch_size=8",
                          "algorithm.learning_starts=40")  # fmt: skip
     model = build_model(config, make_training_envs(config.env, config.n_envs), seed=0)
+    model.set_logger(Logger(None, []))
     model.learn(60)
     assert type(model) is get_class(config.algorithm.target)
     assert model._n_updates > 0

@@ -6,17 +6,19 @@ import numpy as np
 import pytest
 import torch
 from conftest import make_config
+from stable_baselines3.common.logger import Logger
 
 from parking_exp import checkpoints
 from parking_exp.algorithms import build_model
 from parking_exp.checkpoints import Progress
 from parking_exp.envs.vector import make_training_envs
-from parking_exp.logs import APPENDED, cut_back, sizes
+from parking_exp.logs import APPENDED, cut_back, sync_logs
 
 
 def trained(*overrides, steps=100):
     config = make_config("experiment=smoke", "algorithm.learning_starts=40", *overrides)
     model = build_model(config, make_training_envs(config.env, config.n_envs), seed=0)
+    model.set_logger(Logger(None, []))
     if steps:
         model.learn(steps)
     return model
@@ -87,6 +89,16 @@ def test_keep_last_bounds_what_is_on_disk(tmp_path):
     ]  # fmt: skip
 
 
+def test_a_corrupt_checkpoint_never_outlives_a_whole_one(tmp_path):
+    model = trained(steps=0)
+    save(tmp_path, model, 100, keep_last=1)
+    corrupt = save(tmp_path, model, 200, keep_last=1)
+    (corrupt / "model.zip").write_bytes(b"")
+    assert checkpoints.latest(tmp_path) is None
+    assert save(tmp_path, model, 100, keep_last=1) == checkpoints.latest(tmp_path)
+    assert [path.name for path in tmp_path.iterdir()] == ["step=0000000100"]
+
+
 def test_checkpoints_sort_by_step_not_by_name(tmp_path):
     model = trained(steps=0)
     for step in (900, 1000, 100_000):
@@ -111,12 +123,12 @@ def test_a_damaged_checkpoint_is_recognised(tmp_path, name, damage):
     assert checkpoints.latest(tmp_path) == older
 
 
-@pytest.mark.parametrize("manifest", [None, "", '{"model.zip"'])
+@pytest.mark.parametrize("manifest", [None, b"", b'{"model.zip"', b"{}", b"[]", b"\xff\xfe"])
 def test_a_checkpoint_without_its_manifest_does_not_count(tmp_path, manifest):
     folder = save(tmp_path, trained(steps=0), 10)
     (folder / "manifest.json").unlink()
     if manifest is not None:
-        (folder / "manifest.json").write_text(manifest)
+        (folder / "manifest.json").write_bytes(manifest)
     assert checkpoints.latest(tmp_path) is None
 
 
@@ -158,7 +170,7 @@ def test_restoring_unpickles_nothing(tmp_path, monkeypatch):
 def test_logs_are_cut_back_to_the_checkpoint(tmp_path):
     for name in APPENDED:
         (tmp_path / name).write_text("kept\n")
-    before = sizes(tmp_path)
+    before = sync_logs(tmp_path)
     (tmp_path / "metrics.jsonl").write_text("kept\n" + json.dumps({"step": 9}))
     (tmp_path / "episodes.csv").write_text("kept\nhalf a l")
     cut_back(tmp_path, {name: before[name] for name in ("metrics.jsonl", "episodes.csv")})

@@ -38,6 +38,11 @@ def test_update_rounds_keep_updates_per_step_whatever_n_envs_is(updates_per_step
     assert gradient_steps / (train_freq * n_envs) == pytest.approx(updates_per_step)
 
 
+def test_a_round_can_last_an_episode():
+    config = make_config("algorithm.train_freq=[1,episode]", "n_envs=1")
+    assert config.update_rounds() == ((1, "episode"), -1)
+
+
 def test_train_freq_and_gradient_steps_can_be_set_by_hand():
     assert make_config("algorithm.train_freq=4").update_rounds() == (4, 32)
     assert make_config("algorithm.gradient_steps=2").update_rounds() == (1, 2)

@@ -61,6 +61,13 @@ def test_an_unknown_target_raises(target):
         ("bool", False, True),
         ("int | tuple[int, str]", [1, "episode"], True),
         (None, "anything", True),
+        ("int", None, False),
+        ("int | None", None, True),
+        ("int", [256], False),
+        ("float | Schedule", {"_target_": "x"}, True),
+        ("Optional[float]", 0.5, True),
+        ("Union[int, str]", 3, True),
+        ("Literal['a']", "a", True),
     ],
 )
 def test_scalars_are_held_against_annotations(annotation, value, fits):

@@ -1,6 +1,6 @@
 """A run from its config to its result: what it leaves behind, and that nothing is lost when it is cut off."""
 
-import json
+import errno
 import os
 import re
 import signal
@@ -11,10 +11,10 @@ from pathlib import Path
 import imageio.v3 as iio
 import pandas as pd
 import pytest
-from conftest import artifacts, make_config, only_run, run_script, script, store
+from conftest import artifacts, assert_store_is_whole, history, make_config, only_run, run_script, script, store
 from PIL import Image, ImageSequence
 
-from parking_exp import __version__
+from parking_exp import __version__, checkpoints
 from parking_exp.errors import FailedRunError, RunLockedError
 from parking_exp.evaluation import EPISODE_COLUMNS
 from parking_exp.files import read_json, sha256
@@ -26,30 +26,6 @@ EVALUATED = [
     "success_rate", "crash_rate", "timeout_rate", "parked_rate", "return_mean", "steps_mean", "distance_m_mean",
     "heading_error_rad_mean", "speed_mps_mean",
 ]  # fmt: skip
-
-
-def history(client, run_id, key):
-    return [(point.step, point.value) for point in client.get_metric_history(run_id, key)]
-
-
-def assert_store_is_whole(output_dir, total_timesteps):
-    """The run is finished in the store, has every step once, and the values of the run directory."""
-    directory, client = only_run(output_dir), store(output_dir)
-    run = client.get_run(directory.run_id)
-    assert run.info.status == "FINISHED"
-    assert run.data.tags["status"] == "done"
-    local = {}
-    for line in (directory.path / "metrics.jsonl").read_text().splitlines():
-        record = json.loads(line)
-        for key, value in record["metrics"].items():
-            local.setdefault(key, []).append((record["step"], value))
-    assert set(run.data.metrics) == set(local)
-    for key, points in local.items():
-        steps = [step for step, _ in points]
-        assert steps == sorted(set(steps)), key
-        assert [step for step, _ in history(client, directory.run_id, key)] == steps, key
-    assert history(client, directory.run_id, "final/success_rate")[-1][0] == total_timesteps
-    return local
 
 
 def wait_for(condition, process, timeout=120):
@@ -252,6 +228,8 @@ def test_evaluate_takes_a_directory_another_env_and_the_best_model(smoke):
         (["episodes=3", "video=5"], "video=5 is above episodes; the closest valid choice is 3"),
         (["gif=true"], "gif=true needs a video to be made from; set video=N as well"),
         (["model=last"], "model=last is not a valid choice"),
+        (["env.duration=2"], "env: no option is chosen; write env=OPTION env.duration=2"),
+        (["env=parking", "env.policy_frequency=20"], "env.policy_frequency=20 is above env.simulation_frequency=15"),
         (["env=parkin"], "env=parkin: there is no such option; did you mean 'parking'?"),
     ],
 )
@@ -348,6 +326,36 @@ def test_a_run_that_fails_is_failed_in_the_store_with_its_traceback(tmp_path):
     assert (run.info.status, run.data.tags["status"]) == ("FAILED", "failed")
     assert "traceback.txt" in artifacts(client, directory.run_id)
     assert (directory.path / "traceback.txt").read_text().startswith("Traceback")
+
+
+def test_a_run_that_broke_and_goes_on_has_one_trajectory_in_the_store(tmp_path, monkeypatch):
+    config = make_config("experiment=smoke", f"output_dir={tmp_path}", "checkpoint.every_n_steps=150",
+                         "evaluation.video_episodes=0", "tracking.progress_bar=false")  # fmt: skip
+    save = checkpoints.save
+
+    def full_disk(directory, model, progress, *rest):
+        if progress.step >= 300:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        return save(directory, model, progress, *rest)
+
+    monkeypatch.setattr(checkpoints, "save", full_disk)
+    with pytest.raises(FailedRunError, match="No space left on device"):
+        train(config)
+    directory = RunDirectory(config.run_dir)
+    assert store(tmp_path).get_run(directory.run_id).info.status == "FAILED"
+    monkeypatch.undo()
+    train(config)
+    assert not (directory.path / "traceback.txt").exists()
+    assert_store_is_whole(tmp_path, 400)
+
+
+def test_a_relative_sqlite_uri_means_the_same_everywhere(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    config = make_config("experiment=smoke", "total_timesteps=60", "evaluation.video_episodes=0",
+                         "tracking.uri=sqlite:///my/store.db", "tracking.progress_bar=false")  # fmt: skip
+    train(config)
+    assert RunDirectory(config.run_dir).tracking_uri == f"sqlite:///{tmp_path / 'my' / 'store.db'}"
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["my", "outputs"]
 
 
 def test_two_processes_do_not_work_on_one_run(tmp_path):

@@ -4,9 +4,11 @@ import re
 
 import pytest
 from conftest import GROUPS, make_config, options
+from hydra import initialize_config_dir
+from hydra.core.global_hydra import GlobalHydra
 from omegaconf import OmegaConf
 
-from parking_exp.composition import composed
+from parking_exp.composition import composed, config_dir
 from parking_exp.errors import ConfigError
 from parking_exp.validation import validate
 
@@ -36,8 +38,6 @@ ARTICLE = {
 @pytest.mark.parametrize(("group", "option"), [(group, option) for group in GROUPS for option in options(group)])
 def test_every_option_of_every_group_composes_and_validates(group, option):
     overrides = [f"{group}={option}"]
-    if option == "parking_2021":
-        assert make_config(*overrides).env.add_walls is False
     config = make_config(*overrides)
     if group != "experiment":
         assert getattr(config, group).name == option
@@ -119,6 +119,40 @@ def test_a_misspelt_name_is_refused_by_name_with_the_closest_valid_one(override,
         ),
         ("algorithm._target_=nowhere.SAC", "algorithm._target_=nowhere.SAC: the package 'nowhere' is not installed"),
         ("evaluation=often", "evaluation='often' is not a group of keys; it holds every_n_steps, n_scenes, final_n_scenes, first_scene, video_episodes"),
+        ("algorithm.gamma=null", "algorithm.gamma=None has the wrong type; stable_baselines3.SAC takes float"),
+        ("algorithm.batch_size=[9]", "algorithm.batch_size=[9] has the wrong type; stable_baselines3.SAC takes int"),
+        ("algorithm.ent_coef=atuo", "algorithm.ent_coef=atuo is not a valid choice; choose from auto and a number"),
+        (
+            "~algorithm.learning_starts",
+            "algorithm.learning_starts is missing; give at least 808, the longest training episode (101 steps) x n_envs (8)",
+        ),
+        (
+            "~buffer.n_sampled_goal algorithm.learning_starts=10",
+            "algorithm.learning_starts=10 is shorter than the longest training episode (101 steps) x n_envs (8), "
+            "and HER samples finished episodes only; the closest valid choice is 808",
+        ),
+        (
+            "algorithm=td3 algorithm.action_noise.sigma=[0.1]",
+            "algorithm.action_noise.sigma has 1 entries and the action 2; give one entry for each action",
+        ),
+        (
+            "env.observation.features=[x,y,cos_h,sin_h] env.observation.scales=[1,1,1,1] algorithm.features=raw",
+            "env.observation: HER computes rewards of goals in highway-env's own features and scales, "
+            "['x', 'y', 'vx', 'vy', 'cos_h', 'sin_h'] and [100, 100, 5, 5, 1, 1]; use these, or buffer=replay",
+        ),
+        (
+            "env.other_vehicles_type=nowhere.Car",
+            "env.other_vehicles_type=nowhere.Car: the package 'nowhere' is not installed",
+        ),
+        (
+            "env.action.speed_range=[5,-5]",
+            "env.action.speed_range=[5.0, -5.0] is empty; the closest valid choice is [-5.0, 5.0]",
+        ),
+        ("updates_per_step=0.0004", "updates_per_step=0.0004 is out of range; the closest valid choice is 0.001"),
+        (
+            "algorithm.train_freq=[1,episode]",
+            "algorithm.train_freq counts episodes, which works with one env only; set n_envs=1",
+        ),
         ("checkpoint.keep_last=0", "checkpoint.keep_last=0 is out of range; the closest valid choice is 1"),
         ("env.controlled_vehicles=2", "env.controlled_vehicles=2 is not a valid choice; it can only be 1"),
         (
@@ -140,7 +174,7 @@ def test_a_misspelt_name_is_refused_by_name_with_the_closest_valid_one(override,
             "evaluation.first_scene=2147483600 reaches into the training scenes; the closest valid choice is 2147483548",
         ),
         (
-            "env.observation.features=[y,x,vx,vy,cos_h,sin_h]",
+            "env.observation.features=[y,x,vx,vy,cos_h,sin_h] buffer=replay",
             "algorithm.features=ego reads the observation features x, y, vx, vy, cos_h, sin_h in this order; "
             "the closest valid choice is algorithm.features=raw",
         ),
@@ -164,9 +198,23 @@ def test_plain_replay_may_start_learning_within_an_episode():
 def test_nested_targets_are_checked_too():
     with pytest.raises(ConfigError, match=r"NormalActionNoise has no such argument; did you mean 'sigma'"):
         make_config("algorithm=td3", "+algorithm.action_noise.sigm=1")
-    schedule = "{_target_: stable_baselines3.common.utils.LinearSchedule, start: 1e-3, end: 1e-4}"
-    with pytest.raises(ConfigError, match=r"algorithm.learning_rate.end_fraction is missing"):
-        make_config(f"algorithm.learning_rate={schedule}")
+    noise = "{_target_: stable_baselines3.common.noise.NormalActionNoise, mean: [0, 0]}"
+    with pytest.raises(ConfigError, match=r"algorithm.action_noise.sigma is missing"):
+        make_config(f"algorithm.action_noise={noise}")
+
+
+def test_options_can_be_swept_by_pattern():
+    assert [config.buffer.name for config in composed("config", ["buffer=glob(her_*)"])] == [
+        "her_episode", "her_final", "her_future",
+    ]  # fmt: skip
+
+
+def test_composing_leaves_an_outer_hydra_as_it_was():
+    with initialize_config_dir(version_base="1.3", config_dir=str(config_dir())):
+        before = GlobalHydra.instance().hydra
+        composed("config", [])
+        assert GlobalHydra.instance().hydra is before
+    assert not GlobalHydra.instance().is_initialized()
 
 
 def test_every_point_of_a_sweep_is_checked():

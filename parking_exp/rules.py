@@ -1,0 +1,110 @@
+"""Rules between the keys of a config. Each broken one is a sentence with the closest valid choice."""
+
+from collections.abc import Mapping
+
+from parking_exp.config import DEFAULT_FEATURES, DEFAULT_SCALES, TRAINING_SCENES_START, EnvConfig, RunConfig
+from parking_exp.signatures import UnknownTarget, signature
+from parking_exp.wording import no_target
+
+
+def check_env(env: EnvConfig) -> list[str]:
+    """Rules between the keys of the `env` group."""
+    problems = []
+    if len(env.observation.scales) != len(env.observation.features):
+        problems.append(
+            f"env.observation.scales has {len(env.observation.scales)} entries and env.observation.features "
+            f"{len(env.observation.features)}; give one scale for each feature"
+        )
+    if not (env.action.longitudinal or env.action.lateral):
+        problems.append("env.action.longitudinal and env.action.lateral are both false; set one of them to true")
+    for name in ("acceleration_range", "steering_range", "speed_range"):
+        bounds = getattr(env.action, name)
+        if bounds is not None and not bounds[0] < bounds[1]:
+            problems.append(f"env.action.{name}={bounds} is empty; the closest valid choice is {sorted(bounds)}")
+    if env.policy_frequency > env.simulation_frequency:
+        problems.append(
+            f"env.policy_frequency={env.policy_frequency} is above env.simulation_frequency="
+            f"{env.simulation_frequency}; the closest valid choice is {env.simulation_frequency}"
+        )
+    try:
+        signature(env.other_vehicles_type)
+    except UnknownTarget as error:
+        problems.append(no_target("env.other_vehicles_type", env.other_vehicles_type, error))
+    return problems
+
+
+def check_rules(run: RunConfig) -> list[str]:
+    """Rules between keys of different groups."""
+    return [*check_env(run.env), *_check_buffer(run), *_check_algorithm(run), *_check_evaluation(run)]
+
+
+def _check_buffer(run: RunConfig) -> list[str]:
+    problems = []
+    relabels = "n_sampled_goal" in signature(run.buffer.target).parameters
+    longest = run.env.episode_steps(training=True)
+    where = f"the longest training episode ({longest} steps) x n_envs ({run.n_envs})"
+    starts = run.algorithm.arguments.get("learning_starts")
+    if relabels and not isinstance(starts, int):
+        problems.append(f"algorithm.learning_starts is missing; give at least {longest * run.n_envs}, {where}")
+    elif relabels and isinstance(starts, int) and starts < longest * run.n_envs:
+        problems.append(
+            f"algorithm.learning_starts={starts} is shorter than {where}, and HER samples finished episodes only; "
+            f"the closest valid choice is {longest * run.n_envs}"
+        )
+    if run.buffer.buffer_size // run.n_envs <= longest:
+        problems.append(
+            f"buffer.buffer_size={run.buffer.buffer_size} cannot hold one whole episode of each env, {where}; "
+            f"the closest valid choice is {(longest + 1) * run.n_envs}"
+        )
+    observation = run.env.observation
+    if relabels and (observation.features != DEFAULT_FEATURES or observation.scales != DEFAULT_SCALES):
+        problems.append(
+            f"env.observation: HER computes rewards of goals in highway-env's own features and scales, "
+            f"{DEFAULT_FEATURES} and {DEFAULT_SCALES}; use these, or buffer=replay"
+        )
+    return problems
+
+
+def _check_algorithm(run: RunConfig) -> list[str]:
+    problems = []
+    if run.env.observation.features != DEFAULT_FEATURES and run.algorithm.features == "ego":
+        problems.append(
+            f"algorithm.features=ego reads the observation features {', '.join(DEFAULT_FEATURES)} in this order; "
+            "the closest valid choice is algorithm.features=raw"
+        )
+    train_freq = run.algorithm.arguments.get("train_freq")
+    if isinstance(train_freq, list):
+        if len(train_freq) != 2 or train_freq[1] not in {"step", "episode"} or not isinstance(train_freq[0], int):
+            problems.append(f"algorithm.train_freq={train_freq} is not a number or [number, step | episode]")
+        elif train_freq[1] == "episode" and run.n_envs > 1:
+            problems.append("algorithm.train_freq counts episodes, which works with one env only; set n_envs=1")
+    actions = run.env.action.longitudinal + run.env.action.lateral
+    noise = run.algorithm.arguments.get("action_noise")
+    for name in ("mean", "sigma"):
+        values = noise.get(name) if isinstance(noise, Mapping) else None
+        if isinstance(values, list) and len(values) != actions:
+            problems.append(
+                f"algorithm.action_noise.{name} has {len(values)} entries and the action {actions}; "
+                "give one entry for each action"
+            )
+    return problems
+
+
+def _check_evaluation(run: RunConfig) -> list[str]:
+    problems, evaluation = [], run.evaluation
+    if evaluation.final_n_scenes < evaluation.n_scenes:
+        problems.append(
+            f"evaluation.final_n_scenes={evaluation.final_n_scenes} is below evaluation.n_scenes="
+            f"{evaluation.n_scenes}; the closest valid choice is {evaluation.n_scenes}"
+        )
+    if evaluation.video_episodes > evaluation.final_n_scenes:
+        problems.append(
+            f"evaluation.video_episodes={evaluation.video_episodes} is above evaluation.final_n_scenes; "
+            f"the closest valid choice is {evaluation.final_n_scenes}"
+        )
+    if evaluation.first_scene + evaluation.final_n_scenes > TRAINING_SCENES_START:
+        problems.append(
+            f"evaluation.first_scene={evaluation.first_scene} reaches into the training scenes; "
+            f"the closest valid choice is {TRAINING_SCENES_START - evaluation.final_n_scenes}"
+        )
+    return problems
