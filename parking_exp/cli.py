@@ -81,6 +81,7 @@ def _only_shows(arguments: argparse.Namespace) -> bool:
 def _fail(error: ParkingError) -> NoReturn:
     if os.environ.get("HYDRA_FULL_ERROR") == "1":
         raise error
+    prefix = "" if isinstance(error, InterruptedRunError) else "error: "
     for line in str(error).splitlines():
-        print(f"error: {line}", file=sys.stderr)
+        print(f"{prefix}{line}", file=sys.stderr)
     sys.exit(128 + error.signal_number if isinstance(error, InterruptedRunError) else 2)

@@ -96,15 +96,19 @@ def _without_sweeps(overrides: list[Override]) -> list[str]:
 
 def _refuse_unknown_names(config_name: str, overrides: list[Override]) -> None:
     loader = GlobalHydra.instance().config_loader()
+    ours = set(compose(config_name, return_hydra_config=True).hydra.runtime.choices)
+    ours = {group for group in ours if not group.startswith("hydra")}
     groups, keys = [], []
     for override in overrides:
         name = override.key_or_group
         if name == "hydra" or name.startswith(("hydra.", "hydra/")):
             continue
-        options = [option for option in loader.get_group_options(name) if not option.startswith("_")]
+        options = loader.get_group_options(name)
         if not options:
             keys.append(override)
             continue
+        if name not in ours:
+            raise ConfigError(f"{name}: there is no such group here{closest(name, ours)}")
         groups.append(override)
         values = list(override.sweep_string_iterator()) if override.is_sweep_override() else [override.value()]
         for value in values:
@@ -113,10 +117,10 @@ def _refuse_unknown_names(config_name: str, overrides: list[Override]) -> None:
     base = compose(config_name, _without_sweeps(groups))
     for override in keys:
         if override.type in {OverrideType.CHANGE, OverrideType.DEL}:
-            _refuse_unknown_key(base, override, loader.list_groups(""))
+            _refuse_unknown_key(base, override, ours)
 
 
-def _refuse_unknown_key(base: DictConfig, override: Override, groups: list[str]) -> None:
+def _refuse_unknown_key(base: DictConfig, override: Override, groups: set[str]) -> None:
     node: object = base
     parts = override.key_or_group.split(".")
     for depth, part in enumerate(parts):
@@ -133,7 +137,7 @@ def _refuse_unknown_key(base: DictConfig, override: Override, groups: list[str])
                 raise ConfigError(f"{override.key_or_group}: {parent} is empty so far; write +{override.input_line}")
             if not parent and part in groups:
                 raise ConfigError(f"{part}: no option is chosen; write {part}=OPTION {override.input_line}")
-            choices = {*known, *arguments, *([] if parent else set(groups) - {"hydra"})}
+            choices = {*known, *arguments, *([] if parent else groups)}
             raise ConfigError(f"{override.key_or_group}: there is no such key{closest(part, choices)}")
         assert isinstance(node, DictConfig)
         node = node._get_node(part) if node._is_none() else node[part]

@@ -67,11 +67,12 @@ def evaluate_run(config: DictConfig) -> Path:
         RunNotFoundError: no run answers to `run`, or it has no such model yet.
     """
     request = validate_request(config)
-    directory = find_run(request.run, Path(request.output_dir).expanduser().absolute())
+    output_dir = Path(request.output_dir).expanduser().absolute()
+    directory = find_run(request.run, output_dir, having=f"models/{request.model}.zip")
     weights = directory.models / f"{request.model}.zip"
     if not weights.exists():
         raise RunNotFoundError(
-            f"run={request.run}: {directory.path} ({directory.status}) has no {request.model} model yet; "
+            f"run={request.run}: {directory.path} has no {request.model} model yet; "
             + ("try model=best" if (directory.models / "best.zip").exists() else "let it train first")
         )
     run = directory.config()
@@ -93,7 +94,7 @@ def _evaluate(request: EvaluationRequest, run: RunConfig, env: EnvConfig, weight
     from parking_exp.checkpoints import load_weights
     from parking_exp.envs import make_env
     from parking_exp.evaluation import evaluate, summarise
-    from parking_exp.summary import describe
+    from parking_exp.summary import describe, intervals
     from parking_exp.video import record
 
     model = build_model(run, DummyVecEnv([lambda: make_env(env)]), seed=0, for_training=False)
@@ -107,7 +108,8 @@ def _evaluate(request: EvaluationRequest, run: RunConfig, env: EnvConfig, weight
     for stale in folder.glob("video.*"):
         stale.unlink()
     episodes.to_csv(folder / "episodes.csv", index=False)
-    write_json(folder / "summary.json", {"env": env.name, "model": request.model, **summarise(episodes)})
+    about = {"env": env.name, "model": request.model, "first_scene": request.first_scene, "episodes": len(episodes)}
+    write_json(folder / "summary.json", {**about, **summarise(episodes), "intervals": intervals(episodes)})
     print(f"{request.model} model on {request.episodes} scenes of {env.name}, from scene {request.first_scene}")
     print(describe(episodes))
     if request.video:

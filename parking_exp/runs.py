@@ -126,8 +126,8 @@ class RunDirectory:
         return read_json(self.path / STATUS_FILE) or {}
 
 
-def find_run(name: str, output_dir: Path) -> RunDirectory:
-    """Find a run by its directory, its MLflow run id, or `latest` (the one that was last worked on).
+def find_run(name: str, output_dir: Path, having: str) -> RunDirectory:
+    """Find a run by its directory, its MLflow run id, or `latest`: the last worked on that has the file `having`.
 
     Raises:
         RunNotFoundError: there is none.
@@ -138,7 +138,10 @@ def find_run(name: str, output_dir: Path) -> RunDirectory:
     if not files:
         raise RunNotFoundError(f"run={name}: there are no runs in {output_dir}; train one first, or set output_dir")
     if name == "latest":
-        return RunDirectory(files[-1].parent.absolute())
+        usable = [file for file in files if (file.parent / having).exists()]
+        if not usable:
+            raise RunNotFoundError(f"run=latest: none of the {len(files)} runs in {output_dir} has {having} yet")
+        return RunDirectory(usable[-1].parent.absolute())
     for file in files:
         if read_json(file).get("run_id") == name:
             return RunDirectory(file.parent.absolute())

@@ -72,7 +72,8 @@ class Session:
         path, evaluation = self.directory.path, self.config.evaluation
         self.bar.busy("final evaluation")
         episodes = self._run_episodes(evaluation.final_n_scenes)
-        self._store_evaluation(episodes.head(evaluation.n_scenes), "eval")
+        summary = self._store_evaluation(episodes.head(evaluation.n_scenes), "eval")
+        self.bar.say(success_line(summary, self.model.num_timesteps))
         self._store_evaluation(episodes, "final")
         self._dump()
         self.model.logger.close()

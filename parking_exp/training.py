@@ -14,7 +14,7 @@ from omegaconf import DictConfig
 from parking_exp import checkpoints
 from parking_exp.checkpoints import Progress
 from parking_exp.config import RunConfig
-from parking_exp.errors import FailedRunError, InterruptedRunError
+from parking_exp.errors import ConfigError, FailedRunError, InterruptedRunError
 from parking_exp.logs import cut_back
 from parking_exp.progress import TrainingProgress
 from parking_exp.runs import RunDirectory, RunResult
@@ -37,6 +37,8 @@ def train(config: DictConfig | Mapping[str, Any] | RunConfig) -> RunResult:
         FailedRunError: anything else; the run is marked failed, its traceback kept.
     """
     config = validate(config)
+    if config.device.startswith("cuda") and not torch.cuda.is_available():
+        raise ConfigError(f"device={config.device}: torch finds no CUDA device; the closest valid choice is cpu")
     directory = RunDirectory(config.run_dir)
     with directory.locked():
         if (result := directory.result()) is not None:
@@ -59,6 +61,7 @@ def _train(config: RunConfig, directory: RunDirectory, stop: StopRequest) -> Run
         cut_back(directory.path, progress.log_sizes)
         tracker = open_tracker(config, directory)
         with TrainingProgress(config.total_timesteps, progress.step, config.tracking.progress_bar) as bar:
+            bar.say(f"{config.cell}, seed {config.seed}: {config.total_timesteps} env steps, in {directory.path}")
             session = Session(
                 config=config,
                 directory=directory,

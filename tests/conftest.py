@@ -21,7 +21,7 @@ GROUPS = ("env", "algorithm", "buffer", "experiment")
 
 def options(group):
     """Names of a config group's options."""
-    return sorted(path.stem for path in (ROOT / "conf" / group).glob("*.yaml") if not path.stem.startswith("_"))
+    return sorted(path.stem for path in (ROOT / "conf" / group).glob("*.yaml"))
 
 
 def make_config(*overrides):

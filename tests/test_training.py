@@ -11,14 +11,15 @@ from pathlib import Path
 import imageio.v3 as iio
 import pandas as pd
 import pytest
+import torch
 from conftest import artifacts, assert_store_is_whole, history, make_config, only_run, run_script, script, store
 from PIL import Image, ImageSequence
 
 from parking_exp import __version__, checkpoints
-from parking_exp.errors import FailedRunError, RunLockedError
+from parking_exp.errors import ConfigError, FailedRunError, RunLockedError, RunNotFoundError
 from parking_exp.evaluation import EPISODE_COLUMNS
 from parking_exp.files import read_json, sha256
-from parking_exp.runs import RunDirectory
+from parking_exp.runs import RunDirectory, find_run
 from parking_exp.tracking import flatten
 from parking_exp.training import train
 
@@ -230,6 +231,7 @@ def test_evaluate_takes_a_directory_another_env_and_the_best_model(smoke):
         (["model=last"], "model=last is not a valid choice"),
         (["env.duration=2"], "env: no option is chosen; write env=OPTION env.duration=2"),
         (["env=parking", "env.policy_frequency=20"], "env.policy_frequency=20 is above env.simulation_frequency=15"),
+        (["algorithm=td3"], "algorithm: there is no such group here; choose from env"),
         (["env=parkin"], "env=parkin: there is no such option; did you mean 'parking'?"),
     ],
 )
@@ -358,6 +360,26 @@ def test_a_relative_sqlite_uri_means_the_same_everywhere(tmp_path, monkeypatch):
     train(config)
     assert RunDirectory(config.run_dir).tracking_uri == f"sqlite:///{tmp_path / 'my' / 'store.db'}"
     assert sorted(path.name for path in tmp_path.iterdir()) == ["my", "outputs"]
+
+
+@pytest.mark.skipif(torch.cuda.is_available(), reason="there is a CUDA device")
+def test_a_device_that_is_not_there_is_refused_before_anything_is_made(tmp_path):
+    with pytest.raises(ConfigError, match="device=cuda: torch finds no CUDA device; the closest valid choice is cpu"):
+        train(make_config("experiment=smoke", f"output_dir={tmp_path}", "device=cuda"))
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_latest_is_the_last_run_that_has_a_model(tmp_path):
+    for number, (name, finished) in enumerate({"old": True, "finished": True, "cut off": False}.items()):
+        run = tmp_path / "experiment" / "cell" / name
+        (run / "models").mkdir(parents=True)
+        (run / "status.json").write_text("{}")
+        os.utime(run / "status.json", (number, number))
+        if finished:
+            (run / "models" / "final.zip").touch()
+    assert find_run("latest", tmp_path, having="models/final.zip").path.name == "finished"
+    with pytest.raises(RunNotFoundError, match=r"none of the 3 runs in .* has models/best.zip yet"):
+        find_run("latest", tmp_path, having="models/best.zip")
 
 
 def test_two_processes_do_not_work_on_one_run(tmp_path):
