@@ -194,12 +194,12 @@ class RunConfig(Section):
     @property
     def cell_key(self) -> str:
         """Short hash of everything that can change a result, but the seed."""
-        return _hash({key: value for key, value in self._result().items() if key != "seed"})
+        return short_hash({key: value for key, value in self._result().items() if key != "seed"})
 
     @property
     def run_key(self) -> str:
         """Short hash of everything that can change a result, the seed included."""
-        return _hash(self._result())
+        return short_hash(self._result())
 
     @property
     def cell(self) -> str:
@@ -236,5 +236,6 @@ class RunConfig(Section):
         return plain
 
 
-def _hash(value: Any) -> str:
+def short_hash(value: Any) -> str:
+    """Return a short hash of plain containers, whatever the order of their keys."""
     return hashlib.sha256(json.dumps(value, sort_keys=True).encode()).hexdigest()[:10]

@@ -1,14 +1,22 @@
 """Evaluate a stored run on real highway-env: rates with intervals, an episodes table, a video."""
 
-import hashlib
-import json
 from pathlib import Path
 from typing import Annotated, Literal
 
 from omegaconf import DictConfig
 from pydantic import Field
 
-from parking_exp.config import TRAINING_SCENES_START, Count, EnvConfig, Name, Positive, RunConfig, Scene, Section
+from parking_exp.config import (
+    TRAINING_SCENES_START,
+    Count,
+    EnvConfig,
+    Name,
+    Positive,
+    RunConfig,
+    Scene,
+    Section,
+    short_hash,
+)
 from parking_exp.errors import ConfigError, RunNotFoundError
 from parking_exp.files import write_json
 from parking_exp.rules import check_env
@@ -130,5 +138,5 @@ def _folder_name(request: EvaluationRequest, run: RunConfig, env: EnvConfig) -> 
     name = f"{env.name}-{request.model}-scenes-{request.first_scene}-{request.first_scene + request.episodes - 1}"
     if request.env is not None and env != run.env:
         # The same option with other values is another evaluation.
-        name += "-" + hashlib.sha256(json.dumps(env.model_dump(), sort_keys=True).encode()).hexdigest()[:6]
+        name += f"-{short_hash(env.model_dump())}"
     return name

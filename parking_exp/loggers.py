@@ -28,9 +28,9 @@ def make_logger(tracking: TrackingConfig, run_dir: Path, metrics: MetricsLog, st
         formats.append(_csv(run_dir / "progress.csv", metrics))
     if tracking.tensorboard:
         board = TensorBoardOutputFormat(str(run_dir / "tensorboard"))
-        if step:
-            board.writer.close()
-            board.writer = SummaryWriter(str(run_dir / "tensorboard"), purge_step=step + 1)
+        board.writer.close()
+        # Also at step 0: a run that was killed before its first checkpoint starts anew beside its old events.
+        board.writer = SummaryWriter(str(run_dir / "tensorboard"), purge_step=step + 1)
         formats.append(board)
     if tracking.stdout:
         formats.append(HumanOutputFormat(sys.stdout))

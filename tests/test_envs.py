@@ -30,7 +30,10 @@ def trajectory(env, scene):
 @pytest.mark.filterwarnings("ignore")
 @pytest.mark.parametrize("option", options("env"))
 def test_every_env_passes_gymnasiums_checker(option):
-    check_env(make_env(make_config(f"env={option}", "n_envs=1").env), skip_render_check=True)
+    env = make_env(make_config(f"env={option}", "n_envs=1").env)
+    check_env(env, skip_render_check=True)  # raises where something is wrong
+    observation, _ = env.reset(seed=0)
+    assert env.observation_space.contains(observation)
 
 
 @pytest.mark.parametrize("scene", [0, 1, 2])
