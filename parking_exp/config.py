@@ -24,6 +24,7 @@ Count = Annotated[int, Field(ge=0)]
 PositiveFloat = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 Share = Annotated[float, Field(gt=0, le=1)]
 Bounds = Annotated[list[float], Field(min_length=2, max_length=2)]
+Simulation = Literal["vectorized", "highway_env"]
 Scene = Annotated[int, Field(ge=0, lt=TRAINING_SCENES_START)]
 
 
@@ -37,7 +38,7 @@ class ObservationConfig(Section):
     """highway-env's `observation` options."""
 
     type: Literal["KinematicsGoal"]
-    features: Annotated[list[Literal["x", "y", "vx", "vy", "heading", "cos_h", "sin_h"]], Field(min_length=1)]
+    features: Annotated[list[Literal["x", "y", "vx", "vy", "cos_h", "sin_h"]], Field(min_length=1)]
     scales: list[PositiveFloat]
     normalize: bool
 
@@ -56,10 +57,11 @@ class ActionConfig(Section):
 
 
 class EnvConfig(Section):
-    """The `env` group: highway-env's options under their own names, and three of ours."""
+    """The `env` group: highway-env's options under their own names, and four of ours."""
 
     name: Name
     id: Literal["parking-v0"]
+    simulator: Simulation
     reward: Literal["dense", "sparse"]
     training_duration: PositiveFloat | None
 
@@ -89,11 +91,16 @@ class EnvConfig(Section):
 
     def highway_options(self, training: bool = False) -> dict[str, Any]:
         """Return the `config` for `gym.make(self.id, config=...)`; `training` applies `training_duration`."""
-        options = self.model_dump(exclude={"name", "id", "reward", "training_duration"})
+        options = self.model_dump(exclude={"name", "id", "simulator", "reward", "training_duration"})
         options["action"] = {key: value for key, value in options["action"].items() if value is not None}
         if training and self.training_duration is not None:
             options["duration"] = self.training_duration
         return options
+
+    @property
+    def uncovered(self) -> list[str]:
+        """Options that the vectorised simulator does not simulate."""
+        return ["action.dynamical"] if self.action.dynamical else []
 
     def episode_steps(self, training: bool = False) -> int:
         """Longest episode in policy steps, counted as highway-env counts time: by adding floats."""
@@ -175,6 +182,7 @@ class RunConfig(Section):
     updates_per_step: Annotated[float, Field(ge=0.001, allow_inf_nan=False)]
     device: Annotated[str, Field(pattern=r"^(cpu|auto|mps|cuda(:\d+)?)$")]
     torch_threads: Positive | None
+    precision: Literal["highest", "medium"]
     env: EnvConfig
     algorithm: AlgorithmConfig
     buffer: BufferConfig

@@ -21,6 +21,10 @@ class RunLockedError(ParkingError):
     """Another process is working on the same run."""
 
 
+class CertificationError(ParkingError):
+    """The simulator that evaluated a run and highway-env itself do not agree."""
+
+
 class InterruptedRunError(ParkingError):
     """A run was stopped by a signal, after its state was saved.
 

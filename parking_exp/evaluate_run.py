@@ -15,6 +15,7 @@ from parking_exp.config import (
     RunConfig,
     Scene,
     Section,
+    Simulation,
     short_hash,
 )
 from parking_exp.errors import ConfigError, RunNotFoundError
@@ -39,6 +40,7 @@ class EvaluationRequest(Section):
     model: Literal["final", "best"]
     episodes: Positive
     first_scene: Scene
+    simulator: Simulation
     video: Count
     gif: bool
     name: Name | None
@@ -85,6 +87,8 @@ def evaluate_run(config: DictConfig) -> Path:
         )
     run = directory.config()
     env = request.env or run.env
+    if request.simulator == "vectorized" and env.uncovered:
+        raise ConfigError(f"env.{env.uncovered[0]} is not simulated by simulator=vectorized; use simulator=highway_env")
     folder = directory.path / "evaluations" / (request.name or _folder_name(request, run, env))
     print(f"run directory  {directory.path}")
     _evaluate(request, run, env, weights, folder)
@@ -111,14 +115,27 @@ def _evaluate(request: EvaluationRequest, run: RunConfig, env: EnvConfig, weight
     scenes = range(request.first_scene, request.first_scene + request.episodes)
     with Progress(console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task(f"{request.episodes} episodes of {env.name}", total=request.episodes)
-        episodes = evaluate(policy, env, scenes, on_step=lambda finished: bar.update(task, completed=finished))
+
+        def report(finished: int) -> None:
+            bar.update(task, completed=finished)
+
+        episodes = evaluate(policy, env, scenes, on_step=report, simulator=request.simulator)
     folder.mkdir(parents=True, exist_ok=True)
     for stale in folder.glob("video.*"):
         stale.unlink()
     episodes.to_csv(folder / "episodes.csv", index=False)
-    about = {"env": env.name, "model": request.model, "first_scene": request.first_scene, "episodes": len(episodes)}
+    about = {
+        "env": env.name,
+        "simulator": request.simulator,
+        "model": request.model,
+        "first_scene": request.first_scene,
+        "episodes": len(episodes),
+    }
     write_json(folder / "summary.json", {**about, **summarise(episodes), "intervals": intervals(episodes)})
-    print(f"{request.model} model on {request.episodes} scenes of {env.name}, from scene {request.first_scene}")
+    print(
+        f"{request.model} model on {request.episodes} scenes of {env.name}, from scene {request.first_scene}, "
+        f"simulated by {request.simulator}"
+    )
     print(describe(episodes))
     if request.video:
         record(policy, env, scenes[: request.video], folder / "video.mp4", gif=request.gif)
@@ -136,6 +153,8 @@ def _store(request: EvaluationRequest, directory: RunDirectory, folder: Path) ->
 
 def _folder_name(request: EvaluationRequest, run: RunConfig, env: EnvConfig) -> str:
     name = f"{env.name}-{request.model}-scenes-{request.first_scene}-{request.first_scene + request.episodes - 1}"
+    if request.simulator != "highway_env":
+        name += f"-{request.simulator}"
     if request.env is not None and env != run.env:
         # The same option with other values is another evaluation.
         name += f"-{short_hash(env.model_dump())}"

@@ -7,53 +7,63 @@ import gymnasium as gym
 import numpy as np
 import pandas as pd
 
-from parking_exp.config import EnvConfig
-from parking_exp.envs import make_env
-from parking_exp.outcomes import outcome, pose
+from parking_exp.config import EnvConfig, Simulation
+from parking_exp.envs import Batch, start
+from parking_exp.outcomes import outcome
 from parking_exp.policy import Observation, Policy
 
 EPISODE_COLUMNS = ["scene", "outcome", "parked", "steps", "return", "distance_m", "heading_error_rad", "speed_mps"]
-PARALLEL_EPISODES = 32
+SIDE_BY_SIDE = 1000  # scenes that are stepped together
+TOLERANCE = 1e-9  # of continuous columns, between two simulators
 
 
 def evaluate(
-    policy: Policy, env: EnvConfig, scenes: Sequence[int], on_step: Callable[[int], None] | None = None
+    policy: Policy,
+    env: EnvConfig,
+    scenes: Sequence[int],
+    on_step: Callable[[int], None] | None = None,
+    simulator: Simulation | None = None,
 ) -> pd.DataFrame:
     """Run one episode in each scene and return one row per episode, in the order of `scenes`.
 
-    Episodes run side by side, so that the policy sees batches; a finished one makes room for the next scene.
+    The policy sees all scenes at once; finished ones are dropped. Whatever simulates them, it sees the same batches.
 
     Args:
         policy: what is evaluated.
         env: the `env` group; episodes last its `duration`.
         scenes: seeds of `env.reset`.
         on_step: called after each step of all episodes with the number that have finished; may raise to stop.
+        simulator: what simulates the scenes; None: the env's own.
 
     Returns:
         Frame with the columns EPISODE_COLUMNS: `outcome` is success, crash or timeout; `parked` is the strict
         definition of `outcomes.Pose`; `return` is the undiscounted sum of rewards; `heading_error_rad` and
         `speed_mps` are absolute values at the end.
     """
-    waiting = list(reversed(scenes))
-    slots = [make_env(env) for _ in range(min(PARALLEL_EPISODES, len(scenes)))]
-    running = [_Episode(slot, waiting.pop()) for slot in slots]
-    rows: dict[int, dict[str, Any]] = {}
-    try:
-        while running:
-            actions = policy(_stack([episode.observation for episode in running]))
-            for episode, action in zip(running, actions, strict=True):
-                episode.step(action)
-            for episode in [e for e in running if e.row is not None]:
-                assert episode.row is not None
-                rows[episode.scene] = episode.row
-                index = running.index(episode)
-                running[index : index + 1] = [_Episode(episode.env, waiting.pop())] if waiting else []
-            if on_step is not None:
-                on_step(len(rows))
-    finally:
-        for slot in slots:
-            slot.close()
-    return pd.DataFrame([rows[scene] for scene in scenes], columns=EPISODE_COLUMNS)
+    rows: list[dict[str, Any]] = []
+    for first in range(0, len(scenes), SIDE_BY_SIDE):
+        chunk = scenes[first : first + SIDE_BY_SIDE]
+        batch = start(env, chunk, simulator)
+        try:
+            for row in _episodes(policy, batch, np.asarray(chunk), on_step, finished=first):
+                rows.append(row)
+        finally:
+            batch.close()
+    order = {scene: number for number, scene in enumerate(scenes)}
+    rows.sort(key=lambda row: order[row["scene"]])
+    return pd.DataFrame(rows, columns=EPISODE_COLUMNS)
+
+
+def differences(episodes: pd.DataFrame, certified: pd.DataFrame) -> list[str]:
+    """Compare two tables of the same scenes, episode by episode; return a phrase for each scene that differs."""
+    found = []
+    pairs = zip(episodes.to_dict("records"), certified.to_dict("records"), strict=True)
+    for ours, theirs in pairs:
+        columns = [name for name in EPISODE_COLUMNS if not _same(ours[name], theirs[name])]
+        if columns:
+            values = ", ".join(f"{name} {ours[name]} and {theirs[name]}" for name in columns)
+            found.append(f"scene {ours['scene']}: {values}")
+    return found
 
 
 def summarise(episodes: pd.DataFrame) -> dict[str, float]:
@@ -81,31 +91,41 @@ def rollout(policy: Policy, env: gym.Env, scene: int) -> Iterator[tuple[Observat
         yield observation, info, done
 
 
-class _Episode:
-    """One running episode; `row` is set when it has ended."""
-
-    def __init__(self, env: gym.Env, scene: int) -> None:
-        self.env, self.scene = env, scene
-        self.observation, _ = env.reset(seed=scene)
-        self.steps, self.total = 0, 0.0
-        self.row: dict[str, Any] | None = None
-
-    def step(self, action: np.ndarray) -> None:
-        self.observation, reward, terminated, truncated, info = self.env.step(action)
-        self.steps += 1
-        self.total += float(reward)
-        if terminated or truncated:
-            end = pose(self.env)
-            self.row = {
-                "scene": self.scene,
-                "outcome": outcome(info),
+def _episodes(
+    policy: Policy, batch: Batch, scenes: np.ndarray, on_step: Callable[[int], None] | None, finished: int
+) -> Iterator[dict[str, Any]]:
+    """Yield the row of each episode when it has ended."""
+    observation, steps = batch.observe(), 0
+    totals = np.zeros(len(scenes))
+    while len(batch):
+        step = batch.step(policy(observation))
+        steps += 1
+        totals += step.reward
+        done = step.terminated | step.truncated
+        for row in np.flatnonzero(done):
+            end = batch.pose(int(row))
+            yield {
+                "scene": int(scenes[row]),
+                "outcome": outcome(bool(step.crashed[row]), bool(step.is_success[row])),
                 "parked": end.parked,
-                "steps": self.steps,
-                "return": self.total,
+                "steps": steps,
+                "return": float(totals[row]),
                 "distance_m": end.distance_m,
                 "heading_error_rad": abs(end.heading_error_rad),
                 "speed_mps": abs(end.speed_mps),
             }
+        observation = step.observation
+        if done.any():
+            finished += int(done.sum())
+            batch.keep(~done)
+            scenes, totals = scenes[~done], totals[~done]
+            observation = {key: value[~done] for key, value in observation.items()}
+        if on_step is not None:
+            on_step(finished)
+
+
+def _same(ours: Any, theirs: Any) -> bool:
+    return abs(ours - theirs) <= TOLERANCE if isinstance(ours, float) else ours == theirs
 
 
 def _stack(observations: list[Observation]) -> Observation:

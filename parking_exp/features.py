@@ -6,7 +6,8 @@ import torch
 from gymnasium import spaces
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 
-LOT_HALF_LENGTH_M, LOT_HALF_WIDTH_M = 35.0, 21.0  # walls of parking-v0
+from parking_exp.lot import LOT_LENGTH_M, LOT_WIDTH_M
+
 GOAL_SCALE_M = 10.0
 
 
@@ -43,8 +44,8 @@ class EgoFrameExtractor(BaseFeaturesExtractor):
                 goal_sin * cos_h - goal_cos * sin_h,
                 vx * cos_h + vy * sin_h,
                 torch.sqrt(dx * dx + dy * dy) / GOAL_SCALE_M,
-                x * (self.x_scale / LOT_HALF_LENGTH_M),
-                y * (self.y_scale / LOT_HALF_WIDTH_M),
+                x * (2 * self.x_scale / LOT_LENGTH_M),
+                y * (2 * self.y_scale / LOT_WIDTH_M),
                 cos_h,
                 sin_h,
             ),

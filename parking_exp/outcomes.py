@@ -1,13 +1,12 @@
 """How an episode ended, and where the car stood: the one definition of success, crash, timeout and parked."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Literal
 
-import gymnasium as gym
+from parking_exp.lot import CAR_LENGTH_M, CAR_WIDTH_M, SLOT_LENGTH_M, SLOT_WIDTH_M
 
-CAR_LENGTH_M, CAR_WIDTH_M = 5.0, 2.0
-SLOT_LENGTH_M, SLOT_WIDTH_M = 8.0, 4.0
 PARKED_HEADING_RAD = math.radians(10.0)
 PARKED_SPEED_MPS = 0.5
 
@@ -51,17 +50,18 @@ class Pose:
         )
 
 
-def pose(env: gym.Env) -> Pose:
-    """Read the pose of the car of a highway-env parking env."""
-    car = env.unwrapped.vehicle
-    dx, dy = car.position - car.goal.position
-    cos, sin = math.cos(car.goal.heading), math.sin(car.goal.heading)
-    error = (car.heading - car.goal.heading + math.pi) % (2 * math.pi) - math.pi
-    return Pose(float(dx * cos + dy * sin), float(dy * cos - dx * sin), float(error), float(car.speed))
+def relative_pose(
+    position: Sequence[float], heading: float, speed: float, goal_position: Sequence[float], goal_heading: float
+) -> Pose:
+    """Return the pose of a car relative to its goal slot; positions are (x, y)."""
+    dx, dy = position[0] - goal_position[0], position[1] - goal_position[1]
+    cos, sin = math.cos(goal_heading), math.sin(goal_heading)
+    error = (heading - goal_heading + math.pi) % (2 * math.pi) - math.pi
+    return Pose(float(dx * cos + dy * sin), float(dy * cos - dx * sin), float(error), float(speed))
 
 
-def outcome(info: dict[str, Any]) -> Outcome:
+def outcome(crashed: bool, is_success: bool) -> Outcome:
     """How a finished episode ended. A crash counts as a crash even where the goal was reached."""
-    if info["crashed"]:
+    if crashed:
         return "crash"
-    return "success" if info["is_success"] else "timeout"
+    return "success" if is_success else "timeout"

@@ -26,6 +26,11 @@ def check_env(env: EnvConfig) -> list[str]:
             f"env.policy_frequency={env.policy_frequency} is above env.simulation_frequency="
             f"{env.simulation_frequency}; the closest valid choice is {env.simulation_frequency}"
         )
+    if env.simulator == "vectorized":
+        problems += [
+            f"env.{option} is not simulated by env.simulator=vectorized; use env.simulator=highway_env"
+            for option in env.uncovered
+        ]
     try:
         signature(env.other_vehicles_type)
     except UnknownTarget as error:

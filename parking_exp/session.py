@@ -10,10 +10,10 @@ from stable_baselines3.common.callbacks import BaseCallback
 from parking_exp import checkpoints
 from parking_exp.algorithms import build_model, greedy_policy
 from parking_exp.checkpoints import Progress
-from parking_exp.config import RunConfig
+from parking_exp.config import RunConfig, Simulation
 from parking_exp.envs.vector import make_training_envs
-from parking_exp.errors import InterruptedRunError
-from parking_exp.evaluation import evaluate, rank, summarise
+from parking_exp.errors import CertificationError, InterruptedRunError
+from parking_exp.evaluation import differences, evaluate, rank, summarise
 from parking_exp.figures import learning_curves
 from parking_exp.loggers import make_logger
 from parking_exp.logs import MetricsLog, append_episodes, sync_logs
@@ -68,13 +68,18 @@ class Session:
         self.save_checkpoint()
 
     def finish(self) -> pd.DataFrame:
-        """Evaluate the final model on all scenes, store everything, and return the episodes."""
+        """Evaluate the final model on all scenes, store everything, and return the episodes on real highway-env.
+
+        Raises:
+            CertificationError: an episode went otherwise there than in the simulator; all tables are stored.
+        """
         path, evaluation = self.directory.path, self.config.evaluation
         self.bar.busy("final evaluation")
         episodes = self._run_episodes(evaluation.final_n_scenes)
         summary = self._store_evaluation(episodes.head(evaluation.n_scenes), "eval")
         self.bar.say(success_line(summary, self.model.num_timesteps))
         self._store_evaluation(episodes, "final")
+        certified = self._certify(episodes)
         self._dump()
         self.model.logger.close()
         self._save_model(self.directory.models / "final.zip")
@@ -89,7 +94,12 @@ class Session:
             self.tracker.log_file(self.directory.models / name, "models")
         self.tracker.flush()
         self.env.close()
-        return episodes
+        if found := differences(episodes, certified):
+            raise CertificationError(
+                f"{len(found)} of {len(episodes)} final episodes differ between env.simulator="
+                f"{self.config.env.simulator} and highway-env; {'; '.join(found[:3])}"
+            )
+        return certified
 
     def evaluate(self) -> None:
         """Evaluate on the first of the fixed scenes, and keep the model if it is the best so far."""
@@ -136,8 +146,20 @@ class Session:
         first = self.config.evaluation.first_scene
         return range(first, first + number)
 
-    def _run_episodes(self, number: int) -> pd.DataFrame:
-        return evaluate(self.policy, self.config.env, self._scenes(number), on_step=lambda _: self.stop_if_asked())
+    def _run_episodes(self, number: int, simulator: Simulation | None = None) -> pd.DataFrame:
+        def stop(_: int) -> None:
+            self.stop_if_asked()
+
+        return evaluate(self.policy, self.config.env, self._scenes(number), stop, simulator)
+
+    def _certify(self, episodes: pd.DataFrame) -> pd.DataFrame:
+        """Repeat the final evaluation on real highway-env, unless that is where it was made."""
+        certified = episodes
+        if self.config.env.simulator != "highway_env":
+            self.bar.busy("certification on highway-env")
+            certified = self._run_episodes(len(episodes), "highway_env")
+        self._store_evaluation(certified, "certified")
+        return certified
 
     def _store_evaluation(self, episodes: pd.DataFrame, phase: str) -> dict[str, float]:
         step, summary = self.model.num_timesteps, summarise(episodes)

@@ -47,7 +47,7 @@ def train(config: DictConfig | Mapping[str, Any] | RunConfig) -> RunResult:
             )
             return result
         directory.create(config)
-        with stop_on_signal() as stop, _torch_threads(config.torch_threads):
+        with stop_on_signal() as stop, _torch_settings(config):
             return _train(config, directory, stop)
 
 
@@ -107,8 +107,10 @@ def _record_failure(error: BaseException, directory: RunDirectory, tracker: Trac
 
 
 def _closing_words(result: RunResult) -> str:
-    rate = result.metrics.get("final/success_rate")
-    lines = [f"final success rate {rate:.1%} after {result.steps} env steps"] if rate is not None else []
+    rate = result.metrics.get("certified/success_rate")
+    lines = (
+        [f"final success rate {rate:.1%} on highway-env, after {result.steps} env steps"] if rate is not None else []
+    )
     lines.append(f"run directory  {result.run_dir}")
     if result.run_id:
         lines.append(f"MLflow run     {result.run_id}   (make ui)")
@@ -116,11 +118,13 @@ def _closing_words(result: RunResult) -> str:
 
 
 @contextmanager
-def _torch_threads(number: int | None) -> Iterator[None]:
-    before = torch.get_num_threads()
-    if number is not None:
-        torch.set_num_threads(number)
+def _torch_settings(config: RunConfig) -> Iterator[None]:
+    threads, precision = torch.get_num_threads(), torch.get_float32_matmul_precision()
+    if config.torch_threads is not None:
+        torch.set_num_threads(config.torch_threads)
+    torch.set_float32_matmul_precision(config.precision)
     try:
         yield
     finally:
-        torch.set_num_threads(before)
+        torch.set_num_threads(threads)
+        torch.set_float32_matmul_precision(precision)

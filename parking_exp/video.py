@@ -79,7 +79,7 @@ def _frames(policy: Policy, config: EnvConfig, scenes: Sequence[int]) -> Iterato
                 for image in [*between.take(), frame]:
                     yield _captioned(image, f"scene {scene}")
                 if done:
-                    end = _captioned(frame, f"scene {scene}: {outcome(info)}")
+                    end = _captioned(frame, f"scene {scene}: {outcome(info['crashed'], info['is_success'])}")
                     yield from [end] * round(HOLD_S * config.simulation_frequency)
     finally:
         env.close()

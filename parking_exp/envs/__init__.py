@@ -1,5 +1,24 @@
-"""Parking environments: highway-env's parking-v0 and the variants that the `env` group configures."""
+"""Parking environments: parking-v0 and its variants, as highway-env simulates them and as we do."""
 
-from parking_exp.envs.highway import SparseReward, make_env
+from collections.abc import Sequence
 
-__all__ = ["SparseReward", "make_env"]
+from parking_exp.config import EnvConfig, Simulation
+from parking_exp.envs.batch import Batch, Step
+from parking_exp.envs.highway import HighwayBatch, SparseReward, make_env
+from parking_exp.envs.scenes import Scenes
+from parking_exp.envs.simulator import Simulator
+
+__all__ = ["Batch", "HighwayBatch", "Scenes", "Simulator", "SparseReward", "Step", "make_env", "start"]
+
+
+def start(config: EnvConfig, scenes: Sequence[int], simulator: Simulation | None = None) -> Batch:
+    """Start scenes together; scene s is what `env.reset(seed=s)` of highway-env makes.
+
+    Args:
+        config: the `env` group; episodes last its `duration`.
+        scenes: seeds of `env.reset`.
+        simulator: what simulates them; None: the config's own.
+    """
+    if (simulator or config.simulator) == "highway_env":
+        return HighwayBatch(config, scenes)
+    return Simulator(config, Scenes.from_seeds(scenes, config.vehicles_count))

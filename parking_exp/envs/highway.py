@@ -1,5 +1,6 @@
 """parking-v0 as highway-env simulates it."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import gymnasium as gym
@@ -7,6 +8,9 @@ import highway_env
 import numpy as np
 
 from parking_exp.config import EnvConfig
+from parking_exp.envs.batch import Step
+from parking_exp.outcomes import Pose, relative_pose
+from parking_exp.policy import Observation
 
 gym.register_envs(highway_env)
 
@@ -24,8 +28,7 @@ class SparseReward(gym.Wrapper, gym.utils.RecordConstructorArgs):
     def step(self, action: np.ndarray) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         """Step the env; the reward is 0 or -1, plus the penalty of a collision."""
         observation, _, terminated, truncated, info = self.env.step(action)
-        reward = self.compute_reward(observation["achieved_goal"], observation["desired_goal"], info)
-        reward = float(reward) + self.unwrapped.config["collision_reward"] * info["crashed"]
+        reward = float(info["is_success"]) - 1.0 + self.unwrapped.config["collision_reward"] * info["crashed"]
         return observation, reward, terminated, truncated, info
 
     def compute_reward(self, achieved_goal: np.ndarray, desired_goal: np.ndarray, info: object) -> np.ndarray:
@@ -48,3 +51,47 @@ def make_env(config: EnvConfig, *, training: bool = False, render_mode: str | No
         config.id, config=config.highway_options(training), render_mode=render_mode, disable_env_checker=True
     )
     return SparseReward(env) if config.reward == "sparse" else env
+
+
+class HighwayBatch:
+    """n scenes of highway-env itself, an env for each, stepped together.
+
+    Args:
+        config: the `env` group; episodes last its `duration`.
+        scenes: seeds of `env.reset`.
+    """
+
+    def __init__(self, config: EnvConfig, scenes: Sequence[int]) -> None:
+        self.envs = [make_env(config) for _ in scenes]
+        self._all = list(self.envs)
+        self._observations = [env.reset(seed=int(scene))[0] for env, scene in zip(self.envs, scenes, strict=True)]
+
+    def __len__(self) -> int:
+        return len(self.envs)
+
+    def observe(self) -> Observation:
+        """Return the observation of all scenes."""
+        return {key: np.stack([one[key] for one in self._observations]) for key in self._observations[0]}
+
+    def step(self, actions: np.ndarray) -> Step:
+        """Step all scenes; actions have the shape (n, actions)."""
+        results = [env.step(action) for env, action in zip(self.envs, actions, strict=True)]
+        self._observations = [result[0] for result in results]
+        crashed, is_success = ([result[4][key] for result in results] for key in ("crashed", "is_success"))
+        columns = [[result[index] for result in results] for index in (1, 2, 3)]
+        return Step(self.observe(), *(np.array(column) for column in (*columns, crashed, is_success)))
+
+    def keep(self, rows: np.ndarray) -> None:
+        """Go on with some of the scenes only, by mask."""
+        self.envs = [env for env, kept in zip(self.envs, rows, strict=True) if kept]
+        self._observations = [one for one, kept in zip(self._observations, rows, strict=True) if kept]
+
+    def pose(self, row: int) -> Pose:
+        """Return the pose of a car relative to its goal."""
+        car = self.envs[row].unwrapped.vehicle
+        return relative_pose(car.position, car.heading, car.speed, car.goal.position, car.goal.heading)
+
+    def close(self) -> None:
+        """Close the envs."""
+        for env in self._all:
+            env.close()

@@ -4,10 +4,11 @@ import time
 from pathlib import Path
 
 from stable_baselines3.common.monitor import ResultsWriter
-from stable_baselines3.common.vec_env import DummyVecEnv, VecMonitor
+from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv, VecMonitor
 
 from parking_exp.config import EnvConfig
 from parking_exp.envs.highway import make_env
+from parking_exp.envs.vectorized import VectorizedParking
 
 MONITORED = ("is_success", "crashed")
 
@@ -23,7 +24,12 @@ def make_training_envs(
         monitor: file of finished training episodes (Stable-Baselines3's Monitor CSV). Rows are appended.
         elapsed_s: time that the run has taken before, so that the file's clock goes on.
     """
-    envs = VecMonitor(DummyVecEnv([lambda: make_env(config, training=True)] * n_envs), info_keywords=MONITORED)
+    simulated: VecEnv
+    if config.simulator == "vectorized":
+        simulated = VectorizedParking(config, n_envs, training=True)
+    else:
+        simulated = DummyVecEnv([lambda: make_env(config, training=True)] * n_envs)
+    envs = VecMonitor(simulated, info_keywords=MONITORED)
     envs.t_start = time.time() - elapsed_s
     if monitor is not None:
         header: dict[str, float | str] = {"t_start": envs.t_start, "env_id": config.id}

@@ -1,0 +1,450 @@
+"""parking-v0 for many scenes at once, exactly as highway-env simulates it, with NumPy alone.
+
+A policy step is a few simulation frames of constant action. Where nothing can be touched within the step, which is
+nearly everywhere, all frames are integrated for all scenes at once. The other scenes go frame by frame, with
+highway-env's order of things: limit the action, move, apply the impact of the frame before, look for collisions.
+"""
+
+from dataclasses import dataclass, fields
+from typing import Self
+
+import numpy as np
+
+from parking_exp.config import DEFAULT_FEATURES, DEFAULT_SCALES, EnvConfig
+from parking_exp.envs.batch import Step
+from parking_exp.envs.collisions import corners, out_of_reach, separating_axis
+from parking_exp.envs.kinematics import Range, advance, limited_acceleration, scale, slip_angle
+from parking_exp.envs.scenes import Scenes
+from parking_exp.errors import ConfigError
+from parking_exp.lot import (
+    CAR_DIAGONAL_M,
+    CAR_LENGTH_M,
+    CAR_WIDTH_M,
+    LOT_LENGTH_M,
+    LOT_WIDTH_M,
+    SLOT_HEADINGS,
+    SLOT_POSITIONS,
+    WALL_DIAGONALS,
+    WALL_HEADINGS,
+    WALL_LENGTHS,
+    WALL_POSITIONS,
+    WALL_THICKNESS_M,
+)
+from parking_exp.outcomes import Pose, relative_pose
+
+# highway-env's own ranges, where the config has none: of ContinuousAction and of Vehicle.
+ACCELERATION_RANGE_MPS2: Range = (-5.0, 5.0)
+STEERING_RANGE_RAD: Range = (-np.pi / 4, np.pi / 4)
+SPEED_RANGE_MPS: Range = (-40.0, 40.0)
+
+# Half the space between the walls' inner faces, shape (2, 1).
+FREE_M = np.array([[LOT_LENGTH_M - WALL_THICKNESS_M], [LOT_WIDTH_M - WALL_THICKNESS_M]]) / 2
+WALL_NORMALS = WALL_POSITIONS.T / np.linalg.norm(WALL_POSITIONS, axis=1)  # outwards, shape (2, 4)
+WALL_DISTANCES = np.linalg.norm(WALL_POSITIONS, axis=1) - WALL_THICKNESS_M / 2
+ROW_M = abs(float(SLOT_POSITIONS[0, 1]))
+COLUMNS = ("position", "direction")
+
+
+@dataclass
+class State:
+    """Everything that the future of n scenes depends on, besides the actions. Scenes are rows, or columns of `COLUMNS`.
+
+    Attributes:
+        goal: goal slots, shape (n,).
+        position: of the cars, shape (2, n) [m].
+        heading: shape (n,) [rad].
+        direction: its cosine and sine, shape (2, n).
+        speed: signed, shape (n,) [m/s].
+        crashed: shape (n,).
+        steps: policy steps since the start, shape (n,).
+        parked: positions of the parked cars, shape (n, vehicles_count, 2) [m].
+        parked_heading: shape (n, vehicles_count) [rad].
+        hit: whether `impact` is to be applied in the next frame, shape (n, 1 + vehicles_count); first the car itself.
+        impact: what a predicted collision will displace each by, shape (n, 1 + vehicles_count, 2) [m].
+        disturbed: whether a parked car has been hit, shape (n,).
+    """
+
+    goal: np.ndarray
+    position: np.ndarray
+    heading: np.ndarray
+    direction: np.ndarray
+    speed: np.ndarray
+    crashed: np.ndarray
+    steps: np.ndarray
+    parked: np.ndarray
+    parked_heading: np.ndarray
+    hit: np.ndarray
+    impact: np.ndarray
+    disturbed: np.ndarray
+
+    @classmethod
+    def at_start(cls, scenes: Scenes) -> Self:
+        """Return the state in which scenes start."""
+        n, count = scenes.parked.shape
+        state = cls(
+            goal=np.empty(n, np.int64),
+            position=np.empty((2, n)),
+            heading=np.empty(n),
+            direction=np.empty((2, n)),
+            speed=np.empty(n),
+            crashed=np.empty(n, bool),
+            steps=np.empty(n, np.int64),
+            parked=np.empty((n, count, 2)),
+            parked_heading=np.empty((n, count)),
+            hit=np.empty((n, 1 + count), bool),
+            impact=np.zeros((n, 1 + count, 2)),
+            disturbed=np.empty(n, bool),
+        )
+        state.restart(slice(None), scenes)
+        return state
+
+    def restart(self, rows: np.ndarray | slice, scenes: Scenes) -> None:
+        """Start new scenes in some rows."""
+        self.goal[rows], self.heading[rows] = scenes.goal, scenes.heading
+        self.direction[0, rows], self.direction[1, rows] = np.cos(scenes.heading), np.sin(scenes.heading)
+        self.position[:, rows] = 0.0
+        self.speed[rows] = 0.0
+        self.steps[rows] = 0
+        self.crashed[rows] = False
+        self.hit[rows] = False
+        self.disturbed[rows] = False
+        if self.parked.shape[1]:
+            self.parked[rows], self.parked_heading[rows] = SLOT_POSITIONS[scenes.parked], SLOT_HEADINGS[scenes.parked]
+
+    def take(self, rows: np.ndarray) -> Self:
+        """Return the state of some scenes, by index or mask, as a copy."""
+        return type(self)(**{name: a[:, rows] if name in COLUMNS else a[rows] for name, a in self.arrays()})
+
+    def put(self, rows: np.ndarray, other: Self) -> None:
+        """Replace the state of some scenes."""
+        for name, array in self.arrays():
+            array[(slice(None), rows) if name in COLUMNS else rows] = getattr(other, name)
+
+    def arrays(self) -> list[tuple[str, np.ndarray]]:
+        """Return all arrays by name."""
+        return [(field.name, getattr(self, field.name)) for field in fields(self)]
+
+
+class Simulator:
+    """n scenes of an env variant, stepped together.
+
+    The same scene and actions give highway-env's trajectory. Scenes are independent; none is ever reset by itself.
+
+    Args:
+        config: the `env` group.
+        scenes: where to start.
+        training: whether episodes last `training_duration` instead of `duration`.
+
+    Raises:
+        ConfigError: an option is not covered.
+    """
+
+    state: State
+
+    def __init__(self, config: EnvConfig, scenes: Scenes, *, training: bool = False) -> None:
+        if config.uncovered:
+            raise ConfigError(f"env.{config.uncovered[0]} is not simulated; use env.simulator=highway_env")
+        action = config.action
+        self.acceleration_range = _range(action.acceleration_range, ACCELERATION_RANGE_MPS2)
+        self.steering_range = _range(action.steering_range, STEERING_RANGE_RAD)
+        self.speed_range = _range(action.speed_range, SPEED_RANGE_MPS)
+        self.longitudinal, self.lateral, self.clip = action.longitudinal, action.lateral, action.clip
+        self.action_size = action.longitudinal + action.lateral
+        self.frames = config.simulation_frequency // config.policy_frequency
+        self.dt = 1 / config.simulation_frequency
+        self.episode_steps = config.episode_steps(training)
+        self.walls = config.add_walls
+        self.sparse = config.reward == "sparse"
+        self.weights = np.array(config.reward_weights, np.float64)
+        self.success_reward, self.collision_reward = -config.success_goal_reward, config.collision_reward
+        self.features = [DEFAULT_FEATURES.index(name) for name in config.observation.features]
+        self.scales = np.array(config.observation.scales, np.float64)
+        self.plain = config.observation.features == DEFAULT_FEATURES and config.observation.scales == DEFAULT_SCALES
+        slots = np.zeros((len(SLOT_HEADINGS), len(DEFAULT_FEATURES)))
+        slots[:, :2] = SLOT_POSITIONS
+        slots[:, 4], slots[:, 5] = np.cos(SLOT_HEADINGS), np.sin(SLOT_HEADINGS)
+        self._slot_goals = slots / DEFAULT_SCALES
+        self._slot_observed = slots[:, self.features] / self.scales
+        count = config.vehicles_count
+        self._lengths = np.append(np.full(1 + count, CAR_LENGTH_M), WALL_LENGTHS)
+        self._widths = np.append(np.full(1 + count, CAR_WIDTH_M), np.full(len(WALL_LENGTHS), WALL_THICKNESS_M))
+        self._diagonals = np.append(np.full(1 + count, CAR_DIAGONAL_M), WALL_DIAGONALS)
+        things = 1 + count + len(WALL_LENGTHS) * self.walls
+        pairs = [(first, second) for first in range(1, 1 + count) for second in range(first + 1, things)]
+        self._parked_pairs = np.array(pairs, int).reshape(-1, 2)
+        self.start(scenes)
+
+    def __len__(self) -> int:
+        return len(self.state.heading)
+
+    def start(self, scenes: Scenes, rows: np.ndarray | None = None) -> None:
+        """Start anew, all scenes or the given rows."""
+        if rows is None:
+            self.state = State.at_start(scenes)
+        else:
+            self.state.restart(rows, scenes)
+
+    def keep(self, rows: np.ndarray) -> None:
+        """Go on with some of the scenes only, by index or mask."""
+        self.state = self.state.take(rows)
+
+    def observe(self, rows: np.ndarray | slice = slice(None)) -> dict[str, np.ndarray]:
+        """Return the observation of all scenes, or of some."""
+        return self._observation(self._pose(rows), self.state.goal[rows])
+
+    def step(self, actions: np.ndarray) -> Step:
+        """Drive all scenes for one policy step.
+
+        Args:
+            actions: shape (n, 1 or 2), in [-1, 1]: acceleration, then steering, those that the config leaves.
+
+        Raises:
+            ValueError: the actions have another shape.
+        """
+        state = self.state
+        actions = np.asarray(actions)
+        if actions.shape != (len(self), self.action_size):
+            raise ValueError(f"actions have the shape {actions.shape}, not {(len(self), self.action_size)}")
+        acceleration, steering = self._controls(actions)
+        before = state.position, state.heading, state.speed
+        rows = self._drive(acceleration, steering)
+        if len(rows):
+            part = state.take(rows)
+            part.position, part.heading, part.speed = before[0][:, rows], before[1][rows], before[2][rows]
+            self._drive_by_frames(part, acceleration[rows], steering[rows])
+            state.put(rows, part)
+        state.steps += 1
+        return self._outcome()
+
+    def pose(self, row: int) -> Pose:
+        """Return the pose of a car relative to its goal."""
+        state, goal = self.state, self.state.goal[row]
+        return relative_pose(
+            state.position[:, row], state.heading[row], state.speed[row], SLOT_POSITIONS[goal], SLOT_HEADINGS[goal]
+        )
+
+    def close(self) -> None:
+        """Nothing to close."""
+
+    def get_state(self) -> dict[str, np.ndarray]:
+        """Return a copy of the state as plain arrays, to be saved and given to `set_state`."""
+        return {name: array.copy() for name, array in self.state.arrays()}
+
+    def set_state(self, state: dict[str, np.ndarray]) -> None:
+        """Restore a state; what follows is identical."""
+        self.state = State(**{name: np.array(array) for name, array in state.items()})
+
+    def compute_reward(self, achieved_goal: np.ndarray, desired_goal: np.ndarray, info: object = None) -> np.ndarray:
+        """Return the reward of goals, collisions apart: shape (...) for goals of shape (..., 6)."""
+        dense = self._dense_reward(achieved_goal, desired_goal)
+        return np.where(dense > self.success_reward, 0.0, -1.0) if self.sparse else dense
+
+    def _controls(self, actions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        if self.clip:
+            actions = np.minimum(np.maximum(actions, -1), 1)
+        none = np.zeros(len(actions))
+        return (
+            scale(actions[:, 0], self.acceleration_range) if self.longitudinal else none,
+            scale(actions[:, -1], self.steering_range) if self.lateral else none,
+        )
+
+    def _drive(self, acceleration: np.ndarray, steering: np.ndarray) -> np.ndarray:
+        """Integrate all frames of a step as if nothing were in the way; return the rows where that may be wrong.
+
+        The bounds are generous, for every frame of the step and the one that collisions are predicted for.
+        """
+        state = self.state
+        position, heading, speed = state.position, state.heading, state.speed
+        slip = slip_angle(steering)
+        sin_slip = np.sin(slip)
+        farthest = np.abs(position)
+        for _ in range(self.frames):
+            position, heading, speed = advance(position, heading, speed, acceleration, slip, sin_slip, self.dt)
+            if self.walls:
+                np.maximum(farthest, np.abs(position), out=farthest)
+
+        before = state.speed
+        state.position, state.heading, state.speed, state.direction = position, heading, speed, _direction(heading)
+        low, high = self.speed_range
+        slowest, fastest = np.minimum(before, speed), np.maximum(before, speed)
+        may = state.crashed | state.hit[:, 0]
+        may |= slowest < low
+        may |= fastest > high
+        ahead = np.maximum(fastest, -slowest) * self.dt
+        if self.walls:
+            # Half the car's extent along both axes, at the end; before, it was turned by at most `turn`.
+            direction = np.abs(state.direction)
+            extent = direction * (CAR_LENGTH_M / 2) + direction[::-1] * (CAR_WIDTH_M / 2)
+            turn = np.abs(sin_slip) * ahead * (self.frames / (CAR_LENGTH_M / 2))
+            near = farthest + extent + (ahead + turn * (CAR_DIAGONAL_M / 2)) > FREE_M
+            may |= near[0]
+            may |= near[1]
+        if state.parked.shape[1]:
+            may |= self._near_parked(ahead * (self.frames + 1) + CAR_DIAGONAL_M)
+        return np.flatnonzero(may)
+
+    def _near_parked(self, reach: np.ndarray) -> np.ndarray:
+        """Return a mask of the scenes where a parked car is near, or no longer where it stood."""
+        state = self.state
+        near: np.ndarray = state.disturbed.copy()
+        close = np.flatnonzero(np.abs(state.position[1]) + reach > ROW_M)
+        offset = state.parked[close] - state.position[:, close].T[:, None, :]
+        near[close] |= (offset[..., 0] ** 2 + offset[..., 1] ** 2 < reach[close, None] ** 2).any(axis=1)
+        return near
+
+    def _drive_by_frames(self, state: State, acceleration: np.ndarray, steering: np.ndarray) -> None:
+        """Integrate a step frame by frame, in place, with speed limits, collisions and their consequences."""
+        low, high = self.speed_range
+        fastest = np.abs(state.speed) + np.abs(acceleration) * (self.frames * self.dt)
+        limited = fastest.max() > min(-low, high)
+        for _ in range(self.frames):
+            if state.crashed.any():
+                steering = np.where(state.crashed, 0.0, steering)
+                acceleration = np.where(state.crashed, -state.speed, acceleration)
+            if limited:
+                acceleration = limited_acceleration(acceleration, state.speed, self.speed_range)
+            slip = slip_angle(steering)
+            state.position, state.heading, state.speed = advance(
+                state.position, state.heading, state.speed, acceleration, slip, np.sin(slip), self.dt
+            )
+            if state.hit.any():
+                impact = np.where(state.hit[..., None], state.impact, 0.0)
+                state.position += impact[:, 0].T
+                state.parked += impact[:, 1:]
+                state.crashed |= state.hit[:, 0]
+                state.hit[:] = False
+            state.direction = _direction(state.heading)
+            self._collide(state)
+
+    def _collide(self, state: State) -> None:
+        """Find the collisions of a frame, and note crashes and impacts.
+
+        Things are numbered: 0 is the car, then come the parked cars, then the walls.
+        """
+        scene, things = self._close_pairs(state)
+        if not len(scene):
+            return
+        n, count = len(state.heading), 1 + state.parked.shape[1]
+        centres, headings = np.empty((n, len(self._lengths), 2)), np.empty((n, len(self._lengths)))
+        centres[:, 0], centres[:, 1:count], centres[:, count:] = state.position.T, state.parked, WALL_POSITIONS
+        headings[:, 0], headings[:, 1:count], headings[:, count:] = state.heading, state.parked_heading, WALL_HEADINGS
+        scenes = scene.repeat(2).reshape(-1, 2)
+        heading = headings[scenes, things]
+        polygons = corners(centres[scenes, things], heading, self._lengths[things], self._widths[things])
+        by_ego = things[:, 0] == 0
+        velocity = (state.speed * state.direction)[:, scene] * by_ego  # only the car moves by itself
+        now, soon, push = separating_axis(polygons, velocity.T * self.dt)
+        state.crashed[scene[now & by_ego]] = True
+
+        if not soon.any():
+            return
+        scenes, things, push = scenes[soon], things[soon], push[soon]
+        cars = things < count  # walls stay where they are
+        by_car = cars[:, 1]
+        push[by_car] /= 2
+        impact = np.empty((len(push), 2, 2))
+        impact[:, 0] = push
+        np.negative(push, out=impact[:, 1])
+        # Pairs stand in highway-env's order: where a car is pushed twice, the last push counts, as NumPy assigns.
+        pushed = scenes[cars], things[cars]
+        state.hit[pushed] = True
+        state.impact[pushed] = impact[cars]
+        state.disturbed[scenes[by_car, 0]] = True
+
+    def _close_pairs(self, state: State) -> tuple[np.ndarray, np.ndarray]:
+        """Return the pairs of things to be looked at closely, in highway-env's order: their scenes, and (n, 2) things.
+
+        That is, in each scene the car with the parked ones, then with the walls, then the parked ones with theirs.
+        """
+        centres, count = state.position.T, 1 + state.parked.shape[1]
+        travel = state.speed * self.dt
+        found = []
+        if count > 1:
+            offset = state.parked - centres[:, None]
+            scene, parked = np.nonzero(~out_of_reach(offset, CAR_DIAGONAL_M, CAR_DIAGONAL_M, travel[:, None]))
+            found.append((scene, _with_car(1 + parked)))
+        if self.walls:
+            # The circles around the walls hold most of the lot: leave out first what cannot reach the line of a wall.
+            outward = centres @ WALL_NORMALS
+            outward += (np.abs(travel) + CAR_DIAGONAL_M / 2)[:, None]
+            scene, wall = np.nonzero(outward > WALL_DISTANCES)
+            if len(scene):
+                near = ~out_of_reach(
+                    WALL_POSITIONS[wall] - centres[scene], CAR_DIAGONAL_M, WALL_DIAGONALS[wall], travel[scene]
+                )
+                if not near.all():
+                    scene, wall = scene[near], wall[near]
+            found.append((scene, _with_car(count + wall)))
+        if state.disturbed.any():
+            found.append(self._close_parked_pairs(state))
+        if len(found) == 1:
+            return found[0]
+        if not found:
+            return np.empty(0, int), np.empty((0, 2), int)
+        return np.concatenate([scene for scene, _ in found]), np.concatenate([things for _, things in found])
+
+    def _close_parked_pairs(self, state: State) -> tuple[np.ndarray, np.ndarray]:
+        rows = np.flatnonzero(state.disturbed)
+        first, second = self._parked_pairs.T
+        positions = np.concatenate([state.parked[rows], np.tile(WALL_POSITIONS, (len(rows), 1, 1))], axis=1)
+        offset = positions[:, second - 1] - positions[:, first - 1]
+        row, pair = np.nonzero(~out_of_reach(offset, CAR_DIAGONAL_M, self._diagonals[second], np.zeros(1)))
+        return rows[row], self._parked_pairs[pair]
+
+    def _pose(self, rows: np.ndarray | slice = slice(None)) -> np.ndarray:
+        """Return x, y, vx, vy, cos_h, sin_h of the cars, shape (n, 6), in m and m/s."""
+        state = self.state
+        pose = np.empty((6, len(state.heading[rows])))
+        pose[:2], pose[4:] = state.position[:, rows], state.direction[:, rows]
+        np.multiply(state.speed[rows], pose[4:], out=pose[2:4])
+        return pose.T
+
+    def _observation(self, pose: np.ndarray, goal: np.ndarray) -> dict[str, np.ndarray]:
+        observed = np.divide(pose if self.plain else pose[:, self.features], self.scales, order="C")
+        return {
+            "observation": observed,
+            "achieved_goal": observed.copy(),
+            "desired_goal": self._slot_observed[goal],
+        }
+
+    def _outcome(self) -> Step:
+        state, pose = self.state, self._pose()
+        observation = self._observation(pose, state.goal)
+        # Rewards are always computed in highway-env's own features and scales.
+        achieved = observation["achieved_goal"] if self.plain else pose / DEFAULT_SCALES
+        reward = self._dense_reward(achieved, self._slot_goals[state.goal])
+        success = reward > self.success_reward
+        if self.sparse:
+            reward = np.where(success, 0.0, -1.0)
+        crashed = state.crashed.copy()
+        return Step(
+            observation=observation,
+            reward=reward + self.collision_reward * crashed,
+            terminated=crashed | success,
+            truncated=state.steps >= self.episode_steps,
+            crashed=crashed,
+            is_success=success,
+        )
+
+    def _dense_reward(self, achieved: np.ndarray, desired: np.ndarray) -> np.ndarray:
+        """Return the negative square root of the weighted distance, highway-env's `compute_reward`."""
+        reward: np.ndarray = -np.sqrt(np.vecdot(np.abs(achieved - desired), self.weights))
+        return reward
+
+
+def _direction(heading: np.ndarray) -> np.ndarray:
+    direction = np.empty((2, len(heading)))
+    np.cos(heading, out=direction[0])
+    np.sin(heading, out=direction[1])
+    return direction
+
+
+def _with_car(things: np.ndarray) -> np.ndarray:
+    """Pair the car itself, thing 0, with others."""
+    pairs = np.zeros((len(things), 2), np.int64)
+    pairs[:, 1] = things
+    return pairs
+
+
+def _range(bounds: list[float] | None, default: Range) -> Range:
+    return default if bounds is None else (bounds[0], bounds[1])

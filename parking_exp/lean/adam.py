@@ -1,0 +1,97 @@
+"""Adam and Polyak averaging on all parameters of a network at once, in one piece of memory."""
+
+from collections.abc import Sequence
+
+import torch
+
+
+class Flat:
+    """Tensors that lie side by side in one vector; an operation on the vector is one on each of them.
+
+    They stay the same objects, in place: what reads, saves or loads them notices nothing.
+
+    Args:
+        tensors: their data moves into the vector.
+    """
+
+    def __init__(self, tensors: Sequence[torch.Tensor]) -> None:
+        self.tensors = list(tensors)
+        self.vector = torch.cat([tensor.detach().reshape(-1) for tensor in self.tensors])
+        self.views = self.split(self.vector)
+        for tensor, view in zip(self.tensors, self.views, strict=True):
+            tensor.data = view
+
+    def split(self, vector: torch.Tensor) -> list[torch.Tensor]:
+        """Return parts of a vector of the same length, with the tensors' shapes."""
+        parts = vector.split([tensor.numel() for tensor in self.tensors])
+        return [part.view(tensor.shape) for part, tensor in zip(parts, self.tensors, strict=True)]
+
+    @property
+    def is_whole(self) -> bool:
+        """Whether the tensors still lie in the vector; a copy or a move to a device takes them out."""
+        return all(tensor.data_ptr() == view.data_ptr() for tensor, view in zip(self.tensors, self.views, strict=True))
+
+
+class Adam:
+    """Steps a `torch.optim.Adam`, whose parameters are one `Flat`, with the operations of torch's own, in their order.
+
+    The state stays the optimizer's, so it is saved and loaded as ever.
+
+    Attributes:
+        gradient: to be written before `step`, one vector.
+        gradients: the same in parts, in the order and shapes of the parameters.
+    """
+
+    def __init__(self, optimizer: torch.optim.Optimizer, parameters: Flat) -> None:
+        self.optimizer, self.parameters = optimizer, parameters
+        self.gradient = torch.zeros_like(parameters.vector)
+        self.gradients = parameters.split(self.gradient)
+        states = [optimizer.state[parameter] for parameter in parameters.tensors]
+        for state, parameter in zip(states, parameters.tensors, strict=True):
+            state.setdefault("step", torch.tensor(0.0, dtype=torch.float32))
+            state.setdefault("exp_avg", torch.zeros_like(parameter))
+            state.setdefault("exp_avg_sq", torch.zeros_like(parameter))
+        self._steps = [state["step"] for state in states]
+        self._step = int(self._steps[0].item())
+        self._mean = Flat([state["exp_avg"] for state in states])
+        self._square = Flat([state["exp_avg_sq"] for state in states])
+
+    @property
+    def is_bound(self) -> bool:
+        """Whether the optimizer's state is still the one that is stepped here; loading replaces it."""
+        state = self.optimizer.state
+        mine = zip(self.parameters.tensors, self._mean.tensors, strict=True)
+        return (
+            self.parameters.is_whole
+            and all(state[parameter].get("exp_avg") is mean for parameter, mean in mine)
+            and int(self._steps[0].item()) == self._step
+        )
+
+    def step(self) -> None:
+        """Update the parameters."""
+        (group,) = self.optimizer.param_groups
+        gradient, mean, square = self.gradient, self._mean.vector, self._square.vector
+        beta1, beta2 = group["betas"]
+        self._step += 1
+        torch._foreach_add_(self._steps, 1)
+        if group["weight_decay"]:
+            gradient = gradient.add(self.parameters.vector, alpha=group["weight_decay"])
+        mean.lerp_(gradient, 1 - beta1)
+        square.mul_(beta2).addcmul_(gradient, gradient, value=1 - beta2)
+        scale = (1 - beta2**self._step) ** 0.5
+        denominator = square.sqrt().div_(scale).add_(group["eps"])
+        self.parameters.vector.addcdiv_(mean, denominator, value=-group["lr"] / (1 - beta1**self._step))
+
+
+def follow(target: Flat, source: Flat, tau: float) -> None:
+    """Move `target` towards `source` by Polyak averaging, as Stable-Baselines3 does."""
+    target.vector.mul_(1 - tau).add_(source.vector, alpha=tau)
+
+
+def is_plain(optimizer: torch.optim.Optimizer) -> bool:
+    """Whether an optimizer is Adam as Stable-Baselines3 makes it by default: one group, on the CPU, no variants."""
+    if type(optimizer) is not torch.optim.Adam or len(optimizer.param_groups) != 1:
+        return False
+    group = optimizer.param_groups[0]
+    variants = ("amsgrad", "maximize", "capturable", "differentiable", "decoupled_weight_decay")
+    return not any(group.get(name) for name in variants) and group["params"][0].device.type == "cpu"

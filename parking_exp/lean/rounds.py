@@ -1,0 +1,72 @@
+"""Minibatches of one round of updates, sampled together and turned into features once."""
+
+from collections.abc import Iterator
+from typing import Any, NamedTuple
+
+import torch
+from stable_baselines3.common.buffers import DictReplayBuffer, ReplayBuffer
+from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
+from stable_baselines3.her import HerReplayBuffer
+
+# Their `sample` draws transitions independently, so that one large sample is as good as several small ones.
+INDEPENDENT = (ReplayBuffer, DictReplayBuffer, HerReplayBuffer)
+
+
+class Minibatch(NamedTuple):
+    """What one update learns from: B transitions.
+
+    Attributes:
+        features: of the observations, then of the next ones, shape (2 B, features).
+        actions: shape (B, actions).
+        rewards: shape (B, 1).
+        discounts: what the next value counts: gamma, or 0 where the episode terminated; shape (B, 1).
+    """
+
+    features: torch.Tensor
+    actions: torch.Tensor
+    rewards: torch.Tensor
+    discounts: torch.Tensor
+
+
+def sample_round(model: OffPolicyAlgorithm, steps: int, batch_size: int) -> Iterator[Minibatch]:
+    """Sample all minibatches of a round, and yield them one by one.
+
+    Buffers known to draw independently are asked once for all of it. HER gives virtual transitions last; dealt out in
+    turn, each minibatch has its share of them, to within one transition.
+    """
+    buffer, normalize = model.replay_buffer, model._vec_normalize_env
+    assert buffer is not None
+    if steps > 1 and type(buffer) in INDEPENDENT and "sample" not in vars(buffer):
+        data: Any = buffer.sample(steps * batch_size, env=normalize)
+        if len(data.rewards) == steps * batch_size:
+            return _collate(model, [data], steps)
+    return _collate(model, [buffer.sample(batch_size, env=normalize) for _ in range(steps)], steps)
+
+
+def _collate(model: Any, samples: list[Any], steps: int) -> Iterator[Minibatch]:
+    actor = model.actor
+
+    def dealt(parts: list[torch.Tensor]) -> torch.Tensor:
+        """Shape (G, B, ...): several minibatches as they are, one large one dealt out in turn."""
+        if len(parts) == steps:
+            return torch.stack(parts)
+        (rows,) = parts
+        return rows.unflatten(0, (-1, steps)).transpose(0, 1)
+
+    def features(observations: list[Any]) -> torch.Tensor:
+        return dealt([actor.extract_features(observation, actor.features_extractor) for observation in observations])
+
+    discounts = [
+        (1 - data.dones) * (model.gamma if getattr(data, "discounts", None) is None else data.discounts)
+        for data in samples
+    ]
+    parts = (
+        torch.cat(
+            [features([data.observations for data in samples]), features([data.next_observations for data in samples])],
+            dim=1,
+        ),
+        dealt([data.actions for data in samples]).contiguous(),
+        dealt([data.rewards for data in samples]).contiguous(),
+        dealt(discounts).contiguous(),
+    )
+    return map(Minibatch, *parts)
