@@ -1,9 +1,10 @@
 """How an episode ended, and where the car stood: the one definition of success, crash, timeout and parked."""
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
+
+import numpy as np
 
 from parking_exp.lot import CAR_LENGTH_M, CAR_WIDTH_M, SLOT_LENGTH_M, SLOT_WIDTH_M
 
@@ -51,9 +52,9 @@ class Pose:
 
 
 def relative_pose(
-    position: Sequence[float], heading: float, speed: float, goal_position: Sequence[float], goal_heading: float
+    position: np.ndarray, heading: float, speed: float, goal_position: np.ndarray, goal_heading: float
 ) -> Pose:
-    """Return the pose of a car relative to its goal slot; positions are (x, y)."""
+    """Return the pose of a car relative to its goal slot; positions are (x, y), shape (2,)."""
     dx, dy = position[0] - goal_position[0], position[1] - goal_position[1]
     cos, sin = math.cos(goal_heading), math.sin(goal_heading)
     error = (heading - goal_heading + math.pi) % (2 * math.pi) - math.pi

@@ -62,7 +62,7 @@ class Perceptron:
 
 
 def linear_layers(module: nn.Sequential) -> list[nn.Linear] | None:
-    """Return the layers of a perceptron with ReLU between them (and Tanh at the end, if any), or None if it is other."""
+    """Return the layers of a perceptron with ReLU between them, a Tanh at the end apart; None if it is other."""
     children = list(module)
     if children and isinstance(children[-1], nn.Tanh):
         children.pop()

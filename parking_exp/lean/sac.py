@@ -101,7 +101,8 @@ class _Update:
         noise[1].normal_()
         # The actor is the same for the states and the next ones: one pass for both.
         values = self.actor.forward(both)
-        policy = _Squashed(*values[-1].chunk(2, 1), noise.flatten(0, 1))
+        mean, raw_log_std = values[-1].chunk(2, 1)
+        policy = _Squashed(mean, raw_log_std, noise.flatten(0, 1))
         log_prob, next_log_prob = policy.log_prob[:batch], policy.log_prob[batch:]
         ent_coef, logged = self._update_ent_coef(model, log_prob)
 
