@@ -1,95 +1,160 @@
-"""Speed as ratios: each figure against a named peer, both measured in one run on the same core."""
+"""Speed as ratios: each figure against a named peer, both measured in turn in one run on the same core."""
 
-import json
+import importlib.util
 import os
-import statistics
-import subprocess
-import sys
-import tempfile
-import time
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator
+from importlib.metadata import version
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 from omegaconf import DictConfig
 from pydantic import Field
 
 from parking_exp.config import Positive, Section
+from parking_exp.errors import ConfigError
 from parking_exp.files import write_json
 from parking_exp.validation import parse
+from parking_exp.wording import closest
 
-# Evaluation is what a run is for, not overhead: one scene stands in for it.
-TRACKED = [
-    "evaluation.every_n_steps=null", "evaluation.n_scenes=1", "evaluation.final_n_scenes=1",
-    "evaluation.video_episodes=0", "tracking.progress_bar=false",
-]  # fmt: skip
-TRACKED_SIDE = "import sys; from parking_exp.cli import train; sys.argv[1:] = {overrides!r}; train()"
-BARE_SIDE = """
-import json, sys, torch
-from stable_baselines3.common.logger import Logger
-from parking_exp.algorithms import build_model
-from parking_exp.config import RunConfig
-from parking_exp.envs.vector import make_training_envs
-config = RunConfig.model_validate(json.load(sys.stdin))
-torch.set_num_threads(config.torch_threads or torch.get_num_threads())
-model = build_model(config, make_training_envs(config.env, config.n_envs), seed=config.seed)
-model.set_logger(Logger(None, []))
-model.learn(config.total_timesteps)
-"""
+ALGORITHMS, NETS = ("sac", "td3", "ddpg"), {"3x256": "[256,256,256]", "2x64": "[64,64]"}
+TARGETS = {
+    "simulator.n512.ratio": (">=", 3000.0),
+    "simulator.n8.ratio": (">=", 250.0),
+    "simulator.parked.n512.ratio": (">=", 1500.0),
+    "evaluation.500_scenes.wall_s": ("<=", 1.0),
+    **{f"update.{algorithm}.3x256.ratio": (">=", 1.6) for algorithm in ALGORITHMS},
+    **{f"update.{algorithm}.2x64.ratio": (">=", 2.0) for algorithm in ALGORITHMS},
+    "run.article.ratio": (">=", 1.8),
+    "run.default.overhead": ("<=", 1.03),
+}
+PEERS = {
+    "simulator": ("highway_env",),
+    "update": ("stable_baselines3",),
+    "run.article": ("stable_baselines3", "highway_env"),
+}
 
 
 class BenchmarkConfig(Section):
     """The config of scripts/benchmark.py."""
 
     output_dir: str
-    steps: Positive | None
+    only: list[str] | None
     rounds: Positive
+    quick: bool
     core: Annotated[int, Field(ge=0)] | None
+
+
+def validate_benchmark(config: DictConfig) -> BenchmarkConfig:
+    """Check a composed config and return it typed.
+
+    Raises:
+        ConfigError: with a sentence for each thing that is wrong.
+    """
+    settings = parse(BenchmarkConfig, config)
+    for name in settings.only or []:
+        if not any(key.startswith(name) for key in TARGETS):
+            raise ConfigError(f"only={name}: no figure begins so{closest(name, TARGETS)}")
+    if settings.core is not None and hasattr(os, "sched_getaffinity"):
+        cores = sorted(os.sched_getaffinity(0))
+        if settings.core not in cores:
+            raise ConfigError(f"core={settings.core}: this process may run on {cores}; the closest is {cores[-1]}")
+    return settings
 
 
 def benchmark(config: DictConfig) -> Path:
     """Measure, print a table, and write `benchmark.json` under the output directory; return its path."""
-    settings = parse(BenchmarkConfig, config)
+    settings = validate_benchmark(config)
     if settings.core is not None and hasattr(os, "sched_setaffinity"):
         os.sched_setaffinity(0, {settings.core})
-    results = {"run.default.overhead": _overhead(settings)}
+    import torch
+    from rich.console import Console
+
+    torch.set_num_threads(1)
+    console = Console(stderr=True)
+    results: dict[str, dict[str, Any]] = {}
+    with console.status("starting") as status:
+        for key, measure in _figures(settings):
+            status.update(key)
+            missing = _missing(key)
+            results[key] = {"missing": missing} if missing else measure()
     path = Path(settings.output_dir).expanduser().absolute() / "benchmark.json"
     path.parent.mkdir(parents=True, exist_ok=True)
-    write_json(path, results)
-    for key, entry in results.items():
-        print(f"{key}  {entry['ratio']:.3f}  (ours {entry['ours_s']} s, bare Stable-Baselines3 {entry['peer_s']} s)")
+    about = {"quick": settings.quick, "core": settings.core, "versions": _versions()}
+    write_json(path, {**results, "about": about})
+    print(_table(results))
     print(f"written to {path}")
     return path
 
 
-def _overhead(settings: BenchmarkConfig) -> dict[str, float | list[float]]:
-    from parking_exp.composition import composed
-    from parking_exp.validation import validate
+def _figures(settings: BenchmarkConfig) -> Iterator[tuple[str, Callable[[], dict[str, Any]]]]:
+    """Yield key and measurement of every figure that is asked for."""
+    from parking_exp.measurements import runs, simulation, updates
 
-    steps = [] if settings.steps is None else [f"total_timesteps={settings.steps}"]
-    ours, peer = [], []
-    for number in range(settings.rounds):
-        with tempfile.TemporaryDirectory() as folder:
-            overrides = [*TRACKED, *steps, f"seed={number}", f"output_dir={folder}"]
-            (point,) = composed("config", overrides)
-            ours.append(_seconds(TRACKED_SIDE.format(overrides=overrides), ""))
-            peer.append(_seconds(BARE_SIDE, json.dumps(validate(point).plain())))
-    ratios = [mine / theirs for mine, theirs in zip(ours, peer, strict=True)]
-    return {
-        "ratio": statistics.median(ratios),
-        "lowest": min(ratios),
-        "highest": max(ratios),
-        "ours_s": _rounded(ours),
-        "peer_s": _rounded(peer),
+    quick, rounds = settings.quick, settings.rounds
+    kept: dict[str, Any] = {}  # the policy trained for one figure serves another
+
+    def stepping(scenes: int, option: str) -> dict[str, Any]:
+        env = runs.run_config(f"env={option}").env
+        return simulation.stepping(env, scenes, rounds, seconds=0.1 if quick else 1.0)
+
+    def update(algorithm: str, net: str) -> dict[str, Any]:
+        wide = "256" in net
+        features = ["algorithm.features=raw"] if wide else []  # as the tutorial has it
+        config = runs.run_config(
+            f"algorithm={algorithm}", f"algorithm.net_arch={net}", "algorithm.batch_size=256", *features
+        )
+        return updates.updates(config, rounds, updates_a_slice=(8 if quick else 24) if wide else (16 if quick else 120))
+
+    def overhead() -> dict[str, Any]:
+        steps, slice_steps = (1400, 80) if quick else (20_000, 1000)
+        entry, kept["policy"] = runs.overhead(rounds, steps, slice_steps)
+        return entry
+
+    def evaluation() -> dict[str, Any]:
+        if "policy" not in kept:
+            overhead()
+        return simulation.bulk_evaluation(kept["policy"], runs.run_config().env, 500, rounds)
+
+    figures: dict[str, Callable[[], dict[str, Any]]] = {
+        "simulator.n512.ratio": lambda: stepping(512, "parking"),
+        "simulator.n8.ratio": lambda: stepping(8, "parking"),
+        "simulator.parked.n512.ratio": lambda: stepping(512, "parking_parked"),
+        "run.default.overhead": overhead,
+        "evaluation.500_scenes.wall_s": evaluation,
+        **{
+            f"update.{algorithm}.{name}.ratio": lambda algorithm=algorithm, net=net: update(algorithm, net)  # type: ignore[misc]
+            for name, net in NETS.items()
+            for algorithm in ALGORITHMS
+        },
+        "run.article.ratio": lambda: runs.article(rounds, steps=rounds * 8 if quick else 3000),
     }
+    for key, measure in figures.items():
+        if settings.only is None or any(key.startswith(name) for name in settings.only):
+            yield key, measure
 
 
-def _seconds(code: str, text: str) -> float:
-    """Wall seconds of a fresh Python process, its imports included."""
-    start = time.perf_counter()
-    subprocess.run([sys.executable, "-c", code], input=text, text=True, check=True, capture_output=True)
-    return time.perf_counter() - start
+def _missing(key: str) -> str | None:
+    """Return what a figure's peer needs and is not installed."""
+    needs = next((modules for prefix, modules in PEERS.items() if key.startswith(prefix)), ())
+    absent = [name for name in needs if importlib.util.find_spec(name) is None]
+    return f"{', '.join(absent)} not installed" if absent else None
 
 
-def _rounded(values: Sequence[float]) -> list[float]:
-    return [round(value, 1) for value in values]
+def _versions() -> dict[str, str]:
+    return {name: version(name) for name in ("parking-exp", "torch", "stable-baselines3", "highway-env", "numpy")}
+
+
+def _table(results: dict[str, dict[str, Any]]) -> str:
+    lines = [f"{'figure':<30}{'median':>9}  {'spread':<19}{'target':<10}  peer"]
+    for key, entry in results.items():
+        sign, bound = TARGETS[key]
+        target = f"{sign} {bound:g}"
+        if "missing" in entry:
+            lines.append(f"{key:<30}{'-':>9}  {'':<19}{target:<10}  {entry['missing']}")
+            continue
+        value = entry["wall_s"] if key.endswith("wall_s") else entry["ratio"]
+        met = value >= bound if sign == ">=" else value <= bound
+        low, high = entry["lowest"], entry["highest"]
+        words = f"{target:<10}  {entry.get('peer', '')}{'' if met else '   MISSED'}"
+        lines.append(f"{key:<30}{value:>9.4g}  {f'{low:.4g} to {high:.4g}':<19}{words}")
+    return "\n".join(lines)

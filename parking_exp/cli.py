@@ -16,7 +16,7 @@ from omegaconf import DictConfig
 
 from parking_exp.composition import VERSION_BASE, composed, config_dir, quoted
 from parking_exp.errors import InterruptedRunError, ParkingError
-from parking_exp.validation import parse, validate
+from parking_exp.validation import validate
 
 
 def train() -> None:
@@ -39,10 +39,11 @@ def evaluate() -> None:
 
 def benchmark() -> None:
     """Entry point of `scripts/benchmark.py` and `parking-benchmark`."""
-    from parking_exp.benchmark import BenchmarkConfig
     from parking_exp.benchmark import benchmark as measure
+    from parking_exp.benchmark import validate_benchmark
 
-    _command("benchmark", check=lambda config: parse(BenchmarkConfig, config), task=measure)
+    sys.argv = ["quick=true" if argument == "--quick" else argument for argument in sys.argv]
+    _command("benchmark", check=validate_benchmark, task=measure)
 
 
 def _command(config_name: str, check: Callable[[DictConfig], object], task: Callable[[DictConfig], object]) -> None:

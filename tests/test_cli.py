@@ -115,11 +115,33 @@ def test_hydras_own_config_dir_adds_options(tmp_path):
 
 
 def test_the_benchmark_measures_and_writes(tmp_path):
-    done = run_script("benchmark", "steps=16", "core=null", f"output_dir={tmp_path}")
+    done = run_script("benchmark", "--quick", "only=[simulator,update.ddpg.2x64]", f"output_dir={tmp_path}")
     assert done.returncode == 0, done.stderr
-    (entry,) = json.loads((tmp_path / "benchmark.json").read_text()).values()
-    assert entry["ratio"] == pytest.approx(entry["ours_s"][0] / entry["peer_s"][0], rel=0.05)
-    assert done.stdout.startswith(f"run.default.overhead  {entry['ratio']:.3f}")
+    written = json.loads((tmp_path / "benchmark.json").read_text())
+    assert written.pop("about")["quick"] is True
+    assert list(written) == [
+        "simulator.n512.ratio", "simulator.n8.ratio", "simulator.parked.n512.ratio", "update.ddpg.2x64.ratio",
+    ]  # fmt: skip
+    for key, entry in written.items():
+        assert entry["rounds"] == 5
+        assert entry["lowest"] <= entry["ratio"] <= entry["highest"]
+        (line,) = [line for line in done.stdout.splitlines() if line.startswith(key)]
+        assert f"{entry['ratio']:.4g}" in line
+
+
+@pytest.mark.parametrize(
+    ("argument", "message"),
+    [
+        ("only=[simulater]", "error: only=simulater: no figure begins so; did you mean 'simulator.n8.ratio'?\n"),
+        ("core=999", "error: core=999: this process may run on "),
+        ("rounds=0", "error: rounds=0 is out of range; the closest valid choice is 1\n"),
+    ],
+)
+def test_a_benchmark_that_cannot_be_is_refused(argument, message, tmp_path):
+    done = run_script("benchmark", argument, cwd=tmp_path)
+    assert done.returncode == 2
+    assert done.stderr.startswith(message)
+    assert not list(tmp_path.iterdir())
 
 
 def test_a_multirun_runs_every_point(tmp_path):

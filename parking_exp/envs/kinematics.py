@@ -11,11 +11,21 @@ from parking_exp.lot import CAR_LENGTH_M
 Range = tuple[float, float]
 
 
-def scale(action: np.ndarray, bounds: Range) -> np.ndarray:
-    """Map an action in [-1, 1] to `bounds`, in the precision of the action, as highway-env does."""
-    low, high = bounds
-    scaled: np.ndarray = low + (action - -1) * (high - low) / 2
-    return scaled.astype(np.float64)
+def scale(actions: np.ndarray, low: np.ndarray, span: np.ndarray) -> np.ndarray:
+    """Map actions in [-1, 1], shape (n, k), to ranges, in the precision of the actions, as highway-env does.
+
+    Args:
+        actions: shape (n, k).
+        low, span: lower ends and lengths of the ranges, shape (k,).
+
+    Returns:
+        Values in double precision, shape (k, n).
+    """
+    scaled = actions - -1
+    scaled *= span.astype(actions.dtype)
+    scaled /= 2
+    scaled += low.astype(actions.dtype)
+    return scaled.T.astype(np.float64)
 
 
 def slip_angle(steering: np.ndarray) -> np.ndarray:
@@ -28,7 +38,7 @@ def advance(
     position: np.ndarray,
     heading: np.ndarray,
     speed: np.ndarray,
-    acceleration: np.ndarray,
+    gain: np.ndarray,
     slip: np.ndarray,
     sin_slip: np.ndarray,
     dt: float,
@@ -37,7 +47,8 @@ def advance(
 
     Args:
         position: shape (2, n).
-        heading, speed, acceleration: shape (n,).
+        heading, speed: shape (n,).
+        gain: acceleration times dt, shape (n,).
         slip, sin_slip: `slip_angle` of the steering, and its sine, shape (n,).
         dt: length of the frame [s].
 
@@ -55,7 +66,7 @@ def advance(
     turn /= CAR_LENGTH_M / 2
     turn *= dt
     turn += heading
-    return velocity, turn, speed + acceleration * dt
+    return velocity, turn, speed + gain
 
 
 def limited_acceleration(acceleration: np.ndarray, speed: np.ndarray, speed_range: Range) -> np.ndarray:

@@ -39,7 +39,7 @@ SPEED_RANGE_MPS: Range = (-40.0, 40.0)
 
 # Half the space between the walls' inner faces, shape (2, 1).
 FREE_M = np.array([[LOT_LENGTH_M - WALL_THICKNESS_M], [LOT_WIDTH_M - WALL_THICKNESS_M]]) / 2
-WALL_NORMALS = WALL_POSITIONS.T / np.linalg.norm(WALL_POSITIONS, axis=1)  # outwards, shape (2, 4)
+WALL_SIDES = np.array([1, 3, 0, 2])  # of the directions left, below, right, above
 WALL_DISTANCES = np.linalg.norm(WALL_POSITIONS, axis=1) - WALL_THICKNESS_M / 2
 ROW_M = abs(float(SLOT_POSITIONS[0, 1]))
 COLUMNS = ("position", "direction")
@@ -145,10 +145,13 @@ class Simulator:
         if config.uncovered:
             raise ConfigError(f"env.{config.uncovered[0]} is not simulated; use env.simulator=highway_env")
         action = config.action
-        self.acceleration_range = _range(action.acceleration_range, ACCELERATION_RANGE_MPS2)
-        self.steering_range = _range(action.steering_range, STEERING_RANGE_RAD)
+        acceleration = _range(action.acceleration_range, ACCELERATION_RANGE_MPS2) if action.longitudinal else None
+        steering = _range(action.steering_range, STEERING_RANGE_RAD) if action.lateral else None
+        ranges = [bounds for bounds in (acceleration, steering) if bounds is not None]
+        self._low = np.array([low for low, _ in ranges])
+        self._span = np.array([high - low for low, high in ranges])
         self.speed_range = _range(action.speed_range, SPEED_RANGE_MPS)
-        self.longitudinal, self.lateral, self.clip = action.longitudinal, action.lateral, action.clip
+        self.longitudinal, self.clip = action.longitudinal, action.clip
         self.action_size = action.longitudinal + action.lateral
         self.frames = config.simulation_frequency // config.policy_frequency
         self.dt = 1 / config.simulation_frequency
@@ -203,6 +206,8 @@ class Simulator:
         """
         state = self.state
         actions = np.asarray(actions)
+        if actions.dtype.kind != "f":
+            actions = actions.astype(np.float64)
         if actions.shape != (len(self), self.action_size):
             raise ValueError(f"actions have the shape {actions.shape}, not {(len(self), self.action_size)}")
         acceleration, steering = self._controls(actions)
@@ -242,11 +247,11 @@ class Simulator:
     def _controls(self, actions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         if self.clip:
             actions = np.minimum(np.maximum(actions, -1), 1)
+        controls = scale(actions, self._low, self._span)
+        if self.action_size == 2:
+            return controls[0], controls[1]
         none = np.zeros(len(actions))
-        return (
-            scale(actions[:, 0], self.acceleration_range) if self.longitudinal else none,
-            scale(actions[:, -1], self.steering_range) if self.lateral else none,
-        )
+        return (controls[0], none) if self.longitudinal else (none, controls[0])
 
     def _drive(self, acceleration: np.ndarray, steering: np.ndarray) -> np.ndarray:
         """Integrate all frames of a step as if nothing were in the way; return the rows where that may be wrong.
@@ -257,9 +262,10 @@ class Simulator:
         position, heading, speed = state.position, state.heading, state.speed
         slip = slip_angle(steering)
         sin_slip = np.sin(slip)
+        gain = acceleration * self.dt
         farthest = np.abs(position)
         for _ in range(self.frames):
-            position, heading, speed = advance(position, heading, speed, acceleration, slip, sin_slip, self.dt)
+            position, heading, speed = advance(position, heading, speed, gain, slip, sin_slip, self.dt)
             if self.walls:
                 np.maximum(farthest, np.abs(position), out=farthest)
 
@@ -272,9 +278,8 @@ class Simulator:
         may |= fastest > high
         ahead = np.maximum(fastest, -slowest) * self.dt
         if self.walls:
-            # Half the car's extent along both axes, at the end; before, it was turned by at most `turn`.
-            direction = np.abs(state.direction)
-            extent = direction * (CAR_LENGTH_M / 2) + direction[::-1] * (CAR_WIDTH_M / 2)
+            # At the end the car reaches this far along both axes; before, it was turned by at most `turn`.
+            extent = _extent(state.direction)
             turn = np.abs(sin_slip) * ahead * (self.frames / (CAR_LENGTH_M / 2))
             near = farthest + extent + (ahead + turn * (CAR_DIAGONAL_M / 2)) > FREE_M
             may |= near[0]
@@ -305,7 +310,7 @@ class Simulator:
                 acceleration = limited_acceleration(acceleration, state.speed, self.speed_range)
             slip = slip_angle(steering)
             state.position, state.heading, state.speed = advance(
-                state.position, state.heading, state.speed, acceleration, slip, np.sin(slip), self.dt
+                state.position, state.heading, state.speed, acceleration * self.dt, slip, np.sin(slip), self.dt
             )
             if state.hit.any():
                 impact = np.where(state.hit[..., None], state.impact, 0.0)
@@ -365,9 +370,9 @@ class Simulator:
             found.append((scene, _with_car(1 + parked)))
         if self.walls:
             # The circles around the walls hold most of the lot: leave out first what cannot reach the line of a wall.
-            outward = centres @ WALL_NORMALS
-            outward += (np.abs(travel) + CAR_DIAGONAL_M / 2)[:, None]
-            scene, wall = np.nonzero(outward > WALL_DISTANCES)
+            reach = _extent(state.direction) + np.abs(travel)
+            outward = np.concatenate((reach - state.position, reach + state.position))[WALL_SIDES]
+            scene, wall = np.nonzero(outward.T > WALL_DISTANCES)
             if len(scene):
                 near = ~out_of_reach(
                     WALL_POSITIONS[wall] - centres[scene], CAR_DIAGONAL_M, WALL_DIAGONALS[wall], travel[scene]
@@ -437,6 +442,14 @@ def _direction(heading: np.ndarray) -> np.ndarray:
     np.cos(heading, out=direction[0])
     np.sin(heading, out=direction[1])
     return direction
+
+
+def _extent(direction: np.ndarray) -> np.ndarray:
+    """Return how far cars reach from their centres along x and y; direction and result have the shape (2, n)."""
+    share = np.abs(direction)
+    extent: np.ndarray = share * (CAR_LENGTH_M / 2)
+    extent += share[::-1] * (CAR_WIDTH_M / 2)
+    return extent
 
 
 def _with_car(things: np.ndarray) -> np.ndarray:

@@ -37,7 +37,7 @@ class VectorizedParking(VecEnv):
     def reset(self) -> VecEnvObs:
         """Start a scene in every env and return the first observations."""
         if self._seeds[0] is not None:
-            self._rng = np.random.default_rng(self._seeds[0])
+            self._rng = np.random.default_rng((self._seeds[0], 1))  # not the stream that scene s itself is drawn from
             self.simulator.start(Scenes.from_seeds([s or 0 for s in self._seeds], self.config.vehicles_count))
         else:
             self.simulator.start(self._draw(self.num_envs))

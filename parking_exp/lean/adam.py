@@ -4,11 +4,15 @@ from collections.abc import Sequence
 
 import torch
 
+BLOCK = 32
+
 
 class Flat:
     """Tensors that lie side by side in one vector; an operation on the vector is one on each of them.
 
-    They stay the same objects, in place: what reads, saves or loads them notices nothing.
+    They stay the same objects, in place: what reads, saves or loads them notices nothing. Torch computes in blocks of
+    32 and rounds the rest of a vector otherwise; so tensors that fill whole blocks come first, and the small rest of a
+    usual network (biases of its outputs) last. Then every element is rounded as it would be in its own tensor.
 
     Args:
         tensors: their data moves into the vector.
@@ -16,15 +20,18 @@ class Flat:
 
     def __init__(self, tensors: Sequence[torch.Tensor]) -> None:
         self.tensors = list(tensors)
-        self.vector = torch.cat([tensor.detach().reshape(-1) for tensor in self.tensors])
+        numbers = range(len(self.tensors))
+        self._order = sorted(numbers, key=lambda number: self.tensors[number].numel() % BLOCK > 0)
+        self.vector = torch.cat([self.tensors[number].detach().reshape(-1) for number in self._order])
         self.views = self.split(self.vector)
         for tensor, view in zip(self.tensors, self.views, strict=True):
             tensor.data = view
 
     def split(self, vector: torch.Tensor) -> list[torch.Tensor]:
         """Return parts of a vector of the same length, with the tensors' shapes."""
-        parts = vector.split([tensor.numel() for tensor in self.tensors])
-        return [part.view(tensor.shape) for part, tensor in zip(parts, self.tensors, strict=True)]
+        parts = vector.split([self.tensors[number].numel() for number in self._order])
+        placed = dict(zip(self._order, parts, strict=True))
+        return [placed[number].view(tensor.shape) for number, tensor in enumerate(self.tensors)]
 
     @property
     def is_whole(self) -> bool:

@@ -66,7 +66,7 @@ class Critics:
         value, index = torch.cat([values[-1] for values in passes], 1).min(1, keepdim=True)
         share = -1 / len(actions)
         gradients = [
-            network.input_gradient(values, (index == number) * share, actions.shape[1])
+            network.input_gradient(values, (index == number) * share)[:, features.shape[1] :]
             for number, (network, values) in enumerate(zip(networks, passes, strict=True))
         ]
         return value, sum(gradients[1:], gradients[0])

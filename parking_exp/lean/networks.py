@@ -50,11 +50,11 @@ class Perceptron:
             if index:
                 gradient = self._back(index, values[index], gradient)
 
-    def input_gradient(self, values: list[torch.Tensor], gradient: torch.Tensor, last: int) -> torch.Tensor:
-        """Return the gradient by the last `last` inputs, shape (batch, last), and none by weights and biases."""
+    def input_gradient(self, values: list[torch.Tensor], gradient: torch.Tensor) -> torch.Tensor:
+        """Return the gradient by the input, shape (batch, inputs), and none by weights and biases."""
         for index in range(len(self.layers) - 1, 0, -1):
             gradient = self._back(index, values[index], gradient)
-        return _times(gradient, self.layers[0][0])[:, -last:]
+        return _times(gradient, self.layers[0][0])
 
     def _back(self, index: int, value: torch.Tensor, gradient: torch.Tensor) -> torch.Tensor:
         """Pass a gradient through a layer and the ReLU before it."""

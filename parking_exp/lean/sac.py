@@ -56,11 +56,10 @@ class _Update:
         body, mean, log_std = parameters(model.actor.latent_pi), model.actor.mu, model.actor.log_std
         assert isinstance(mean, nn.Linear)
         assert isinstance(log_std, nn.Linear)
-        # Side by side in memory, the two heads are one layer of twice the width.
-        self.flat = Flat([*body, mean.weight, log_std.weight, mean.bias, log_std.bias])
+        self.actor = Perceptron(as_layers(body))
+        self.mean, self.log_std = (Perceptron([(head.weight, head.bias)]) for head in (mean, log_std))
+        self.flat = Flat([*body, mean.weight, mean.bias, log_std.weight, log_std.bias])
         self.adam = Adam(model.actor.optimizer, self.flat)
-        self.actor = Perceptron([*as_layers(body), self._joint_head(self.flat.vector)])
-        self.gradients = [*self.adam.gradients[:-4], *self._joint_head(self.adam.gradient)]
         self.ent_coef_adam: Adam | None = None
         if model.ent_coef_optimizer is not None:
             self.ent_coef_adam = Adam(model.ent_coef_optimizer, Flat([model.log_ent_coef]))
@@ -83,14 +82,6 @@ class _Update:
         means = [torch.stack(column).mean().item() for column in zip(*history, strict=True)]
         return dict(zip(names, means, strict=False))
 
-    def _joint_head(self, vector: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """Return weight and bias of both heads, or their gradients, as one layer."""
-        mean_weight, _, mean_bias, _ = self.flat.tensors[-4:]
-        inputs, outputs = mean_weight.shape[1], 2 * len(mean_bias)
-        size = outputs * (inputs + 1)
-        weight, bias = vector[-size:].split([outputs * inputs, outputs])
-        return weight.view(outputs, inputs), bias
-
     def _step(
         self, model: Any, both: torch.Tensor, actions: torch.Tensor, rewards: torch.Tensor, discounts: torch.Tensor
     ) -> list[torch.Tensor]:
@@ -101,8 +92,8 @@ class _Update:
         noise[1].normal_()
         # The actor is the same for the states and the next ones: one pass for both.
         values = self.actor.forward(both)
-        mean, raw_log_std = values[-1].chunk(2, 1)
-        policy = _Squashed(mean, raw_log_std, noise.flatten(0, 1))
+        hidden = values[-1].relu_()
+        policy = _Squashed(self.mean.forward(hidden)[-1], self.log_std.forward(hidden)[-1], noise.flatten(0, 1))
         log_prob, next_log_prob = policy.log_prob[:batch], policy.log_prob[batch:]
         ent_coef, logged = self._update_ent_coef(model, log_prob)
 
@@ -111,10 +102,18 @@ class _Update:
         critic_loss = self.critics.update(both[:batch], actions, target, weight=0.5)
 
         value, by_action = self.critics.best_action(both[:batch], policy.actions[:batch], first=False)
-        gradient = policy.backward(batch, by_action, ent_coef * (1 / batch))
-        self.actor.backward([v[:batch] for v in values], gradient, self.gradients)
-        self.adam.step()
+        by_mean, by_log_std = policy.backward(batch, by_action, ent_coef * (1 / batch))
+        self._update_actor([v[:batch] for v in values], by_mean, by_log_std)
         return [ent_coef.reshape(()), (ent_coef * log_prob - value).mean(), critic_loss, *logged]
+
+    def _update_actor(self, values: list[torch.Tensor], by_mean: torch.Tensor, by_log_std: torch.Tensor) -> None:
+        """Pass the gradients by both heads' outputs back through them and the body, and take a step."""
+        *body, _, _, _, _ = out = self.adam.gradients
+        self.mean.backward(values[-1:], by_mean, out[-4:-2])
+        self.log_std.backward(values[-1:], by_log_std, out[-2:])
+        by_hidden = self.mean.input_gradient([], by_mean) + self.log_std.input_gradient([], by_log_std)
+        self.actor.backward(values, torch.ops.aten.threshold_backward(by_hidden, values[-1], 0), body)
+        self.adam.step()
 
     def _update_ent_coef(self, model: Any, log_prob: torch.Tensor) -> tuple[torch.Tensor, list[torch.Tensor]]:
         """Take a step on the entropy coefficient; return it as it was before, and its loss."""
@@ -154,8 +153,10 @@ class _Squashed:
         log_prob = (-(self.offset**2) / self.double_variance - self.std.log() - LOG_SQRT_2_PI).sum(1)
         self.log_prob = (log_prob - density.log().sum(1)).unsqueeze(1)
 
-    def backward(self, rows: int, by_action: torch.Tensor, by_log_prob: torch.Tensor) -> torch.Tensor:
-        """Return the gradient by mean and raw log standard deviation of the first rows, shape (rows, 2 actions).
+    def backward(
+        self, rows: int, by_action: torch.Tensor, by_log_prob: torch.Tensor
+    ) -> tuple[torch.Tensor, torch.Tensor]:
+        """Return the gradients by mean and raw log standard deviation of the first rows, shape (rows, actions).
 
         Args:
             rows: how many.
@@ -173,4 +174,4 @@ class _Squashed:
         by_double_variance = -by_log_prob * (-(offset**2) / double_variance / double_variance)
         by_std = -by_log_prob / std + (by_double_variance * 2) * (2 * std) + by_sample * noise
         inside = (raw_log_std >= LOG_STD_MIN) & (raw_log_std <= LOG_STD_MAX)
-        return torch.cat((by_sample - by_offset, by_std * std * inside), 1)
+        return by_sample - by_offset, by_std * std * inside

@@ -1,0 +1,1 @@
+"""What scripts/benchmark.py measures: speed, as ratios against named peers."""

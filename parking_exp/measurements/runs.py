@@ -1,0 +1,152 @@
+"""Whole runs: the tutorial's recipe against plain Stable-Baselines3, and what a run costs besides training."""
+
+import statistics
+import tempfile
+import time
+from typing import Any
+
+from stable_baselines3 import SAC, HerReplayBuffer
+from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.logger import Logger
+from stable_baselines3.common.monitor import Monitor
+
+from parking_exp.algorithms import build_model
+from parking_exp.checkpoints import Progress
+from parking_exp.composition import composed
+from parking_exp.config import RunConfig
+from parking_exp.envs import make_env
+from parking_exp.envs.vector import make_training_envs
+from parking_exp.measurements.rounds import interleave, rounded, spread
+from parking_exp.policy import Policy
+from parking_exp.progress import TrainingProgress
+from parking_exp.runs import RunDirectory
+from parking_exp.session import Session
+from parking_exp.stopping import StopRequest
+from parking_exp.tracking import open_tracker
+from parking_exp.validation import validate
+
+
+def run_config(*overrides: str) -> RunConfig:
+    """Compose and check a run's config."""
+    (config,) = composed("config", list(overrides))
+    return validate(config)
+
+
+def article(rounds: int, steps: int) -> dict[str, Any]:
+    """Compare training steps a second of the tutorial's recipe, `steps` in all on each side after the warm-up."""
+    config = run_config("experiment=article", "torch_threads=1")
+    arguments = config.algorithm.arguments
+    ours = build_model(config, make_training_envs(config.env, config.n_envs), seed=0)
+    peer = SAC(
+        "MultiInputPolicy",
+        Monitor(make_env(config.env)),
+        learning_rate=arguments["learning_rate"],
+        learning_starts=arguments["learning_starts"],
+        batch_size=arguments["batch_size"],
+        gamma=arguments["gamma"],
+        policy_kwargs={"net_arch": list(config.algorithm.net_arch)},
+        buffer_size=config.buffer.buffer_size,
+        replay_buffer_class=HerReplayBuffer,
+        replay_buffer_kwargs=config.buffer.arguments,
+        seed=0,
+        device="cpu",
+    )
+    for model in (ours, peer):
+        model.set_logger(Logger(None, []))
+        model.learn(arguments["learning_starts"])
+    entry = interleave(lambda: _learn(ours, steps // rounds), lambda: _learn(peer, steps // rounds), rounds)
+    return entry | {"peer": "plain stable-baselines3 + highway-env", "unit": "env steps", "steps": steps}
+
+
+def overhead(rounds: int, steps: int, slice_steps: int) -> tuple[dict[str, Any], Policy]:
+    """Measure what the default run costs besides training, and return a policy trained on the way.
+
+    A tracked run is trained for `steps`; its parts are timed, and slices of it are measured in turn with slices of a
+    bare one. The ratio is that of the default run in full length, put together from them: start, training with its
+    rows of metrics, every evaluation and checkpoint, and the end with certification, figures, video and artifacts.
+    """
+    full = run_config()
+    with tempfile.TemporaryDirectory() as folder:
+        config = run_config(f"output_dir={folder}/out", f"total_timesteps={steps}", "tracking.progress_bar=false")
+        run_config_store(config)
+        session, start_s = _tracked_session(config)
+        session.learn()
+        bare = build_model(config, make_training_envs(config.env, config.n_envs), seed=0)
+        bare.set_logger(Logger(None, []))
+        bare.learn(int(config.algorithm.arguments["learning_starts"]) + slice_steps)
+        quiet = _Rows()
+        slices = []
+        for _ in range(rounds):
+            tracked_s = _seconds(lambda: _learn(session.model, slice_steps, quiet, config.tracking.log_interval))
+            slices.append((tracked_s / slice_steps, _seconds(lambda: _learn(bare, slice_steps)) / slice_steps))
+        evaluation_s = statistics.median(_seconds(session.evaluate) for _ in range(rounds))
+        checkpoint_s = statistics.median(_checkpoint_seconds(session) for _ in range(rounds))
+        policy = session.policy
+        end_s = _seconds(session.finish)
+        session.tracker.end("done")
+    evaluations = full.total_timesteps // (full.evaluation.every_n_steps or full.total_timesteps)
+    checkpoints = full.total_timesteps // (full.checkpoint.every_n_steps or full.total_timesteps)
+    besides = start_s + (evaluations - 1) * evaluation_s + checkpoints * checkpoint_s + end_s
+    ratios = [(full.total_timesteps * tracked + besides) / (full.total_timesteps * bare) for tracked, bare in slices]
+    parts = {
+        "training_s": full.total_timesteps * statistics.median(bare for _, bare in slices),
+        "rows_and_callbacks_s": full.total_timesteps * statistics.median(tracked - bare for tracked, bare in slices),
+        "start_s": start_s,
+        "evaluations_s": (evaluations - 1) * evaluation_s,
+        "checkpoints_s": checkpoints * checkpoint_s,
+        "end_s": end_s,
+    }
+    entry = spread(ratios, "ratio") | {"peer": "the same training, bare", "unit": "wall time of the default run"}
+    return entry | {"parts": {name: rounded(value) for name, value in parts.items()}}, policy
+
+
+def run_config_store(config: RunConfig) -> None:
+    """Make the store: a user's has been there since the first run."""
+    import subprocess
+    import sys
+
+    from parking_exp.tracking import store_uri
+
+    code = f"from parking_exp.tracking import connect; connect({store_uri(config)!r})"
+    subprocess.run([sys.executable, "-c", code], check=True, capture_output=True)
+
+
+def _tracked_session(config: RunConfig) -> tuple[Session, float]:
+    directory = RunDirectory(config.run_dir)
+    start = time.perf_counter()
+    directory.create(config)
+    tracker = open_tracker(config, directory)
+    session = Session(
+        config=config,
+        directory=directory,
+        tracker=tracker,
+        progress=Progress(),
+        checkpoint=None,
+        stop=StopRequest(),
+        bar=TrainingProgress(config.total_timesteps, 0, False),
+    )
+    return session, time.perf_counter() - start
+
+
+def _checkpoint_seconds(session: Session) -> float:
+    session.progress.saved = -1  # as if training had gone on
+    return _seconds(session.save_checkpoint)
+
+
+def _learn(model: Any, steps: int, callback: BaseCallback | None = None, log_interval: int | None = None) -> float:
+    before = model.num_timesteps
+    model.learn(steps, callback, log_interval=log_interval or 10, reset_num_timesteps=False)
+    return model.num_timesteps - before
+
+
+def _seconds(task: Any) -> float:
+    start = time.perf_counter()
+    task()
+    return time.perf_counter() - start
+
+
+class _Rows(BaseCallback):
+    """A callback as light as the session's own is between evaluations."""
+
+    def _on_step(self) -> bool:
+        return True

@@ -1,0 +1,42 @@
+"""The lean update against Stable-Baselines3's own `train`, sampling included."""
+
+from typing import Any
+
+import stable_baselines3
+from stable_baselines3.common.logger import Logger
+from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
+
+from parking_exp.algorithms import build_model
+from parking_exp.config import RunConfig
+from parking_exp.envs.vector import make_training_envs
+from parking_exp.measurements.rounds import interleave
+
+PEER = "stable-baselines3"
+
+
+def updates(config: RunConfig, rounds: int, updates_a_slice: int) -> dict[str, Any]:
+    """Compare updates a second, in rounds of as many as the config does after each step of its envs."""
+    _, gradient_steps = config.update_rounds()
+    ours, peer = filled(config, lean=True), filled(config, lean=False)
+    calls = max(1, updates_a_slice // gradient_steps)
+
+    def side(model: OffPolicyAlgorithm) -> float:
+        for _ in range(calls):
+            model.train(gradient_steps=gradient_steps, batch_size=model.batch_size)
+        return calls * gradient_steps
+
+    return interleave(lambda: side(ours), lambda: side(peer), rounds) | {"peer": PEER, "unit": "updates"}
+
+
+def filled(config: RunConfig, lean: bool) -> Any:
+    """Return a model whose replay buffer holds 20,000 random transitions, made with our classes or with theirs."""
+    if not lean:
+        theirs = f"stable_baselines3.{config.algorithm.target.rpartition('.')[2]}"
+        config = config.model_copy(update={"algorithm": config.algorithm.model_copy(update={"target": theirs})})
+    model = build_model(config, make_training_envs(config.env, config.n_envs), seed=0)
+    assert isinstance(model, getattr(stable_baselines3, config.algorithm.target.rpartition(".")[2]))
+    model.set_logger(Logger(None, []))
+    model.learning_starts = 20_000
+    model.learn(20_000)
+    model.learning_starts = 0
+    return model

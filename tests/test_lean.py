@@ -1,0 +1,226 @@
+"""The lean update is Stable-Baselines3's: the same weights, batches and noise give the same parameters."""
+
+import copy
+
+import numpy as np
+import pytest
+import stable_baselines3 as sb3
+import torch
+from conftest import make_config
+from stable_baselines3.common.logger import Logger
+from stable_baselines3.common.type_aliases import DictReplayBufferSamples
+
+from parking_exp import lean
+from parking_exp.algorithms import build_model
+from parking_exp.envs.vector import make_training_envs
+from parking_exp.lean import networks
+from parking_exp.lean.rounds import sample_round
+from parking_exp.lean.support import is_lean
+
+ALGORITHMS = ("SAC", "TD3", "DDPG")
+
+
+def make_model(name, *overrides, module=lean, seed=0):
+    target = f"algorithm._target_={'parking_exp.lean' if module is lean else 'stable_baselines3'}.{name}"
+    config = make_config(f"algorithm={name.lower()}", target, "algorithm.batch_size=64", *overrides)
+    model = build_model(config, make_training_envs(config.env, config.n_envs), seed=seed)
+    model.set_logger(Logger(None, []))
+    return model
+
+
+def pair(name, *overrides, seed=0):
+    """Stable-Baselines3's model and ours, with the same weights."""
+    theirs, ours = (make_model(name, *overrides, module=module, seed=seed) for module in (sb3, lean))
+    ours.set_parameters(theirs.get_parameters())
+    return theirs, ours
+
+
+def batches(number, batch_size, seed):
+    """Batches like those of a buffer: observations of parking's size, some episodes over, rewards below zero."""
+    generator = torch.Generator().manual_seed(seed)
+
+    def observation():
+        keys = ("observation", "achieved_goal", "desired_goal")
+        return {key: torch.randn(batch_size, 6, generator=generator) for key in keys}
+
+    return [
+        DictReplayBufferSamples(
+            observations=observation(),
+            actions=torch.rand(batch_size, 2, generator=generator) * 2 - 1,
+            next_observations=observation(),
+            dones=(torch.rand(batch_size, 1, generator=generator) < 0.1).float(),
+            rewards=-torch.rand(batch_size, 1, generator=generator),
+        )
+        for _ in range(number)
+    ]
+
+
+def feed(model, samples):
+    """Let a model's buffer return these batches, one after the other."""
+    iterator = iter(samples)
+    model.replay_buffer.sample = lambda batch_size, env=None: next(iterator)
+
+
+def furthest(ours, theirs):
+    """Largest difference between two models' parameters, targets included."""
+    mine, other = dict(ours.policy.named_parameters()), dict(theirs.policy.named_parameters())
+    return max((mine[name] - other[name]).abs().max().item() for name in other)
+
+
+def update(model, samples, rounds=100, seed=0):
+    feed(model, samples)
+    torch.manual_seed(seed)
+    for _ in range(rounds):
+        model.train(gradient_steps=len(samples) // rounds, batch_size=len(samples[0].rewards))
+
+
+@pytest.mark.parametrize("features", ["ego", "raw"])
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("name", ALGORITHMS)
+def test_100_updates_give_the_parameters_of_stable_baselines3(name, seed, features):
+    theirs, ours = pair(name, f"algorithm.features={features}", seed=seed)
+    samples = batches(100, 256, seed)
+    for model in (theirs, ours):
+        update(model, samples)
+    assert furthest(ours, theirs) < 1e-5
+    assert ours._n_updates == theirs._n_updates == 100
+    if name == "SAC":
+        assert ours.log_ent_coef.item() == pytest.approx(theirs.log_ent_coef.item(), abs=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("name", "override"),
+    [
+        ("SAC", "algorithm.ent_coef=0.2"),
+        ("SAC", "algorithm.target_update_interval=2"),
+        ("SAC", "+algorithm.policy_kwargs.n_critics=3"),
+        ("SAC", "+algorithm.policy_kwargs.optimizer_kwargs.weight_decay=0.01"),
+        ("TD3", "algorithm.policy_delay=3"),
+        ("TD3", "algorithm.net_arch=[32]"),
+        ("DDPG", "algorithm.batch_size=50"),
+        ("DDPG", "env.action.lateral=false"),
+    ],
+)
+def test_options_change_both_alike(name, override):
+    overrides = [override]
+    if "lateral" in override:
+        overrides.append("algorithm.action_noise=null")
+    theirs, ours = pair(name, *overrides)
+    assert is_lean(ours)
+    samples = batches(100, theirs.batch_size, 0)
+    if "lateral" in override:
+        samples = [sample._replace(actions=sample.actions[:, :1]) for sample in samples]
+    for model in (theirs, ours):
+        update(model, samples, rounds=25)  # four updates a round
+    assert furthest(ours, theirs) < 1e-5
+
+
+@pytest.mark.parametrize("name", ALGORITHMS)
+def test_wide_networks_differ_by_the_order_of_sums_only(name, monkeypatch):
+    """oneDNN sums in another order, which 100 updates magnify; with MKL's order the parameters are the same."""
+    overrides = ("algorithm.net_arch=[256,256,256]", "algorithm.features=raw")
+    samples = batches(20, 256, 0)
+    theirs, ours = pair(name, *overrides)
+    monkeypatch.setattr(networks, "_onednn", None)
+    for model in (theirs, ours):
+        update(model, samples, rounds=20)
+    assert furthest(ours, theirs) < 1e-5
+    monkeypatch.undo()
+    theirs, ours = pair(name, *overrides)
+    for model in (theirs, ours):
+        update(model, samples[:1], rounds=1)
+    assert furthest(ours, theirs) < 1e-3  # one step of Adam moves a parameter by up to the learning rate, 2e-3
+    close = [
+        (mine - other).abs() < 1e-5
+        for mine, other in zip(ours.policy.parameters(), theirs.policy.parameters(), strict=True)
+    ]
+    assert sum(part.sum().item() for part in close) > 0.99 * sum(part.numel() for part in close)
+
+
+@pytest.mark.parametrize("name", ALGORITHMS)
+def test_what_is_logged_is_what_stable_baselines3_logs(name):
+    theirs, ours = pair(name)
+    samples = batches(6, 64, 0)
+    for model in (theirs, ours):
+        update(model, samples, rounds=1)
+    mine, other = ours.logger.name_to_value, theirs.logger.name_to_value
+    assert set(mine) == set(other)
+    assert mine == {key: pytest.approx(value, abs=1e-5) for key, value in other.items()}
+
+
+@pytest.mark.parametrize("name", ALGORITHMS)
+def test_saved_and_loaded_it_goes_on_as_if_nothing_had_been(name, tmp_path):
+    model = make_model(name, "buffer=replay")
+    samples = batches(40, 64, 0)
+    update(model, samples[:20], rounds=20)
+    model.save(tmp_path / "model.zip")
+    loaded = getattr(lean, name).load(tmp_path / "model.zip", env=model.env)
+    loaded.set_logger(Logger(None, []))
+    theirs = getattr(sb3, name).load(tmp_path / "model.zip", env=model.env)  # and theirs can go on with it
+    theirs.set_logger(Logger(None, []))
+    observation = model.env.reset()
+    np.testing.assert_array_equal(
+        model.predict(observation, deterministic=True)[0], loaded.predict(observation, deterministic=True)[0]
+    )
+    for one in (model, loaded, theirs):
+        update(one, samples[20:], rounds=20)
+    assert furthest(loaded, model) == 0
+    assert furthest(theirs, model) < 1e-5
+
+
+def test_what_is_replaced_meanwhile_is_noticed():
+    """Weights and optimizer state that are loaded, and a parameter that is moved elsewhere."""
+    theirs, ours = pair("SAC", seed=0)
+    donor = make_model("SAC", seed=1)
+    samples = batches(30, 64, 0)
+    update(donor, samples[:10], rounds=10)
+    for model in (theirs, ours):
+        update(model, samples[:10], rounds=10)
+        model.set_parameters(copy.deepcopy(donor.get_parameters()))  # torch would take the state itself, not a copy
+        model.actor.mu.weight.data = model.actor.mu.weight.data.clone()
+        update(model, samples[10:], rounds=20)
+    assert furthest(ours, theirs) < 1e-5
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        {"use_sde": True},
+        {"policy_kwargs": {"activation_fn": torch.nn.Tanh}},
+        {"policy_kwargs": {"optimizer_class": torch.optim.AdamW}},
+        {"policy_kwargs": {"optimizer_kwargs": {"amsgrad": True}}},
+        {"policy_kwargs": {"net_arch": []}},
+    ],
+)
+def test_what_it_does_not_know_is_trained_by_stable_baselines3(arguments):
+    env = make_training_envs(make_config().env, 2)
+    theirs, ours = (module.SAC("MultiInputPolicy", env, seed=0, buffer_size=10, **arguments) for module in (sb3, lean))
+    assert not is_lean(ours)
+    samples = batches(5, 64, 0)
+    for model in (theirs, ours):
+        model.set_logger(Logger(None, []))
+        update(model, samples, rounds=5)
+    assert furthest(ours, theirs) == 0
+
+
+def test_a_round_is_dealt_out_with_each_minibatchs_share_of_virtual_goals():
+    """8 x 64 transitions of HER with n_sampled_goal=4: each minibatch has 51 or 52 virtual ones."""
+    model = make_model("SAC")
+    model.learning_starts = 4000
+    model.learn(4000)
+    real = {tuple(goal) for goal in model.replay_buffer.observations["desired_goal"].reshape(-1, 6)[:4000].tolist()}
+    torch.manual_seed(0)
+    model.actor.extract_features = lambda observation, extractor: observation["desired_goal"].float()
+    slots = {tuple(np.float32(goal).tolist()) for goal in real}
+    for minibatch in sample_round(model, 8, 64):
+        assert minibatch.features.shape == (128, 6)
+        assert minibatch.actions.shape == (64, 2)
+        goals = [tuple(goal) for goal in minibatch.features[:64].tolist()]
+        assert sum(goal not in slots for goal in goals) in (50, 51, 52)
+        assert torch.equal(minibatch.features[:64], minibatch.features[64:])
+
+
+def test_a_short_learning_run_works_on_highway_env_too():
+    model = make_model("TD3", "env.simulator=highway_env", "env.training_duration=2", "algorithm.learning_starts=200")
+    model.learn(400)
+    assert model._n_updates == 200
