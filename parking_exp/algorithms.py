@@ -1,7 +1,10 @@
 """Config -> Stable-Baselines3 model: the one place where third-party classes are instantiated."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
+import torch
 from hydra.utils import get_class, instantiate
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from stable_baselines3.common.torch_layers import CombinedExtractor
@@ -32,16 +35,16 @@ def build_model(config: RunConfig, env: VecEnv, seed: int, *, for_training: bool
         "_target_": config.algorithm.target,
         "_convert_": "all",
         "_partial_": True,
-        "train_freq": train_freq,
         "gradient_steps": gradient_steps,
         "buffer_size": config.buffer.buffer_size if for_training else env.num_envs,
         "seed": seed,
         "device": config.device,
     }
-    node.pop("policy_kwargs", None)
+    for name in ("policy_kwargs", "train_freq"):
+        node.pop(name, None)
     # Objects are given to the partial afterwards: Hydra would copy them into its config.
     build = instantiate(node)
-    objects: dict[str, Any] = {"env": env, "policy_kwargs": _policy_kwargs(config)}
+    objects: dict[str, Any] = {"env": env, "train_freq": train_freq, "policy_kwargs": _policy_kwargs(config)}
     if for_training:
         objects["replay_buffer_class"] = get_class(config.buffer.target)
         objects["replay_buffer_kwargs"] = config.buffer.arguments
@@ -65,3 +68,17 @@ def _policy_kwargs(config: RunConfig) -> dict[str, Any]:
         # What a MultiInputPolicy has by default, except CrossQ's.
         policy_kwargs["features_extractor_class"] = CombinedExtractor
     return policy_kwargs | (config.algorithm.arguments.get("policy_kwargs") or {})
+
+
+@contextmanager
+def torch_settings(config: RunConfig) -> Iterator[None]:
+    """Give torch the threads and the precision of a run, for a while."""
+    threads, precision = torch.get_num_threads(), torch.get_float32_matmul_precision()
+    if config.torch_threads is not None:
+        torch.set_num_threads(config.torch_threads)
+    torch.set_float32_matmul_precision(config.precision)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(threads)
+        torch.set_float32_matmul_precision(precision)

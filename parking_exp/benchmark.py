@@ -3,9 +3,9 @@
 import importlib.util
 import os
 from collections.abc import Callable, Iterator
-from importlib.metadata import version
+from importlib.metadata import distributions
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from omegaconf import DictConfig
 from pydantic import Field
@@ -27,11 +27,7 @@ TARGETS = {
     "run.article.ratio": (">=", 1.8),
     "run.default.overhead": ("<=", 1.03),
 }
-PEERS = {
-    "simulator": ("highway_env",),
-    "update": ("stable_baselines3",),
-    "run.article": ("stable_baselines3", "highway_env"),
-}
+NEEDS = ("highway_env", "stable_baselines3")
 
 
 class BenchmarkConfig(Section):
@@ -41,7 +37,7 @@ class BenchmarkConfig(Section):
     only: list[str] | None
     rounds: Positive
     quick: bool
-    core: Annotated[int, Field(ge=0)] | None
+    core: Annotated[int, Field(ge=0)] | Literal["first"] | None
 
 
 def validate_benchmark(config: DictConfig) -> BenchmarkConfig:
@@ -54,10 +50,11 @@ def validate_benchmark(config: DictConfig) -> BenchmarkConfig:
     for name in settings.only or []:
         if not any(key.startswith(name) for key in TARGETS):
             raise ConfigError(f"only={name}: no figure begins so{closest(name, TARGETS)}")
-    if settings.core is not None and hasattr(os, "sched_getaffinity"):
-        cores = sorted(os.sched_getaffinity(0))
-        if settings.core not in cores:
-            raise ConfigError(f"core={settings.core}: this process may run on {cores}; the closest is {cores[-1]}")
+    if isinstance(settings.core, int) and hasattr(os, "sched_getaffinity"):
+        wanted, cores = settings.core, os.sched_getaffinity(0)
+        if wanted not in cores:
+            nearest = min(cores, key=lambda core: abs(core - wanted))
+            raise ConfigError(f"core={wanted}: this process may not run there; the closest is {nearest}")
     return settings
 
 
@@ -65,18 +62,17 @@ def benchmark(config: DictConfig) -> Path:
     """Measure, print a table, and write `benchmark.json` under the output directory; return its path."""
     settings = validate_benchmark(config)
     if settings.core is not None and hasattr(os, "sched_setaffinity"):
-        os.sched_setaffinity(0, {settings.core})
+        os.sched_setaffinity(0, {min(os.sched_getaffinity(0)) if settings.core == "first" else settings.core})
     import torch
     from rich.console import Console
 
     torch.set_num_threads(1)
-    console = Console(stderr=True)
     results: dict[str, dict[str, Any]] = {}
-    with console.status("starting") as status:
+    absent = [name for name in NEEDS if importlib.util.find_spec(name) is None]
+    with Console(stderr=True).status("starting") as status:
         for key, measure in _figures(settings):
             status.update(key)
-            missing = _missing(key)
-            results[key] = {"missing": missing} if missing else measure()
+            results[key] = {"missing": f"{', '.join(absent)} not installed"} if absent else measure()
     path = Path(settings.output_dir).expanduser().absolute() / "benchmark.json"
     path.parent.mkdir(parents=True, exist_ok=True)
     about = {"quick": settings.quick, "core": settings.core, "versions": _versions()}
@@ -88,32 +84,43 @@ def benchmark(config: DictConfig) -> Path:
 
 def _figures(settings: BenchmarkConfig) -> Iterator[tuple[str, Callable[[], dict[str, Any]]]]:
     """Yield key and measurement of every figure that is asked for."""
-    from parking_exp.measurements import runs, simulation, updates
-
     quick, rounds = settings.quick, settings.rounds
     kept: dict[str, Any] = {}  # the policy trained for one figure serves another
 
     def stepping(scenes: int, option: str) -> dict[str, Any]:
+        from parking_exp.measurements import runs, simulation
+
         env = runs.run_config(f"env={option}").env
         return simulation.stepping(env, scenes, rounds, seconds=0.1 if quick else 1.0)
 
     def update(algorithm: str, net: str) -> dict[str, Any]:
+        from parking_exp.measurements import runs, updates
+
         wide = "256" in net
-        features = ["algorithm.features=raw"] if wide else []  # as the tutorial has it
+        options = ["algorithm.features=raw", "precision=medium"] if wide else []  # as experiment=article has it
         config = runs.run_config(
-            f"algorithm={algorithm}", f"algorithm.net_arch={net}", "algorithm.batch_size=256", *features
+            f"algorithm={algorithm}", f"algorithm.net_arch={net}", "algorithm.batch_size=256", *options
         )
         return updates.updates(config, rounds, updates_a_slice=(8 if quick else 24) if wide else (16 if quick else 120))
 
     def overhead() -> dict[str, Any]:
+        from parking_exp.measurements import runs
+
         steps, slice_steps = (1400, 80) if quick else (20_000, 1000)
         entry, kept["policy"] = runs.overhead(rounds, steps, slice_steps)
         return entry
 
     def evaluation() -> dict[str, Any]:
+        from parking_exp.measurements import runs, simulation
+
         if "policy" not in kept:
             overhead()
         return simulation.bulk_evaluation(kept["policy"], runs.run_config().env, 500, rounds)
+
+    def article() -> dict[str, Any]:
+        from parking_exp.measurements import runs
+
+        return runs.article(rounds, steps=rounds * 8 if quick else 3000)
 
     figures: dict[str, Callable[[], dict[str, Any]]] = {
         "simulator.n512.ratio": lambda: stepping(512, "parking"),
@@ -126,22 +133,17 @@ def _figures(settings: BenchmarkConfig) -> Iterator[tuple[str, Callable[[], dict
             for name, net in NETS.items()
             for algorithm in ALGORITHMS
         },
-        "run.article.ratio": lambda: runs.article(rounds, steps=rounds * 8 if quick else 3000),
+        "run.article.ratio": article,
     }
     for key, measure in figures.items():
         if settings.only is None or any(key.startswith(name) for name in settings.only):
             yield key, measure
 
 
-def _missing(key: str) -> str | None:
-    """Return what a figure's peer needs and is not installed."""
-    needs = next((modules for prefix, modules in PEERS.items() if key.startswith(prefix)), ())
-    absent = [name for name in needs if importlib.util.find_spec(name) is None]
-    return f"{', '.join(absent)} not installed" if absent else None
-
-
 def _versions() -> dict[str, str]:
-    return {name: version(name) for name in ("parking-exp", "torch", "stable-baselines3", "highway-env", "numpy")}
+    installed = {str(item.metadata["Name"]).lower(): item.version for item in distributions()}
+    names = ("parking-exp", "torch", "stable-baselines3", "highway-env", "numpy")
+    return {name: installed[name] for name in names if name in installed}
 
 
 def _table(results: dict[str, dict[str, Any]]) -> str:

@@ -64,8 +64,12 @@ def validate_request(config: DictConfig) -> EvaluationRequest:
             f"first_scene={request.first_scene} reaches into the training scenes; "
             f"the closest valid choice is {TRAINING_SCENES_START - request.episodes}"
         )
-    if request.env is not None and (problems := check_env(request.env)):
-        raise ConfigError("\n".join(problems))
+    if request.env is not None:
+        # One key says what simulates: request.simulator.
+        env = _simulated(request.env, request.simulator)
+        request = request.model_copy(update={"env": env})
+        if problems := check_env(env):
+            raise ConfigError("\n".join(problems))
     return request
 
 
@@ -86,9 +90,9 @@ def evaluate_run(config: DictConfig) -> Path:
             + ("try model=best" if (directory.models / "best.zip").exists() else "let it train first")
         )
     run = directory.config()
-    env = request.env or run.env
-    if request.simulator == "vectorized" and env.uncovered:
-        raise ConfigError(f"env.{env.uncovered[0]} is not simulated by simulator=vectorized; use simulator=highway_env")
+    env = request.env or _simulated(run.env, request.simulator)
+    if problems := check_env(env):
+        raise ConfigError("\n".join(problems))
     folder = directory.path / "evaluations" / (request.name or _folder_name(request, run, env))
     print(f"run directory  {directory.path}")
     _evaluate(request, run, env, weights, folder)
@@ -102,7 +106,7 @@ def _evaluate(request: EvaluationRequest, run: RunConfig, env: EnvConfig, weight
     from rich.progress import Progress
     from stable_baselines3.common.vec_env import DummyVecEnv
 
-    from parking_exp.algorithms import build_model, greedy_policy
+    from parking_exp.algorithms import build_model, greedy_policy, torch_settings
     from parking_exp.checkpoints import load_weights
     from parking_exp.envs import make_env
     from parking_exp.evaluation import evaluate, summarise
@@ -113,13 +117,13 @@ def _evaluate(request: EvaluationRequest, run: RunConfig, env: EnvConfig, weight
     load_weights(weights, model)
     policy = greedy_policy(model)
     scenes = range(request.first_scene, request.first_scene + request.episodes)
-    with Progress(console=Console(stderr=True), transient=True) as bar:
+    with torch_settings(run), Progress(console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task(f"{request.episodes} episodes of {env.name}", total=request.episodes)
 
         def report(finished: int) -> None:
             bar.update(task, completed=finished)
 
-        episodes = evaluate(policy, env, scenes, on_step=report, simulator=request.simulator)
+        episodes = evaluate(policy, env, scenes, on_step=report)
     folder.mkdir(parents=True, exist_ok=True)
     for stale in folder.glob("video.*"):
         stale.unlink()
@@ -151,11 +155,15 @@ def _store(request: EvaluationRequest, directory: RunDirectory, folder: Path) ->
     connect(uri).log_artifacts(directory.run_id, str(folder), f"evaluations/{folder.name}")
 
 
+def _simulated(env: EnvConfig, simulator: Simulation) -> EnvConfig:
+    return env.model_copy(update={"simulator": simulator})
+
+
 def _folder_name(request: EvaluationRequest, run: RunConfig, env: EnvConfig) -> str:
     name = f"{env.name}-{request.model}-scenes-{request.first_scene}-{request.first_scene + request.episodes - 1}"
     if request.simulator != "highway_env":
         name += f"-{request.simulator}"
-    if request.env is not None and env != run.env:
+    if env != _simulated(run.env, request.simulator):
         # The same option with other values is another evaluation.
         name += f"-{short_hash(env.model_dump())}"
     return name

@@ -64,7 +64,7 @@ class Session:
         remaining = self.config.total_timesteps - self.model.num_timesteps
         if remaining > 0:
             interval = self.config.tracking.log_interval
-            self.model.learn(remaining, _Schedule(self), log_interval=interval, reset_num_timesteps=False)
+            self.model.learn(remaining, Schedule(self), log_interval=interval, reset_num_timesteps=False)
         self.save_checkpoint()
 
     def finish(self) -> pd.DataFrame:
@@ -186,7 +186,7 @@ class Session:
         self.model.logger.dump(self.model.num_timesteps)
 
 
-class _Schedule(BaseCallback):
+class Schedule(BaseCallback):
     """Evaluates, saves and stops between rollouts, where Stable-Baselines3's state is whole.
 
     Inside a step the transition is counted already and not yet stored.

@@ -4,14 +4,14 @@ import os
 import signal
 import socket
 import traceback
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from typing import Any
 
 import torch
 from omegaconf import DictConfig
 
 from parking_exp import checkpoints
+from parking_exp.algorithms import torch_settings
 from parking_exp.checkpoints import Progress
 from parking_exp.config import RunConfig
 from parking_exp.errors import ConfigError, FailedRunError, InterruptedRunError
@@ -47,7 +47,7 @@ def train(config: DictConfig | Mapping[str, Any] | RunConfig) -> RunResult:
             )
             return result
         directory.create(config)
-        with stop_on_signal() as stop, _torch_settings(config):
+        with stop_on_signal() as stop, torch_settings(config):
             return _train(config, directory, stop)
 
 
@@ -115,16 +115,3 @@ def _closing_words(result: RunResult) -> str:
     if result.run_id:
         lines.append(f"MLflow run     {result.run_id}   (make ui)")
     return "\n".join(lines)
-
-
-@contextmanager
-def _torch_settings(config: RunConfig) -> Iterator[None]:
-    threads, precision = torch.get_num_threads(), torch.get_float32_matmul_precision()
-    if config.torch_threads is not None:
-        torch.set_num_threads(config.torch_threads)
-    torch.set_float32_matmul_precision(config.precision)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(threads)
-        torch.set_float32_matmul_precision(precision)

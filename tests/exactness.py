@@ -30,6 +30,12 @@ def actions_of(kind, rng, shape, policy=None):
 
 def compare(config, scenes, act):
     """Run whole episodes in the simulator, repeat them in highway-env; return the number of steps and what differed."""
+    starts, records = record(config, scenes, act)
+    return sum(len(steps) for steps in records), repeat(config, scenes, starts, records)
+
+
+def record(config, scenes, act):
+    """Run whole episodes in the simulator; return first observations, and (action, observation, reward, flags) of steps."""
     simulator = Simulator(config, Scenes.from_seeds(scenes, config.vehicles_count))
     records = [[] for _ in scenes]
     rows, observation = np.arange(len(scenes)), simulator.observe()
@@ -45,7 +51,11 @@ def compare(config, scenes, act):
         simulator.keep(~done)
         rows = rows[~done]
         observation = {key: value[~done] for key, value in step.observation.items()}
+    return starts, records
 
+
+def repeat(config, scenes, starts, records):
+    """Repeat recorded episodes in highway-env; return what differed, at most one entry for each scene."""
     env, mismatches = make_env(config), []
     for row, scene in enumerate(scenes):
         first, _ = env.reset(seed=int(scene))
@@ -58,4 +68,4 @@ def compare(config, scenes, act):
             if not (far <= TOLERANCE and abs(their_reward - reward) <= TOLERANCE and same_flags):
                 mismatches.append((scene, number, far, reward, their_reward, flags))
                 break
-    return sum(len(record) for record in records), mismatches
+    return mismatches

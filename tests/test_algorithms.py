@@ -123,5 +123,5 @@ def test_a_learning_rate_schedule_is_a_target_node():
 
 def test_what_the_library_refuses_is_a_config_error():
     config = make_config(*SMALL, "+algorithm.policy_kwargs.n_critic=3")
-    with pytest.raises(ConfigError, match=r"stable_baselines3\.SAC refuses its arguments: .*n_critic"):
+    with pytest.raises(ConfigError, match=r"parking_exp.lean.SAC refuses its arguments: .*n_critic"):
         build_model(config, make_training_envs(config.env, config.n_envs), seed=0)

@@ -133,7 +133,7 @@ def test_the_benchmark_measures_and_writes(tmp_path):
     ("argument", "message"),
     [
         ("only=[simulater]", "error: only=simulater: no figure begins so; did you mean 'simulator.n8.ratio'?\n"),
-        ("core=999", "error: core=999: this process may run on "),
+        ("core=999", "error: core=999: this process may not run there; the closest is "),
         ("rounds=0", "error: rounds=0 is out of range; the closest valid choice is 1\n"),
     ],
 )

@@ -50,7 +50,7 @@ def test_a_frame_is_highway_envs(x, y, heading, speed, acceleration, steering):
         np.array([[x], [y]]),
         np.array([heading]),
         np.array([speed]),
-        np.array([acceleration]),
+        np.array([acceleration]) * (1 / 15),
         slip,
         np.sin(slip),
         1 / 15,

@@ -69,19 +69,22 @@ class VectorizedParking(VecEnv):
 
     def get_state(self) -> dict[str, Any]:
         """Return everything that the future depends on, the generator of scenes included."""
-        return {"simulator": self.simulator.get_state(), "rng": self._rng.bit_generator.state}
+        rng = self._rng.bit_generator.state
+        return {"simulator": self.simulator.get_state(), "rng": rng, "seeds": list(self._seeds)}
 
     def set_state(self, state: dict[str, Any]) -> None:
         """Restore a state; what follows is identical."""
         self.simulator.set_state(state["simulator"])
         self._rng.bit_generator.state = state["rng"]
+        self._seeds = list(state["seeds"])
 
     def close(self) -> None:
         """Nothing to close."""
 
     def get_attr(self, attr_name: str, indices: int | Iterable[int] | None = None) -> list[Any]:
         """Return an attribute for each of the envs, which share it."""
-        values: dict[str, Any] = {"render_mode": None, "config": self.config}
+        values: dict[str, Any] = {"render_mode": None, "spec": None, "config": self.config}
+        values |= {name: getattr(self, name, None) for name in ("action_space", "observation_space", "metadata")}
         if attr_name not in values:
             raise AttributeError(f"{type(self).__name__} has no {attr_name} for each env")
         return [values[attr_name] for _ in self._get_indices(indices)]

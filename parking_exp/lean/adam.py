@@ -67,10 +67,13 @@ class Adam:
     def is_bound(self) -> bool:
         """Whether the optimizer's state is still the one that is stepped here; loading replaces it."""
         state = self.optimizer.state
-        mine = zip(self.parameters.tensors, self._mean.tensors, strict=True)
+        mine = zip(self.parameters.tensors, self._mean.tensors, self._square.tensors, strict=True)
         return (
-            self.parameters.is_whole
-            and all(state[parameter].get("exp_avg") is mean for parameter, mean in mine)
+            all(flat.is_whole for flat in (self.parameters, self._mean, self._square))
+            and all(
+                state[parameter].get("exp_avg") is mean and state[parameter].get("exp_avg_sq") is square
+                for parameter, mean, square in mine
+            )
             and int(self._steps[0].item()) == self._step
         )
 

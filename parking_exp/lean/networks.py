@@ -2,7 +2,7 @@
 
 Networks this small spend most of an update in autograd's bookkeeping, and a general backward pass computes gradients
 that nobody reads. Here the passes are written out, with the operations that autograd would use, so that results are
-the same to the last bit; only layers of 128 units and more go through oneDNN, which sums in another order.
+the same to the last bit. Where torch's float32 matmul precision is not `highest`, wide layers go through oneDNN.
 """
 
 from itertools import pairwise
@@ -11,7 +11,8 @@ from typing import cast
 import torch
 from torch import nn
 
-# From this width on oneDNN is faster than MKL, by up to a factor of two (measured on one core with AVX-512).
+# From this width on oneDNN is faster than MKL, by up to a factor of two (one core of an AMD EPYC with AVX-512). It adds
+# up in another order.
 WIDE = 128
 _onednn = getattr(torch.ops.mkldnn, "_linear_pointwise", None) if torch.backends.mkldnn.is_available() else None
 
@@ -61,11 +62,16 @@ class Perceptron:
         return torch.ops.aten.threshold_backward(_times(gradient, self.layers[index][0]), value, 0)
 
 
-def linear_layers(module: nn.Sequential) -> list[nn.Linear] | None:
-    """Return the layers of a perceptron with ReLU between them, a Tanh at the end apart; None if it is other."""
+def linear_layers(module: nn.Sequential, last: type[nn.Module] | None = None) -> list[nn.Linear] | None:
+    """Return the layers of a perceptron with ReLU between them, or None if it is something else.
+
+    Args:
+        module: what may be one.
+        last: another activation that must stand at its end.
+    """
     children = list(module)
-    if children and isinstance(children[-1], nn.Tanh):
-        children.pop()
+    if last is not None and (not children or type(children.pop()) is not last):
+        return None
     layers, between = children[::2], children[1::2]
     if not all(type(layer) is nn.Linear and layer.bias is not None for layer in layers):
         return None
@@ -76,7 +82,7 @@ def linear_layers(module: nn.Sequential) -> list[nn.Linear] | None:
 
 def parameters(module: nn.Sequential) -> list[torch.Tensor]:
     """Return weight, bias, weight, ... of a perceptron's layers."""
-    return [tensor for layer in linear_layers(module) or [] for tensor in (layer.weight, layer.bias)]
+    return [tensor for layer in module if isinstance(layer, nn.Linear) for tensor in (layer.weight, layer.bias)]
 
 
 def as_layers(tensors: list[torch.Tensor]) -> list[Layer]:
@@ -84,21 +90,25 @@ def as_layers(tensors: list[torch.Tensor]) -> list[Layer]:
     return list(zip(tensors[::2], tensors[1::2], strict=True))
 
 
+def _by_onednn(weight: torch.Tensor) -> bool:
+    return min(weight.shape) >= WIDE and torch.get_float32_matmul_precision() != "highest"
+
+
 def _linear(x: torch.Tensor, weight: torch.Tensor, bias: torch.Tensor) -> torch.Tensor:
-    if _onednn is not None and min(weight.shape) >= WIDE:
+    if _onednn is not None and _by_onednn(weight):
         return _onednn(x, weight, bias, "none", [], "")
     return torch.addmm(bias, x, weight.t())
 
 
 def _times(gradient: torch.Tensor, weight: torch.Tensor) -> torch.Tensor:
-    if _onednn is not None and min(weight.shape) >= WIDE:
+    if _onednn is not None and _by_onednn(weight):
         return _onednn(gradient, weight.t(), None, "none", [], "")
     return gradient @ weight
 
 
 def _outer(gradient: torch.Tensor, value: torch.Tensor, out: torch.Tensor) -> None:
     """Write the gradient by a weight, summed over the batch."""
-    if _onednn is not None and min(out.shape) >= WIDE:
+    if _onednn is not None and _by_onednn(out):
         out.copy_(_onednn(gradient.t(), value.t(), None, "none", [], ""))
     else:
         torch.mm(gradient.t(), value, out=out)

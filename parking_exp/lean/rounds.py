@@ -10,6 +10,7 @@ from stable_baselines3.her import HerReplayBuffer
 
 # Their `sample` draws transitions independently, so that one large sample is as good as several small ones.
 INDEPENDENT = (ReplayBuffer, DictReplayBuffer, HerReplayBuffer)
+LARGEST = 64  # minibatches that are sampled together; a round after a long episode would not fit into memory
 
 
 class Minibatch(NamedTuple):
@@ -34,6 +35,11 @@ def sample_round(model: OffPolicyAlgorithm, steps: int, batch_size: int) -> Iter
     Buffers known to draw independently are asked once for all of it. HER gives virtual transitions last; dealt out in
     turn, each minibatch has its share of them, to within one transition.
     """
+    for first in range(0, steps, LARGEST):
+        yield from _sample(model, min(LARGEST, steps - first), batch_size)
+
+
+def _sample(model: OffPolicyAlgorithm, steps: int, batch_size: int) -> Iterator[Minibatch]:
     buffer, normalize = model.replay_buffer, model._vec_normalize_env
     assert buffer is not None
     if steps > 1 and type(buffer) in INDEPENDENT and "sample" not in vars(buffer):

@@ -1,6 +1,8 @@
 """Whole runs: the tutorial's recipe against plain Stable-Baselines3, and what a run costs besides training."""
 
 import statistics
+import subprocess
+import sys
 import tempfile
 import time
 from typing import Any
@@ -10,7 +12,7 @@ from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import Logger
 from stable_baselines3.common.monitor import Monitor
 
-from parking_exp.algorithms import build_model
+from parking_exp.algorithms import build_model, torch_settings
 from parking_exp.checkpoints import Progress
 from parking_exp.composition import composed
 from parking_exp.config import RunConfig
@@ -20,9 +22,9 @@ from parking_exp.measurements.rounds import interleave, rounded, spread
 from parking_exp.policy import Policy
 from parking_exp.progress import TrainingProgress
 from parking_exp.runs import RunDirectory
-from parking_exp.session import Session
+from parking_exp.session import Schedule, Session
 from parking_exp.stopping import StopRequest
-from parking_exp.tracking import open_tracker
+from parking_exp.tracking import open_tracker, store_uri
 from parking_exp.validation import validate
 
 
@@ -54,7 +56,12 @@ def article(rounds: int, steps: int) -> dict[str, Any]:
     for model in (ours, peer):
         model.set_logger(Logger(None, []))
         model.learn(arguments["learning_starts"])
-    entry = interleave(lambda: _learn(ours, steps // rounds), lambda: _learn(peer, steps // rounds), rounds)
+
+    def mine() -> float:
+        with torch_settings(config):
+            return _learn(ours, steps // rounds)
+
+    entry = interleave(mine, lambda: _learn(peer, steps // rounds), rounds)
     return entry | {"peer": "plain stable-baselines3 + highway-env", "unit": "env steps", "steps": steps}
 
 
@@ -67,18 +74,28 @@ def overhead(rounds: int, steps: int, slice_steps: int) -> tuple[dict[str, Any],
     """
     full = run_config()
     with tempfile.TemporaryDirectory() as folder:
-        config = run_config(f"output_dir={folder}/out", f"total_timesteps={steps}", "tracking.progress_bar=false")
-        run_config_store(config)
+        overrides = [f"output_dir={folder}/out", "tracking.progress_bar=false"]
+        config = run_config(*overrides, f"total_timesteps={steps}")
+        _make_store(config)
         session, start_s = _tracked_session(config)
         session.learn()
         bare = build_model(config, make_training_envs(config.env, config.n_envs), seed=0)
         bare.set_logger(Logger(None, []))
-        bare.learn(int(config.algorithm.arguments["learning_starts"]) + slice_steps)
-        quiet = _Rows()
+        bare.learning_starts = steps  # its buffer is as full
+        bare.learn(steps)
+        bare.learning_starts = 0
+        session.config = run_config(
+            *overrides,
+            f"total_timesteps={100 * steps}",
+            "evaluation.every_n_steps=null",
+            "checkpoint.every_n_steps=null",
+        )
+        schedule = Schedule(session)
         slices = []
         for _ in range(rounds):
-            tracked_s = _seconds(lambda: _learn(session.model, slice_steps, quiet, config.tracking.log_interval))
+            tracked_s = _seconds(lambda: _learn(session.model, slice_steps, schedule, config.tracking.log_interval))
             slices.append((tracked_s / slice_steps, _seconds(lambda: _learn(bare, slice_steps)) / slice_steps))
+        session.config = config
         evaluation_s = statistics.median(_seconds(session.evaluate) for _ in range(rounds))
         checkpoint_s = statistics.median(_checkpoint_seconds(session) for _ in range(rounds))
         policy = session.policy
@@ -100,13 +117,8 @@ def overhead(rounds: int, steps: int, slice_steps: int) -> tuple[dict[str, Any],
     return entry | {"parts": {name: rounded(value) for name, value in parts.items()}}, policy
 
 
-def run_config_store(config: RunConfig) -> None:
+def _make_store(config: RunConfig) -> None:
     """Make the store: a user's has been there since the first run."""
-    import subprocess
-    import sys
-
-    from parking_exp.tracking import store_uri
-
     code = f"from parking_exp.tracking import connect; connect({store_uri(config)!r})"
     subprocess.run([sys.executable, "-c", code], check=True, capture_output=True)
 
@@ -143,10 +155,3 @@ def _seconds(task: Any) -> float:
     start = time.perf_counter()
     task()
     return time.perf_counter() - start
-
-
-class _Rows(BaseCallback):
-    """A callback as light as the session's own is between evaluations."""
-
-    def _on_step(self) -> bool:
-        return True

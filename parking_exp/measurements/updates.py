@@ -6,7 +6,7 @@ import stable_baselines3
 from stable_baselines3.common.logger import Logger
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 
-from parking_exp.algorithms import build_model
+from parking_exp.algorithms import build_model, torch_settings
 from parking_exp.config import RunConfig
 from parking_exp.envs.vector import make_training_envs
 from parking_exp.measurements.rounds import interleave
@@ -15,17 +15,25 @@ PEER = "stable-baselines3"
 
 
 def updates(config: RunConfig, rounds: int, updates_a_slice: int) -> dict[str, Any]:
-    """Compare updates a second, in rounds of as many as the config does after each step of its envs."""
+    """Compare updates a second, in rounds of as many as the config does after each step of its envs.
+
+    Ours have the config's matmul precision, the peer has torch's default.
+    """
     _, gradient_steps = config.update_rounds()
     ours, peer = filled(config, lean=True), filled(config, lean=False)
     calls = max(1, updates_a_slice // gradient_steps)
+
+    def mine() -> float:
+        with torch_settings(config):
+            return side(ours)
 
     def side(model: OffPolicyAlgorithm) -> float:
         for _ in range(calls):
             model.train(gradient_steps=gradient_steps, batch_size=model.batch_size)
         return calls * gradient_steps
 
-    return interleave(lambda: side(ours), lambda: side(peer), rounds) | {"peer": PEER, "unit": "updates"}
+    about = {"peer": PEER, "unit": "updates", "precision": config.precision, "peer_precision": "highest"}
+    return interleave(mine, lambda: side(peer), rounds) | about
 
 
 def filled(config: RunConfig, lean: bool) -> Any:
