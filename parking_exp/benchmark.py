@@ -91,7 +91,7 @@ def _figures(settings: BenchmarkConfig) -> Iterator[tuple[str, Callable[[], dict
         from parking_exp.measurements import runs, simulation
 
         env = runs.run_config(f"env={option}").env
-        return simulation.stepping(env, scenes, rounds, seconds=0.1 if quick else 1.0)
+        return simulation.stepping(env, scenes, rounds, seconds=0.1 if quick else 0.7)
 
     def update(algorithm: str, net: str) -> dict[str, Any]:
         from parking_exp.measurements import runs, updates
@@ -106,7 +106,7 @@ def _figures(settings: BenchmarkConfig) -> Iterator[tuple[str, Callable[[], dict
     def overhead() -> dict[str, Any]:
         from parking_exp.measurements import runs
 
-        steps, slice_steps = (1400, 80) if quick else (20_000, 1000)
+        steps, slice_steps = (1400, 80) if quick else (15_000, 800)
         entry, kept["policy"] = runs.overhead(rounds, steps, slice_steps)
         return entry
 

@@ -37,14 +37,14 @@ def updates(config: RunConfig, rounds: int, updates_a_slice: int) -> dict[str, A
 
 
 def filled(config: RunConfig, lean: bool) -> Any:
-    """Return a model whose replay buffer holds 20,000 random transitions, made with our classes or with theirs."""
+    """Return a model whose replay buffer holds 10,000 random transitions, made with our classes or with theirs."""
     if not lean:
         theirs = f"stable_baselines3.{config.algorithm.target.rpartition('.')[2]}"
         config = config.model_copy(update={"algorithm": config.algorithm.model_copy(update={"target": theirs})})
     model = build_model(config, make_training_envs(config.env, config.n_envs), seed=0)
     assert isinstance(model, getattr(stable_baselines3, config.algorithm.target.rpartition(".")[2]))
     model.set_logger(Logger(None, []))
-    model.learning_starts = 20_000
-    model.learn(20_000)
+    model.learning_starts = 10_000
+    model.learn(10_000)
     model.learning_starts = 0
     return model
