@@ -72,20 +72,24 @@ def test_what_is_not_simulated_is_refused_by_name():
 
 @pytest.mark.parametrize("parked", [0, 10, 26])
 def test_scenes_are_highway_envs_bit_for_bit(parked):
-    check_scenes(range(200), parked)
+    assert different_scenes(range(200), parked) == []
 
 
-def check_scenes(seeds, parked):
+def different_scenes(seeds, parked):
+    """Seeds whose scenes are not what highway-env makes of them."""
+    found = []
     env = make_env(env_config(f"env.vehicles_count={parked}")).unwrapped
     scenes = Scenes.from_seeds(seeds, parked)
     for row, seed in enumerate(seeds):
         env.reset(seed=seed)
-        assert env.vehicle.heading == scenes.heading[row]
-        assert env.vehicle.goal.position.tolist() == SLOT_POSITIONS[scenes.goal[row]].tolist()
-        assert env.vehicle.goal.heading == SLOT_HEADINGS[scenes.goal[row]]
-        cars = [(*car.position, car.heading) for car in env.road.vehicles[1:]]
-        slots = scenes.parked[row]
-        assert cars == [(*SLOT_POSITIONS[slot], SLOT_HEADINGS[slot]) for slot in slots]
+        things = [env.vehicle.goal, *env.road.vehicles[1:]]
+        slots = [scenes.goal[row], *scenes.parked[row]]
+        same_slots = [(*thing.position, thing.heading) for thing in things] == [
+            (*SLOT_POSITIONS[slot], SLOT_HEADINGS[slot]) for slot in slots
+        ]
+        if not (env.vehicle.heading == scenes.heading[row] and same_slots):
+            found.append(seed)
+    return found
 
 
 def test_random_scenes_have_the_distribution_of_highway_envs():

@@ -12,40 +12,10 @@ from parking_exp.lean.adam import Adam, Flat
 from parking_exp.lean.critics import Critics
 from parking_exp.lean.networks import Perceptron, as_layers, parameters
 from parking_exp.lean.rounds import sample_round
-from parking_exp.lean.support import is_lean
+from parking_exp.lean.training import LeanTraining
 
 LOG_SQRT_2_PI = math.log(math.sqrt(2 * math.pi))
 EPSILON = 1e-6  # of Stable-Baselines3's SquashedDiagGaussianDistribution
-
-
-class SAC(stable_baselines3.SAC):
-    """Stable-Baselines3's SAC, whose `train` does the same arithmetic in a fraction of the time.
-
-    Same constructor, `save`, `load`, `predict` and logger keys. What the lean update does not know (`support.is_lean`)
-    is trained by Stable-Baselines3's own.
-    """
-
-    _update: "_Update | None" = None
-
-    def train(self, gradient_steps: int, batch_size: int = 64) -> None:
-        """Do the updates of one round."""
-        if not is_lean(self):
-            super().train(gradient_steps, batch_size)
-            return
-        optimizers = [self.actor.optimizer, self.critic.optimizer]
-        if self.ent_coef_optimizer is not None:
-            optimizers.append(self.ent_coef_optimizer)
-        self._update_learning_rate(optimizers)
-        with torch.no_grad():
-            if self._update is None or not self._update.is_bound(self):
-                self._update = _Update(self)
-            losses = self._update.run(self, gradient_steps, batch_size)
-        self.logger.record("train/n_updates", self._n_updates, exclude="tensorboard")
-        for name, value in losses.items():
-            self.logger.record(f"train/{name}", value)
-
-    def _excluded_save_params(self) -> list[str]:
-        return [*super()._excluded_save_params(), "_update"]
 
 
 class _Update:
@@ -175,3 +145,12 @@ class _Squashed:
         by_std = -by_log_prob / std + (by_double_variance * 2) * (2 * std) + by_sample * noise
         inside = (raw_log_std >= LOG_STD_MIN) & (raw_log_std <= LOG_STD_MAX)
         return by_sample - by_offset, by_std * std * inside
+
+
+class SAC(LeanTraining, stable_baselines3.SAC):
+    """Stable-Baselines3's SAC, whose `train` does the same arithmetic in a fraction of the time.
+
+    Same constructor, `save`, `load`, `predict` and logger keys.
+    """
+
+    update_class = _Update

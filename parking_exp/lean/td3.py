@@ -9,42 +9,7 @@ from parking_exp.lean.adam import Adam, Flat, follow
 from parking_exp.lean.critics import Critics
 from parking_exp.lean.networks import Perceptron, as_layers, parameters
 from parking_exp.lean.rounds import sample_round
-from parking_exp.lean.support import is_lean
-
-
-class _LeanTraining(stable_baselines3.TD3):
-    """The `train` that TD3 and DDPG share, as they do in Stable-Baselines3."""
-
-    _update: "_Update | None" = None
-
-    def train(self, gradient_steps: int, batch_size: int = 100) -> None:
-        """Do the updates of one round."""
-        if not is_lean(self):
-            super().train(gradient_steps, batch_size)
-            return
-        self._update_learning_rate([self.actor.optimizer, self.critic.optimizer])
-        with torch.no_grad():
-            if self._update is None or not self._update.is_bound(self):
-                self._update = _Update(self)
-            losses = self._update.run(self, gradient_steps, batch_size)
-        self.logger.record("train/n_updates", self._n_updates, exclude="tensorboard")
-        for name, value in losses.items():
-            self.logger.record(f"train/{name}", value)
-
-    def _excluded_save_params(self) -> list[str]:
-        return [*super()._excluded_save_params(), "_update"]
-
-
-class TD3(_LeanTraining):
-    """Stable-Baselines3's TD3, whose `train` does the same arithmetic in a fraction of the time.
-
-    Same constructor, `save`, `load`, `predict` and logger keys. What the lean update does not know (`support.is_lean`)
-    is trained by Stable-Baselines3's own.
-    """
-
-
-class DDPG(_LeanTraining, stable_baselines3.DDPG):
-    """Stable-Baselines3's DDPG: TD3 with one critic, no delay and no noise on the target; lean likewise."""
+from parking_exp.lean.training import LeanTraining
 
 
 class _Update:
@@ -89,3 +54,18 @@ class _Update:
         self.actor.backward(values, torch.ops.aten.tanh_backward(gradient, actions), self.adam.gradients)
         self.adam.step()
         return -value.mean()
+
+
+class TD3(LeanTraining, stable_baselines3.TD3):
+    """Stable-Baselines3's TD3, whose `train` does the same arithmetic in a fraction of the time.
+
+    Same constructor, `save`, `load`, `predict` and logger keys.
+    """
+
+    update_class = _Update
+
+
+class DDPG(LeanTraining, stable_baselines3.DDPG):
+    """Stable-Baselines3's DDPG: TD3 with one critic, no delay and no noise on the target; lean likewise."""
+
+    update_class = _Update
