@@ -12,7 +12,7 @@ from pydantic import Field
 
 from parking_exp.config import Positive, Section
 from parking_exp.errors import ConfigError
-from parking_exp.files import write_json
+from parking_exp.files import read_json, write_json
 from parking_exp.validation import parse
 from parking_exp.wording import closest
 
@@ -34,7 +34,7 @@ class BenchmarkConfig(Section):
     """The config of scripts/benchmark.py."""
 
     output_dir: str
-    only: list[str] | None
+    only: Annotated[list[str], Field(min_length=1)] | None
     rounds: Positive
     quick: bool
     core: Annotated[int, Field(ge=0)] | Literal["first"] | None
@@ -75,9 +75,13 @@ def benchmark(config: DictConfig) -> Path:
             results[key] = {"missing": f"{', '.join(absent)} not installed"} if absent else measure()
     path = Path(settings.output_dir).expanduser().absolute() / "benchmark.json"
     path.parent.mkdir(parents=True, exist_ok=True)
+    # A figure that is not measured this time stays as it was.
+    earlier = read_json(path) or {}
     about = {"quick": settings.quick, "core": settings.core, "versions": _versions()}
-    write_json(path, {**results, "about": about})
+    write_json(path, {**earlier, **{key: {**entry, "about": about} for key, entry in results.items()}})
     print(_table(results))
+    if settings.quick:
+        print("--quick: these figures only show that everything runs")
     print(f"written to {path}")
     return path
 

@@ -6,6 +6,7 @@ imported only once a command is known to be good.
 
 import argparse
 import os
+import signal
 import sys
 from collections.abc import Callable
 from typing import NoReturn
@@ -61,6 +62,8 @@ def _command(config_name: str, check: Callable[[DictConfig], object], task: Call
             task(config)
         except ParkingError as error:
             _fail(error)
+        except KeyboardInterrupt:
+            _fail(InterruptedRunError("stopped; nothing of this was stored", signal.SIGINT))
 
     hydra.main(version_base=VERSION_BASE, config_path=str(config_dir()), config_name=config_name)(guarded)()
 
