@@ -349,7 +349,10 @@ def test_a_signal_saves_a_checkpoint_and_the_same_command_goes_on(tmp_path, sign
 
 def test_a_corrupt_checkpoint_is_passed_over_with_a_warning(tmp_path):
     output_dir = tmp_path / "outputs"
-    arguments = ("experiment=smoke", f"output_dir={output_dir}", "evaluation.video_episodes=0")
+    arguments = (
+        "experiment=smoke", f"output_dir={output_dir}", "evaluation.video_episodes=0",
+        "env.simulator=highway_env",  # slow enough to be killed on the way
+    )  # fmt: skip
     command, keywords = script("train", *arguments)
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, **keywords)
     wait_for(lambda: len(list(output_dir.glob("*/*/*/checkpoints/step=*"))) == 2, process)
