@@ -17,7 +17,8 @@ rectangle = st.tuples(coordinate, coordinate, angle, length, length)
 
 
 def polygon(x, y, heading, long, wide):
-    return corners(np.array([[x, y]]), np.array([heading]), np.array([long]), np.array([wide]))[0]
+    direction = np.array([[np.cos(heading), np.sin(heading)]])
+    return corners(np.array([[x, y]]), direction, np.array([long]), np.array([wide]))[0]
 
 
 @settings(max_examples=500, deadline=None)

@@ -11,39 +11,39 @@ import numpy as np
 ALONG, ACROSS = np.array([-0.5, -0.5, 0.5, 0.5]), np.array([-0.5, 0.5, 0.5, -0.5])
 NEXT_CORNER = np.array([1, 2, 3, 0])
 
+Lengths = np.ndarray | float
 
-def corners(position: np.ndarray, heading: np.ndarray, length: np.ndarray, width: np.ndarray) -> np.ndarray:
+
+def corners(position: np.ndarray, direction: np.ndarray, length: Lengths, width: Lengths) -> np.ndarray:
     """Return the corners of rectangles, in order around them, shape (..., 4, 2) [m].
 
     Args:
         position: centres, shape (..., 2).
-        heading: shape (...).
-        length: along the heading, shape (...) [m].
+        direction: cosine and sine of the headings, shape (..., 2).
+        length: along the heading, one for all or shape (...) [m].
         width: across it, likewise.
     """
-    points = np.empty((*heading.shape, 4, 2))
-    points[..., 0] = length[..., None] * ALONG
-    points[..., 1] = width[..., None] * ACROSS
-    rotation = np.empty((*heading.shape, 2, 2))
-    rotation[..., 0, 0] = rotation[..., 1, 1] = np.cos(heading)
-    rotation[..., 1, 0] = np.sin(heading)
-    np.negative(rotation[..., 1, 0], out=rotation[..., 0, 1])
+    points = np.empty((*np.shape(length), 4, 2))
+    np.multiply.outer(length, ALONG, out=points[..., 0])
+    np.multiply.outer(width, ACROSS, out=points[..., 1])
+    rotation = np.empty((*direction.shape, 2))
+    rotation[..., 0] = direction
+    rotation[..., 1, 1] = direction[..., 0]
+    np.negative(direction[..., 1], out=rotation[..., 0, 1])
     turned = (rotation @ points.swapaxes(-1, -2)).swapaxes(-1, -2)
     placed: np.ndarray = np.add(turned, position[..., None, :], order="C")
     return placed
 
 
-def out_of_reach(
-    offset: np.ndarray, diagonal: np.ndarray | float, other: np.ndarray | float, travel: np.ndarray
-) -> np.ndarray:
+def out_of_reach(offset: np.ndarray, diagonal: Lengths, other: Lengths, travel: Lengths) -> np.ndarray:
     """Return where two circles around the rectangles are apart, which highway-env asks first.
 
     As there, `travel` is the first car's signed way in one frame: in reverse, the circles shrink.
 
     Args:
         offset: from the first centre to the second, shape (..., 2).
-        diagonal, other: of the two rectangles [m].
-        travel: speed times dt of the first, shape broadcastable to (...) [m].
+        diagonal, other: of the two rectangles, of a shape broadcastable to (...) [m].
+        travel: speed times dt of the first, likewise.
     """
     apart: np.ndarray = np.sqrt(np.vecdot(offset, offset)) > (diagonal + other) / 2 + travel
     return apart
@@ -62,15 +62,14 @@ def separating_axis(polygons: np.ndarray, displacement: np.ndarray) -> tuple[np.
         translation: what would push a out of b then, shape (n, 2); meaningless where they will not overlap.
     """
     n = len(polygons)
-    edges = polygons[:, :, NEXT_CORNER] - polygons
+    edges = polygons.take(NEXT_CORNER, axis=2) - polygons
     normals = np.empty((n, 8, 2))
     np.negative(edges[..., 1].reshape(n, 8), out=normals[..., 0])
     normals[..., 1] = edges[..., 0].reshape(n, 8)
     normals /= np.sqrt(np.vecdot(normals, normals))[..., None]
     shadows = np.vecdot(polygons.transpose(2, 1, 0, 3)[:, :, :, None], normals)  # (4, 2, n, 8)
-    one, two, three, four = shadows  # written out: NumPy reduces short axes slowly
-    low_a, low_b = np.minimum(np.minimum(one, two), np.minimum(three, four))
-    high_a, high_b = np.maximum(np.maximum(one, two), np.maximum(three, four))
+    low_a, low_b = np.minimum.reduce(shadows)
+    high_a, high_b = np.maximum.reduce(shadows)
     apart = (low_b > high_a) | (low_a > high_b)
 
     motion = np.vecdot(normals, np.ascontiguousarray(displacement)[:, None])

@@ -15,6 +15,7 @@ from parking_exp.lot import N_SLOTS, SLOT_HEADINGS, SLOT_POSITIONS, SLOTS_A_ROW
 _START_SLOTS = tuple(
     int(row + np.argmin(np.abs(SLOT_POSITIONS[row : row + SLOTS_A_ROW, 0]))) for row in (0, SLOTS_A_ROW)
 )
+_START_HEADINGS = SLOT_HEADINGS[list(_START_SLOTS), None]
 _START_DISTANCE_M = abs(float(SLOT_POSITIONS[_START_SLOTS[0], 0])) + 10.0
 
 
@@ -78,8 +79,9 @@ def start_slot(heading: np.ndarray) -> np.ndarray:
     It is the closest one, in distance plus difference of heading. Four are equally far from the origin; of two
     with the same heading, highway-env takes the first.
     """
-    above, below = (
-        _START_DISTANCE_M + np.abs((heading - SLOT_HEADINGS[slot] + np.pi) % (2 * np.pi) - np.pi)
-        for slot in _START_SLOTS
-    )
+    turn = heading - _START_HEADINGS
+    turn += np.pi
+    turn %= 2 * np.pi
+    turn -= np.pi
+    above, below = _START_DISTANCE_M + np.abs(turn)
     return np.where(above <= below, *_START_SLOTS)

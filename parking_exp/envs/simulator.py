@@ -93,7 +93,7 @@ class Simulator:
 
     def keep(self, rows: np.ndarray) -> None:
         """Go on with some of the scenes only, by index or mask."""
-        self.state = self.state.take(rows)
+        self.state = self.state.take(np.arange(len(self))[rows])
 
     def observe(self, rows: np.ndarray | slice = slice(None)) -> dict[str, np.ndarray]:
         """Return the observation of all scenes, or of some."""
@@ -206,15 +206,16 @@ class Simulator:
         low, high = self.speed_range
         fastest = np.abs(state.speed) + np.abs(acceleration) * (self.frames * self.dt)
         limited = fastest.max() > min(-low, high)
+        slip = slip_angle(steering)
+        sin_slip = np.sin(slip)
         for _ in range(self.frames):
             if state.crashed.any():
-                steering = np.where(state.crashed, 0.0, steering)
+                slip[state.crashed] = sin_slip[state.crashed] = 0.0  # no steering, and full brakes
                 acceleration = np.where(state.crashed, -state.speed, acceleration)
             if limited:
                 acceleration = limited_acceleration(acceleration, state.speed, self.speed_range)
-            slip = slip_angle(steering)
             state.position, state.heading, state.speed = advance(
-                state.position, state.heading, state.speed, acceleration * self.dt, slip, np.sin(slip), self.dt
+                state.position, state.heading, state.speed, acceleration * self.dt, slip, sin_slip, self.dt
             )
             if state.hit.any():
                 impact = np.where(state.hit[..., None], state.impact, 0.0)

@@ -78,8 +78,8 @@ class State:
             self.parked[rows], self.parked_heading[rows] = SLOT_POSITIONS[scenes.parked], SLOT_HEADINGS[scenes.parked]
 
     def take(self, rows: np.ndarray) -> Self:
-        """Return the state of some scenes, by index or mask, as a copy."""
-        return type(self)(**{name: a[:, rows] if name in COLUMNS else a[rows] for name, a in self.arrays()})
+        """Return the state of some scenes, by index, as a copy."""
+        return type(self)(**{name: a.take(rows, axis=int(name in COLUMNS)) for name, a in self.arrays()})
 
     def put(self, rows: np.ndarray, other: Self) -> None:
         """Replace the state of some scenes."""
