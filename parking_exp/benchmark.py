@@ -110,7 +110,7 @@ def _figures(settings: BenchmarkConfig) -> Iterator[tuple[str, Callable[[], dict
     def overhead() -> dict[str, Any]:
         from parking_exp.measurements import runs
 
-        steps, slice_steps = (1400, 80) if quick else (15_000, 800)
+        steps, slice_steps = (1400, 80) if quick else (24_000, 800)
         entry, kept["policy"] = runs.overhead(rounds, steps, slice_steps)
         return entry
 
