@@ -10,7 +10,10 @@ from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from stable_baselines3.common.torch_layers import CombinedExtractor
 from stable_baselines3.common.vec_env import VecEnv
 
+from parking_exp.buffers import HerBuffer
 from parking_exp.config import RunConfig
+from parking_exp.envs.reward import GoalReward
+from parking_exp.envs.vector import is_parking
 from parking_exp.errors import ConfigError
 from parking_exp.features import EgoFrameExtractor
 from parking_exp.policy import Policy
@@ -48,9 +51,11 @@ def build_model(config: RunConfig, env: VecEnv, seed: int, *, for_training: bool
     if for_training:
         objects["replay_buffer_class"] = get_class(config.buffer.target)
         objects["replay_buffer_kwargs"] = config.buffer.arguments
+        if issubclass(objects["replay_buffer_class"], HerBuffer) and is_parking(env):
+            objects["replay_buffer_kwargs"]["reward"] = GoalReward.of(config.env)
     try:
         return build(**objects)
-    except (TypeError, AssertionError) as error:
+    except (TypeError, ValueError, AssertionError) as error:
         raise ConfigError(f"algorithm: {config.algorithm.target} refuses its arguments: {error}") from error
 
 

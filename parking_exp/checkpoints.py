@@ -21,6 +21,7 @@ from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from stable_baselines3.common.save_util import load_from_zip_file, recursive_setattr
 from stable_baselines3.her import HerReplayBuffer
 
+from parking_exp.buffers import HerBuffer
 from parking_exp.files import read_json, sha256, sync, write_json
 
 log = logging.getLogger(__name__)
@@ -183,6 +184,10 @@ def _counters(model: OffPolicyAlgorithm) -> dict[str, Any]:
 def _save_buffer(buffer: ReplayBuffer | None, path: Path) -> None:
     """Write the filled part of every array of a buffer, and its scalars."""
     assert buffer is not None
+    if isinstance(buffer, HerBuffer):
+        with path.open("wb") as file:
+            np.savez(file, allow_pickle=False, **buffer.get_state())
+        return
     arrays: dict[str, np.ndarray] = {"pos": np.asarray(buffer.pos), "full": np.asarray(buffer.full)}
     for name, array in _arrays(buffer):
         arrays[name] = array[: buffer.size()] if len(array) == buffer.buffer_size else array
@@ -193,6 +198,10 @@ def _save_buffer(buffer: ReplayBuffer | None, path: Path) -> None:
 def _load_buffer(buffer: ReplayBuffer | None, path: Path) -> None:
     assert buffer is not None
     with np.load(path, allow_pickle=False) as stored:
+        if isinstance(buffer, HerBuffer):
+            buffer.set_state(stored)
+            buffer.truncate_last_trajectory()
+            return
         buffer.pos, buffer.full = int(stored["pos"]), bool(stored["full"])
         for name, array in _arrays(buffer):
             array[: len(stored[name])] = stored[name]

@@ -6,6 +6,8 @@ from parking_exp.config import DEFAULT_FEATURES, DEFAULT_SCALES, TRAINING_SCENES
 from parking_exp.signatures import UnknownTarget, signature
 from parking_exp.wording import no_target
 
+HER_OPTIONS = ("n_sampled_goal", "relabel_collision", "relabel_terminated", "goal_velocity")
+
 
 def check_env(env: EnvConfig) -> list[str]:
     """Rules between the keys of the `env` group."""
@@ -45,7 +47,11 @@ def check_rules(run: RunConfig) -> list[str]:
 
 def _check_buffer(run: RunConfig) -> list[str]:
     problems = []
-    relabels = "n_sampled_goal" in signature(run.buffer.target).parameters
+    without = run.buffer.arguments.get("goal_selection_strategy", "future") is None
+    relabels = not without and "n_sampled_goal" in signature(run.buffer.target).parameters
+    idle = [name for name in HER_OPTIONS if name in run.buffer.arguments]
+    if without and idle:
+        problems.append(f"buffer.{idle[0]} has no effect without virtual goals; leave it out, or use buffer=her_future")
     longest = run.env.episode_steps(training=True)
     where = f"the longest training episode ({longest} steps) x n_envs ({run.n_envs})"
     starts = run.algorithm.arguments.get("learning_starts")

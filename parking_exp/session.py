@@ -9,6 +9,7 @@ from stable_baselines3.common.callbacks import BaseCallback
 
 from parking_exp import checkpoints
 from parking_exp.algorithms import build_model, greedy_policy
+from parking_exp.buffers import HerBuffer
 from parking_exp.checkpoints import Progress
 from parking_exp.config import RunConfig, Simulation
 from parking_exp.envs.vector import make_training_envs
@@ -181,6 +182,8 @@ class Session:
 
     def _dump(self) -> None:
         cpu_s, wall_s = self.times()
+        if isinstance(buffer := self.model.replay_buffer, HerBuffer) and buffer.real_share is not None:
+            self.model.logger.record("buffer/real_share", buffer.real_share)
         self.model.logger.record("time/cpu_s", cpu_s)
         self.model.logger.record("time/wall_s", wall_s)
         self.model.logger.dump(self.model.num_timesteps)

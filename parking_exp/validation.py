@@ -40,7 +40,10 @@ ARGUMENT_RANGES: dict[str, Any] = {
     "stats_window_size": Positive,
     "top_quantiles_to_drop_per_net": Count,
     "n_sampled_goal": Positive,
-    "goal_selection_strategy": Literal["future", "final", "episode"],
+    "goal_selection_strategy": Literal["future", "final", "episode", "random"],
+    "relabel_collision": Literal["keep", "sb3"],
+    "relabel_terminated": Literal["sb3", "goal", "goal_and_crash"],
+    "goal_velocity": Literal["achieved", "zero"],
     "policy": Literal["MultiInputPolicy"],
 }
 # Constructor arguments of an algorithm that the run feeds from elsewhere, and from where.
@@ -64,6 +67,7 @@ FED_TO_BUFFER = {
     "env": "env",
     "n_envs": "n_envs",
     "device": "device",
+    "reward": "env",
 }
 
 

@@ -5,12 +5,11 @@ import numpy as np
 import pytest
 from conftest import make_config, options
 from hydra.utils import get_class
-from stable_baselines3 import HerReplayBuffer
-from stable_baselines3.common.buffers import DictReplayBuffer
 from stable_baselines3.common.logger import Logger
 from stable_baselines3.common.vec_env import DummyVecEnv
 
 from parking_exp.algorithms import build_model, greedy_policy
+from parking_exp.buffers import HerBuffer
 from parking_exp.envs.vector import make_training_envs
 from parking_exp.errors import ConfigError
 from parking_exp.features import EgoFrameExtractor
@@ -65,7 +64,8 @@ def test_each_algorithm_learns_to_reach_a_goal(algorithm):
     config = make_config(
         *SMALL, f"algorithm={algorithm}", "algorithm.features=raw", "algorithm.net_arch=[32,32]",
         "algorithm.batch_size=64", "algorithm.learning_starts=200", "algorithm.learning_rate=3e-3",
-        "updates_per_step=1.0", *([] if algorithm == "crossq" else ["algorithm.tau=0.02"]),
+        "updates_per_step=1.0", "buffer.relabel_collision=sb3", "buffer.relabel_terminated=sb3",
+        "buffer.goal_velocity=achieved", *([] if algorithm == "crossq" else ["algorithm.tau=0.02"]),
     )  # fmt: skip
     env = DummyVecEnv([Reach, Reach])
     model = build_model(config, env, seed=0)
@@ -74,6 +74,11 @@ def test_each_algorithm_learns_to_reach_a_goal(algorithm):
     model.learn(1500)
     assert before <= 0.5
     assert success_rate(model) >= 0.9
+
+
+def test_what_needs_parkings_reward_is_refused_for_another_env():
+    with pytest.raises(ConfigError, match="relabelling otherwise than Stable-Baselines3 needs to know the reward"):
+        build_model(make_config(*SMALL, "buffer.relabel_collision=keep"), DummyVecEnv([Reach, Reach]), seed=0)
 
 
 @pytest.mark.parametrize("algorithm", options("algorithm"))
@@ -92,12 +97,15 @@ def test_every_algorithm_binds_to_its_constructor_and_updates(algorithm):
 def test_every_buffer_binds_to_its_constructor(buffer):
     config = make_config(*SMALL, f"buffer={buffer}", "algorithm.learning_starts=40")
     model = build_model(config, make_training_envs(config.env, config.n_envs), seed=0)
+    made = model.replay_buffer
+    assert type(made) is HerBuffer
+    assert made.reward.collision == config.env.collision_reward
     if buffer == "replay":
-        assert type(model.replay_buffer) is DictReplayBuffer
+        assert (made.strategy, made.n_sampled_goal) == (None, 0)
     else:
-        assert type(model.replay_buffer) is HerReplayBuffer
-        assert model.replay_buffer.goal_selection_strategy.name.lower() == buffer.removeprefix("her_")
-        assert model.replay_buffer.n_sampled_goal == config.buffer.arguments["n_sampled_goal"]
+        assert made.strategy == buffer.removeprefix("her_")
+        for name in ("n_sampled_goal", "relabel_collision", "relabel_terminated", "goal_velocity"):
+            assert getattr(made, name) == config.buffer.arguments[name]
 
 
 def test_every_argument_arrives():

@@ -1,6 +1,7 @@
 """Checkpoints are whole or not there, and bring everything back."""
 
 import json
+import warnings
 
 import numpy as np
 import pytest
@@ -46,31 +47,48 @@ def test_model_optimizers_buffer_and_counters_come_back(tmp_path, algorithm):
     for name in ("num_timesteps", "_n_updates", "_episode_num"):
         assert getattr(fresh, name) == getattr(model, name) > 0
     assert list(fresh.ep_success_buffer) == list(model.ep_success_buffer)
-    ours, theirs = model.replay_buffer, fresh.replay_buffer
-    assert (theirs.pos, theirs.full) == (ours.pos, ours.full)
-    for name in ("observation", "achieved_goal", "desired_goal"):
-        np.testing.assert_array_equal(theirs.observations[name], ours.observations[name])
-        np.testing.assert_array_equal(theirs.next_observations[name], ours.next_observations[name])
-    for name in ("actions", "rewards", "dones", "timeouts"):
-        filled = slice(0, ours.pos - 1)  # the last row ends episodes that were under way
-        np.testing.assert_array_equal(getattr(theirs, name)[filled], getattr(ours, name)[filled])
+    ours, theirs = model.replay_buffer.get_state(), fresh.replay_buffer.get_state()
+    assert ours.keys() == theirs.keys()
+    for name in ("pos", "full", "goals", "rng"):
+        np.testing.assert_array_equal(theirs[name], ours[name])
+    filled = slice(0, ours["pos"] - 1)  # the last row ends episodes that were under way
+    np.testing.assert_array_equal(theirs["rows"][filled], ours["rows"][filled])
 
 
-def test_a_full_buffer_comes_back_too(tmp_path):
-    small = ("buffer.buffer_size=60", "buffer=replay")
+SB3_HER = (
+    "buffer._target_=stable_baselines3.HerReplayBuffer",
+    "~buffer.relabel_collision",
+    "~buffer.relabel_terminated",
+    "~buffer.goal_velocity",
+)
+
+
+@pytest.mark.parametrize("overrides", [("buffer=replay",), SB3_HER])
+def test_a_full_buffer_comes_back_too(tmp_path, overrides):
+    """Ours, and any of Stable-Baselines3's."""
+    small = ("buffer.buffer_size=60", *overrides)
     model, fresh = trained(*small), trained(*small, steps=0)
     checkpoints.restore(save(tmp_path, model, step=100), fresh, best=tmp_path / "best.zip")
-    assert fresh.replay_buffer.full
-    assert fresh.replay_buffer.pos == model.replay_buffer.pos
-    np.testing.assert_array_equal(fresh.replay_buffer.rewards, model.replay_buffer.rewards)
+    ours, theirs = model.replay_buffer, fresh.replay_buffer
+    assert theirs.full
+    assert theirs.pos == ours.pos
+    with warnings.catch_warnings(action="ignore"):
+        ours.truncate_last_trajectory()
+    samples = []
+    for buffer in (ours, theirs):
+        np.random.seed(0)
+        buffer.rng = np.random.default_rng(0)
+        samples.append(buffer.sample(50))
+    assert torch.equal(samples[0].rewards, samples[1].rewards)
 
 
 def test_episodes_under_way_end_as_truncated_so_that_her_can_use_them(tmp_path):
     model, fresh = trained(steps=105), trained(steps=0)
     checkpoints.restore(save(tmp_path, model, step=105), fresh, best=tmp_path / "best.zip")
-    buffer = fresh.replay_buffer
-    assert (buffer._current_ep_start == buffer.pos).all()
-    assert (buffer.ep_length[: buffer.pos] > 0).all()
+    episodes = fresh.replay_buffer.episodes
+    assert (model.replay_buffer.episodes.current >= 0).any()
+    assert (episodes.current == -1).all()
+    assert (episodes.head == fresh.replay_buffer.pos).all()
 
 
 def test_only_the_filled_part_of_the_buffer_is_saved(tmp_path):

@@ -254,8 +254,7 @@ def test_a_round_is_dealt_out_with_each_minibatchs_share_of_virtual_goals():
     model = make_model("SAC")
     model.learning_starts = 4000
     model.learn(4000)
-    goals = model.replay_buffer.observations["desired_goal"].reshape(-1, 6)[:4000]
-    real = {tuple(goal) for goal in np.float32(goals).tolist()}
+    real = {tuple(goal) for goal in np.float32(model.replay_buffer.rows.goals).tolist()}
     model.actor.extract_features = lambda observation, extractor: observation["desired_goal"].float()
     virtual = []
     for minibatch in sample_round(model, 8, 64):

@@ -16,6 +16,7 @@ TARGETS = [
     "sb3_contrib.TQC",
     "sb3_contrib.CrossQ",
     "parking_exp.crossq.CrossQ",
+    "parking_exp.buffers.HerBuffer",
     "stable_baselines3.HerReplayBuffer",
     "stable_baselines3.common.buffers.DictReplayBuffer",
     "stable_baselines3.common.noise.NormalActionNoise",

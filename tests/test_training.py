@@ -17,7 +17,7 @@ from PIL import Image, ImageSequence
 
 from parking_exp import __version__, checkpoints
 from parking_exp.algorithms import build_model, greedy_policy
-from parking_exp.envs import Simulator
+from parking_exp.envs.reward import GoalReward
 from parking_exp.envs.vector import make_training_envs
 from parking_exp.errors import ConfigError, FailedRunError, RunLockedError, RunNotFoundError
 from parking_exp.evaluation import EPISODE_COLUMNS, evaluate
@@ -150,8 +150,13 @@ def test_the_final_evaluation_is_certified_on_highway_env(smoke):
 
 def test_a_simulator_that_differs_from_highway_env_fails_the_run(tmp_path, monkeypatch):
     """Here ours is taught other rewards for the final scenes: the run fails, and says so; both tables are kept."""
-    original = Simulator._dense_reward
-    monkeypatch.setattr(Simulator, "_dense_reward", lambda self, *goals: original(self, *goals) - 1e-6)
+    original = GoalReward.__call__
+
+    def other(self, achieved, desired):
+        reward, reached = original(self, achieved, desired)
+        return reward - 1e-6, reached
+
+    monkeypatch.setattr(GoalReward, "__call__", other)
     config = make_config("experiment=smoke", f"output_dir={tmp_path}", "evaluation.video_episodes=0", "n_envs=1")
     with pytest.raises(FailedRunError, match=r"5 of 5 final episodes differ .* scene 0: return -\d"):
         train(config)

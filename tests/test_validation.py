@@ -49,7 +49,7 @@ def test_the_expected_options_are_there():
     assert {group: options(group) for group in GROUPS} == {
         "env": ["parking", "parking_2021", "parking_action_repeat", "parking_parked", "parking_sparse"],
         "algorithm": ["crossq", "ddpg", "sac", "td3", "tqc"],
-        "buffer": ["her_episode", "her_final", "her_future", "replay"],
+        "buffer": ["her_episode", "her_final", "her_future", "her_random", "replay"],
         "experiment": ["article", "smoke"],
     }
 
@@ -73,7 +73,7 @@ def test_the_expected_options_are_there():
         ("buffer.n_sampled_goals=3", "buffer.n_sampled_goals: there is no such key; did you mean 'n_sampled_goal'?"),
         (
             "+buffer.n_sampled_goals=3",
-            "buffer.n_sampled_goals: stable_baselines3.HerReplayBuffer has no such argument; "
+            "buffer.n_sampled_goals: parking_exp.buffers.HerBuffer has no such argument; "
             "did you mean 'n_sampled_goal'?",
         ),
         ("evaluation.n_scene=3", "evaluation.n_scene: there is no such key; did you mean 'n_scenes'?"),
@@ -110,6 +110,13 @@ def test_a_misspelt_name_is_refused_by_name_with_the_closest_valid_one(override,
         ),
         ("algorithm.use_sde=3", "algorithm.use_sde=3 has the wrong type; parking_exp.lean.SAC takes bool"),
         ("algorithm.features=egoo", "algorithm.features=egoo is not a valid choice; did you mean 'ego'?"),
+        ("buffer.relabel_collision=kep", "buffer.relabel_collision=kep is not a valid choice; did you mean 'keep'?"),
+        ("buffer.relabel_terminated=gaol", "buffer.relabel_terminated=gaol is not a valid choice; did you mean 'goal'?"),
+        ("buffer.goal_velocity=1", "buffer.goal_velocity=1 is not a valid choice; choose from achieved, zero"),
+        (
+            "buffer.goal_selection_strategy=null",
+            "buffer.n_sampled_goal has no effect without virtual goals; leave it out, or use buffer=her_future",
+        ),
         ("buffer.goal_selection_strategy=futur", "buffer.goal_selection_strategy=futur is not a valid choice; did you mean 'future'?"),
         ("+algorithm.seed=3", "algorithm.seed is set by the run itself; use seed"),
         ("+algorithm.buffer_size=3", "algorithm.buffer_size is set by the run itself; use buffer.buffer_size"),
@@ -205,7 +212,7 @@ def test_nested_targets_are_checked_too():
 
 def test_options_can_be_swept_by_pattern():
     assert [config.buffer.name for config in composed("config", ["buffer=glob(her_*)"])] == [
-        "her_episode", "her_final", "her_future",
+        "her_episode", "her_final", "her_future", "her_random",
     ]  # fmt: skip
 
 

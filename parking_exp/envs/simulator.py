@@ -11,6 +11,7 @@ from parking_exp.config import DEFAULT_FEATURES, DEFAULT_SCALES, EnvConfig
 from parking_exp.envs.batch import Step
 from parking_exp.envs.contacts import Contacts, extent
 from parking_exp.envs.kinematics import Range, advance, limited_acceleration, scale, slip_angle
+from parking_exp.envs.reward import GoalReward
 from parking_exp.envs.scenes import Scenes
 from parking_exp.envs.state import State
 from parking_exp.errors import ConfigError
@@ -67,9 +68,7 @@ class Simulator:
         self.dt = 1 / config.simulation_frequency
         self.episode_steps = config.episode_steps(training)
         self.walls = config.add_walls
-        self.sparse = config.reward == "sparse"
-        self.weights = np.array(config.reward_weights, np.float64)
-        self.success_reward, self.collision_reward = -config.success_goal_reward, config.collision_reward
+        self.reward = GoalReward.of(config)
         self.features = [DEFAULT_FEATURES.index(name) for name in config.observation.features]
         self.scales = np.array(config.observation.scales, np.float64)
         self.plain = config.observation.features == DEFAULT_FEATURES and config.observation.scales == DEFAULT_SCALES
@@ -145,8 +144,7 @@ class Simulator:
 
     def compute_reward(self, achieved_goal: np.ndarray, desired_goal: np.ndarray, info: object = None) -> np.ndarray:
         """Return the reward of goals, collisions apart: shape (...) for goals of shape (..., 6)."""
-        dense = self._dense_reward(achieved_goal, desired_goal)
-        return np.where(dense > self.success_reward, 0.0, -1.0) if self.sparse else dense
+        return self.reward(achieved_goal, desired_goal)[0]
 
     def _controls(self, actions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         if self.clip:
@@ -247,24 +245,16 @@ class Simulator:
         observation = self._observation(pose, state.goal)
         # Rewards are always computed in highway-env's own features and scales.
         achieved = observation["achieved_goal"] if self.plain else pose / DEFAULT_SCALES
-        reward = self._dense_reward(achieved, self._slot_goals[state.goal])
-        success = reward > self.success_reward
-        if self.sparse:
-            reward = np.where(success, 0.0, -1.0)
+        reward, success = self.reward(achieved, self._slot_goals[state.goal])
         crashed = state.crashed.copy()
         return Step(
             observation=observation,
-            reward=reward + self.collision_reward * crashed,
+            reward=reward + self.reward.collision * crashed,
             terminated=crashed | success,
             truncated=state.steps >= self.episode_steps,
             crashed=crashed,
             is_success=success,
         )
-
-    def _dense_reward(self, achieved: np.ndarray, desired: np.ndarray) -> np.ndarray:
-        """Return the negative square root of the weighted distance, highway-env's `compute_reward`."""
-        reward: np.ndarray = -np.sqrt(np.vecdot(np.abs(achieved - desired), self.weights))
-        return reward
 
 
 def _direction(heading: np.ndarray) -> np.ndarray:

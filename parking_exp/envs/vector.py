@@ -35,3 +35,11 @@ def make_training_envs(
         header: dict[str, float | str] = {"t_start": envs.t_start, "env_id": config.id}
         envs.results_writer = ResultsWriter(str(monitor), header, MONITORED, override_existing=not monitor.exists())
     return envs
+
+
+def is_parking(envs: VecEnv) -> bool:
+    """Whether envs are parking-v0, ours or highway-env's, and not of another kind."""
+    if isinstance(envs.unwrapped, VectorizedParking):
+        return True
+    (spec,) = envs.get_attr("spec", 0)
+    return spec is not None and spec.id == "parking-v0"

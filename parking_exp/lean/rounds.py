@@ -8,8 +8,10 @@ from stable_baselines3.common.buffers import DictReplayBuffer, ReplayBuffer
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from stable_baselines3.her import HerReplayBuffer
 
+from parking_exp.buffers import HerBuffer
+
 # Their `sample` draws transitions independently, so that one large sample is as good as several small ones.
-INDEPENDENT = (ReplayBuffer, DictReplayBuffer, HerReplayBuffer)
+INDEPENDENT = (HerBuffer, HerReplayBuffer, ReplayBuffer, DictReplayBuffer)
 LARGEST = 64  # minibatches that are sampled together; a round after a long episode would not fit into memory
 
 

@@ -1,0 +1,44 @@
+"""HER's strategies: from which transition a virtual goal is taken (Andrychowicz et al. 2017, section 4.5)."""
+
+from collections.abc import Callable
+
+import numpy as np
+
+from parking_exp.buffers.episodes import Episodes
+
+Strategy = Callable[[np.random.Generator, Episodes, np.ndarray, np.ndarray], np.ndarray]
+
+
+def future(rng: np.random.Generator, episodes: Episodes, index: np.ndarray, record: np.ndarray) -> np.ndarray:
+    """From the rest of the same episode, the transition itself included, as Stable-Baselines3 has it.
+
+    Args:
+        rng: to draw with.
+        episodes: what is stored.
+        index: transitions, shape (n,).
+        record: their episodes, entries of `episodes.table`, shape (n,).
+
+    Returns:
+        Indices of the transitions whose next achieved goals become the virtual goals, shape (n,).
+    """
+    row, env = np.divmod(index, episodes.n_envs)
+    passed = (row - record["start"]) % episodes.capacity
+    return episodes.index(record["start"] + rng.integers(passed, record["length"]), env)
+
+
+def final(rng: np.random.Generator, episodes: Episodes, index: np.ndarray, record: np.ndarray) -> np.ndarray:
+    """The last of the same episode; arguments as for `future`."""
+    return episodes.index(record["start"] + record["length"] - 1, index % episodes.n_envs)
+
+
+def episode(rng: np.random.Generator, episodes: Episodes, index: np.ndarray, record: np.ndarray) -> np.ndarray:
+    """From anywhere in the same episode; arguments as for `future`."""
+    return episodes.index(record["start"] + rng.integers(record["length"]), index % episodes.n_envs)
+
+
+def random(rng: np.random.Generator, episodes: Episodes, index: np.ndarray, record: np.ndarray) -> np.ndarray:
+    """From everything that is stored, episodes under way included; arguments as for `future`."""
+    return episodes.draw_stored(rng, len(index))
+
+
+STRATEGIES: dict[str, Strategy] = {"future": future, "final": final, "episode": episode, "random": random}
