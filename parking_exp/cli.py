@@ -16,7 +16,7 @@ from hydra._internal.utils import get_args_parser
 from omegaconf import DictConfig
 
 from parking_exp.composition import VERSION_BASE, composed, config_dir, quoted
-from parking_exp.errors import InterruptedRunError, ParkingError
+from parking_exp.errors import FailedRunError, InterruptedRunError, ParkingError
 from parking_exp.validation import validate
 
 
@@ -52,8 +52,12 @@ def _command(config_name: str, check: Callable[[DictConfig], object], task: Call
     arguments = get_args_parser().parse_args()
     if not _only_shows(arguments):
         try:
-            for config in composed(config_name, arguments.overrides, arguments.config_dir):
+            configs = composed(config_name, arguments.overrides, arguments.config_dir)
+            for config in configs:
                 check(config)
+            if len(configs) > 1 or arguments.multirun:
+                _sweep(configs, task)
+                return
         except ParkingError as error:
             _fail(error)
 
@@ -66,6 +70,22 @@ def _command(config_name: str, check: Callable[[DictConfig], object], task: Call
             _fail(InterruptedRunError("stopped; nothing of this was stored", signal.SIGINT))
 
     hydra.main(version_base=VERSION_BASE, config_path=str(config_dir()), config_name=config_name)(guarded)()
+
+
+def _sweep(configs: list[DictConfig], task: Callable[[DictConfig], object]) -> None:
+    """Run one config after the other; a failure does not keep the others from running, Ctrl-C does."""
+    failed = []
+    for number, config in enumerate(configs, 1):
+        print(f"run {number} of {len(configs)}", flush=True)
+        try:
+            task(config)
+        except InterruptedRunError:
+            raise
+        except ParkingError as error:
+            print(f"error: {error}", file=sys.stderr)
+            failed.append(number)
+    if failed:
+        raise FailedRunError(f"{len(failed)} of {len(configs)} runs failed: {', '.join(map(str, failed))}")
 
 
 def _only_shows(arguments: argparse.Namespace) -> bool:

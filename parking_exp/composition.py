@@ -2,20 +2,22 @@
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from operator import itemgetter
 from pathlib import Path
+from typing import Any, cast
 
 import hydra
 from hydra import compose
-from hydra._internal.core_plugins.basic_sweeper import BasicSweeper
 from hydra._internal.hydra import Hydra
 from hydra._internal.utils import create_config_search_path
 from hydra.core.global_hydra import GlobalHydra
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import Override, OverrideType
 from hydra.errors import HydraException
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import DictConfig, ListConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
+from parking_exp.cells import points, seeds_of
 from parking_exp.errors import ConfigError
 from parking_exp.signatures import UnknownTarget, signature
 from parking_exp.wording import closest
@@ -59,10 +61,39 @@ def composed(config_name: str, overrides: list[str], extra_config_dir: str | Non
             first = compose(config_name, _without_sweeps(parsed), return_hydra_config=True)
             params = OmegaConf.to_container(first.hydra.sweeper.get("params") or OmegaConf.create({}))
             swept = [f"{key!s}={value}" for key, value in params.items()] if isinstance(params, dict) else []
-            sweep = parser.parse_overrides([*swept, *overrides])
-            return [compose(config_name, point) for point in BasicSweeper.split_arguments(sweep, None)[0]]
+            typed = _values(parser.parse_overrides([*swept, *overrides]))
+            if "seeds" not in first:
+                return [compose(config_name, point) for point in points([], typed)]
+            return _runs(config_name, typed, _container(first.cells) or [])
         except (HydraException, OmegaConfBaseException) as error:
             raise ConfigError(_first_sentence(error)) from error
+
+
+def _runs(config_name: str, typed: dict[str, list[str]], blocks: list[Any]) -> list[DictConfig]:
+    """Compose every cell once, and give it its seeds; all cells get their first seed before any gets its second."""
+    listed = typed.pop("seeds") if len(typed.get("seeds", [])) > 1 else None  # seeds=0,1,2
+    runs = []
+    for point in points(blocks, typed):
+        cell = compose(config_name, point)
+        chosen = [int(seed) for seed in listed] if listed else _container(cell.seeds)
+        seeds = seeds_of(None if "seed" in typed else chosen, cell.seed)
+        runs += [(rank, OmegaConf.merge(cell, {"seed": seed})) for rank, seed in enumerate(seeds)]
+    return [cast(DictConfig, config) for _, config in sorted(runs, key=itemgetter(0))]
+
+
+def _values(overrides: list[Override]) -> dict[str, list[str]]:
+    """Return the values of each override, in Hydra's syntax; of a key that is named twice, the last."""
+    found = {}
+    for override in overrides:
+        if override.is_sweep_override() and not override.is_discrete_sweep():
+            raise ConfigError(f"{override.input_line}: an axis needs values, not a range of them")
+        values = override.sweep_string_iterator() if override.is_sweep_override() else None
+        found[override.get_key_element()] = list(values or [override.get_value_element_as_str()])
+    return found
+
+
+def _container(node: object) -> Any:
+    return OmegaConf.to_container(node) if isinstance(node, DictConfig | ListConfig) else node
 
 
 @contextmanager

@@ -46,6 +46,8 @@ ARGUMENT_RANGES: dict[str, Any] = {
     "goal_velocity": Literal["achieved", "zero"],
     "policy": Literal["MultiInputPolicy"],
 }
+# Keys of a composed config that say which runs there are, and nothing about any of them.
+SWEEP_KEYS = {"seeds", "cells"}
 # Constructor arguments of an algorithm that the run feeds from elsewhere, and from where.
 FED_TO_ALGORITHM = {
     "env": "env",
@@ -79,7 +81,8 @@ def validate(config: DictConfig | Mapping[str, Any] | RunConfig) -> RunConfig:
     """
     if isinstance(config, RunConfig):
         return config
-    run = parse(RunConfig, config)
+    node = config if isinstance(config, DictConfig) else OmegaConf.create(dict(config))
+    run = parse(RunConfig, OmegaConf.masked_copy(node, [str(key) for key in node if key not in SWEEP_KEYS]))
     problems = [
         *_check_arguments("algorithm", run.algorithm, FED_TO_ALGORITHM),
         *_check_arguments("buffer", run.buffer, FED_TO_BUFFER, own={"buffer_size", "optimize_memory_usage"}),
