@@ -26,6 +26,10 @@ TARGETS = {
     **{f"update.{algorithm}.2x64.ratio": (">=", 2.0) for algorithm in ALGORITHMS},
     "run.article.ratio": (">=", 1.8),
     "run.default.overhead": ("<=", 1.03),
+    "her.sample.capacity_ratio": ("<=", 1.3),
+    "her.sample.ratio": (">=", 5.0),
+    "her.bytes_per_transition": ("<=", 150.0),
+    "her.save.bytes_per_transition": ("<=", 120.0),
 }
 NEEDS = ("highway_env", "stable_baselines3")
 
@@ -126,6 +130,14 @@ def _figures(settings: BenchmarkConfig) -> Iterator[tuple[str, Callable[[], dict
 
         return runs.article(rounds, steps=rounds * 8 if quick else 3000)
 
+    def buffers() -> Any:
+        from parking_exp.measurements import runs
+        from parking_exp.measurements.buffers import Buffers
+
+        if "buffers" not in kept:
+            kept["buffers"] = Buffers(runs.run_config(), 10_000 if quick else 1_000_000, samples=20 if quick else 1000)
+        return kept["buffers"]
+
     figures: dict[str, Callable[[], dict[str, Any]]] = {
         "simulator.n512.ratio": lambda: stepping(512, "parking"),
         "simulator.n8.ratio": lambda: stepping(8, "parking"),
@@ -138,6 +150,10 @@ def _figures(settings: BenchmarkConfig) -> Iterator[tuple[str, Callable[[], dict
             for algorithm in ALGORITHMS
         },
         "run.article.ratio": article,
+        "her.sample.capacity_ratio": lambda: buffers().capacity_ratio(rounds),
+        "her.sample.ratio": lambda: buffers().against_sb3(rounds),
+        "her.bytes_per_transition": lambda: buffers().memory(),
+        "her.save.bytes_per_transition": lambda: buffers().file(),
     }
     for key, measure in figures.items():
         if settings.only is None or any(key.startswith(name) for name in settings.only):
@@ -158,7 +174,7 @@ def _table(results: dict[str, dict[str, Any]]) -> str:
         if "missing" in entry:
             lines.append(f"{key:<30}{'-':>9}  {'':<19}{target:<10}  {entry['missing']}")
             continue
-        value = entry["wall_s"] if key.endswith("wall_s") else entry["ratio"]
+        value = next(entry[name] for name in ("ratio", "wall_s", "bytes") if name in entry)
         met = value >= bound if sign == ">=" else value <= bound
         low, high = entry["lowest"], entry["highest"]
         words = f"{target:<10}  {entry.get('peer', '')}{'' if met else '   MISSED'}"

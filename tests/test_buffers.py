@@ -18,6 +18,7 @@ from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 
 from parking_exp.algorithms import build_model
 from parking_exp.buffers import HerBuffer
+from parking_exp.buffers.her import NO_GOALS
 from parking_exp.buffers.strategies import STRATEGIES
 from parking_exp.envs.reward import GoalReward
 from parking_exp.envs.vector import make_training_envs
@@ -44,6 +45,7 @@ class Transitions:
         self.n_envs, self.longest = n_envs, longest
         self.rng = np.random.default_rng(seed)
         self.episode, self.index = np.zeros(n_envs, int), np.zeros(n_envs, int)
+        self.ends = {}  # (env, episode) -> index of the last transition, and how it ended
 
     def observation(self, index):
         observed = np.zeros((self.n_envs, 6))
@@ -55,6 +57,8 @@ class Transitions:
     def __next__(self):
         end = (self.rng.random(self.n_envs) < 1 / self.longest) | (self.index >= self.longest)
         how = self.rng.integers(3, size=self.n_envs)  # success, crash or timeout
+        for env in np.flatnonzero(end):
+            self.ends[env, self.episode[env]] = self.index[env], ("success", "crash", "timeout")[how[env]]
         infos = [
             {"crashed": bool(e and h == 1), "TimeLimit.truncated": bool(e and h == 2)}
             for e, h in zip(end, how, strict=True)
@@ -157,7 +161,7 @@ def test_with_real_episodes_too(option, simulator):
     goals = theirs.next_observations["achieved_goal"].reshape(-1, 6)[goal_index]
     theirs._sample_goals = lambda *_: goals
     assert_equal(ours._collect(ours.rows.take(index), goal_index), theirs._get_virtual_samples(*np.divmod(index, 3)))
-    assert_equal(ours._collect(ours.rows.take(index), None), theirs._get_real_samples(*np.divmod(index, 3)))
+    assert_equal(ours._collect(ours.rows.take(index), NO_GOALS), theirs._get_real_samples(*np.divmod(index, 3)))
 
 
 @settings(max_examples=60, deadline=None)
@@ -237,7 +241,7 @@ def test_which_goal_a_transition_carries(strategy, n_envs, steps):
     last = {}
     for index in drawable(ours):
         transition = ours.rows.take(np.array([index]))
-        env, episode, at = transition.observations()["observation"][0, :3]
+        env, episode, at = transition.observations("", np.empty((0, 6)))["observation"][0, :3]
         last[env, episode] = max(last.get((env, episode), 0), at + 1)
     real = 0
     for _ in range(20):
@@ -316,6 +320,44 @@ def test_a_relabelled_crash_away_from_the_goal():
         assert batch.dones.item() == end
 
 
+@pytest.mark.parametrize("n_envs", [1, 8])
+@pytest.mark.parametrize("steps", [8, 25, 333])
+@pytest.mark.parametrize("velocity", ["achieved", "zero"])
+@pytest.mark.parametrize("collision", ["keep", "sb3"])
+@pytest.mark.parametrize("terminated", ["sb3", "goal", "goal_and_crash"])
+def test_what_every_relabelled_transition_carries(tmp_path, n_envs, steps, velocity, collision, terminated):
+    """Goal, reward, end and crash, worked out from the fields: at first, after wrap-around, saved and loaded midway."""
+    options = {"relabel_collision": collision, "relabel_terminated": terminated, "goal_velocity": velocity}
+    ours = make(size=12 * n_envs, n_envs=n_envs, reward=REWARD, **options)
+    transitions = Transitions(n_envs)
+    for step in range(steps):
+        if step == steps // 2:
+            ours = through_pickle(ours, tmp_path)
+        ours.add(*next(transitions))
+    ends = []
+    for _ in range(5):
+        batch = ours.sample(100)
+        for row in range(20, 100):
+            env, episode, index = batch.observations["observation"][row, :3].int().tolist()
+            goal = batch.observations["desired_goal"][row].numpy()
+            _, _, later = goal[:3]
+            last, how = transitions.ends[env, episode]
+            if velocity == "achieved":
+                assert goal.tolist() == [env, episode, later, 0, 0, 0]
+                assert index < later <= last + 1
+            else:  # the third entry of a goal is a velocity
+                assert goal.tolist() == [env, episode, 0, 0, 0, 0]
+            crashed = how == "crash" and index == last
+            dense, reached = REWARD(np.array([env, episode, index + 1, 0, 0, 0.0]), goal)
+            assert batch.rewards[row].item() == np.float32(dense + (-5.0 if crashed and collision == "keep" else 0.0))
+            expected = {
+                "sb3": index == last and how != "timeout", "goal": reached, "goal_and_crash": reached or crashed,
+            }[terminated]  # fmt: skip
+            assert batch.dones[row].item() == expected
+            ends.append((how, index == last))
+    assert len(set(ends)) > 1
+
+
 def test_goal_velocity():
     for option, speed in (("achieved", 0.7), ("zero", 0.0)):
         batch = ended("success", {"goal_velocity": option}).sample(10)
@@ -379,7 +421,7 @@ def test_truncating_the_last_trajectory_is_stable_baselines3s():
         theirs.truncate_last_trajectory()
     assert drawable(ours) == set(np.flatnonzero(theirs.ep_length > 0))
     index = np.array(sorted(drawable(ours)))
-    assert_equal(ours._collect(ours.rows.take(index), None), theirs._get_real_samples(*np.divmod(index, 8)))
+    assert_equal(ours._collect(ours.rows.take(index), NO_GOALS), theirs._get_real_samples(*np.divmod(index, 8)))
 
 
 def test_a_state_of_another_buffer_is_refused():
@@ -431,7 +473,7 @@ def test_goals_that_change_within_an_episode_and_other_achieved_goals(at):
             buffer.add(obs, next_obs, *rest)
     assert not ours.rows.compact
     index = np.array(sorted(drawable(ours)))
-    assert_equal(ours._collect(ours.rows.take(index), None), theirs._get_real_samples(*np.divmod(index, 2)))
+    assert_equal(ours._collect(ours.rows.take(index), NO_GOALS), theirs._get_real_samples(*np.divmod(index, 2)))
     other = pickle.loads(pickle.dumps(ours))
     other.set_env(ours.env)
     assert_equal(ours.sample(64), other.sample(64))
@@ -444,7 +486,7 @@ def test_with_vec_normalize_batches_are_stable_baselines3s():
     normalize.ret_rms.var = np.array(4.0)
     index = np.array(sorted(drawable(ours)))
     assert_equal(
-        ours._collect(ours.rows.take(index), None, normalize), theirs._get_real_samples(index, index * 0, normalize)
+        ours._collect(ours.rows.take(index), NO_GOALS, normalize), theirs._get_real_samples(index, index * 0, normalize)
     )
 
 

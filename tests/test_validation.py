@@ -37,12 +37,9 @@ ARTICLE = {
 
 @pytest.mark.parametrize(("group", "option"), [(group, option) for group in GROUPS for option in options(group)])
 def test_every_option_of_every_group_composes_and_validates(group, option):
-    overrides = [f"{group}={option}"]
-    config = make_config(*overrides)
-    if group != "experiment":
-        assert getattr(config, group).name == option
-    else:
-        assert config.experiment_name == option
+    for composed_config in composed("config", [f"{group}={option}"]):
+        config = validate(composed_config)
+        assert (config.experiment_name if group == "experiment" else getattr(config, group).name) == option
 
 
 def test_the_expected_options_are_there():
@@ -50,7 +47,7 @@ def test_the_expected_options_are_there():
         "env": ["parking", "parking_2021", "parking_action_repeat", "parking_parked", "parking_sparse"],
         "algorithm": ["crossq", "ddpg", "sac", "td3", "tqc"],
         "buffer": ["her_episode", "her_final", "her_future", "her_random", "replay"],
-        "experiment": ["article", "smoke"],
+        "experiment": ["article", "her_ablation", "her_traps", "smoke"],
     }
 
 

@@ -16,6 +16,8 @@ from parking_exp.buffers.episodes import NONE, Episodes
 from parking_exp.buffers.rows import Observation, Rows, Transitions
 from parking_exp.buffers.strategies import STRATEGIES
 
+NO_GOALS = np.empty(0, np.int64)
+
 
 class Reward(Protocol):
     """What the buffer must know of a reward to relabel by itself; `envs.reward.GoalReward` is one."""
@@ -217,27 +219,25 @@ class HerBuffer(HerReplayBuffer):
         self.sampled[0] += len(index) - virtual
         self.sampled[1] += virtual
         taken = self.rows.take(index)
-        goals = None
+        goals = NO_GOALS
         if virtual and self.strategy is not None:
             record = self.episodes.table.take(taken.slots[-virtual:])
             goals = STRATEGIES[self.strategy](self.rng, self.episodes, index[-virtual:], record)
         return self._collect(taken, goals, env)
 
     def _collect(
-        self, taken: Transitions, goal_index: np.ndarray | None, env: VecNormalize | None = None
+        self, taken: Transitions, goal_index: np.ndarray, env: VecNormalize | None = None
     ) -> DictReplayBufferSamples:
         """Make a minibatch of transitions; the last len(goal_index) get the goals that were achieved there."""
-        obs, next_obs = taken.observations(), taken.observations("next_")
+        virtual = len(goal_index)
+        goals = self.rows.achieved(goal_index)
+        if self.reward is not None and self.goal_velocity == "zero":
+            goals[:, self.reward.velocity] = 0.0
+        obs, next_obs = taken.observations("", goals), taken.observations("next_", goals)
         rewards, terminated = taken.rewards, taken.terminated
-        if goal_index is not None:
-            virtual = slice(-len(goal_index), None)
-            goals = self.rows.achieved(goal_index)
-            if self.reward is not None and self.goal_velocity == "zero":
-                goals[:, self.reward.velocity] = 0.0
-            for entries in (obs, next_obs):
-                entries["desired_goal"][virtual] = goals
-            rewards[virtual], terminated[virtual] = self._relabel(
-                next_obs["achieved_goal"][virtual], goals, taken.crashed[virtual], terminated[virtual]
+        if virtual:
+            rewards[-virtual:], terminated[-virtual:] = self._relabel(
+                next_obs["achieved_goal"][-virtual:], goals, taken.crashed[-virtual:], terminated[-virtual:]
             )
         rewards = rewards[:, None]
         if env is not None:

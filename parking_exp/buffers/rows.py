@@ -25,10 +25,10 @@ class Rows:
     def __init__(self, capacity: int, n_envs: int, observation_space: spaces.Dict, action_space: spaces.Space) -> None:
         self.capacity, self.n_envs = capacity, n_envs
         shapes: dict[str, tuple[int, ...]] = get_obs_shape(observation_space)  # type: ignore[assignment]
-        self._formats = {key: (space.dtype, shapes[key]) for key, space in observation_space.spaces.items()}
+        self.formats = {key: (space.dtype, shapes[key]) for key, space in observation_space.spaces.items()}
         self._action = (ReplayBuffer._maybe_cast_dtype(action_space.dtype), (get_action_dim(action_space),))
-        self.compact = self._formats["achieved_goal"] == self._formats["observation"]
-        dtype, shape = self._formats["desired_goal"]
+        self.compact = self.formats["achieved_goal"] == self.formats["observation"]
+        dtype, shape = self.formats["desired_goal"]
         self.goals = np.zeros((2 * n_envs, *shape), dtype)
         self._allocate()
 
@@ -52,7 +52,7 @@ class Rows:
         obs, next_obs = self._shaped(obs), self._shaped(next_obs)
         if self.compact and not self._fits(obs, next_obs, slots):
             self._widen()
-        for key in self._stored:
+        for key in self.stored:
             self._fields[key][row] = obs[key]
             self._fields[f"next_{key}"][row] = next_obs[key]
         self._fields["action"][row] = np.reshape(action, (self.n_envs, -1))
@@ -107,8 +107,8 @@ class Rows:
 
     def _allocate(self) -> None:
         left_out = {"achieved_goal", "desired_goal"} if self.compact else set()
-        self._stored = [key for key in self._formats if key not in left_out]
-        observed = [(key, *self._formats[key[5:] if key.startswith("next_") else key]) for key in self._keys()]
+        self.stored = [key for key in self.formats if key not in left_out]
+        observed = [(key, *self.formats[key[5:] if key.startswith("next_") else key]) for key in self._keys()]
         self.data = np.zeros(
             (self.capacity, self.n_envs),
             [*observed, ("action", *self._action), ("reward", np.float32), ("mark", np.uint32)],
@@ -117,14 +117,14 @@ class Rows:
         self._fields = {name: self.data[name] for name in self.data.dtype.names or ()}
 
     def _keys(self) -> Iterator[str]:
-        for key in self._stored:
+        for key in self.stored:
             yield key
             yield f"next_{key}"
 
     def _shaped(self, obs: Observation) -> Observation:
         return {
             key: np.asarray(obs[key], dtype).reshape(self.n_envs, *shape)
-            for key, (dtype, shape) in self._formats.items()
+            for key, (dtype, shape) in self.formats.items()
         }
 
     def _fits(self, obs: Observation, next_obs: Observation, slots: np.ndarray) -> bool:
@@ -163,11 +163,18 @@ class Transitions:
         self.terminated, self.crashed = mark & TERMINATED > 0, mark & CRASHED > 0
         self.slots = mark >> SLOT_SHIFT
 
-    def observations(self, prefix: str = "") -> Observation:
-        """Return the Dict observations, or with `next_` those after the transitions; each entry has shape (n, ...)."""
+    def observations(self, prefix: str, virtual: np.ndarray) -> Observation:
+        """Return the Dict observations (prefix "") or those after the transitions ("next_"); entries: shape (n, ...).
+
+        The last transitions get the virtual goals, which may be none.
+        """
         data, rows = self._data, self._rows
-        if not rows.compact:
-            return {key: data[prefix + key] for key in rows._formats}
-        found: dict[str, Any] = {key: data[prefix + key] for key in rows._stored}
-        found |= {"achieved_goal": found["observation"], "desired_goal": rows.goals.take(self.slots, axis=0)}
-        return {key: found[key] for key in rows._formats}
+        found: dict[str, Any] = {key: data[prefix + key] for key in rows.stored}
+        if rows.compact:
+            real = len(data) - len(virtual)
+            goals = np.empty((len(data), *rows.goals.shape[1:]), rows.goals.dtype)
+            goals[:real], goals[real:] = rows.goals.take(self.slots[:real], axis=0), virtual
+            found |= {"achieved_goal": found["observation"], "desired_goal": goals}
+        elif len(virtual):
+            found["desired_goal"][-len(virtual) :] = virtual
+        return {key: found[key] for key in rows.formats}

@@ -39,8 +39,7 @@ def updates(config: RunConfig, rounds: int, updates_a_slice: int) -> dict[str, A
 def filled(config: RunConfig, lean: bool) -> Any:
     """Return a model whose replay buffer holds 10,000 random transitions, made with our classes or with theirs."""
     if not lean:
-        theirs = f"stable_baselines3.{config.algorithm.target.rpartition('.')[2]}"
-        config = config.model_copy(update={"algorithm": config.algorithm.model_copy(update={"target": theirs})})
+        config = theirs(config)
     model = build_model(config, make_training_envs(config.env, config.n_envs), seed=0)
     assert isinstance(model, getattr(stable_baselines3, config.algorithm.target.rpartition(".")[2]))
     model.set_logger(Logger(None, []))
@@ -48,3 +47,15 @@ def filled(config: RunConfig, lean: bool) -> Any:
     model.learn(10_000)
     model.learning_starts = 0
     return model
+
+
+def theirs(config: RunConfig) -> RunConfig:
+    """Return the config with Stable-Baselines3's own algorithm and HER buffer."""
+    algorithm = config.algorithm.model_copy(
+        update={"target": f"stable_baselines3.{config.algorithm.target.rpartition('.')[2]}"}
+    )
+    plain = config.buffer.model_dump(
+        by_alias=True, exclude={"relabel_collision", "relabel_terminated", "goal_velocity"}
+    )
+    buffer = type(config.buffer).model_validate(plain | {"_target_": "stable_baselines3.HerReplayBuffer"})
+    return config.model_copy(update={"algorithm": algorithm, "buffer": buffer})
