@@ -55,7 +55,7 @@ def build_model(config: RunConfig, env: VecEnv, seed: int, *, for_training: bool
             objects["replay_buffer_kwargs"]["reward"] = GoalReward.of(config.env)
     try:
         return build(**objects)
-    except (TypeError, ValueError, AssertionError) as error:
+    except (TypeError, ValueError, KeyError, AssertionError) as error:
         raise ConfigError(f"algorithm: {config.algorithm.target} refuses its arguments: {error}") from error
 
 

@@ -1,66 +1,85 @@
 """Experiment files: from axes to cells, and from cells to runs.
 
-`cells` of a config is a list of blocks; a block maps keys or groups to values, and stands for their product. A value
-that is typed on the command line narrows the blocks that have its key, and a block without that value is left out; a
-key that no block has is an axis of its own.
-`seeds` is how many seeds, or which, each cell gets.
+`cells` of a config is a list of blocks; a block maps keys or groups to values, and stands for their product. `seeds` is
+how many seeds, or which, each cell gets.
 """
 
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from parking_exp.errors import ConfigError
 
 Block = Mapping[str, Any]
+Point = list[str]
 
 
-def points(blocks: Sequence[Block], typed: Mapping[str, list[str]]) -> list[list[str]]:
+def points(blocks: Sequence[Block], typed: Mapping[str, list[str]], has: Callable[[str, Point], bool]) -> list[Point]:
     """Return the overrides of every cell.
+
+    Values that are typed narrow the blocks where they stand, and a block that is left with none is left out. A value
+    that no block has takes the place of the values of every block where the key is an axis. A key that a block does
+    not name goes to it as an axis of its own, if its configs have such a key.
 
     Args:
         blocks: of the experiment file; none: a single cell.
         typed: the values that stand on the command line for each key, in Hydra's syntax.
+        has: whether the config that a point composes to has a key.
 
     Raises:
         ConfigError: no cell is left.
     """
     listed: dict[str, set[str]] = {}
+    axes = {key for block in blocks for key, value in block.items() if isinstance(value, list)}
     for block in blocks:
         for key, value in block.items():
             listed.setdefault(key, set()).update(_values(value))
-    everywhere = {key: values for key, values in typed.items() if key not in listed}
     found: dict[tuple[str, ...], None] = {}
-    for number, block in enumerate(blocks or [{}]):
-        product = dict(everywhere)
+    for block in blocks or [{}]:
+        product: dict[str, list[str]] = {}
         for key, value in block.items():
-            own = _values(value)
-            # What no block has, the first one takes.
-            product[key] = [v for v in typed.get(key, own) if v in own or (number == 0 and v not in listed[key])]
+            own, asked = _values(value), typed.get(key, _values(value))
+            takes_others = isinstance(value, list) or key not in axes
+            product[key] = [v for v in asked if v in own or (takes_others and v not in listed[key])]
         lines = [[f"{key}={value}" for value in values] for key, values in product.items()]
+        if not all(lines):
+            continue
+        first = [line[0] for line in lines]
+        for key, values in typed.items():
+            if key not in block and (key not in listed or has(key, first)):
+                lines.append([f"{key}={value}" for value in values])
         found |= dict.fromkeys(itertools.product(*lines))
     if not found:
-        raise ConfigError("no cell is left of the experiment")
+        raise ConfigError("no cell is left of the experiment; what is typed contradicts its cells")
     return [list(point) for point in found]
 
 
-def seeds_of(value: object, default: int) -> list[int]:
+def check_blocks(value: object) -> list[Block]:
+    """Return `cells`, checked.
+
+    Raises:
+        ConfigError: it is not a list of mappings.
+    """
+    if value is None:
+        return []
+    if not isinstance(value, list) or not all(isinstance(block, dict) and block for block in value):
+        raise ConfigError(f"cells={value!r} is not a list of {{key: [values]}}")
+    return value
+
+
+def seeds_of(value: object) -> list[int] | None:
     """Return the seeds that `seeds` means: n for 0 to n - 1, a list for these, None for the run's own.
 
     Raises:
         ConfigError: it is neither.
     """
     if value is None:
-        return [default]
+        return None
     if isinstance(value, int) and not isinstance(value, bool) and value > 0:
         return list(range(value))
-    if isinstance(value, list) and value and all(isinstance(seed, int) for seed in value):
+    if isinstance(value, list) and value and all(type(seed) is int for seed in value):
         return list(dict.fromkeys(value))
     raise ConfigError(f"seeds={value!r} is neither a number of seeds nor a list of them")
-
-
-def _values(value: object) -> list[str]:
-    return [written(item) for item in (value if isinstance(value, list) else [value])]
 
 
 def written(value: object) -> str:
@@ -70,3 +89,7 @@ def written(value: object) -> str:
     if isinstance(value, list):
         return f"[{','.join(written(item) for item in value)}]"
     return str(value)
+
+
+def _values(value: object) -> list[str]:
+    return [written(item) for item in (value if isinstance(value, list) else [value])]

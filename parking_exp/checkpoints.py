@@ -200,14 +200,13 @@ def _load_buffer(buffer: ReplayBuffer | None, path: Path) -> None:
     with np.load(path, allow_pickle=False) as stored:
         if isinstance(buffer, HerBuffer):
             buffer.set_state(stored)
-            buffer.truncate_last_trajectory()
-            return
-        buffer.pos, buffer.full = int(stored["pos"]), bool(stored["full"])
-        for name, array in _arrays(buffer):
-            array[: len(stored[name])] = stored[name]
+        else:
+            buffer.pos, buffer.full = int(stored["pos"]), bool(stored["full"])
+            for name, array in _arrays(buffer):
+                array[: len(stored[name])] = stored[name]
     if isinstance(buffer, HerReplayBuffer):
         with warnings.catch_warnings():
-            warnings.filterwarnings("ignore", message="The last trajectory in the replay buffer will be truncated")
+            warnings.filterwarnings("ignore", message=".*replay buffer")
             buffer.truncate_last_trajectory()
 
 

@@ -1,7 +1,7 @@
-"""The command lines: refuse what cannot run, hand the rest to Hydra, print sentences instead of tracebacks.
+"""The command lines: compose all runs, refuse what cannot run, run the rest, print sentences instead of tracebacks.
 
-A command line is checked before Hydra gets to run it, because Hydra makes directories first. Torch and mlflow are
-imported only once a command is known to be good.
+What Hydra only shows (`--help`, `--cfg job`) is left to Hydra. Torch and mlflow are imported only once a command is
+known to be good.
 """
 
 import argparse
@@ -50,26 +50,21 @@ def benchmark() -> None:
 def _command(config_name: str, check: Callable[[DictConfig], object], task: Callable[[DictConfig], object]) -> None:
     sys.argv[1:] = [quoted(argument) for argument in sys.argv[1:]]
     arguments = get_args_parser().parse_args()
-    if not _only_shows(arguments):
-        try:
-            configs = composed(config_name, arguments.overrides, arguments.config_dir)
-            for config in configs:
-                check(config)
-            if len(configs) > 1 or arguments.multirun:
-                _sweep(configs, task)
-                return
-        except ParkingError as error:
-            _fail(error)
-
-    def guarded(config: DictConfig) -> None:
-        try:
-            task(config)
-        except ParkingError as error:
-            _fail(error)
-        except KeyboardInterrupt:
-            _fail(InterruptedRunError("stopped; nothing of this was stored", signal.SIGINT))
-
-    hydra.main(version_base=VERSION_BASE, config_path=str(config_dir()), config_name=config_name)(guarded)()
+    if _only_shows(arguments):
+        hydra.main(version_base=VERSION_BASE, config_path=str(config_dir()), config_name=config_name)(task)()
+        return
+    try:
+        configs = composed(config_name, arguments.overrides, arguments.config_dir)
+        for config in configs:
+            check(config)
+        if len(configs) == 1:
+            task(configs[0])
+        else:
+            _sweep(configs, task)
+    except ParkingError as error:
+        _fail(error)
+    except KeyboardInterrupt:
+        _fail(InterruptedRunError("stopped; nothing of this was stored", signal.SIGINT))
 
 
 def _sweep(configs: list[DictConfig], task: Callable[[DictConfig], object]) -> None:

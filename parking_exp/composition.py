@@ -17,7 +17,7 @@ from hydra.errors import HydraException
 from omegaconf import DictConfig, ListConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
-from parking_exp.cells import points, seeds_of
+from parking_exp.cells import check_blocks, points, seeds_of
 from parking_exp.errors import ConfigError
 from parking_exp.signatures import UnknownTarget, signature
 from parking_exp.wording import closest
@@ -59,36 +59,73 @@ def composed(config_name: str, overrides: list[str], extra_config_dir: str | Non
             parsed = parser.parse_overrides(overrides)
             _refuse_unknown_names(config_name, parsed)
             first = compose(config_name, _without_sweeps(parsed), return_hydra_config=True)
-            params = OmegaConf.to_container(first.hydra.sweeper.get("params") or OmegaConf.create({}))
-            swept = [f"{key!s}={value}" for key, value in params.items()] if isinstance(params, dict) else []
-            typed = _values(parser.parse_overrides([*swept, *overrides]))
+            params = _container(first.hydra.sweeper.get("params")) or {}
+            swept = parser.parse_overrides([f"{key}={value}" for key, value in params.items()])
+            typed = _typed([*swept, *parsed])
             if "seeds" not in first:
-                return [compose(config_name, point) for point in points([], typed)]
-            return _runs(config_name, typed, _container(first.cells) or [])
+                return [compose(config_name, point) for point in points([], typed, lambda key, point: True)]
+            seeds, experiments = _typed_seeds(parsed), typed.pop("experiment", None)
+            typed.pop("seeds", None)
+            if experiments is None:
+                return _runs(config_name, typed, seeds)
+            return [run for name in experiments for run in _runs(config_name, {"experiment": [name], **typed}, seeds)]
         except (HydraException, OmegaConfBaseException) as error:
             raise ConfigError(_first_sentence(error)) from error
 
 
-def _runs(config_name: str, typed: dict[str, list[str]], blocks: list[Any]) -> list[DictConfig]:
-    """Compose every cell once, and give it its seeds; all cells get their first seed before any gets its second."""
-    listed = typed.pop("seeds") if len(typed.get("seeds", [])) > 1 else None  # seeds=0,1,2
-    runs = []
-    for point in points(blocks, typed):
+def _runs(config_name: str, typed: dict[str, list[str]], seeds: list[int] | None) -> list[DictConfig]:
+    """Compose every cell of an experiment once, and give it its seeds; all get their first before any its second."""
+    base = compose(config_name, [f"{key}={typed[key][0]}" for key in ("experiment", "cells") if key in typed])
+    blocks = check_blocks(_container(base.cells))
+    in_blocks = {key for block in blocks for key in block}
+    typed = {bare if (bare := key.lstrip("+")) in in_blocks else key: values for key, values in typed.items()}
+    seeds = seeds or seeds_of(_container(base.seeds))
+    if "seed" in typed or "seed" in in_blocks:
+        seeds = None
+    runs, cells = [], set()
+    for point in points(blocks, typed, lambda key, point: _has(config_name, key, point)):
         cell = compose(config_name, point)
-        chosen = [int(seed) for seed in listed] if listed else _container(cell.seeds)
-        seeds = seeds_of(None if "seed" in typed else chosen, cell.seed)
-        runs += [(rank, OmegaConf.merge(cell, {"seed": seed})) for rank, seed in enumerate(seeds)]
+        if (known := OmegaConf.to_yaml(cell)) in cells:  # blocks that differ may be the same once values are typed
+            continue
+        cells.add(known)
+        runs += [(rank, OmegaConf.merge(cell, {"seed": seed})) for rank, seed in enumerate(seeds or [cell.seed])]
     return [cast(DictConfig, config) for _, config in sorted(runs, key=itemgetter(0))]
 
 
-def _values(overrides: list[Override]) -> dict[str, list[str]]:
-    """Return the values of each override, in Hydra's syntax; of a key that is named twice, the last."""
+def _has(config_name: str, key: str, point: list[str]) -> bool:
+    """Whether the config of a point has a key, or its tree a group of that name."""
+    if GlobalHydra.instance().config_loader().get_group_options(key):
+        return True
+    node: Any = compose(config_name, point)
+    for part in key.split("."):
+        if not isinstance(node, DictConfig) or part not in node:
+            return False
+        node = node[part]
+    return True
+
+
+def _typed_seeds(overrides: list[Override]) -> list[int] | None:
+    """Read `seeds=5`, `seeds=[3,4]` or `seeds=3,4`, where it is typed."""
+    for override in reversed(overrides):
+        if override.key_or_group == "seeds":
+            return seeds_of(list(override.sweep_iterator()) if override.is_sweep_override() else override.value())
+    return None
+
+
+def _typed(overrides: list[Override]) -> dict[str, list[str]]:
+    """Return the values of each override, in Hydra's syntax; of a key that is named twice, the last.
+
+    Raises:
+        ConfigError: an axis without values, or both `seed` and `seeds`.
+    """
     found = {}
     for override in overrides:
         if override.is_sweep_override() and not override.is_discrete_sweep():
             raise ConfigError(f"{override.input_line}: an axis needs values, not a range of them")
         values = override.sweep_string_iterator() if override.is_sweep_override() else None
         found[override.get_key_element()] = list(values or [override.get_value_element_as_str()])
+    if {"seed", "seeds"} <= found.keys():
+        raise ConfigError("seed and seeds are both given; seeds=[...] names several")
     return found
 
 

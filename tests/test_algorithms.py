@@ -101,9 +101,9 @@ def test_every_buffer_binds_to_its_constructor(buffer):
     assert type(made) is HerBuffer
     assert made.reward.collision == config.env.collision_reward
     if buffer == "replay":
-        assert (made.strategy, made.n_sampled_goal) == (None, 0)
+        assert (made.goal_selection_strategy, made.n_sampled_goal) == (None, 0)
     else:
-        assert made.strategy == buffer.removeprefix("her_")
+        assert made.goal_selection_strategy == buffer.removeprefix("her_")
         for name in ("n_sampled_goal", "relabel_collision", "relabel_terminated", "goal_velocity"):
             assert getattr(made, name) == config.buffer.arguments[name]
 

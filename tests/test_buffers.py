@@ -1,5 +1,6 @@
 """The HER buffer: Stable-Baselines3's batches, drawn from the same distributions, and what our options change."""
 
+import copy
 import io
 import pickle
 
@@ -12,9 +13,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
 from stable_baselines3 import SAC, HerReplayBuffer
+from stable_baselines3.common.buffers import DictReplayBuffer
 from stable_baselines3.common.envs import BitFlippingEnv
+from stable_baselines3.common.logger import Logger
 from stable_baselines3.common.save_util import load_from_pkl, save_to_pkl
 from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
+from stable_baselines3.her import GoalSelectionStrategy
 
 from parking_exp.algorithms import build_model
 from parking_exp.buffers import HerBuffer
@@ -25,7 +29,7 @@ from parking_exp.envs.vector import make_training_envs
 from parking_exp.envs.vectorized import VectorizedParking
 
 ENV = make_config().env
-REWARD = GoalReward.of(ENV)
+REWARD, SPARSE = GoalReward.of(ENV), GoalReward.of(make_config("env=parking_sparse").env)
 GOALS = spaces.Box(-np.inf, np.inf, (6,), np.float64)
 SPACES = (
     spaces.Dict(dict.fromkeys(("observation", "achieved_goal", "desired_goal"), GOALS)),
@@ -241,7 +245,7 @@ def test_which_goal_a_transition_carries(strategy, n_envs, steps):
     last = {}
     for index in drawable(ours):
         transition = ours.rows.take(np.array([index]))
-        env, episode, at = transition.observations("", np.empty((0, 6)))["observation"][0, :3]
+        env, episode, at = transition.observations(np.empty((0, 6)))[0]["observation"][0, :3]
         last[env, episode] = max(last.get((env, episode), 0), at + 1)
     real = 0
     for _ in range(20):
@@ -325,10 +329,11 @@ def test_a_relabelled_crash_away_from_the_goal():
 @pytest.mark.parametrize("velocity", ["achieved", "zero"])
 @pytest.mark.parametrize("collision", ["keep", "sb3"])
 @pytest.mark.parametrize("terminated", ["sb3", "goal", "goal_and_crash"])
-def test_what_every_relabelled_transition_carries(tmp_path, n_envs, steps, velocity, collision, terminated):
+@pytest.mark.parametrize("reward", [REWARD, SPARSE], ids=["dense", "sparse"])
+def test_what_every_relabelled_transition_carries(tmp_path, reward, n_envs, steps, velocity, collision, terminated):
     """Goal, reward, end and crash, worked out from the fields: at first, after wrap-around, saved and loaded midway."""
     options = {"relabel_collision": collision, "relabel_terminated": terminated, "goal_velocity": velocity}
-    ours = make(size=12 * n_envs, n_envs=n_envs, reward=REWARD, **options)
+    ours = make(size=12 * n_envs, n_envs=n_envs, reward=reward, **options)
     transitions = Transitions(n_envs)
     for step in range(steps):
         if step == steps // 2:
@@ -348,8 +353,10 @@ def test_what_every_relabelled_transition_carries(tmp_path, n_envs, steps, veloc
             else:  # the third entry of a goal is a velocity
                 assert goal.tolist() == [env, episode, 0, 0, 0, 0]
             crashed = how == "crash" and index == last
-            dense, reached = REWARD(np.array([env, episode, index + 1, 0, 0, 0.0]), goal)
-            assert batch.rewards[row].item() == np.float32(dense + (-5.0 if crashed and collision == "keep" else 0.0))
+            goal_reward, reached = reward(np.array([env, episode, index + 1, 0, 0, 0.0]), goal)
+            assert batch.rewards[row].item() == np.float32(
+                goal_reward + (-5.0 if crashed and collision == "keep" else 0.0)
+            )
             expected = {
                 "sb3": index == last and how != "timeout", "goal": reached, "goal_and_crash": reached or crashed,
             }[terminated]  # fmt: skip
@@ -367,14 +374,32 @@ def test_goal_velocity():
         assert set(batch.observations["desired_goal"][:2, 2].tolist()) == {0.0}
 
 
-def test_without_a_strategy_everything_stored_is_drawn_as_it_is():
-    ours, _ = pair(100, 1, 133, goal_selection_strategy=None)
+@pytest.mark.parametrize("n_envs", [1, 8])
+def test_without_a_strategy_everything_stored_is_drawn_as_it_is(n_envs):
+    """Stable-Baselines3's DictReplayBuffer: at every step, also of episodes that are half overwritten, and reloaded."""
+    ours = make(size=12 * n_envs, n_envs=n_envs, goal_selection_strategy=None)
+    theirs = DictReplayBuffer(12 * n_envs, *SPACES, device="cpu", n_envs=n_envs)
+    transitions = Transitions(n_envs)
+    for step in range(150):
+        transition = next(transitions)
+        ours.add(*transition)
+        theirs.add(*transition)
+        index = np.arange(len(ours.episodes))
+        row, env = np.divmod(index, n_envs)
+        expected = [
+            {k: torch.tensor(v[row, env]) for k, v in theirs.observations.items()},
+            torch.tensor(theirs.actions[row, env]),
+            {k: torch.tensor(v[row, env]) for k, v in theirs.next_observations.items()},
+            torch.tensor((theirs.dones * (1 - theirs.timeouts))[row, env][:, None]),
+            torch.tensor(theirs.rewards[row, env][:, None]),
+        ]
+        for buffer in (ours, pickle.loads(pickle.dumps(ours)) if step % 7 == 0 else ours):
+            assert_equal(buffer._collect(buffer.rows.take(index), NO_GOALS), expected)
     ours.rng = np.random.default_rng(0)
     batch = ours.sample(20_000)
-    assert (batch.observations["desired_goal"][:, 2] == -1).all()
-    row = (batch.actions[:, 0] * 1000 + batch.actions[:, 1]).numpy()
-    _, counts = np.unique(row, return_counts=True)
-    assert len(counts) == 100
+    drawn = batch.observations["observation"][:, 0] * 1e6 + batch.actions[:, 0] * 1000 + batch.actions[:, 1]
+    _, counts = np.unique(drawn.numpy(), return_counts=True)
+    assert len(counts) == 12 * n_envs
     assert stats.chisquare(counts).pvalue > 1e-3
     assert ours.real_share == 1.0
 
@@ -388,16 +413,21 @@ def through_pickle(buffer, tmp_path):
 
 def through_arrays(buffer, tmp_path):
     np.savez(tmp_path / "buffer.npz", allow_pickle=False, **buffer.get_state())
-    loaded = make(size=buffer.buffer_size * buffer.n_envs, n_envs=buffer.n_envs, n_sampled_goal=buffer.n_sampled_goal)
+    loaded = make(
+        size=buffer.buffer_size * buffer.n_envs,
+        n_envs=buffer.n_envs,
+        goal_selection_strategy=buffer.goal_selection_strategy,
+    )
     with np.load(tmp_path / "buffer.npz", allow_pickle=False) as state:
         loaded.set_state(state)
     return loaded
 
 
 @pytest.mark.parametrize("through", [through_pickle, through_arrays])
+@pytest.mark.parametrize("strategy", ["future", "random", None])
 @pytest.mark.parametrize(("n_envs", "steps"), [(1, 39), (1, 335), (8, 90)])
-def test_saved_in_the_middle_of_episodes_it_goes_on_identically(tmp_path, through, n_envs, steps):
-    ours = make(size=100, n_envs=n_envs)
+def test_saved_in_the_middle_of_episodes_it_goes_on_identically(tmp_path, through, strategy, n_envs, steps):
+    ours = make(size=100, n_envs=n_envs, goal_selection_strategy=strategy)
     transitions = Transitions(n_envs)
     for _ in range(steps):
         ours.add(*next(transitions))
@@ -416,20 +446,78 @@ def test_saved_in_the_middle_of_episodes_it_goes_on_identically(tmp_path, throug
 def test_truncating_the_last_trajectory_is_stable_baselines3s():
     """As `load_replay_buffer` does: episodes under way end, and bootstrap."""
     ours, theirs = pair(100, 8, 90)
-    ours.truncate_last_trajectory()
-    with pytest.warns(UserWarning, match="truncated"):
-        theirs.truncate_last_trajectory()
+    for buffer in (ours, theirs):
+        with pytest.warns(UserWarning, match="truncated"):
+            buffer.truncate_last_trajectory()
     assert drawable(ours) == set(np.flatnonzero(theirs.ep_length > 0))
     index = np.array(sorted(drawable(ours)))
     assert_equal(ours._collect(ours.rows.take(index), NO_GOALS), theirs._get_real_samples(*np.divmod(index, 8)))
 
 
-def test_a_state_of_another_buffer_is_refused():
+@pytest.mark.parametrize(
+    ("size", "n_envs", "message"),
+    [
+        (50, 1, "has 100 rows and this one 50"),
+        (500, 1, "has 100 rows and this one 500"),
+        (200, 2, "of other spaces or another number of envs"),
+    ],
+)
+def test_a_state_of_another_buffer_is_refused_and_changes_nothing(size, n_envs, message):
     ours, _ = pair(100, 1, 133)
-    with pytest.raises(ValueError, match="cannot take 100 x 1"):
-        make(size=50).set_state(ours.get_state())
-    with pytest.raises(ValueError, match="cannot take 100 x 1"):
-        make(size=500, n_envs=2).set_state(ours.get_state())
+    other, _ = pair(size, n_envs, 45)
+    before = pickle.dumps(other)
+    with pytest.raises(ValueError, match=message):
+        other.set_state(ours.get_state())
+    assert pickle.dumps(other) == before
+
+
+def test_a_reset_forgets_everything_and_goes_on():
+    ours, theirs = pair(100, 2, 133)
+    ours.sample(10)
+    ours.reset()
+    assert (len(ours.episodes), ours.size(), ours.real_share) == (0, 0, None)
+    with pytest.raises(RuntimeError, match="learning_starts"):
+        ours.sample(1)
+    theirs = make(HerReplayBuffer, 100, 2)
+    transitions = Transitions(2, seed=5)
+    for _ in range(70):
+        transition = next(transitions)
+        ours.add(*transition)
+        theirs.add(*transition)
+    index = np.array(sorted(drawable(ours)))
+    assert set(index) == set(np.flatnonzero(theirs.ep_length > 0))
+    assert_equal(ours._collect(ours.rows.take(index), NO_GOALS), theirs._get_real_samples(*np.divmod(index, 2)))
+
+
+def test_a_copy_is_independent_and_leaves_numpys_global_generator_alone():
+    ours, _ = pair(100, 1, 133)
+    np.random.seed(0)
+    other = copy.deepcopy(ours)
+    assert np.random.rand() == np.random.RandomState(0).rand()
+    ours.add(*next(Transitions(1)))
+    assert (ours.pos, other.pos) == (34, 33)
+
+
+def test_an_env_that_was_reset_without_a_word_starts_another_episode():
+    """As `learn` does when it is called a second time; the old episode ends as if by time, and no memory is lost."""
+    ours = make(size=100)
+    first, second = Transitions(1, longest=10**9), Transitions(1, longest=10**9)
+    second.episode += 7
+    for transitions in (first, second):
+        for _ in range(5):
+            ours.add(*next(transitions))
+    assert ours.rows.compact
+    assert ours.rows.data.dtype.itemsize == 112
+    batch = ours._collect(ours.rows.take(np.arange(10)), NO_GOALS)
+    assert batch.observations["desired_goal"][:, 1].tolist() == [0.0] * 5 + [7.0] * 5
+    assert not batch.dones.any()
+    assert drawable(ours) == {0, 1, 2, 3, 4}
+    config = make_config("experiment=smoke", "tracking.mlflow=false")
+    model = build_model(config, make_training_envs(config.env, 2), seed=0)
+    model.set_logger(Logger(None, []))
+    for _ in range(2):
+        model.learn(105)
+    assert model.replay_buffer.rows.data.dtype.itemsize == 112
 
 
 def test_memory_and_file():
@@ -485,9 +573,43 @@ def test_with_vec_normalize_batches_are_stable_baselines3s():
     normalize.obs_rms["observation"].mean = np.arange(6.0)
     normalize.ret_rms.var = np.array(4.0)
     index = np.array(sorted(drawable(ours)))
-    assert_equal(
-        ours._collect(ours.rows.take(index), NO_GOALS, normalize), theirs._get_real_samples(index, index * 0, normalize)
+    goals = theirs.next_observations["achieved_goal"].reshape(-1, 6)[index[::-1]]
+    theirs._sample_goals = lambda *_: goals
+    at = (index, index * 0, normalize)
+    taken = ours.rows.take(index)
+    assert_equal(ours._collect(taken, NO_GOALS, normalize), theirs._get_real_samples(*at))
+    assert_equal(ours._collect(ours.rows.take(index), index[::-1], normalize), theirs._get_virtual_samples(*at))
+
+
+def test_other_spaces():
+    """Images, discrete observations, more keys than HER asks for, and keys that are called like a row's own fields."""
+    space = spaces.Dict(
+        {
+            "observation": spaces.Box(0, 255, (2, 2, 1), np.uint8),
+            "achieved_goal": spaces.Box(-9, 9, (3,), np.float32),
+            "desired_goal": spaces.Box(-9, 9, (3,), np.float32),
+            "next_obs": spaces.Discrete(5),
+            "action": spaces.Box(-9, 9, (1,), np.float32),
+            "reward": spaces.MultiBinary(3),
+        }
     )
+    ours, theirs = (make(cls, 40, 2, observation_space=space) for cls in (HerBuffer, HerReplayBuffer))
+    rng = np.random.default_rng(0)
+
+    def observation():
+        observed = {key: np.stack([part.sample() for _ in range(2)]) for key, part in space.spaces.items()}
+        return observed | {"next_obs": rng.integers(5, size=2)}
+
+    for step in range(70):
+        transition = (
+            observation(), observation(), rng.normal(size=(2, 2)).astype(np.float32), rng.normal(size=2),
+            np.array([step % 5 == 4, step % 7 == 6]), [{}, {}],
+        )  # fmt: skip
+        for buffer in (ours, theirs):
+            buffer.add(*transition)
+    index = np.array(sorted(drawable(ours)))
+    assert_equal(ours._collect(ours.rows.take(index), NO_GOALS), theirs._get_real_samples(*np.divmod(index, 2)))
+    assert_equal(*(buffer._collect(buffer.rows.take(index), NO_GOALS) for buffer in (ours, copy.deepcopy(ours))))
 
 
 def test_another_env_is_asked_for_its_rewards(tmp_path):
@@ -517,6 +639,7 @@ def test_another_env_is_asked_for_its_rewards(tmp_path):
         ({"relabel_terminated": True}, "relabel_terminated=True is not one of"),
         ({"goal_velocity": "none"}, "goal_velocity='none' is not one of"),
         ({"copy_info_dict": True}, "copy_info_dict must be False"),
+        ({"n_sampled_goal": 0}, "n_sampled_goal=0 is below 1"),
         ({"relabel_collision": "keep"}, "needs to know the reward"),
         ({"goal_velocity": "zero"}, "needs to know the reward"),
     ],
@@ -524,6 +647,23 @@ def test_another_env_is_asked_for_its_rewards(tmp_path):
 def test_wrong_arguments_are_refused(keywords, message):
     with pytest.raises(ValueError, match=message):
         make(**keywords)
+
+
+@pytest.mark.parametrize("strategy", ["FUTURE", GoalSelectionStrategy.FUTURE])
+def test_strategies_are_named_as_stable_baselines3_names_them(strategy):
+    assert make(goal_selection_strategy=strategy).goal_selection_strategy == "future"
+
+
+def test_rewards_of_another_shape_are_taken_as_stable_baselines3_takes_them():
+    ours, _ = pair(100, 1, 60)
+    ours.env.env_method = lambda name, achieved, *_, **__: [achieved[:, 1:2] * 2]
+    batch = ours.sample(20)
+    assert torch.equal(batch.rewards[4:, 0], 2 * batch.next_observations["achieved_goal"][4:, 1].float())
+
+
+def test_an_empty_buffer_has_nothing_to_draw():
+    with pytest.raises(RuntimeError, match="nothing to sample yet"):
+        make(goal_selection_strategy=None).sample(1)
 
 
 def test_before_the_first_episode_has_ended_there_is_nothing_to_draw():

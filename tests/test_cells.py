@@ -1,5 +1,6 @@
 """Experiment files: which runs they stand for, and how a command line narrows them."""
 
+import re
 from collections import Counter
 
 import pytest
@@ -19,6 +20,10 @@ FOUR = [
 ]
 
 
+def has(key, point):
+    return True
+
+
 def runs(*overrides):
     return [validate(config) for config in composed("config", list(overrides))]
 
@@ -31,36 +36,38 @@ def runs(*overrides):
         ({"buffer": ["replay"]}, [["buffer=replay"]]),
         ({"buffer": ["her_random"]}, [["buffer=her_random", f"buffer.n_sampled_goal={n}"] for n in (1, 4)]),
         ({"buffer.n_sampled_goal": ["4"]}, [FOUR[1], FOUR[3], ["buffer=replay"]]),
-        ({"algorithm": ["td3"], "buffer": ["replay"]}, [["algorithm=td3", "buffer=replay"]]),
+        ({"buffer.n_sampled_goal": ["3"], "buffer": ["her_final"]}, [["buffer=her_final", "buffer.n_sampled_goal=3"]]),
+        ({"algorithm": ["td3"], "buffer": ["replay"]}, [["buffer=replay", "algorithm=td3"]]),
         (
             {"seed": ["1", "2"], "buffer": ["replay"]},
-            [["seed=1", "buffer=replay"], ["seed=2", "buffer=replay"]],
+            [["buffer=replay", "seed=1"], ["buffer=replay", "seed=2"]],
         ),
     ],
 )
 def test_blocks_are_products_that_the_command_line_narrows(typed, expected):
-    assert points(BLOCKS, typed) == expected
+    """Replay has no n_sampled_goal, and is left alone by it."""
+    assert points(BLOCKS, typed, lambda key, point: "buffer=replay" not in point) == expected
 
 
 def test_without_blocks_what_is_typed_is_the_product():
-    assert points([], {}) == [[]]
-    assert points([], {"a": ["1", "2"], "b": ["x"]}) == [["a=1", "b=x"], ["a=2", "b=x"]]
+    assert points([], {}, has) == [[]]
+    assert points([], {"a": ["1", "2"], "b": ["x"]}, has) == [["a=1", "b=x"], ["a=2", "b=x"]]
 
 
 def test_values_are_written_as_hydra_reads_them():
-    (point,) = points([{"a": None, "b": True, "c": [[64, 64]], "d": 1e-3}], {})
+    (point,) = points([{"a": None, "b": True, "c": [[64, 64]], "d": 1e-3}], {}, has)
     assert point == ["a=null", "b=true", "c=[64,64]", "d=0.001"]
 
 
-@pytest.mark.parametrize(("value", "seeds"), [(None, [7]), (3, [0, 1, 2]), ([4, 2], [4, 2])])
+@pytest.mark.parametrize(("value", "seeds"), [(None, None), (3, [0, 1, 2]), ([4, 2, 4], [4, 2])])
 def test_seeds(value, seeds):
-    assert seeds_of(value, default=7) == seeds
+    assert seeds_of(value) == seeds
 
 
-@pytest.mark.parametrize("value", [0, -1, True, "x", [], ["a"], 1.5])
+@pytest.mark.parametrize("value", [0, -1, True, "x", [], ["a"], 1.5, [True], [[1]]])
 def test_other_seeds_are_refused(value):
     with pytest.raises(ConfigError, match="neither a number of seeds nor a list"):
-        seeds_of(value, default=7)
+        seeds_of(value)
 
 
 def test_seeds_on_a_command_line():
@@ -71,6 +78,60 @@ def test_seeds_on_a_command_line():
     assert [(run.seed, run.algorithm.name) for run in runs("seeds=2", "algorithm=sac,td3")] == [
         (0, "sac"), (0, "td3"), (1, "sac"), (1, "td3"),
     ]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("overrides", "message"),
+    [
+        (("seeds=a,b",), "seeds=['a', 'b'] is neither a number of seeds nor a list of them"),
+        (("seeds=[1,2],[3]",), "seeds=[[1, 2], [3]] is neither a number of seeds nor a list of them"),
+        (("seeds=3", "seed=1"), "seed and seeds are both given; seeds=[...] names several"),
+        (("cells=3",), "cells=3 is not a list of {key: [values]}"),
+        (("cells=[3]",), "cells=[3] is not a list of {key: [values]}"),
+        (("budget=smal",), "budget=smal: there is no such option; did you mean 'small'?"),
+    ],
+)
+def test_what_is_no_sweep_is_refused_in_a_sentence(overrides, message):
+    with pytest.raises(ConfigError, match=f"^{re.escape(message)}"):
+        runs(*overrides)
+
+
+def test_what_is_typed_applies_to_every_cell_that_has_it():
+    found = runs("experiment=her_traps", "seeds=1", "algorithm.features=raw")
+    assert {run.algorithm.features for run in found} == {"raw"}
+    assert len({run.run_key for run in found}) == len(found) == 11
+    found = runs("experiment=her_ablation", "seeds=1", "env=parking_parked,parking_sparse", "buffer=her_final,replay")
+    assert Counter((run.env.name, run.buffer.name) for run in found) == {
+        ("parking_parked", "her_final"): 4, ("parking_parked", "replay"): 1,
+        ("parking_sparse", "her_final"): 4, ("parking_sparse", "replay"): 1,
+    }  # fmt: skip
+    found = runs("experiment=her_ablation", "seeds=1", "env=parking", "++buffer.n_sampled_goal=3", "buffer=her_final")
+    assert [run.buffer.arguments["n_sampled_goal"] for run in found] == [3]
+
+
+def test_several_experiments_are_one_after_the_other():
+    found = runs("experiment=smoke,her_traps", "seeds=1")
+    assert Counter(run.experiment_name for run in found) == {"smoke": 1, "her_traps": 12}
+
+
+def test_a_cell_may_name_its_seeds():
+    found = runs("cells=[{seed:[5,6],algorithm:[sac,td3]}]", "seeds=2")
+    assert Counter((run.seed, run.algorithm.name) for run in found) == dict.fromkeys(
+        [(5, "sac"), (5, "td3"), (6, "sac"), (6, "td3")], 1
+    )
+
+
+def test_one_run_of_a_sweep_is_the_run_that_was_asked_for(tmp_path):
+    """One seed and one cell: the run that was checked is the one that is trained."""
+    arguments = (
+        "experiment=smoke", "seeds=[5]", "cells=[{algorithm:td3}]", "total_timesteps=60", "tracking.mlflow=false",
+        "evaluation.video_episodes=0", "evaluation.final_n_scenes=3", f"output_dir={tmp_path}",
+    )  # fmt: skip
+    done = run_script("train", *arguments)
+    assert done.returncode == 0, done.stderr
+    (result,) = tmp_path.glob("*/*/*/result.json")
+    assert result.parent.name == "seed=5"
+    assert result.parents[1].name.startswith("parking-td3-")
 
 
 def test_the_her_ablation_is_every_strategy_with_every_share_and_a_control_on_both_rewards():

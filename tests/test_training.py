@@ -71,6 +71,14 @@ def test_the_store_has_every_metric_of_an_evaluation(smoke):
     assert_store_is_whole(output_dir, 400)
 
 
+def test_the_share_of_real_transitions_is_logged(smoke):
+    """n_sampled_goal is 4, so that a fifth is real, but for the rounding of each batch of 32."""
+    directory, _, output_dir = smoke
+    shares = history(store(output_dir), directory.run_id, "buffer/real_share")
+    assert len(shares) >= 4
+    assert all(share == pytest.approx(0.2, abs=0.02) for _, share in shares)
+
+
 def test_the_stores_parameters_are_the_resolved_config(smoke):
     directory, _, output_dir = smoke
     params = store(output_dir).get_run(directory.run_id).data.params

@@ -8,20 +8,20 @@ that the interval from `tail` to `head` says which transitions may be drawn.
 import numpy as np
 
 NONE = -1
-RECORD = np.dtype([("start", np.int64), ("length", np.int64)])
+RECORD = np.dtype([("start", np.int32), ("length", np.int32)])
 
 
 class Episodes:
     """Episodes in a ring of `capacity` rows, one transition of each of `n_envs` envs in a row.
 
-    A transition's index is row * n_envs + env. An episode has a slot in `table`, which is used again when the first of
+    A transition's index is row * n_envs + env. An episode has a slot in `table`, which is used again when the last of
     its transitions is overwritten.
 
     Attributes:
         steps: rows written since the start.
         tail, head: of each env, the steps between which its whole episodes lie, shape (n_envs,).
         current: slots of the episodes under way, or NONE between two episodes, shape (n_envs,).
-        table: step at which each episode started and its length, 0 while it is under way.
+        table: row in which each episode started and its length, 0 while it is under way.
     """
 
     def __init__(self, capacity: int, n_envs: int) -> None:
@@ -29,43 +29,51 @@ class Episodes:
         self.steps = 0
         self.tail, self.head = np.zeros(n_envs, np.int64), np.zeros(n_envs, np.int64)
         self.current = np.full(n_envs, NONE)
-        self.table = np.zeros(2 * n_envs, RECORD)
-        self._unused = list(range(2 * n_envs))[::-1]
+        self.table = np.zeros(0, RECORD)
+        self._unused, self._n_unused = np.zeros(0, np.int32), 0  # a stack, and how much of it counts
 
     def __len__(self) -> int:
         """How many transitions are stored, whole episodes or not."""
         return min(self.steps, self.capacity) * self.n_envs
 
+    @property
+    def nbytes(self) -> int:
+        """Bytes of memory."""
+        return self.table.nbytes + self._unused.nbytes
+
     def start(self, env: int) -> int:
-        """Start an episode, and return its slot."""
-        if not self._unused:
-            n = len(self.table)
-            self.table = np.concatenate([self.table, np.zeros(n, RECORD)])
-            self._unused = list(range(n, 2 * n))[::-1]
-        slot = self._unused.pop()
-        self.table[slot] = (self.steps, 0)
+        """Start an episode with the next row, and return its slot."""
+        if not self._n_unused:
+            self._grow()
+        self._n_unused -= 1
+        slot = int(self._unused[self._n_unused])
+        self.table[slot] = (self.steps % self.capacity, 0)
         self.current[env] = slot
         return slot
 
     def overwrite(self, slots: np.ndarray) -> None:
-        """Forget the episodes whose first transition the next row is written over; `slots` are that row's."""
+        """Forget what the next row is written over; `slots` are that row's.
+
+        An episode is whole until its first transition is overwritten, and has its slot until its last is.
+        """
         oldest = self.steps - self.capacity
         if oldest < 0:
             return
-        for env in np.flatnonzero(self.tail == oldest):
+        for env in np.flatnonzero(self.tail <= oldest + 1):
             slot = int(slots[env])
-            if slot == self.current[env]:  # it alone fills the ring: its beginning is lost
-                self.table["start"][slot] += 1
-                self.tail[env] += 1
-                self.head[env] += 1
-            else:
-                self.tail[env] += self.table["length"][slot]
-                self._unused.append(slot)
+            alone = slot == self.current[env]  # an episode that fills the ring: it loses its beginning
+            if self.tail[env] == oldest:
+                if alone:
+                    self.table["start"][slot] = (oldest + 1) % self.capacity
+                    self.head[env] += 1
+                self.tail[env] += 1 if alone else self.table["length"][slot]
+            if self.tail[env] == oldest + 1 and not alone:
+                self._unused[self._n_unused] = slot
+                self._n_unused += 1
 
     def finish(self, env: int) -> None:
         """End an episode with the last row."""
-        record = self.table[self.current[env]]
-        record["length"] = self.steps - record["start"]
+        self.table["length"][self.current[env]] = self.steps - self.head[env]
         self.head[env] = self.steps
         self.current[env] = NONE
 
@@ -88,7 +96,13 @@ class Episodes:
         return self.index(step, env)
 
     def draw_stored(self, rng: np.random.Generator, number: int) -> np.ndarray:
-        """Draw from everything that is stored, episodes under way included; return indices."""
+        """Draw from everything that is stored, episodes under way included; return indices.
+
+        Raises:
+            RuntimeError: nothing is stored.
+        """
+        if not self.steps:
+            raise RuntimeError("there is nothing to sample yet; give a learning_starts above 0")
         return rng.integers(len(self), size=number)
 
     def index(self, step: np.ndarray, env: np.ndarray) -> np.ndarray:
@@ -102,25 +116,39 @@ class Episodes:
     def slots(self) -> int:
         """How many slots are to be saved: those after them are free."""
         free = np.zeros(len(self.table), bool)
-        free[self._unused] = True
-        return int(np.flatnonzero(~free)[-1]) + 1 if not free.all() else 1
+        free[self._unused[: self._n_unused]] = True
+        taken = np.flatnonzero(~free)
+        return int(taken[-1]) + 1 if len(taken) else 0
 
     def get_state(self) -> dict[str, np.ndarray]:
         """Return everything as arrays."""
         return {
+            "capacity": np.array(self.capacity),
             "steps": np.array(self.steps),
             "tail": self.tail.copy(),
             "head": self.head.copy(),
             "current": self.current.copy(),
             "table": self.table[: self.slots].copy(),
-            "unused": np.array(self._unused, np.int32),
-            "room": np.array(len(self.table)),
+            "unused": self._unused[: self._n_unused].copy(),
         }
 
     def set_state(self, state: dict[str, np.ndarray]) -> None:
-        """Restore a state."""
+        """Restore a state of as many rows and envs."""
         self.steps = int(state["steps"])
         self.tail, self.head, self.current = state["tail"].copy(), state["head"].copy(), state["current"].copy()
-        self.table = np.zeros(int(state["room"]), RECORD)
-        self.table[: len(state["table"])] = state["table"]
-        self._unused = state["unused"].tolist()
+        # Slots are used or unused: that is how many there are.
+        self._n_unused = len(state["unused"])
+        taken, beyond = len(state["table"]), state["unused"][state["unused"] >= len(state["table"])]
+        self.table = np.zeros(taken + len(beyond), RECORD)
+        self.table[:taken] = state["table"]
+        self._unused = np.zeros(len(self.table), np.int32)
+        self._unused[: self._n_unused] = state["unused"]
+
+    def _grow(self) -> None:
+        """Make half as many slots again, to be used from the lowest on."""
+        n = len(self.table)
+        more = n // 2 + 2 * self.n_envs
+        self.table = np.concatenate([self.table, np.zeros(more, RECORD)])
+        self._unused = np.zeros(n + more, np.int32)
+        self._unused[:more] = np.arange(n + more - 1, n - 1, -1)
+        self._n_unused = more

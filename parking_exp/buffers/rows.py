@@ -1,6 +1,6 @@
 """Transitions in rows: everything that belongs to one lies together, so that reading it costs one trip to memory."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -19,7 +19,7 @@ class Rows:
     in parking-v0, and a desired goal that stays the same in an episode, which is kept once for each. The first
     transition that is otherwise widens all rows.
 
-    A transition of parking-v0 takes 112 bytes: 2 x 6 doubles, 2 + 1 floats, and a mark.
+    A transition of parking-v0 takes 112 bytes: 2 x 6 doubles, 2 + 1 floats, and a mark; its episode's goal, 48.
     """
 
     def __init__(self, capacity: int, n_envs: int, observation_space: spaces.Dict, action_space: spaces.Space) -> None:
@@ -27,15 +27,35 @@ class Rows:
         shapes: dict[str, tuple[int, ...]] = get_obs_shape(observation_space)  # type: ignore[assignment]
         self.formats = {key: (space.dtype, shapes[key]) for key, space in observation_space.spaces.items()}
         self._action = (ReplayBuffer._maybe_cast_dtype(action_space.dtype), (get_action_dim(action_space),))
-        self.compact = self.formats["achieved_goal"] == self.formats["observation"]
         dtype, shape = self.formats["desired_goal"]
-        self.goals = np.zeros((2 * n_envs, *shape), dtype)
-        self._allocate()
+        self.goals = np.zeros((0, *shape), dtype)
+        self._allocate(compact=self.formats["achieved_goal"] == self.formats["observation"])
 
     @property
     def nbytes(self) -> int:
         """Bytes of memory, when full."""
         return self.data.nbytes + self.goals.nbytes
+
+    def shaped(self, obs: Mapping[str, Any]) -> Observation:
+        """Return observations with the types and shapes of the space, each entry (n_envs, ...)."""
+        return {
+            key: np.asarray(obs[key], dtype).reshape(self.n_envs, *shape)
+            for key, (dtype, shape) in self.formats.items()
+        }
+
+    def start(self, slot: int, goal: np.ndarray) -> None:
+        """Keep the desired goal of an episode that starts."""
+        if slot >= len(self.goals):
+            more = np.zeros((slot // 2 + 2 * self.n_envs, *self.goals.shape[1:]), self.goals.dtype)
+            self.goals = np.concatenate([self.goals[:slot], more])
+        self.goals[slot] = goal
+
+    def other_goals(self, obs: Observation, slots: np.ndarray) -> np.ndarray:
+        """Return the envs whose goal is not the one their episode started with; none where rows keep all goals."""
+        if not self.compact:
+            return np.empty(0, np.int64)
+        differs = obs["desired_goal"] != self.goals.take(slots, axis=0)
+        return np.flatnonzero(differs.reshape(self.n_envs, -1).any(axis=1))
 
     def write(
         self,
@@ -49,21 +69,14 @@ class Rows:
         crashed: np.ndarray,
     ) -> None:
         """Write a row: a transition of each env, in the episodes with these slots."""
-        obs, next_obs = self._shaped(obs), self._shaped(next_obs)
         if self.compact and not self._fits(obs, next_obs, slots):
             self._widen()
         for key in self.stored:
-            self._fields[key][row] = obs[key]
-            self._fields[f"next_{key}"][row] = next_obs[key]
+            self._obs[key][row] = obs[key]
+            self._next_obs[key][row] = next_obs[key]
         self._fields["action"][row] = np.reshape(action, (self.n_envs, -1))
         self._fields["reward"][row] = reward
         self._fields["mark"][row] = slots << SLOT_SHIFT | crashed * CRASHED | terminated * TERMINATED
-
-    def start(self, slot: int, env: int, obs: Observation) -> None:
-        """Keep the desired goal of an episode that starts."""
-        if slot >= len(self.goals):
-            self.goals = np.concatenate([self.goals, np.zeros((slot, *self.goals.shape[1:]), self.goals.dtype)])
-        self.goals[slot] = obs["desired_goal"][env]
 
     def slots(self, row: int) -> np.ndarray:
         """Return the slots of a row's episodes, shape (n_envs,)."""
@@ -77,11 +90,12 @@ class Rows:
 
     def take(self, index: np.ndarray) -> "Transitions":
         """Return transitions by index, row * n_envs + env, as a copy."""
-        return Transitions(self, self._flat.take(index))
+        return Transitions(self, self.data.reshape(-1).take(index))
 
     def achieved(self, index: np.ndarray) -> np.ndarray:
         """Return what transitions achieved: their next achieved goals, as a copy."""
-        found: np.ndarray = self._flat["next_observation" if self.compact else "next_achieved_goal"][index]
+        next_obs = self.data.reshape(-1)["next_obs"]
+        found: np.ndarray = next_obs["observation" if self.compact else "achieved_goal"][index]
         return found
 
     def get_state(self, rows: int, slots: int) -> dict[str, np.ndarray]:
@@ -92,58 +106,60 @@ class Rows:
         """Restore a state.
 
         Raises:
-            ValueError: it does not fit: other spaces, another number of envs, or more rows.
+            ValueError: it is of other spaces or another number of envs; nothing has changed.
         """
-        self.compact = bool(state["compact"])
-        self._allocate()
-        rows = state["rows"]
-        if rows.dtype != self.data.dtype or rows.shape[1] != self.n_envs or len(rows) > self.capacity:
-            raise ValueError(
-                f"a buffer of {self.capacity} rows x {self.n_envs} envs of {self.data.dtype.itemsize} bytes cannot "
-                f"take {rows.shape[0]} x {rows.shape[1]} of {rows.dtype.itemsize}"
-            )
-        self.goals = state["goals"].copy()
+        compact, rows, goals = bool(state["compact"]), state["rows"], state["goals"]
+        if (
+            rows.dtype != self._dtype(compact)
+            or rows.shape[1] != self.n_envs
+            or goals.shape[1:] != self.goals.shape[1:]
+        ):
+            raise ValueError("the saved buffer is of other spaces or another number of envs")
+        self._allocate(compact)
         self.data[: len(rows)] = rows
+        self.goals = goals.copy()
 
-    def _allocate(self) -> None:
-        left_out = {"achieved_goal", "desired_goal"} if self.compact else set()
-        self.stored = [key for key in self.formats if key not in left_out]
-        observed = [(key, *self.formats[key[5:] if key.startswith("next_") else key]) for key in self._keys()]
-        self.data = np.zeros(
-            (self.capacity, self.n_envs),
-            [*observed, ("action", *self._action), ("reward", np.float32), ("mark", np.uint32)],
+    def _allocate(self, compact: bool) -> None:
+        self.compact = compact
+        self.data = np.zeros((self.capacity, self.n_envs), self._dtype(compact))
+        self._fields = {name: self.data[name] for name in ("action", "reward", "mark")}
+        self.stored = self._stored(compact)
+        self._obs, self._next_obs = ({key: self.data[name][key] for key in self.stored} for name in ("obs", "next_obs"))
+
+    def _stored(self, compact: bool) -> list[str]:
+        left_out = {"achieved_goal", "desired_goal"} if compact else set()
+        return [key for key in self.formats if key not in left_out]
+
+    def _dtype(self, compact: bool) -> np.dtype:
+        observed = [(key, *self.formats[key]) for key in self._stored(compact)]
+        return np.dtype(
+            [
+                ("obs", observed),
+                ("next_obs", observed),
+                ("action", *self._action),
+                ("reward", np.float32),
+                ("mark", np.uint32),
+            ]
         )
-        self._flat = self.data.reshape(-1)
-        self._fields = {name: self.data[name] for name in self.data.dtype.names or ()}
-
-    def _keys(self) -> Iterator[str]:
-        for key in self.stored:
-            yield key
-            yield f"next_{key}"
-
-    def _shaped(self, obs: Observation) -> Observation:
-        return {
-            key: np.asarray(obs[key], dtype).reshape(self.n_envs, *shape)
-            for key, (dtype, shape) in self.formats.items()
-        }
 
     def _fits(self, obs: Observation, next_obs: Observation, slots: np.ndarray) -> bool:
-        goals = self.goals.take(slots, axis=0)
-        return all(
-            np.array_equal(entries["achieved_goal"], entries["observation"])
-            and np.array_equal(entries["desired_goal"], goals)
-            for entries in (obs, next_obs)
+        return (
+            np.array_equal(obs["achieved_goal"], obs["observation"])
+            and np.array_equal(next_obs["achieved_goal"], next_obs["observation"])
+            and np.array_equal(next_obs["desired_goal"], self.goals.take(slots, axis=0))
         )
 
     def _widen(self) -> None:
-        narrow = self._fields
-        self.compact = False
-        self._allocate()
-        for name, values in narrow.items():
-            self._fields[name][:] = values
-        for prefix in ("", "next_"):
-            self._fields[f"{prefix}achieved_goal"][:] = narrow[f"{prefix}observation"]
-            self._fields[f"{prefix}desired_goal"][:] = self.goals[narrow["mark"] >> SLOT_SHIFT]
+        narrow = self.data
+        self._allocate(compact=False)
+        for name in ("action", "reward", "mark"):
+            self.data[name] = narrow[name]
+        goals = self.goals[narrow["mark"] >> SLOT_SHIFT]
+        for name in ("obs", "next_obs"):
+            for key in narrow[name].dtype.names or ():
+                self.data[name][key] = narrow[name][key]
+            self.data[name]["achieved_goal"] = narrow[name]["observation"]
+            self.data[name]["desired_goal"] = goals
 
 
 class Transitions:
@@ -163,18 +179,23 @@ class Transitions:
         self.terminated, self.crashed = mark & TERMINATED > 0, mark & CRASHED > 0
         self.slots = mark >> SLOT_SHIFT
 
-    def observations(self, prefix: str, virtual: np.ndarray) -> Observation:
-        """Return the Dict observations (prefix "") or those after the transitions ("next_"); entries: shape (n, ...).
+    def observations(self, virtual: np.ndarray) -> tuple[Observation, Observation]:
+        """Return the Dict observations before and after the transitions; each entry has shape (n, ...).
 
         The last transitions get the virtual goals, which may be none.
         """
-        data, rows = self._data, self._rows
-        found: dict[str, Any] = {key: data[prefix + key] for key in rows.stored}
+        rows, real = self._rows, len(self._data) - len(virtual)
+        goals = None
         if rows.compact:
-            real = len(data) - len(virtual)
-            goals = np.empty((len(data), *rows.goals.shape[1:]), rows.goals.dtype)
+            goals = np.empty((len(self._data), *rows.goals.shape[1:]), rows.goals.dtype)
             goals[:real], goals[real:] = rows.goals.take(self.slots[:real], axis=0), virtual
+        before, after = (self._observation(name, goals) for name in ("obs", "next_obs"))
+        if goals is None:
+            before["desired_goal"][real:] = after["desired_goal"][real:] = virtual
+        return before, after
+
+    def _observation(self, name: str, goals: np.ndarray | None) -> Observation:
+        found: dict[str, Any] = {key: self._data[name][key] for key in self._rows.stored}
+        if goals is not None:
             found |= {"achieved_goal": found["observation"], "desired_goal": goals}
-        elif len(virtual):
-            found["desired_goal"][-len(virtual) :] = virtual
-        return {key: found[key] for key in rows.formats}
+        return {key: found[key] for key in self._rows.formats}

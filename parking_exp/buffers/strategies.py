@@ -28,7 +28,8 @@ def future(rng: np.random.Generator, episodes: Episodes, index: np.ndarray, reco
 
 def final(rng: np.random.Generator, episodes: Episodes, index: np.ndarray, record: np.ndarray) -> np.ndarray:
     """The last of the same episode; arguments as for `future`."""
-    return episodes.index(record["start"] + record["length"] - 1, index % episodes.n_envs)
+    last = record["length"].astype(np.int64) - 1
+    return episodes.index(record["start"] + last, index % episodes.n_envs)
 
 
 def episode(rng: np.random.Generator, episodes: Episodes, index: np.ndarray, record: np.ndarray) -> np.ndarray:
