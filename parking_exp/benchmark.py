@@ -135,7 +135,7 @@ def _figures(settings: BenchmarkConfig) -> Iterator[tuple[str, Callable[[], dict
         from parking_exp.measurements.buffers import Buffers
 
         if "buffers" not in kept:
-            kept["buffers"] = Buffers(runs.run_config(), 10_000 if quick else 1_000_000, samples=20 if quick else 1000)
+            kept["buffers"] = Buffers(runs.run_config(), 200_000 if quick else 1_000_000, samples=20 if quick else 1000)
         return kept["buffers"]
 
     figures: dict[str, Callable[[], dict[str, Any]]] = {
