@@ -152,7 +152,7 @@ def test_the_her_traps_are_the_relabelling_options_where_they_can_make_a_differe
     assert cells == {
         *(("her_future", "ego", c, t, "achieved") for c in ("keep", "sb3") for t in ("sb3", "goal")),
         *(("her_episode", "ego", c, t, "achieved") for c in ("keep", "sb3") for t in ("sb3", "goal", "goal_and_crash")),
-        *(("her_future", "raw", "keep", "sb3", v) for v in ("achieved", "zero")),
+        *(("her_future", "raw", "sb3", "sb3", v) for v in ("achieved", "zero")),
     }
     assert len(found) == 12
 
@@ -169,7 +169,7 @@ def test_every_cell_has_as_many_env_steps_and_updates(experiment, budget, steps)
 
 
 def test_ten_seeds_and_the_small_budget_unless_said_otherwise():
-    found = runs("experiment=her_traps", "buffer.relabel_collision=keep", "buffer.relabel_terminated=sb3")
+    found = runs("experiment=her_traps", "buffer.relabel_collision=sb3", "buffer.relabel_terminated=sb3")
     assert len(found) == 40
     assert {run.total_timesteps for run in found} == {20_000}
 
