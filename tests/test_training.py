@@ -456,7 +456,8 @@ def test_a_disk_that_fills_up_fails_the_run_and_keeps_what_was_there(tmp_path):
     """A file-size limit stands in for a full disk: the checkpoint's buffer does not fit."""
     output_dir = tmp_path / "outputs"
     arguments = ("experiment=smoke", f"output_dir={output_dir}", "tracking.mlflow=false", "tracking.tensorboard=false",
-                 "evaluation.video_episodes=0", "checkpoint.keep_last=1")  # fmt: skip
+                 "evaluation.video_episodes=0", "checkpoint.keep_last=1", "total_timesteps=1200",
+                 "checkpoint.every_n_steps=400")  # fmt: skip
     command, keywords = script("train", *arguments)
     limited = ["bash", "-c", 'ulimit -f 120; exec "$@"', "_", *command]  # in KiB: the third checkpoint is too large
     failed = subprocess.run(limited, check=False, capture_output=True, timeout=180, **keywords)
