@@ -115,12 +115,14 @@ def test_hydras_own_config_dir_adds_options(tmp_path):
 
 
 def test_the_benchmark_measures_and_writes(tmp_path):
-    done = run_script("benchmark", "--quick", "only=[simulator,update.ddpg.2x64,her]", f"output_dir={tmp_path}")
+    done = run_script(
+        "benchmark", "--quick", "only=[simulator,update.ddpg.2x64,run.article,her]", f"output_dir={tmp_path}"
+    )
     assert done.returncode == 0, done.stderr
     written = json.loads((tmp_path / "benchmark.json").read_text())
     assert sorted(written) == sorted([
         "simulator.n512.ratio", "simulator.n8.ratio", "simulator.parked.n512.ratio", "update.ddpg.2x64.ratio",
-        "her.sample.capacity_ratio", "her.sample.ratio", "her.bytes_per_transition", "her.save.bytes_per_transition",
+        "run.article.ratio", "her.sample.capacity_ratio", "her.sample.ratio", "her.bytes_per_transition", "her.save.bytes_per_transition",
     ])  # fmt: skip
     for key, entry in written.items():
         unit = "bytes" if "bytes" in key else "ratio"

@@ -19,6 +19,7 @@ from parking_exp.config import RunConfig
 from parking_exp.envs import make_env
 from parking_exp.envs.vector import make_training_envs
 from parking_exp.measurements.rounds import interleave, rounded, spread
+from parking_exp.measurements.updates import theirs
 from parking_exp.policy import Policy
 from parking_exp.progress import TrainingProgress
 from parking_exp.runs import RunDirectory
@@ -49,7 +50,7 @@ def article(rounds: int, steps: int) -> dict[str, Any]:
         policy_kwargs={"net_arch": list(config.algorithm.net_arch)},
         buffer_size=config.buffer.buffer_size,
         replay_buffer_class=HerReplayBuffer,
-        replay_buffer_kwargs=config.buffer.arguments,
+        replay_buffer_kwargs=theirs(config).buffer.arguments,
         seed=0,
         device="cpu",
     )
