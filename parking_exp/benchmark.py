@@ -99,7 +99,7 @@ def _figures(settings: BenchmarkConfig) -> Iterator[tuple[str, Callable[[], dict
         from parking_exp.measurements import runs, simulation
 
         env = runs.run_config(f"env={option}").env
-        return simulation.stepping(env, scenes, rounds, seconds=0.1 if quick else 0.7)
+        return simulation.stepping(env, scenes, rounds, seconds=0.1 if quick else 0.5)
 
     def update(algorithm: str, net: str) -> dict[str, Any]:
         from parking_exp.measurements import runs, updates
@@ -109,12 +109,12 @@ def _figures(settings: BenchmarkConfig) -> Iterator[tuple[str, Callable[[], dict
         config = runs.run_config(
             f"algorithm={algorithm}", f"algorithm.net_arch={net}", "algorithm.batch_size=256", *options
         )
-        return updates.updates(config, rounds, updates_a_slice=(8 if quick else 24) if wide else (16 if quick else 120))
+        return updates.updates(config, rounds, updates_a_slice=(8 if quick else 16) if wide else (16 if quick else 80))
 
     def overhead() -> dict[str, Any]:
         from parking_exp.measurements import runs
 
-        steps, slice_steps = (1400, 80) if quick else (24_000, 800)
+        steps, slice_steps = (1400, 80) if quick else (24_000, 600)
         entry, kept["policy"] = runs.overhead(rounds, steps, slice_steps)
         return entry
 

@@ -14,7 +14,7 @@ from parking_exp.envs.reward import GoalReward
 from parking_exp.envs.vectorized import VectorizedParking
 from parking_exp.measurements.rounds import Side, interleave, rounded
 
-BATCH = 256
+BATCH, N_ENVS = 256, 16
 PEER = "stable-baselines3"
 
 
@@ -22,7 +22,7 @@ class Buffers:
     """Buffers filled with the same random transitions, made once and kept for all figures.
 
     Args:
-        config: a run's, whose env group and number of envs are taken.
+        config: a run's, whose env group is taken.
         capacity: of the large ones.
         samples: drawn in a slice of ours; the peer draws a twentieth.
     """
@@ -71,12 +71,11 @@ class Buffers:
     def _filled(self, cls: type[HerReplayBuffer], capacity: int, transitions: int) -> HerReplayBuffer:
         name = f"{cls.__name__} {capacity} {transitions}"
         if name not in self._kept:
-            n_envs = self._config.n_envs
-            env = VectorizedParking(self._config.env, n_envs)
+            env = VectorizedParking(self._config.env, N_ENVS)
             # Both as Stable-Baselines3 relabels, ours by itself.
             known: dict[str, Any] = {"reward": GoalReward.of(self._config.env)} if cls is HerBuffer else {}
-            buffer = cls(capacity, env.observation_space, env.action_space, env, "cpu", n_envs, **known)
-            for step in range(transitions // n_envs):
+            buffer = cls(capacity, env.observation_space, env.action_space, env, "cpu", N_ENVS, **known)
+            for step in range(transitions // N_ENVS):
                 buffer.add(*self._recorded[step % len(self._recorded)])
             self._kept[name] = buffer
         return self._kept[name]
@@ -85,12 +84,12 @@ class Buffers:
 def _record(config: RunConfig, steps: int) -> list[tuple[Any, ...]]:
     """Record random transitions, the last of which end all episodes, so that they can be repeated."""
     rng = np.random.default_rng(0)
-    env = VectorizedParking(config.env, config.n_envs, training=True)
+    env = VectorizedParking(config.env, N_ENVS, training=True)
     env.seed(0)
     obs = env.reset()
     recorded: list[tuple[Any, ...]] = []
     for step in range(steps):
-        actions = rng.uniform(-1, 1, (config.n_envs, *env.action_space.shape)).astype(np.float32)
+        actions = rng.uniform(-1, 1, (N_ENVS, *env.action_space.shape)).astype(np.float32)
         next_obs, rewards, dones, infos = env.step(actions)
         assert isinstance(obs, dict)
         assert isinstance(next_obs, dict)
@@ -98,7 +97,7 @@ def _record(config: RunConfig, steps: int) -> list[tuple[Any, ...]]:
         for row in np.flatnonzero(dones):
             for key, value in stored.items():
                 value[row] = infos[row]["terminal_observation"][key]
-        last = np.full(config.n_envs, step == steps - 1)
+        last = np.full(N_ENVS, step == steps - 1)
         recorded.append((obs, stored, actions, rewards, dones | last, infos))
         obs = {key: value.copy() for key, value in next_obs.items()}
     return recorded
