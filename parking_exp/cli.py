@@ -16,7 +16,7 @@ from hydra._internal.utils import get_args_parser
 from omegaconf import DictConfig
 
 from parking_exp.composition import VERSION_BASE, composed, config_dir, quoted
-from parking_exp.errors import FailedRunError, InterruptedRunError, ParkingError
+from parking_exp.errors import FailedRunError, InterruptedRunError, ParkingError, RunLockedError
 from parking_exp.validation import validate
 
 
@@ -68,7 +68,10 @@ def _command(config_name: str, check: Callable[[DictConfig], object], task: Call
 
 
 def _sweep(configs: list[DictConfig], task: Callable[[DictConfig], object]) -> None:
-    """Run one config after the other; a failure does not keep the others from running, Ctrl-C does."""
+    """Run one config after the other; a failure does not keep the others from running, Ctrl-C does.
+
+    A run that another process is working on is left to it, so that sweeps in several shells share the work.
+    """
     failed = []
     for number, config in enumerate(configs, 1):
         print(f"run {number} of {len(configs)}", flush=True)
@@ -76,6 +79,8 @@ def _sweep(configs: list[DictConfig], task: Callable[[DictConfig], object]) -> N
             task(config)
         except InterruptedRunError:
             raise
+        except RunLockedError:
+            print("another process is working on it; left to that one", file=sys.stderr)
         except ParkingError as error:
             print(f"error: {error}", file=sys.stderr)
             failed.append(number)

@@ -103,7 +103,10 @@ class HerBuffer(HerReplayBuffer):
                 raise ValueError(f"{name}={value!r} is not one of {choices}")
         as_sb3 = relabel_collision == relabel_terminated == "sb3" and goal_velocity == "achieved"
         if reward is None and not as_sb3:
-            raise ValueError("relabelling otherwise than Stable-Baselines3 needs to know the reward; give reward=")
+            raise ValueError(
+                "relabelling otherwise than Stable-Baselines3 needs to know the reward; "
+                "give reward=, such as GoalReward.of(env)"
+            )
         self.env, self.reward = env, reward
         self.handle_timeout_termination = handle_timeout_termination
         self.goal_selection_strategy = goal_selection_strategy  # type: ignore[assignment]
