@@ -13,6 +13,7 @@ from pydantic import Field
 from parking_exp.config import Positive, Section
 from parking_exp.errors import ConfigError
 from parking_exp.files import read_json, write_json
+from parking_exp.machine import cores
 from parking_exp.validation import parse
 from parking_exp.wording import closest
 
@@ -30,8 +31,12 @@ TARGETS = {
     "her.sample.ratio": (">=", 5.0),
     "her.bytes_per_transition": ("<=", 150.0),
     "her.save.bytes_per_transition": ("<=", 120.0),
+    "sweep.scaling.2_workers": (">=", 1.85),
+    "sweep.overhead_s_per_run": ("<=", 6.0),
+    "sweep.resume_scan_s.1000_runs": ("<=", 2.0),
 }
 NEEDS = ("highway_env", "stable_baselines3")
+Figures = dict[str, Callable[[], dict[str, Any]]]
 
 
 class BenchmarkConfig(Section):
@@ -65,6 +70,7 @@ def validate_benchmark(config: DictConfig) -> BenchmarkConfig:
 def benchmark(config: DictConfig) -> Path:
     """Measure, print a table, and write `benchmark.json` under the output directory; return its path."""
     settings = validate_benchmark(config)
+    all_cores = cores()
     if settings.core is not None and hasattr(os, "sched_setaffinity"):
         os.sched_setaffinity(0, {min(os.sched_getaffinity(0)) if settings.core == "first" else settings.core})
     import torch
@@ -74,7 +80,7 @@ def benchmark(config: DictConfig) -> Path:
     results: dict[str, dict[str, Any]] = {}
     absent = [name for name in NEEDS if importlib.util.find_spec(name) is None]
     with Console(stderr=True).status("starting") as status:
-        for key, measure in _figures(settings):
+        for key, measure in _figures(settings, all_cores):
             status.update(key)
             results[key] = {"missing": f"{', '.join(absent)} not installed"} if absent else measure()
     path = Path(settings.output_dir).expanduser().absolute() / "benchmark.json"
@@ -90,8 +96,38 @@ def benchmark(config: DictConfig) -> Path:
     return path
 
 
-def _figures(settings: BenchmarkConfig) -> Iterator[tuple[str, Callable[[], dict[str, Any]]]]:
+def _figures(settings: BenchmarkConfig, all_cores: list[int]) -> Iterator[tuple[str, Callable[[], dict[str, Any]]]]:
     """Yield key and measurement of every figure that is asked for."""
+    for key, measure in {**_single_core(settings), **_sweeps(settings, all_cores)}.items():
+        if settings.only is None or any(key.startswith(name) for name in settings.only):
+            yield key, measure
+
+
+def _sweeps(settings: BenchmarkConfig, all_cores: list[int]) -> Figures:
+    """Return the figures of whole sweeps, which use all cores."""
+
+    def measure(name: str, *arguments: Any) -> Callable[[], dict[str, Any]]:
+        def measured() -> dict[str, Any]:
+            from parking_exp.measurements import sweeps
+
+            return getattr(sweeps, name)(*arguments)
+
+        return measured
+
+    quick, rounds = settings.quick, settings.rounds
+    return {
+        "sweep.scaling.2_workers": measure(
+            "scaling", 1 if quick else min(rounds, 3), 1000 if quick else 4000, all_cores
+        ),
+        "sweep.overhead_s_per_run": measure(
+            "overhead", 1 if quick else min(rounds, 3), 200 if quick else 600, all_cores
+        ),
+        "sweep.resume_scan_s.1000_runs": measure("scan", rounds, 2 if quick else 30),
+    }
+
+
+def _single_core(settings: BenchmarkConfig) -> Figures:
+    """Return the figures of a single process."""
     quick, rounds = settings.quick, settings.rounds
     kept: dict[str, Any] = {}  # the policy trained for one figure serves another
 
@@ -138,7 +174,7 @@ def _figures(settings: BenchmarkConfig) -> Iterator[tuple[str, Callable[[], dict
             kept["buffers"] = Buffers(runs.run_config(), 200_000 if quick else 1_000_000, samples=20 if quick else 1000)
         return kept["buffers"]
 
-    figures: dict[str, Callable[[], dict[str, Any]]] = {
+    return {
         "simulator.n512.ratio": lambda: stepping(512, "parking"),
         "simulator.n8.ratio": lambda: stepping(8, "parking"),
         "simulator.parked.n512.ratio": lambda: stepping(512, "parking_parked"),
@@ -155,9 +191,6 @@ def _figures(settings: BenchmarkConfig) -> Iterator[tuple[str, Callable[[], dict
         "her.bytes_per_transition": lambda: buffers().memory(),
         "her.save.bytes_per_transition": lambda: buffers().file(),
     }
-    for key, measure in figures.items():
-        if settings.only is None or any(key.startswith(name) for name in settings.only):
-            yield key, measure
 
 
 def _versions() -> dict[str, str]:
@@ -174,7 +207,7 @@ def _table(results: dict[str, dict[str, Any]]) -> str:
         if "missing" in entry:
             lines.append(f"{key:<30}{'-':>9}  {'':<19}{target:<10}  {entry['missing']}")
             continue
-        value = next(entry[name] for name in ("ratio", "wall_s", "bytes") if name in entry)
+        value = next(entry[name] for name in ("ratio", "wall_s", "bytes", "seconds") if name in entry)
         met = value >= bound if sign == ">=" else value <= bound
         low, high = entry["lowest"], entry["highest"]
         words = f"{target:<10}  {entry.get('peer', '')}{'' if met else '   MISSED'}"

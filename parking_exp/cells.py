@@ -54,6 +54,19 @@ def points(blocks: Sequence[Block], typed: Mapping[str, list[str]], has: Callabl
     return [list(point) for point in found]
 
 
+def labels(cells: Sequence[Point]) -> list[str]:
+    """Return a name for each cell: the overrides that are not the same in all, groups by their option alone."""
+    settings = [dict(line.split("=", 1) for line in cell) for cell in cells]
+    keys = dict.fromkeys(key for setting in settings for key in setting if key not in {"seed", "experiment"})
+    varying = [key for key in keys if len({setting.get(key) for setting in settings}) > 1]
+
+    def phrase(key: str, value: str) -> str:
+        short = key.lstrip("+").rpartition(".")[2]
+        return f"{short}={value}" if "." in key or value.replace(".", "").replace("-", "").isdigit() else value
+
+    return [", ".join(phrase(key, setting[key]) for key in varying if key in setting) for setting in settings]
+
+
 def check_blocks(value: object) -> list[Block]:
     """Return `cells`, checked.
 
@@ -78,6 +91,8 @@ def seeds_of(value: object) -> list[int] | None:
     if isinstance(value, int) and not isinstance(value, bool) and value > 0:
         return list(range(value))
     if isinstance(value, list) and value and all(type(seed) is int for seed in value):
+        if not all(0 <= seed < 2**32 for seed in value):
+            raise ConfigError(f"seeds={value!r} is out of range; seeds are 0 to {2**32 - 1}")
         return list(dict.fromkeys(value))
     raise ConfigError(f"seeds={value!r} is neither a number of seeds nor a list of them")
 

@@ -15,27 +15,51 @@ import hydra
 from hydra._internal.utils import get_args_parser
 from omegaconf import DictConfig
 
-from parking_exp.composition import VERSION_BASE, composed, config_dir, quoted
-from parking_exp.errors import FailedRunError, InterruptedRunError, ParkingError, RunLockedError
-from parking_exp.validation import validate
+from parking_exp.composition import VERSION_BASE, composed, composed_runs, config_dir, quoted
+from parking_exp.errors import InterruptedRunError, ParkingError
+
+Task = Callable[[DictConfig], object]
+# Options of ours that may be typed the way of other commands.
+FLAGS = {"--quick", "--json"}
 
 
 def train() -> None:
-    """Entry point of `scripts/train.py` and `parking-train`."""
+    """Entry point of `scripts/train.py` and `parking-train`: one run in this process, or a sweep."""
 
     def run(config: DictConfig) -> None:
         from parking_exp.training import train as train_run
 
         train_run(config)
 
-    _command("config", check=validate, task=run)
+    def command(arguments: argparse.Namespace) -> None:
+        from parking_exp.launching import Launch
+        from parking_exp.sweep import plan, sweep
+
+        runs = composed_runs("config", arguments.overrides, arguments.config_dir)
+        first = runs[0].config  # keys of a sweep are the same in all
+        planned = plan(runs, first.retry)
+        launcher_named = any(override.lstrip("+~").startswith("hydra/launcher") for override in arguments.overrides)
+        if len(planned) == 1 and not launcher_named and first.dry_run is False:
+            run(first)
+        else:
+            sweep(planned, Launch(arguments.overrides, arguments.config_dir), dry_run=first.dry_run)
+
+    _command("config", command, shows=run)
 
 
 def evaluate() -> None:
     """Entry point of `scripts/evaluate.py` and `parking-evaluate`."""
     from parking_exp.evaluate_run import evaluate_run, validate_request
 
-    _command("evaluate", check=validate_request, task=evaluate_run)
+    _command("evaluate", _single("evaluate", validate_request, evaluate_run), shows=evaluate_run)
+
+
+def status() -> None:
+    """Entry point of `scripts/status.py` and `parking-status`."""
+    from parking_exp.status import show, validate_status
+
+    sys.argv = [f"{argument[2:]}=true" if argument in FLAGS else argument for argument in sys.argv]
+    _command("status", _single("status", validate_status, show), shows=show)
 
 
 def benchmark() -> None:
@@ -43,49 +67,36 @@ def benchmark() -> None:
     from parking_exp.benchmark import benchmark as measure
     from parking_exp.benchmark import validate_benchmark
 
-    sys.argv = ["quick=true" if argument == "--quick" else argument for argument in sys.argv]
-    _command("benchmark", check=validate_benchmark, task=measure)
+    sys.argv = [f"{argument[2:]}=true" if argument in FLAGS else argument for argument in sys.argv]
+    _command("benchmark", _single("benchmark", validate_benchmark, measure), shows=measure)
 
 
-def _command(config_name: str, check: Callable[[DictConfig], object], task: Callable[[DictConfig], object]) -> None:
-    sys.argv[1:] = [quoted(argument) for argument in sys.argv[1:]]
-    arguments = get_args_parser().parse_args()
-    if _only_shows(arguments):
-        hydra.main(version_base=VERSION_BASE, config_path=str(config_dir()), config_name=config_name)(task)()
-        return
-    try:
+def _single(config_name: str, check: Task, task: Task) -> Callable[[argparse.Namespace], None]:
+    """Make a command of a task for each composed config, one after the other."""
+
+    def command(arguments: argparse.Namespace) -> None:
         configs = composed(config_name, arguments.overrides, arguments.config_dir)
         for config in configs:
             check(config)
-        if len(configs) == 1:
-            task(configs[0])
-        else:
-            _sweep(configs, task)
+        for config in configs:
+            task(config)
+
+    return command
+
+
+def _command(config_name: str, command: Callable[[argparse.Namespace], None], shows: Task) -> None:
+    """Run a command, or let Hydra show what it is asked for, and turn errors into sentences and exit statuses."""
+    sys.argv[1:] = [quoted(argument) for argument in sys.argv[1:]]
+    arguments = get_args_parser().parse_args()
+    if _only_shows(arguments):
+        hydra.main(version_base=VERSION_BASE, config_path=str(config_dir()), config_name=config_name)(shows)()
+        return
+    try:
+        command(arguments)
     except ParkingError as error:
         _fail(error)
     except KeyboardInterrupt:
-        _fail(InterruptedRunError("stopped; nothing of this was stored", signal.SIGINT))
-
-
-def _sweep(configs: list[DictConfig], task: Callable[[DictConfig], object]) -> None:
-    """Run one config after the other; a failure does not keep the others from running, Ctrl-C does.
-
-    A run that another process is working on is left to it, so that sweeps in several shells share the work.
-    """
-    failed = []
-    for number, config in enumerate(configs, 1):
-        print(f"run {number} of {len(configs)}", flush=True)
-        try:
-            task(config)
-        except InterruptedRunError:
-            raise
-        except RunLockedError:
-            print("another process is working on it; left to that one", file=sys.stderr)
-        except ParkingError as error:
-            print(f"error: {error}", file=sys.stderr)
-            failed.append(number)
-    if failed:
-        raise FailedRunError(f"{len(failed)} of {len(configs)} runs failed: {', '.join(map(str, failed))}")
+        _fail(InterruptedRunError("stopped; type the same command to go on", signal.SIGINT))
 
 
 def _only_shows(arguments: argparse.Namespace) -> bool:

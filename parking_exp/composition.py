@@ -1,8 +1,11 @@
 """Command-line overrides -> configs, the way Hydra composes them, with names checked first."""
 
+import sys
+import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
-from operator import itemgetter
+from dataclasses import dataclass
+from operator import attrgetter
 from pathlib import Path
 from typing import Any, cast
 
@@ -17,12 +20,34 @@ from hydra.errors import HydraException
 from omegaconf import DictConfig, ListConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
-from parking_exp.cells import check_blocks, points, seeds_of
-from parking_exp.errors import ConfigError
+from parking_exp.cells import check_blocks, labels, points, seeds_of
+from parking_exp.errors import ConfigError, ParkingError
 from parking_exp.signatures import UnknownTarget, signature
 from parking_exp.wording import closest
 
 VERSION_BASE = "1.3"
+
+
+@dataclass(frozen=True)
+class Composed:
+    """One run.
+
+    Attributes:
+        cell: its config as Hydra composed it, shared by all runs of the cell.
+        seed: takes the place of the cell's; None: the cell's own.
+        label: what sets its cell apart from the others, e.g. `her_final, n_sampled_goal=8`; empty for a single cell.
+        rank: 0 for a cell's first seed, 1 for its second, ...
+    """
+
+    cell: DictConfig
+    seed: int | None = None
+    label: str = ""
+    rank: int = 0
+
+    @property
+    def config(self) -> DictConfig:
+        """The config of the run."""
+        return self.cell if self.seed is None else cast(DictConfig, OmegaConf.merge(self.cell, {"seed": self.seed}))
 
 
 def config_dir() -> Path:
@@ -30,6 +55,13 @@ def config_dir() -> Path:
     package = Path(__file__).resolve().parent
     inside = package / "conf"
     return inside if inside.is_dir() else package.parent / "conf"
+
+
+def _show_launchers() -> None:
+    """Let Hydra find our launchers in a checkout that is not installed: it looks into `hydra_plugins` alone."""
+    plugins = str(Path(__file__).resolve().parent / "plugins")
+    if plugins not in sys.path and Path(plugins).is_dir():
+        sys.path.append(plugins)
 
 
 def quoted(argument: str) -> str:
@@ -46,34 +78,52 @@ def quoted(argument: str) -> str:
 
 
 def composed(config_name: str, overrides: list[str], extra_config_dir: str | None = None) -> list[DictConfig]:
-    """Compose the config of every run that a command line stands for (one, or each point of a sweep).
+    """Compose the config of every run that a command line stands for; see `composed_runs`."""
+    return [run.config for run in composed_runs(config_name, overrides, extra_config_dir)]
 
-    `extra_config_dir` is Hydra's `--config-dir`: a directory of the user's own options.
+
+def composed_runs(config_name: str, overrides: list[str], extra_config_dir: str | None = None) -> list[Composed]:
+    """Compose every run that a command line stands for (one, or each point of a sweep).
+
+    `extra_config_dir` is Hydra's `--config-dir`: a directory of the user's own options. Overrides of Hydra itself are
+    not the runs' (`hydra_overrides`).
 
     Raises:
         ConfigError: an override names no key or option, or the config does not compose.
     """
-    with _hydra(extra_config_dir):
-        try:
-            parser = OverridesParser.create(config_loader=GlobalHydra.instance().config_loader())
-            parsed = parser.parse_overrides(overrides)
-            _refuse_unknown_names(config_name, parsed)
-            first = compose(config_name, _without_sweeps(parsed), return_hydra_config=True)
-            params = _container(first.hydra.sweeper.get("params")) or {}
-            swept = parser.parse_overrides([f"{key}={value}" for key, value in params.items()])
-            typed = _typed([*swept, *parsed])
-            if "seeds" not in first:
-                return [compose(config_name, point) for point in points([], typed, lambda key, point: True)]
-            seeds, experiments = _typed_seeds(parsed), typed.pop("experiment", None)
-            typed.pop("seeds", None)
-            if experiments is None:
-                return _runs(config_name, typed, seeds)
-            return [run for name in experiments for run in _runs(config_name, {"experiment": [name], **typed}, seeds)]
-        except (HydraException, OmegaConfBaseException) as error:
-            raise ConfigError(_first_sentence(error)) from error
+    with hydra_ready(extra_config_dir):
+        parser = OverridesParser.create(config_loader=GlobalHydra.instance().config_loader())
+        parsed = parser.parse_overrides(overrides)
+        _refuse_unknown_names(config_name, parsed)
+        first = compose(config_name, _without_sweeps(parsed), return_hydra_config=True)
+        params = _container(first.hydra.sweeper.get("params")) or {}
+        swept = parser.parse_overrides([f"{key}={value}" for key, value in params.items()])
+        typed = _typed([override for override in [*swept, *parsed] if not _is_hydras(override.key_or_group)])
+        if "seeds" not in first:
+            return [Composed(compose(config_name, point)) for point in points([], typed, lambda key, point: True)]
+        seeds, experiments = _typed_seeds(parsed), typed.pop("experiment", None)
+        typed.pop("seeds", None)
+        if experiments is None:
+            return _runs(config_name, typed, seeds)
+        return [run for name in experiments for run in _runs(config_name, {"experiment": [name], **typed}, seeds)]
 
 
-def _runs(config_name: str, typed: dict[str, list[str]], seeds: list[int] | None) -> list[DictConfig]:
+def hydra_overrides(overrides: list[str]) -> list[str]:
+    """Return the overrides that choose and set up the launcher."""
+    parsed = OverridesParser.create().parse_overrides(overrides)
+    others = ("hydra.sweeper", "hydra/sweeper", "hydra.mode", "hydra.run", "hydra.sweep", "hydra/help", "hydra.help")
+    return [
+        str(override.input_line)
+        for override in parsed
+        if _is_hydras(override.key_or_group) and not override.key_or_group.startswith(others)
+    ]
+
+
+def _is_hydras(key: str) -> bool:
+    return key == "hydra" or key.startswith(("hydra.", "hydra/"))
+
+
+def _runs(config_name: str, typed: dict[str, list[str]], seeds: list[int] | None) -> list[Composed]:
     """Compose every cell of an experiment once, and give it its seeds; all get their first before any its second."""
     base = compose(config_name, [f"{key}={typed[key][0]}" for key in ("experiment", "cells") if key in typed])
     blocks = check_blocks(_container(base.cells))
@@ -83,13 +133,14 @@ def _runs(config_name: str, typed: dict[str, list[str]], seeds: list[int] | None
     if "seed" in typed or "seed" in in_blocks:
         seeds = None
     runs, cells = [], set()
-    for point in points(blocks, typed, lambda key, point: _has(config_name, key, point)):
+    all_points = points(blocks, typed, lambda key, point: _has(config_name, key, point))
+    for point, label in zip(all_points, labels(all_points), strict=True):
         cell = compose(config_name, point)
         if (known := OmegaConf.to_yaml(cell)) in cells:  # blocks that differ may be the same once values are typed
             continue
         cells.add(known)
-        runs += [(rank, OmegaConf.merge(cell, {"seed": seed})) for rank, seed in enumerate(seeds or [cell.seed])]
-    return [cast(DictConfig, config) for _, config in sorted(runs, key=itemgetter(0))]
+        runs += [Composed(cell, seed, label, rank) for rank, seed in enumerate(seeds or [None])]
+    return sorted(runs, key=attrgetter("rank"))
 
 
 def _has(config_name: str, key: str, point: list[str]) -> bool:
@@ -134,8 +185,13 @@ def _container(node: object) -> Any:
 
 
 @contextmanager
-def _hydra(extra_config_dir: str | None) -> Iterator[None]:
-    """Make Hydra ready to compose from our tree and, with `--config-dir`, from one of the user's."""
+def hydra_ready(extra_config_dir: str | None) -> Iterator[None]:
+    """Make Hydra ready to compose from our tree and, with `--config-dir`, from one of the user's.
+
+    Raises:
+        ConfigError: what Hydra or OmegaConf complain about meanwhile, in their first sentence.
+    """
+    _show_launchers()
     search_path = create_config_search_path(str(config_dir()))
     if extra_config_dir:
         search_path.prepend("command-line", str(Path(extra_config_dir).absolute()), anchor="schema")
@@ -145,7 +201,14 @@ def _hydra(extra_config_dir: str | None) -> Iterator[None]:
     hydra.version.setbase(VERSION_BASE)
     Hydra.create_main_hydra2(task_name="parking_exp", config_search_path=search_path)
     try:
-        yield
+        with warnings.catch_warnings():
+            # Our preset `ray` has the name of the launcher's own config, and may well be checked against it.
+            warnings.filterwarnings("ignore", message=r"(?s).*validated against ConfigStore schema")
+            yield
+    except (HydraException, OmegaConfBaseException) as error:
+        if isinstance(error.__cause__, ParkingError):  # of ours, and wrapped by Hydra
+            raise error.__cause__ from error
+        raise ConfigError(_first_sentence(error)) from error
     finally:
         instance.clear()
         instance.hydra = outer
@@ -166,18 +229,20 @@ def _refuse_unknown_names(config_name: str, overrides: list[Override]) -> None:
     loader = GlobalHydra.instance().config_loader()
     ours = set(compose(config_name, return_hydra_config=True).hydra.runtime.choices)
     ours = {group for group in ours if not group.startswith("hydra")}
+    keys_of_ours = {str(key) for key in compose(config_name)} - ours
     groups, keys = [], []
     for override in overrides:
         name = override.key_or_group
-        if name == "hydra" or name.startswith(("hydra.", "hydra/")):
+        if _is_hydras(name) and name != "hydra/launcher":
             continue
-        options = loader.get_group_options(name)
+        options = [] if name in keys_of_ours else loader.get_group_options(name)
         if not options:
             keys.append(override)
             continue
-        if name not in ours:
+        if name not in ours and not _is_hydras(name):
             raise ConfigError(f"{name}: there is no such group here{closest(name, ours)}")
-        groups.append(override)
+        if name in ours:
+            groups.append(override)
         values = list(override.sweep_string_iterator()) if override.is_sweep_override() else [override.value()]
         for value in values:
             if isinstance(value, str) and value not in options:

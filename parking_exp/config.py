@@ -183,6 +183,7 @@ class RunConfig(Section):
     device: Annotated[str, Field(pattern=r"^(cpu|auto|mps|cuda(:\d+)?)$")]
     torch_threads: Positive | None
     precision: Literal["highest", "medium"]
+    timeout_s: PositiveFloat | None = None
     env: EnvConfig
     algorithm: AlgorithmConfig
     buffer: BufferConfig
@@ -238,7 +239,7 @@ class RunConfig(Section):
         return train_freq, gradient_steps
 
     def _result(self) -> dict[str, Any]:
-        without = {"experiment_name", "output_dir", "tracking", "checkpoint"}
+        without = {"experiment_name", "output_dir", "tracking", "checkpoint", "timeout_s"}
         plain = {key: value for key, value in self.plain().items() if key not in without}
         plain["evaluation"] = {k: v for k, v in plain["evaluation"].items() if k != "video_episodes"}
         return plain

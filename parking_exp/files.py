@@ -7,27 +7,40 @@ from pathlib import Path
 from typing import Any
 
 
-def write_atomically(path: Path, text: str) -> None:
-    """Replace a file's content so that a kill or a full disk leaves the old content or the new, never a part."""
-    temporary = path.with_name(f".{path.name}.tmp")
+def write_atomically(path: Path, text: str, *, durable: bool = True) -> None:
+    """Replace a file's content so that a kill or a full disk leaves the old content or the new, never a part.
+
+    Not `durable` is faster: a power cut may then leave an empty file.
+    """
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")  # two processes may write at once; the last stays
     try:
         with temporary.open("w", encoding="utf-8") as file:
             file.write(text)
-            file.flush()
-            os.fsync(file.fileno())
+            if durable:
+                file.flush()
+                os.fsync(file.fileno())
         temporary.replace(path)
     finally:
         temporary.unlink(missing_ok=True)
 
 
-def write_json(path: Path, value: Any) -> None:
+def write_json(path: Path, value: Any, *, durable: bool = True) -> None:
     """Write JSON atomically."""
-    write_atomically(path, json.dumps(value, indent=2) + "\n")
+    write_atomically(path, json.dumps(value, indent=2) + "\n", durable=durable)
 
 
 def read_json(path: Path) -> Any:
     """Read a JSON file, or return None where there is none."""
     return json.loads(path.read_text(encoding="utf-8")) if path.exists() else None
+
+
+def readable(path: Path) -> dict[str, Any]:
+    """Read a JSON mapping; {} where there is none, or a power cut has left an empty file."""
+    try:
+        found = read_json(path)
+    except (OSError, ValueError):
+        return {}
+    return found if isinstance(found, dict) else {}
 
 
 def sha256(path: Path) -> str:

@@ -1,6 +1,7 @@
 """What a person sees of a training: a bar on a terminal, a line now and then elsewhere."""
 
 import time
+from collections.abc import Callable
 from types import TracebackType
 from typing import Self
 
@@ -8,15 +9,27 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 LINES = 10  # lines a run, where there is no terminal
+BEAT_EVERY_S = 1.0
+Beat = Callable[..., None]
 
 
 class TrainingProgress:
-    """Progress of one run, with its success rate, return and speed."""
+    """Progress of one run, with its success rate, return and speed.
 
-    def __init__(self, total_steps: int, start: int, enabled: bool, console: Console | None = None) -> None:
+    Args:
+        total_steps, start: env steps in all, and done before.
+        enabled: whether anything is shown.
+        console: where; None: the standard error stream.
+        beat: told every second how far the run is, whatever is shown.
+    """
+
+    def __init__(
+        self, total_steps: int, start: int, enabled: bool, console: Console | None = None, beat: Beat | None = None
+    ) -> None:
         self.console = console or Console(stderr=True)
         self.total, self.start, self.enabled = total_steps, start, enabled
         self._started = time.monotonic()
+        self._beat, self._next_beat, self._step = beat, 0.0, start
         self._next_line = start + max(1, total_steps // LINES)
         self._bar = Progress(
             TextColumn("{task.description}"),
@@ -42,9 +55,12 @@ class TrainingProgress:
 
     def update(self, step: int, success_rate: float | None, episode_return: float | None) -> None:
         """Show the step, and the mean of the last training episodes."""
+        self._step = step
+        rate = (step - self.start) / max(time.monotonic() - self._started, 1e-9)
+        if time.monotonic() >= self._next_beat:
+            self._send("train", rate)
         if not self.enabled:
             return
-        rate = (step - self.start) / max(time.monotonic() - self._started, 1e-9)
         figures = f"{rate:.0f} steps/s"
         if success_rate is not None and episode_return is not None:
             figures = f"success {success_rate:4.0%}  return {episode_return:6.1f}  {figures}"
@@ -55,7 +71,13 @@ class TrainingProgress:
 
     def busy(self, what: str) -> None:
         """Say what goes on besides training."""
+        self._send(what, 0.0)
         self._bar.update(self._task, description=what)
+
+    def _send(self, doing: str, rate: float) -> None:
+        if self._beat is not None:
+            self._next_beat = time.monotonic() + BEAT_EVERY_S
+            self._beat(step=self._step, steps_per_s=rate, doing=doing)
 
     def say(self, text: str) -> None:
         """Print a line, above the bar where there is one."""

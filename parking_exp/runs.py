@@ -2,13 +2,15 @@
 
     outputs/<experiment_name>/<cell>/seed=<n>/
         config.yaml  status.json  result.json  metrics.jsonl  episodes.csv  monitor.csv  progress.csv
-        checkpoints/  models/  evaluations/  tensorboard/  video.mp4  curves.png
+        checkpoints/  models/  evaluations/  tensorboard/  video.mp4  curves.png  log.txt
 
-The run directory is the truth; MLflow is its index.
+The run directory is the truth; MLflow is its index. Two locks keep processes apart: `.claim` belongs to whoever is
+responsible for the run (its supervisor, or the process that trains it without one), `.lock` to the process that trains.
 """
 
+import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -18,11 +20,16 @@ from omegaconf import OmegaConf
 
 from parking_exp.config import RunConfig
 from parking_exp.errors import OutputDirectoryError, RunLockedError, RunNotFoundError
-from parking_exp.files import read_json, write_atomically, write_json
+from parking_exp.files import readable, write_atomically, write_json
 from parking_exp.validation import parse
 
 Status = Literal["pending", "running", "done", "failed", "interrupted"]
-STATUS_FILE = "status.json"
+"""What status.json says. `running` may be out of date: the process may be gone (`states` looks)."""
+STATUS_FILE, BEAT_FILE = "status.json", "beat.json"
+# A look at a lock takes it for a moment: who wants to have it tries again for this long.
+LOCK_PATIENCE_S = 2.0
+# A supervisor that is killed takes its worker with it; until it is gone, the next one waits.
+WORKER_PATIENCE_S = 20.0
 
 
 @dataclass(frozen=True)
@@ -79,18 +86,40 @@ class RunDirectory:
 
     def result(self) -> RunResult | None:
         """Return the stored result of a finished run, else None."""
-        stored = read_json(self.path / "result.json")
+        stored = readable(self.path / "result.json")
         return RunResult(**stored) if stored and self.status == "done" else None
 
-    def finish(self, result: RunResult) -> None:
-        """Store the result; from here on the run is done."""
+    def finish(self, result: RunResult, **values: Any) -> None:
+        """Store the result, and entries of status.json; from here on the run is done."""
         write_json(self.path / "result.json", asdict(result))
-        self.update(status="done")
+        self.update(status="done", steps=result.steps, **values)
 
     def create(self, config: RunConfig) -> None:
         """Make the directory and write the resolved config into it."""
         self.path.mkdir(parents=True, exist_ok=True)
         write_atomically(self.path / "config.yaml", OmegaConf.to_yaml(OmegaConf.create(config.plain())))
+
+    def freeze(self, config: RunConfig, label: str, started: float | None) -> None:
+        """Write down what is going to run, under which name in tables; nothing that is typed later changes it.
+
+        A run that another process has taken up meanwhile is left as it is: one that is under way, or was begun at
+        another time than `started`. Nothing is waited for until it is on the disk: after a power cut, the sweep that is
+        typed again writes it anew.
+        """
+        with suppress(RunLockedError), self._held(".claim", 0.0):
+            known = self._read()
+            if known.get("status") == "done" or known.get("started") != started:
+                return
+            text = OmegaConf.to_yaml(OmegaConf.create(config.plain()))
+            write_atomically(self.path / "config.yaml", text, durable=False)
+            known |= {"status": "pending", "error": None, "killed": False}
+            known |= {"label": label, "total_timesteps": config.total_timesteps}
+            write_json(self.path / STATUS_FILE, known, durable=False)
+
+    def beat(self, **values: Any) -> None:
+        """Say how far the run is, for who looks at it from outside."""
+        with suppress(OSError):  # a full disk: nothing hangs on a beat, and the next checkpoint will tell
+            write_json(self.path / BEAT_FILE, {"time": time.time(), **values}, durable=False)
 
     def config(self) -> RunConfig:
         """Read the run's config.
@@ -101,18 +130,42 @@ class RunDirectory:
         return parse(RunConfig, OmegaConf.load(self.path / "config.yaml"))  # type: ignore[arg-type]
 
     @contextmanager
-    def locked(self) -> Iterator[None]:
-        """Keep other processes off the run. The lock ends with the process, however that ends.
+    def claimed(self) -> Iterator[None]:
+        """Be the one who is responsible for the run. The claim ends with the process, however that ends.
 
         Raises:
-            RunLockedError: another process holds it.
+            RunLockedError: another process is.
             OutputDirectoryError: the directory cannot be made.
         """
+        with self._held(".claim", LOCK_PATIENCE_S):
+            yield
+
+    @contextmanager
+    def locked(self) -> Iterator[None]:
+        """Be the one who trains the run; raises what `claimed` does."""
+        with self._held(".lock", WORKER_PATIENCE_S):
+            self._sweep_up()
+            yield
+
+    @property
+    def is_claimed(self) -> bool:
+        """Whether a process is responsible for the run now."""
+        if not (self.path / ".claim").exists():
+            return False
+        lock = FileLock(self.path / ".claim", timeout=0)
+        try:
+            with lock:
+                return False
+        except Timeout:
+            return True
+
+    @contextmanager
+    def _held(self, name: str, patience_s: float) -> Iterator[None]:
         try:
             self.path.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise OutputDirectoryError(f"output_dir: {self.path} cannot be made: {error.strerror}") from error
-        lock = FileLock(self.path / ".lock", timeout=0)
+        lock = FileLock(self.path / name, timeout=patience_s)
         try:
             lock.acquire()
         except Timeout:
@@ -122,8 +175,13 @@ class RunDirectory:
         finally:
             lock.release()
 
+    def _sweep_up(self) -> None:
+        """Delete what a kill in the middle of a write has left."""
+        for stale in self.path.glob(".*.tmp"):
+            stale.unlink(missing_ok=True)
+
     def _read(self) -> dict[str, Any]:
-        return read_json(self.path / STATUS_FILE) or {}
+        return readable(self.path / STATUS_FILE)
 
 
 def find_run(name: str, output_dir: Path, having: str) -> RunDirectory:
@@ -143,7 +201,7 @@ def find_run(name: str, output_dir: Path, having: str) -> RunDirectory:
             raise RunNotFoundError(f"run=latest: none of the {len(files)} runs in {output_dir} has {having} yet")
         return RunDirectory(usable[-1].parent.absolute())
     for file in files:
-        if read_json(file).get("run_id") == name:
+        if readable(file).get("run_id") == name:
             return RunDirectory(file.parent.absolute())
     raise RunNotFoundError(
         f"run={name}: no run directory and no MLflow run id of the {len(files)} runs in {output_dir}; "

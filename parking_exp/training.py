@@ -1,10 +1,14 @@
 """One run, from its config to its result."""
 
 import os
+import resource
 import signal
 import socket
+import sys
+import time
 import traceback
 from collections.abc import Mapping
+from contextlib import nullcontext
 from typing import Any
 
 import torch
@@ -25,10 +29,11 @@ from parking_exp.tracking import Tracker, open_tracker
 from parking_exp.validation import validate
 
 
-def train(config: DictConfig | Mapping[str, Any] | RunConfig) -> RunResult:
+def train(config: DictConfig | Mapping[str, Any] | RunConfig, *, supervised: bool = False) -> RunResult:
     """Train, evaluate and track one run, or finish what is left of it.
 
     A run that is done returns its stored result. One that was cut off goes on from its latest whole checkpoint.
+    `supervised`: another process has claimed the run, and started this one for it.
 
     Raises:
         ConfigError: the config cannot run; nothing was made on disk.
@@ -40,7 +45,7 @@ def train(config: DictConfig | Mapping[str, Any] | RunConfig) -> RunResult:
     if config.device.startswith("cuda") and not torch.cuda.is_available():
         raise ConfigError(f"device={config.device}: torch finds no CUDA device; the closest valid choice is cpu")
     directory = RunDirectory(config.run_dir)
-    with directory.locked():
+    with nullcontext() if supervised else directory.claimed(), directory.locked():
         if (result := directory.result()) is not None:
             print(
                 f"already done; to train it afresh, change the seed or delete its directory\n{_closing_words(result)}"
@@ -53,14 +58,16 @@ def train(config: DictConfig | Mapping[str, Any] | RunConfig) -> RunResult:
 
 def _train(config: RunConfig, directory: RunDirectory, stop: StopRequest) -> RunResult:
     (directory.path / "traceback.txt").unlink(missing_ok=True)
-    directory.update(status="running", error=None, pid=os.getpid(), host=socket.gethostname())
+    process = {"pid": os.getpid(), "host": socket.gethostname(), "started": time.time()}
+    directory.update(status="running", error=None, killed=False, total_timesteps=config.total_timesteps, **process)
     tracker = Tracker()
     try:
         checkpoint = checkpoints.latest(directory.checkpoints)
         progress = checkpoints.read_progress(checkpoint) if checkpoint else Progress()
         cut_back(directory.path, progress.log_sizes)
         tracker = open_tracker(config, directory)
-        with TrainingProgress(config.total_timesteps, progress.step, config.tracking.progress_bar) as bar:
+        shown = config.tracking.progress_bar
+        with TrainingProgress(config.total_timesteps, progress.step, shown, beat=directory.beat) as bar:
             bar.say(f"{config.cell}, seed {config.seed}: {config.total_timesteps} env steps, in {directory.path}")
             session = Session(
                 config=config,
@@ -75,7 +82,7 @@ def _train(config: RunConfig, directory: RunDirectory, stop: StopRequest) -> Run
             episodes = session.finish()
         tracker.end("done")
         result = RunResult(str(directory.path), tracker.run_id, session.model.num_timesteps, session.metrics.latest())
-        directory.finish(result)
+        directory.finish(result, **_cost(result))
     except (InterruptedRunError, KeyboardInterrupt) as error:
         directory.update(status="interrupted")
         tracker.end("interrupted")
@@ -104,6 +111,17 @@ def _record_failure(error: BaseException, directory: RunDirectory, tracker: Trac
             step()
         except Exception as another:  # the first error is the one to report; this one rides along
             error.add_note(f"while recording the failure: {type(another).__name__}: {another}")
+
+
+def _cost(result: RunResult) -> dict[str, float | None]:
+    """Return what tables of many runs show without opening any: success, and what the run took."""
+    used = resource.getrusage(resource.RUSAGE_SELF)
+    return {
+        "success_rate": result.metrics.get("certified/success_rate"),
+        "wall_s": result.metrics.get("time/wall_s"),
+        "cpu_s": result.metrics.get("time/cpu_s"),
+        "memory_bytes": used.ru_maxrss * (1 if sys.platform == "darwin" else 1024),
+    }
 
 
 def _closing_words(result: RunResult) -> str:

@@ -5,7 +5,7 @@ torch or mlflow: a typo is refused in well under two seconds.
 """
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Set
 from typing import Annotated, Any, Literal, TypeVar
 
 from omegaconf import DictConfig, OmegaConf
@@ -47,7 +47,7 @@ ARGUMENT_RANGES: dict[str, Any] = {
     "policy": Literal["MultiInputPolicy"],
 }
 # Keys of a composed config that say which runs there are, and nothing about any of them.
-SWEEP_KEYS = {"seeds", "cells"}
+SWEEP_KEYS = {"seeds", "cells", "retry", "dry_run"}
 # Constructor arguments of an algorithm that the run feeds from elsewhere, and from where.
 FED_TO_ALGORITHM = {
     "env": "env",
@@ -81,8 +81,7 @@ def validate(config: DictConfig | Mapping[str, Any] | RunConfig) -> RunConfig:
     """
     if isinstance(config, RunConfig):
         return config
-    node = config if isinstance(config, DictConfig) else OmegaConf.create(dict(config))
-    run = parse(RunConfig, OmegaConf.masked_copy(node, [str(key) for key in node if key not in SWEEP_KEYS]))
+    run = parse(RunConfig, config, without=SWEEP_KEYS)
     problems = [
         *_check_arguments("algorithm", run.algorithm, FED_TO_ALGORITHM),
         *_check_arguments("buffer", run.buffer, FED_TO_BUFFER, own={"buffer_size", "optimize_memory_usage"}),
@@ -93,15 +92,19 @@ def validate(config: DictConfig | Mapping[str, Any] | RunConfig) -> RunConfig:
     return run
 
 
-def parse(model: type[Model], config: DictConfig | Mapping[str, Any]) -> Model:
-    """Resolve interpolations and check a config against a schema; raise ConfigError where it doesn't fit."""
+def parse(model: type[Model], config: DictConfig | Mapping[str, Any], without: Set[str] = frozenset()) -> Model:
+    """Resolve interpolations and check a config, less some keys, against a schema.
+
+    Raises:
+        ConfigError: it doesn't fit.
+    """
     try:
         node = config if isinstance(config, DictConfig) else OmegaConf.create(dict(config))
-        plain = OmegaConf.to_container(node, resolve=True, throw_on_missing=True)
+        plain: Any = OmegaConf.to_container(node, resolve=True, throw_on_missing=True)
     except OmegaConfBaseException as error:
         raise ConfigError(f"{error.full_key}: {str(error).splitlines()[0]}") from error
     try:
-        return model.model_validate(plain)
+        return model.model_validate({key: value for key, value in plain.items() if key not in without})
     except ValidationError as error:
         raise ConfigError("\n".join(_sentences(error, model)[:5])) from error
 

@@ -174,15 +174,18 @@ def test_a_built_wheel_works_from_any_directory(tmp_path):
     elsewhere.mkdir()
     code = f"import sys; sys.path.insert(0, {str(site)!r}); from parking_exp import cli, composition; print(composition.config_dir()); cli.train()"
     done = subprocess.run(
-        [sys.executable, "-c", code, "experiment=smoke", "total_timesteps=60", "evaluation.video_episodes=0"],
+        [sys.executable, "-c", code, "experiment=smoke", "total_timesteps=60", "evaluation.video_episodes=0", "hydra/launcher=local"],
         check=False, capture_output=True, text=True, cwd=elsewhere, timeout=180,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
     assert done.stdout.startswith(str(site / "parking_exp" / "conf"))
     assert (elsewhere / "outputs" / "mlflow.db").exists()
+    assert (site / "hydra_plugins" / "parking_launcher" / "__init__.py").exists()
+    assert not (site / "parking_exp" / "plugins").exists()
     assert sorted(path.name for path in (site / "bin").iterdir()) == [
         "parking-benchmark",
         "parking-evaluate",
+        "parking-status",
         "parking-train",
     ]
 

@@ -1,0 +1,73 @@
+"""The slurm launcher: runs as jobs of submitit, on a Slurm cluster or on this machine."""
+
+import time
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from parking_exp.errors import ConfigError, FailedRunError
+from parking_exp.worker import work
+
+POLL_S = 0.2
+SLURM_POLL_S = 5.0
+CLUSTERS = ("slurm", "local")
+
+
+def launch(
+    paths: Sequence[Path], executor: str, n_jobs: int | None, folder: Path | None, parameters: Mapping[str, Any]
+) -> dict[Path, Any]:
+    """Train runs as jobs, wait for them, and return how each ended: a word, or the error of a job that broke.
+
+    Ctrl-C cancels the jobs, which save their states. Jobs outlive a launcher that is killed, and the runs that they
+    hold are left to them when the sweep is typed again.
+
+    Args:
+        paths: run directories with frozen configs, on a file system that the nodes share.
+        executor: `slurm`, or `local` for processes of this machine.
+        n_jobs: how many at a time; None: as many as the cluster takes.
+        folder: for submitit's own scripts and logs; None: `.submitit` in the output directory.
+        parameters: of `submitit.AutoExecutor.update_parameters`.
+
+    Raises:
+        ConfigError: there is no such executor, or submitit refuses a parameter.
+        FailedRunError: jobs cannot be submitted.
+    """
+    import submitit
+
+    if executor not in CLUSTERS:
+        raise ConfigError(
+            f"hydra.launcher.executor={executor} is not a valid choice; choose from {', '.join(CLUSTERS)}"
+        )
+    try:
+        folder = folder or paths[0].parents[2] / ".submitit"
+        jobs = submitit.AutoExecutor(folder=folder / "%j", cluster=executor)
+        limit = {"slurm_array_parallelism": n_jobs} if executor == "slurm" and n_jobs else {}
+        jobs.update_parameters(**{key: value for key, value in parameters.items() if value is not None}, **limit)
+    except (RuntimeError, NameError, TypeError, ValueError) as error:
+        raise ConfigError(f"hydra.launcher: submitit refuses its parameters: {error}") from error
+    waiting, submitted = list(paths), {}
+    try:
+        if executor == "slurm":  # one array, and Slurm keeps to its limit
+            submitted = dict(zip(paths, jobs.map_array(work, [str(path) for path in paths]), strict=True))
+            waiting = []
+        while waiting or any(not job.done() for job in submitted.values()):
+            under_way = sum(not job.done() for job in submitted.values())
+            while waiting and (n_jobs is None or under_way < n_jobs):
+                path = waiting.pop(0)
+                submitted[path] = jobs.submit(work, str(path))
+                under_way += 1
+            time.sleep(SLURM_POLL_S if executor == "slurm" else POLL_S)
+    except submitit.core.utils.FailedJobError as error:
+        raise FailedRunError(f"submitit cannot submit: {error}") from error
+    except BaseException:
+        for job in submitted.values():
+            if not job.done():
+                job.cancel(check=False)
+        raise
+    return {path: _ending(job) for path, job in submitted.items()}
+
+
+def _ending(job: Any) -> Any:
+    """How a job ended: what it returned, or the error that submitit found instead."""
+    error = job.exception()
+    return error if error is not None else job.result()

@@ -1,0 +1,78 @@
+"""From a command line's Hydra overrides to a launcher that trains run directories."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from hydra._internal.callbacks import Callbacks
+from hydra.core.global_hydra import GlobalHydra
+from hydra.core.plugins import Plugins
+from hydra.types import HydraContext, RunMode
+from omegaconf import DictConfig
+
+from parking_exp.composition import hydra_overrides, hydra_ready
+from parking_exp.errors import ConfigError, ParkingError
+from parking_exp.worker import Ending, work
+
+EXTRAS = {"slurm", "ray"}
+
+
+class Launch:
+    """A launcher of Hydra's, set up as the command line says.
+
+    Any launcher will do: it is given one override a job, `run=PATH`, and a task that trains what lies there.
+
+    Raises:
+        ConfigError: the launcher is not installed, or its config is wrong.
+
+    Attributes:
+        name: the launcher's, `hydra/launcher`.
+        config: its own config, `hydra.launcher`.
+    """
+
+    def __init__(self, overrides: list[str], extra_config_dir: str | None = None) -> None:
+        self._overrides, self._extra = hydra_overrides(overrides), extra_config_dir
+        with hydra_ready(self._extra):
+            loader = GlobalHydra.instance().config_loader()
+            whole = loader.load_configuration("worker", ["run=none", *self._overrides], RunMode.MULTIRUN)
+            self.config: DictConfig = whole.hydra.launcher
+            self.name: str = whole.hydra.runtime.choices["hydra/launcher"]
+            context = HydraContext(config_loader=loader, callbacks=Callbacks(whole))
+            try:
+                self._launcher = Plugins.instance().instantiate_launcher(context, train_run, whole)
+            except (ImportError, RuntimeError) as error:
+                words = str(error).splitlines()[0]
+                raise ConfigError(f"hydra/launcher={self.name}: {words}{_extra_of(self.name)}") from error
+
+    def __call__(self, paths: Sequence[Path]) -> str | None:
+        """Train the runs of these directories; return what the launcher itself complains about, if anything.
+
+        Raises:
+            ConfigError: a package is missing.
+            InterruptedRunError: a signal stopped it.
+        """
+        with hydra_ready(self._extra):
+            try:
+                returns = self._launcher.launch([[f"run={_quoted(path)}"] for path in paths], 0)
+            except ImportError as error:
+                raise ConfigError(f"hydra/launcher={self.name}: {error}{_extra_of(self.name)}") from error
+            except ParkingError:
+                raise
+            except Exception as error:  # a launcher may break in any way; run directories tell what became of the runs
+                words = (str(error) or type(error).__name__).splitlines()[0]
+                return f"hydra/launcher={self.name} broke: {words}"
+        broken = [one.return_value for one in returns if isinstance(one._return_value, Exception)]
+        return f"{len(broken)} jobs broke; the first: {broken[0]}" if broken else None
+
+
+def train_run(config: DictConfig) -> Ending:
+    """Hydra's task function: train the run of a directory."""
+    return work(config.run)
+
+
+def _quoted(path: Path) -> str:
+    escaped = str(path).replace("\\", "\\\\").replace("'", "\\'")
+    return f"'{escaped}'"
+
+
+def _extra_of(launcher: str) -> str:
+    return f"; pip install 'parking-exp[{launcher}]'" if launcher in EXTRAS else ""

@@ -1,0 +1,78 @@
+"""What this machine has to share out between workers: cores, memory, CUDA devices."""
+
+import itertools
+import os
+from collections.abc import Sequence
+from pathlib import Path
+
+import psutil
+
+CGROUP = Path("/sys/fs/cgroup")
+THREAD_VARIABLES = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMEXPR_NUM_THREADS")
+
+
+def cores() -> list[int]:
+    """Return the cores that this process may run on."""
+    if hasattr(os, "sched_getaffinity"):
+        return sorted(os.sched_getaffinity(0))
+    return list(range(os.cpu_count() or 1))
+
+
+def shares(all_cores: Sequence[int], n_workers: int) -> list[list[int]]:
+    """Deal out cores: each worker gets as many as any other, give or take one, and at least one.
+
+    Where there are more workers than cores, several share one.
+    """
+    if n_workers >= len(all_cores):
+        return [[all_cores[worker % len(all_cores)]] for worker in range(n_workers)]
+    bounds = [len(all_cores) * worker // n_workers for worker in range(n_workers + 1)]
+    return [list(all_cores[low:high]) for low, high in itertools.pairwise(bounds)]
+
+
+def pin(some_cores: Sequence[int]) -> None:
+    """Keep this process to some cores, where the system can."""
+    if hasattr(os, "sched_setaffinity"):
+        os.sched_setaffinity(0, some_cores)
+
+
+def free_memory(cgroup: Path = CGROUP) -> int:
+    """Return how many bytes can still be had: of the machine, and of the control group (a container, a Slurm job)."""
+    free = psutil.virtual_memory().available
+    limit, used = _read(cgroup / "memory.max"), _read(cgroup / "memory.current")
+    if limit is not None and used is not None:
+        free = min(free, limit - used + _reclaimable(cgroup / "memory.stat"))
+    return free
+
+
+def memory_of(pid: int) -> int:
+    """Return how many bytes of memory a process and its children hold; 0 if it is gone."""
+    try:
+        process = psutil.Process(pid)
+        return sum(one.memory_info().rss for one in [process, *process.children(recursive=True)])
+    except psutil.Error:
+        return 0
+
+
+def cuda_devices() -> list[str]:
+    """Return the names of the CUDA devices that this process may use, without importing torch."""
+    visible = os.environ.get("CUDA_VISIBLE_DEVICES")
+    if visible is not None:
+        return [name.strip() for name in visible.split(",") if name.strip() not in {"", "-1"}]
+    found = Path("/proc/driver/nvidia/gpus")
+    return [str(number) for number, _ in enumerate(found.iterdir())] if found.is_dir() else []
+
+
+def _read(path: Path) -> int | None:
+    try:
+        return int(path.read_text())
+    except (OSError, ValueError):  # no control group, or "max"
+        return None
+
+
+def _reclaimable(stat: Path) -> int:
+    """Page cache counts as used, and goes when memory is wanted."""
+    try:
+        lines = dict(line.split() for line in stat.read_text().splitlines())
+    except (OSError, ValueError):
+        return 0
+    return int(lines.get("inactive_file", 0))

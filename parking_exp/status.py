@@ -1,0 +1,78 @@
+"""How far are the runs? A look at their directories; nothing is opened that is large, and no library that is slow."""
+
+import time
+from pathlib import Path
+from typing import Annotated
+
+from omegaconf import DictConfig
+from pydantic import Field
+from rich.console import Console, Group, RenderableType
+from rich.live import Live
+
+from parking_exp.config import Name, Section
+from parking_exp.errors import RunNotFoundError
+from parking_exp.states import RunState, as_json, find, read_state
+from parking_exp.tables import cell_table, failure_lines, running_lines
+from parking_exp.validation import parse
+from parking_exp.wording import closest
+
+WATCH_S = 2.0
+
+
+class StatusRequest(Section):
+    """The config of scripts/status.py."""
+
+    experiment: Name | None
+    output_dir: str
+    as_json: Annotated[bool, Field(alias="json")]
+    watch: bool
+    sync: bool
+
+    @property
+    def output_path(self) -> Path:
+        """Absolute output directory."""
+        return Path(self.output_dir).expanduser().absolute()
+
+
+def validate_status(config: DictConfig) -> StatusRequest:
+    """Check a composed config and return it typed.
+
+    Raises:
+        ConfigError: with a sentence for each thing that is wrong.
+    """
+    return parse(StatusRequest, config)
+
+
+def show(config: DictConfig) -> None:
+    """Print how far the runs are, again and again with `watch`.
+
+    Raises:
+        RunNotFoundError: there are none.
+    """
+    request = validate_status(config)
+    states = _look(request)
+    out = Console(highlight=False, soft_wrap=True)
+    if request.as_json:
+        print(as_json(states))
+    elif not request.watch:
+        out.print(_picture(states))
+    else:
+        with Live(_picture(states), console=out, auto_refresh=False) as live:
+            while True:
+                time.sleep(WATCH_S)
+                live.update(_picture(_look(request)), refresh=True)
+
+
+def _look(request: StatusRequest) -> list[RunState]:
+    found = [read_state(path) for path in find(request.output_path, request.experiment)]
+    if not found:
+        if request.experiment is None:
+            raise RunNotFoundError(f"there are no runs in {request.output_path}; train one first, or set output_dir")
+        there = {path.parents[1].name for path in find(request.output_path)}
+        hint = closest(request.experiment, there)
+        raise RunNotFoundError(f"experiment={request.experiment}: it has no runs in {request.output_path}{hint}")
+    return found
+
+
+def _picture(states: list[RunState]) -> RenderableType:
+    return Group(cell_table(states), *running_lines(states), *failure_lines(states))

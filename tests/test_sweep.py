@@ -1,0 +1,180 @@
+"""Sweeps: planned, frozen, launched, cut off in every way, typed again."""
+
+import json
+import os
+import re
+import signal
+import subprocess
+import time
+
+import pytest
+from conftest import ROOT, run_script, script
+from sweeps import QUICK, SLOW, begin, stages, statuses, sweep, trained, wait_until, workers
+
+
+def test_a_dry_run_prints_the_plan_and_makes_nothing(tmp_path):
+    done = sweep(tmp_path / "outputs", "seeds=3", "buffer=her_future,her_final", "dry_run=true", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    lines = [line.split() for line in done.stdout.splitlines()]
+    assert lines[:3] == [
+        ["cell", "done", "running", "failed", "pending", "success"],
+        ["her_future", "3"],
+        ["her_final", "3"],
+    ]
+    assert "2 cells x 3 seeds = 6 runs: 0 done, 6 to run; no run has finished yet to tell the time by" in done.stdout
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_typed_again_a_sweep_does_only_what_is_missing(tmp_path):
+    first = sweep(tmp_path, "seeds=2")
+    assert first.returncode == 0, first.stderr
+    assert [line.split()[0] for line in first.stderr.splitlines()] == ["started", "started", "done", "done"]
+    assert trained(tmp_path) == [1, 1]
+    before = statuses(tmp_path)
+    again = sweep(tmp_path, "seeds=2")
+    assert again.returncode == 0
+    assert again.stderr == ""
+    assert "1 cells x 2 seeds = 2 runs: 2 done, 0 to run" in again.stdout
+    assert statuses(tmp_path) == before
+    planned = sweep(tmp_path, "seeds=3", "algorithm=sac,td3", "dry_run=true")
+    assert re.search(r"6 runs: 2 done, 4 to run, about \d+ s", planned.stdout)
+
+
+def test_every_way_to_fail_is_told_and_the_others_go_on(tmp_path):
+    kinds = ["Raises", "Exits", "IsKilled", "Vanishes"]
+    targets = ",".join(["parking_exp.lean.SAC", *(f"misbehaving.{kind}" for kind in kinds)])
+    done = sweep(tmp_path, f"algorithm._target_={targets}")
+    assert done.returncode == 2
+    reasons = {status["label"].rpartition(".")[2]: status.get("error") for status in statuses(tmp_path).values()}
+    assert reasons["SAC"] is None
+    assert reasons["Raises"] == "RuntimeError: a bad <day> [bold]"
+    assert reasons["Exits"] == "SystemExit: 3"
+    assert reasons["IsKilled"] == "killed by SIGKILL (out of memory?)"
+    assert reasons["Vanishes"].startswith("its process ended with status 0 and without a result; see ")
+    for kind in kinds:
+        assert f"failed   _target_=misbehaving.{kind} seed=0: {reasons[kind]}" in done.stdout
+    assert done.stderr.splitlines()[-1] == (
+        "error: of 5 runs, 4 failed; type the same command to go on; retry=failed runs failed ones again"
+    )
+    # A kill says nothing about the run; the others would fail again.
+    again = sweep(tmp_path, f"algorithm._target_={targets}", "dry_run=true")
+    assert "5 runs: 1 done, 3 failed before (retry=failed runs them again), 1 to run" in again.stdout
+    again = sweep(tmp_path, f"algorithm._target_={targets}", "retry=failed", "dry_run=true")
+    assert "5 runs: 1 done, 4 to run" in again.stdout
+
+
+def test_retry_runs_a_failed_run_again(tmp_path):
+    """What made it fail is mended in between: here, another module of the same name."""
+    for name, base in {"broken": "misbehaving.Raises", "mended": "parking_exp.lean.SAC"}.items():
+        module, _, kind = base.rpartition(".")
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "mine.py").write_text(f"from {module} import {kind}\nclass Mine({kind}): pass\n")
+    command = (*QUICK, f"output_dir={tmp_path / 'outputs'}", "algorithm._target_=mine.Mine", "seeds=2")
+    paths = {name: {"PYTHONPATH": f"{tmp_path / name}:{ROOT / 'tests'}"} for name in ("broken", "mended")}
+    assert run_script("train", *command, env=paths["broken"]).returncode == 2
+    left = run_script("train", *command, env=paths["mended"])
+    assert left.returncode == 2
+    assert left.stderr == "error: of 2 runs, 2 failed; retry=failed runs failed ones again\n"
+    done = run_script("train", *command, "retry=failed", env=paths["mended"])
+    assert done.returncode == 0, done.stderr
+    assert stages(tmp_path / "outputs") == ["done", "done"]
+
+
+def test_a_run_that_hangs_past_its_time_is_failed(tmp_path):
+    begin = time.monotonic()
+    done = sweep(tmp_path, "seeds=[0]", "algorithm._target_=misbehaving.Hangs", "timeout_s=2", "hydra/launcher=local")
+    assert time.monotonic() - begin < 60
+    assert done.returncode == 2
+    (status,) = statuses(tmp_path).values()
+    assert (status["status"], status["error"], status["killed"]) == ("failed", "ran past timeout_s=2", False)
+
+
+def test_no_worker_outlives_a_sweep_that_is_killed_and_typed_again_it_goes_on(tmp_path):
+    process = begin(tmp_path, "seeds=3", *SLOW)
+    wait_until(lambda: len(list(tmp_path.glob("*/*/*/checkpoints/step=*"))) >= 2)
+    assert len(workers(tmp_path)) == 2
+    process.kill()
+    process.communicate()
+    time.sleep(5)
+    assert workers(tmp_path) == []
+    told = json.loads(run_script("status", "--json", f"output_dir={tmp_path}").stdout)
+    assert [run["stage"] for run in told] == ["pending"] * 3
+    assert max(run["step"] for run in told) >= 50
+    done = sweep(tmp_path, "seeds=3", *SLOW)
+    assert done.returncode == 0, done.stderr
+    assert stages(tmp_path) == ["done"] * 3
+    assert trained(tmp_path) == [1, 2, 2]
+
+
+def test_ctrl_c_saves_checkpoints_and_leaves_within_ten_seconds(tmp_path):
+    process = begin(tmp_path, "seeds=2", *SLOW[:2], "checkpoint.every_n_steps=null")
+    wait_until(lambda: len(list(tmp_path.glob("*/*/*/metrics.jsonl"))) == 2)
+    process.send_signal(signal.SIGINT)
+    _, errors = process.communicate(timeout=10)
+    assert process.returncode == 130
+    assert "saving checkpoints before leaving" in errors
+    assert errors.splitlines()[-1] == "stopped; what was under way is saved; type the same command to go on"
+    assert workers(tmp_path) == []
+    assert stages(tmp_path) == ["interrupted", "interrupted"]
+    assert len(list(tmp_path.glob("*/*/*/checkpoints/step=*"))) == 2
+
+
+def test_two_sweeps_at_once_share_the_work(tmp_path):
+    both = [begin(tmp_path, "seeds=4", "hydra.launcher.n_jobs=1") for _ in range(2)]
+    for process in both:
+        _, errors = process.communicate(timeout=180)
+        assert process.returncode == 0, errors
+    assert stages(tmp_path) == ["done"] * 4
+    assert trained(tmp_path) == [1] * 4
+
+
+def test_a_worker_that_is_killed_is_failed_and_goes_on_when_typed_again(tmp_path):
+    process = begin(tmp_path, "seeds=2", *SLOW)
+    wait_until(lambda: len(list(tmp_path.glob("*/*/seed=0/checkpoints/step=*"))) >= 1)
+    (victim,) = [status["pid"] for (_, seed), status in statuses(tmp_path).items() if seed == "seed=0"]
+    os.kill(victim, signal.SIGKILL)
+    out, errors = process.communicate(timeout=120)
+    assert process.returncode == 2
+    assert "seed=0: killed by SIGKILL (out of memory?)" in out
+    assert errors.splitlines()[-1] == "error: of 2 runs, 1 failed; type the same command to go on"
+    assert stages(tmp_path) == ["done", "failed"]
+    assert sweep(tmp_path, "seeds=2", *SLOW).returncode == 0
+    assert trained(tmp_path) == [1, 2]
+
+
+def test_what_waits_is_frozen(tmp_path):
+    """The experiment file changes while the sweep runs: its queued runs do not, new ones would."""
+    (tmp_path / "mine" / "experiment").mkdir(parents=True)
+    file = tmp_path / "mine" / "experiment" / "mine.yaml"
+    text = "# @package _global_\ndefaults: [smoke]\nexperiment_name: mine\nalgorithm: {gamma: 0.9}\n"
+    file.write_text(text)
+    command, keywords = script(
+        "train", "--config-dir", str(tmp_path / "mine"), "experiment=mine", *QUICK[1:], "seeds=2",
+        "hydra.launcher.n_jobs=1", f"output_dir={tmp_path / 'outputs'}",
+    )  # fmt: skip
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, **keywords)
+    wait_until(lambda: "running" in stages(tmp_path / "outputs"))
+    file.write_text(text.replace("0.9", "0.8"))
+    _, errors = process.communicate(timeout=120)
+    assert process.returncode == 0, errors
+    configs = sorted((tmp_path / "outputs").glob("mine/*/seed=*/config.yaml"))
+    assert [config.parent.name for config in configs] == ["seed=0", "seed=1"]
+    assert all("gamma: 0.9" in config.read_text() for config in configs)
+
+
+@pytest.mark.parametrize(
+    ("argument", "message"),
+    [
+        ("retry=all", "error: retry=all is not a valid choice; choose from failed\n"),
+        ("timeout_s=0", "error: timeout_s=0 is out of range; it must be greater than 0.0\n"),
+        ("hydra/launcher=locl", "error: hydra/launcher=locl: there is no such option; did you mean 'local'?\n"),
+        ("hydra.launcher.n_job=2", "error: Could not override 'hydra.launcher.n_job'"),
+        ("hydra.launcher.n_jobs=0", "error: hydra.launcher.n_jobs=0 is not valid; give a number above 0, or null\n"),
+    ],
+)
+def test_a_sweep_that_cannot_be_is_refused_before_anything_is_made(tmp_path, argument, message):
+    done = sweep(tmp_path / "outputs", "seeds=2", argument)
+    assert done.returncode == 2
+    assert done.stderr.startswith(message)
+    assert done.stderr.count("\n") == 1
+    assert list(tmp_path.iterdir()) == []
