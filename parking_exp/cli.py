@@ -58,7 +58,7 @@ def status() -> None:
     """Entry point of `scripts/status.py` and `parking-status`."""
     from parking_exp.status import show, validate_status
 
-    sys.argv = [f"{argument[2:]}=true" if argument in FLAGS else argument for argument in sys.argv]
+    _translate()
     _command("status", _single("status", validate_status, show), shows=show)
 
 
@@ -67,8 +67,17 @@ def benchmark() -> None:
     from parking_exp.benchmark import benchmark as measure
     from parking_exp.benchmark import validate_benchmark
 
-    sys.argv = [f"{argument[2:]}=true" if argument in FLAGS else argument for argument in sys.argv]
+    _translate()
     _command("benchmark", _single("benchmark", validate_benchmark, measure), shows=measure)
+
+
+def _translate() -> None:
+    """Write what people type in our way as Hydra reads it."""
+    for number, argument in enumerate(sys.argv):
+        if argument in FLAGS:
+            sys.argv[number] = f"{argument.removeprefix('--')}=true"
+        elif argument.startswith("experiment="):  # a group in our tree; here it is the name of what was run
+            sys.argv[number] = f"experiment_name={argument.removeprefix('experiment=')}"
 
 
 def _single(config_name: str, check: Task, task: Task) -> Callable[[argparse.Namespace], None]:

@@ -229,13 +229,12 @@ def _refuse_unknown_names(config_name: str, overrides: list[Override]) -> None:
     loader = GlobalHydra.instance().config_loader()
     ours = set(compose(config_name, return_hydra_config=True).hydra.runtime.choices)
     ours = {group for group in ours if not group.startswith("hydra")}
-    keys_of_ours = {str(key) for key in compose(config_name)} - ours
     groups, keys = [], []
     for override in overrides:
         name = override.key_or_group
         if _is_hydras(name) and name != "hydra/launcher":
             continue
-        options = [] if name in keys_of_ours else loader.get_group_options(name)
+        options = loader.get_group_options(name)
         if not options:
             keys.append(override)
             continue

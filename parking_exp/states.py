@@ -2,7 +2,7 @@
 
 import json
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -124,6 +124,16 @@ def _saved_step(path: Path) -> int:
     return max((int(name) for name in names if name.isdecimal()), default=0)
 
 
-def as_json(states: Iterable[RunState]) -> str:
-    """Return runs as a JSON list."""
-    return json.dumps([state.plain() for state in states], indent=2)
+def as_json(states: Sequence[RunState]) -> str:
+    """Return runs as JSON: how many are at which stage, in all and in each cell, and each run."""
+    cells = [
+        {
+            "experiment": experiment,
+            "cell": cell,
+            "label": runs[0].label,
+            **counts(runs),
+            "runs": [r.plain() for r in runs],
+        }
+        for (experiment, cell), runs in by_cell(states)
+    ]
+    return json.dumps({**counts(states), "cells": cells}, indent=2)

@@ -22,7 +22,7 @@ WATCH_S = 2.0
 class StatusRequest(Section):
     """The config of scripts/status.py."""
 
-    experiment: Name | None
+    experiment_name: Name | None
     output_dir: str
     as_json: Annotated[bool, Field(alias="json")]
     watch: bool
@@ -54,23 +54,26 @@ def show(config: DictConfig) -> None:
     out = Console(highlight=False, soft_wrap=True)
     if request.as_json:
         print(as_json(states))
-    elif not request.watch:
-        out.print(_picture(states))
-    else:
+    elif request.watch and out.is_terminal:
         with Live(_picture(states), console=out, auto_refresh=False) as live:
             while True:
                 time.sleep(WATCH_S)
                 live.update(_picture(_look(request)), refresh=True)
+    else:
+        out.print(_picture(states))
+        while request.watch:
+            time.sleep(WATCH_S)
+            out.print(_picture(_look(request)))
 
 
 def _look(request: StatusRequest) -> list[RunState]:
-    found = [read_state(path) for path in find(request.output_path, request.experiment)]
+    found = [read_state(path) for path in find(request.output_path, request.experiment_name)]
     if not found:
-        if request.experiment is None:
+        if request.experiment_name is None:
             raise RunNotFoundError(f"there are no runs in {request.output_path}; train one first, or set output_dir")
         there = {path.parents[1].name for path in find(request.output_path)}
-        hint = closest(request.experiment, there)
-        raise RunNotFoundError(f"experiment={request.experiment}: it has no runs in {request.output_path}{hint}")
+        hint = closest(request.experiment_name, there)
+        raise RunNotFoundError(f"experiment={request.experiment_name}: it has no runs in {request.output_path}{hint}")
     return found
 
 
