@@ -1,11 +1,13 @@
 """Config -> Stable-Baselines3 model: the one place where third-party classes are instantiated."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any
 
+import numpy as np
 import torch
 from hydra.utils import get_class, instantiate
+from stable_baselines3.common.noise import ActionNoise
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from stable_baselines3.common.torch_layers import CombinedExtractor
 from stable_baselines3.common.vec_env import VecEnv
@@ -43,11 +45,13 @@ def build_model(config: RunConfig, env: VecEnv, seed: int, *, for_training: bool
         "seed": seed,
         "device": config.device,
     }
-    for name in ("policy_kwargs", "train_freq"):
+    for name in ("policy_kwargs", "train_freq", "action_noise"):
         node.pop(name, None)
     # Objects are given to the partial afterwards: Hydra would copy them into its config.
     build = instantiate(node)
     objects: dict[str, Any] = {"env": env, "train_freq": train_freq, "policy_kwargs": _policy_kwargs(config)}
+    if (noise := arguments.get("action_noise")) is not None:
+        objects["action_noise"] = _action_noise(noise)
     if for_training:
         objects["replay_buffer_class"] = get_class(config.buffer.target)
         objects["replay_buffer_kwargs"] = config.buffer.arguments
@@ -73,6 +77,13 @@ def _policy_kwargs(config: RunConfig) -> dict[str, Any]:
         # What a MultiInputPolicy has by default, except CrossQ's.
         policy_kwargs["features_extractor_class"] = CombinedExtractor
     return policy_kwargs | (config.algorithm.arguments.get("policy_kwargs") or {})
+
+
+def _action_noise(node: Mapping[str, Any]) -> ActionNoise:
+    """Make action noise; it wants arrays where YAML has lists."""
+    arrays = {name: np.array(value, np.float64) for name, value in node.items() if isinstance(value, list)}
+    rest = {name: value for name, value in node.items() if name not in arrays}
+    return instantiate({**rest, "_partial_": True, "_convert_": "all"})(**arrays)
 
 
 @contextmanager

@@ -1,15 +1,15 @@
 """The training state, saved whole or not at all, and restored only when it is whole.
 
 A checkpoint is a directory `step=<n>` with the model (policy, target networks, optimizers: Stable-Baselines3's
-zip), the filled part of the replay buffer, the counters, and a manifest of hashes. It is written under another name
-and renamed when all of it is on the disk. Nothing in it is unpickled on restoring.
+zip), the filled part of the replay buffer, counters and streams as JSON and arrays, and a manifest of hashes. It is
+written under another name and renamed when all of it is on the disk. A training that is restored from it goes on as if
+it had not been cut, to the last bit. Nothing in it is unpickled on restoring.
 """
 
 import logging
 import shutil
-import warnings
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -19,14 +19,19 @@ import numpy as np
 from stable_baselines3.common.buffers import ReplayBuffer
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from stable_baselines3.common.save_util import load_from_zip_file, recursive_setattr
-from stable_baselines3.her import HerReplayBuffer
 
+from parking_exp import streams, trees
 from parking_exp.buffers import HerBuffer
 from parking_exp.files import read_json, sha256, sync, write_json
+from parking_exp.lean.training import LeanTraining
 
 log = logging.getLogger(__name__)
 
-MODEL, BUFFER, BEST, STATE, MANIFEST = "model.zip", "replay_buffer.npz", "best.zip", "state.json", "manifest.json"
+MODEL, BUFFER, BEST, MANIFEST = "model.zip", "replay_buffer.npz", "best.zip", "manifest.json"
+STATE, ARRAYS = "state.json", "state.npz"
+COUNTERS = ("num_timesteps", "_n_updates", "_episode_num", "_current_progress_remaining")
+LAST = ("_last_obs", "_last_episode_starts")
+RECENT = ("ep_info_buffer", "ep_success_buffer")
 
 
 @dataclass
@@ -69,7 +74,9 @@ def save(directory: Path, model: OffPolicyAlgorithm, progress: Progress, best: P
         _save_buffer(model.replay_buffer, folder / BUFFER)
         if best.exists():
             shutil.copyfile(best, folder / BEST)
-        write_json(folder / STATE, {"progress": asdict(progress), "model": _counters(model)})
+        plain, arrays = trees.split({"model": _attributes(model), "streams": streams.gather(model)})
+        _write_arrays(folder / ARRAYS, arrays)
+        write_json(folder / STATE, {"progress": asdict(progress), **plain})
     found = _found(directory)
     # What lies above this step was passed over as corrupt when the run was resumed, or it would be where we are.
     later, earlier = [f for f in found if f.name > target.name], [f for f in found if f.name < target.name]
@@ -96,8 +103,11 @@ def check(folder: Path) -> str | None:
         return f"{MANIFEST} is not readable"
     if manifest is None:
         return f"{MANIFEST} is missing"
-    if not isinstance(manifest, dict) or not {MODEL, BUFFER, STATE} <= manifest.keys():
-        return f"{MANIFEST} does not name all files"
+    if not isinstance(manifest, dict):
+        return f"{MANIFEST} is not readable"
+    for name in (MODEL, BUFFER, STATE, ARRAYS):
+        if name not in manifest:
+            return f"{MANIFEST} does not name {name}; earlier versions of this package did not write all of them"
     for name, digest in manifest.items():
         if not (folder / name).exists():
             return f"{name} is missing"
@@ -117,26 +127,35 @@ def buffer_record(folder: Path) -> dict[str, Any]:
     return {"path": str(path), "sha256": read_json(folder / MANIFEST)[BUFFER], "bytes": path.stat().st_size}
 
 
-def restore(folder: Path, model: OffPolicyAlgorithm, best: Path) -> None:
+def restore(folder: Path, model: OffPolicyAlgorithm, best: Path) -> dict[str, Any]:
     """Bring a freshly built model, and the best model's file, to a checkpoint's state.
 
-    Episodes that were under way end as truncated.
+    Returns:
+        The streams, for `streams.restore` when the next rollout begins.
     """
     load_weights(folder / MODEL, model)
     if (folder / BEST).exists():
         shutil.copyfile(folder / BEST, best)
     else:
         best.unlink(missing_ok=True)
-    counters = read_json(folder / STATE)["model"]
-    for name in ("ep_info_buffer", "ep_success_buffer"):
-        setattr(model, name, deque(counters.pop(name), maxlen=model._stats_window_size))
-    for name, value in counters.items():
-        setattr(model, name, value)
+    with np.load(folder / ARRAYS, allow_pickle=False) as arrays:
+        plain = {key: value for key, value in read_json(folder / STATE).items() if key != "progress"}
+        state = trees.join(plain, arrays)
+    for name in (*COUNTERS, *LAST):
+        setattr(model, name, state["model"][name])
+    for name in RECENT:
+        setattr(model, name, deque(state["model"][name], maxlen=model._stats_window_size))
     _load_buffer(model.replay_buffer, folder / BUFFER)
+    if isinstance(model, LeanTraining) and model._n_updates:
+        model.bind()
+    return state["streams"]
 
 
 def load_weights(path: Path, model: OffPolicyAlgorithm) -> None:
-    """Load parameters and optimizers from a Stable-Baselines3 zip; its pickled part is not read."""
+    """Load parameters and optimizers from a Stable-Baselines3 zip.
+
+    Its pickled part is not read, and tensors are loaded as torch's `weights_only`: nothing in the file is executed.
+    """
     _, parameters, variables = load_from_zip_file(path, device=model.device, load_data=False)
     model.set_parameters(parameters, device=model.device)
     for name, value in (variables or {}).items():
@@ -158,6 +177,7 @@ def _new_directory(target: Path) -> Iterator[Path]:
         for file in files:
             sync(file)
         write_json(folder / MANIFEST, {file.name: sha256(file) for file in files})
+        sync(folder)
         if target.exists():  # the same step, found corrupt before
             shutil.rmtree(target)
         folder.rename(target)
@@ -171,28 +191,26 @@ def _found(directory: Path) -> list[Path]:
     return sorted(directory.glob("step=*"))
 
 
-def _counters(model: OffPolicyAlgorithm) -> dict[str, Any]:
-    return {
-        "num_timesteps": model.num_timesteps,
-        "_n_updates": model._n_updates,
-        "_episode_num": model._episode_num,
-        "ep_info_buffer": [{key: float(value) for key, value in info.items()} for info in model.ep_info_buffer or ()],
-        "ep_success_buffer": [bool(success) for success in model.ep_success_buffer or ()],
-    }
+def _attributes(model: OffPolicyAlgorithm) -> dict[str, Any]:
+    recent = {name: list(getattr(model, name) or ()) for name in RECENT}
+    return {name: getattr(model, name) for name in (*COUNTERS, *LAST)} | recent
+
+
+def _write_arrays(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
+    with path.open("wb") as file:
+        np.savez(file, allow_pickle=False, **arrays)
 
 
 def _save_buffer(buffer: ReplayBuffer | None, path: Path) -> None:
     """Write the filled part of every array of a buffer, and its scalars."""
     assert buffer is not None
     if isinstance(buffer, HerBuffer):
-        with path.open("wb") as file:
-            np.savez(file, allow_pickle=False, **buffer.get_state())
+        _write_arrays(path, buffer.get_state())
         return
     arrays: dict[str, np.ndarray] = {"pos": np.asarray(buffer.pos), "full": np.asarray(buffer.full)}
     for name, array in _arrays(buffer):
         arrays[name] = array[: buffer.size()] if len(array) == buffer.buffer_size else array
-    with path.open("wb") as file:
-        np.savez(file, allow_pickle=False, **arrays)
+    _write_arrays(path, arrays)
 
 
 def _load_buffer(buffer: ReplayBuffer | None, path: Path) -> None:
@@ -200,14 +218,10 @@ def _load_buffer(buffer: ReplayBuffer | None, path: Path) -> None:
     with np.load(path, allow_pickle=False) as stored:
         if isinstance(buffer, HerBuffer):
             buffer.set_state(stored)
-        else:
-            buffer.pos, buffer.full = int(stored["pos"]), bool(stored["full"])
-            for name, array in _arrays(buffer):
-                array[: len(stored[name])] = stored[name]
-    if isinstance(buffer, HerReplayBuffer):
-        with warnings.catch_warnings():
-            warnings.filterwarnings("ignore", message=".*replay buffer")
-            buffer.truncate_last_trajectory()
+            return
+        buffer.pos, buffer.full = int(stored["pos"]), bool(stored["full"])
+        for name, array in _arrays(buffer):
+            array[: len(stored[name])] = stored[name]
 
 
 def _arrays(buffer: ReplayBuffer) -> Iterator[tuple[str, np.ndarray]]:

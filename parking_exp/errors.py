@@ -13,6 +13,10 @@ class RunNotFoundError(ParkingError, LookupError):
     """No run answers to a name."""
 
 
+class UntrustedError(ParkingError):
+    """A stored config would execute something that may come from anywhere."""
+
+
 class OutputDirectoryError(ParkingError):
     """A run directory cannot be made."""
 

@@ -22,6 +22,7 @@ from parking_exp.errors import ConfigError, RunNotFoundError
 from parking_exp.files import write_json
 from parking_exp.rules import check_env
 from parking_exp.runs import RunDirectory, find_run
+from parking_exp.trust import check_trust
 from parking_exp.validation import parse
 
 
@@ -44,6 +45,7 @@ class EvaluationRequest(Section):
     video: Count
     gif: bool
     name: Name | None
+    trust: bool
     tracking: StoreConfig
     env: EnvConfig | None = None
 
@@ -79,6 +81,7 @@ def evaluate_run(config: DictConfig) -> Path:
     Raises:
         ConfigError: the config is not valid.
         RunNotFoundError: no run answers to `run`, or it has no such model yet.
+        UntrustedError: the stored config would execute what runs are not made of, and `trust` is false.
     """
     request = validate_request(config)
     output_dir = Path(request.output_dir).expanduser().absolute()
@@ -90,6 +93,8 @@ def evaluate_run(config: DictConfig) -> Path:
             + ("try model=best" if (directory.models / "best.zip").exists() else "let it train first")
         )
     run = directory.config()
+    if not request.trust:
+        check_trust(run, directory.path / "config.yaml")
     env = request.env or _simulated(run.env, request.simulator)
     if problems := check_env(env):
         raise ConfigError("\n".join(problems))

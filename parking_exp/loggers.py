@@ -20,12 +20,11 @@ from parking_exp.logs import MetricsLog
 def make_logger(tracking: TrackingConfig, run_dir: Path, metrics: MetricsLog, step: int) -> Logger:
     """Make a run's logger: `metrics.jsonl` always, progress.csv, TensorBoard and stdout as configured.
 
-    `step` is where the run starts: rows up to there are written to progress.csv again, and TensorBoard is told to
+    `step` is where the run starts: progress.csv is written anew from the rows so far, and TensorBoard is told to
     forget what came after.
     """
-    formats: list[KVWriter] = [_MetricsWriter(metrics)]
-    if tracking.csv:
-        formats.append(_csv(run_dir / "progress.csv", metrics))
+    table = _csv(run_dir / "progress.csv", metrics) if tracking.csv else None
+    formats: list[KVWriter] = [_MetricsWriter(metrics, table)]
     if tracking.tensorboard:
         board = TensorBoardOutputFormat(str(run_dir / "tensorboard"))
         board.writer.close()
@@ -38,21 +37,29 @@ def make_logger(tracking: TrackingConfig, run_dir: Path, metrics: MetricsLog, st
 
 
 class _MetricsWriter(KVWriter):
-    """Passes the logger's rows on to a MetricsLog."""
+    """Passes the logger's rows on to a MetricsLog, and what that takes of them to a table, which so has the same."""
 
-    def __init__(self, metrics: MetricsLog) -> None:
-        self.metrics = metrics
+    def __init__(self, metrics: MetricsLog, table: CSVOutputFormat | None) -> None:
+        self.metrics, self.table = metrics, table
 
     def write(self, key_values: dict[str, Any], key_excluded: dict[str, tuple[str, ...]], step: int = 0) -> None:
-        self.metrics.append(step, key_values)
+        row = self.metrics.append(step, key_values)
+        if row and self.table is not None:
+            _add(self.table, row, step)
 
     def close(self) -> None:
-        """Do nothing: every row is on its way to the disk already."""
+        """Close the table; the log's rows are on their way to the disk already."""
+        if self.table is not None:
+            self.table.close()
 
 
 def _csv(path: Path, metrics: MetricsLog) -> CSVOutputFormat:
     """Open a progress.csv that begins with what the run has logged before."""
     table = CSVOutputFormat(str(path))
     for record in metrics.records():
-        table.write(record["metrics"], dict.fromkeys(record["metrics"], ()), record["step"])
+        _add(table, record["metrics"], record["step"])
     return table
+
+
+def _add(table: CSVOutputFormat, row: dict[str, float], step: int) -> None:
+    table.write(row, dict.fromkeys(row, ()), step)

@@ -46,8 +46,8 @@ class MetricsLog:
         self.path = path
         self._last_step = {key: record["step"] for record in self.records() for key in record["metrics"]}
 
-    def append(self, step: int, values: Mapping[str, Any]) -> None:
-        """Append a row of the numbers among `values`."""
+    def append(self, step: int, values: Mapping[str, Any]) -> dict[str, float]:
+        """Append a row of the numbers among `values`, and return it; it may be empty, and then nothing is written."""
         metrics = {
             key: float(value)
             for key, value in values.items()
@@ -58,6 +58,7 @@ class MetricsLog:
             line = json.dumps({"step": step, "time_ms": time.time_ns() // 1_000_000, "metrics": metrics})
             with self.path.open("a", encoding="utf-8") as file:
                 file.write(line + "\n")
+        return metrics
 
     def records(self) -> Iterator[dict[str, Any]]:
         """Yield the rows so far."""

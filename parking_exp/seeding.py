@@ -17,7 +17,7 @@ class Seeds:
     """Seed of the first training env; env i gets this + i. At least 2**31, where no evaluation scene lies."""
 
 
-def derive_seeds(seed: int, step: int = 0) -> Seeds:
-    """Derive a run's seeds. `step` is the env step that it starts from, so that a resumed run sees new scenes."""
-    policy, scenes = np.random.SeedSequence((seed, step)).generate_state(2)
+def derive_seeds(seed: int) -> Seeds:
+    """Derive a run's seeds."""
+    policy, scenes = np.random.SeedSequence(seed).generate_state(2)
     return Seeds(policy=int(policy) % 2**31, training_scenes=TRAINING_SCENES_START + int(scenes) % 2**31)

@@ -2,12 +2,13 @@
 
 import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
 from stable_baselines3.common.callbacks import BaseCallback
 
-from parking_exp import checkpoints
+from parking_exp import checkpoints, streams
 from parking_exp.algorithms import build_model, greedy_policy
 from parking_exp.buffers import HerBuffer
 from parking_exp.checkpoints import Progress
@@ -16,6 +17,7 @@ from parking_exp.envs.vector import make_training_envs
 from parking_exp.errors import CertificationError, InterruptedRunError
 from parking_exp.evaluation import differences, evaluate, rank, summarise
 from parking_exp.figures import learning_curves
+from parking_exp.files import sync
 from parking_exp.loggers import make_logger
 from parking_exp.logs import MetricsLog, append_episodes, sync_logs
 from parking_exp.progress import TrainingProgress
@@ -50,13 +52,16 @@ class Session:
         path = directory.path
         directory.models.mkdir(exist_ok=True)
         self.metrics = MetricsLog(path / "metrics.jsonl")
-        seeds = derive_seeds(config.seed, progress.step)
+        seeds = derive_seeds(config.seed)
         self.env = make_training_envs(config.env, config.n_envs, path / "monitor.csv", progress.wall_s)
         self.model = build_model(config, self.env, seeds.policy)
         self.policy = greedy_policy(self.model)
         self.env.seed(seeds.training_scenes)  # after the model, which seeds the envs with its own seed
-        if checkpoint is not None:
-            checkpoints.restore(checkpoint, self.model, best=self._best)
+        self._streams: dict[str, Any] | None = None
+        if checkpoint is None:
+            self._best.unlink(missing_ok=True)  # of steps that are going to be done again
+        else:
+            self._streams = checkpoints.restore(checkpoint, self.model, best=self._best)
             bar.say(f"resuming at step {progress.step}")
         self.model.set_logger(make_logger(config.tracking, path, self.metrics, progress.step))
 
@@ -66,6 +71,7 @@ class Session:
         if remaining > 0:
             interval = self.config.tracking.log_interval
             self.model.learn(remaining, Schedule(self), log_interval=interval, reset_num_timesteps=False)
+        self.resume_streams()
         self.save_checkpoint()
 
     def finish(self) -> pd.DataFrame:
@@ -109,6 +115,12 @@ class Session:
         summary = self._store_evaluation(episodes, "eval")
         self._dump()
         self.bar.say(success_line(summary, self.model.num_timesteps))
+
+    def resume_streams(self) -> None:
+        """Go on with the streams of the checkpoint that the run was resumed from, once."""
+        if self._streams is not None:
+            streams.restore(self.model, self._streams)
+            self._streams = None
 
     def save_checkpoint(self) -> None:
         """Save the whole state, then send what is known so far to the store."""
@@ -178,6 +190,7 @@ class Session:
         """Save a model that Stable-Baselines3 loads anywhere: a HER buffer would want an env to load with."""
         temporary = path.with_name(f".{path.name}")
         self.model.save(temporary, exclude=["replay_buffer_class", "replay_buffer_kwargs"])
+        sync(temporary)
         temporary.replace(path)
 
     def _dump(self) -> None:
@@ -203,6 +216,7 @@ class Schedule(BaseCallback):
     def _on_rollout_start(self) -> None:
         session = self.session
         config, progress, step = session.config, session.progress, self.num_timesteps
+        session.resume_streams()  # here, where they were saved
         session.stop_if_asked()
         if _due(step, progress.evaluated, config.evaluation.every_n_steps):
             session.evaluate()

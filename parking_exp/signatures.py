@@ -9,6 +9,7 @@ import ast
 import importlib.util
 import re
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -83,6 +84,21 @@ def signature(target: str) -> Signature:
     return _signature(constructor, is_method=True) if constructor else Signature({}, open=True)
 
 
+def defined_in(target: str) -> str:
+    """Return the dotted name of the module in which the class at a dotted path is defined.
+
+    Raises:
+        UnknownTarget: it names nothing, or no class.
+    """
+    module, _, name = target.rpartition(".")
+    if not module:
+        raise UnknownTarget(target, "is not the dotted path of a class", [])
+    definition, home = _resolve(_source(module, target), name, target)
+    if not isinstance(definition, ast.ClassDef):
+        raise UnknownTarget(target, "is not a class", [])
+    return ".".join(_module_name(home))
+
+
 def _source(module: str, target: str) -> Path:
     """Find the source file of a module without importing its parents (which would import torch)."""
     first, *rest = module.split(".")
@@ -119,22 +135,36 @@ def _module_name(path: Path) -> list[str]:
 
 
 Definition = ast.ClassDef | ast.FunctionDef
+Home = tuple[Definition, Path]  # and the file where it stands
 
 
-def _resolve(path: Path, name: str, target: str) -> tuple[Definition, Path]:
-    """Follow re-exports from a module to the file where a name is defined."""
+def _resolve(path: Path, name: str, target: str, seen: frozenset[tuple[Path, str]] = frozenset()) -> Home:
+    """Follow re-exports from a module to the file where a name is defined; `seen` is where it has not been found."""
+    if (path, name) in seen:  # `from package import module` in the package itself
+        raise _unknown(path, name, target)
+    seen |= {(path, name)}
+    stars = []
     for node in _top_level(_tree(path)):
         if isinstance(node, ast.ClassDef | ast.FunctionDef) and node.name == name:
             return node, path
         if isinstance(node, ast.ImportFrom):
             for alias in node.names:
                 if (alias.asname or alias.name) == name:
-                    return _resolve(_source(_imported_module(node, path), target), alias.name, target)
+                    return _resolve(_source(_imported_module(node, path), target), alias.name, target, seen)
+                if alias.name == "*":
+                    stars.append(_imported_module(node, path))
         if isinstance(node, ast.Assign) and isinstance(node.value, ast.Name):
             names = [item.id for item in node.targets if isinstance(item, ast.Name)]
             if name in names and node.value.id != name:
-                return _resolve(path, node.value.id, target)
-    raise UnknownTarget(target, f"there is no {name!r} in {'.'.join(_module_name(path))}", _names(path))
+                return _resolve(path, node.value.id, target, seen)
+    for module in stars:
+        with suppress(UnknownTarget):
+            return _resolve(_source(module, target), name, target, seen)
+    raise _unknown(path, name, target)
+
+
+def _unknown(path: Path, name: str, target: str) -> UnknownTarget:
+    return UnknownTarget(target, f"there is no {name!r} in {'.'.join(_module_name(path))}", _names(path))
 
 
 def _imported_module(node: ast.ImportFrom, path: Path) -> str:
@@ -179,7 +209,7 @@ def _constructor(node: ast.ClassDef, path: Path, target: str) -> ast.FunctionDef
     return None
 
 
-def _resolve_base(name: str, path: Path, target: str) -> tuple[Definition, Path]:
+def _resolve_base(name: str, path: Path, target: str) -> Home:
     """Resolve a base class as written: `Name`, or `package.module.Name` after an `import package`."""
     module, _, last = name.rpartition(".")
     return _resolve(_source(module, target), last, target) if module else _resolve(path, last, target)

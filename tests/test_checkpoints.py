@@ -1,7 +1,7 @@
 """Checkpoints are whole or not there, and bring everything back."""
 
+import errno
 import json
-import warnings
 
 import numpy as np
 import pytest
@@ -36,6 +36,13 @@ def assert_same_parameters(one, two):
         torch.testing.assert_close(ours[name], theirs[name], rtol=0, atol=0)
 
 
+def assert_same_arrays(one, two):
+    assert one.keys() == two.keys()
+    for name in one:
+        assert (one[name].dtype, one[name].shape) == (two[name].dtype, two[name].shape), name
+        assert one[name].tobytes() == two[name].tobytes(), name
+
+
 @pytest.mark.parametrize("algorithm", ["sac", "td3", "ddpg", "tqc", "crossq"])
 def test_model_optimizers_buffer_and_counters_come_back(tmp_path, algorithm):
     model, fresh = trained(f"algorithm={algorithm}"), trained(f"algorithm={algorithm}", steps=0)
@@ -47,12 +54,8 @@ def test_model_optimizers_buffer_and_counters_come_back(tmp_path, algorithm):
     for name in ("num_timesteps", "_n_updates", "_episode_num"):
         assert getattr(fresh, name) == getattr(model, name) > 0
     assert list(fresh.ep_success_buffer) == list(model.ep_success_buffer)
-    ours, theirs = model.replay_buffer.get_state(), fresh.replay_buffer.get_state()
-    assert ours.keys() == theirs.keys()
-    for name in ("pos", "full", "goals", "rng"):
-        np.testing.assert_array_equal(theirs[name], ours[name])
-    filled = slice(0, ours["pos"] - 1)  # the last row ends episodes that were under way
-    np.testing.assert_array_equal(theirs["rows"][filled], ours["rows"][filled])
+    assert_same_arrays(model.replay_buffer.get_state(), fresh.replay_buffer.get_state())
+    assert_same_arrays(model._last_obs, fresh._last_obs)
 
 
 SB3_HER = (
@@ -72,8 +75,6 @@ def test_a_full_buffer_comes_back_too(tmp_path, overrides):
     ours, theirs = model.replay_buffer, fresh.replay_buffer
     assert theirs.full
     assert theirs.pos == ours.pos
-    with warnings.catch_warnings(action="ignore"):
-        ours.truncate_last_trajectory()
     samples = []
     for buffer in (ours, theirs):
         np.random.seed(0)
@@ -82,13 +83,17 @@ def test_a_full_buffer_comes_back_too(tmp_path, overrides):
     assert torch.equal(samples[0].rewards, samples[1].rewards)
 
 
-def test_episodes_under_way_end_as_truncated_so_that_her_can_use_them(tmp_path):
-    model, fresh = trained(steps=105), trained(steps=0)
+@pytest.mark.parametrize("overrides", [(), SB3_HER])
+def test_episodes_under_way_stay_under_way(tmp_path, overrides):
+    model, fresh = trained(*overrides, steps=105), trained(*overrides, steps=0)
     checkpoints.restore(save(tmp_path, model, step=105), fresh, best=tmp_path / "best.zip")
-    episodes = fresh.replay_buffer.episodes
-    assert (model.replay_buffer.episodes.current >= 0).any()
-    assert (episodes.current == -1).all()
-    assert (episodes.head == fresh.replay_buffer.pos).all()
+    if overrides:
+        for buffer in (model.replay_buffer, fresh.replay_buffer):
+            assert (buffer._current_ep_start != buffer.pos).all()
+        assert (fresh.replay_buffer.ep_length == model.replay_buffer.ep_length).all()
+    else:
+        for episodes in (model.replay_buffer.episodes, fresh.replay_buffer.episodes):
+            assert (episodes.current >= 0).all()
 
 
 def test_only_the_filled_part_of_the_buffer_is_saved(tmp_path):
@@ -103,7 +108,7 @@ def test_keep_last_bounds_what_is_on_disk(tmp_path):
         save(tmp_path, model, step, keep_last=2)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["step=0000000030", "step=0000000040"]
     assert sorted(path.name for path in (tmp_path / "step=0000000040").iterdir()) == [
-        "manifest.json", "model.zip", "replay_buffer.npz", "state.json",
+        "manifest.json", "model.zip", "replay_buffer.npz", "state.json", "state.npz",
     ]  # fmt: skip
 
 
@@ -124,7 +129,7 @@ def test_checkpoints_sort_by_step_not_by_name(tmp_path):
     assert checkpoints.latest(tmp_path).name == "step=0000100000"
 
 
-@pytest.mark.parametrize("name", ["model.zip", "replay_buffer.npz", "state.json"])
+@pytest.mark.parametrize("name", ["model.zip", "replay_buffer.npz", "state.json", "state.npz"])
 @pytest.mark.parametrize("damage", ["truncated", "changed", "missing"])
 def test_a_damaged_checkpoint_is_recognised(tmp_path, name, damage):
     model = trained(steps=0)
@@ -148,6 +153,33 @@ def test_a_checkpoint_without_its_manifest_does_not_count(tmp_path, manifest):
     if manifest is not None:
         (folder / "manifest.json").write_bytes(manifest)
     assert checkpoints.latest(tmp_path) is None
+
+
+def test_a_checkpoint_of_an_earlier_version_says_so(tmp_path, caplog):
+    folder = save(tmp_path, trained(steps=0), 10)
+    manifest = json.loads((folder / "manifest.json").read_text())
+    del manifest["state.npz"]
+    (folder / "manifest.json").write_text(json.dumps(manifest))
+    assert checkpoints.latest(tmp_path) is None
+    assert "does not name state.npz; earlier versions of this package did not write all of them" in caplog.text
+
+
+@pytest.mark.parametrize("written", range(5))
+def test_a_full_disk_at_any_file_leaves_the_earlier_checkpoint_and_no_rest(tmp_path, monkeypatch, written):
+    """Each of the files meets the disk when it is synced."""
+    model = trained(steps=0)
+    older, synced = save(tmp_path, model, 10), []
+
+    def sync(path):
+        synced.append(path)
+        if len(synced) > written:
+            raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(checkpoints, "sync", sync)
+    with pytest.raises(OSError, match="No space left"):
+        save(tmp_path, model, 20)
+    assert list(tmp_path.iterdir()) == [older]
+    assert checkpoints.latest(tmp_path) == older
 
 
 def test_a_failed_write_leaves_the_earlier_checkpoint_and_no_rest(tmp_path, monkeypatch):

@@ -1,6 +1,7 @@
 """Proofs that take minutes: `make test-slow`."""
 
 import itertools
+import json
 import multiprocessing
 import random
 import statistics
@@ -11,7 +12,9 @@ from concurrent.futures import ProcessPoolExecutor
 import numpy as np
 import pytest
 from conftest import assert_store_is_whole, make_config, only_run, options, run_script, script
-from exactness import KINDS, actions_of, record, repeat
+from exactness import KINDS as POLICIES
+from exactness import actions_of, record, repeat
+from sameness import differences, stored
 from test_simulator import different_scenes
 
 from parking_exp.algorithms import build_model, greedy_policy
@@ -30,22 +33,83 @@ def test_the_default_recipe_parks(tmp_path):
     assert statistics.median(rates) >= 0.9
 
 
-@pytest.mark.parametrize("overrides", [(), ("algorithm=td3",), ("buffer=replay", "n_envs=1")])
-def test_a_run_killed_again_and_again_loses_nothing(tmp_path, overrides):
-    arguments = ("experiment=smoke", f"output_dir={tmp_path}", "evaluation.video_episodes=0", *overrides)
-    command, keywords = script("train", *arguments)
-    moments = random.Random(0)
-    for _ in range(5):
+SB3_BUFFER = ("~buffer.relabel_collision", "~buffer.relabel_terminated", "~buffer.goal_velocity")
+HIGHWAY = "env.simulator=highway_env"
+KINDS = {
+    "sac": (),
+    "sac, highway_env, replay": (HIGHWAY, "buffer=replay"),
+    "sac, gSDE, odd checkpoints": (
+        "algorithm.use_sde=true", "algorithm.sde_sample_freq=4", "algorithm.train_freq=6", "checkpoint.every_n_steps=35",
+    ),
+    "sac, one highway_env by episodes, gSDE": (
+        HIGHWAY, "n_envs=1", "algorithm.train_freq=[1,episode]", "algorithm.use_sde=true", "buffer=her_final",
+    ),
+    "td3, Stable-Baselines3's HER": ("algorithm=td3", "buffer._target_=stable_baselines3.HerReplayBuffer", *SB3_BUFFER),
+    "td3, four highway_envs, Ornstein-Uhlenbeck, a full buffer": (
+        HIGHWAY, "n_envs=4", "algorithm=td3", "buffer=her_random", "buffer.buffer_size=200", "algorithm.learning_starts=48",
+        "algorithm.action_noise._target_=stable_baselines3.common.noise.OrnsteinUhlenbeckActionNoise",
+    ),
+    "ddpg, one env, Stable-Baselines3's replay": (
+        "algorithm=ddpg", "n_envs=1", "buffer._target_=stable_baselines3.common.buffers.DictReplayBuffer", *SB3_BUFFER,
+        "~buffer.n_sampled_goal", "~buffer.goal_selection_strategy",
+    ),
+    "Stable-Baselines3's ddpg, highway_env": (HIGHWAY, "algorithm=ddpg", "algorithm._target_=stable_baselines3.DDPG"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_run_killed_at_random_moments_is_the_run_that_was_not(tmp_path, kind):
+    """Everything in the run directory, and every number in the store, to the last bit; only clocks may differ."""
+    arguments = ("experiment=smoke", "evaluation.video_episodes=0", "checkpoint.every_n_steps=25", *KINDS[kind])
+    whole, pieces = tmp_path / "whole", tmp_path / "pieces"
+    done = run_script("train", *arguments, f"output_dir={whole}")
+    assert done.returncode == 0, done.stderr
+    lasted = seconds_of_training(only_run(whole))
+    command, keywords = script("train", *arguments, f"output_dir={pieces}")
+    moments, killed, run_ids = random.Random(kind), [], set()
+    for step in (
+        0,
+        80,
+        160,
+        240,
+        400,
+    ):  # a random while after the checkpoint of this step, the last in the final evaluation
         process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, **keywords)
-        time.sleep(moments.uniform(1, 12))
+        started = time.time()
+        while process.poll() is None and not (is_training(pieces, started) and last_step(pieces) >= step):
+            time.sleep(0.01)
+        time.sleep(moments.uniform(0, 0.5 if step == 400 else lasted / 8))
+        if process.poll() is not None:
+            break
         process.kill()
         process.wait()
-    run_ids = {only_run(tmp_path).run_id}
-    done = run_script("train", *arguments)
+        killed.append(last_step(pieces))
+        run_ids.add(only_run(pieces).run_id)
+    done = run_script("train", *arguments, f"output_dir={pieces}")
     assert done.returncode == 0, done.stderr
-    run_ids.add(only_run(tmp_path).run_id)
-    assert len(run_ids - {None}) == 1
-    assert_store_is_whole(tmp_path, 400)
+    print(f"{kind}: killed {len(killed)} times, last checkpoints {killed}")
+    assert len(killed) >= 4  # it may have been done before the last
+    assert len(run_ids) == 1
+    assert differences(only_run(whole).path, only_run(pieces).path) == []
+    assert_store_is_whole(pieces, last_step(whole), redone=range(last_step(whole) + 1))
+    assert stored(whole, only_run(whole).run_id) == stored(pieces, only_run(pieces).run_id)
+
+
+def last_step(output_dir):
+    """The last checkpoint's step; 0 where there is none."""
+    steps = [int(path.name.removeprefix("step=")) for path in output_dir.glob("*/*/*/checkpoints/step=*")]
+    return max(steps, default=0)
+
+
+def is_training(output_dir, since):
+    """Whether a process that was started then has made its envs and its logger, which opens this file."""
+    return any(path.stat().st_mtime > since for path in output_dir.glob("*/*/seed=*/progress.csv"))
+
+
+def seconds_of_training(directory):
+    """From the making of the envs to the last checkpoint, which comes before the final evaluation."""
+    start = json.loads((directory.path / "monitor.csv").read_text().split("\n", 1)[0][1:])["t_start"]
+    return max(path.stat().st_mtime for path in directory.checkpoints.glob("step=*/manifest.json")) - start
 
 
 @pytest.fixture(scope="module")
@@ -61,7 +125,7 @@ def test_200_000_steps_on_1_000_scenes_without_one_mismatch(option, trained_poli
     config, block = make_config(f"env={option}", "algorithm.learning_starts=100000").env, 50
     steps, scenes, waiting = 0, 0, []
     with ProcessPoolExecutor(mp_context=multiprocessing.get_context("spawn")) as pool:
-        for kind in itertools.cycle(KINDS):
+        for kind in itertools.cycle(POLICIES):
             if steps >= 200_000 and scenes >= 1000:
                 break
             seeds = range(scenes, scenes + block)

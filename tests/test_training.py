@@ -369,7 +369,7 @@ def test_a_corrupt_checkpoint_is_passed_over_with_a_warning(tmp_path):
     command, keywords = script("train", *arguments)
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, **keywords)
     wait_for(lambda: len(list(output_dir.glob("*/*/*/checkpoints/step=*"))) == 2, process)
-    time.sleep(1.0)  # so that the store has got what the corrupt checkpoint is going to lose
+    time.sleep(1.0)  # so that the store has got what is going to be done again
     process.kill()
     process.wait()
     *_, older, newer = sorted(only_run(output_dir).checkpoints.glob("step=*"))  # an older one may be about to go

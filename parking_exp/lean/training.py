@@ -35,13 +35,21 @@ class LeanTraining:
             return
         optimizers = [self.actor.optimizer, self.critic.optimizer, getattr(self, "ent_coef_optimizer", None)]
         self._update_learning_rate([optimizer for optimizer in optimizers if optimizer is not None])
+        self.bind()
         with torch.no_grad():
-            if self._update is None or not self._update.is_bound(self):
-                self._update = self.update_class(self)
             losses = self._update.run(self, gradient_steps, batch_size)
         self.logger.record("train/n_updates", self._n_updates, exclude="tensorboard")
         for name, value in losses.items():
             self.logger.record(f"train/{name}", value)
+
+    def bind(self: Any) -> None:
+        """Lay networks and optimizers out in memory as the update wants them, unless they are.
+
+        `train` does so by itself. Weights that were loaded elsewhere in memory may round otherwise until then.
+        """
+        if is_lean(self) and (self._update is None or not self._update.is_bound(self)):
+            with torch.no_grad():
+                self._update = self.update_class(self)
 
     def _excluded_save_params(self: Any) -> list[str]:
         return [*super()._excluded_save_params(), "_update"]  # type: ignore[misc]

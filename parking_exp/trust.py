@@ -1,0 +1,69 @@
+"""What of a stored config may be executed: it may come from elsewhere, and Hydra calls whatever a `_target_` names."""
+
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+from parking_exp.config import RunConfig
+from parking_exp.errors import UntrustedError
+from parking_exp.signatures import UnknownTarget, defined_in
+
+# Packages and modules whose classes a run is made of. To construct one of them does nothing but make an object; other
+# modules of these projects have classes that write files or start processes (Stable-Baselines3's loggers and VecEnvs).
+TRUSTED = (
+    "parking_exp.buffers",
+    "parking_exp.crossq",
+    "parking_exp.features",
+    "parking_exp.lean",
+    "sb3_contrib.crossq",
+    "sb3_contrib.tqc",
+    "stable_baselines3.common.buffers",
+    "stable_baselines3.common.noise",
+    "stable_baselines3.common.policies",
+    "stable_baselines3.common.torch_layers",
+    "stable_baselines3.common.utils",
+    "stable_baselines3.ddpg",
+    "stable_baselines3.her",
+    "stable_baselines3.sac",
+    "stable_baselines3.td3",
+    "torch.nn",
+    "torch.optim",
+)
+
+
+def check_trust(config: RunConfig, source: Path) -> None:
+    """Refuse a stored config that would execute something else than the classes a run is made of.
+
+    Sources are read and nothing of them is imported.
+
+    Raises:
+        UntrustedError: it has a `_target_` that is no such class.
+    """
+    for key, target in _targets(config.plain()):
+        if not is_trusted(target):
+            raise UntrustedError(
+                f"{key}={target} in {source} is no class of a kind that runs are made of, and evaluating would execute "
+                "it; add trust=true if you know where this run comes from"
+            )
+
+
+def is_trusted(target: object) -> bool:
+    """Whether a `_target_` is the dotted path of a class that is defined in one of the `TRUSTED` modules."""
+    if not isinstance(target, str) or not all(part.isidentifier() for part in target.split(".")):
+        return False
+    try:
+        module = defined_in(target)
+    except UnknownTarget:
+        return False
+    return any(module == trusted or module.startswith(f"{trusted}.") for trusted in TRUSTED)
+
+
+def _targets(node: Any, key: str = "") -> Iterator[tuple[str, Any]]:
+    """Yield every `_target_` in nested containers, with its key."""
+    children = node.items() if isinstance(node, Mapping) else enumerate(node) if isinstance(node, list) else ()
+    for name, value in children:
+        path = f"{key}.{name}" if key else str(name)
+        if name == "_target_":
+            yield path, value
+        else:
+            yield from _targets(value, path)
