@@ -30,10 +30,25 @@ def read_json(path: Path) -> Any:
     return json.loads(path.read_text(encoding="utf-8")) if path.exists() else None
 
 
+def read_object(path: Path) -> dict[str, Any]:
+    """Read a JSON object; {} where there is none, or one that is not whole."""
+    try:
+        value = read_json(path)
+    except ValueError:
+        return {}
+    return value if isinstance(value, dict) else {}
+
+
 def sha256(path: Path) -> str:
     """Return the SHA-256 of a file's content, in hex."""
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def fingerprint(path: Path) -> list[int]:
+    """Return size and time of a file: both stay as they are while nobody writes to it."""
+    status = path.stat()
+    return [status.st_size, status.st_mtime_ns]
 
 
 def sync(path: Path) -> None:

@@ -2,11 +2,13 @@
 
     outputs/<experiment_name>/<cell>/seed=<n>/
         config.yaml  status.json  result.json  metrics.jsonl  episodes.csv  monitor.csv  progress.csv
-        checkpoints/  models/  evaluations/  tensorboard/  video.mp4  curves.png
+        provenance.json  synced.json  checkpoints/  models/  evaluations/  tensorboard/  video.mp4  curves.png
 
 The run directory is the truth; MLflow is its index.
 """
 
+import fcntl
+import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
@@ -22,7 +24,7 @@ from parking_exp.files import read_json, write_atomically, write_json
 from parking_exp.validation import parse
 
 Status = Literal["pending", "running", "done", "failed", "interrupted"]
-STATUS_FILE = "status.json"
+STATUS_FILE, LOCK_FILE = "status.json", ".lock"
 
 
 @dataclass(frozen=True)
@@ -61,26 +63,51 @@ class RunDirectory:
     @property
     def status(self) -> Status:
         """How far the run is. A run that was killed still says `running`; its lock is free."""
-        return self._read().get("status", "pending")
+        return self.read_status().get("status", "pending")
 
     @property
     def run_id(self) -> str | None:
         """MLflow run id, once the run has one."""
-        return self._read().get("run_id")
+        return self.read_status().get("run_id")
 
     @property
     def tracking_uri(self) -> str | None:
         """Store that the run is tracked in."""
-        return self._read().get("tracking_uri")
+        return self.read_status().get("tracking_uri")
+
+    @property
+    def unsynced(self) -> str | None:
+        """Why the store lacks something of the run; None as far as is known."""
+        return self.read_status().get("unsynced")
+
+    @property
+    def under_way(self) -> bool:
+        """Whether a process, be it this one, is working on the run now."""
+        try:
+            handle = os.open(self.path / LOCK_FILE, os.O_RDONLY)
+        except FileNotFoundError:
+            return False
+        try:
+            fcntl.flock(handle, fcntl.LOCK_SH | fcntl.LOCK_NB)
+        except BlockingIOError:
+            return True
+        finally:
+            os.close(handle)
+        return False
 
     def update(self, **values: Any) -> None:
-        """Change entries of status.json."""
-        write_json(self.path / STATUS_FILE, {**self._read(), **values})
+        """Change entries of status.json; None removes one."""
+        # Its training, a sync and an evaluation may change different entries at once.
+        with FileLock(self.path / ".status.lock"):
+            changed = {**self.read_status(), **values}
+            write_json(self.path / STATUS_FILE, {key: value for key, value in changed.items() if value is not None})
 
     def result(self) -> RunResult | None:
         """Return the stored result of a finished run, else None."""
         stored = read_json(self.path / "result.json")
-        return RunResult(**stored) if stored and self.status == "done" else None
+        if not stored or self.status != "done":
+            return None
+        return RunResult(**{**stored, "run_id": self.run_id})  # the store may have been down until later
 
     def finish(self, result: RunResult) -> None:
         """Store the result; from here on the run is done."""
@@ -112,7 +139,8 @@ class RunDirectory:
             self.path.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise OutputDirectoryError(f"output_dir: {self.path} cannot be made: {error.strerror}") from error
-        lock = FileLock(self.path / ".lock", timeout=0)
+        # `under_way` of another process holds the lock for a moment.
+        lock = FileLock(self.path / LOCK_FILE, timeout=0.2, poll_interval=0.02)
         try:
             lock.acquire()
         except Timeout:
@@ -122,7 +150,8 @@ class RunDirectory:
         finally:
             lock.release()
 
-    def _read(self) -> dict[str, Any]:
+    def read_status(self) -> dict[str, Any]:
+        """Return the entries of status.json."""
         return read_json(self.path / STATUS_FILE) or {}
 
 
