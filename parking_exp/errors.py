@@ -25,6 +25,10 @@ class RunLockedError(ParkingError):
     """Another process is working on the same run."""
 
 
+class UnsyncedError(ParkingError):
+    """A store fails, and has not got all that the run directories have."""
+
+
 class CertificationError(ParkingError):
     """The simulator that evaluated a run and highway-env itself do not agree."""
 

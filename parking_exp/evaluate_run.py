@@ -101,7 +101,7 @@ def evaluate_run(config: DictConfig) -> Path:
     folder = directory.path / "evaluations" / (request.name or _folder_name(request, run, env))
     print(f"run directory  {directory.path}")
     _evaluate(request, run, env, weights, folder)
-    _store(request, directory, folder)
+    _store(request, directory)
     print(f"results        {folder}")
     return folder
 
@@ -150,14 +150,15 @@ def _evaluate(request: EvaluationRequest, run: RunConfig, env: EnvConfig, weight
         record(policy, env, scenes[: request.video], folder / "video.mp4", gif=request.gif)
 
 
-def _store(request: EvaluationRequest, directory: RunDirectory, folder: Path) -> None:
-    """Log the results as artifacts of the run, where it has a store."""
-    uri = request.tracking.uri or directory.tracking_uri
-    if not (request.tracking.mlflow and uri and directory.run_id):
+def _store(request: EvaluationRequest, directory: RunDirectory) -> None:
+    """Bring the results into the run's store, where it has one."""
+    if not (request.tracking.mlflow and directory.tracking_uri):
         return
-    from parking_exp.tracking import connect
+    from parking_exp.syncing import try_sync
+    from parking_exp.tracking import LATER
 
-    connect(uri).log_artifacts(directory.run_id, str(folder), f"evaluations/{folder.name}")
+    if problem := try_sync(directory, request.tracking.uri):
+        print(f"not stored     {problem}; {LATER}")
 
 
 def _simulated(env: EnvConfig, simulator: Simulation) -> EnvConfig:

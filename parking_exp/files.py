@@ -34,8 +34,8 @@ def read_json(path: Path) -> Any:
     return json.loads(path.read_text(encoding="utf-8")) if path.exists() else None
 
 
-def readable(path: Path) -> dict[str, Any]:
-    """Read a JSON mapping; {} where there is none, or a power cut has left an empty file."""
+def read_object(path: Path) -> dict[str, Any]:
+    """Read a JSON object; {} where there is none, or a power cut has left an empty file."""
     try:
         found = read_json(path)
     except (OSError, ValueError):
@@ -47,6 +47,12 @@ def sha256(path: Path) -> str:
     """Return the SHA-256 of a file's content, in hex."""
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def fingerprint(path: Path) -> list[int]:
+    """Return size and time of a file: both stay as they are while nobody writes to it."""
+    status = path.stat()
+    return [status.st_size, status.st_mtime_ns]
 
 
 def sync(path: Path) -> None:

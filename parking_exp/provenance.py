@@ -7,6 +7,7 @@ from pathlib import Path
 
 from parking_exp import __version__
 
+PROVENANCE_FILE = "provenance.json"
 PACKAGES = ["torch", "stable-baselines3", "highway-env", "gymnasium", "numpy", "hydra-core", "mlflow-skinny"]
 
 

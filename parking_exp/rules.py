@@ -1,11 +1,14 @@
 """Rules between the keys of a config. Each broken one is a sentence with the closest valid choice."""
 
+import re
 from collections.abc import Mapping
+from importlib.metadata import entry_points
 
 from parking_exp.config import DEFAULT_FEATURES, DEFAULT_SCALES, TRAINING_SCENES_START, EnvConfig, RunConfig
 from parking_exp.signatures import UnknownTarget, signature
 from parking_exp.wording import no_target
 
+STORES = ("sqlite", "http", "https", "postgresql", "mysql", "mssql", "databricks")  # MLflow's own
 HER_OPTIONS = ("n_sampled_goal", "relabel_collision", "relabel_terminated", "goal_velocity")
 
 
@@ -42,7 +45,8 @@ def check_env(env: EnvConfig) -> list[str]:
 
 def check_rules(run: RunConfig) -> list[str]:
     """Rules between keys of different groups."""
-    return [*check_env(run.env), *_check_buffer(run), *_check_algorithm(run), *_check_evaluation(run)]
+    checks = (_check_buffer, _check_algorithm, _check_evaluation, _check_tracking)
+    return check_env(run.env) + [problem for check in checks for problem in check(run)]
 
 
 def _check_buffer(run: RunConfig) -> list[str]:
@@ -119,3 +123,16 @@ def _check_evaluation(run: RunConfig) -> list[str]:
             f"the closest valid choice is {TRAINING_SCENES_START - evaluation.final_n_scenes}"
         )
     return problems
+
+
+def _check_tracking(run: RunConfig) -> list[str]:
+    """Refuse a store that can never work; one that is only down is none of these."""
+    uri = run.tracking.uri
+    if uri is None or not run.tracking.mlflow:
+        return []
+    scheme = uri.partition(":")[0].partition("+")[0]
+    if scheme == "sqlite" and re.fullmatch(r"sqlite:///[^?]+", uri) is None:
+        return [f"tracking.uri={uri} is not sqlite:///PATH, with nothing after the path"]
+    if scheme in STORES or any(plugin.name == scheme for plugin in entry_points(group="mlflow.tracking_store")):
+        return []
+    return [f"tracking.uri={uri} is no MLflow store; use sqlite:///PATH, or http://HOST:PORT of a tracking server"]

@@ -2,12 +2,14 @@
 
     outputs/<experiment_name>/<cell>/seed=<n>/
         config.yaml  status.json  result.json  metrics.jsonl  episodes.csv  monitor.csv  progress.csv
-        checkpoints/  models/  evaluations/  tensorboard/  video.mp4  curves.png  log.txt
+        provenance.json  synced.json  checkpoints/  models/  evaluations/  tensorboard/  video.mp4  curves.png  log.txt
 
 The run directory is the truth; MLflow is its index. Two locks keep processes apart: `.claim` belongs to whoever is
 responsible for the run (its supervisor, or the process that trains it without one), `.lock` to the process that trains.
 """
 
+import fcntl
+import os
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -20,12 +22,13 @@ from omegaconf import OmegaConf
 
 from parking_exp.config import RunConfig
 from parking_exp.errors import OutputDirectoryError, RunLockedError, RunNotFoundError
-from parking_exp.files import readable, write_atomically, write_json
+from parking_exp.files import read_object, write_atomically, write_json
 from parking_exp.validation import parse
 
 Status = Literal["pending", "running", "done", "failed", "interrupted"]
 """What status.json says. `running` may be out of date: the process may be gone (`states` looks)."""
 STATUS_FILE, BEAT_FILE = "status.json", "beat.json"
+CLAIM, LOCK = ".claim", ".lock"
 # A look at a lock takes it for a moment: who wants to have it tries again for this long.
 LOCK_PATIENCE_S = 2.0
 # A supervisor that is killed takes its worker with it; until it is gone, the next one waits.
@@ -68,26 +71,38 @@ class RunDirectory:
     @property
     def status(self) -> Status:
         """How far the run is. A run that was killed still says `running`; its lock is free."""
-        return self._read().get("status", "pending")
+        return self.read_status().get("status", "pending")
 
     @property
     def run_id(self) -> str | None:
         """MLflow run id, once the run has one."""
-        return self._read().get("run_id")
+        return self.read_status().get("run_id")
 
     @property
     def tracking_uri(self) -> str | None:
         """Store that the run is tracked in."""
-        return self._read().get("tracking_uri")
+        return self.read_status().get("tracking_uri")
+
+    @property
+    def unsynced(self) -> str | None:
+        """Why the store lacks something of the run; None as far as is known."""
+        return self.read_status().get("unsynced")
+
+    @property
+    def under_way(self) -> bool:
+        """Whether a process, be it this one, is responsible for the run now, or works on it."""
+        return any(_is_held(self.path / name) for name in (CLAIM, LOCK))
 
     def update(self, **values: Any) -> None:
-        """Change entries of status.json."""
-        write_json(self.path / STATUS_FILE, {**self._read(), **values})
+        """Change entries of status.json; None removes one."""
+        self._update(values, durable=True)
 
     def result(self) -> RunResult | None:
         """Return the stored result of a finished run, else None."""
-        stored = readable(self.path / "result.json")
-        return RunResult(**stored) if stored and self.status == "done" else None
+        stored = read_object(self.path / "result.json")
+        if not stored or self.status != "done":
+            return None
+        return RunResult(**{**stored, "run_id": self.run_id})  # the store may have been down until later
 
     def finish(self, result: RunResult, **values: Any) -> None:
         """Store the result, and entries of status.json; from here on the run is done."""
@@ -106,15 +121,14 @@ class RunDirectory:
         another time than `started`. Nothing is waited for until it is on the disk: after a power cut, the sweep that is
         typed again writes it anew.
         """
-        with suppress(RunLockedError), self._held(".claim", 0.0):
-            known = self._read()
+        with suppress(RunLockedError), self._held(CLAIM, 0.0):
+            known = self.read_status()
             if known.get("status") == "done" or known.get("started") != started:
                 return
             text = OmegaConf.to_yaml(OmegaConf.create(config.plain()))
             write_atomically(self.path / "config.yaml", text, durable=False)
-            known |= {"status": "pending", "error": None, "killed": False}
-            known |= {"label": label, "total_timesteps": config.total_timesteps}
-            write_json(self.path / STATUS_FILE, known, durable=False)
+            entries = {"label": label, "total_timesteps": config.total_timesteps}
+            self._update({"status": "pending", "error": None, "killed": None, **entries}, durable=False)
 
     def beat(self, **values: Any) -> None:
         """Say how far the run is, for who looks at it from outside."""
@@ -137,27 +151,15 @@ class RunDirectory:
             RunLockedError: another process is.
             OutputDirectoryError: the directory cannot be made.
         """
-        with self._held(".claim", LOCK_PATIENCE_S):
+        with self._held(CLAIM, LOCK_PATIENCE_S):
             yield
 
     @contextmanager
     def locked(self) -> Iterator[None]:
         """Be the one who trains the run; raises what `claimed` does."""
-        with self._held(".lock", WORKER_PATIENCE_S):
+        with self._held(LOCK, WORKER_PATIENCE_S):
             self._sweep_up()
             yield
-
-    @property
-    def is_claimed(self) -> bool:
-        """Whether a process is responsible for the run now."""
-        if not (self.path / ".claim").exists():
-            return False
-        lock = FileLock(self.path / ".claim", timeout=0)
-        try:
-            with lock:
-                return False
-        except Timeout:
-            return True
 
     @contextmanager
     def _held(self, name: str, patience_s: float) -> Iterator[None]:
@@ -175,13 +177,36 @@ class RunDirectory:
         finally:
             lock.release()
 
+    def _update(self, values: dict[str, Any], durable: bool) -> None:
+        # A training, its supervisor, a sync and an evaluation may change different entries at once.
+        with FileLock(self.path / ".status.lock"):
+            changed = {**self.read_status(), **values}
+            kept = {key: value for key, value in changed.items() if value is not None}
+            write_json(self.path / STATUS_FILE, kept, durable=durable)
+
     def _sweep_up(self) -> None:
         """Delete what a kill in the middle of a write has left."""
         for stale in self.path.glob(".*.tmp"):
             stale.unlink(missing_ok=True)
 
-    def _read(self) -> dict[str, Any]:
-        return readable(self.path / STATUS_FILE)
+    def read_status(self) -> dict[str, Any]:
+        """Return the entries of status.json."""
+        return read_object(self.path / STATUS_FILE)
+
+
+def _is_held(path: Path) -> bool:
+    """Whether a process holds a lock file. A shared lock is tried, so that several may look at once."""
+    try:
+        handle = os.open(path, os.O_RDONLY)
+    except OSError:  # it was never locked
+        return False
+    try:
+        fcntl.flock(handle, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return True
+    finally:
+        os.close(handle)
+    return False
 
 
 def find_run(name: str, output_dir: Path, having: str) -> RunDirectory:
@@ -201,7 +226,7 @@ def find_run(name: str, output_dir: Path, having: str) -> RunDirectory:
             raise RunNotFoundError(f"run=latest: none of the {len(files)} runs in {output_dir} has {having} yet")
         return RunDirectory(usable[-1].parent.absolute())
     for file in files:
-        if readable(file).get("run_id") == name:
+        if read_object(file).get("run_id") == name:
             return RunDirectory(file.parent.absolute())
     raise RunNotFoundError(
         f"run={name}: no run directory and no MLflow run id of the {len(files)} runs in {output_dir}; "

@@ -75,10 +75,10 @@ class Session:
         self.save_checkpoint()
 
     def finish(self) -> pd.DataFrame:
-        """Evaluate the final model on all scenes, store everything, and return the episodes on real highway-env.
+        """Evaluate the final model on all scenes, write everything down, and return the episodes on real highway-env.
 
         Raises:
-            CertificationError: an episode went otherwise there than in the simulator; all tables are stored.
+            CertificationError: an episode went otherwise there than in the simulator; all tables are written.
         """
         path, evaluation = self.directory.path, self.config.evaluation
         self.bar.busy("final evaluation")
@@ -94,12 +94,6 @@ class Session:
         if evaluation.video_episodes:
             self.bar.busy("video")
             record(self.policy, self.config.env, self._scenes(evaluation.video_episodes), path / "video.mp4")
-        for name in ("episodes.csv", "curves.png", "video.mp4", "monitor.csv", "progress.csv"):
-            if (path / name).exists():
-                self.tracker.log_file(path / name)
-        for name in ("best.zip", "final.zip"):
-            self.tracker.log_file(self.directory.models / name, "models")
-        self.tracker.flush()
         self.env.close()
         if found := differences(episodes, certified):
             raise CertificationError(
@@ -130,13 +124,10 @@ class Session:
         self.progress.step = self.progress.saved = step
         self.progress.cpu_s, self.progress.wall_s = self.times()
         self.progress.log_sizes = sync_logs(self.directory.path)
-        folder = checkpoints.save(
+        checkpoints.save(
             self.directory.checkpoints, self.model, self.progress, self._best, self.config.checkpoint.keep_last
         )
-        self.tracker.flush()
-        self.tracker.log_file(folder / checkpoints.MODEL, f"checkpoints/{folder.name}")
-        self.tracker.log_json(checkpoints.buffer_record(folder), f"checkpoints/{folder.name}/replay_buffer.json")
-        self.tracker.keep_only("checkpoints", [kept.name for kept in folder.parent.glob("step=*")])
+        self.tracker.sync()
 
     def stop_if_asked(self) -> None:
         """Leave, with a checkpoint, if a signal has asked for it."""

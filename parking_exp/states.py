@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-from parking_exp.files import readable
+from parking_exp.files import read_object
 from parking_exp.runs import BEAT_FILE, STATUS_FILE, RunDirectory
 
 Stage = Literal["done", "running", "failed", "pending"]
@@ -64,7 +64,7 @@ class RunState:
 
 def read_state(path: Path) -> RunState:
     """Read one run directory; one that is not there yet is pending."""
-    status = readable(path / STATUS_FILE)
+    status = read_object(path / STATUS_FILE)
     seed = path.name.removeprefix("seed=")
     known: dict[str, Any] = {
         "run_dir": str(path),
@@ -81,7 +81,7 @@ def read_state(path: Path) -> RunState:
         cost = {name: status.get(name) for name in ("success_rate", "wall_s", "cpu_s", "memory_bytes", "host")}
         return RunState(**known, stage="done", step=status.get("steps", 0), **cost)  # type: ignore[arg-type]
     where: dict[str, Any] = {"host": status.get("host"), "pid": status.get("pid")}
-    if RunDirectory(path).is_claimed:
+    if RunDirectory(path).under_way:
         return RunState(**known, stage="running", **where, **_under_way(path, known["total_timesteps"], status))
     if written == "failed":
         killed = bool(status.get("killed"))
@@ -110,7 +110,7 @@ def by_cell(states: Iterable[RunState]) -> Iterator[tuple[tuple[str, str], list[
 
 
 def _under_way(path: Path, total: int | None, status: dict[str, Any]) -> dict[str, Any]:
-    beat = readable(path / BEAT_FILE)
+    beat = read_object(path / BEAT_FILE)
     if beat.get("time", 0.0) < status.get("started", time.time()):  # of an earlier process, or none yet
         return {"step": _saved_step(path), "doing": "starting"}
     step, rate = beat.get("step", 0), beat.get("steps_per_s") or None

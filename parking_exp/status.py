@@ -1,5 +1,6 @@
 """How far are the runs? A look at their directories; nothing is opened that is large, and no library that is slow."""
 
+import sys
 import time
 from pathlib import Path
 from typing import Annotated
@@ -10,8 +11,10 @@ from rich.console import Console, Group, RenderableType
 from rich.live import Live
 
 from parking_exp.config import Name, Section
-from parking_exp.errors import RunNotFoundError
+from parking_exp.errors import RunNotFoundError, UnsyncedError
+from parking_exp.runs import RunDirectory
 from parking_exp.states import RunState, as_json, find, read_state
+from parking_exp.syncing import sync_all
 from parking_exp.tables import cell_table, failure_lines, running_lines
 from parking_exp.validation import parse
 from parking_exp.wording import closest
@@ -48,8 +51,11 @@ def show(config: DictConfig) -> None:
 
     Raises:
         RunNotFoundError: there are none.
+        UnsyncedError: with `sync`, a store still fails.
     """
     request = validate_status(config)
+    if request.sync:
+        _sync(request)
     states = _look(request)
     out = Console(highlight=False, soft_wrap=True)
     if request.as_json:
@@ -75,6 +81,21 @@ def _look(request: StatusRequest) -> list[RunState]:
         hint = closest(request.experiment_name, there)
         raise RunNotFoundError(f"experiment={request.experiment_name}: it has no runs in {request.output_path}{hint}")
     return found
+
+
+def _sync(request: StatusRequest) -> None:
+    """Send what stores have not got.
+
+    Raises:
+        UnsyncedError: one of them still fails.
+    """
+    directories = [RunDirectory(path) for path in find(request.output_path, request.experiment_name)]
+    failed = 0
+    for directory, problem in sync_all(directories):
+        failed += problem is not None
+        print(f"{directory.path}: {problem or 'the store has everything'}", file=sys.stderr)
+    if failed:
+        raise UnsyncedError(f"{failed} runs could not be sent to their store; sync=true tries again")
 
 
 def _picture(states: list[RunState]) -> RenderableType:

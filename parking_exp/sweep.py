@@ -23,7 +23,9 @@ from parking_exp.machine import cores
 from parking_exp.monitor import Monitor
 from parking_exp.runs import RunDirectory
 from parking_exp.states import RunState, counts, find, read_state
+from parking_exp.syncing import sync_all
 from parking_exp.tables import cell_table, duration, failure_lines
+from parking_exp.tracking import LATER
 from parking_exp.validation import validate
 from parking_exp.wording import closest
 
@@ -98,6 +100,9 @@ def sweep(runs: Sequence[Planned], launch: Launch, *, dry_run: bool = False) -> 
         due = [run.path for run in runs if run.is_due and _freeze(run)]
         with Monitor([run.path for run in runs]) as monitor:
             _launch_all(due, launch, begin, monitor)
+            for directory, problem in sync_all(RunDirectory(run.path) for run in runs):  # of workers that were killed
+                if problem:
+                    monitor.say(f"{directory.path} is not all in its store ({problem}); {LATER}")
     finally:
         states = [read_state(run.path) for run in runs]
         out.print(cell_table(states))

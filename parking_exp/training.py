@@ -25,7 +25,7 @@ from parking_exp.runs import RunDirectory, RunResult
 from parking_exp.session import Session
 from parking_exp.stopping import StopRequest, stop_on_signal
 from parking_exp.summary import describe
-from parking_exp.tracking import Tracker, open_tracker
+from parking_exp.tracking import LATER, Tracker, open_tracker
 from parking_exp.validation import validate
 
 
@@ -48,7 +48,8 @@ def train(config: DictConfig | Mapping[str, Any] | RunConfig, *, supervised: boo
     with nullcontext() if supervised else directory.claimed(), directory.locked():
         if (result := directory.result()) is not None:
             print(
-                f"already done; to train it afresh, change the seed or delete its directory\n{_closing_words(result)}"
+                f"already done; to train it afresh, change the seed or delete its directory\n"
+                f"{_closing_words(result, directory.unsynced)}"
             )
             return result
         directory.create(config)
@@ -59,16 +60,16 @@ def train(config: DictConfig | Mapping[str, Any] | RunConfig, *, supervised: boo
 def _train(config: RunConfig, directory: RunDirectory, stop: StopRequest) -> RunResult:
     (directory.path / "traceback.txt").unlink(missing_ok=True)
     process = {"pid": os.getpid(), "host": socket.gethostname(), "started": time.time()}
-    directory.update(status="running", error=None, killed=False, total_timesteps=config.total_timesteps, **process)
+    directory.update(status="running", error=None, killed=None, total_timesteps=config.total_timesteps, **process)
     tracker = Tracker()
     try:
         checkpoint = checkpoints.latest(directory.checkpoints)
         progress = checkpoints.read_progress(checkpoint) if checkpoint else Progress()
         cut_back(directory.path, progress.log_sizes)
-        tracker = open_tracker(config, directory)
         shown = config.tracking.progress_bar
         with TrainingProgress(config.total_timesteps, progress.step, shown, beat=directory.beat) as bar:
             bar.say(f"{config.cell}, seed {config.seed}: {config.total_timesteps} env steps, in {directory.path}")
+            tracker = open_tracker(config, directory, bar.say)
             session = Session(
                 config=config,
                 directory=directory,
@@ -80,12 +81,12 @@ def _train(config: RunConfig, directory: RunDirectory, stop: StopRequest) -> Run
             )
             session.learn()
             episodes = session.finish()
-        tracker.end("done")
-        result = RunResult(str(directory.path), tracker.run_id, session.model.num_timesteps, session.metrics.latest())
-        directory.finish(result, **_cost(result))
+        metrics = session.metrics.latest()
+        finished = RunResult(str(directory.path), directory.run_id, session.model.num_timesteps, metrics)
+        directory.finish(finished, **_cost(finished))
     except (InterruptedRunError, KeyboardInterrupt) as error:
         directory.update(status="interrupted")
-        tracker.end("interrupted")
+        tracker.close()
         if isinstance(error, InterruptedRunError):
             raise
         raise InterruptedRunError("left at once; the last checkpoint stands", signal.SIGINT) from None
@@ -94,7 +95,13 @@ def _train(config: RunConfig, directory: RunDirectory, stop: StopRequest) -> Run
         raise FailedRunError(
             f"the run failed: {type(error).__name__}: {error}; its traceback is in {directory.path / 'traceback.txt'}"
         ) from error
-    print(f"{describe(episodes)}\n{_closing_words(result)}")
+    try:
+        tracker.close()
+    except KeyboardInterrupt:
+        raise InterruptedRunError(f"the run is done, its store is not up to date; {LATER}", signal.SIGINT) from None
+    result = directory.result()
+    assert result is not None
+    print(f"{describe(episodes)}\n{_closing_words(result, directory.unsynced)}")
     return result
 
 
@@ -103,8 +110,7 @@ def _record_failure(error: BaseException, directory: RunDirectory, tracker: Trac
     steps = (
         lambda: (directory.path / "traceback.txt").write_text("".join(traceback.format_exception(error))),
         lambda: directory.update(status="failed", error=f"{type(error).__name__}: {error}"),
-        lambda: tracker.log_file(directory.path / "traceback.txt"),
-        lambda: tracker.end("failed"),
+        tracker.close,
     )
     for step in steps:
         try:
@@ -124,7 +130,7 @@ def _cost(result: RunResult) -> dict[str, float | None]:
     }
 
 
-def _closing_words(result: RunResult) -> str:
+def _closing_words(result: RunResult, unsynced: str | None) -> str:
     rate = result.metrics.get("certified/success_rate")
     lines = (
         [f"final success rate {rate:.1%} on highway-env, after {result.steps} env steps"] if rate is not None else []
@@ -132,4 +138,6 @@ def _closing_words(result: RunResult) -> str:
     lines.append(f"run directory  {result.run_dir}")
     if result.run_id:
         lines.append(f"MLflow run     {result.run_id}   (make ui)")
+    if unsynced:
+        lines.append(f"not all of it is in the store ({unsynced}); {LATER}")
     return "\n".join(lines)

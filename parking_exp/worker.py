@@ -79,12 +79,12 @@ def _run(directory: RunDirectory, share: Share, stop: threading.Event, started: 
     try:
         timeout_s = directory.config().timeout_s
     except (ConfigError, OSError) as error:
-        directory.update(status="failed", error=f"its config cannot be read: {error}", killed=False)
+        directory.update(status="failed", error=f"its config cannot be read: {error}")
         return "failed"
     with (directory.path / LOG_FILE).open("ab") as log:
         process = _start(directory.path, share, log)
         where = {"pid": process.pid, "host": socket.gethostname(), "started": time.time()}
-        directory.update(status="running", error=None, killed=False, **where)
+        directory.update(status="running", error=None, killed=None, **where)
         if started is not None:
             started(process)
         begin, asked, late = time.monotonic(), None, False
@@ -117,7 +117,7 @@ def _ending(directory: RunDirectory, code: int, late: str | None, stopped: bool)
         reason = f"killed by {name}{' (out of memory?)' if -code == signal.SIGKILL else ''}"
     else:
         reason = f"its process ended with status {code} and without a result; see {directory.path / LOG_FILE}"
-    directory.update(status="failed", error=reason, killed=late is None and -code in KILLS)
+    directory.update(status="failed", error=reason, killed=(late is None and -code in KILLS) or None)
     return "failed"
 
 
@@ -172,7 +172,7 @@ def main() -> None:
         print(f"error: {error}", file=sys.stderr)
         sys.exit(2)
     except ParkingError as error:
-        directory.update(status="failed", error=str(error), killed=False)
+        directory.update(status="failed", error=str(error))
         print(f"error: {error}", file=sys.stderr)
         sys.exit(2)
 

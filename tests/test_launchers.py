@@ -50,7 +50,7 @@ def test_every_run_is_trained_a_failure_is_told_and_nothing_is_done_twice(tmp_pa
     assert done.stderr.splitlines()[-1] == (
         "error: of 3 runs, 2 failed; type the same command to go on; retry=failed runs failed ones again"
     )
-    errors = {status["label"].rpartition(".")[2]: status["error"] for status in statuses(tmp_path).values()}
+    errors = {status["label"].rpartition(".")[2]: status.get("error") for status in statuses(tmp_path).values()}
     assert errors == {
         "SAC": None, "Raises": "RuntimeError: a bad <day> [bold]", "IsKilled": "killed by SIGKILL (out of memory?)"
     }  # fmt: skip

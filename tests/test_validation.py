@@ -88,6 +88,26 @@ def test_a_misspelt_name_is_refused_by_name_with_the_closest_valid_one(override,
         make_config(override)
 
 
+@pytest.mark.parametrize("uri", ["ftp://host/store", "./mlruns", "file:///tmp/mlruns"])
+def test_a_store_that_can_never_work_is_refused(uri):
+    message = f"tracking.uri={uri} is no MLflow store; use sqlite:///PATH, or http://HOST:PORT of a tracking server"
+    with pytest.raises(ConfigError, match=f"^{re.escape(message)}$"):
+        make_config(f"tracking.uri={uri}")
+    make_config(f"tracking.uri={uri}", "tracking.mlflow=false")
+
+
+@pytest.mark.parametrize("uri", ["sqlite://", "sqlite:///a.db?timeout=9"])
+def test_a_sqlite_store_is_a_path(uri):
+    message = f"tracking.uri={uri} is not sqlite:///PATH, with nothing after the path"
+    with pytest.raises(ConfigError, match=f"^{re.escape(message)}$"):
+        make_config(f"tracking.uri='{uri}'")
+
+
+@pytest.mark.parametrize("uri", ["http://localhost:5000", "sqlite:///runs.db", "postgresql+psycopg2://me@host/mlflow"])
+def test_stores_that_mlflow_knows_are_taken(uri):
+    assert make_config(f"tracking.uri={uri}").tracking.uri == uri
+
+
 @pytest.mark.parametrize(
     ("override", "message"),
     [

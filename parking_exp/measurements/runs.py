@@ -5,6 +5,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from contextlib import ExitStack
 from typing import Any
 
 from stable_baselines3 import SAC, HerReplayBuffer
@@ -25,7 +26,8 @@ from parking_exp.progress import TrainingProgress
 from parking_exp.runs import RunDirectory
 from parking_exp.session import Schedule, Session
 from parking_exp.stopping import StopRequest
-from parking_exp.tracking import open_tracker, store_uri
+from parking_exp.store import store_uri
+from parking_exp.tracking import open_tracker
 from parking_exp.validation import validate
 
 
@@ -74,10 +76,11 @@ def overhead(rounds: int, steps: int, slice_steps: int) -> tuple[dict[str, Any],
     rows of metrics, every evaluation and checkpoint, and the end with certification, figures, video and artifacts.
     """
     full = run_config()
-    with tempfile.TemporaryDirectory() as folder:
+    with tempfile.TemporaryDirectory() as folder, ExitStack() as stack:
         overrides = [f"output_dir={folder}/out", "tracking.progress_bar=false"]
         config = run_config(*overrides, f"total_timesteps={steps}")
         _make_store(config)
+        stack.enter_context(RunDirectory(config.run_dir).locked())
         session, start_s = _tracked_session(config)
         session.learn()
         bare = build_model(config, make_training_envs(config.env, config.n_envs), seed=0)
@@ -101,7 +104,8 @@ def overhead(rounds: int, steps: int, slice_steps: int) -> tuple[dict[str, Any],
         checkpoint_s = statistics.median(_checkpoint_seconds(session) for _ in range(rounds))
         policy = session.policy
         end_s = _seconds(session.finish)
-        session.tracker.end("done")
+        session.directory.update(status="done")
+        session.tracker.close()
     evaluations = full.total_timesteps // (full.evaluation.every_n_steps or full.total_timesteps)
     checkpoints = full.total_timesteps // (full.checkpoint.every_n_steps or full.total_timesteps)
     besides = start_s + (evaluations - 1) * evaluation_s + checkpoints * checkpoint_s + end_s
@@ -120,7 +124,7 @@ def overhead(rounds: int, steps: int, slice_steps: int) -> tuple[dict[str, Any],
 
 def _make_store(config: RunConfig) -> None:
     """Make the store: a user's has been there since the first run."""
-    code = f"from parking_exp.tracking import connect; connect({store_uri(config)!r})"
+    code = f"from parking_exp.store import connect; connect({store_uri(config)!r})"
     subprocess.run([sys.executable, "-c", code], check=True, capture_output=True)
 
 

@@ -1,0 +1,241 @@
+"""The MLflow store: reached without hanging, initialised once, written to by many processes at a time.
+
+The embedded store is a sqlite database. It takes one writer at a time and tells a second one that waits too long
+"database is locked" (MLflow has it wait for 20 s, whatever the URL says), so that our writers stand in line
+for a lock file beside the database. Its journal stays sqlite's own rollback journal: a write-ahead log would let
+readers pass while a row is written, which takes milliseconds, but needs memory that is shared between processes, which
+network file systems do not have. Readers (`mlflow ui`) need no lock of ours.
+"""
+
+import logging
+import os
+import re
+import sqlite3
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, nullcontext
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from filelock import FileLock
+
+from parking_exp.config import RunConfig
+
+if TYPE_CHECKING:
+    from mlflow import MlflowClient
+    from mlflow.entities import Metric, Run
+
+SQLITE = "sqlite:///"
+WAIT_S = 120  # for other writers
+METRICS_A_BATCH, PARAMS_A_BATCH = 1000, 100  # MLflow's own limits
+LONGEST_REASON = 200
+ENVIRONMENT = {
+    "MLFLOW_DISABLE_TELEMETRY": "true",  # nothing leaves the machine
+    "GIT_PYTHON_REFRESH": "quiet",
+    "MLFLOW_SUPPRESS_PRINTING_URL_TO_STDOUT": "true",  # for each run that ends
+    # MLflow's own 7 tries with doubling pauses take 4 minutes on a port where nobody listens. These take 2.3 s, and
+    # what they do not reach is sent later anyway.
+    "MLFLOW_HTTP_REQUEST_MAX_RETRIES": "2",
+    "MLFLOW_HTTP_REQUEST_BACKOFF_FACTOR": "1",
+    "MLFLOW_HTTP_REQUEST_TIMEOUT": "30",  # [s], of one answer
+    "PGCONNECT_TIMEOUT": "10",  # [s]
+    # A kept connection would go on writing into a database file that was deleted or replaced meanwhile.
+    "MLFLOW_SQLALCHEMYSTORE_POOLCLASS": "NullPool",
+}
+
+
+def default_uri(output_dir: Path) -> str:
+    """Return the URI of the embedded store under an output directory."""
+    return f"{SQLITE}{output_dir / 'mlflow.db'}"
+
+
+def store_uri(config: RunConfig) -> str:
+    """Return the URI of a run's store."""
+    return absolute(config.tracking.uri or default_uri(config.output_path))
+
+
+def absolute(uri: str) -> str:
+    """Return a URI with its sqlite path made absolute, so that it means the same everywhere."""
+    return f"{SQLITE}{Path(uri.removeprefix(SQLITE)).absolute()}" if uri.startswith(SQLITE) else uri
+
+
+def database(uri: str) -> Path | None:
+    """Return the file of an embedded store, None for any other."""
+    return Path(uri.removeprefix(SQLITE)) if uri.startswith(SQLITE) else None
+
+
+def connect(uri: str) -> "MlflowClient":
+    """Return a client of a store that has answered; a store that is new is initialised.
+
+    Raises:
+        Exception: whatever MLflow, SQLAlchemy or the disk say; `reason` makes a sentence of it.
+    """
+    for name, value in ENVIRONMENT.items():
+        os.environ.setdefault(name, value)  # most are read when mlflow is imported
+    from mlflow import MlflowClient
+
+    for name in ("alembic", "mlflow"):
+        logging.getLogger(name).setLevel(logging.WARNING)
+    logging.getLogger("mlflow.store").setLevel(logging.CRITICAL)  # it prints the traceback of what it raises
+    if path := database(uri):
+        path.parent.mkdir(parents=True, exist_ok=True)
+    # Processes that open a fresh sqlite store at once collide in its migrations: one does it, the others wait.
+    with _write_lock(uri):
+        if not uri.startswith("http"):
+            _open_database(uri)
+        client = MlflowClient(uri)
+        client.search_experiments(max_results=1)
+    return client
+
+
+def reason(error: BaseException) -> str:
+    """Say in one sentence what a store's error came from, without passwords."""
+    chain = list(_chain(error))
+    causes = [getattr(link, "orig", link) for link in chain]  # SQLAlchemy wraps the driver's error
+    known = [cause for cause in causes if isinstance(cause, OSError | sqlite3.Error) or "psycopg" in str(type(cause))]
+    cause = known[-1] if known else error
+    words = getattr(cause, "strerror", None) or str(getattr(cause, "reason", None) or cause) or type(cause).__name__
+    if isinstance(cause, OSError) and cause.filename:
+        words += f": {cause.filename}"
+    words = without_password(" ".join(words.split()))
+    return words if len(words) <= LONGEST_REASON else f"{words[:LONGEST_REASON]}..."
+
+
+def without_password(text: str) -> str:
+    """Return a text with the user and password of every URI in it starred out."""
+    return re.sub(r"//[^/@\s]*@", "//***@", text)
+
+
+class Store:
+    """A connection to a store. Only what writes takes its lock."""
+
+    def __init__(self, uri: str) -> None:
+        self.uri = uri
+        self.client = connect(uri)
+        self._lock = _write_lock(uri)
+
+    def find(self, run_id: str | None, experiment: str, tags: Mapping[str, str]) -> "Run | None":
+        """Find a run that is not deleted: by its id, or by its tags where a kill came before the id was written."""
+        from mlflow.exceptions import MlflowException
+
+        if run_id is not None:
+            try:
+                run = self.client.get_run(run_id)
+            except MlflowException as error:
+                if error.error_code != "RESOURCE_DOES_NOT_EXIST":
+                    raise
+            else:
+                if run.info.lifecycle_stage == "active":
+                    return run
+        found = self.client.get_experiment_by_name(experiment)
+        if found is None:
+            return None
+        runs = self.client.search_runs([found.experiment_id], f"tags.run_key = '{tags['run_key']}'")
+        return next((run for run in runs if run.data.tags.get("run_dir") == tags["run_dir"]), None)
+
+    def create(self, config: RunConfig, tags: Mapping[str, str], start_ms: int | None) -> "Run":
+        """Create a run, and its experiment if need be."""
+        name = f"{config.cell}-seed={config.seed}"
+        experiment_id = self._experiment(config)
+        with self._lock:
+            return self.client.create_run(experiment_id, start_time=start_ms, tags=dict(tags), run_name=name)
+
+    def delete(self, run: "Run") -> None:
+        """Delete a run, as MLflow's UI does: it can be restored there."""
+        with self._lock:
+            self.client.delete_run(run.info.run_id)
+
+    def log(self, run: "Run", params: Mapping[str, str], tags: Mapping[str, str]) -> None:
+        """Log parameters that the run does not have yet (they can't be changed), and tags that differ."""
+        from mlflow.entities import Param, RunTag
+
+        missing = [Param(key, value) for key, value in params.items() if key not in run.data.params]
+        changed = [RunTag(key, value) for key, value in tags.items() if run.data.tags.get(key) != value]
+        if changed:
+            with self._lock:
+                self.client.log_batch(run.info.run_id, tags=changed)
+        for start in range(0, len(missing), PARAMS_A_BATCH):
+            with self._lock:
+                self.client.log_batch(run.info.run_id, params=missing[start : start + PARAMS_A_BATCH])
+
+    def log_metrics(self, run: "Run", metrics: Sequence["Metric"]) -> None:
+        """Log metrics, in this order; a batch is stored as a whole or not at all."""
+        for start in range(0, len(metrics), METRICS_A_BATCH):
+            with self._lock:
+                self.client.log_batch(run.info.run_id, metrics=metrics[start : start + METRICS_A_BATCH])
+
+    def set_status(self, run: "Run", status: str, mlflow_status: str, end_ms: int | None) -> None:
+        """Set the tag `status`, and MLflow's own; `end_ms` is for a run that goes on no more."""
+        if run.data.tags.get("status") == status and run.info.status == mlflow_status:
+            return
+        with self._lock:
+            self.client.set_tag(run.info.run_id, "status", status)
+            if end_ms is None:
+                self.client.update_run(run.info.run_id, mlflow_status)
+            else:
+                self.client.set_terminated(run.info.run_id, mlflow_status, end_ms)
+
+    def upload(self, run: "Run", file: Path, name: str) -> None:
+        """Store a file as the artifact `name`, whose last part is the file's own name."""
+        self.client.log_artifact(run.info.run_id, str(file), name.rpartition("/")[0] or None)
+
+    def upload_json(self, run: "Run", value: Any, name: str) -> None:
+        """Store a value as a JSON artifact."""
+        self.client.log_dict(run.info.run_id, value, name)
+
+    def delete_artifact(self, run: "Run", name: str) -> None:
+        """Delete an artifact or a folder of them, where the place of artifacts can do that and allows it."""
+        from mlflow.store.artifact.artifact_repository_registry import get_artifact_repository
+
+        try:
+            get_artifact_repository(run.info.artifact_uri, tracking_uri=self.uri).delete_artifacts(name)
+        except Exception as error:  # this is tidying up; each place of artifacts has its own way to refuse it
+            logging.getLogger(__name__).debug("%s stays in the store: %s", name, error)
+
+    def folders(self, run: "Run", name: str) -> list[str]:
+        """Return the names of what lies in an artifact folder."""
+        return [item.path.rpartition("/")[2] for item in self.client.list_artifacts(run.info.run_id, name)]
+
+    def _experiment(self, config: RunConfig) -> str:
+        """Return the id of a run's experiment, made by one process of many."""
+        from mlflow.exceptions import MlflowException
+
+        # A tracking server has its own place for artifacts; a database would put them into the current directory.
+        place = config.output_path / "mlflow-artifacts" / config.experiment_name
+        location = None if self.uri.startswith(("http", "databricks")) else place.as_uri()
+        with self._lock:
+            experiment = self.client.get_experiment_by_name(config.experiment_name)
+            if experiment is None:
+                try:
+                    return self.client.create_experiment(config.experiment_name, location)
+                except MlflowException:  # without a lock of ours another process may have been first
+                    experiment = self.client.get_experiment_by_name(config.experiment_name)
+                    if experiment is None:
+                        raise
+        return experiment.experiment_id
+
+
+def _write_lock(uri: str) -> AbstractContextManager[Any]:
+    """A lock that this process's writers to an embedded store share with all others; other stores have their own."""
+    path = database(uri)
+    if path is None:
+        return nullcontext()
+    return FileLock(path.with_name(f".{path.name}.lock"), timeout=WAIT_S, poll_interval=0.01)
+
+
+def _open_database(uri: str) -> None:
+    """Look into a database. MLflow itself tries for two minutes before it says that one can't be opened."""
+    from sqlalchemy import create_engine, inspect
+
+    engine = create_engine(uri)
+    try:
+        inspect(engine).get_table_names()
+    finally:
+        engine.dispose()
+
+
+def _chain(error: BaseException | None) -> Iterator[BaseException]:
+    seen: set[int] = set()
+    while error is not None and id(error) not in seen:
+        seen.add(id(error))
+        yield error
+        error = error.__cause__ or error.__context__
