@@ -11,6 +11,7 @@ from parking_exp.signatures import UnknownTarget, defined_in
 # Packages and modules whose classes a run is made of. To construct one of them does nothing but make an object; other
 # modules of these projects have classes that write files or start processes (Stable-Baselines3's loggers and VecEnvs).
 TRUSTED = (
+    "highway_env.vehicle",
     "parking_exp.buffers",
     "parking_exp.crossq",
     "parking_exp.features",
@@ -39,7 +40,8 @@ def check_trust(config: RunConfig, source: Path) -> None:
     Raises:
         UntrustedError: it has a `_target_` that is no such class.
     """
-    for key, target in _targets(config.plain()):
+    vehicles = ("env.other_vehicles_type", config.env.other_vehicles_type)  # highway-env imports and calls it, too
+    for key, target in [*_targets(config.plain()), vehicles]:
         if not is_trusted(target):
             raise UntrustedError(
                 f"{key}={target} in {source} is no class of a kind that runs are made of, and evaluating would execute "

@@ -1,9 +1,12 @@
 """Proofs that take minutes: `make test-slow`."""
 
+import contextlib
 import itertools
 import json
 import multiprocessing
+import os
 import random
+import signal
 import statistics
 import subprocess
 import time
@@ -11,14 +14,17 @@ from concurrent.futures import ProcessPoolExecutor
 
 import numpy as np
 import pytest
-from conftest import assert_store_is_whole, make_config, only_run, options, run_script, script
+from conftest import assert_store_is_whole, make_config, only_run, options, run_script, script, store
 from exactness import KINDS as POLICIES
 from exactness import actions_of, record, repeat
 from sameness import differences, stored
+from sweeps import workers
 from test_simulator import different_scenes
 
 from parking_exp.algorithms import build_model, greedy_policy
 from parking_exp.envs.vector import make_training_envs
+from parking_exp.runs import RunDirectory
+from parking_exp.states import find
 from parking_exp.training import train
 
 pytestmark = pytest.mark.slow
@@ -91,8 +97,48 @@ def test_a_run_killed_at_random_moments_is_the_run_that_was_not(tmp_path, kind):
     assert len(killed) >= 4  # it may have been done before the last
     assert len(run_ids) == 1
     assert differences(only_run(whole).path, only_run(pieces).path) == []
-    assert_store_is_whole(pieces, last_step(whole), redone=range(last_step(whole) + 1))
+    assert_store_is_whole(pieces, last_step(whole))
     assert stored(whole, only_run(whole).run_id) == stored(pieces, only_run(pieces).run_id)
+
+
+def test_a_parallel_sweep_killed_at_random_moments_is_the_sweep_that_was_not(tmp_path):
+    """Now its parent is killed, now a worker; every run directory and every number in the store is the same in the end."""
+    arguments = (
+        "experiment=smoke", "evaluation.video_episodes=0", "checkpoint.every_n_steps=25", "algorithm=sac,td3,ddpg",
+        "buffer=her_future,replay", "seeds=2",
+    )  # fmt: skip
+    whole, pieces = tmp_path / "whole", tmp_path / "pieces"
+    done = run_script("train", *arguments, f"output_dir={whole}", timeout=600)
+    assert done.returncode == 0, done.stderr
+    command, keywords = script("train", *arguments, f"output_dir={pieces}")
+    moments, killed, first_ids = random.Random(0), 0, {}
+    while killed < 12:
+        process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, **keywords)
+        time.sleep(moments.uniform(4, 12))
+        if victims := workers(pieces):
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(moments.choice(victims), signal.SIGKILL)
+            time.sleep(moments.uniform(0, 3))
+        if process.poll() is not None:
+            break
+        process.kill()
+        process.wait()
+        killed += 1
+        for path in find(pieces):
+            first_ids.setdefault(path, RunDirectory(path).run_id)
+    done = run_script("train", *arguments, f"output_dir={pieces}", timeout=600)
+    assert done.returncode == 0, done.stderr
+    print(f"the sweep was killed {killed} times")
+    ours, theirs = find(whole), find(pieces)
+    assert [path.relative_to(whole) for path in ours] == [path.relative_to(pieces) for path in theirs]
+    assert len(ours) == 12
+    for one, two in zip(ours, theirs, strict=True):
+        assert differences(one, two) == []
+        assert stored(whole, RunDirectory(one).run_id) == stored(pieces, RunDirectory(two).run_id)
+        assert first_ids[two] in {None, RunDirectory(two).run_id}
+    client = store(pieces)
+    experiment = client.get_experiment_by_name("smoke")
+    assert len(client.search_runs([experiment.experiment_id])) == 12
 
 
 def last_step(output_dir):

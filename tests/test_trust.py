@@ -57,11 +57,12 @@ def evaluate(directory, *arguments):
         "algorithm.policy_kwargs.optimizer_kwargs.nested",
         "algorithm.ent_coef",
         "buffer._target_",
+        "env.other_vehicles_type",
         "buffer.deep",
     ],
 )
 def test_what_is_not_of_a_run_is_refused_and_not_even_imported(from_elsewhere, hostile, key, target):
-    at_node = key.endswith("_target_")
+    at_node = key.endswith(("_target_", "_type"))
     value = target if at_node else [{"_target_": target}] if key == "buffer.deep" else {"_target_": target}
     directory = from_elsewhere(key, value)
     named = key if at_node else f"{key}.0._target_" if key == "buffer.deep" else f"{key}._target_"
