@@ -121,12 +121,6 @@ def read_progress(folder: Path) -> Progress:
     return Progress(**read_json(folder / STATE)["progress"])
 
 
-def buffer_record(folder: Path) -> dict[str, Any]:
-    """Return path, hash and size of a checkpoint's replay buffer, which stays in the run directory."""
-    path = folder / BUFFER
-    return {"path": str(path), "sha256": read_json(folder / MANIFEST)[BUFFER], "bytes": path.stat().st_size}
-
-
 def restore(folder: Path, model: OffPolicyAlgorithm, best: Path) -> dict[str, Any]:
     """Bring a freshly built model, and the best model's file, to a checkpoint's state.
 

@@ -1,9 +1,13 @@
 """Algorithms that end their run in every way that a run can end without a result."""
 
+import json
 import os
 import signal
 import sys
 import time
+from pathlib import Path
+
+import torch
 
 from parking_exp.lean import SAC
 
@@ -41,3 +45,20 @@ class Lingers(SAC):
     def train(self, gradient_steps, batch_size=64):
         time.sleep(0.05)
         super().train(gradient_steps, batch_size)
+
+
+class Tells(SAC):
+    """Writes down what its process was given, and when it began and ended."""
+
+    def learn(self, *arguments, **keywords):
+        begin = time.time()
+        super().learn(*arguments, **keywords)
+        told = {
+            "cores": sorted(os.sched_getaffinity(0)),
+            "threads": {name: os.environ.get(name) for name in ("OMP_NUM_THREADS", "MKL_NUM_THREADS")},
+            "torch": torch.get_num_threads(),
+            "devices": os.environ.get("CUDA_VISIBLE_DEVICES"),
+            "time": [begin, time.time()],
+        }
+        Path(os.environ["TELLS"], f"{os.getpid()}.json").write_text(json.dumps(told))
+        return self
