@@ -16,7 +16,8 @@ from hydra._internal.utils import get_args_parser
 from omegaconf import DictConfig
 
 from parking_exp.composition import VERSION_BASE, composed, composed_runs, config_dir, quoted
-from parking_exp.errors import InterruptedRunError, ParkingError
+from parking_exp.config import SweepOptions
+from parking_exp.errors import InterruptedRunError, OutputDirectoryError, ParkingError
 
 Task = Callable[[DictConfig], object]
 # Options of ours that may be typed the way of other commands.
@@ -34,15 +35,19 @@ def train() -> None:
     def command(arguments: argparse.Namespace) -> None:
         from parking_exp.launching import Launch
         from parking_exp.sweep import plan, sweep
+        from parking_exp.validation import parse
 
         runs = composed_runs("config", arguments.overrides, arguments.config_dir)
-        first = runs[0].config  # keys of a sweep are the same in all
-        planned = plan(runs, first.retry)
+        first = runs[0].cell  # keys of a sweep are the same in all
+        options = parse(SweepOptions, {name: first[name] for name in SweepOptions.model_fields})
+        planned = plan(runs, options.retry)
         launcher_named = any(override.lstrip("+~").startswith("hydra/launcher") for override in arguments.overrides)
-        if len(planned) == 1 and not launcher_named and first.dry_run is False:
-            run(first)
+        # What only a supervisor can do makes a sweep of a single run.
+        supervised = launcher_named or options.dry_run or options.retry or planned[0].config.timeout_s
+        if len(planned) == 1 and not supervised:
+            run(runs[0].config)
         else:
-            sweep(planned, Launch(arguments.overrides, arguments.config_dir), dry_run=first.dry_run)
+            sweep(planned, Launch(arguments.overrides, arguments.config_dir), dry_run=options.dry_run)
 
     _command("config", command, shows=run)
 
@@ -104,6 +109,9 @@ def _command(config_name: str, command: Callable[[argparse.Namespace], None], sh
         command(arguments)
     except ParkingError as error:
         _fail(error)
+    except OSError as error:  # a full disk, a file in the way
+        where = f": {error.filename}" if error.filename else ""
+        _fail(OutputDirectoryError(f"{error.strerror or error}{where}"))
     except KeyboardInterrupt:
         _fail(InterruptedRunError("stopped; type the same command to go on", signal.SIGINT))
 

@@ -1,16 +1,39 @@
 """The slurm launcher: runs as jobs of submitit, on a Slurm cluster or on this machine."""
 
+import importlib.util
+import shutil
+import signal
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 from parking_exp.errors import ConfigError, FailedRunError
+from parking_exp.machine import cores
+from parking_exp.wording import closest
 from parking_exp.worker import work
 
 POLL_S = 0.2
 SLURM_POLL_S = 5.0
 CLUSTERS = ("slurm", "local")
+
+
+def check(executor: str) -> None:
+    """Refuse an executor that is none, or is not here.
+
+    Raises:
+        ConfigError: with what to type instead.
+    """
+    if executor not in CLUSTERS:
+        raise ConfigError(f"hydra.launcher.executor={executor} is not a valid choice{closest(executor, CLUSTERS)}")
+    if importlib.util.find_spec("submitit") is None:
+        raise ConfigError("hydra/launcher=slurm: submitit is not installed; pip install 'parking-exp[slurm]'")
+    if executor == "slurm" and shutil.which("srun") is None:
+        raise ConfigError(
+            "hydra/launcher=slurm: there is no Slurm here, srun is not found; hydra.launcher.executor=local uses this "
+            "machine instead"
+        )
 
 
 def launch(
@@ -24,12 +47,12 @@ def launch(
     Args:
         paths: run directories with frozen configs, on a file system that the nodes share.
         executor: `slurm`, or `local` for processes of this machine.
-        n_jobs: how many at a time; None: as many as the cluster takes.
+        n_jobs: how many at a time; None: as many as the cluster takes, or this machine has cores.
         folder: for submitit's own scripts and logs; None: `.submitit` in the output directory.
         parameters: of `submitit.AutoExecutor.update_parameters`.
 
     Raises:
-        ConfigError: there is no such executor, or submitit refuses a parameter.
+        ConfigError: submitit refuses a parameter.
         FailedRunError: jobs cannot be submitted.
     """
     import submitit
@@ -48,8 +71,11 @@ def launch(
     waiting, submitted = list(paths), {}
     try:
         if executor == "slurm":  # one array, and Slurm keeps to its limit
-            submitted = dict(zip(paths, jobs.map_array(work, [str(path) for path in paths]), strict=True))
+            with _uninterrupted():  # Ctrl-C is to find all that was submitted
+                submitted = dict(zip(paths, jobs.map_array(work, [str(path) for path in paths]), strict=True))
             waiting = []
+        elif n_jobs is None:
+            n_jobs = len(cores())
         while waiting or any(not job.done() for job in submitted.values()):
             under_way = sum(not job.done() for job in submitted.values())
             while waiting and (n_jobs is None or under_way < n_jobs):
@@ -65,6 +91,16 @@ def launch(
                 job.cancel(check=False)
         raise
     return {path: _ending(job) for path, job in submitted.items()}
+
+
+@contextmanager
+def _uninterrupted() -> Iterator[None]:
+    """Let a SIGINT wait."""
+    signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
 
 
 def _ending(job: Any) -> Any:

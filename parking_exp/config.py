@@ -169,6 +169,13 @@ class TrackingConfig(Section):
     progress_bar: bool
 
 
+class SweepOptions(Section):
+    """Keys beside a run's that say what a sweep does."""
+
+    retry: Literal["failed"] | None
+    dry_run: bool
+
+
 class RunConfig(Section):
     """One run, seed included."""
 

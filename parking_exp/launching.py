@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import get_args
 
 from hydra._internal.callbacks import Callbacks
 from hydra.core.global_hydra import GlobalHydra
@@ -43,8 +44,11 @@ class Launch:
                 words = str(error).splitlines()[0]
                 raise ConfigError(f"hydra/launcher={self.name}: {words}{_extra_of(self.name)}") from error
 
-    def __call__(self, paths: Sequence[Path]) -> str | None:
-        """Train the runs of these directories; return what the launcher itself complains about, if anything.
+    def __call__(self, paths: Sequence[Path]) -> tuple[dict[Path, Ending], str | None]:
+        """Train the runs of these directories.
+
+        Returns:
+            How each ended that the launcher tells of, and what the launcher itself complains about, if anything.
 
         Raises:
             ConfigError: a package is missing.
@@ -59,9 +63,12 @@ class Launch:
                 raise
             except Exception as error:  # a launcher may break in any way; run directories tell what became of the runs
                 words = (str(error) or type(error).__name__).splitlines()[0]
-                return f"hydra/launcher={self.name} broke: {words}"
-        broken = [one.return_value for one in returns if isinstance(one._return_value, Exception)]
-        return f"{len(broken)} jobs broke; the first: {broken[0]}" if broken else None
+                return {}, f"hydra/launcher={self.name} broke: {words}"
+        # Not `return_value`: that raises what a job has raised.
+        values = {path: one._return_value for path, one in zip(paths, returns, strict=True)}
+        broken = [value for value in values.values() if isinstance(value, BaseException)]
+        problem = f"{len(broken)} jobs broke; the first: {broken[0]}" if broken else None
+        return {path: value for path, value in values.items() if value in get_args(Ending)}, problem
 
 
 def train_run(config: DictConfig) -> Ending:

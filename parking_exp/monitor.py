@@ -17,6 +17,7 @@ from rich.table import Table
 
 from parking_exp.runs import STATUS_FILE
 from parking_exp.states import RunState, counts, read_state
+from parking_exp.tables import console as make_console
 from parking_exp.tables import duration, name, under_way
 
 POLL_S = 1.0
@@ -31,7 +32,7 @@ class Monitor:
     """
 
     def __init__(self, paths: Sequence[Path], console: Console | None = None) -> None:
-        self.console = console or Console(stderr=True, highlight=False, soft_wrap=True)
+        self.console = console or make_console(stderr=True)
         self.states = {path: read_state(path) for path in paths}
         self._written = dict.fromkeys(paths, 0)  # when status.json was last written, in ns
         self._done_before = counts(self.states.values())["done"]
@@ -67,7 +68,7 @@ class Monitor:
 
     def say(self, text: str) -> None:
         """Print a line, above the table where there is one."""
-        self.console.print(text, markup=False)
+        self.console.print(text, soft_wrap=True)
 
     def _watch(self) -> None:
         while not self._over.wait(POLL_S):
@@ -102,7 +103,7 @@ class Monitor:
         elif state.stage == "failed":
             self.say(f"failed   {name(state)}: {state.reason}  {which}")
         elif state.stage == "running":
-            self.say(f"started  {name(state)}  on {state.host}")
+            self.say(f"started  {name(state)}{f'  on {state.host}' if state.host else ''}")
         else:
             self.say(f"stopped  {name(state)}, at step {state.step}")
 
@@ -112,7 +113,7 @@ class Monitor:
             if state.stage == "running":
                 done = state.step / state.total_timesteps if state.total_timesteps else 0.0
                 bar = f"{'━' * round(20 * done):<20}"
-                table.add_row(name(state).replace("[", r"\["), bar, under_way(state), state.host or "")
+                table.add_row(name(state), bar, under_way(state), state.host or "")
         return Group(table, self._bar)
 
     def _steps(self) -> float:

@@ -8,12 +8,13 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import FrameType
 
 from parking_exp.errors import InterruptedRunError
 from parking_exp.machine import cores, cuda_devices, free_memory, memory_of, shares
+from parking_exp.runs import RunDirectory
 from parking_exp.states import read_state
 from parking_exp.worker import Ending, Share, supervise
 
@@ -78,9 +79,11 @@ class _Pool:
         while (path := self._next(slot)) is not None:
             try:
                 self.endings[path] = supervise(path, self.slots[slot], self.stop, self._started(slot))
-            except OSError as error:  # its directory can't be written, say; the others go on
-                print(f"error: {path}: {error}", file=sys.stderr)
+            except Exception as error:  # its directory can't be written, say; the others go on
+                print(f"error: {path}: {type(error).__name__}: {error}", file=sys.stderr)
                 self.endings[path] = "failed"
+                with suppress(Exception):
+                    RunDirectory(path).update(status="failed", error=f"{type(error).__name__}: {error}")
             finally:
                 self._under_way.pop(slot, None)
 

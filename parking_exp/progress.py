@@ -26,7 +26,7 @@ class TrainingProgress:
     def __init__(
         self, total_steps: int, start: int, enabled: bool, console: Console | None = None, beat: Beat | None = None
     ) -> None:
-        self.console = console or Console(stderr=True)
+        self.console = console or Console(stderr=True, markup=False, emoji=False)
         self.total, self.start, self.enabled = total_steps, start, enabled
         self._started = time.monotonic()
         self._beat, self._next_beat, self._step = beat, 0.0, start

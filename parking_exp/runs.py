@@ -19,9 +19,10 @@ from typing import Any, Literal
 
 from filelock import FileLock, Timeout
 from omegaconf import OmegaConf
+from yaml import YAMLError
 
 from parking_exp.config import RunConfig
-from parking_exp.errors import OutputDirectoryError, RunLockedError, RunNotFoundError
+from parking_exp.errors import ConfigError, OutputDirectoryError, RunLockedError, RunNotFoundError
 from parking_exp.files import read_object, write_atomically, write_json
 from parking_exp.validation import parse
 
@@ -31,6 +32,7 @@ STATUS_FILE, BEAT_FILE = "status.json", "beat.json"
 CLAIM, LOCK = ".claim", ".lock"
 # A look at a lock takes it for a moment: who wants to have it tries again for this long.
 LOCK_PATIENCE_S = 2.0
+STALE_S = 3600.0
 # A supervisor that is killed takes its worker with it; until it is gone, the next one waits.
 WORKER_PATIENCE_S = 20.0
 
@@ -110,23 +112,33 @@ class RunDirectory:
         self.update(status="done", steps=result.steps, **values)
 
     def create(self, config: RunConfig) -> None:
-        """Make the directory and write the resolved config into it."""
-        self.path.mkdir(parents=True, exist_ok=True)
-        write_atomically(self.path / "config.yaml", OmegaConf.to_yaml(OmegaConf.create(config.plain())))
+        """Make the directory and write the resolved config into it.
 
-    def freeze(self, config: RunConfig, label: str, started: float | None) -> None:
+        Raises:
+            OutputDirectoryError: it can't be written.
+        """
+        self._write_config(config, durable=True)
+
+    def freeze(self, config: RunConfig, label: str, started: float | None, *, keep: bool = False) -> None:
         """Write down what is going to run, under which name in tables; nothing that is typed later changes it.
 
         A run that another process has taken up meanwhile is left as it is: one that is under way, or was begun at
-        another time than `started`. Nothing is waited for until it is on the disk: after a power cut, the sweep that is
-        typed again writes it anew.
+        another time than `started`; with `keep`, also one that waits with a config. Nothing is waited for until it is
+        on the disk: after a power cut, the sweep that is typed again writes it anew.
+
+        Raises:
+            OutputDirectoryError: the directory can't be written.
         """
-        with suppress(RunLockedError), self._held(CLAIM, 0.0):
+        if self.under_way:
+            return
+        with suppress(RunLockedError), self._held(CLAIM, LOCK_PATIENCE_S):
             known = self.read_status()
-            if known.get("status") == "done" or known.get("started") != started:
+            status = known.get("status")
+            if status == "done" or known.get("started") != started:
                 return
-            text = OmegaConf.to_yaml(OmegaConf.create(config.plain()))
-            write_atomically(self.path / "config.yaml", text, durable=False)
+            if keep and status == "pending" and (self.path / "config.yaml").exists():
+                return
+            self._write_config(config, durable=False)
             entries = {"label": label, "total_timesteps": config.total_timesteps}
             self._update({"status": "pending", "error": None, "killed": None, **entries}, durable=False)
 
@@ -139,9 +151,15 @@ class RunDirectory:
         """Read the run's config.
 
         Raises:
-            ConfigError: it was written by another version of this package, and no longer fits.
+            ConfigError: it can't be read, or was written by another version of this package and no longer fits.
         """
-        return parse(RunConfig, OmegaConf.load(self.path / "config.yaml"))  # type: ignore[arg-type]
+        path = self.path / "config.yaml"
+        try:
+            return parse(RunConfig, OmegaConf.load(path))  # type: ignore[arg-type]
+        except (OSError, ValueError, YAMLError) as error:
+            if isinstance(error, ConfigError):
+                raise
+            raise ConfigError(f"{path} can't be read: {str(error).splitlines()[0]}") from error
 
     @contextmanager
     def claimed(self) -> Iterator[None]:
@@ -184,10 +202,21 @@ class RunDirectory:
             kept = {key: value for key, value in changed.items() if value is not None}
             write_json(self.path / STATUS_FILE, kept, durable=durable)
 
+    def _write_config(self, config: RunConfig, durable: bool) -> None:
+        # Absolute, since who trains it may be elsewhere.
+        whole = config.model_copy(update={"output_dir": str(config.output_path)}).plain()
+        try:
+            self.path.mkdir(parents=True, exist_ok=True)
+            write_atomically(self.path / "config.yaml", OmegaConf.to_yaml(OmegaConf.create(whole)), durable=durable)
+        except OSError as error:
+            raise OutputDirectoryError(f"output_dir: {self.path} cannot be written: {error.strerror}") from error
+
     def _sweep_up(self) -> None:
-        """Delete what a kill in the middle of a write has left."""
+        """Delete what a kill in the middle of a write has left, long ago: others may be writing now."""
         for stale in self.path.glob(".*.tmp"):
-            stale.unlink(missing_ok=True)
+            with suppress(OSError):
+                if stale.stat().st_mtime < time.time() - STALE_S:
+                    stale.unlink()
 
     def read_status(self) -> dict[str, Any]:
         """Return the entries of status.json."""

@@ -7,15 +7,15 @@ from typing import Annotated
 
 from omegaconf import DictConfig
 from pydantic import Field
-from rich.console import Console, Group, RenderableType
+from rich.console import Group, RenderableType
 from rich.live import Live
 
 from parking_exp.config import Name, Section
-from parking_exp.errors import RunNotFoundError, UnsyncedError
+from parking_exp.errors import ConfigError, RunNotFoundError, UnsyncedError
 from parking_exp.runs import RunDirectory
 from parking_exp.states import RunState, as_json, find, read_state
 from parking_exp.syncing import sync_all
-from parking_exp.tables import cell_table, failure_lines, running_lines
+from parking_exp.tables import cell_table, console, failure_lines, running_lines
 from parking_exp.validation import parse
 from parking_exp.wording import closest
 
@@ -43,7 +43,10 @@ def validate_status(config: DictConfig) -> StatusRequest:
     Raises:
         ConfigError: with a sentence for each thing that is wrong.
     """
-    return parse(StatusRequest, config)
+    request = parse(StatusRequest, config)
+    if request.watch and request.as_json:
+        raise ConfigError("watch=true shows tables; ask for json=true again and again instead")
+    return request
 
 
 def show(config: DictConfig) -> None:
@@ -57,7 +60,7 @@ def show(config: DictConfig) -> None:
     if request.sync:
         _sync(request)
     states = _look(request)
-    out = Console(highlight=False, soft_wrap=True)
+    out = console()
     if request.as_json:
         print(as_json(states))
     elif request.watch and out.is_terminal:

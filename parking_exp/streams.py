@@ -38,13 +38,12 @@ def restore(model: OffPolicyAlgorithm, state: Mapping[str, Any]) -> None:
     """Bring the streams of a model of the same config to a saved state; what follows is identical."""
     assert model.env is not None
     vector.set_state(model.env, state["envs"])
-    n_envs = model.env.num_envs
-    if model.action_noise is not None and len(state["noise"]) == n_envs > len(_noises(model.action_noise)):
-        model.action_noise = VectorizedActionNoise(
-            model.action_noise, n_envs
-        )  # `learn` does it; nothing may be left to
-    for noise, saved in zip(_noises(model.action_noise), state["noise"], strict=True):
-        vars(noise).update(saved)
+    noise, n_envs = model.action_noise, model.env.num_envs
+    if noise is not None and n_envs > 1 and not isinstance(noise, VectorizedActionNoise):
+        # `learn` does the same; where nothing is left to be learned, it is not called.
+        model.action_noise = VectorizedActionNoise(noise, n_envs)
+    for one, saved in zip(_noises(model.action_noise), state["noise"], strict=True):
+        vars(one).update(saved)
     if sde := _sde(model):
         for name in MATRICES:
             setattr(sde, name, torch.as_tensor(state["sde"][name], device=model.device))

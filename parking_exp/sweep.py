@@ -4,32 +4,32 @@ All that is known lies in the run directories, so that a sweep can be typed agai
 several can share one experiment.
 """
 
+import fcntl
 import itertools
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
-from omegaconf import DictConfig
 from rich.console import Console
 
 from parking_exp.composition import Composed
 from parking_exp.config import RunConfig
-from parking_exp.errors import ConfigError, FailedRunError, OutputDirectoryError
+from parking_exp.errors import FailedRunError, OutputDirectoryError
 from parking_exp.launching import Launch
 from parking_exp.machine import cores
 from parking_exp.monitor import Monitor
 from parking_exp.runs import RunDirectory
-from parking_exp.states import RunState, counts, find, read_state
+from parking_exp.states import RunState, Stage, counts, find, read_state
 from parking_exp.syncing import sync_all
-from parking_exp.tables import cell_table, duration, failure_lines
+from parking_exp.tables import cell_table, console, duration, failure_lines
 from parking_exp.tracking import LATER
 from parking_exp.validation import validate
-from parking_exp.wording import closest
 
-RETRY = ("failed",)
+WAIT_POLL_S = 1.0
+SWEEPING = ".sweeping"  # in an experiment's folder: locked, shared, by every sweep that is at it
 
 
 @dataclass(frozen=True)
@@ -59,13 +59,11 @@ class Planned:
 
 
 def plan(composed: Sequence[Composed], retry: str | None = None) -> list[Planned]:
-    """Check every run of a sweep, and look up how far it is.
+    """Check every run of a sweep, and look up how far it is; with `retry`, failed ones are due as well.
 
     Raises:
-        ConfigError: a run cannot be, or `retry` is neither None nor `failed`.
+        ConfigError: a run cannot be.
     """
-    if retry is not None and retry not in RETRY:
-        raise ConfigError(f"retry={retry} is not a valid choice{closest(str(retry), RETRY)}")
     runs: dict[Path, Planned] = {}
     cells: dict[int, tuple[RunConfig, Path]] = {}  # a cell is checked once for all its seeds
     for one in composed:
@@ -77,7 +75,7 @@ def plan(composed: Sequence[Composed], retry: str | None = None) -> list[Planned
             config = config.model_copy(update={"seed": one.seed})
         path = folder / f"seed={config.seed}"
         if path not in runs:
-            runs[path] = Planned(config, path, one.label or folder.name, read_state(path), retry == "failed")
+            runs[path] = Planned(config, path, one.label or folder.name, read_state(path), retry is not None)
     return list(runs.values())
 
 
@@ -85,24 +83,26 @@ def sweep(runs: Sequence[Planned], launch: Launch, *, dry_run: bool = False) -> 
     """Print the plan, do what is due, and print how it went.
 
     Raises:
-        FailedRunError: not all runs are done at the end (or running elsewhere).
+        FailedRunError: not all runs are done at the end.
         InterruptedRunError: a signal stopped it.
     """
-    out = Console(highlight=False, soft_wrap=True)
-    describe(runs, launch.config, out)
+    out = console()
+    describe(runs, launch, out)
     if dry_run:
         return
     if not any(run.is_due for run in runs):
         _judge([run.state for run in runs])
         return
-    begin = time.time()
     try:
-        due = [run.path for run in runs if run.is_due and _freeze(run)]
-        with Monitor([run.path for run in runs]) as monitor:
-            _launch_all(due, launch, begin, monitor)
-            for directory, problem in sync_all(RunDirectory(run.path) for run in runs):  # of workers that were killed
-                if problem:
-                    monitor.say(f"{directory.path} is not all in its store ({problem}); {LATER}")
+        with _sweeping({run.path.parents[1] for run in runs}) as others:
+            due = [run.path for run in runs if run.is_due and _freeze(run, keep=others)]
+            with Monitor([run.path for run in runs]) as monitor:
+                _launch_all(due, launch, monitor)
+                for directory, problem in sync_all(
+                    RunDirectory(run.path) for run in runs
+                ):  # of workers that were killed
+                    if problem:
+                        monitor.say(f"{directory.path} is not all in its store ({problem}); {LATER}")
     finally:
         states = [read_state(run.path) for run in runs]
         out.print(cell_table(states))
@@ -111,20 +111,20 @@ def sweep(runs: Sequence[Planned], launch: Launch, *, dry_run: bool = False) -> 
     _judge(states)
 
 
-def describe(runs: Sequence[Planned], launcher: DictConfig, out: Console) -> None:
+def describe(runs: Sequence[Planned], launch: Launch, out: Console) -> None:
     """Print the plan: cells x seeds, what is done, what will run, and how long that may take."""
     states = [run.state for run in runs]
     out.print(cell_table(states, [run.label for run in runs]))
     found, due = counts(states), [run for run in runs if run.is_due and run.state.stage != "running"]
     cells, seeds = len({run.path.parent for run in runs}), len({run.config.seed for run in runs})
+    product = f"{cells} cells x {seeds} seeds" if cells * seeds == len(runs) else f"{cells} cells"
     left = found["failed"] - sum(run.state.stage == "failed" for run in due)
     parts = [f"{found['done']} done", f"{found['running']} running elsewhere" if found["running"] else ""]
     parts += [f"{left} failed before (retry=failed runs them again)" if left else "", f"{len(due)} to run"]
-    summary = f"{cells} cells x {seeds} seeds = {len(runs)} runs: {', '.join(filter(None, parts))}"
-    out.print(summary + _estimate(runs, due, launcher))
+    out.print(f"{product} = {len(runs)} runs: {', '.join(filter(None, parts))}{_estimate(runs, due, launch)}")
 
 
-def _estimate(runs: Sequence[Planned], due: Sequence[Planned], launcher: DictConfig) -> str:
+def _estimate(runs: Sequence[Planned], due: Sequence[Planned], launch: Launch) -> str:
     """Say how long the due runs may take, from finished ones: of the same cell, the sweep, or the output directory."""
     if not due:
         return ""
@@ -142,54 +142,90 @@ def _estimate(runs: Sequence[Planned], due: Sequence[Planned], launcher: DictCon
         known = of_cell.get(run.path.parent.name)
         rate = sum(known) / len(known) if known else overall
         seconds += rate * (run.config.total_timesteps - run.state.step)
-    workers = _workers(launcher)
+    if (workers := _workers(launch)) is None:
+        return f", about {duration(seconds)} of work"
     shared = f" with {workers} at a time" if workers > 1 else ""
-    return f", about {duration(seconds / max(1, min(workers, len(due))))}{shared}"
+    return f", about {duration(seconds / min(workers, len(due)))}{shared}"
 
 
-def _workers(launcher: DictConfig) -> int:
-    """How many runs a launcher has under way at once, as far as its config says."""
-    if "n_jobs" in launcher:
-        return launcher.n_jobs or len(cores())
-    return 1
+def _workers(launch: Launch) -> int | None:
+    """How many runs a launcher has under way at once; None where its config does not say."""
+    if launch.name == "basic":
+        return 1
+    if launch.name == "local":
+        return launch.config.n_jobs or len(cores())
+    return launch.config.get("n_jobs")
 
 
-def _freeze(run: Planned) -> bool:
-    """Freeze a run's config, and say whether that could be done; the others go on without it."""
+@contextmanager
+def _sweeping(folders: Iterable[Path]) -> Iterator[bool]:
+    """Be known as a sweep of some experiments, and say whether another one is at any of them and has frozen configs.
+
+    Raises:
+        OutputDirectoryError: an experiment's folder can't be made.
+    """
+    handles, others = [], False
     try:
-        RunDirectory(run.path).freeze(run.config, run.label, run.state.started)
-    except (OutputDirectoryError, OSError) as error:
+        for folder in folders:
+            try:
+                folder.mkdir(parents=True, exist_ok=True)
+                handles.append((folder / SWEEPING).open("w"))
+            except OSError as error:
+                raise OutputDirectoryError(f"output_dir: {folder} cannot be made: {error.strerror}") from error
+            try:
+                fcntl.flock(handles[-1], fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                others = True
+            fcntl.flock(handles[-1], fcntl.LOCK_SH)
+        yield others
+    finally:
+        for handle in handles:
+            handle.close()
+
+
+def _freeze(run: Planned, keep: bool) -> bool:
+    """Freeze a run's config, and say whether the run can be; the others go on without it."""
+    try:
+        RunDirectory(run.path).freeze(run.config, run.label, run.state.started, keep=keep)
+    except OutputDirectoryError as error:
         print(f"error: {error}", file=sys.stderr)
         return False
     return True
 
 
-def _launch_all(due: list[Path], launch: Launch, begin: float, monitor: Monitor) -> None:
-    """Launch what is due, and again what another process had taken and did not finish."""
-    before: list[Path] | None = None
-    while due and due != before:
-        if problem := launch(due):
-            monitor.say(f"error: {problem}")
-        before = due
-        due = [path for path in due if _is_open(path, begin)]
+def _launch_all(due: list[Path], launch: Launch, monitor: Monitor) -> None:
+    """Launch what is due, wait for what other sweeps have taken, and take over what they leave."""
+    elsewhere = [path for path in due if read_state(path).stage == "running"]
+    due = [path for path in due if path not in elsewhere]
+    while due or elsewhere:
+        if due:
+            endings, problem = launch(due)
+            if problem:
+                monitor.say(f"error: {problem}")
+            elsewhere += [path for path, ending in endings.items() if ending == "elsewhere"]
+        due, elsewhere = _wait(elsewhere)
 
 
-def _is_open(path: Path, begin: float) -> bool:
-    """Whether a run is to be done, nobody is at it, and this sweep has not tried."""
-    state = read_state(path)
-    return state.stage == "pending" and (state.started or 0.0) < begin
+def _wait(elsewhere: list[Path]) -> tuple[list[Path], list[Path]]:
+    """Wait until a run that another sweep had under way is left by it; return those, and those that it still has."""
+    while elsewhere:
+        stages = {path: read_state(path).stage for path in elsewhere}
+        elsewhere = [path for path, stage in stages.items() if stage == "running"]
+        if left := [path for path, stage in stages.items() if stage == "pending"]:
+            return left, elsewhere
+        time.sleep(WAIT_POLL_S)
+    return [], []
 
 
 def _judge(states: Sequence[RunState]) -> None:
-    """Raise FailedRunError unless every run is done, or under way elsewhere."""
-    found: Any = counts(states)
-    if not found["failed"] and not found["pending"]:
+    """Raise FailedRunError unless every run is done."""
+    found = counts(states)
+    if found["done"] == len(states):
         return
-    parts = [
-        f"{found[stage]} {word}" for stage, word in (("failed", "failed"), ("pending", "not done")) if found[stage]
-    ]
-    advice = "; type the same command to go on" if found["pending"] or any(s.killed for s in states) else ""
-    advice += (
-        "; retry=failed runs failed ones again" if any(s.stage == "failed" and not s.killed for s in states) else ""
-    )
+    words: dict[Stage, str] = {"failed": "failed", "pending": "not done", "running": "still under way"}
+    parts = [f"{found[stage]} {word}" for stage, word in words.items() if found[stage]]
+    again = found["pending"] or any(state.killed for state in states)
+    retry = any(state.stage == "failed" and not state.killed for state in states)
+    advice = "; type the same command to go on" if again else ""
+    advice += "; retry=failed runs failed ones again" if retry else ""
     raise FailedRunError(f"of {len(states)} runs, {' and '.join(parts)}{advice}")

@@ -2,9 +2,18 @@
 
 from collections.abc import Iterator, Sequence
 
+from rich.console import Console
 from rich.table import Table
 
 from parking_exp.states import STAGES, RunState, by_cell, counts
+
+WIDE = 1000  # columns of what is no terminal: lines are not broken there
+
+
+def console(*, stderr: bool = False) -> Console:
+    """Return a console that prints names and reasons as they are: brackets and colons in them mean nothing."""
+    out = Console(stderr=stderr, highlight=False, markup=False, emoji=False, soft_wrap=True)
+    return out if out.is_terminal else Console(stderr=stderr, highlight=False, markup=False, emoji=False, width=WIDE)
 
 
 def cell_table(states: Sequence[RunState], labels: Sequence[str] | None = None) -> Table:
@@ -24,7 +33,7 @@ def cell_table(states: Sequence[RunState], labels: Sequence[str] | None = None) 
         mean = f"{sum(rates) / len(rates):.0%}" if rates else ""
         name = names[runs[0].run_dir]
         table.add_row(
-            _plain(f"{experiment}: {name}" if several else name), *(str(n or "") for n in counts(runs).values()), mean
+            f"{experiment}: {name}" if several else name, *(str(n or "") for n in counts(runs).values()), mean
         )
     if len(list(by_cell(states))) > 1:
         table.add_row("all", *(str(n or "") for n in counts(states).values()), "", style="bold")
@@ -35,14 +44,14 @@ def failure_lines(states: Sequence[RunState]) -> Iterator[str]:
     """Yield a line for every run that failed, with the reason and where to look."""
     for state in states:
         if state.stage == "failed":
-            yield _plain(f"failed   {name(state)}: {state.reason or 'no reason is known'}   {state.run_dir}")
+            yield f"failed   {name(state)}: {state.reason or 'no reason is known'}   {state.run_dir}"
 
 
 def running_lines(states: Sequence[RunState]) -> Iterator[str]:
     """Yield a line for every run that is under way: step, rate, time left, host."""
     for state in states:
         if state.stage == "running":
-            yield _plain(f"running  {name(state)}: {under_way(state)}   {state.host}")
+            yield f"running  {name(state)}: {under_way(state)}   {state.host}"
 
 
 def under_way(state: RunState) -> str:
@@ -68,8 +77,3 @@ def duration(seconds: float) -> str:
         return f"{seconds:.0f} s"
     minutes = round(seconds / 60)
     return f"{minutes} min" if minutes < 100 else f"{minutes // 60} h {minutes % 60} min"
-
-
-def _plain(text: str) -> str:
-    """Keep rich from reading brackets in names and reasons as markup."""
-    return text.replace("[", r"\[")

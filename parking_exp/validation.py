@@ -12,7 +12,7 @@ from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 from pydantic import BaseModel, Field, TypeAdapter, ValidationError
 
-from parking_exp.config import Count, Positive, PositiveFloat, RunConfig, Share, ThirdParty
+from parking_exp.config import Count, Positive, PositiveFloat, RunConfig, Share, SweepOptions, ThirdParty
 from parking_exp.errors import ConfigError
 from parking_exp.rules import check_rules
 from parking_exp.signatures import Signature, UnknownTarget, signature
@@ -47,7 +47,7 @@ ARGUMENT_RANGES: dict[str, Any] = {
     "policy": Literal["MultiInputPolicy"],
 }
 # Keys of a composed config that say which runs there are, and nothing about any of them.
-SWEEP_KEYS = {"seeds", "cells", "retry", "dry_run"}
+SWEEP_KEYS = {"seeds", "cells", *SweepOptions.model_fields}
 # Constructor arguments of an algorithm that the run feeds from elsewhere, and from where.
 FED_TO_ALGORITHM = {
     "env": "env",

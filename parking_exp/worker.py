@@ -15,6 +15,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any, Literal
@@ -28,6 +29,7 @@ GRACE_S = 8.0  # to save a checkpoint after a signal, before the process is kill
 PARENT_POLL_S = 0.5
 POLL_S = 0.05
 PR_SET_PDEATHSIG = 1
+LOCKED = 75  # exit status of a worker that found another one at its run, one that takes long to die
 # Signals that come from outside, and say nothing about the run; the others are its own crashes.
 KILLS = {signal.SIGKILL, signal.SIGTERM, signal.SIGINT, signal.SIGHUP}
 
@@ -66,6 +68,8 @@ def supervise(
         claimed the run.
     """
     directory = RunDirectory(path)
+    if directory.under_way:
+        return "elsewhere"
     try:
         with directory.claimed():
             if (status := directory.status) in ("done", "failed"):
@@ -78,26 +82,43 @@ def supervise(
 def _run(directory: RunDirectory, share: Share, stop: threading.Event, started: OnStart | None) -> Ending:
     try:
         timeout_s = directory.config().timeout_s
-    except (ConfigError, OSError) as error:
-        directory.update(status="failed", error=f"its config cannot be read: {error}")
+    except ConfigError as error:
+        directory.update(status="failed", error=str(error))
         return "failed"
+    # Before there is a worker: what that one writes is later, and must not be overwritten.
+    directory.update(status="running", error=None, killed=None, host=socket.gethostname(), started=time.time())
     with (directory.path / LOG_FILE).open("ab") as log:
         process = _start(directory.path, share, log)
-        where = {"pid": process.pid, "host": socket.gethostname(), "started": time.time()}
-        directory.update(status="running", error=None, killed=None, **where)
-        if started is not None:
-            started(process)
-        begin, asked, late = time.monotonic(), None, False
-        while process.poll() is None:
-            time.sleep(POLL_S)
-            late = late or (timeout_s is not None and time.monotonic() - begin > timeout_s)
-            if asked is None and (late or stop.is_set()):
-                asked = time.monotonic()
-                process.terminate()
-            if asked is not None and time.monotonic() - asked > GRACE_S:
-                process.kill()
-                process.wait()
+        try:
+            directory.update(pid=process.pid)
+            if started is not None:
+                started(process)
+            late = _wait(process, timeout_s, stop)
+        finally:
+            if process.poll() is None:  # something went wrong here: nobody is left without a supervisor
+                _kill(process)
     return _ending(directory, process.returncode, f"ran past timeout_s={timeout_s:g}" if late else None, stop.is_set())
+
+
+def _wait(process: subprocess.Popen[bytes], timeout_s: float | None, stop: threading.Event) -> bool:
+    """Wait for a worker, and end it if it is asked to stop or takes too long; return whether it took too long."""
+    begin, asked, late = time.monotonic(), None, False
+    while process.poll() is None:
+        time.sleep(POLL_S)
+        late = late or (timeout_s is not None and time.monotonic() - begin > timeout_s)
+        if asked is None and (late or stop.is_set()):
+            asked = time.monotonic()
+            process.terminate()
+        if asked is not None and time.monotonic() - asked > GRACE_S:
+            _kill(process)
+    return late
+
+
+def _kill(process: subprocess.Popen[bytes]) -> None:
+    """Kill a worker with everything that it has started, and wait for its end."""
+    with suppress(ProcessLookupError):
+        os.killpg(process.pid, signal.SIGKILL)  # it leads a session of its own
+    process.wait()
 
 
 def _ending(directory: RunDirectory, code: int, late: str | None, stopped: bool) -> Ending:
@@ -105,6 +126,8 @@ def _ending(directory: RunDirectory, code: int, late: str | None, stopped: bool)
     status = directory.status
     if status == "done":
         return "done"
+    if code == LOCKED:
+        return "elsewhere"
     if late is None and status == "failed":
         return "failed"
     if late is None and (stopped or status == "interrupted"):
@@ -113,12 +136,18 @@ def _ending(directory: RunDirectory, code: int, late: str | None, stopped: bool)
     if late is not None:
         reason = late
     elif code < 0:
-        name = signal.Signals(-code).name
-        reason = f"killed by {name}{' (out of memory?)' if -code == signal.SIGKILL else ''}"
+        reason = f"killed by {_signal_name(-code)}{' (out of memory?)' if -code == signal.SIGKILL else ''}"
     else:
         reason = f"its process ended with status {code} and without a result; see {directory.path / LOG_FILE}"
     directory.update(status="failed", error=reason, killed=(late is None and -code in KILLS) or None)
     return "failed"
+
+
+def _signal_name(number: int) -> str:
+    try:
+        return signal.Signals(number).name
+    except ValueError:  # a real-time signal
+        return f"signal {number}"
 
 
 def _start(path: Path, share: Share, log: IO[bytes]) -> subprocess.Popen[bytes]:
@@ -165,9 +194,13 @@ def main() -> None:
 
     directory = RunDirectory(path)
     try:
-        train(directory.config(), supervised=True)
+        # Where the directory is now counts: it may have been moved since its config was written.
+        config = directory.config().model_copy(update={"output_dir": str(path.parents[2])})
+        train(config, supervised=True)
     except InterruptedRunError as error:
         sys.exit(128 + error.signal_number)
+    except RunLockedError:
+        sys.exit(LOCKED)
     except FailedRunError as error:
         print(f"error: {error}", file=sys.stderr)
         sys.exit(2)

@@ -5,11 +5,19 @@ import os
 import re
 import signal
 import subprocess
+import threading
 import time
 
 import pytest
 from conftest import ROOT, run_script, script
 from sweeps import QUICK, SLOW, begin, stages, statuses, sweep, trained, wait_until, workers
+
+from parking_exp.composition import composed_runs
+from parking_exp.pool import launch
+from parking_exp.runs import RunDirectory
+from parking_exp.states import read_state
+from parking_exp.sweep import plan
+from parking_exp.worker import supervise
 
 
 def test_a_dry_run_prints_the_plan_and_makes_nothing(tmp_path):
@@ -123,12 +131,94 @@ def test_ctrl_c_saves_checkpoints_and_leaves_within_ten_seconds(tmp_path):
 
 
 def test_two_sweeps_at_once_share_the_work(tmp_path):
-    both = [begin(tmp_path, "seeds=4", "hydra.launcher.n_jobs=1") for _ in range(2)]
+    both = [begin(tmp_path, "seeds=4", "hydra.launcher.n_jobs=1", *SLOW[:1], "total_timesteps=100") for _ in range(2)]
+    wait_until(lambda: stages(tmp_path).count("running") == 2)  # with one job at a time each
     for process in both:
         _, errors = process.communicate(timeout=180)
         assert process.returncode == 0, errors
     assert stages(tmp_path) == ["done"] * 4
     assert trained(tmp_path) == [1] * 4
+
+
+def test_a_sweep_takes_over_what_another_one_leaves(tmp_path):
+    other = begin(tmp_path, "seeds=2", *SLOW)
+    wait_until(lambda: stages(tmp_path).count("running") == 2)
+    ours = begin(tmp_path, "seeds=2", *SLOW)
+    wait_until(lambda: len(list(tmp_path.glob("*/*/*/checkpoints/step=*"))) >= 2)
+    time.sleep(3)
+    assert ours.poll() is None  # it waits, though there is nothing for it to run
+    other.kill()
+    other.communicate()
+    out, errors = ours.communicate(timeout=180)
+    assert ours.returncode == 0, errors
+    assert "2 running elsewhere, 0 to run" in out
+    assert stages(tmp_path) == ["done"] * 2
+    assert trained(tmp_path) == [2, 2]
+
+
+def test_a_relative_output_directory_means_the_same_to_a_worker_elsewhere(tmp_path, monkeypatch):
+    (tmp_path / "here").mkdir()
+    (tmp_path / "there").mkdir()
+    monkeypatch.chdir(tmp_path / "here")
+    (run,) = plan(composed_runs("config", [*QUICK, "seeds=1", "output_dir=outputs"]))
+    RunDirectory(run.path).freeze(run.config, run.label, None)
+    monkeypatch.chdir(tmp_path / "there")
+    assert supervise(run.path) == "done"
+    assert list((tmp_path / "there").iterdir()) == []
+
+
+def test_a_frozen_config_that_is_broken_fails_its_run_alone(tmp_path):
+    runs = plan(composed_runs("config", [*QUICK, "seeds=2", f"output_dir={tmp_path}"]))
+    for run in runs:
+        RunDirectory(run.path).freeze(run.config, run.label, None)
+    (runs[0].path / "config.yaml").write_text("a: [b")
+    assert launch([run.path for run in runs], n_jobs=1) == {runs[0].path: "failed", runs[1].path: "done"}
+    assert read_state(runs[0].path).reason.startswith(f"{runs[0].path / 'config.yaml'} can't be read: ")
+
+
+def test_who_looks_at_a_run_does_not_keep_it_from_being_frozen_or_claimed(tmp_path):
+    (run,) = plan(composed_runs("config", [*QUICK, "seeds=1", f"output_dir={tmp_path}"]))
+    directory, over = RunDirectory(run.path), threading.Event()
+
+    def look():
+        while not over.is_set():
+            read_state(run.path)
+
+    looking = threading.Thread(target=look)
+    looking.start()
+    try:
+        for number in range(200):
+            (run.path / "config.yaml").unlink(missing_ok=True)
+            directory.freeze(run.config, f"label {number}", None)
+            assert read_state(run.path).label == f"label {number}"
+            with directory.claimed():
+                pass
+    finally:
+        over.set()
+        looking.join()
+
+
+def test_a_supervisor_that_stalls_after_it_has_started_its_worker_loses_nothing(tmp_path):
+    process = begin(tmp_path, "seeds=[0]", "hydra/launcher=local")
+    wait_until(lambda: workers(tmp_path))
+    process.send_signal(signal.SIGSTOP)
+    time.sleep(6)
+    process.send_signal(signal.SIGCONT)
+    _, errors = process.communicate(timeout=120)
+    assert process.returncode == 0, errors
+    assert stages(tmp_path) == ["done"]
+
+
+def test_names_and_reasons_with_markup_are_printed_as_they_are(tmp_path):
+    output_dir = tmp_path / "out [/q] :warning: 'x'"
+    done = sweep(output_dir, "seeds=2", r"algorithm._target_=misbehaving.Raises")
+    assert done.returncode == 2
+    assert "RuntimeError: a bad <day> [bold]" in done.stdout
+    assert str(output_dir) in done.stdout
+    assert "Traceback" not in done.stderr
+    told = run_script("status", f"output_dir={output_dir}")
+    assert told.returncode == 0
+    assert str(output_dir) in told.stdout
 
 
 def test_a_worker_that_is_killed_is_failed_and_goes_on_when_typed_again(tmp_path):
@@ -168,10 +258,15 @@ def test_what_waits_is_frozen(tmp_path):
 @pytest.mark.parametrize(
     ("argument", "message"),
     [
-        ("retry=all", "error: retry=all is not a valid choice; choose from failed\n"),
+        ("retry=all", "error: retry=all is not a valid choice; it can only be failed\n"),
+        ("dry_run=maybe", "error: dry_run='maybe': input should be a valid boolean\n"),
         ("timeout_s=0", "error: timeout_s=0 is out of range; it must be greater than 0.0\n"),
         ("hydra/launcher=locl", "error: hydra/launcher=locl: there is no such option; did you mean 'local'?\n"),
         ("hydra.launcher.n_job=2", "error: Could not override 'hydra.launcher.n_job'"),
+        (
+            "hydra/launcher=slurm",
+            "error: hydra/launcher=slurm: there is no Slurm here, srun is not found; hydra.launcher.executor=local",
+        ),
         ("hydra.launcher.n_jobs=0", "error: hydra.launcher.n_jobs=0 is not valid; give a number above 0, or null\n"),
     ],
 )

@@ -3,7 +3,6 @@
 Hydra imports every module here at each start: what they need is imported when they launch.
 """
 
-import importlib.util
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -56,8 +55,9 @@ class SlurmLauncher(_RunLauncher):
     """Jobs of a Slurm cluster, or processes of this machine, through submitit; see `parking_exp.cluster.launch`."""
 
     def __init__(self, executor: str, n_jobs: int | None, folder: str | None, parameters: Mapping[str, Any]) -> None:
-        if importlib.util.find_spec("submitit") is None:
-            raise ImportError("submitit is not installed")
+        from parking_exp.cluster import check
+
+        check(executor)
         _check("n_jobs", n_jobs, int)
         self.executor, self.n_jobs, self.folder, self.parameters = executor, n_jobs, folder, dict(parameters)
 
