@@ -19,6 +19,7 @@ from parking_exp.envs.vector import is_parking
 from parking_exp.errors import ConfigError
 from parking_exp.features import EgoFrameExtractor
 from parking_exp.policy import Policy
+from parking_exp.startup import spare_dynamo
 
 
 def build_model(config: RunConfig, env: VecEnv, seed: int, *, for_training: bool = True) -> OffPolicyAlgorithm:
@@ -57,6 +58,7 @@ def build_model(config: RunConfig, env: VecEnv, seed: int, *, for_training: bool
         objects["replay_buffer_kwargs"] = config.buffer.arguments
         if issubclass(objects["replay_buffer_class"], HerBuffer) and is_parking(env):
             objects["replay_buffer_kwargs"]["reward"] = GoalReward.of(config.env)
+    spare_dynamo()
     try:
         return build(**objects)
     except (TypeError, ValueError, KeyError, AssertionError) as error:

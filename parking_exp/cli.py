@@ -28,7 +28,10 @@ def train() -> None:
     """Entry point of `scripts/train.py` and `parking-train`: one run in this process, or a sweep."""
 
     def run(config: DictConfig) -> None:
-        from parking_exp.training import train as train_run
+        from parking_exp.startup import quick_imports
+
+        with quick_imports():
+            from parking_exp.training import train as train_run
 
         train_run(config)
 

@@ -63,14 +63,20 @@ def database(uri: str) -> Path | None:
     return Path(uri.removeprefix(SQLITE)) if uri.startswith(SQLITE) else None
 
 
+def import_mlflow() -> None:
+    """Import mlflow, with what it reads from the environment at that time."""
+    for name, value in ENVIRONMENT.items():
+        os.environ.setdefault(name, value)
+    import mlflow  # noqa: F401
+
+
 def connect(uri: str) -> "MlflowClient":
     """Return a client of a store that has answered; a store that is new is initialised.
 
     Raises:
         Exception: whatever MLflow, SQLAlchemy or the disk say; `reason` makes a sentence of it.
     """
-    for name, value in ENVIRONMENT.items():
-        os.environ.setdefault(name, value)  # most are read when mlflow is imported
+    import_mlflow()
     from mlflow import MlflowClient
 
     for name in ("alembic", "mlflow"):

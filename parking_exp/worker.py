@@ -23,6 +23,8 @@ from typing import IO, Any, Literal
 from parking_exp.errors import ConfigError, FailedRunError, InterruptedRunError, ParkingError, RunLockedError
 from parking_exp.machine import THREAD_VARIABLES, pin
 from parking_exp.runs import RunDirectory
+from parking_exp.startup import quick_imports
+from parking_exp.store import import_mlflow
 
 LOG_FILE = "log.txt"
 GRACE_S = 8.0  # to save a checkpoint after a signal, before the process is killed
@@ -190,12 +192,15 @@ def main() -> None:
     faulthandler.enable()  # a crash in native code leaves a traceback in the log
     if cores:
         pin([int(core) for core in cores.split(",")])
-    from parking_exp.training import train  # imports torch, for which cores and threads are settled now
-
     directory = RunDirectory(path)
     try:
         # Where the directory is now counts: it may have been moved since its config was written.
         config = directory.config().model_copy(update={"output_dir": str(path.parents[2])})
+        with quick_imports():  # of torch, for which cores and threads are settled now
+            from parking_exp.training import train
+
+            if config.tracking.mlflow:
+                import_mlflow()
         train(config, supervised=True)
     except InterruptedRunError as error:
         sys.exit(128 + error.signal_number)
