@@ -30,8 +30,8 @@ $(VENV)/.ui: $(VENV)/.installed
 train: setup  ## train the default recipe (ARGS='key=value ...' to change it)
 	$(BIN)/python scripts/train.py $(ARGS)
 
-test: setup  ## the fast test suite
-	$(BIN)/python -m pytest $(ARGS)
+test: setup  ## the fast test suite, on two cores
+	$(BIN)/python -m pytest --numprocesses=2 $(ARGS)
 
 test-slow: setup  ## the proofs that take minutes
 	$(BIN)/python -m pytest -m slow $(ARGS)

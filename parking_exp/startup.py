@@ -29,4 +29,4 @@ def spare_dynamo() -> None:
     for name in ("add_param_group", "load_state_dict", "state_dict", "zero_grad"):
         plain = getattr(getattr(Optimizer, name), "__wrapped__", None)
         if plain is not None and not hasattr(plain, "__dynamo_disable"):
-            setattr(plain, "__dynamo_disable", plain)  # noqa: B010
+            setattr(plain, "__dynamo_disable", plain)

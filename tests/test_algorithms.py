@@ -1,5 +1,9 @@
 """Configs become models, and models learn."""
 
+import subprocess
+import sys
+from pathlib import Path
+
 import gymnasium as gym
 import numpy as np
 import pytest
@@ -133,3 +137,23 @@ def test_what_the_library_refuses_is_a_config_error():
     config = make_config(*SMALL, "+algorithm.policy_kwargs.n_critic=3")
     with pytest.raises(ConfigError, match=r"parking_exp.lean.SAC refuses its arguments: .*n_critic"):
         build_model(config, make_training_envs(config.env, config.n_envs), seed=0)
+
+
+def test_a_model_is_made_saved_and_trained_without_torchs_compiler():
+    """Importing it takes a second, and every run would pay for it."""
+    code = """
+import sys, tempfile
+from pathlib import Path
+from conftest import make_config
+from parking_exp.algorithms import build_model
+from parking_exp.envs.vector import make_training_envs
+config = make_config("experiment=smoke")
+model = build_model(config, make_training_envs(config.env, 2), seed=0).learn(100)
+model.save(Path(tempfile.mkdtemp()) / "model.zip")
+import parking_exp.training
+print(model._n_updates > 0, sorted({"torch._dynamo", "scipy.stats"} & set(sys.modules)))
+"""
+    done = subprocess.run(
+        [sys.executable, "-c", code], check=True, capture_output=True, text=True, cwd=Path(__file__).parent
+    )
+    assert done.stdout == "True []\n"

@@ -100,13 +100,13 @@ def test_status_refuses_in_a_sentence(tmp_path, arguments, message):
 
 def test_a_running_run_is_told_with_step_rate_time_left_and_host(tmp_path):
     process = begin(tmp_path, "seeds=1", "hydra/launcher=local", *SLOW)
-    wait_until(lambda: any(read_json(path).get("step", 0) > 100 for path in tmp_path.glob("*/*/*/beat.json")))
+    wait_until(lambda: any(read_json(path).get("step", 0) > 60 for path in tmp_path.glob("*/*/*/beat.json")))
     told = run_script("status", f"output_dir={tmp_path}").stdout
     (status,) = statuses(tmp_path).values()
     process.kill()
     process.communicate()
     (line,) = [line for line in told.splitlines() if line.startswith("running ")]
-    assert "of 400 steps, " in line
+    assert "of 200 steps, " in line
     assert " steps/s, " in line
     assert line.endswith(f" left   {status['host']}")
 
