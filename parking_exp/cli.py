@@ -21,7 +21,7 @@ from parking_exp.errors import InterruptedRunError, OutputDirectoryError, Parkin
 
 Task = Callable[[DictConfig], object]
 # Options of ours that may be typed the way of other commands.
-FLAGS = {"--quick", "--json"}
+FLAGS = {"--quick", "--json", "--watch", "--sync", "--dry-run"}
 
 
 def train() -> None:
@@ -52,6 +52,7 @@ def train() -> None:
         else:
             sweep(planned, Launch(arguments.overrides, arguments.config_dir), dry_run=options.dry_run)
 
+    _translate()
     _command("config", command, shows=run)
 
 
@@ -67,6 +68,8 @@ def status() -> None:
     from parking_exp.status import show, validate_status
 
     _translate()
+    # `experiment` is a group in our tree; here it is the name of what was run.
+    sys.argv = [f"experiment_name={a[11:]}" if a.startswith("experiment=") else a for a in sys.argv]
     _command("status", _single("status", validate_status, show), shows=show)
 
 
@@ -80,12 +83,10 @@ def benchmark() -> None:
 
 
 def _translate() -> None:
-    """Write what people type in our way as Hydra reads it."""
+    """Write what people type in the way of other commands as Hydra reads it."""
     for number, argument in enumerate(sys.argv):
         if argument in FLAGS:
-            sys.argv[number] = f"{argument.removeprefix('--')}=true"
-        elif argument.startswith("experiment="):  # a group in our tree; here it is the name of what was run
-            sys.argv[number] = f"experiment_name={argument.removeprefix('experiment=')}"
+            sys.argv[number] = f"{argument.removeprefix('--').replace('-', '_')}=true"
 
 
 def _single(config_name: str, check: Task, task: Task) -> Callable[[argparse.Namespace], None]:
@@ -112,6 +113,9 @@ def _command(config_name: str, command: Callable[[argparse.Namespace], None], sh
         command(arguments)
     except ParkingError as error:
         _fail(error)
+    except BrokenPipeError:  # `... | head`
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        sys.exit(1)
     except OSError as error:  # a full disk, a file in the way
         where = f": {error.filename}" if error.filename else ""
         _fail(OutputDirectoryError(f"{error.strerror or error}{where}"))

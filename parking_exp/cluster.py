@@ -1,18 +1,21 @@
 """The slurm launcher: runs as jobs of submitit, on a Slurm cluster or on this machine."""
 
 import importlib.util
+import os
 import shutil
 import signal
+import threading
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
 from parking_exp.errors import ConfigError, FailedRunError
 from parking_exp.machine import cores
+from parking_exp.runs import RunDirectory
 from parking_exp.wording import closest
-from parking_exp.worker import work
+from parking_exp.worker import GRACE_S, work
 
 POLL_S = 0.2
 SLURM_POLL_S = 5.0
@@ -80,17 +83,31 @@ def launch(
             under_way = sum(not job.done() for job in submitted.values())
             while waiting and (n_jobs is None or under_way < n_jobs):
                 path = waiting.pop(0)
-                submitted[path] = jobs.submit(work, str(path))
+                with _unheard_by_children():
+                    submitted[path] = jobs.submit(work, str(path))
                 under_way += 1
             time.sleep(SLURM_POLL_S if executor == "slurm" else POLL_S)
     except submitit.core.utils.FailedJobError as error:
         raise FailedRunError(f"submitit cannot submit: {error}") from error
     except BaseException:
-        for job in submitted.values():
-            if not job.done():
-                job.cancel(check=False)
+        _cancel(submitted, executor)
         raise
     return {path: _ending(job) for path, job in submitted.items()}
+
+
+def _cancel(submitted: Mapping[Path, Any], executor: str) -> None:
+    """Ask jobs to stop, and wait a while until their runs are saved."""
+    for job in submitted.values():
+        if job.done():
+            continue
+        if executor == "local":  # its `cancel` kills within a second; SIGTERM is passed on to the run
+            with suppress(ProcessLookupError):
+                os.kill(int(job.job_id), signal.SIGTERM)
+        else:
+            job.cancel(check=False)
+    deadline = time.monotonic() + GRACE_S + 1
+    while time.monotonic() < deadline and any(RunDirectory(path).under_way for path in submitted):
+        time.sleep(POLL_S)
 
 
 @contextmanager
@@ -101,6 +118,19 @@ def _uninterrupted() -> Iterator[None]:
         yield
     finally:
         signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
+
+
+@contextmanager
+def _unheard_by_children() -> Iterator[None]:
+    """Have processes that are started now ignore a terminal's SIGINT, which reaches all: we pass on what is due."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 def _ending(job: Any) -> Any:

@@ -95,7 +95,12 @@ def composed_runs(config_name: str, overrides: list[str], extra_config_dir: str 
         parser = OverridesParser.create(config_loader=GlobalHydra.instance().config_loader())
         parsed = parser.parse_overrides(overrides)
         _refuse_unknown_names(config_name, parsed)
-        first = compose(config_name, _without_sweeps(parsed), return_hydra_config=True)
+        ours = [
+            override
+            for override in parsed
+            if not override.key_or_group.startswith(("hydra/launcher", "hydra.launcher"))
+        ]
+        first = compose(config_name, _without_sweeps(ours), return_hydra_config=True)
         params = _container(first.hydra.sweeper.get("params")) or {}
         swept = parser.parse_overrides([f"{key}={value}" for key, value in params.items()])
         typed = _typed([override for override in [*swept, *parsed] if not _is_hydras(override.key_or_group)])

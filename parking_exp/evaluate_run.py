@@ -155,10 +155,10 @@ def _store(request: EvaluationRequest, directory: RunDirectory) -> None:
     if not (request.tracking.mlflow and directory.tracking_uri):
         return
     from parking_exp.syncing import try_sync
-    from parking_exp.tracking import LATER
+    from parking_exp.tracking import later
 
     if problem := try_sync(directory, request.tracking.uri):
-        print(f"not stored     {problem}; {LATER}")
+        print(f"not stored     {problem}; {later(directory.path.parents[2])}")
 
 
 def _simulated(env: EnvConfig, simulator: Simulation) -> EnvConfig:

@@ -12,6 +12,7 @@ from omegaconf import DictConfig
 
 from parking_exp.composition import hydra_overrides, hydra_ready
 from parking_exp.errors import ConfigError, ParkingError
+from parking_exp.wording import closest
 from parking_exp.worker import Ending, work
 
 EXTRAS = {"slurm", "ray"}
@@ -34,6 +35,7 @@ class Launch:
         self._overrides, self._extra = hydra_overrides(overrides), extra_config_dir
         with hydra_ready(self._extra):
             loader = GlobalHydra.instance().config_loader()
+            _refuse_unknown_keys(self._overrides)
             whole = loader.load_configuration("worker", ["run=none", *self._overrides], RunMode.MULTIRUN)
             self.config: DictConfig = whole.hydra.launcher
             self.name: str = whole.hydra.runtime.choices["hydra/launcher"]
@@ -63,12 +65,33 @@ class Launch:
                 raise
             except Exception as error:  # a launcher may break in any way; run directories tell what became of the runs
                 words = (str(error) or type(error).__name__).splitlines()[0]
-                return {}, f"hydra/launcher={self.name} broke: {words}"
+                hint = "; `ray start --head` starts one here" if "running Ray instance" in words else ""
+                return {}, f"hydra/launcher={self.name} broke: {words.rstrip('.')}{hint}"
         # Not `return_value`: that raises what a job has raised.
         values = {path: one._return_value for path, one in zip(paths, returns, strict=True)}
         broken = [value for value in values.values() if isinstance(value, BaseException)]
         problem = f"{len(broken)} jobs broke; the first: {broken[0]}" if broken else None
         return {path: value for path, value in values.items() if value in get_args(Ending)}, problem
+
+
+def _refuse_unknown_keys(overrides: list[str]) -> None:
+    """Refuse a key that the chosen launcher does not have.
+
+    Raises:
+        ConfigError: with the closest one.
+    """
+    chosen = [override for override in overrides if override.lstrip("+~").startswith("hydra/launcher")]
+    loader = GlobalHydra.instance().config_loader()
+    whole = loader.load_configuration("worker", ["run=none", *chosen], RunMode.MULTIRUN)
+    for override in overrides:
+        key = override.partition("=")[0]
+        node: object = whole.hydra.launcher
+        for part in key.split(".")[2:] if key.startswith("hydra.launcher.") else []:
+            if isinstance(node, DictConfig) and part not in node:
+                name = whole.hydra.runtime.choices["hydra/launcher"]
+                known = [str(one) for one in node if one != "_target_"]
+                raise ConfigError(f"{key}: hydra/launcher={name} has no such key{closest(part, known)}")
+            node = node[part] if isinstance(node, DictConfig) else None
 
 
 def train_run(config: DictConfig) -> Ending:

@@ -15,7 +15,7 @@ from parking_exp.errors import ConfigError, RunNotFoundError, UnsyncedError
 from parking_exp.runs import RunDirectory
 from parking_exp.states import RunState, as_json, find, read_state
 from parking_exp.syncing import sync_all
-from parking_exp.tables import cell_table, console, failure_lines, running_lines
+from parking_exp.tables import cell_table, console, failure_lines, running_lines, stopped_lines
 from parking_exp.validation import parse
 from parking_exp.wording import closest
 
@@ -102,4 +102,4 @@ def _sync(request: StatusRequest) -> None:
 
 
 def _picture(states: list[RunState]) -> RenderableType:
-    return Group(cell_table(states), *running_lines(states), *failure_lines(states))
+    return Group(cell_table(states), *running_lines(states), *stopped_lines(states), *failure_lines(states))

@@ -24,8 +24,8 @@ from parking_exp.monitor import Monitor
 from parking_exp.runs import RunDirectory
 from parking_exp.states import RunState, Stage, counts, find, read_state
 from parking_exp.syncing import sync_all
-from parking_exp.tables import cell_table, console, duration, failure_lines
-from parking_exp.tracking import LATER
+from parking_exp.tables import cell_table, console, duration, failure_lines, stopped_lines
+from parking_exp.tracking import later
 from parking_exp.validation import validate
 
 WAIT_POLL_S = 1.0
@@ -91,6 +91,8 @@ def sweep(runs: Sequence[Planned], launch: Launch, *, dry_run: bool = False) -> 
     if dry_run:
         return
     if not any(run.is_due for run in runs):
+        for line in failure_lines([run.state for run in runs]):
+            out.print(line)
         _judge([run.state for run in runs])
         return
     try:
@@ -98,15 +100,11 @@ def sweep(runs: Sequence[Planned], launch: Launch, *, dry_run: bool = False) -> 
             due = [run.path for run in runs if run.is_due and _freeze(run, keep=others)]
             with Monitor([run.path for run in runs]) as monitor:
                 _launch_all(due, launch, monitor)
-                for directory, problem in sync_all(
-                    RunDirectory(run.path) for run in runs
-                ):  # of workers that were killed
-                    if problem:
-                        monitor.say(f"{directory.path} is not all in its store ({problem}); {LATER}")
+                _sync(runs, monitor)
     finally:
         states = [read_state(run.path) for run in runs]
         out.print(cell_table(states))
-        for line in failure_lines(states):
+        for line in (*stopped_lines(states), *failure_lines(states)):
             out.print(line)
     _judge(states)
 
@@ -117,11 +115,15 @@ def describe(runs: Sequence[Planned], launch: Launch, out: Console) -> None:
     out.print(cell_table(states, [run.label for run in runs]))
     found, due = counts(states), [run for run in runs if run.is_due and run.state.stage != "running"]
     cells, seeds = len({run.path.parent for run in runs}), len({run.config.seed for run in runs})
-    product = f"{cells} cells x {seeds} seeds" if cells * seeds == len(runs) else f"{cells} cells"
+    product = _several(cells, "cell")
+    if cells * seeds == len(runs):
+        product += f" x {_several(seeds, 'seed')}"
     left = found["failed"] - sum(run.state.stage == "failed" for run in due)
     parts = [f"{found['done']} done", f"{found['running']} running elsewhere" if found["running"] else ""]
     parts += [f"{left} failed before (retry=failed runs them again)" if left else "", f"{len(due)} to run"]
-    out.print(f"{product} = {len(runs)} runs: {', '.join(filter(None, parts))}{_estimate(runs, due, launch)}")
+    out.print(
+        f"{product} = {_several(len(runs), 'run')}: {', '.join(filter(None, parts))}{_estimate(runs, due, launch)}"
+    )
 
 
 def _estimate(runs: Sequence[Planned], due: Sequence[Planned], launch: Launch) -> str:
@@ -206,6 +208,14 @@ def _launch_all(due: list[Path], launch: Launch, monitor: Monitor) -> None:
         due, elsewhere = _wait(elsewhere)
 
 
+def _sync(runs: Sequence[Planned], monitor: Monitor) -> None:
+    """Send what workers could not, because they were killed or their store was down."""
+    problems = [problem for _, problem in sync_all(RunDirectory(run.path) for run in runs) if problem]
+    if problems:
+        whose = f"{len(problems)} runs are" if len(problems) > 1 else "a run is"
+        monitor.say(f"{whose} not all in the store ({problems[0]}); {later(runs[0].config.output_path)}")
+
+
 def _wait(elsewhere: list[Path]) -> tuple[list[Path], list[Path]]:
     """Wait until a run that another sweep had under way is left by it; return those, and those that it still has."""
     while elsewhere:
@@ -228,4 +238,8 @@ def _judge(states: Sequence[RunState]) -> None:
     retry = any(state.stage == "failed" and not state.killed for state in states)
     advice = "; type the same command to go on" if again else ""
     advice += "; retry=failed runs failed ones again" if retry else ""
-    raise FailedRunError(f"of {len(states)} runs, {' and '.join(parts)}{advice}")
+    raise FailedRunError(f"of {_several(len(states), 'run')}, {' and '.join(parts)}{advice}")
+
+
+def _several(number: int, what: str) -> str:
+    return f"{number} {what}" if number == 1 else f"{number} {what}s"

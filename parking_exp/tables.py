@@ -47,6 +47,13 @@ def failure_lines(states: Sequence[RunState]) -> Iterator[str]:
             yield f"failed   {name(state)}: {state.reason or 'no reason is known'}   {state.run_dir}"
 
 
+def stopped_lines(states: Sequence[RunState]) -> Iterator[str]:
+    """Yield a line for every run that was cut off, with the step that it goes on from."""
+    for state in states:
+        if state.stage == "pending" and state.step:
+            yield f"stopped  {name(state)}: goes on from step {state.step} of {state.total_timesteps}"
+
+
 def running_lines(states: Sequence[RunState]) -> Iterator[str]:
     """Yield a line for every run that is under way: step, rate, time left, host."""
     for state in states:

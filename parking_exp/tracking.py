@@ -1,7 +1,9 @@
 """A training's link to its store, which may fail and never fails the training."""
 
+import shlex
 import time
 from collections.abc import Callable
+from pathlib import Path
 
 from parking_exp.config import RunConfig
 from parking_exp.files import read_json, write_json
@@ -10,9 +12,14 @@ from parking_exp.runs import RunDirectory
 from parking_exp.store import store_uri, without_password
 from parking_exp.syncing import try_sync
 
-LATER = "`python scripts/status.py sync=true` sends it when the store is back"
 # Between attempts at a store that fails: so that no more than a twentieth of a training's time goes there.
 SHORTEST_PAUSE_S, PAUSE_TO_ATTEMPT = 30.0, 20.0
+
+
+def later(output_dir: Path) -> str:
+    """Say what to type when a store has failed."""
+    where = "" if output_dir == Path("outputs").absolute() else f" output_dir={shlex.quote(str(output_dir))}"
+    return f"`python scripts/status.py sync=true{where}` sends it when the store is back"
 
 
 class Tracker:
@@ -55,7 +62,8 @@ class MlflowTracker(Tracker):
         self._next_attempt = now + max(SHORTEST_PAUSE_S, PAUSE_TO_ATTEMPT * (now - start))
         if before is None:
             where = without_password(self.uri)
-            self.say(f"the store {where} fails ({self.problem}); the run goes on, and {LATER}")
+            what_to_do = later(self.directory.path.parents[2])
+            self.say(f"the store {where} fails ({self.problem}); the run goes on, and {what_to_do}")
 
 
 def open_tracker(config: RunConfig, directory: RunDirectory, say: Callable[[str], None] = print) -> Tracker:

@@ -9,6 +9,7 @@ import time
 import traceback
 from collections.abc import Mapping
 from contextlib import nullcontext
+from pathlib import Path
 from typing import Any
 
 import torch
@@ -25,7 +26,7 @@ from parking_exp.runs import RunDirectory, RunResult
 from parking_exp.session import Session
 from parking_exp.stopping import StopRequest, stop_on_signal
 from parking_exp.summary import describe
-from parking_exp.tracking import LATER, Tracker, open_tracker
+from parking_exp.tracking import Tracker, later, open_tracker
 from parking_exp.validation import validate
 
 
@@ -98,7 +99,8 @@ def _train(config: RunConfig, directory: RunDirectory, stop: StopRequest) -> Run
     try:
         tracker.close()
     except KeyboardInterrupt:
-        raise InterruptedRunError(f"the run is done, its store is not up to date; {LATER}", signal.SIGINT) from None
+        words = f"the run is done, its store is not up to date; {later(config.output_path)}"
+        raise InterruptedRunError(words, signal.SIGINT) from None
     result = directory.result()
     assert result is not None
     print(f"{describe(episodes)}\n{_closing_words(result, directory.unsynced)}")
@@ -139,5 +141,5 @@ def _closing_words(result: RunResult, unsynced: str | None) -> str:
     if result.run_id:
         lines.append(f"MLflow run     {result.run_id}   (make ui)")
     if unsynced:
-        lines.append(f"not all of it is in the store ({unsynced}); {LATER}")
+        lines.append(f"not all of it is in the store ({unsynced}); {later(Path(result.run_dir).parents[2])}")
     return "\n".join(lines)

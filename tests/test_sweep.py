@@ -42,7 +42,7 @@ def test_typed_again_a_sweep_does_only_what_is_missing(tmp_path):
     again = sweep(tmp_path, "seeds=2")
     assert again.returncode == 0
     assert again.stderr == ""
-    assert "1 cells x 2 seeds = 2 runs: 2 done, 0 to run" in again.stdout
+    assert "1 cell x 2 seeds = 2 runs: 2 done, 0 to run" in again.stdout
     assert statuses(tmp_path) == before
     planned = sweep(tmp_path, "seeds=3", "algorithm=sac,td3", "dry_run=true")
     assert re.search(r"6 runs: 2 done, 4 to run, about \d+ s", planned.stdout)
@@ -262,7 +262,10 @@ def test_what_waits_is_frozen(tmp_path):
         ("dry_run=maybe", "error: dry_run='maybe': input should be a valid boolean\n"),
         ("timeout_s=0", "error: timeout_s=0 is out of range; it must be greater than 0.0\n"),
         ("hydra/launcher=locl", "error: hydra/launcher=locl: there is no such option; did you mean 'local'?\n"),
-        ("hydra.launcher.n_job=2", "error: Could not override 'hydra.launcher.n_job'"),
+        (
+            "hydra.launcher.n_job=2",
+            "error: hydra.launcher.n_job: hydra/launcher=local has no such key; did you mean 'n_jobs'?\n",
+        ),
         (
             "hydra/launcher=slurm",
             "error: hydra/launcher=slurm: there is no Slurm here, srun is not found; hydra.launcher.executor=local",

@@ -29,7 +29,11 @@ from parking_exp.syncing import flatten, in_step, sync, sync_all, try_sync
 from parking_exp.tracking import open_tracker
 from parking_exp.training import train
 
-LATER = "`python scripts/status.py sync=true` sends it when the store is back"
+
+def later(output_dir):
+    return f"`python scripts/status.py sync=true output_dir={output_dir}` sends it when the store is back"
+
+
 QUICK = ("experiment=smoke", "evaluation.video_episodes=0", "tracking.tensorboard=false")
 
 
@@ -38,7 +42,7 @@ def smoke_config():
     return make_config("experiment=smoke")
 
 
-def directories(output_dir):
+def all_runs(output_dir):
     return [RunDirectory(path) for path in find(output_dir)]
 
 
@@ -153,8 +157,8 @@ def test_a_sync_that_is_killed_anywhere_is_made_whole_by_the_next_one(output_dir
     killed = processes("kill", [directory.path for directory in directories], CALLS=calls)
     assert killed.stdout.strip() == str([-9] * 10)
     assert not any(in_step(directory) for directory in directories)
-    assert [problem for _, problem in sync_all(directories(output_dir))] == [None] * 10
-    assert list(sync_all(directories(output_dir))) == []
+    assert [problem for _, problem in sync_all(all_runs(output_dir))] == [None] * 10
+    assert list(sync_all(all_runs(output_dir))) == []
     client = store(output_dir)
     assert rows(output_dir, "SELECT status, count(*) FROM runs GROUP BY status") == [("FINISHED", 11)]
     for directory in directories:
@@ -198,12 +202,12 @@ def test_a_run_that_was_killed_sends_nothing_above_its_last_checkpoint(output_di
     directory = written_run(output_dir)
     grow(directory, rows=20)
     grow(directory, rows=7, checkpoint=False)
-    assert [(found.path, problem) for found, problem in sync_all(directories(output_dir))] == [(directory.path, None)]
+    assert [(found.path, problem) for found, problem in sync_all(all_runs(output_dir))] == [(directory.path, None)]
     run_id = directory.run_id
     assert stored_points(output_dir, run_id) == local_points(directory, up_to=20)
     run = store(output_dir).get_run(run_id)
     assert (run.info.status, run.data.tags["status"], directory.status) == ("KILLED", "interrupted", "running")
-    assert list(sync_all(directories(output_dir))) == []
+    assert list(sync_all(all_runs(output_dir))) == []
 
     sizes = read_json(directory.checkpoints / "step=0000000020" / "state.json")["progress"]["log_sizes"]
     os.truncate(directory.path / "metrics.jsonl", sizes["metrics.jsonl"])
@@ -275,8 +279,8 @@ def test_what_others_log_to_a_run_is_left_alone(output_dir):
 def test_a_run_that_another_process_works_on_is_left_to_it(output_dir):
     directory = written_run(output_dir)
     with directory.locked():
-        assert list(sync_all(directories(output_dir))) == []
-    assert [problem for _, problem in sync_all(directories(output_dir))] == [None]
+        assert list(sync_all(all_runs(output_dir))) == []
+    assert [problem for _, problem in sync_all(all_runs(output_dir))] == [None]
 
 
 def test_provenance_is_that_of_the_process_that_trained(output_dir):
@@ -296,7 +300,7 @@ def test_a_store_that_has_just_failed_is_left_alone_until_the_end(fresh_dir):
     directory, said = written_run(fresh_dir, uri=uri), []
     tracker = open_tracker(directory.config(), directory, said.append)
     problem = f"File exists: {blocked}"
-    assert said == [f"the store {uri} fails ({problem}); the run goes on, and {LATER}"]
+    assert said == [f"the store {uri} fails ({problem}); the run goes on, and {later(fresh_dir)}"]
     assert directory.unsynced == problem
     blocked.unlink()
     tracker.sync()
@@ -312,7 +316,7 @@ def test_a_thousand_runs_do_not_each_wait_for_a_server_that_is_down(fresh_dir):
         directories = [written_run(fresh_dir, seed, f"http://127.0.0.1:{port}") for seed in range(3)]
         for directory in directories:
             directory.update(status="done")
-        outcome = [problem for _, problem in sync_all(directories(fresh_dir))]
+        outcome = [problem for _, problem in sync_all(all_runs(fresh_dir))]
         assert outcome == ["Connection refused"] * 3
         # Only the first run asked; the others are as they were, and not in step.
         assert [directory.unsynced for directory in directories] == ["Connection refused", None, None]
@@ -344,12 +348,12 @@ def test_a_store_that_fails_in_the_middle_gets_the_rest_later(output_dir, capsys
     result = train(make_config(*QUICK, f"output_dir={output_dir}"))
     directory, (out, err) = only_run(output_dir), capsys.readouterr()
     assert (directory.status, directory.unsynced) == ("done", "database or disk is full")
-    assert out.endswith(f"not all of it is in the store (database or disk is full); {LATER}\n")
+    assert out.endswith(f"not all of it is in the store (database or disk is full); {later(output_dir)}\n")
     assert err.count("database or disk is full") == 1
     assert max(step for _, step, _, _ in stored_points(output_dir, result.run_id)) == 200
     with closing(sqlite3.connect(output_dir / "mlflow.db")) as database:
         database.execute("DROP TRIGGER full")
-    assert [problem for _, problem in sync_all(directories(output_dir))] == [None]
+    assert [problem for _, problem in sync_all(all_runs(output_dir))] == [None]
     assert directory.unsynced is None
     assert directory.run_id == result.run_id
     assert_store_is_whole(output_dir, 400)
@@ -364,16 +368,16 @@ def test_a_run_whose_store_is_down_is_done_and_the_store_gets_all_of_it_later(sm
     assert done.returncode == 0, done.stderr
     directory, problem = only_run(tmp_path), "unable to open database file"
     assert (directory.status, directory.unsynced, directory.run_id) == ("done", problem, None)
-    assert f"not all of it is in the store ({problem}); {LATER}" in done.stdout
+    assert f"not all of it is in the store ({problem}); {later(tmp_path)}" in done.stdout
     assert done.stderr.count(problem) == 1
     assert "Traceback" not in done.stderr
     evaluated = run_script("evaluate", f"run={directory.path}", "episodes=2", "simulator=vectorized", "name=two")
     assert evaluated.returncode == 0, evaluated.stderr
-    assert f"not stored     {problem}; {LATER}" in evaluated.stdout
+    assert f"not stored     {problem}; {later(tmp_path)}" in evaluated.stdout
     assert (directory.path / "evaluations" / "two" / "summary.json").exists()
 
     blocked.rmdir()
-    assert [problem for _, problem in sync_all(directories(tmp_path))] == [None]
+    assert [problem for _, problem in sync_all(all_runs(tmp_path))] == [None]
     assert directory.result().run_id == directory.run_id is not None
     assert_store_is_whole(tmp_path, 400)
     ours, theirs = store(tmp_path).get_run(directory.run_id), store(healthy_dir).get_run(healthy.run_id)
@@ -428,7 +432,7 @@ def test_a_server_that_comes_up_later_gets_everything_artifacts_too(tmp_path):
     server = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True)
     try:
         wait_for_server(port, server)
-        assert [problem for _, problem in sync_all(directories(tmp_path))] == [None]
+        assert [problem for _, problem in sync_all(all_runs(tmp_path))] == [None]
         grow(directory, rows=5)
         grow(directory, rows=5)
         sync(directory)

@@ -305,7 +305,7 @@ def test_evaluate_refuses_in_a_sentence(smoke, arguments, message):
 def test_a_killed_run_resumes_in_the_same_mlflow_run_with_no_step_twice(tmp_path):
     output_dir = tmp_path / "outputs"
     arguments = (
-        "experiment=smoke", f"output_dir={output_dir}", "total_timesteps=600", "evaluation.video_episodes=0",
+        "experiment=smoke", f"output_dir={output_dir}", "total_timesteps=400", "evaluation.video_episodes=0",
         "env.simulator=highway_env",  # slow enough to be killed on the way
     )  # fmt: skip
     command, keywords = script("train", *arguments)
@@ -324,15 +324,15 @@ def test_a_killed_run_resumes_in_the_same_mlflow_run_with_no_step_twice(tmp_path
     assert f"resuming at step {int(killed_at.removeprefix('step='))}" in done.stderr
     assert directory.run_id == run_id
     assert directory.status == "done"
-    local = assert_store_is_whole(output_dir, 600)
-    assert [step for step, _ in local["eval/success_rate"]] == [100, 200, 300, 400, 500, 600]
+    local = assert_store_is_whole(output_dir, 400)
+    assert [step for step, _ in local["eval/success_rate"]] == [100, 200, 300, 400]
     updates = [value for _, value in local["train/n_updates"]]
     assert updates == sorted(set(updates))  # counters go on where they were
-    assert updates[-1] == pytest.approx(0.5 * (600 - 40), abs=10)
+    assert updates[-1] == pytest.approx(0.5 * (400 - 40), abs=10)
     episodes = [value for _, value in local["time/episodes"]]
     assert episodes == sorted(set(episodes))
-    assert checkpoints() == ["step=0000000500", "step=0000000600"]
-    assert len(pd.read_csv(directory.path / "progress.csv")["eval/success_rate"].dropna()) == 6
+    assert checkpoints() == ["step=0000000300", "step=0000000400"]
+    assert len(pd.read_csv(directory.path / "progress.csv")["eval/success_rate"].dropna()) == 4
     table = pd.read_csv(directory.path / "episodes.csv")
     assert not table.duplicated(["phase", "step", "scene"]).any()
 
@@ -365,7 +365,7 @@ def test_a_signal_saves_a_checkpoint_and_the_same_command_goes_on(tmp_path, sign
 def test_a_corrupt_checkpoint_is_passed_over_with_a_warning(tmp_path):
     output_dir = tmp_path / "outputs"
     arguments = (
-        "experiment=smoke", f"output_dir={output_dir}", "evaluation.video_episodes=0",
+        "experiment=smoke", f"output_dir={output_dir}", "evaluation.video_episodes=0", "total_timesteps=300",
         "env.simulator=highway_env",  # slow enough to be killed on the way
     )  # fmt: skip
     command, keywords = script("train", *arguments)
@@ -383,7 +383,7 @@ def test_a_corrupt_checkpoint_is_passed_over_with_a_warning(tmp_path):
     assert f"resuming at step {int(older.name.removeprefix('step='))}" in done.stderr
     # The store had points of the corrupt checkpoint, and they can't be taken back: another MLflow run takes its place.
     assert store(output_dir).get_run(killed_id).info.lifecycle_stage == "deleted"
-    assert_store_is_whole(output_dir, 400)
+    assert_store_is_whole(output_dir, 300)
 
 
 def test_a_run_that_fails_is_failed_in_the_store_with_its_traceback(tmp_path):
@@ -452,7 +452,7 @@ def test_latest_is_the_last_run_that_has_a_model(tmp_path):
 
 def test_two_processes_do_not_work_on_one_run(tmp_path):
     config = make_config("experiment=smoke", f"output_dir={tmp_path}")
-    with RunDirectory(config.run_dir).locked(), pytest.raises(RunLockedError, match="another process is working on"):
+    with RunDirectory(config.run_dir).claimed(), pytest.raises(RunLockedError, match="another process is working on"):
         train(config)
 
 
