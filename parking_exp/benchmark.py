@@ -115,13 +115,10 @@ def _sweeps(settings: BenchmarkConfig, all_cores: list[int]) -> Figures:
         return measured
 
     quick, rounds = settings.quick, settings.rounds
+    few = 1 if quick else min(rounds, 3)  # whole sweeps take their time
     return {
-        "sweep.scaling.2_workers": measure(
-            "scaling", 1 if quick else min(rounds, 3), 1000 if quick else 4000, all_cores
-        ),
-        "sweep.overhead_s_per_run": measure(
-            "overhead", 1 if quick else min(rounds, 3), 200 if quick else 600, all_cores
-        ),
+        "sweep.scaling.2_workers": measure("scaling", few, 1000 if quick else 4000, all_cores),
+        "sweep.overhead_s_per_run": measure("overhead", 1 if quick else rounds, all_cores),
         "sweep.resume_scan_s.1000_runs": measure("scan", rounds, 2 if quick else 30),
     }
 

@@ -116,18 +116,22 @@ def test_hydras_own_config_dir_adds_options(tmp_path):
 
 def test_the_benchmark_measures_and_writes(tmp_path):
     done = run_script(
-        "benchmark", "--quick", "only=[simulator,update.ddpg.2x64,run.article,her]", f"output_dir={tmp_path}"
+        "benchmark",
+        "--quick",
+        "only=[simulator,update.ddpg.2x64,run.article,her,sweep.overhead,sweep.resume]",
+        f"output_dir={tmp_path}",
     )
     assert done.returncode == 0, done.stderr
     written = json.loads((tmp_path / "benchmark.json").read_text())
     assert sorted(written) == sorted([
         "simulator.n512.ratio", "simulator.n8.ratio", "simulator.parked.n512.ratio", "update.ddpg.2x64.ratio",
         "run.article.ratio", "her.sample.capacity_ratio", "her.sample.ratio", "her.bytes_per_transition", "her.save.bytes_per_transition",
+        "sweep.overhead_s_per_run", "sweep.resume_scan_s.1000_runs",
     ])  # fmt: skip
     for key, entry in written.items():
-        unit = "bytes" if "bytes" in key else "ratio"
+        unit = "bytes" if "bytes" in key else "seconds" if "_s" in key.split(".")[1] else "ratio"
         assert entry["about"]["quick"] is True
-        assert entry["rounds"] == (1 if unit == "bytes" else 5)
+        assert entry["rounds"] == (1 if unit == "bytes" or key == "sweep.overhead_s_per_run" else 5)
         assert entry["lowest"] <= entry[unit] <= entry["highest"]
         (line,) = [line for line in done.stdout.splitlines() if line.startswith(key)]
         assert f"{entry[unit]:.4g}" in line
