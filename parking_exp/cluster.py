@@ -49,7 +49,7 @@ def launch(
 
     Args:
         paths: run directories with frozen configs, on a file system that the nodes share.
-        executor: `slurm`, or `local` for processes of this machine.
+        executor: `slurm`, or `local` for processes of this machine, as `check` lets through.
         n_jobs: how many at a time; None: as many as the cluster takes, or this machine has cores.
         folder: for submitit's own scripts and logs; None: `.submitit` in the output directory.
         parameters: of `submitit.AutoExecutor.update_parameters`.
@@ -60,10 +60,6 @@ def launch(
     """
     import submitit
 
-    if executor not in CLUSTERS:
-        raise ConfigError(
-            f"hydra.launcher.executor={executor} is not a valid choice; choose from {', '.join(CLUSTERS)}"
-        )
     try:
         folder = folder or paths[0].parents[2] / ".submitit"
         jobs = submitit.AutoExecutor(folder=folder / "%j", cluster=executor)

@@ -72,9 +72,14 @@ def quoted(argument: str) -> str:
     try:
         OverridesParser.create().parse_override(argument)
     except HydraException:
-        escaped = value.replace("\\", "\\\\").replace("'", "\\'")
-        return f"{key}='{escaped}'"
+        return f"{key}={in_quotes(value)}"
     return argument
+
+
+def in_quotes(value: str) -> str:
+    """Write a string so that Hydra's grammar reads it as it is."""
+    escaped = value.replace("\\", "\\\\").replace("'", "\\'")
+    return f"'{escaped}'"
 
 
 def composed(config_name: str, overrides: list[str], extra_config_dir: str | None = None) -> list[DictConfig]:

@@ -10,7 +10,7 @@ from hydra.core.plugins import Plugins
 from hydra.types import HydraContext, RunMode
 from omegaconf import DictConfig
 
-from parking_exp.composition import hydra_overrides, hydra_ready
+from parking_exp.composition import hydra_overrides, hydra_ready, in_quotes
 from parking_exp.errors import ConfigError, ParkingError
 from parking_exp.wording import closest
 from parking_exp.worker import Ending, work
@@ -58,7 +58,7 @@ class Launch:
         """
         with hydra_ready(self._extra):
             try:
-                returns = self._launcher.launch([[f"run={_quoted(path)}"] for path in paths], 0)
+                returns = self._launcher.launch([[f"run={in_quotes(str(path))}"] for path in paths], 0)
             except ImportError as error:
                 raise ConfigError(f"hydra/launcher={self.name}: {error}{_extra_of(self.name)}") from error
             except ParkingError:
@@ -97,11 +97,6 @@ def _refuse_unknown_keys(overrides: list[str]) -> None:
 def train_run(config: DictConfig) -> Ending:
     """Hydra's task function: train the run of a directory."""
     return work(config.run)
-
-
-def _quoted(path: Path) -> str:
-    escaped = str(path).replace("\\", "\\\\").replace("'", "\\'")
-    return f"'{escaped}'"
 
 
 def _extra_of(launcher: str) -> str:

@@ -2,20 +2,19 @@
 
 import os
 import queue
-import signal
 import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Sequence
+from contextlib import suppress
 from pathlib import Path
-from types import FrameType
 
 from parking_exp.errors import InterruptedRunError
 from parking_exp.machine import cores, cuda_devices, free_memory, memory_of, shares
 from parking_exp.runs import RunDirectory
 from parking_exp.states import read_state
+from parking_exp.stopping import stop_on_signal
 from parking_exp.worker import Ending, Share, supervise
 
 GIB = 2**30
@@ -41,10 +40,11 @@ def launch(paths: Sequence[Path], n_jobs: int | None = None, memory_gb: float | 
     if not paths:
         return {}
     pool = _Pool(paths, min(n_jobs or len(cores()), len(paths)), memory_gb)
-    with _stop_on_signal(pool.stop) as signalled:
+    with stop_on_signal("checkpoints", pool.stop.set, _leave) as request:
         pool.run()
-    if signalled:
-        raise InterruptedRunError("stopped; what was under way is saved; type the same command to go on", signalled[0])
+    if request.signal_number is not None:
+        words = "stopped; what was under way is saved; type the same command to go on"
+        raise InterruptedRunError(words, request.signal_number)
     return pool.endings
 
 
@@ -52,7 +52,7 @@ class _Pool:
     """Runs that wait, and the slots that take them."""
 
     def __init__(self, paths: Sequence[Path], n_workers: int, memory_gb: float | None) -> None:
-        self.paths, self.memory_gb = list(paths), memory_gb
+        self.memory_gb = memory_gb
         self.waiting: queue.SimpleQueue[Path] = queue.SimpleQueue()
         for path in paths:
             self.waiting.put(path)
@@ -121,24 +121,5 @@ class _Pool:
         return note
 
 
-@contextmanager
-def _stop_on_signal(stop: threading.Event) -> Iterator[list[int]]:
-    """Set `stop` at the first SIGINT or SIGTERM, and yield a list that then has its number; leave at the second."""
-    signalled: list[int] = []
-    if threading.current_thread() is not threading.main_thread():
-        yield signalled
-        return
-
-    def handle(number: int, _: FrameType | None) -> None:
-        if signalled:
-            os._exit(128 + number)  # workers die with their supervisor
-        signalled.append(number)
-        stop.set()
-        os.write(2, b"\nsaving checkpoints before leaving; once more to leave at once\n")
-
-    before = {number: signal.signal(number, handle) for number in (signal.SIGINT, signal.SIGTERM)}
-    try:
-        yield signalled
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
+def _leave(number: int) -> None:
+    os._exit(128 + number)  # workers die with their supervisor

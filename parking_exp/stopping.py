@@ -3,7 +3,7 @@
 import os
 import signal
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from types import FrameType
@@ -16,11 +16,23 @@ class StopRequest:
     signal_number: int | None = None
 
 
+def _interrupt(number: int) -> None:
+    raise KeyboardInterrupt
+
+
 @contextmanager
-def stop_on_signal() -> Iterator[StopRequest]:
+def stop_on_signal(
+    saved: str = "a checkpoint",
+    at_first: Callable[[], None] | None = None,
+    at_second: Callable[[int], None] = _interrupt,
+) -> Iterator[StopRequest]:
     """Turn the first SIGINT or SIGTERM into a StopRequest; a second one interrupts at once.
 
     Outside the main thread signals can't be caught, and nothing changes.
+
+    Args:
+        saved: what is saved before leaving, in words.
+        at_first, at_second: called with the first signal, and with the second one's number.
     """
     request = StopRequest()
     if threading.current_thread() is not threading.main_thread():
@@ -29,10 +41,13 @@ def stop_on_signal() -> Iterator[StopRequest]:
 
     def handle(number: int, _: FrameType | None) -> None:
         if request.signal_number is not None:
-            raise KeyboardInterrupt
+            at_second(number)
+            return
         request.signal_number = number
+        if at_first is not None:
+            at_first()
         # Not print: the signal may have come in the middle of one.
-        os.write(2, b"\nsaving a checkpoint before leaving; once more to leave at once\n")
+        os.write(2, f"\nsaving {saved} before leaving; once more to leave at once\n".encode())
 
     before = {number: signal.signal(number, handle) for number in (signal.SIGINT, signal.SIGTERM)}
     try:

@@ -189,7 +189,7 @@ def _freeze(run: Planned, keep: bool) -> bool:
     """Freeze a run's config, and say whether the run can be; the others go on without it."""
     try:
         RunDirectory(run.path).freeze(run.config, run.label, run.state.started, keep=keep)
-    except OutputDirectoryError as error:
+    except (OutputDirectoryError, OSError) as error:
         print(f"error: {error}", file=sys.stderr)
         return False
     return True

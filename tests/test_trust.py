@@ -100,9 +100,9 @@ def test_a_run_as_this_project_makes_it_needs_no_word(from_elsewhere):
 def test_every_option_of_ours_is_trusted(group, tmp_path):
     for option in options(group):
         for config in composed("config", [f"{group}={option}"]):
-            check_trust(validate(config), tmp_path)
+            assert check_trust(validate(config), tmp_path) is None  # it raises otherwise
     noise = "algorithm.action_noise._target_=stable_baselines3.common.noise.OrnsteinUhlenbeckActionNoise"
-    check_trust(make_config("algorithm=td3", noise), tmp_path)
+    assert check_trust(make_config("algorithm=td3", noise), tmp_path) is None
 
 
 @pytest.mark.parametrize(
