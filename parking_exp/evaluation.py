@@ -11,6 +11,7 @@ from parking_exp.config import EnvConfig, Simulation
 from parking_exp.envs import Batch, start
 from parking_exp.outcomes import outcome
 from parking_exp.policy import Observation, Policy
+from parking_exp.trajectories import Recorder
 
 EPISODE_COLUMNS = ["scene", "outcome", "parked", "steps", "return", "distance_m", "heading_error_rad", "speed_mps"]
 SIDE_BY_SIDE = 250  # scenes that are stepped together; more are no faster, and between two steps one can stop
@@ -23,6 +24,7 @@ def evaluate(
     scenes: Sequence[int],
     on_step: Callable[[int], None] | None = None,
     simulator: Simulation | None = None,
+    recorder: Recorder | None = None,
 ) -> pd.DataFrame:
     """Run one episode in each scene and return one row per episode, in the order of `scenes`.
 
@@ -34,6 +36,7 @@ def evaluate(
         scenes: seeds of `env.reset`.
         on_step: called after each step of all episodes with the number that have finished; may raise to stop.
         simulator: what simulates the scenes; None: the env's own.
+        recorder: is given the cars of all scenes at the start and after each step.
 
     Returns:
         Frame with the columns EPISODE_COLUMNS: `outcome` is success, crash or timeout; `parked` is the strict
@@ -45,7 +48,7 @@ def evaluate(
         chunk = scenes[first : first + SIDE_BY_SIDE]
         batch = start(env, chunk, simulator)
         try:
-            for row in _episodes(policy, batch, np.asarray(chunk), on_step, finished=first):
+            for row in _episodes(policy, batch, np.asarray(chunk), on_step, recorder, finished=first):
                 rows.append(row)
         finally:
             batch.close()
@@ -92,13 +95,22 @@ def rollout(policy: Policy, env: gym.Env, scene: int) -> Iterator[tuple[Observat
 
 
 def _episodes(
-    policy: Policy, batch: Batch, scenes: np.ndarray, on_step: Callable[[int], None] | None, finished: int
+    policy: Policy,
+    batch: Batch,
+    scenes: np.ndarray,
+    on_step: Callable[[int], None] | None,
+    recorder: Recorder | None,
+    finished: int,
 ) -> Iterator[dict[str, Any]]:
     """Yield the row of each episode when it has ended."""
     observation, steps = batch.observe(), 0
     totals = np.zeros(len(scenes))
+    if recorder is not None:
+        recorder.add(scenes, batch.cars())
     while len(batch):
         step = batch.step(policy(observation))
+        if recorder is not None:
+            recorder.add(scenes, batch.cars())
         steps += 1
         totals += step.reward
         done = step.terminated | step.truncated

@@ -26,6 +26,7 @@ from parking_exp.seeding import derive_seeds
 from parking_exp.stopping import StopRequest
 from parking_exp.summary import success_line
 from parking_exp.tracking import Tracker
+from parking_exp.trajectories import TRAJECTORIES_FILE, Recorder
 from parking_exp.video import record
 
 BAR_UPDATES_A_SECOND = 5
@@ -82,7 +83,9 @@ class Session:
         """
         path, evaluation = self.directory.path, self.config.evaluation
         self.bar.busy("final evaluation")
-        episodes = self._run_episodes(evaluation.final_n_scenes)
+        recorder = Recorder()
+        episodes = self._run_episodes(evaluation.final_n_scenes, recorder=recorder)
+        recorder.save(path / TRAJECTORIES_FILE)
         summary = self._store_evaluation(episodes.head(evaluation.n_scenes), "eval")
         self.bar.say(success_line(summary, self.model.num_timesteps))
         self._store_evaluation(episodes, "final")
@@ -150,11 +153,13 @@ class Session:
         first = self.config.evaluation.first_scene
         return range(first, first + number)
 
-    def _run_episodes(self, number: int, simulator: Simulation | None = None) -> pd.DataFrame:
+    def _run_episodes(
+        self, number: int, simulator: Simulation | None = None, recorder: Recorder | None = None
+    ) -> pd.DataFrame:
         def stop(_: int) -> None:
             self.stop_if_asked()
 
-        return evaluate(self.policy, self.config.env, self._scenes(number), stop, simulator)
+        return evaluate(self.policy, self.config.env, self._scenes(number), stop, simulator, recorder)
 
     def _certify(self, episodes: pd.DataFrame) -> pd.DataFrame:
         """Repeat the final evaluation on real highway-env, unless that is where it was made."""

@@ -7,11 +7,13 @@ import pandas as pd
 import pytest
 from conftest import make_config
 
-from parking_exp.envs import make_env
+from parking_exp.envs import Scenes, make_env
 from parking_exp.evaluation import EPISODE_COLUMNS, differences, evaluate, rank, summarise
+from parking_exp.lot import SLOT_POSITIONS
 from parking_exp.outcomes import Pose, outcome, relative_pose
 from parking_exp.statistics import wilson_interval
 from parking_exp.summary import describe
+from parking_exp.trajectories import Recorder, read_trajectories
 
 
 def straight_on(observation):
@@ -46,6 +48,37 @@ def test_both_simulators_give_the_same_table(option):
     assert "crash" in set(ours["outcome"])
     pd.testing.assert_frame_equal(ours, theirs, check_exact=True)
     assert differences(ours, theirs) == []
+
+
+@pytest.mark.parametrize("simulator", ["vectorized", "highway_env"])
+def test_trajectories_lead_from_the_origin_to_where_the_episode_ended(simulator, tmp_path):
+    env = make_config("env.duration=4").env
+    recorder = Recorder()
+    table = evaluate(straight_on, env, [5, 3, 40], simulator=simulator, recorder=recorder)
+    recorder.save(tmp_path / "trajectories.npz")
+    rows = read_trajectories(tmp_path / "trajectories.npz")
+    assert list(rows.columns) == ["scene", "step", "x_m", "y_m", "heading_rad", "speed_mps"]
+    assert rows["scene"].unique().tolist() == [3, 5, 40]
+    scenes = Scenes.from_seeds([3, 5, 40])
+    for number, (scene, one) in enumerate(rows.groupby("scene")):
+        end = table.set_index("scene").loc[scene]
+        assert one["step"].tolist() == list(range(end["steps"] + 1))
+        assert one.iloc[0][["x_m", "y_m", "speed_mps"]].tolist() == [0, 0, 0]
+        assert one.iloc[0]["heading_rad"] == np.float32(scenes.heading[number])
+        slot = SLOT_POSITIONS[scenes.goal[number]]
+        away = np.hypot(*(one.iloc[-1][["x_m", "y_m"]].to_numpy(float) - slot))
+        assert away == pytest.approx(end["distance_m"], abs=1e-5)
+        assert abs(one.iloc[-1]["speed_mps"]) == pytest.approx(end["speed_mps"], abs=1e-6)
+
+
+def test_both_simulators_record_the_same_trajectories():
+    env = make_config("env=parking_parked", "env.duration=4").env
+    found = {}
+    for simulator in ("vectorized", "highway_env"):
+        found[simulator] = Recorder()
+        evaluate(straight_on, env, range(12), simulator=simulator, recorder=found[simulator])
+    ours, theirs = (np.concatenate(recorder._cars) for recorder in found.values())
+    np.testing.assert_array_equal(ours, theirs)
 
 
 def test_a_difference_between_tables_is_named():

@@ -119,6 +119,7 @@ def test_the_stores_artifacts_are_all_there(smoke):
         "models/final.zip",
         "monitor.csv",
         "progress.csv",
+        "trajectories.npz",
         "video.mp4",
     ]
 

@@ -42,5 +42,8 @@ class Batch(Protocol):
     def pose(self, row: int) -> Pose:
         """Return the pose of a car relative to its goal."""
 
+    def cars(self) -> np.ndarray:
+        """Return x [m], y [m], heading [rad] and signed speed [m/s] of all cars, shape (n, 4)."""
+
     def close(self) -> None:
         """Let go of what is held."""

@@ -91,6 +91,11 @@ class HighwayBatch:
         car = self.envs[row].unwrapped.vehicle
         return relative_pose(car.position, car.heading, car.speed, car.goal.position, car.goal.heading)
 
+    def cars(self) -> np.ndarray:
+        """Return x [m], y [m], heading [rad] and signed speed [m/s] of all cars, shape (n, 4)."""
+        cars = [env.unwrapped.vehicle for env in self.envs]
+        return np.array([[*car.position, car.heading, car.speed] for car in cars])
+
     def close(self) -> None:
         """Close the envs."""
         for env in self._all:

@@ -131,6 +131,10 @@ class Simulator:
             state.position[:, row], state.heading[row], state.speed[row], SLOT_POSITIONS[goal], SLOT_HEADINGS[goal]
         )
 
+    def cars(self) -> np.ndarray:
+        """Return x [m], y [m], heading [rad] and signed speed [m/s] of all cars, shape (n, 4)."""
+        return np.column_stack([*self.state.position, self.state.heading, self.state.speed])
+
     def close(self) -> None:
         """Nothing to close."""
 
