@@ -1,0 +1,1 @@
+"""Reports: frames of results -> numbers, words, pictures and pages."""
