@@ -18,6 +18,9 @@ DEFAULT_SCALES = [100, 100, 5, 5, 1, 1]
 # Seeds of training scenes start here; evaluation scenes lie below, so the two never meet.
 TRAINING_SCENES_START = 2**31
 
+# Keys that change no result; besides them `evaluation.video_episodes`.
+WITHOUT_RESULT = frozenset({"experiment_name", "output_dir", "tracking", "checkpoint", "timeout_s"})
+
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$", max_length=80)]
 Positive = Annotated[int, Field(ge=1)]
 Count = Annotated[int, Field(ge=0)]
@@ -246,8 +249,7 @@ class RunConfig(Section):
         return train_freq, gradient_steps
 
     def _result(self) -> dict[str, Any]:
-        without = {"experiment_name", "output_dir", "tracking", "checkpoint", "timeout_s"}
-        plain = {key: value for key, value in self.plain().items() if key not in without}
+        plain = {key: value for key, value in self.plain().items() if key not in WITHOUT_RESULT}
         plain["evaluation"] = {k: v for k, v in plain["evaluation"].items() if k != "video_episodes"}
         return plain
 

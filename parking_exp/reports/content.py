@@ -1,4 +1,4 @@
-"""What a report says, as plain data: computed by `comparison`, put into words, pictures, tables and pages by the others.
+"""What a report says, as plain data: computed by `comparison`; the others make words, pictures, tables and pages of it.
 
 Rates are shares in 0 ... 1, differences are differences of shares. What is not known is None. Every field can go into
 `report.json` as it is.
@@ -53,7 +53,7 @@ class Seed:
         low, high: Wilson interval of `success`.
         episode_steps: mean length of its final episodes [policy steps].
         cpu_s: CPU seconds of the whole run.
-        steps_to_90, reached_90: first step from which three evaluations in a row had 90 %; else the last one, not reached.
+        steps_to_90, reached_90: first step from which three evaluations in a row had 90 %, True; else the last, False.
         cpu_s_to_90: CPU seconds at that step.
         area: normalised area under its curve.
     """
@@ -336,7 +336,7 @@ class Provenance:
         versions: package -> version -> number of runs.
         commits: commit (with `+` where files differed from it) -> number of runs.
         machines: CPU -> number of runs.
-        difference: config key -> value in each cell (in the order of the cells); only keys that are not the same in all.
+        difference: config key -> value in each cell, in the order of the cells; only keys that are not the same in all.
         common: the rest of the config, dotted key -> value.
         unfinished: runs that failed, are under way, or were cut off.
         uri: of the store, without passwords.

@@ -1,0 +1,155 @@
+"""What sets cells apart: from their configs to factors, levels, labels and the kind of design.
+
+The store keeps resolved configs, not what was typed. A group's option (`algorithm=td3`) changes many keys at once:
+those that follow from it alone are no factors of their own. Keys that always change together count once.
+"""
+
+import math
+from collections.abc import Hashable, Mapping, Sequence
+from typing import Any
+
+from parking_exp.config import WITHOUT_RESULT
+from parking_exp.reports.content import Design, Factor, Setting
+
+Config = Mapping[str, Setting]
+"""Dotted keys -> values of one cell."""
+
+GROUPS = ("env", "algorithm", "buffer")
+EXPERIMENT = "experiment"
+# As many distinct values as cells is what drawing from a range gives; below this many cells it says nothing.
+FEW_CELLS = 5
+SEARCH_CELLS = 8
+MOST_LEVELS = 12
+COVERED = 0.5
+
+
+def differing(configs: Sequence[Config]) -> list[str]:
+    """Return the keys that can change a result and are not the same in all configs."""
+    keys = dict.fromkeys(key for config in configs for key in config)
+    return [key for key in keys if can_matter(key) and len({_hashable(config.get(key)) for config in configs}) > 1]
+
+
+def can_matter(key: str) -> bool:
+    """Whether a key can change a result, and is no seed."""
+    return key.partition(".")[0] not in {*WITHOUT_RESULT, "seed"} and key != "evaluation.video_episodes"
+
+
+def find_factors(
+    configs: Sequence[Config], experiments: Sequence[str]
+) -> tuple[list[Factor], list[dict[str, Setting]]]:
+    """Return the factors, and for each cell its settings: factor's key -> value, None where a cell has no such key.
+
+    Args:
+        configs: of each cell.
+        experiments: that each cell belongs to.
+    """
+    columns: dict[str, list[Setting]] = {}
+    if len(set(experiments)) > 1:
+        columns[EXPERIMENT] = list(experiments)
+    varying = differing(configs)
+    for group in GROUPS:
+        if f"{group}.name" in varying:
+            columns[group] = [config.get(f"{group}.name") for config in configs]
+    bundles = list(columns)  # names that stand for many keys
+    # How a run was evaluated is no factor unless there is nothing else.
+    rest = [key for key in varying if key not in {f"{group}.name" for group in GROUPS}]
+    for key in sorted(rest, key=lambda key: key.startswith("evaluation.")):
+        values = [config.get(key) for config in configs]
+        if any(_follows(values, columns[bundle]) for bundle in bundles) or _double(values, columns):
+            continue
+        columns[key] = values
+    settings = [{key: values[cell] for key, values in columns.items()} for cell in range(len(configs))]
+    names = _names(list(columns))
+    return [_factor(key, names[key], values) for key, values in columns.items()], settings
+
+
+def label(settings: Mapping[str, Setting], factors: Sequence[Factor]) -> str:
+    """Return what sets a cell apart, e.g. `her_final, n_sampled_goal=8`: groups by their option alone."""
+    words = []
+    for factor in factors:
+        value = settings[factor.key]
+        if value is None:
+            continue
+        bare = factor.key in {*GROUPS, EXPERIMENT}
+        words.append(shown(value) if bare else f"{factor.name}={shown(value)}")
+    return ", ".join(words)
+
+
+def unique(labels: Sequence[str], names: Sequence[str]) -> list[str]:
+    """Return labels that are all different: of those that are not, each gets the key that ends its cell's name."""
+    return [
+        text if text and labels.count(text) == 1 else f"{text or name.rpartition('-')[0]} ({name.rpartition('-')[2]})"
+        for text, name in zip(labels, names, strict=True)
+    ]
+
+
+def shown(value: Setting) -> str:
+    """Write a value as it would stand in YAML."""
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, float):
+        return f"{value:g}"
+    return "null" if value is None else str(value)
+
+
+def design(factors: Sequence[Factor], settings: Sequence[Mapping[str, Setting]]) -> Design:
+    """Tell the kind of design from how many of the possible combinations there are."""
+    if len(settings) < 2:
+        return "single"
+    drawn = max(FEW_CELLS + 1, len(settings) / 2)
+    if len(settings) >= SEARCH_CELLS and any(factor.numeric and len(factor.levels) >= drawn for factor in factors):
+        return "search"
+    crossed = complete_cases(factors, settings)
+    if len(factors) == 1:
+        return "factorial" if factors[0].numeric and len(factors[0].levels) > 2 else "list"
+    levels = [len({_hashable(settings[cell][factor.key]) for cell in crossed}) for factor in factors]
+    possible = math.prod(levels)
+    # Of factors with one level only there is nothing to cross.
+    if sum(count > 1 for count in levels) < 2 or max(levels) > MOST_LEVELS:
+        return "list"
+    return "factorial" if len(crossed) >= COVERED * possible else "list"
+
+
+def complete_cases(factors: Sequence[Factor], settings: Sequence[Mapping[str, Setting]]) -> list[int]:
+    """Return the cells that have a value of every factor: a control without hindsight has no `n_sampled_goal`."""
+    return [cell for cell, one in enumerate(settings) if all(one[factor.key] is not None for factor in factors)]
+
+
+def _factor(key: str, name: str, values: Sequence[Setting]) -> Factor:
+    levels: list[Any] = list({_hashable(value): value for value in values if value is not None}.values())
+    numeric = bool(levels) and all(isinstance(one, int | float) and not isinstance(one, bool) for one in levels)
+    if numeric:
+        levels.sort()
+    log = numeric and levels[0] > 0 and levels[-1] / levels[0] >= 8
+    return Factor(key, name, levels, numeric, log)
+
+
+def _names(keys: Sequence[str]) -> dict[str, str]:
+    """Return the shortest endings of the keys that are all different."""
+    names = {}
+    for key in keys:
+        parts = key.split(".")
+        endings = [".".join(parts[start:]) for start in range(len(parts) - 1, -1, -1)]
+        taken = [other for other in keys if other != key]
+        names[key] = next((end for end in endings if not any(f".{other}".endswith(f".{end}") for other in taken)), key)
+    return names
+
+
+def _follows(values: Sequence[Setting], bundle: Sequence[Setting]) -> bool:
+    """Whether each option of a bundle comes with one value only."""
+    found: dict[Hashable, set[Hashable]] = {}
+    for option, value in zip(bundle, values, strict=True):
+        found.setdefault(_hashable(option), set()).add(_hashable(value))
+    return all(len(known) == 1 for known in found.values())
+
+
+def _double(values: Sequence[Setting], columns: Mapping[str, Sequence[Setting]]) -> bool:
+    """Whether a key changes exactly where another does. In a search all do: every cell has values of its own."""
+    if len(set(map(_hashable, values))) == len(values) >= FEW_CELLS:
+        return False
+    return any(_follows(values, known) and _follows(known, values) for known in columns.values())
+
+
+def _hashable(value: Setting) -> Hashable:
+    # 1 and True, 1 and 1.0 are the same to a dict; True is another setting than 1.
+    return (isinstance(value, bool), value)

@@ -1,0 +1,163 @@
+"""Which runs a report is about: runs -> cells with labels, and the ones that were asked for."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from fnmatch import fnmatchcase
+
+import pandas as pd
+
+from parking_exp.errors import ConfigError
+from parking_exp.reports.content import Factor, Setting
+from parking_exp.reports.factors import GROUPS, Config, find_factors, label, shown, unique
+from parking_exp.wording import closest
+
+CONFIG = "config."
+
+
+@dataclass(frozen=True)
+class Group:
+    """The runs of one cell.
+
+    Attributes:
+        experiment, name: as in the store.
+        label: what sets it apart from the others of the report.
+        settings: value of each factor, see `factors.find_factors`.
+        config: dotted key -> value.
+        runs: rows of `Results.runs`, by seed; of two runs with the same seed, the one that is done, or is newer.
+        repeated: how many runs were left out for another one with the same seed.
+    """
+
+    experiment: str
+    name: str
+    label: str
+    settings: dict[str, Setting]
+    config: Config
+    runs: pd.DataFrame
+    repeated: int
+
+    @property
+    def done(self) -> pd.DataFrame:
+        """The finished runs."""
+        return self.runs[self.runs["status"] == "done"]
+
+
+def group(runs: pd.DataFrame) -> tuple[list[Group], list[Factor]]:
+    """Return the cells of some runs, in the order in which they were begun, and the factors that set them apart."""
+    keys = [str(column) for column in runs if str(column).startswith(CONFIG)]
+    tables = [table for _, table in runs.sort_values("started").groupby(["experiment", "cell"], sort=False)]
+    configs = [_config(table, keys) for table in tables]
+    experiments = [str(table["experiment"].iloc[0]) for table in tables]
+    names = [str(table["cell"].iloc[0]) for table in tables]
+    factors, settings = find_factors(configs, experiments)
+    labels = [label(one, factors) for one in settings] if len(tables) > 1 else [_plain_label(configs[0], names[0])]
+    found = []
+    for number, text in enumerate(unique(labels, names)):
+        once = _one_a_seed(tables[number])
+        found.append(
+            Group(
+                experiment=experiments[number],
+                name=names[number],
+                label=text,
+                settings=settings[number],
+                config=configs[number],
+                runs=once,
+                repeated=len(tables[number]) - len(once),
+            )
+        )
+    return found, factors
+
+
+def choose(groups: Sequence[Group], asked: Sequence[str]) -> list[Group]:
+    """Return the cells that were asked for.
+
+    Args:
+        groups: all cells.
+        asked: labels, names or patterns of them (`her_*`), any of which may fit; and `KEY=VALUE,VALUE`, all of which
+            have to: a config key or a group, and the values it may have.
+
+    Raises:
+        ConfigError: one of them fits nothing.
+    """
+    patterns = [one for one in asked if "=" not in one or _matching(groups, one)]
+    narrowing = [one for one in asked if one not in patterns]
+    found = list(groups)
+    if patterns:
+        wanted = set()
+        for pattern in patterns:
+            if not (fitting := _matching(groups, pattern)):
+                hint = closest(pattern, [one.label for one in groups])
+                raise ConfigError(f"cells: no cell is called {pattern!r}{hint}")
+            wanted |= {id(one) for one in fitting}
+        found = [one for one in groups if id(one) in wanted]
+    for condition in narrowing:
+        found = _narrowed(found, groups, condition)
+    if not found:
+        raise ConfigError(f"cells: no cell fits all of {', '.join(asked)}")
+    return found
+
+
+def one_cell(groups: Sequence[Group], asked: str) -> Group:
+    """Return the one cell that fits a label, a name or a pattern.
+
+    Raises:
+        ConfigError: none does, or several do.
+    """
+    exact = [one for one in groups if asked in {one.label, one.name}]
+    found = exact or choose(groups, [asked])
+    if len(found) > 1:
+        few = ", ".join(repr(one.label) for one in found[:5])
+        raise ConfigError(f"baseline={asked}: {len(found)} cells fit, {few} among them; name one")
+    return found[0]
+
+
+def relabelled(groups: Sequence[Group]) -> tuple[list[Group], list[Factor]]:
+    """Return cells with labels that say only what sets these apart."""
+    factors, settings = find_factors([one.config for one in groups], [one.experiment for one in groups])
+    names = [one.name for one in groups]
+    if len(groups) == 1:
+        return [replace(groups[0], settings=settings[0])], factors
+    labels = unique([label(one, factors) for one in settings], names)
+    return [
+        replace(one, label=text, settings=setting) for one, text, setting in zip(groups, labels, settings, strict=True)
+    ], factors
+
+
+def _matching(groups: Sequence[Group], pattern: str) -> list[Group]:
+    names = [(one, (one.label, one.name, *one.label.split(", "))) for one in groups]
+    exact = [one for one, words in names if pattern in words[:2]]
+    return exact or [one for one, words in names if any(fnmatchcase(word, pattern) for word in words)]
+
+
+def _narrowed(groups: list[Group], everyone: Sequence[Group], condition: str) -> list[Group]:
+    key, _, wanted = condition.partition("=")
+    name = f"{key}.name" if key in GROUPS else key
+    if not any(name in one.config for one in everyone):
+        known = {*GROUPS, "experiment", "baseline", "cells", *(key for one in everyone for key in one.config)}
+        raise ConfigError(f"{key}: neither a key of this command nor of these runs' configs{closest(key, known)}")
+    values = {value.strip() for value in wanted.strip("[]").split(",")}
+    there = {shown(one.config[name]) for one in everyone if name in one.config}
+    if unknown := sorted(values - there):
+        raise ConfigError(f"{key}={unknown[0]}: no run has that{closest(unknown[0], there)}")
+    return [one for one in groups if name in one.config and shown(one.config[name]) in values]
+
+
+def _config(table: pd.DataFrame, keys: Sequence[str]) -> dict[str, Setting]:
+    row = table.iloc[0]
+    return {key.removeprefix(CONFIG): row[key] for key in keys if not _absent(row[key])}
+
+
+def _absent(value: object) -> bool:
+    """Whether a run has no such key. (One that is null is None, and counts as there.)"""
+    return isinstance(value, float) and math.isnan(value)
+
+
+def _plain_label(config: Config, name: str) -> str:
+    words = [str(config[f"{part}.name"]) for part in ("algorithm", "buffer") if f"{part}.name" in config]
+    return ", ".join(words) or name
+
+
+def _one_a_seed(table: pd.DataFrame) -> pd.DataFrame:
+    rank = (table["status"] == "done").astype(int)
+    ordered = table.assign(_rank=rank).sort_values(["seed", "_rank", "started"], kind="stable")
+    return ordered.drop_duplicates("seed", keep="last").drop(columns="_rank")
