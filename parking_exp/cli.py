@@ -15,11 +15,12 @@ import hydra
 from hydra._internal.utils import get_args_parser
 from omegaconf import DictConfig
 
-from parking_exp.composition import VERSION_BASE, composed, composed_runs, config_dir, quoted
+from parking_exp.composition import VERSION_BASE, composed, composed_runs, config_dir, in_quotes, quoted
 from parking_exp.config import SweepOptions
-from parking_exp.errors import InterruptedRunError, OutputDirectoryError, ParkingError
+from parking_exp.errors import ConfigError, InterruptedRunError, OutputDirectoryError, ParkingError
 
 Task = Callable[[DictConfig], object]
+REPORT_KEYS = {"experiment_name", "cells", "baseline", "output_dir", "name", "tracking", "report", "hydra"}
 # Options of ours that may be typed the way of other commands.
 FLAGS = {"--quick", "--json", "--watch", "--sync", "--dry-run"}
 
@@ -73,6 +74,18 @@ def status() -> None:
     _command("status", _single("status", validate_status, show), shows=show)
 
 
+def report() -> None:
+    """Entry point of `scripts/report.py` and `parking-report`."""
+    from parking_exp.report import report as write_report
+    from parking_exp.report import validate_report
+
+    try:
+        sys.argv[1:] = report_arguments(sys.argv[1:])
+    except ParkingError as error:
+        _fail(error)
+    _command("report", _single("report", validate_report, write_report), shows=write_report)
+
+
 def benchmark() -> None:
     """Entry point of `scripts/benchmark.py` and `parking-benchmark`."""
     from parking_exp.benchmark import benchmark as measure
@@ -80,6 +93,33 @@ def benchmark() -> None:
 
     _translate()
     _command("benchmark", _single("benchmark", validate_benchmark, measure), shows=measure)
+
+
+def report_arguments(arguments: list[str]) -> list[str]:
+    """Write what is typed after `report.py` as Hydra reads it: words that are no key of this command name cells.
+
+    Labels of cells have commas, equal signs and spaces in them, which mean something else to Hydra.
+
+    Raises:
+        ConfigError: cells are named both ways.
+    """
+    found, cells = [], []
+    overrides = get_args_parser().parse_args(arguments).overrides
+    for argument in arguments:
+        key, equals, value = argument.partition("=")
+        if argument not in overrides:
+            found.append(argument)
+        elif key == "experiment" and equals:
+            found.append(f"experiment_name=[{value.strip('[]')}]")
+        elif key == "baseline" and value not in {"", "null"}:
+            found.append(f"baseline={in_quotes(value)}")
+        elif key.lstrip("+~").split(".")[0].split("/")[0] in REPORT_KEYS:
+            found.append(argument)
+        else:
+            cells.append(argument)
+    if cells and any(argument.startswith("cells=") for argument in found):
+        raise ConfigError(f"{cells[0]}: name cells either as words or as cells=[...]")
+    return [*found, *([f"cells=[{','.join(map(in_quotes, cells))}]"] if cells else [])]
 
 
 def _translate() -> None:

@@ -7,9 +7,9 @@ from exactness import KINDS, actions_of, compare
 
 from parking_exp.config import EnvConfig
 from parking_exp.envs import HighwayBatch, Scenes, Simulator, make_env, start
-from parking_exp.envs.scenes import start_slot
 from parking_exp.errors import ConfigError
 from parking_exp.lot import SLOT_HEADINGS, SLOT_POSITIONS
+from parking_exp.scenes import start_slot
 
 # Every scalar option of the env group that the physics, the observation or the reward depends on.
 VARIANTS = {

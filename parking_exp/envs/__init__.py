@@ -5,8 +5,8 @@ from collections.abc import Sequence
 from parking_exp.config import EnvConfig, Simulation
 from parking_exp.envs.batch import Batch, Step
 from parking_exp.envs.highway import HighwayBatch, SparseReward, make_env
-from parking_exp.envs.scenes import Scenes
 from parking_exp.envs.simulator import Simulator
+from parking_exp.scenes import Scenes
 
 __all__ = ["Batch", "HighwayBatch", "Scenes", "Simulator", "SparseReward", "Step", "make_env", "start"]
 

@@ -12,7 +12,6 @@ from parking_exp.envs.batch import Step
 from parking_exp.envs.contacts import Contacts, extent
 from parking_exp.envs.kinematics import Range, advance, limited_acceleration, scale, slip_angle
 from parking_exp.envs.reward import GoalReward
-from parking_exp.envs.scenes import Scenes
 from parking_exp.envs.state import State
 from parking_exp.errors import ConfigError
 from parking_exp.lot import (
@@ -25,6 +24,7 @@ from parking_exp.lot import (
     WALL_THICKNESS_M,
 )
 from parking_exp.outcomes import Pose, relative_pose
+from parking_exp.scenes import Scenes
 
 # highway-env's own ranges, where the config has none: of ContinuousAction and of Vehicle.
 ACCELERATION_RANGE_MPS2: Range = (-5.0, 5.0)

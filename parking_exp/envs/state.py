@@ -5,8 +5,8 @@ from typing import Self
 
 import numpy as np
 
-from parking_exp.envs.scenes import Scenes
 from parking_exp.lot import SLOT_HEADINGS, SLOT_POSITIONS
+from parking_exp.scenes import Scenes
 
 COLUMNS = ("position", "direction")
 

@@ -9,8 +9,8 @@ from stable_baselines3.common.vec_env import VecEnv
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvObs, VecEnvStepReturn
 
 from parking_exp.config import EnvConfig
-from parking_exp.envs.scenes import Scenes
 from parking_exp.envs.simulator import Simulator
+from parking_exp.scenes import Scenes
 
 
 class VectorizedParking(VecEnv):

@@ -57,7 +57,7 @@ def find_factors(
         values = [config.get(key) for config in configs]
         if any(_follows(values, columns[bundle]) for bundle in bundles) or _double(values, columns):
             continue
-        columns[key] = values
+        columns[key] = _with_null(key, values, configs)
     settings = [{key: values[cell] for key, values in columns.items()} for cell in range(len(configs))]
     names = _names(list(columns))
     return [_factor(key, names[key], values) for key, values in columns.items()], settings
@@ -141,6 +141,17 @@ def _follows(values: Sequence[Setting], bundle: Sequence[Setting]) -> bool:
     for option, value in zip(bundle, values, strict=True):
         found.setdefault(_hashable(option), set()).add(_hashable(value))
     return all(len(known) == 1 for known in found.values())
+
+
+def _with_null(key: str, values: Sequence[Setting], configs: Sequence[Config]) -> list[Setting]:
+    """Tell null from not there: where the same option of the group has a value in another cell, it is null."""
+    group = key.partition(".")[0]
+    options = [config.get(f"{group}.name") for config in configs]
+    having = {_hashable(option) for option, value in zip(options, values, strict=True) if value is not None}
+    return [
+        "null" if value is None and _hashable(option) in having else value
+        for option, value in zip(options, values, strict=True)
+    ]
 
 
 def _double(values: Sequence[Setting], columns: Mapping[str, Sequence[Setting]]) -> bool:

@@ -1,10 +1,11 @@
 """Which runs a report is about: runs -> cells with labels, and the ones that were asked for."""
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
+from typing import Any
 
+import numpy as np
 import pandas as pd
 
 from parking_exp.errors import ConfigError
@@ -143,13 +144,13 @@ def _narrowed(groups: list[Group], everyone: Sequence[Group], condition: str) ->
 
 
 def _config(table: pd.DataFrame, keys: Sequence[str]) -> dict[str, Setting]:
+    """Return the config of a cell's first run. Frames do not tell a key that is null from one that is not there."""
     row = table.iloc[0]
-    return {key.removeprefix(CONFIG): row[key] for key in keys if not _absent(row[key])}
+    return {key.removeprefix(CONFIG): _plain(row[key]) for key in keys if not pd.isna(row[key])}
 
 
-def _absent(value: object) -> bool:
-    """Whether a run has no such key. (One that is null is None, and counts as there.)"""
-    return isinstance(value, float) and math.isnan(value)
+def _plain(value: Any) -> Setting:
+    return value.item() if isinstance(value, np.generic) else value
 
 
 def _plain_label(config: Config, name: str) -> str:

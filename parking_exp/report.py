@@ -1,0 +1,135 @@
+"""Compare the cells of an experiment, and write it down: page, Markdown, tables, figures, JSON."""
+
+import shlex
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+from filelock import FileLock
+from omegaconf import DictConfig
+from pydantic import Field
+
+from parking_exp.config import Name, Section
+from parking_exp.validation import parse
+
+if TYPE_CHECKING:
+    from parking_exp.reports.content import Content
+    from parking_exp.states import RunState
+
+Format = Literal["svg", "pdf", "png"]
+
+
+class ReportOptions(Section):
+    """The `report` group."""
+
+    quick: bool
+    formats: list[Format]
+
+
+class StoreConfig(Section):
+    """Where results come from."""
+
+    uri: str | None
+
+
+class ReportRequest(Section):
+    """The config of scripts/report.py."""
+
+    experiment_name: Name | Annotated[list[Name], Field(min_length=1)] | None
+    cells: str | list[str] | None
+    baseline: str | None
+    output_dir: str
+    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._+-]*$", max_length=200)] | None
+    tracking: StoreConfig
+    report: ReportOptions
+
+    @property
+    def output_path(self) -> Path:
+        """Absolute output directory."""
+        return Path(self.output_dir).expanduser().absolute()
+
+    @property
+    def cells_asked(self) -> list[str]:
+        """Labels, patterns and conditions."""
+        return [self.cells] if isinstance(self.cells, str) else self.cells or []
+
+
+def validate_report(config: DictConfig) -> ReportRequest:
+    """Check a composed config and return it typed.
+
+    Raises:
+        ConfigError: with a sentence for each thing that is wrong.
+    """
+    return parse(ReportRequest, config)
+
+
+def report(config: DictConfig) -> Path:
+    """Write a report, print what it says, and return its folder.
+
+    Raises:
+        ConfigError: a cell or baseline that there is not.
+        ResultsError: the store can't be read, or has no such runs.
+        RunNotFoundError: none of the runs is done.
+    """
+    request = validate_report(config)
+    from rich.progress import Progress, SpinnerColumn, TextColumn
+
+    from parking_exp.reports.comparison import Question, compare
+    from parking_exp.reports.writing import write
+    from parking_exp.results import load
+    from parking_exp.tables import console
+
+    columns = (SpinnerColumn(), TextColumn("{task.description}"))
+    with Progress(*columns, console=console(stderr=True), transient=True) as bar:
+        task = bar.add_task("reading the store")
+        results = load(_experiments(request), uri=request.tracking.uri, output_dir=request.output_path)
+        experiments = list(dict.fromkeys(results.runs["experiment"]))
+        question = Question(
+            experiments=experiments,
+            cells=request.cells_asked,
+            baseline=request.baseline,
+            quick=request.report.quick,
+            command=_command(request, experiments),
+        )
+        bar.update(task, description=f"comparing {len(results.runs)} runs")
+        content = compare(results, question, _states(request.output_path, experiments))
+        folder = request.output_path / "reports" / (request.name or "+".join(experiments))
+        folder.mkdir(parents=True, exist_ok=True)
+        bar.update(task, description="drawing")
+        with FileLock(folder.parent / f".{folder.name}.lock"):
+            write(content, folder, request.report.formats)
+    _print(content, folder)
+    return folder
+
+
+def _experiments(request: ReportRequest) -> list[str] | None:
+    named = request.experiment_name
+    return [named] if isinstance(named, str) else named
+
+
+def _states(output_dir: Path, experiments: list[str]) -> "dict[str, RunState]":
+    """Return how far runs are that lie here and are not done, by run directory: newer than what the store knows."""
+    from parking_exp.states import find, read_state
+
+    paths = [path for name in experiments for path in find(output_dir, name)]
+    states = {str(path): read_state(path) for path in paths}
+    return {path: state for path, state in states.items() if state.stage != "done"}
+
+
+def _command(request: ReportRequest, experiments: list[str]) -> str:
+    """Return the command that makes this report."""
+    words = ["python", "scripts/report.py", f"experiment={','.join(experiments)}", *request.cells_asked]
+    if request.baseline:
+        words.append(f"baseline={request.baseline}")
+    if request.report.quick:
+        words.append("report=quick")
+    return shlex.join(words)
+
+
+def _print(content: "Content", folder: Path) -> None:
+    """Say on the terminal what the report says in its first lines."""
+    for sentence in (*content.claims, *content.missing):
+        print(sentence)
+    for sentence in content.warnings:
+        print(f"warning: {sentence}", file=sys.stderr)
+    print(f"report         {folder / 'index.html'}")

@@ -1,0 +1,168 @@
+"""Frames of results -> a whole report's numbers and words."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+
+from parking_exp import __version__
+from parking_exp.errors import RunNotFoundError
+from parking_exp.reports import words
+from parking_exp.reports.content import Cell, Content, Design, Factor, Importance, Interaction, MainEffect
+from parking_exp.reports.effects import importance, interactions, main_effects
+from parking_exp.reports.factors import design
+from parking_exp.reports.origins import provenance
+from parking_exp.reports.pairs import compare_pairs
+from parking_exp.reports.selection import Group, choose, group, one_cell, relabelled
+from parking_exp.reports.summaries import Frames, real_share, sample, shared_horizons, summarise
+from parking_exp.results import Results
+from parking_exp.states import RunState
+from parking_exp.store import without_password
+
+SHOWN_WHOLE, SHOWN = 16, 12  # cells in pictures: all of up to 16, else the 12 best
+
+
+@dataclass(frozen=True)
+class Question:
+    """What is asked of the results.
+
+    Attributes:
+        experiments: their names.
+        cells: labels, names, patterns and conditions, see `selection.choose`; none: all.
+        baseline: of one cell that the others are compared with.
+        quick: whether unfinished runs count, as far as they are.
+        command: how it was typed.
+    """
+
+    experiments: Sequence[str]
+    cells: Sequence[str] = ()
+    baseline: str | None = None
+    quick: bool = False
+    command: str = ""
+
+
+def compare(results: Results, question: Question, states: Mapping[str, RunState]) -> Content:
+    """Return everything that a report says.
+
+    Args:
+        results: of the experiments.
+        question: which of them.
+        states: how far runs are that lie on this machine, by run directory.
+
+    Raises:
+        ConfigError: a cell or baseline that there is not.
+        RunNotFoundError: none of the runs is done, and `quick` is not asked for.
+    """
+    everything, _ = group(results.runs)
+    asked = choose(everything, question.cells) if question.cells else everything
+    reference = one_cell(everything, question.baseline) if question.baseline else None
+    if reference is not None and reference not in asked:
+        asked = [reference, *asked]
+    groups, factors = relabelled(asked)
+    if not question.quick:
+        _refuse_nothing_done(groups, question)
+    frames = Frames.of(results)
+    horizons = shared_horizons(groups, frames)
+    cells = [summarise(one, number, frames, horizons, question.quick) for number, one in enumerate(groups)]
+    baseline = next((f"c{number}" for number, one in enumerate(asked) if one is reference), None)
+    shown = _shown(cells, baseline)
+    cells = [_with_places(cell, results, frames) if cell.id in shown else cell for cell in cells]
+    kind = design(factors, [one.settings for one in groups])
+    parts = _factor_parts(kind, cells, groups, factors, frames)
+    pairs, family = compare_pairs(cells, baseline)
+    left_out = [one.label for one in everything if one.name not in {chosen.name for chosen in asked}]
+    origin = provenance(groups, left_out, without_password(results.uri), states)
+    return Content(
+        title=" and ".join(question.experiments),
+        experiments=list(question.experiments),
+        made=datetime.now(UTC).isoformat(timespec="seconds"),
+        version=__version__,
+        quick=question.quick,
+        command=question.command,
+        design=kind,
+        factors=factors,
+        cells=cells,
+        shown=shown,
+        baseline=baseline,
+        family=family,
+        pairs=pairs,
+        effects=parts.effects,
+        interactions=parts.interactions,
+        importance=parts.importance,
+        exploratory=any(cell.success.n < words.ENOUGH_SEEDS for cell in cells),
+        claims=words.together(
+            words.claims(cells, pairs, baseline),
+            words.about_factors(kind, factors, parts.effects, parts.interactions, parts.importance),
+        ),
+        warnings=words.together(words.warnings(groups, cells, origin), results.problems),
+        missing=words.together(words.missing(cells, _not_begun(results, groups, states))),
+        provenance=origin,
+        notes=_notes(results, cells, shown),
+    )
+
+
+@dataclass(frozen=True)
+class _FactorParts:
+    effects: Sequence[MainEffect] = ()
+    interactions: Sequence[Interaction] = ()
+    importance: Sequence[Importance] = ()
+
+
+def _factor_parts(
+    kind: Design, cells: Sequence[Cell], groups: Sequence[Group], factors: Sequence[Factor], frames: Frames
+) -> _FactorParts:
+    if kind == "search":
+        return _FactorParts(importance=importance(cells, factors))
+    if kind != "factorial":
+        return _FactorParts()
+    shares = {cell.id: real_share(one, frames) for cell, one in zip(cells, groups, strict=True)}
+    return _FactorParts(main_effects(cells, factors), interactions(cells, factors, shares))
+
+
+def _with_places(cell: Cell, results: Results, frames: Frames) -> Cell:
+    paths, failures = sample(cell, results, frames)
+    return replace(cell, paths=paths, failures=failures)
+
+
+def _shown(cells: Sequence[Cell], baseline: str | None) -> list[str]:
+    """Return the cells that pictures show, in the order of the report."""
+    if len(cells) <= SHOWN_WHOLE:
+        return [cell.id for cell in cells]
+    ranked = sorted(cells, key=lambda cell: (cell.id != baseline, -(cell.success.value or -1.0)))
+    best = {cell.id for cell in ranked[:SHOWN]}
+    return [cell.id for cell in cells if cell.id in best]
+
+
+def _refuse_nothing_done(groups: Sequence[Group], question: Question) -> None:
+    if any(len(one.done) for one in groups):
+        return
+    runs = sum(len(one.runs) for one in groups)
+    raise RunNotFoundError(
+        f"experiment={','.join(question.experiments)}: none of its {runs} runs is done; "
+        "report=quick shows what there is so far"
+    )
+
+
+def _not_begun(results: Results, groups: Sequence[Group], states: Mapping[str, RunState]) -> list[str]:
+    """Return the runs of these cells that are planned on this machine, and that the store has not heard of."""
+    known = set(results.runs["run_dir"].dropna())
+    cells = {(one.experiment, one.name): one.label for one in groups}
+    there = {one.experiment for one in groups}
+    everything = set(zip(results.runs["experiment"], results.runs["cell"], strict=True))
+    return [
+        f"{cells.get((state.experiment, state.cell), state.label)} seed={state.seed}"
+        for path, state in states.items()
+        if path not in known
+        and state.experiment in there
+        and ((state.experiment, state.cell) in cells or (state.experiment, state.cell) not in everything)
+    ]
+
+
+def _notes(results: Results, cells: Sequence[Cell], shown: Sequence[str]) -> list[str]:
+    notes = []
+    if len(shown) < len(cells):
+        notes.append(
+            f"Pictures show {len(shown)} of the {len(cells)} cells, those with the highest success; tables have all."
+        )
+    if results.ignored:
+        notes.append(f"The store has {results.ignored} more runs that this package did not make; they are left out.")
+    return notes

@@ -1,0 +1,164 @@
+"""What single factors do: main effects and interactions of crossed ones, importance in a search."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import combinations, product
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from parking_exp import statistics
+from parking_exp.reports.content import (
+    Cell,
+    Factor,
+    Importance,
+    Interaction,
+    Interval,
+    Level,
+    MainEffect,
+    Setting,
+)
+from parking_exp.reports.factors import shown
+
+RESPONSE = "success"
+MOST_TABLES = 6
+MOST_GIVEN = 4
+REAL = "buffer.n_sampled_goal"
+
+
+def main_effects(cells: Sequence[Cell], factors: Sequence[Factor]) -> list[MainEffect]:
+    """Return the mean of each level of each factor, over the cells that have a value of all of them."""
+    crossing = _crossed(factors, cells)
+    frame = _frame(cells, crossing)
+    if not len(frame):
+        return []
+    found = statistics.main_effects(frame, [factor.key for factor in crossing], RESPONSE)
+    return [
+        MainEffect(
+            factor.key,
+            [
+                Level(
+                    level.level,
+                    Interval(level.mean, _known(level.low), _known(level.high), level.seeds, level.method),
+                    level.cells,
+                )
+                for level in found.levels
+                if level.factor == factor.key
+            ],
+            found.complete,
+        )
+        for factor in crossing
+    ]
+
+
+def interactions(
+    cells: Sequence[Cell], factors: Sequence[Factor], real_shares: Mapping[str, float | None]
+) -> list[Interaction]:
+    """Return tables of two factors each, one for each setting of the others where these are few.
+
+    Args:
+        cells: a control that has no value of the column's factor is a row with one column of its own, `null`.
+        factors: of the design.
+        real_shares: measured share of real transitions, by id of the cell.
+    """
+    pairs = sorted(combinations(_crossed(factors, cells), 2), key=lambda pair: sum(one.key == "env" for one in pair))
+    found: list[Interaction] = []
+    for row, column in pairs:
+        for given, some in _given(cells, [one for one in factors if one not in (row, column)]):
+            if len(found) < MOST_TABLES and (table := _interaction(some, row, column, given, real_shares)):
+                found.append(table)
+    return found
+
+
+def importance(cells: Sequence[Cell], factors: Sequence[Factor]) -> list[Importance]:
+    """Return the share of the variance between cells that each factor explains alone, the largest first."""
+    rows = [{**cell.settings, RESPONSE: cell.success.value} for cell in cells if cell.success.value is not None]
+    frame = pd.DataFrame(rows)
+    usable = [
+        factor.key for factor in factors if len(frame) and not (factor.numeric and frame[factor.key].isna().any())
+    ]
+    if len(frame) < statistics.FEWEST_ROWS or not usable:
+        return []
+    found = statistics.importance(frame, usable, RESPONSE)
+    ranked = [Importance(one.parameter, one.share, one.p, one.spearman) for one in found]
+    return sorted(ranked, key=lambda one: -one.share)
+
+
+def _interaction(
+    cells: Sequence[Cell], row: Factor, column: Factor, given: str | None, real_shares: Mapping[str, float | None]
+) -> Interaction | None:
+    whole = _frame(cells, [row, column])
+    if not len(whole) or whole[row.key].nunique() < 2 or whole[column.key].nunique() < 2:
+        return None
+    table = statistics.interaction(whole, row.key, column.key, RESPONSE)
+    at = {(one.row, one.column): one for one in table.cells}
+    rows, columns = list(table.rows), list(table.columns)
+    controls = [cell for cell in cells if cell.settings[column.key] is None and cell.settings[row.key] is not None]
+    columns_shown: list[Setting] = [*columns, *([None] if controls else [])]
+    rows_shown: list[Setting] = [*rows, *dict.fromkeys(cell.settings[row.key] for cell in controls)]
+    numbers = {(r, c): _entry(one) for (r, c), one in at.items()}
+    numbers |= {
+        (cell.settings[row.key], None): (cell.success.value, cell.success.low, cell.success.high, cell.success.n, None)
+        for cell in controls
+    }
+    nothing = (None, None, None, 0, None)
+    grid = [[numbers.get((r, c), nothing) for c in columns_shown] for r in rows_shown]
+    mean, low, high, n, residual = ([[entry[part] for entry in line] for line in grid] for part in range(5))
+    shares = _shares(cells, column, columns_shown, real_shares) if column.key == REAL else None
+    return Interaction(row.key, column.key, given, rows_shown, columns_shown, mean, low, high, n, residual, shares)
+
+
+def _entry(one: statistics.InteractionCell) -> tuple[Any, ...]:
+    return (_known(one.mean), _known(one.low), _known(one.high), one.n, _known(one.residual))
+
+
+def _shares(
+    cells: Sequence[Cell], column: Factor, levels: Sequence[Setting], real_shares: Mapping[str, float | None]
+) -> list[float | None]:
+    found = []
+    for level in levels:
+        known = [
+            share
+            for cell in cells
+            if cell.settings[column.key] == level and (share := real_shares.get(cell.id)) is not None
+        ]
+        found.append(float(np.mean(known)) if known else (1.0 if level is None else None))
+    return found
+
+
+def _given(cells: Sequence[Cell], others: Sequence[Factor]) -> Iterator[tuple[str | None, list[Cell]]]:
+    """Yield the cells for each setting of the other factors; all at once where there are many settings."""
+    settings = list(product(*(factor.levels for factor in others)))
+    if not others or len(settings) > MOST_GIVEN:
+        yield None, list(cells)
+        return
+    for values in settings:
+        words = ", ".join(f"{factor.name}={shown(value)}" for factor, value in zip(others, values, strict=True))
+        some = [
+            cell
+            for cell in cells
+            if all(cell.settings[factor.key] == value for factor, value in zip(others, values, strict=True))
+        ]
+        yield words, some
+
+
+def _crossed(factors: Sequence[Factor], cells: Sequence[Cell]) -> list[Factor]:
+    """Return the factors that have two levels or more among the cells with a value of all of them."""
+    full = [cell for cell in cells if all(cell.settings[factor.key] is not None for factor in factors)]
+    return [factor for factor in factors if len({shown(cell.settings[factor.key]) for cell in full}) > 1]
+
+
+def _frame(cells: Sequence[Cell], factors: Sequence[Factor]) -> pd.DataFrame:
+    """Return one row a finished seed of the cells that have a value of all factors."""
+    rows = [
+        {**{factor.key: cell.settings[factor.key] for factor in factors}, RESPONSE: seed.success}
+        for cell in cells
+        if all(cell.settings[factor.key] is not None for factor in factors)
+        for seed in cell.seeds
+        if seed.success is not None
+    ]
+    return pd.DataFrame(rows, columns=[*(factor.key for factor in factors), RESPONSE])
+
+
+def _known(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None

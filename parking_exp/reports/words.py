@@ -1,0 +1,304 @@
+"""A report's numbers in sentences: what they show, what makes them hard to compare, what is missing."""
+
+from collections import Counter
+from collections.abc import Iterable, Iterator, Sequence
+
+from parking_exp.reports.content import (
+    Cell,
+    Design,
+    Factor,
+    Importance,
+    Interaction,
+    Interval,
+    MainEffect,
+    Pair,
+    Provenance,
+)
+from parking_exp.reports.factors import shown
+from parking_exp.reports.selection import Group
+
+ENOUGH_SEEDS = 10
+FEW_NAMES = 4
+LARGE_RESIDUAL = 0.05
+VERDICTS = {"better": "is better than", "worse": "is worse than", "same": "can't be told apart from"}
+
+
+def percent(value: float | None) -> str:
+    """Write a rate."""
+    return "no rate" if value is None else f"{100 * value:.1f} %"
+
+
+def with_interval(interval: Interval) -> str:
+    """Write a mean rate with its interval: `94.4 % [91.2, 97.1]`."""
+    if interval.low is None or interval.high is None:
+        return percent(interval.value)
+    return f"{percent(interval.value)} [{100 * interval.low:.1f}, {100 * interval.high:.1f}]"
+
+
+def points(interval: Interval) -> str:
+    """Write a difference of rates: `+9.1 points [4.0, 14.2]`."""
+    if interval.value is None:
+        return "no difference is known"
+    words = f"{100 * interval.value:+.1f} points"
+    if interval.low is None or interval.high is None:
+        return words
+    return f"{words} [{100 * interval.low:+.1f}, {100 * interval.high:+.1f}]"
+
+
+def p_value(p: float | None) -> str:
+    """Write a p-value."""
+    if p is None:
+        return "no p"
+    return "p < 0.001" if p < 0.001 else f"p = {p:.3f}" if p < 0.1 else f"p = {p:.2f}"
+
+
+def named(names: Sequence[str]) -> str:
+    """List names, the first few of many."""
+    few = list(names[:FEW_NAMES])
+    if len(names) > FEW_NAMES:
+        return f"{', '.join(few)} and {len(names) - FEW_NAMES} more"
+    return few[0] if len(few) == 1 else f"{', '.join(few[:-1])} and {few[-1]}"
+
+
+def claims(cells: Sequence[Cell], pairs: Sequence[Pair], baseline: str | None) -> Iterator[str]:
+    """Yield what the comparison shows, the most important first: which is better, by how much, how sure, the cost."""
+    having = sorted((cell for cell in cells if cell.success.value is not None), key=_rank)
+    if not having:
+        return
+    best = having[0]
+    seeds = f"mean of {best.success.n} seeds" if best.success.n > 1 else "one seed"
+    if len(having) == 1:
+        yield f"{best.label} succeeds in {with_interval(best.success)} of the scenes, {seeds}."
+    else:
+        yield f"{best.label} has the highest final success: {with_interval(best.success)} of the scenes, {seeds}."
+        reference = next((cell for cell in having if cell.id == baseline), best)
+        yield from _against(reference, having, pairs)
+    yield from _reaching(having)
+    yield from _crashes(having)
+    yield from _cost(having)
+
+
+def about_factors(
+    design: Design,
+    factors: Sequence[Factor],
+    effects: Sequence[MainEffect],
+    interactions: Sequence[Interaction],
+    importance: Sequence[Importance],
+) -> Iterator[str]:
+    """Yield what single factors do."""
+    names = {factor.key: factor.name for factor in factors}
+    for effect in effects:
+        known = [level for level in effect.levels if level.effect.value is not None]
+        if len(known) < 2:
+            continue
+        high = max(known, key=lambda level: level.effect.value or 0.0)
+        low = min(known, key=lambda level: level.effect.value or 0.0)
+        yield (
+            f"{names[effect.factor]}: {shown(high.level)} is best on average over the other factors, "
+            f"{with_interval(high.effect)}, and {shown(low.level)} worst, {with_interval(low.effect)}."
+        )
+    for table in interactions:
+        rest = [(abs(r), r, i, j) for i, row in enumerate(table.residual) for j, r in enumerate(row) if r is not None]
+        if not rest or len(rest) < 4:
+            continue
+        size, residual, row, column = max(rest)
+        where = f"{shown(table.rows[row])} with {names[table.column]}={shown(table.columns[column])}"
+        given = f" ({table.given})" if table.given else ""
+        if size >= LARGE_RESIDUAL:
+            yield (
+                f"{names[table.row]} and {names[table.column]} do not just add up{given}: "
+                f"{where} is {100 * residual:+.1f} points from what both would give alone."
+            )
+        else:
+            yield (
+                f"{names[table.row]} and {names[table.column]} add up{given}, as far as these means tell: "
+                f"none is more than {100 * size:.1f} points from it."
+            )
+    for one in importance[:3] if design == "search" else ():
+        sign = {True: ", larger is better", False: ", smaller is better", None: ""}
+        way = sign[None if one.direction is None or not one.direction else one.direction > 0]
+        yield (
+            f"{names[one.factor]} alone explains {100 * one.share:.0f} % of the variance of success between cells "
+            f"({p_value(one.p)}{way})."
+        )
+
+
+def warnings(groups: Sequence[Group], cells: Sequence[Cell], origin: Provenance) -> Iterator[str]:
+    """Yield what makes numbers hard to compare."""
+    few = [cell for cell in cells if cell.success.n < ENOUGH_SEEDS]
+    if few:
+        number = min(cell.success.n for cell in few)
+        yield (
+            f"Exploratory: {_of(len(few), len(cells), 'cell')} fewer than {ENOUGH_SEEDS} finished seeds "
+            f"(the fewest: {number})."
+        )
+    yield from _mixed(groups, origin)
+    yield from _notes(cells)
+    for group in groups:
+        if group.repeated:
+            yield f"{group.label}: {_runs(group.repeated)} left out, since another one has the same seed."
+        if len(blank := group.done[group.done["success_rate"].isna()]):
+            yield f"{group.label}: {_runs(len(blank))} finished without a final success rate, and left out."
+
+
+def missing(cells: Sequence[Cell], not_begun: Sequence[str]) -> Iterator[str]:
+    """Yield which runs have no result.
+
+    Args:
+        cells: of the report.
+        not_begun: labels of runs that are planned and that the store has not heard of.
+    """
+    total: Counter[str] = Counter()
+    for cell in cells:
+        total.update(cell.counts)
+    waiting = {"running": "under way", "failed": "failed", "pending": "cut off or waiting"}
+    found = [f"{total[stage]} {words}" for stage, words in waiting.items() if total[stage]]
+    if not_begun:
+        found.append(f"{len(not_begun)} not begun")
+    if found:
+        everything = sum(total.values()) + len(not_begun)
+        yield f"{total['done']} of {everything} runs are done: {', '.join(found)}."
+    if empty := [cell.label for cell in cells if not cell.counts["done"]]:
+        yield f"No run is done of {named(empty)}."
+    whole = [cell for cell in cells if cell.counts["done"]]
+    most = max((cell.counts["done"] for cell in whole), default=0)
+    if behind := [cell.label for cell in whole if cell.counts["done"] < most]:
+        yield f"Fewer than {most} seeds are done of {named(behind)}."
+
+
+def _rank(cell: Cell) -> tuple[float, float]:
+    return -(cell.success.value or 0.0), cell.crash.value or 0.0
+
+
+def _against(reference: Cell, having: Sequence[Cell], pairs: Sequence[Pair]) -> Iterator[str]:
+    """Compare one cell with all others."""
+    labels = {cell.id: cell.label for cell in having}
+    verdicts: dict[str, list[tuple[str, Interval, float | None]]] = {
+        "better": [],
+        "worse": [],
+        "same": [],
+        "unknown": [],
+    }
+    for pair in pairs:
+        if reference.id not in (pair.a, pair.b):
+            continue
+        first = pair.a == reference.id
+        other = labels[pair.b if first else pair.a]
+        verdict = pair.verdict if pair.verdict in {"same", "unknown"} else _better(pair.verdict, first)
+        verdicts[verdict].append((other, pair.difference if first else _turned(pair.difference), pair.p_holm))
+    for verdict, words in (
+        ("better", "is better than"),
+        ("worse", "is worse than"),
+        ("same", "can't be told apart from"),
+    ):
+        if found := verdicts[verdict]:
+            one = "; ".join(f"{name} ({points(gap)}, {p_value(p)})" for name, gap, p in found[:FEW_NAMES])
+            more = f"; and {len(found) - FEW_NAMES} more" if len(found) > FEW_NAMES else ""
+            yield f"{reference.label} {words} {one}{more}."
+    if found := verdicts["unknown"]:
+        names = named([name for name, _, _ in found])
+        yield f"Whether {reference.label} differs from {names} can't be told: that takes two finished seeds of each."
+
+
+def _better(verdict: str, first: bool) -> str:
+    return "better" if (verdict == "a") == first else "worse"
+
+
+def _turned(gap: Interval) -> Interval:
+    low, high = (None if bound is None else -bound for bound in (gap.high, gap.low))
+    return Interval(None if gap.value is None else -gap.value, low, high, gap.n, gap.method)
+
+
+def _reaching(having: Sequence[Cell]) -> Iterator[str]:
+    several = [cell for cell in having if cell.reaching_90.n > 1][:FEW_NAMES]
+    if several:
+        parts = [f"{cell.label} {cell.reaching_90.k} of {cell.reaching_90.n}" + _wilson(cell) for cell in several]
+        yield f"Seeds that end at 90 % or above: {'; '.join(parts)}."
+
+
+def _wilson(cell: Cell) -> str:
+    low, high = cell.reaching_90.low, cell.reaching_90.high
+    return "" if low is None or high is None else f" [{100 * low:.0f}, {100 * high:.0f} %]"
+
+
+def _crashes(having: Sequence[Cell]) -> Iterator[str]:
+    known = [cell for cell in having if cell.crash.value is not None]
+    if len(known) > 1:
+        most, least = max(known, key=lambda c: c.crash.value or 0), min(known, key=lambda c: c.crash.value or 0)
+        if most is not least:
+            yield (
+                f"{most.label} crashes most, in {with_interval(most.crash)} of the scenes; {least.label} least, in "
+                f"{with_interval(least.crash)}."
+            )
+    elif known:
+        yield f"It crashes in {with_interval(known[0].crash)} of the scenes."
+
+
+def _cost(having: Sequence[Cell]) -> Iterator[str]:
+    known = [cell for cell in having if cell.cpu_s.value is not None]
+    if len(known) > 1:
+        most, least = max(known, key=lambda c: c.cpu_s.value or 0), min(known, key=lambda c: c.cpu_s.value or 0)
+        yield (
+            f"A run took {least.cpu_s.value:.0f} ({least.label}) to {most.cpu_s.value:.0f} ({most.label}) CPU-seconds "
+            "on average."
+        )
+    elif known:
+        yield f"A run took {known[0].cpu_s.value:.0f} CPU-seconds on average."
+    for cell in having[:FEW_NAMES]:
+        times = cell.survival
+        if times is None or times.n < 2:
+            continue
+        if times.median is None:
+            yield f"{cell.label}: {times.k} of {times.n} seeds held 90 % for three evaluations, so no median time."
+        else:
+            cpu = cell.survival_cpu.median if cell.survival_cpu else None
+            seconds = "" if cpu is None else f" and {cpu:.0f} CPU-seconds"
+            yield f"{cell.label} takes a median of {times.median:,.0f} env steps{seconds} to hold 90 %."
+
+
+def _mixed(groups: Sequence[Group], origin: Provenance) -> Iterator[str]:
+    mixed = {package: list(found) for package, found in origin.versions.items() if len(found) > 1}
+    for package, found in mixed.items():
+        yield f"Versions are mixed: {package} {named(found)}."
+    if len(origin.commits) > 1:
+        yield f"Commits are mixed: {named(list(origin.commits))}."
+    if any(commit.endswith("+") for commit in origin.commits):
+        yield "Some runs were made from files that differ from their commit (marked +)."
+    if len(origin.machines) > 1:
+        yield f"Machines are mixed, so that CPU-seconds do not compare: {named(list(origin.machines))}."
+    for key, words in (
+        ("total_timesteps", "Budgets are mixed: cells were trained for {} env steps."),
+        ("evaluation.final_n_scenes", "Scene sets are mixed: final models were evaluated on {} scenes."),
+        ("evaluation.first_scene", "Scene sets are mixed: they begin at scenes {}."),
+        ("env.name", "Tasks are mixed: cells belong to the envs {}; their rates are not of the same scenes."),
+    ):
+        values = list(dict.fromkeys(group.config.get(key) for group in groups))
+        if len(values) > 1:
+            yield words.format(named([f"{v:,}" if isinstance(v, int) else shown(v) for v in values]))
+    seeds = {tuple(group.done["seed"]) for group in groups if len(group.done)}
+    if len(seeds) > 1:
+        yield "Cells do not have the same seeds."
+
+
+def _notes(cells: Sequence[Cell]) -> Iterator[str]:
+    notes: dict[str, list[str]] = {}
+    for cell in cells:
+        if cell.note:
+            notes.setdefault(cell.note, []).append(cell.label)
+    for note, labels in notes.items():
+        yield f"{named(labels)}: {note}"
+
+
+def _of(k: int, n: int, what: str) -> str:
+    if k == n:
+        return f"the {what} has" if n == 1 else f"all {n} {what}s have"
+    return f"{k} of {n} {what}s {'has' if k == 1 else 'have'}"
+
+
+def _runs(number: int) -> str:
+    return "a run was" if number == 1 else f"{number} runs were"
+
+
+def together(*parts: Iterable[str]) -> list[str]:
+    """Return all sentences, each once."""
+    return list(dict.fromkeys(sentence for part in parts for sentence in part))

@@ -1,0 +1,48 @@
+"""A report as files. Each is whole or not there; what an earlier report of this name left and this one has not goes."""
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from parking_exp.files import write_atomically
+from parking_exp.reports.content import Content
+from parking_exp.reports.figures import draw
+from parking_exp.reports.markdown import markdown
+from parking_exp.reports.page import page
+from parking_exp.reports.tables import write_tables
+
+MADE_HERE = {"figures": {".svg", ".pdf", ".png"}, "tables": {".csv", ".tex"}}
+
+
+def write(content: Content, folder: Path, formats: Sequence[str]) -> None:
+    """Write all files of a report; the page is the last.
+
+    Args:
+        content: what it says.
+        folder: made if it is not there; other files in it stay as they are.
+        formats: of the figures.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    with TemporaryDirectory(prefix=".new-", dir=folder) as new:
+        pictures = draw(content, _made(Path(new) / "figures"), formats)
+        write_tables(content, _made(Path(new) / "tables"))
+        for part, endings in MADE_HERE.items():
+            _replace(Path(new) / part, _made(folder / part), endings)
+    write_atomically(folder / "report.json", json.dumps(content.plain(), ensure_ascii=False, allow_nan=False, indent=1))
+    write_atomically(folder / "report.md", markdown(content, pictures))
+    write_atomically(folder / "index.html", page(content, pictures))
+
+
+def _replace(new: Path, folder: Path, endings: set[str]) -> None:
+    names = {path.name for path in new.iterdir()}
+    for path in new.iterdir():
+        path.replace(folder / path.name)
+    for path in folder.iterdir():
+        if path.suffix in endings and path.name not in names:
+            path.unlink()
+
+
+def _made(folder: Path) -> Path:
+    folder.mkdir(parents=True, exist_ok=True)
+    return folder
