@@ -1,0 +1,96 @@
+"""Which hyperparameters a random or tuned sweep says matter."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    import pandas as pd
+
+FEWEST_ROWS = 5
+
+
+@dataclass(frozen=True)
+class Importance:
+    """What one parameter explains alone; `spearman` and `direction` (-1, 0, 1) are None where it is no number or
+    constant."""
+
+    parameter: str
+    share: float
+    p: float
+    spearman: float | None
+    direction: int | None
+    kind: str
+
+
+def importance(
+    frame: pd.DataFrame, parameters: Sequence[str], response: str, seed: int = 0, permutations: int = 999
+) -> list[Importance]:
+    """Return, for every parameter, the share of the response's variance that it explains alone, in the order given.
+
+    `frame` has one row per configuration. Numbers: adjusted R^2 of a quadratic in the parameter's ranks, so that a
+    log scale does not matter; booleans and words: the adjusted correlation ratio (Kelley 1935). Not below 0. p is
+    that of a permutation of the response, (1 + as good) / (1 + permutations), not corrected for the number of
+    parameters. The shares are marginal: they ignore interactions, need not add up, and after a tuner they show where
+    it looked as well as what it found. A parameter, or a response, that never changes explains 0 with p 1.
+
+    Raises:
+        ValueError: fewer than 5 rows, a missing column, or NaN in the response or in a number.
+    """
+    missing = [name for name in (*parameters, response) if name not in frame.columns]
+    if missing:
+        raise ValueError(f"the frame has no column {', '.join(map(repr, missing))}")
+    if len(frame) < FEWEST_ROWS:
+        raise ValueError(f"importance needs at least {FEWEST_ROWS} runs, not {len(frame)}")
+    y = frame[response].to_numpy(dtype=float)
+    if not np.isfinite(y).all():
+        raise ValueError(f"column {response!r} holds NaN or infinity; drop those runs first")
+    centred = y - y.mean()
+    rng = np.random.default_rng(seed)
+    shuffled = rng.permuted(np.tile(centred, (permutations, 1)), axis=1)
+    return [_importance(frame[name], centred, shuffled) for name in parameters]
+
+
+def _importance(column: pd.Series, centred: np.ndarray, shuffled: np.ndarray) -> Importance:
+    name, total, n = str(column.name), float(centred @ centred), len(centred)
+    numeric = column.dtype.kind in "iuf"
+    kind = "number" if numeric else "category"
+    if numeric and not np.isfinite(column.to_numpy(dtype=float)).all():
+        raise ValueError(f"column {name!r} holds NaN or infinity; drop those runs first")
+    if column.nunique(dropna=False) < 2 or total <= 1e-24 * n:
+        return Importance(name, 0.0, 1.0, None, None, kind)
+    spearman, direction = None, None
+    if numeric:
+        ranks = column.rank().to_numpy(dtype=float)
+        ranks = (ranks - ranks.mean()) / ranks.std()
+        design = np.stack([ranks, ranks**2], axis=1)
+        spearman = float(np.corrcoef(ranks, _ranks(centred))[0, 1])
+        direction = 0 if abs(spearman) < 1e-12 else int(np.sign(spearman))
+    else:
+        codes = column.astype("category").cat.codes.to_numpy()
+        design = (codes[:, None] == np.unique(codes)).astype(float)
+    basis, rank = _basis(design)
+    explained = float(((centred @ basis) ** 2).sum()) / total
+    by_chance = ((shuffled @ basis) ** 2).sum(axis=1) / total
+    p = (1 + int(np.count_nonzero(by_chance >= explained - 1e-9))) / (1 + len(shuffled))
+    left = n - 1 - rank
+    share = max(0.0, 1 - (1 - explained) * (n - 1) / left) if left > 0 else 0.0
+    return Importance(name, min(share, 1.0), p, spearman, direction, kind)
+
+
+def _basis(design: np.ndarray) -> tuple[np.ndarray, int]:
+    """Return an orthonormal basis of the centred columns, shape (n, rank)."""
+    left, sizes, _ = np.linalg.svd(design - design.mean(axis=0), full_matrices=False)
+    rank = int(np.count_nonzero(sizes > 1e-9 * sizes.max()))
+    return left[:, :rank], rank
+
+
+def _ranks(values: np.ndarray) -> np.ndarray:
+    """Return ranks from 1, ties in the middle."""
+    _, inverse, counts = np.unique(values, return_inverse=True, return_counts=True)
+    return (np.cumsum(counts) - (counts - 1) / 2)[inverse]
