@@ -90,17 +90,16 @@ def summarise(
 
 def shared_horizons(groups: Sequence[Group], frames: Frames) -> tuple[float | None, float | None]:
     """Return the env step and the CPU-second up to which every finished run was watched."""
-    ends = [frames.curves[run].iloc[-1] for group in groups for run in group.done["run_id"] if run in frames.curves]
-    steps = [float(end["step"]) for end in ends]
-    cpu_s = [float(end["cpu_s"]) for end in ends if pd.notna(end["cpu_s"])]
+    curves = [_evaluated(frames.curves.get(run)) for group in groups for run in group.done["run_id"]]
+    steps = [float(curve["step"].iloc[-1]) for curve in curves if len(curve)]
+    cpu_s = [end for curve in curves if len(curve) and (end := _trained_s(curve)) is not None]
     return min(steps, default=None), min(cpu_s, default=None)
 
 
 def real_share(group: Group, frames: Frames) -> float | None:
     """Return the mean share of real transitions in a cell's batches, as the buffer measured it."""
-    last = [
-        known.iloc[-1] for run in group.done["run_id"] if len(known := _known(frames.curves.get(run), "real_share"))
-    ]
+    curves = [frames.curves[run]["real_share"].dropna() for run in group.done["run_id"] if run in frames.curves]
+    last = [float(known.iloc[-1]) for known in curves if len(known)]
     return float(np.mean(last)) if last else None
 
 
@@ -118,7 +117,7 @@ def sample(cell: Cell, results: Results, frames: Frames) -> tuple[list[Path], li
         if episodes is None:
             continue
         for outcome in OUTCOMES:
-            scenes = episodes.loc[episodes["outcome"] == outcome, "scene"].to_numpy()
+            scenes = episodes.loc[episodes["outcome"] == outcome, "scene"].to_numpy(copy=True)
             wanted[outcome] += [(seed, int(scene)) for scene in rng.permutation(scenes)]
     for outcome, found in wanted.items():
         wanted[outcome] = _spread(found)
@@ -161,7 +160,7 @@ def _spread(found: list[tuple[Seed, int]]) -> list[tuple[Seed, int]]:
 
 def _seed(run: dict[str, Any], frames: Frames) -> Seed:
     rates = {name: _number(run.get(column)) for name, column in RATES.items()}
-    episodes, curve = frames.episodes.get(run["run_id"]), frames.curves.get(run["run_id"])
+    episodes, curve = frames.episodes.get(run["run_id"]), _evaluated(frames.curves.get(run["run_id"]))
     n_scenes = len(episodes) if episodes is not None else _whole(run.get("n_scenes"))
     low = high = None
     if rates["success"] is not None and n_scenes:
@@ -184,25 +183,29 @@ def _seed(run: dict[str, Any], frames: Frames) -> Seed:
     )
 
 
-def _course(curve: pd.DataFrame | None) -> tuple[float | None, bool, float | None, float | None]:
+def _course(curve: pd.DataFrame) -> tuple[float | None, bool, float | None, float | None]:
     """Return time to 90 % in env steps, whether it was reached, the same in CPU-seconds, and the area."""
-    known = _known(curve, "success_rate")
-    if curve is None or not len(known):
+    if not len(curve):
         return None, False, None, None
-    steps = curve.loc[known.index, "step"].to_numpy(float)
-    time, reached = steps_to(steps, known.to_numpy(float), GOOD, HOLD)
-    cpu_s = _number(curve.loc[curve["step"] == time, "cpu_s"].iloc[-1])
-    area = normalised_area(steps, known.to_numpy(float)) if len(known) > 1 else None
-    return float(time), reached, cpu_s, area
+    steps, rates = curve["step"].to_numpy(float), curve["success_rate"].to_numpy(float)
+    time, reached = steps_to(steps, rates, GOOD, HOLD)
+    cpu_s = _number(curve.loc[curve["step"] == time, "cpu_s"].iloc[-1]) if reached else _trained_s(curve)
+    return float(time), reached, cpu_s, normalised_area(steps, rates) if len(curve) > 1 else None
+
+
+def _trained_s(curve: pd.DataFrame) -> float | None:
+    """Return the CPU seconds up to which a run was watched. What its last row says includes how the run ended: the
+    final evaluation and its certification, which may take longer than the training did.
+    """
+    return _number(curve["cpu_s"].iloc[-2 if len(curve) > 1 else -1])
 
 
 def _curve(runs: pd.DataFrame, frames: Frames) -> Curve | None:
     """Return the learning curve over all runs that have one."""
-    tables = {
-        int(seed): frames.curves[run]
-        for run, seed in zip(runs["run_id"], runs["seed"], strict=True)
-        if len(_known(frames.curves.get(run), "success_rate"))
+    known = {
+        int(seed): _evaluated(frames.curves.get(run)) for run, seed in zip(runs["run_id"], runs["seed"], strict=True)
     }
+    tables = {seed: table for seed, table in known.items() if len(table)}
     if not tables:
         return None
     success, crash = (
@@ -298,8 +301,9 @@ def _by_run(frame: pd.DataFrame) -> dict[str, pd.DataFrame]:
     return {str(run): table.reset_index(drop=True) for run, table in frame.groupby("run_id", sort=False, observed=True)}
 
 
-def _known(table: pd.DataFrame | None, column: str) -> pd.Series:
-    return pd.Series(dtype=float) if table is None else table[column].dropna()
+def _evaluated(curve: pd.DataFrame | None) -> pd.DataFrame:
+    """Return the rows that have a success rate."""
+    return pd.DataFrame() if curve is None else curve[curve["success_rate"].notna()]
 
 
 def _number(value: Any) -> float | None:

@@ -9,7 +9,7 @@ from parking_exp.statistics.effects import (
     interaction,
     main_effects,
 )
-from parking_exp.statistics.hyperparameters import Importance, importance
+from parking_exp.statistics.hyperparameters import FEWEST_ROWS, Importance, importance
 from parking_exp.statistics.intervals import Estimate, mean_band, mean_interval
 from parking_exp.statistics.notes import coverage_note
 from parking_exp.statistics.pairs import Difference, Improvement, holm, probability_of_improvement, welch
@@ -24,6 +24,7 @@ from parking_exp.statistics.survival import (
 )
 
 __all__ = [
+    "FEWEST_ROWS",
     "Difference",
     "Estimate",
     "Importance",
