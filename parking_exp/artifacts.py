@@ -11,7 +11,15 @@ from parking_exp.store import Store
 if TYPE_CHECKING:
     from mlflow.entities import Run
 
-AT_THE_END = ("episodes.csv", "curves.png", "video.mp4", "monitor.csv", "progress.csv", "traceback.txt")
+AT_THE_END = (
+    "episodes.csv",
+    "curves.png",
+    "video.mp4",
+    "monitor.csv",
+    "progress.csv",
+    "traceback.txt",
+    "trajectories.npz",
+)
 # As in checkpoints.py, which imports torch: a command that only syncs can do without.
 MODEL, BUFFER, STATE, MANIFEST = "model.zip", "replay_buffer.npz", "state.json", "manifest.json"
 
