@@ -25,6 +25,10 @@ class RunLockedError(ParkingError):
     """Another process is working on the same run."""
 
 
+class ResultsError(ParkingError, LookupError):
+    """Results of runs that are not where they were looked for, or that can't be read."""
+
+
 class UnsyncedError(ParkingError):
     """A store fails, and has not got all that the run directories have."""
 

@@ -8,8 +8,8 @@ was cut off goes on from that checkpoint and logs everything after it again. So 
 among those of the run directory. Where they are not, the store's run has another past and is replaced: the directory
 was deleted and the run trained afresh, or the last checkpoint was corrupt and the one before it was taken.
 
-`synced.json` says what the store has: which status, and size and time of each file that was sent. It is written after
-the fact, so that a kill makes a file be sent twice, never be forgotten.
+`synced.json` says what the store has: which status and error, and size and time of each file that was sent. It is
+written after the fact, so that a kill makes a file be sent twice, never be forgotten.
 """
 
 import json
@@ -32,6 +32,7 @@ if TYPE_CHECKING:
 SYNCED_FILE = "synced.json"
 # MLflow cuts or refuses longer values; the whole config is an artifact besides.
 LONGEST_PARAM = 6000
+LONGEST_ERROR = 500
 WAIT_S = 120  # for another process that syncs the same run
 MLFLOW_STATUS = {"running": "RUNNING", "done": "FINISHED", "failed": "FAILED", "interrupted": "KILLED"}
 
@@ -60,7 +61,9 @@ def sync(directory: RunDirectory, uri: str | None = None) -> None:
             sent.status = None
             sent.write()
         params = {key: value[:LONGEST_PARAM] for key, value in flatten(config.plain()).items()}
-        store.log(run, params, _tags(directory, config))
+        tags = _tags(directory, config)
+        store.log(run, params, tags)
+        sent.error = tags["error"]
         latest = _latest_points(run)
         store.log_metrics(run, [point for point in points if point.step > latest.get(point.key, (-1, 0))[0]])
         try:
@@ -119,6 +122,7 @@ def in_step(directory: RunDirectory) -> bool:
         not status.get("unsynced")
         and sent.get("uri") == uri
         and sent.get("status") == present_status(directory)
+        and sent.get("error", "") == _error(directory)
         and (path is None or path.exists())
         and all(sent["files"].get(name) == fingerprint(file) for name, file in artifacts.evaluations(directory))
     )
@@ -148,11 +152,18 @@ class _Sent:
         self.uri, self.run_id = uri, run_id
         same = self._written.get("uri") == uri and self._written.get("run_id") == run_id
         self.status: str | None = self._written.get("status") if same else None
+        self.error: str = self._written.get("error", "") if same else ""
         self.files: dict[str, list[int]] = dict(self._written["files"]) if same else {}
 
     def write(self) -> None:
         """Write it down, if it has changed."""
-        value = {"uri": self.uri, "run_id": self.run_id, "status": self.status, "files": self.files}
+        value = {
+            "uri": self.uri,
+            "run_id": self.run_id,
+            "status": self.status,
+            "error": self.error,
+            "files": self.files,
+        }
         if value != self._written:
             write_json(self._path, value)
             self._written = {**value, "files": dict(self.files)}
@@ -180,8 +191,16 @@ def _tags(directory: RunDirectory, config: RunConfig) -> dict[str, str]:
         "seed": str(config.seed),
         "run_key": config.run_key,
         "run_dir": str(directory.path.absolute()),
+        "error": _error(directory),
         **read_object(directory.path / PROVENANCE_FILE).get("tags", {}),
     }
+
+
+def _error(directory: RunDirectory) -> str:
+    """Return why a run has failed, in one line; nothing for one that has not, or that goes on."""
+    status = directory.read_status()
+    words = " ".join(str(status.get("error", "")).split()) if status.get("status") == "failed" else ""
+    return words if len(words) <= LONGEST_ERROR else f"{words[: LONGEST_ERROR - 3]}..."
 
 
 def _final_metrics(directory: RunDirectory, status: Status) -> list["Metric"]:

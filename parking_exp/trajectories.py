@@ -1,9 +1,8 @@
-"""Where the car was, step by step: recorded by an evaluation, kept as `trajectories.npz`, read by reports."""
+"""Where the car was, step by step: recorded by an evaluation, kept as `trajectories.npz`, which `results` reads."""
 
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 
 TRAJECTORIES_FILE = "trajectories.npz"
 CAR_COLUMNS = ("x_m", "y_m", "heading_rad", "speed_mps")
@@ -40,16 +39,3 @@ class Recorder:
         with temporary.open("wb") as file:
             np.savez_compressed(file, scene=scene, length=length, **columns)
         temporary.replace(path)
-
-
-def read_trajectories(path: Path) -> pd.DataFrame:
-    """Return one row a step, the start included: `scene`, `step` and CAR_COLUMNS.
-
-    Raises:
-        OSError, ValueError, KeyError: the file is not there, or is none of ours.
-    """
-    with np.load(path, allow_pickle=False) as arrays:
-        scene, length = arrays["scene"], arrays["length"]
-        step = np.concatenate([np.arange(rows) for rows in length]) if len(length) else np.empty(0, np.int64)
-        columns = {name: arrays[name] for name in CAR_COLUMNS}
-        return pd.DataFrame({"scene": np.repeat(scene, length), "step": step, **columns})

@@ -4,6 +4,7 @@ import json
 import os
 import subprocess
 import sys
+import tempfile
 from pathlib import Path
 
 import pytest
@@ -40,6 +41,12 @@ def run_script(name, *arguments, cwd=None, env=None, timeout=180):
     """Run a script to its end."""
     command, keywords = script(name, *arguments, cwd=cwd, env=env)
     return subprocess.run(command, check=False, capture_output=True, timeout=timeout, **keywords)
+
+
+def in_memory():
+    """A temporary directory that does not wait for a disk, where there is such a place: a sqlite store does, often."""
+    place = Path("/dev/shm")
+    return tempfile.TemporaryDirectory(dir=place if os.access(place, os.W_OK) else None)
 
 
 def only_run(output_dir):

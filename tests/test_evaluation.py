@@ -11,9 +11,10 @@ from parking_exp.envs import Scenes, make_env
 from parking_exp.evaluation import EPISODE_COLUMNS, differences, evaluate, rank, summarise
 from parking_exp.lot import SLOT_POSITIONS
 from parking_exp.outcomes import Pose, outcome, relative_pose
+from parking_exp.recordings import read_trajectories
 from parking_exp.statistics import wilson_interval
 from parking_exp.summary import describe
-from parking_exp.trajectories import Recorder, read_trajectories
+from parking_exp.trajectories import Recorder
 
 
 def straight_on(observation):
@@ -56,7 +57,7 @@ def test_trajectories_lead_from_the_origin_to_where_the_episode_ended(simulator,
     recorder = Recorder()
     table = evaluate(straight_on, env, [5, 3, 40], simulator=simulator, recorder=recorder)
     recorder.save(tmp_path / "trajectories.npz")
-    rows = read_trajectories(tmp_path / "trajectories.npz")
+    rows = read_trajectories((tmp_path / "trajectories.npz").read_bytes())
     assert list(rows.columns) == ["scene", "step", "x_m", "y_m", "heading_rad", "speed_mps"]
     assert rows["scene"].unique().tolist() == [3, 5, 40]
     scenes = Scenes.from_seeds([3, 5, 40])

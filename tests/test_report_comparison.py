@@ -293,7 +293,7 @@ def test_scenes_are_mapped_to_their_goal_slots_and_some_episodes_are_drawn(two):
 
 def test_five_hundred_cells_are_compared_with_one_and_the_best_are_shown(tmp_path):
     cells = {str(n): [f"algorithm.gamma={0.5 + n / 1100}"] for n in range(500)}
-    configs = {label: None for label in cells}
+    configs = dict.fromkeys(cells)
     from stores import compose
 
     base = compose()

@@ -1,21 +1,29 @@
 """The store agrees with the run directories: under load, after kills, and after it was down."""
 
-import importlib.util
 import json
 import os
 import shutil
-import socket
 import sqlite3
 import subprocess
 import sys
-import tempfile
 import time
-from contextlib import closing, contextmanager
+from contextlib import closing
 from functools import cache
 from pathlib import Path
 
 import pytest
-from conftest import ROOT, artifacts, assert_store_is_whole, history, make_config, only_run, run_script, store
+from conftest import (
+    ROOT,
+    artifacts,
+    assert_store_is_whole,
+    history,
+    in_memory,
+    make_config,
+    only_run,
+    run_script,
+    store,
+)
+from servers import closed_port, mlflow_server, needs_server
 from syncing_processes import KEYS, grow
 
 from parking_exp import artifacts as sent_files
@@ -44,12 +52,6 @@ def smoke_config():
 
 def all_runs(output_dir):
     return [RunDirectory(path) for path in find(output_dir)]
-
-
-def in_memory():
-    """A temporary directory that does not wait for a disk, where there is such a place: a sqlite store does, often."""
-    place = Path("/dev/shm")
-    return tempfile.TemporaryDirectory(dir=place if os.access(place, os.W_OK) else None)
 
 
 @pytest.fixture(scope="module")
@@ -124,14 +126,6 @@ def content(output_dir):
         dump = list(database.iterdump())
     files = sorted((output_dir / "mlflow-artifacts").rglob("*"))
     return dump, [(path, path.stat().st_mtime_ns, path.stat().st_ino) for path in files]
-
-
-@contextmanager
-def closed_port():
-    """A port where nobody listens, kept from others."""
-    with socket.socket() as listener:
-        listener.bind(("127.0.0.1", 0))
-        yield listener.getsockname()[1]
 
 
 def test_sixteen_processes_write_into_a_fresh_store_at_once_and_each_number_arrives_once(fresh_dir):
@@ -241,6 +235,31 @@ def test_a_run_that_broke_sends_nothing_above_its_last_checkpoint(output_dir, st
     with directory.locked():
         sync(directory)
     assert "traceback.txt" not in artifacts(client, directory.run_id)
+
+
+def test_the_reason_of_a_failure_is_in_the_store_until_the_run_goes_on(output_dir):
+    directory, client = written_run(output_dir), store(output_dir)
+    directory.update(status="failed", error="ValueError: a loss\n  of NaN " + 500 * "x")
+    sync(directory)
+    reason = client.get_run(directory.run_id).data.tags["error"]
+    assert reason == "ValueError: a loss of NaN " + 471 * "x" + "..."
+    assert len(reason) == 500
+    directory.update(status="running", error=None)
+    with directory.locked():
+        sync(directory)
+    assert client.get_run(directory.run_id).data.tags["error"] == ""
+
+
+def test_a_run_that_fails_again_for_another_reason_is_not_in_step(output_dir):
+    directory, client = written_run(output_dir), store(output_dir)
+    directory.update(status="failed", error="ValueError: the first")
+    sync(directory)
+    assert in_step(directory)
+    # As its supervisor does for a process that was killed before it could open its store.
+    directory.update(status="failed", error="killed by SIGKILL (out of memory?)", killed=True)
+    assert [problem for _, problem in sync_all(all_runs(output_dir))] == [None]
+    assert client.get_run(directory.run_id).data.tags["error"] == "killed by SIGKILL (out of memory?)"
+    assert list(sync_all(all_runs(output_dir))) == []
 
 
 def test_a_run_that_is_trained_afresh_in_the_same_place_takes_the_place_of_the_old_one(output_dir):
@@ -395,17 +414,6 @@ def test_a_run_whose_store_is_down_is_done_and_the_store_gets_all_of_it_later(sm
     }
 
 
-def wait_for_server(port, process):
-    deadline = time.monotonic() + 120
-    while time.monotonic() < deadline:
-        assert process.poll() is None
-        with socket.socket() as client:
-            if client.connect_ex(("127.0.0.1", port)) == 0:
-                return
-        time.sleep(0.2)
-    raise AssertionError("the server does not listen")
-
-
 def test_a_run_goes_on_without_its_server(tmp_path):
     with closed_port() as port:
         uri = f"http://127.0.0.1:{port}"
@@ -415,10 +423,7 @@ def test_a_run_goes_on_without_its_server(tmp_path):
         assert not (tmp_path / "mlflow.db").exists()
 
 
-@pytest.mark.skipif(
-    importlib.util.find_spec("flask") is None,
-    reason="`mlflow server` needs the full mlflow: pip install 'parking-exp[ui]'",
-)
+@needs_server
 def test_a_server_that_comes_up_later_gets_everything_artifacts_too(tmp_path):
     with closed_port() as port:
         uri = f"http://127.0.0.1:{port}"
@@ -426,12 +431,7 @@ def test_a_server_that_comes_up_later_gets_everything_artifacts_too(tmp_path):
         grow(directory, rows=400)
         finish(directory)
         assert try_sync(directory) == "Connection refused"
-    command = [sys.executable, "-m", "mlflow", "server", "--port", str(port), "--workers", "1",
-               "--backend-store-uri", f"sqlite:///{tmp_path}/server.db",
-               "--artifacts-destination", str(tmp_path / "kept")]  # fmt: skip
-    server = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True)
-    try:
-        wait_for_server(port, server)
+    with mlflow_server(port, tmp_path):
         assert [problem for _, problem in sync_all(all_runs(tmp_path))] == [None]
         grow(directory, rows=5)
         grow(directory, rows=5)
@@ -447,6 +447,3 @@ def test_a_server_that_comes_up_later_gets_everything_artifacts_too(tmp_path):
             "config.yaml",
             "episodes.csv",
         ]
-    finally:
-        os.killpg(server.pid, 15)
-        server.wait(timeout=30)

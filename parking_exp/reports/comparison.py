@@ -160,9 +160,8 @@ def _not_begun(results: Results, groups: Sequence[Group], states: Mapping[str, R
 def _notes(results: Results, cells: Sequence[Cell], shown: Sequence[str]) -> list[str]:
     notes = []
     if len(shown) < len(cells):
-        notes.append(
-            f"Pictures show {len(shown)} of the {len(cells)} cells, those with the highest success; tables have all."
-        )
+        best = f"the {len(shown)} with the highest success"
+        notes.append(f"Pictures show {best} of {len(cells)} cells; tables have all.")
     if results.ignored:
         notes.append(f"The store has {results.ignored} more runs that this package did not make; they are left out.")
     return notes
