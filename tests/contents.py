@@ -194,7 +194,7 @@ def non_ascii():
     return content(3, 10, labels=labels, title="Straße 駐車")
 
 
-def many(n_cells=500, n_seeds=3):
+def many(n_cells=500, n_seeds=2):
     """More cells than figures can show."""
     return content(n_cells, n_seeds)
 
@@ -238,7 +238,7 @@ def _content(cells, factors, design, baseline=None):
 
 def _provenance(cells):
     n = sum(len(cell.seeds) for cell in cells)
-    keys = sorted({key for cell in cells for key in cell.settings})
+    keys = sorted({key for cell in cells for key in cell.settings}) if len(cells) > 1 else []
     return Provenance(
         versions={"parking-exp": {"0.5.0": n}, "highway-env": {"1.12.1": n}, "torch": {"2.13.0": n}},
         commits={"8f6f639a1c": n},
