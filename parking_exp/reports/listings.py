@@ -84,12 +84,12 @@ def headline(content: Content, wanted: Collection[str]) -> Listing:
             row.append(_time(cell.survival))
         rows.append([*row, _number(cell.episode_steps, 1), _whole(cell.total_timesteps), _number(cell.cpu_s)])
     titles = ["Success (%)", "Parked (%)", "Crash (%)", "Timeout (%)", "Seeds ≥ 90 %"]
-    titles += ["Median steps to 90 %"] if timed else []
+    titles += ["Steps to 90 %"] if timed else []
     titles += ["Steps an episode", "Env steps", "CPU (s)"]
     return Listing(
         "headline",
         f"Final evaluation: means over seeds, {PERCENT}; how many seeds reached 90 %, with Wilson's interval of their "
-        "share.",
+        f"share{'; median of the steps to 90 %' if timed else ''}.",
         [Column("Cell"), Column("Seeds", numeric=True), *(Column(title, numeric=True) for title in titles)],
         rows,
     )
