@@ -1,0 +1,102 @@
+"""Numbers and names as a reader sees them: in a page, in Markdown, in LaTeX."""
+
+import math
+import re
+from typing import Any
+
+from parking_exp.reports.content import Interval, Share
+
+CONTROL = re.compile(r"[\x00-\x1f\x7f-\x9f\u2028\u2029]+")
+
+
+def known(value: float | None) -> float | None:
+    """Return a number, or None for what is none."""
+    return value if value is not None and math.isfinite(value) else None
+
+
+def percent(share: float | None, *, signed: bool = False) -> str:
+    """Write 0.944 as `94.4`; what is not known as nothing."""
+    if (share := known(share)) is None:
+        return ""
+    return f"{100 * share + 0.0:{'+' if signed else ''}.1f}".replace("-", "−" if signed else "-")  # noqa: RUF001
+
+
+def number(value: float | None, digits: int = 0) -> str:
+    """Write 40000 as `40,000`."""
+    return "" if (value := known(value)) is None else f"{value:,.{digits}f}"
+
+
+def probability(p: float | None) -> str:
+    """Write a p value: three digits, and nothing smaller."""
+    if (p := known(p)) is None:
+        return ""
+    return "<0.001" if p < 0.001 else f"{p:.3f}"
+
+
+def percent_interval(interval: Interval | Share, *, signed: bool = False) -> str:
+    """Write `94.4 [91.2, 97.1]`, or the number alone where it has no interval."""
+    value = rate(interval)
+    return _with_interval(*(percent(part, signed=signed) for part in (value, interval.low, interval.high)))
+
+
+def number_interval(interval: Interval, digits: int = 0) -> str:
+    """Write `24,000 [21,500, 26,100]`, or the number alone where it has no interval."""
+    return _with_interval(*(number(part, digits) for part in (interval.value, interval.low, interval.high)))
+
+
+def rate(share: Interval | Share) -> float | None:
+    """Return an interval's value, a share's k / n."""
+    if isinstance(share, Interval):
+        return known(share.value)
+    return share.k / share.n if share.n else None
+
+
+def setting(value: Any) -> str:
+    """Write a config value as YAML would."""
+    if value is None:
+        return "null"
+    if isinstance(value, bool):
+        return str(value).lower()
+    return f"{value:.6g}" if isinstance(value, float) else str(value)
+
+
+def one_line(text: str) -> str:
+    """Return a text without line breaks and other control characters."""
+    return CONTROL.sub(" ", text).strip()
+
+
+_LATEX = {
+    **{character: f"\\{character}" for character in "&%$#_{}"},
+    "\\": r"\textbackslash{}",
+    "~": r"\textasciitilde{}",
+    "^": r"\textasciicircum{}",
+    "<": r"\textless{}",
+    ">": r"\textgreater{}",
+    "|": r"\textbar{}",
+    "−": "$-$",  # noqa: RUF001
+    "≥": r"$\geq$",
+    "×": r"$\times$",  # noqa: RUF001
+}
+_MARKDOWN = re.compile(r"([\\`*_\[\]<>|~$&#!])")
+_LIST_MARK = re.compile(r"^(\d+)([.)])(?=\s|$)|^([-+=])(?!\d)")
+
+
+def latex(text: str) -> str:
+    """Escape a text for LaTeX; `[` at its start would otherwise be an argument of the line break before it."""
+    escaped = "".join(_LATEX.get(character, character) for character in one_line(text))
+    return "{}" + escaped if escaped.startswith(("[", "*")) else escaped
+
+
+def markdown(text: str) -> str:
+    """Escape a text for GitHub's Markdown, tables included."""
+    escaped = _MARKDOWN.sub(r"\\\1", one_line(text))
+    return _LIST_MARK.sub(lambda match: rf"{match[1] or ''}\{match[2] or match[3]}", escaped)
+
+
+def csv(value: Any) -> Any:
+    """Keep spreadsheets from running a text as a formula: an apostrophe before `=`, `+`, `-`, `@`, tab and return."""
+    return f"'{value}" if isinstance(value, str) and value.startswith(("=", "+", "-", "@", "\t", "\r")) else value
+
+
+def _with_interval(value: str, low: str, high: str) -> str:
+    return f"{value} [{low}, {high}]" if value and low and high else value

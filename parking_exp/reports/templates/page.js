@@ -1,0 +1,126 @@
+"use strict";
+// Comforts alone: without this the page is whole.
+const root = document.documentElement;
+
+const remembered = {
+  get() { try { return localStorage.getItem("theme"); } catch { return null; } },
+  set(theme) { try { localStorage.setItem("theme", theme); } catch { /* file:// may forbid it */ } },
+};
+const stored = remembered.get();
+if (stored === "light" || stored === "dark") root.dataset.theme = stored;
+
+function addToggle() {
+  const dark = () => (root.dataset.theme || (matchMedia("(prefers-color-scheme: dark)").matches ? "dark" : "light")) === "dark";
+  const button = document.createElement("button");
+  button.type = "button";
+  button.id = "theme";
+  const say = () => { button.textContent = dark() ? "Light" : "Dark"; button.setAttribute("aria-label", `Switch to ${dark() ? "light" : "dark"} colours`); };
+  button.addEventListener("click", () => { root.dataset.theme = dark() ? "light" : "dark"; remembered.set(root.dataset.theme); say(); });
+  say();
+  document.querySelector("body > header").append(button);
+}
+
+const collator = new Intl.Collator(undefined, { numeric: true, sensitivity: "base" });
+
+function sort(table, heading, index) {
+  const numeric = heading.classList.contains("number");
+  const before = heading.getAttribute("aria-sort");
+  const first = numeric ? "descending" : "ascending"; // the best first
+  const order = before === first ? (numeric ? "ascending" : "descending") : first;
+  const sign = order === "ascending" ? 1 : -1;
+  const body = table.tBodies[0];
+  const keyed = [...body.rows].map((row) => ({ row, key: row.cells[index]?.dataset.value }));
+  const compare = (a, b) => {
+    const numbers = [Number(a), Number(b)];
+    return numbers.some(Number.isNaN) ? collator.compare(a, b) : numbers[0] - numbers[1];
+  };
+  keyed.sort((a, b) => {
+    if (a.key === undefined || b.key === undefined) return (a.key === undefined) - (b.key === undefined);
+    return sign * compare(a.key, b.key);
+  });
+  body.append(...keyed.map(({ row }) => row));
+  for (const other of table.tHead.rows[0].cells) other.setAttribute("aria-sort", "none");
+  heading.setAttribute("aria-sort", order);
+}
+
+function addSorting(table) {
+  [...table.tHead.rows[0].cells].forEach((heading, index) => {
+    const button = document.createElement("button"); // Enter and Space come with it
+    button.type = "button";
+    button.append(...heading.childNodes);
+    heading.append(button);
+    heading.setAttribute("aria-sort", "none");
+    button.addEventListener("click", () => sort(table, heading, index));
+  });
+}
+
+function addFilter(listing) {
+  const table = listing.querySelector("table");
+  const rows = [...table.tBodies[0].rows].map((row) => [row, row.textContent.toLowerCase()]);
+  const label = document.createElement("label");
+  const input = document.createElement("input");
+  const count = document.createElement("output");
+  label.className = "filter";
+  label.append("Filter ", input, " ", count);
+  input.type = "search";
+  input.placeholder = "all words …";
+  input.addEventListener("input", () => {
+    const words = input.value.toLowerCase().split(/\s+/).filter(Boolean);
+    let left = 0;
+    for (const [row, text] of rows) {
+      row.hidden = !words.every((word) => text.includes(word));
+      left += !row.hidden;
+    }
+    count.textContent = words.length ? `${left} of ${rows.length}` : "";
+  });
+  listing.prepend(label);
+}
+
+function addTips() {
+  const tip = document.createElement("div");
+  tip.id = "tip";
+  tip.setAttribute("role", "status");
+  tip.hidden = true;
+  document.body.append(tip);
+  const hide = () => { tip.hidden = true; };
+  const show = (event) => {
+    const target = event.target instanceof Element ? event.target.closest("[data-tip]") : null;
+    if (!target) return hide();
+    tip.textContent = target.getAttribute("data-tip");
+    tip.hidden = false;
+    const { offsetWidth: width, offsetHeight: height } = tip;
+    const left = Math.min(Math.max(event.clientX + 14, 6), root.clientWidth - width - 6);
+    const above = event.clientY - height - 12;
+    tip.style.left = `${Math.max(left, 6)}px`;
+    tip.style.top = `${above > 6 ? above : event.clientY + 18}px`;
+  };
+  document.addEventListener("pointermove", show);
+  document.addEventListener("click", show); // a tap
+  document.addEventListener("pointerleave", hide);
+  document.addEventListener("scroll", hide, true);
+  document.addEventListener("keydown", (event) => { if (event.key === "Escape") hide(); });
+}
+
+function openForPrint() {
+  let opened = [];
+  addEventListener("beforeprint", () => {
+    opened = [...document.querySelectorAll("details:not([open])")];
+    for (const details of opened) details.open = true;
+  });
+  addEventListener("afterprint", () => { for (const details of opened) details.open = false; });
+}
+
+function openTarget() {
+  const target = location.hash ? document.getElementById(decodeURIComponent(location.hash.slice(1))) : null;
+  const details = target?.closest("details");
+  if (details) details.open = true;
+}
+
+document.addEventListener("DOMContentLoaded", () => {
+  addToggle();
+  document.querySelectorAll(".listing table").forEach(addSorting);
+  document.querySelectorAll('.listing[data-filter]:not([data-filter=""])').forEach(addFilter);
+  addTips();
+  openForPrint();
+  openTarget();
+});
