@@ -2,6 +2,7 @@
 
 import json
 import os
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -47,6 +48,24 @@ def in_memory():
     """A temporary directory that does not wait for a disk, where there is such a place: a sqlite store does, often."""
     place = Path("/dev/shm")
     return tempfile.TemporaryDirectory(dir=place if os.access(place, os.W_OK) else None)
+
+
+@pytest.fixture(scope="session")
+def empty():
+    """An output directory with an initialised store: to make one takes seconds."""
+    from parking_exp.store import connect, default_uri
+
+    with in_memory() as folder:
+        connect(default_uri(Path(folder)))
+        yield Path(folder)
+
+
+@pytest.fixture
+def output_dir(empty):
+    """An output directory with a store of its own."""
+    with in_memory() as folder:
+        shutil.copy(empty / "mlflow.db", folder)
+        yield Path(folder)
 
 
 def only_run(output_dir):

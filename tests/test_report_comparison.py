@@ -1,13 +1,16 @@
 """From a store to what a report says."""
 
 import math
+import shutil
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
 import scipy.stats
-from stores import Look, make_store
+from conftest import in_memory
+from stores import Look, compose, make_store
 
 from parking_exp.errors import ConfigError, RunNotFoundError
 from parking_exp.reports.comparison import Question, compare
@@ -26,11 +29,15 @@ def content(output_dir, experiment="one", **changes):
 
 
 @pytest.fixture(scope="module")
-def two(tmp_path_factory):
+def two(empty):
     """Two algorithms with five seeds each."""
-    output_dir = tmp_path_factory.mktemp("two")
-    make_store(output_dir, "one", ALGORITHMS, range(5), lambda label, seed: Look(success=ENDS[label][seed], crash=0.0))
-    return output_dir
+    with in_memory() as folder:
+        shutil.copy(empty / "mlflow.db", folder)
+        output_dir = Path(folder)
+        make_store(
+            output_dir, "one", ALGORITHMS, range(5), lambda label, seed: Look(success=ENDS[label][seed], crash=0)
+        )
+        yield output_dir
 
 
 def test_the_headline_is_the_mean_over_seeds_of_the_final_certified_rate(two):
@@ -56,12 +63,12 @@ def test_pairs_are_welchs_test_with_holms_correction_and_a_verdict(two):
     assert pair.verdict == "a"
 
 
-def test_with_a_baseline_the_family_is_all_others_against_it(tmp_path):
+def test_with_a_baseline_the_family_is_all_others_against_it(output_dir):
     cells = {str(n): [f"buffer.n_sampled_goal={n}"] for n in (1, 2, 4)}
     make_store(
-        tmp_path, "one", cells, range(3), lambda label, seed: Look(success=int(label) / 5 + (0.2 if seed else 0))
+        output_dir, "one", cells, range(3), lambda label, seed: Look(success=int(label) / 5 + (0.2 if seed else 0))
     )
-    found = content(tmp_path, baseline="n_sampled_goal=2")
+    found = content(output_dir, baseline="n_sampled_goal=2")
     labels = {cell.id: cell.label for cell in found.cells}
     assert {(labels[pair.a], labels[pair.b]) for pair in found.pairs} == {
         ("n_sampled_goal=1", "n_sampled_goal=2"),
@@ -70,7 +77,7 @@ def test_with_a_baseline_the_family_is_all_others_against_it(tmp_path):
     assert "2 cells against the baseline" in found.family
     p = sorted(pair.p for pair in found.pairs)
     assert sorted(pair.p_holm for pair in found.pairs) == pytest.approx([min(2 * p[0], 1), max(2 * p[0], p[1])])
-    assert len(content(tmp_path).pairs) == 3
+    assert len(content(output_dir).pairs) == 3
 
 
 def test_sentences_say_which_is_better_by_how_much_and_how_sure(two):
@@ -82,20 +89,20 @@ def test_sentences_say_which_is_better_by_how_much_and_how_sure(two):
     assert "Seeds that end at 90 % or above: sac 3 of 5 [23, 88 %]; td3 0 of 5 [0, 43 %]." in found.claims
 
 
-def test_what_can_not_be_told_apart_is_said_to_be_so(tmp_path):
+def test_what_can_not_be_told_apart_is_said_to_be_so(output_dir):
     ends = {"sac": [0.8, 1.0, 0.6], "td3": [0.8, 0.8, 0.6]}
-    make_store(tmp_path, "one", ALGORITHMS, range(3), lambda label, seed: Look(success=ends[label][seed]))
-    found = content(tmp_path)
+    make_store(output_dir, "one", ALGORITHMS, range(3), lambda label, seed: Look(success=ends[label][seed]))
+    found = content(output_dir)
     assert found.pairs[0].verdict == "same"
     assert any(claim.startswith("sac can't be told apart from td3 (+6.7 points [") for claim in found.claims)
     assert not any("is better than" in claim for claim in found.claims)
 
 
-def test_fewer_than_ten_seeds_are_exploratory(tmp_path):
-    make_store(tmp_path, "one", {"sac": []}, range(10), bulk=True)
-    assert not content(tmp_path).exploratory
-    make_store(tmp_path, "two", {"sac": []}, range(9), bulk=True)
-    found = content(tmp_path, "two")
+def test_fewer_than_ten_seeds_are_exploratory(output_dir):
+    make_store(output_dir, "one", {"sac": []}, range(10), bulk=True)
+    assert not content(output_dir).exploratory
+    make_store(output_dir, "two", {"sac": []}, range(9), bulk=True)
+    found = content(output_dir, "two")
     assert found.exploratory
     assert "Exploratory: the cell has fewer than 10 finished seeds (the fewest: 9)." in found.warnings
 
@@ -110,35 +117,35 @@ def test_fewer_than_ten_seeds_are_exploratory(tmp_path):
                                  "their rates are not of the same scenes."),
     ],
 )  # fmt: skip
-def test_what_is_mixed_is_warned_of(tmp_path, overrides, warning):
-    make_store(tmp_path, "one", {"plain": [], "other": overrides}, range(2), bulk=True)
-    assert warning in content(tmp_path).warnings
+def test_what_is_mixed_is_warned_of(output_dir, overrides, warning):
+    make_store(output_dir, "one", {"plain": [], "other": overrides}, range(2), bulk=True)
+    assert warning in content(output_dir).warnings
 
 
-def test_versions_commits_and_machines_that_are_mixed_are_warned_of(tmp_path):
+def test_versions_commits_and_machines_that_are_mixed_are_warned_of(output_dir):
     tags = [
         {"version.highway-env": "1.12.1"},
         {"version.highway-env": "1.11.0", "cpu": "other", "git_commit": "b" * 40},
     ]
-    make_store(tmp_path, "one", {"sac": []}, range(2), lambda label, seed: Look(tags=tags[seed]), bulk=True)
-    found = content(tmp_path)
+    make_store(output_dir, "one", {"sac": []}, range(2), lambda label, seed: Look(tags=tags[seed]), bulk=True)
+    found = content(output_dir)
     assert any(line.startswith("Versions are mixed: highway-env 1.1") for line in found.warnings)
     assert any(line.startswith("Machines are mixed") for line in found.warnings)
     assert found.provenance.versions["highway-env"] == {"1.12.1": 1, "1.11.0": 1}
 
 
-def test_nothing_is_warned_of_where_nothing_is_wrong(tmp_path):
+def test_nothing_is_warned_of_where_nothing_is_wrong(output_dir):
     ends = np.random.default_rng(0).choice([0.4, 0.6, 0.8], 10)
     clean = {"git_dirty": "false", "git_commit": "a" * 40}
     make_store(
-        tmp_path, "one", {"sac": []}, range(10), lambda label, seed: Look(success=ends[seed], tags=clean), bulk=True
+        output_dir, "one", {"sac": []}, range(10), lambda label, seed: Look(success=ends[seed], tags=clean), bulk=True
     )
-    assert content(tmp_path).warnings == []
+    assert content(output_dir).warnings == []
 
 
-def test_one_run_has_a_rate_with_wilsons_interval_and_none_over_seeds(tmp_path):
-    make_store(tmp_path, "one", {"sac": []}, [0], lambda label, seed: Look(success=0.8))
-    found = content(tmp_path)
+def test_one_run_has_a_rate_with_wilsons_interval_and_none_over_seeds(output_dir):
+    make_store(output_dir, "one", {"sac": []}, [0], lambda label, seed: Look(success=0.8))
+    found = content(output_dir)
     (cell,) = found.cells
     assert (cell.success.value, cell.success.low, cell.success.high, cell.success.method) == (0.8, None, None, "none")
     assert (cell.seeds[0].low, cell.seeds[0].high) == pytest.approx((0.3755, 0.9638), abs=1e-4)  # Wilson's, 4 of 5
@@ -146,9 +153,9 @@ def test_one_run_has_a_rate_with_wilsons_interval_and_none_over_seeds(tmp_path):
     assert found.claims[0] == "sac, her_future succeeds in 80.0 % of the scenes, one seed."
 
 
-def test_seeds_that_are_all_perfect_leave_room_below(tmp_path):
-    make_store(tmp_path, "one", ALGORITHMS, range(3), lambda label, seed: Look(success=1.0, crash=0.0))
-    found = content(tmp_path)
+def test_seeds_that_are_all_perfect_leave_room_below(output_dir):
+    make_store(output_dir, "one", ALGORITHMS, range(3), lambda label, seed: Look(success=1.0, crash=0.0))
+    found = content(output_dir)
     for cell in found.cells:
         assert cell.success.value == 1.0
         assert cell.success.low == pytest.approx(0.025 ** (1 / 3))  # Markov's bound
@@ -157,12 +164,12 @@ def test_seeds_that_are_all_perfect_leave_room_below(tmp_path):
     assert found.pairs[0].improvement.value == 0.5
 
 
-def test_a_cell_with_only_failed_runs_has_no_numbers_and_its_reasons(tmp_path):
+def test_a_cell_with_only_failed_runs_has_no_numbers_and_its_reasons(output_dir):
     def look(label, seed):
         return Look(status="failed", error="ValueError: no way") if label == "td3" else Look()
 
-    make_store(tmp_path, "one", ALGORITHMS, range(2), look)
-    found = content(tmp_path)
+    make_store(output_dir, "one", ALGORITHMS, range(2), look)
+    found = content(output_dir)
     failed = found.cells[1]
     assert failed.success.value is None
     assert failed.counts == {"done": 0, "running": 0, "failed": 2, "pending": 0}
@@ -174,75 +181,78 @@ def test_a_cell_with_only_failed_runs_has_no_numbers_and_its_reasons(tmp_path):
     assert found.pairs == []
 
 
-def test_metrics_that_are_nan_leave_a_run_out_and_say_so(tmp_path):
+def test_metrics_that_are_nan_leave_a_run_out_and_say_so(output_dir):
     def look(label, seed):
         return Look(success=0.6, nan=["certified/success_rate", "eval/success_rate"] if seed == 1 else [])
 
-    make_store(tmp_path, "one", {"sac": []}, range(3), look)
-    found = content(tmp_path)
+    make_store(output_dir, "one", {"sac": []}, range(3), look)
+    found = content(output_dir)
     assert (found.cells[0].success.value, found.cells[0].success.n) == (pytest.approx(0.6), 2)
     assert "sac, her_future: a run was finished without a final success rate, and left out." in found.warnings
     assert not any(math.isnan(value) for value in numbers(found.plain()))
 
 
-def test_runs_of_different_lengths_have_curves_as_far_as_they_go(tmp_path):
-    make_store(tmp_path, "one", {"short": [], "long": ["total_timesteps=800"]}, range(2), lambda *_: Look(success=0.8))
-    short, long = content(tmp_path).cells
+def test_runs_of_different_lengths_have_curves_as_far_as_they_go(output_dir):
+    make_store(
+        output_dir, "one", {"short": [], "long": ["total_timesteps=800"]}, range(2), lambda *_: Look(success=0.8)
+    )
+    short, long = content(output_dir).cells
     assert (short.curve.step[-1], long.curve.step[-1]) == (400, 800)
     assert short.survival.horizon == long.survival.horizon == 400
 
 
-def test_time_to_90_percent_is_censored_where_it_was_not_held(tmp_path):
-    curves = {0: [0.5, 1.0, 1.0, 1.0], 1: [0.0, 1.0, 0.5, 1.0]}
-    make_store(tmp_path, "one", {"sac": []}, [0, 1], lambda label, seed: Look(curve=curves[seed]))
-    (cell,) = content(tmp_path).cells
+def test_time_to_90_percent_is_censored_where_it_was_not_held(output_dir):
+    curves = {0: [1 / 3, 1.0, 1.0, 1.0], 1: [0.0, 1.0, 1 / 3, 1.0]}  # of three scenes
+    make_store(output_dir, "one", {"sac": []}, [0, 1], lambda label, seed: Look(curve=curves[seed]))
+    (cell,) = content(output_dir).cells
     assert [(seed.steps_to_90, seed.reached_90) for seed in cell.seeds] == [(200, True), (400, False)]
     assert cell.survival.censored == [400]
     assert (cell.survival.k, cell.survival.n, cell.survival.median) == (1, 2, 200)
-    assert cell.seeds[0].area == pytest.approx((0.75 + 1 + 1) / 3)
+    assert cell.seeds[0].area == pytest.approx((2 / 3 + 1 + 1) / 3)
 
 
-def test_unfinished_runs_are_missing_and_quick_shows_their_curves(tmp_path):
+def test_unfinished_runs_are_missing_and_quick_shows_their_curves(output_dir):
     def look(label, seed):
-        return Look(status="done" if seed == 0 else "interrupted", curve=[0.2, 0.4, 0.6, 0.8])
+        return Look(status="done" if seed == 0 else "interrupted", curve=[0, 1 / 3, 2 / 3, 1])
 
-    make_store(tmp_path, "one", {"sac": []}, range(3), look)
-    found = content(tmp_path)
+    make_store(output_dir, "one", {"sac": []}, range(3), look, bulk=True)
+    found = content(output_dir)
     assert found.missing == ["1 of 3 runs are done: 2 cut off or waiting."]
     assert [seed for seed, _, _ in found.cells[0].curve.seeds] == [0]
-    quick = content(tmp_path, quick=True)
+    quick = content(output_dir, quick=True)
     assert [seed for seed, _, _ in quick.cells[0].curve.seeds] == [0, 1, 2]
     assert quick.cells[0].curve.n == [3, 3, 1, 1]
 
 
-def test_where_nothing_is_done_quick_still_shows_what_there_is(tmp_path):
-    make_store(tmp_path, "one", {"sac": []}, range(2), lambda *_: Look(status="interrupted"))
+def test_where_nothing_is_done_quick_still_shows_what_there_is(output_dir):
+    make_store(output_dir, "one", {"sac": []}, range(2), lambda *_: Look(status="interrupted"), bulk=True)
     with pytest.raises(RunNotFoundError, match="none of its 2 runs is done; report=quick shows what there is so far"):
-        content(tmp_path)
-    found = content(tmp_path, quick=True)
+        content(output_dir)
+    found = content(output_dir, quick=True)
     assert found.cells[0].success.value is None
     assert found.cells[0].curve is not None
     assert found.claims == []
 
 
-def test_runs_that_are_planned_here_and_not_begun_are_missing(tmp_path):
+def test_runs_that_are_planned_here_and_not_begun_are_missing(output_dir):
     from parking_exp.runs import RunDirectory
 
-    runs = make_store(tmp_path, "one", {"sac": []}, [0])
+    runs = make_store(output_dir, "one", {"sac": []}, [0])
     config = runs["sac", 0].config().model_copy(update={"seed": 7})
     RunDirectory(config.run_dir).freeze(config, "sac", None)
-    assert content(tmp_path).missing == ["1 of 2 runs are done: 1 not begun."]
+    assert content(output_dir).missing == ["1 of 2 runs are done: 1 not begun."]
 
 
-def test_a_her_ablation_has_effects_interactions_and_the_real_share(tmp_path):
+def test_a_her_ablation_has_effects_interactions_and_the_real_share(output_dir):
     cells = {f"{s}{n}": [f"buffer=her_{s}", f"buffer.n_sampled_goal={n}"] for s in ("future", "final") for n in (1, 4)}
     cells["replay"] = ["buffer=replay"]
 
     def look(label, seed):
-        return Look(success={"future1": 0.4, "future4": 0.8, "final1": 0.2, "final4": 0.6}.get(label, 0.2))
+        rates = {"future1": 0.4, "future4": 0.8, "final1": 0.2, "final4": 0.6}
+        return Look(success=rates.get(label, 0.2), nan=["buffer/real_share"] if label == "replay" else [])
 
-    make_store(tmp_path, "one", cells, range(2), look)
-    found = content(tmp_path)
+    make_store(output_dir, "one", cells, range(2), look)
+    found = content(output_dir)
     assert found.design == "factorial"
     strategy, goals = found.effects
     assert {level.level: round(level.effect.value, 6) for level in strategy.levels} == {
@@ -261,15 +271,15 @@ def test_a_her_ablation_has_effects_interactions_and_the_real_share(tmp_path):
     assert max(abs(r) for row in table.residual for r in row if r is not None) == pytest.approx(0, abs=1e-9)
 
 
-def test_a_search_says_what_each_hyperparameter_explains(tmp_path):
+def test_a_search_says_what_each_hyperparameter_explains(output_dir):
     rng = np.random.default_rng(1)
     draws = [(float(10 ** -rng.uniform(2, 4)), float(rng.uniform(0.8, 0.99))) for _ in range(12)]
     cells = {
         str(i): [f"algorithm.learning_rate={lr}", f"algorithm.gamma={gamma}"] for i, (lr, gamma) in enumerate(draws)
     }
     order = np.argsort([lr for lr, _ in draws]).argsort()
-    make_store(tmp_path, "one", cells, [0], lambda label, seed: Look(success=order[int(label)] // 2 / 5), bulk=True)
-    found = content(tmp_path)
+    make_store(output_dir, "one", cells, [0], lambda label, seed: Look(success=order[int(label)] // 2 / 5), bulk=True)
+    found = content(output_dir)
     assert found.design == "search"
     first, second = found.importance
     assert first.factor == "algorithm.learning_rate"
@@ -291,18 +301,14 @@ def test_scenes_are_mapped_to_their_goal_slots_and_some_episodes_are_drawn(two):
     assert content(two).cells[0].paths == sac.paths  # the same ones again
 
 
-def test_five_hundred_cells_are_compared_with_one_and_the_best_are_shown(tmp_path):
-    cells = {str(n): [f"algorithm.gamma={0.5 + n / 1100}"] for n in range(500)}
-    configs = dict.fromkeys(cells)
-    from stores import compose
-
-    base = compose()
-    for label in cells:
+def test_five_hundred_cells_are_compared_with_one_and_the_best_are_shown(output_dir):
+    base, configs = compose(), {}
+    for label in map(str, range(500)):
         arguments = {**base.algorithm.model_extra, "gamma": 0.5 + int(label) / 1100}
         algorithm = type(base.algorithm).model_validate({**base.algorithm.model_dump(by_alias=True), **arguments})
         configs[label] = base.model_copy(update={"algorithm": algorithm})
-    make_store(tmp_path, "one", configs, [0, 1], lambda label, seed: Look(success=int(label) % 6 / 5), bulk=True)
-    found = content(tmp_path)
+    make_store(output_dir, "one", configs, [0, 1], lambda label, seed: Look(success=int(label) % 6 / 5), bulk=True)
+    found = content(output_dir)
     assert len(found.cells) == 500
     assert len(found.shown) == 12
     assert len(found.pairs) == 499
@@ -310,10 +316,10 @@ def test_five_hundred_cells_are_compared_with_one_and_the_best_are_shown(tmp_pat
     assert "Pictures show the 12 with the highest success of 500 cells; tables have all." in found.notes
 
 
-def test_cells_are_chosen_by_label_pattern_and_config(tmp_path):
+def test_cells_are_chosen_by_label_pattern_and_config(output_dir):
     cells = {f"{s}{n}": [f"buffer=her_{s}", f"buffer.n_sampled_goal={n}"] for s in ("future", "final") for n in (1, 4)}
-    make_store(tmp_path, "one", cells, [0], bulk=True)
-    groups, _ = group(load("one", output_dir=tmp_path).runs)
+    make_store(output_dir, "one", cells, [0], bulk=True)
+    groups, _ = group(load("one", output_dir=output_dir).runs)
 
     def labels(*asked):
         return {one.label for one in choose(groups, asked)}
@@ -326,7 +332,7 @@ def test_cells_are_chosen_by_label_pattern_and_config(tmp_path):
         "her_final, n_sampled_goal=1",
         "her_future, n_sampled_goal=1",
     }
-    found = content(tmp_path, cells=["her_final"])
+    found = content(output_dir, cells=["her_final"])
     assert [cell.label for cell in found.cells] == ["n_sampled_goal=1", "n_sampled_goal=4"]
     assert sorted(found.provenance.left_out) == ["her_future, n_sampled_goal=1", "her_future, n_sampled_goal=4"]
 
@@ -339,25 +345,25 @@ def test_cells_are_chosen_by_label_pattern_and_config(tmp_path):
         ("buffer=her_past", "buffer=her_past: no run has that"),
     ],
 )
-def test_a_cell_that_there_is_not_is_refused_in_a_sentence(tmp_path, asked, words):
-    make_store(tmp_path, "one", {"a": ["buffer=her_final"], "b": []}, [0], bulk=True)
-    groups, _ = group(load("one", output_dir=tmp_path).runs)
+def test_a_cell_that_there_is_not_is_refused_in_a_sentence(output_dir, asked, words):
+    make_store(output_dir, "one", {"a": ["buffer=her_final"], "b": []}, [0], bulk=True)
+    groups, _ = group(load("one", output_dir=output_dir).runs)
     with pytest.raises(ConfigError, match=words):
         choose(groups, [asked])
     with pytest.raises(ConfigError):
         one_cell(groups, asked)
 
 
-def test_a_baseline_has_to_be_one_cell(tmp_path):
-    make_store(tmp_path, "one", {"a": ["buffer=her_final"], "b": []}, [0], bulk=True)
-    groups, _ = group(load("one", output_dir=tmp_path).runs)
+def test_a_baseline_has_to_be_one_cell(output_dir):
+    make_store(output_dir, "one", {"a": ["buffer=her_final"], "b": []}, [0], bulk=True)
+    groups, _ = group(load("one", output_dir=output_dir).runs)
     with pytest.raises(ConfigError, match=r"baseline=her_\*: 2 cells fit"):
         one_cell(groups, "her_*")
 
 
-def test_of_two_runs_with_the_same_seed_the_one_that_is_done_counts(tmp_path):
-    make_store(tmp_path, "one", {"sac": []}, [0, 1], lambda label, seed: Look(success=0.2 if seed else 0.8))
-    results = load("one", output_dir=tmp_path)
+def test_of_two_runs_with_the_same_seed_the_one_that_is_done_counts(output_dir):
+    make_store(output_dir, "one", {"sac": []}, [0, 1], lambda label, seed: Look(success=0.2 if seed else 0.8))
+    results = load("one", output_dir=output_dir)
     again = results.runs.assign(seed=0)
     again.loc[again["success_rate"] == 0.2, "status"] = "failed"
     found = compare(replace(results, runs=again), Question(experiments=["one"]), {})

@@ -23,7 +23,7 @@ from parking_exp.errors import ResultsError
 from parking_exp.reading import Reader
 from parking_exp.recordings import EPISODES
 from parking_exp.results import load
-from parking_exp.store import connect, default_uri
+from parking_exp.store import default_uri
 
 HER = {"four": ["buffer.n_sampled_goal=4"], "none": ["buffer=replay"]}
 LOOKS = {
@@ -34,21 +34,6 @@ LOOKS = {
     ("none", 1): Look(status="running", progress=0.5),
     ("none", 2): Look(status="interrupted", progress=0.0),
 }  # fmt: skip
-
-
-@pytest.fixture(scope="module")
-def empty():
-    """An output directory with an initialised store: to make one takes seconds."""
-    with in_memory() as folder:
-        connect(default_uri(Path(folder)))
-        yield Path(folder)
-
-
-@pytest.fixture
-def output_dir(empty):
-    with in_memory() as folder:
-        shutil.copy(empty / "mlflow.db", folder)
-        yield Path(folder)
 
 
 @pytest.fixture(scope="module")

@@ -10,7 +10,7 @@ from parking_exp.reports import words
 from parking_exp.reports.content import Cell, Content, Design, Factor, Importance, Interaction, MainEffect
 from parking_exp.reports.effects import importance, interactions, main_effects
 from parking_exp.reports.factors import design
-from parking_exp.reports.origins import provenance
+from parking_exp.reports.origins import not_in_store, provenance
 from parking_exp.reports.pairs import compare_pairs
 from parking_exp.reports.selection import Group, choose, group, one_cell, relabelled
 from parking_exp.reports.summaries import Frames, real_share, sample, shared_horizons, summarise
@@ -55,7 +55,7 @@ def compare(results: Results, question: Question, states: Mapping[str, RunState]
     everything, _ = group(results.runs)
     asked = choose(everything, question.cells) if question.cells else everything
     reference = one_cell(everything, question.baseline) if question.baseline else None
-    if reference is not None and reference not in asked:
+    if reference is not None and not any(one is reference for one in asked):
         asked = [reference, *asked]
     groups, factors = relabelled(asked)
     if not question.quick:
@@ -63,14 +63,16 @@ def compare(results: Results, question: Question, states: Mapping[str, RunState]
     frames = Frames.of(results)
     horizons = shared_horizons(groups, frames)
     cells = [summarise(one, number, frames, horizons, question.quick) for number, one in enumerate(groups)]
-    baseline = next((f"c{number}" for number, one in enumerate(asked) if one is reference), None)
+    names = [(one.experiment, one.name) for one in groups]
+    baseline = f"c{names.index((reference.experiment, reference.name))}" if reference else None
     shown = _shown(cells, baseline)
     cells = [_with_places(cell, results, frames) if cell.id in shown else cell for cell in cells]
     kind = design(factors, [one.settings for one in groups])
     parts = _factor_parts(kind, cells, groups, factors, frames)
     pairs, family = compare_pairs(cells, baseline)
     left_out = [one.label for one in everything if one.name not in {chosen.name for chosen in asked}]
-    origin = provenance(groups, left_out, without_password(results.uri), states)
+    unheard = not_in_store(results.runs, groups, states, whole=not question.cells)
+    origin = provenance(groups, left_out, without_password(results.uri), states, unheard)
     return Content(
         title=" and ".join(question.experiments),
         experiments=list(question.experiments),
@@ -94,7 +96,7 @@ def compare(results: Results, question: Question, states: Mapping[str, RunState]
             words.about_factors(kind, factors, parts.effects, parts.interactions, parts.importance),
         ),
         warnings=words.together(words.warnings(groups, cells, origin), results.problems),
-        missing=words.together(words.missing(cells, _not_begun(results, groups, states))),
+        missing=words.together(words.missing(cells, unheard)),
         provenance=origin,
         notes=_notes(results, cells, shown),
     )
@@ -140,21 +142,6 @@ def _refuse_nothing_done(groups: Sequence[Group], question: Question) -> None:
         f"experiment={','.join(question.experiments)}: none of its {runs} runs is done; "
         "report=quick shows what there is so far"
     )
-
-
-def _not_begun(results: Results, groups: Sequence[Group], states: Mapping[str, RunState]) -> list[str]:
-    """Return the runs of these cells that are planned on this machine, and that the store has not heard of."""
-    known = set(results.runs["run_dir"].dropna())
-    cells = {(one.experiment, one.name): one.label for one in groups}
-    there = {one.experiment for one in groups}
-    everything = set(zip(results.runs["experiment"], results.runs["cell"], strict=True))
-    return [
-        f"{cells.get((state.experiment, state.cell), state.label)} seed={state.seed}"
-        for path, state in states.items()
-        if path not in known
-        and state.experiment in there
-        and ((state.experiment, state.cell) in cells or (state.experiment, state.cell) not in everything)
-    ]
 
 
 def _notes(results: Results, cells: Sequence[Cell], shown: Sequence[str]) -> list[str]:

@@ -160,5 +160,10 @@ def _frame(cells: Sequence[Cell], factors: Sequence[Factor]) -> pd.DataFrame:
     return pd.DataFrame(rows, columns=[*(factor.key for factor in factors), RESPONSE])
 
 
+def _rate(bound: float) -> float | None:
+    """Return the end of an interval, cut to what a rate can be."""
+    return None if (value := _known(bound)) is None else min(max(value, 0.0), 1.0)
+
+
 def _known(value: float) -> float | None:
     return float(value) if np.isfinite(value) else None

@@ -20,7 +20,11 @@ WORDS = {
 
 
 def provenance(
-    groups: Sequence[Group], left_out: Sequence[str], uri: str, states: Mapping[str, RunState]
+    groups: Sequence[Group],
+    left_out: Sequence[str],
+    uri: str,
+    states: Mapping[str, RunState],
+    unheard: Sequence[FailedRun],
 ) -> Provenance:
     """Return what exactly was run.
 
@@ -29,6 +33,7 @@ def provenance(
         left_out: labels of the other cells of the experiments.
         uri: of the store, without passwords.
         states: how far runs are that lie on this machine, by run directory; what they say is newer.
+        unheard: runs that the store has not heard of.
     """
     runs = pd.concat([group.runs for group in groups])
     versions = {
@@ -46,12 +51,34 @@ def provenance(
         machines=_counts(runs["cpu"]),
         difference=difference,
         common={key: value for key, value in common.items() if can_matter(key)},
-        unfinished=[run for group in groups for run in _unfinished(group, states)],
+        unfinished=[*(run for group in groups for run in _unfinished(group, states)), *unheard],
         uri=uri,
         left_out=list(left_out),
         first=started.min().isoformat(timespec="seconds") if len(started) else None,
         last=ended.max().isoformat(timespec="seconds") if len(ended) else None,
     )
+
+
+def not_in_store(
+    runs: pd.DataFrame, groups: Sequence[Group], states: Mapping[str, RunState], *, whole: bool
+) -> list[FailedRun]:
+    """Return the runs on this machine that a store has not heard of: planned ones, and those that failed at once.
+
+    Args:
+        runs: all that the store has of the experiments.
+        groups: the cells of the report.
+        states: of runs on this machine that are not done, by run directory.
+        whole: whether the report is about all cells, those included that the store does not know.
+    """
+    known, experiments = set(runs["run_dir"].dropna()), {group.experiment for group in groups}
+    labels = {(group.experiment, group.name): group.label for group in groups}
+    found = []
+    for path, state in states.items():
+        cell = (state.experiment, state.cell)
+        if path not in known and state.experiment in experiments and (whole or cell in labels):
+            reason = state.reason or WORDS.get(state.stage, "no reason is known")
+            found.append(FailedRun(labels.get(cell, state.label), state.seed, state.stage, reason, path))
+    return found
 
 
 def _unfinished(group: Group, states: Mapping[str, RunState]) -> list[FailedRun]:

@@ -44,9 +44,13 @@ class Group:
 
 
 def group(runs: pd.DataFrame) -> tuple[list[Group], list[Factor]]:
-    """Return the cells of some runs, in the order in which they were begun, and the factors that set them apart."""
+    """Return the cells of some runs, in the order of their factors' levels, and these factors.
+
+    Levels that are numbers are in the order of these, others in the order in which they were begun.
+    """
     keys = [str(column) for column in runs if str(column).startswith(CONFIG)]
-    tables = [table for _, table in runs.sort_values("started").groupby(["experiment", "cell"], sort=False)]
+    begun = runs.sort_values("started", kind="stable")
+    tables = [table for _, table in begun.groupby(["experiment", "cell"], sort=False)]
     configs = [_config(table, keys) for table in tables]
     experiments = [str(table["experiment"].iloc[0]) for table in tables]
     names = [str(table["cell"].iloc[0]) for table in tables]
@@ -66,7 +70,7 @@ def group(runs: pd.DataFrame) -> tuple[list[Group], list[Factor]]:
                 repeated=len(tables[number]) - len(once),
             )
         )
-    return found, factors
+    return _in_order(found, factors), factors
 
 
 def choose(groups: Sequence[Group], asked: Sequence[str]) -> list[Group]:
@@ -141,6 +145,14 @@ def _narrowed(groups: list[Group], everyone: Sequence[Group], condition: str) ->
     if unknown := sorted(values - there):
         raise ConfigError(f"{key}={unknown[0]}: no run has that{closest(unknown[0], there)}")
     return [one for one in groups if name in one.config and shown(one.config[name]) in values]
+
+
+def _in_order(groups: Sequence[Group], factors: Sequence[Factor]) -> list[Group]:
+    def place(one: Group) -> list[int]:
+        levels = [(one.settings[factor.key], list(factor.levels)) for factor in factors]
+        return [len(known) if level is None else known.index(level) for level, known in levels]
+
+    return sorted(groups, key=place)
 
 
 def _config(table: pd.DataFrame, keys: Sequence[str]) -> dict[str, Setting]:

@@ -59,7 +59,8 @@ def summarise(
         horizons: up to which env step, and CPU-second, times to 90 % are averaged; see `shared_horizons`.
         unfinished: whether learning curves show runs that are not done, too.
     """
-    seeds = [_seed(run, frames) for run in group.done.to_dict("records")]
+    runs: list[dict[str, Any]] = group.done.to_dict("records")  # type: ignore[assignment]
+    seeds = [_seed(run, frames) for run in runs]
     success = _mean([seed.success for seed in seeds])
     times = [(seed.steps_to_90, seed.reached_90) for seed in seeds]
     cpu_times = [(seed.cpu_s_to_90, seed.reached_90) for seed in seeds]
@@ -143,9 +144,9 @@ def sample(cell: Cell, results: Results, frames: Frames) -> tuple[list[Path], li
 
 def _path(table: pd.DataFrame, seed: int, scene: int, outcome: Any) -> Path:
     rows = table[table["scene"] == scene]
-    columns = {name: [round(float(value), 3) for value in rows[name]] for name in ("x_m", "y_m", "heading_rad")}
+    x, y, heading = ([round(float(value), 3) for value in rows[name]] for name in ("x_m", "y_m", "heading_rad"))
     goal = int(Scenes.from_seeds([scene]).goal[0])
-    return Path(seed=seed, scene=scene, outcome=outcome, slot=goal, **columns)
+    return Path(seed, scene, outcome, goal, x, y, heading)
 
 
 def _spread(found: list[tuple[Seed, int]]) -> list[tuple[Seed, int]]:
@@ -212,10 +213,7 @@ def _curve(runs: pd.DataFrame, frames: Frames) -> Curve | None:
         pd.concat({seed: table.set_index("step")[name] for seed, table in tables.items()}, axis=1).sort_index()
         for name in ("success_rate", "crash_rate")
     )
-    bands = [
-        mean_band(row[~np.isnan(row)][None])[0] if not np.isnan(row).all() else None for row in success.to_numpy(float)
-    ]
-    means = [_interval(band) if band else Interval(None) for band in bands]
+    means = [_interval(point) for point in mean_band(success.to_numpy(float).T)]
     return Curve(
         step=[int(step) for step in success.index],
         mean=[mean.value for mean in means],

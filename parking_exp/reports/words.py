@@ -7,6 +7,7 @@ from parking_exp.reports.content import (
     Cell,
     Design,
     Factor,
+    FailedRun,
     Importance,
     Interaction,
     Interval,
@@ -141,22 +142,24 @@ def warnings(groups: Sequence[Group], cells: Sequence[Cell], origin: Provenance)
             yield f"{group.label}: {_runs(len(blank))} finished without a final success rate, and left out."
 
 
-def missing(cells: Sequence[Cell], not_begun: Sequence[str]) -> Iterator[str]:
+def missing(cells: Sequence[Cell], unheard: Sequence[FailedRun]) -> Iterator[str]:
     """Yield which runs have no result.
 
     Args:
         cells: of the report.
-        not_begun: labels of runs that are planned and that the store has not heard of.
+        unheard: runs that the store has not heard of.
     """
     total: Counter[str] = Counter()
     for cell in cells:
         total.update(cell.counts)
+    not_begun = sum(run.status == "pending" for run in unheard)
+    total.update(run.status for run in unheard if run.status != "pending")
     waiting = {"running": "under way", "failed": "failed", "pending": "cut off or waiting"}
     found = [f"{total[stage]} {words}" for stage, words in waiting.items() if total[stage]]
     if not_begun:
-        found.append(f"{len(not_begun)} not begun")
+        found.append(f"{not_begun} not begun")
     if found:
-        everything = sum(total.values()) + len(not_begun)
+        everything = sum(total.values()) + not_begun
         yield f"{total['done']} of {everything} runs are done: {', '.join(found)}."
     if empty := [cell.label for cell in cells if not cell.counts["done"]]:
         yield f"No run is done of {named(empty)}."
