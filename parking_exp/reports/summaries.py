@@ -234,16 +234,17 @@ def _survival(unit: str, times: Sequence[tuple[float | None, bool]], horizon: fl
         return None
     at, observed = np.array([time for time, _ in known]), np.array([reached for _, reached in known])
     estimate = kaplan_meier(at, observed)
+    start = [0.0] if estimate.times[0] > 0 else []  # where nobody has reached anything
     mean = Interval(None)
     if horizon:
         found = restricted_mean(at, observed, horizon)
         mean = Interval(found.mean, _number(found.low), _number(found.high), found.n, found.method)
     return Survival(
         unit=unit,
-        time=list(estimate.times),
-        reached=list(estimate.reached),
-        low=[_number(value) for value in estimate.low],
-        high=[_number(value) for value in estimate.high],
+        time=[*start, *estimate.times],
+        reached=[*start, *estimate.reached],
+        low=[*start, *map(_number, estimate.low)],
+        high=[*start, *map(_number, estimate.high)],
         censored=sorted(time for time, reached in known if not reached),
         n=len(known),
         k=int(observed.sum()),
