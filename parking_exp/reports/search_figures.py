@@ -48,7 +48,10 @@ def parallel_coordinates(content: Content) -> tuple[Sheet, str] | None:
         heights[:, column] += scale.spread * ((np.arange(len(tried)) * 0.618034) % 1 - 0.5)
     best = np.arange(len(tried)) >= len(tried) - max(1, len(tried) // 10)
     lines = [np.column_stack([np.arange(len(factors) + 1), row]) for row in heights]
-    widths, alphas = np.where(best, 1.8, 0.8), np.where(best, 1.0, 0.45 if len(tried) < 100 else 0.25)
+    widths, alphas = (
+        np.where(best, 1.8 if len(tried) < 100 else 1.0, 0.8 if len(tried) < 100 else 0.5),
+        np.where(best, 1.0, 0.45 if len(tried) < 100 else 0.25),
+    )
     colours = colormaps["cividis"](0.05 + 0.9 * success)
     colours[:, 3] = alphas
     axes.add_collection(LineCollection(lines, colors=colours, linewidths=widths), autolim=False)
@@ -57,7 +60,8 @@ def parallel_coordinates(content: Content) -> tuple[Sheet, str] | None:
     room = 72 * (FULL_IN - 1.2) / len(factors) - 6
     for column, scale in enumerate(scales):
         _upright(sheet, axes, column, scale.ticks(), (elided(scale.factor.name, room), room))
-    ticks = [(at, f"{low + at * (high - low):.0f}") for at in np.linspace(0, 1, 6)]
+    rates = np.arange(low, high + 1, 10 if high - low <= 60 else 20)
+    ticks = [((rate - low) / (high - low), f"{rate:.0f}") for rate in rates]
     _upright(sheet, axes, len(factors), ticks, ("success (%)", room), right=True)
     left_out = len(content.factors) - len(factors)
     caption = (

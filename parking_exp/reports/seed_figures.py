@@ -69,12 +69,13 @@ def final_success(content: Content) -> tuple[Sheet, str] | None:
     floor = max(0.0, min(80.0, 10 * np.floor((min([100 * min(known), *lows]) - 3) / 10)))
     margin = 0.02 * (100 - floor)
     axes.set(xlim=(floor - margin, 100 + margin), xlabel="final success (% of scenes)")
+    axes.locator_params(axis="x", steps=[1, 2, 5, 10])
     line_90(axes, vertical=True)
     for row, cell in enumerate(cells):
         _seeds_and_mean(sheet, axes, row, cell, floor)
     caption = (
         f"Final success over the certified scenes. Points: seeds ({seed_counts(cells)}), spread upwards so that they "
-        "can be told apart; bar: mean with its 95 % interval, where there is one. Dashed: 90 %."
+        "can be told apart; bar: mean with its 95 % interval, where there is one, cut at 0 and 100 %. Dashed: 90 %."
     )
     return sheet, caption
 

@@ -78,7 +78,7 @@ class Sheet:
         left, top = self.width - width, self.height - 0.1
         height = _ROW_PT * len(cells) / 72
         axes = self.blank(left, top - height, width, height)
-        short = labels(cells, 72 * width - 24, SMALL_PT)
+        short = labels(cells, 72 * width - 27, SMALL_PT)
         for row, cell in enumerate(cells):
             y = 72 * height - (row + 0.5) * _ROW_PT
             look = cell_style(cell.id)
@@ -146,7 +146,7 @@ class Sheet:
 
 def legend_width(cells: Sequence[Cell]) -> float:
     """How wide a legend must be for its labels [in]; longer ones are shortened."""
-    return min(2.2, widest([cell.label for cell in cells], SMALL_PT) / 72 + 0.4)
+    return min(2.2, widest([cell.label for cell in cells], SMALL_PT) / 72 + 0.42)
 
 
 def legend_height(cells: Sequence[Cell]) -> float:
