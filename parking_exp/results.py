@@ -51,6 +51,7 @@
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any, cast
 
@@ -113,6 +114,10 @@ class Results:
     problems: tuple[str, ...] = ()
     ignored: int = 0
 
+    @cached_property
+    def _reader(self) -> Reader:
+        return Reader(self.uri)
+
     def trajectories(self, run_id: str) -> pd.DataFrame:
         """Return the ways that the car took in final episodes of a run: one row per step, the start (step 0) included.
 
@@ -125,9 +130,8 @@ class Results:
         if places.empty:
             hint = closest(run_id, self.runs["run_id"])
             raise ResultsError(f"run_id={run_id}: it is none of the {len(self.runs)} runs{hint}")
-        reader = Reader(self.uri)
         try:
-            return read_trajectories(reader.artifact(places.iloc[0], "trajectories.npz"))
+            return read_trajectories(self._reader.artifact(places.iloc[0], "trajectories.npz"))
         except Exception as error:  # each place of artifacts has its own, and a file may be damaged
             raise ResultsError(f"run {run_id}: trajectories.npz can't be read: {reason(error)}") from error
 

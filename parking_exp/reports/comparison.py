@@ -1,4 +1,4 @@
-"""Frames of results -> a whole report's numbers and words."""
+"""Courses of results -> a whole report's numbers and words."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -8,12 +8,14 @@ from parking_exp import __version__
 from parking_exp.errors import RunNotFoundError
 from parking_exp.reports import words
 from parking_exp.reports.content import Cell, Content, Design, Factor, Importance, Interaction, MainEffect
+from parking_exp.reports.courses import Courses
 from parking_exp.reports.effects import importance, interactions, main_effects
 from parking_exp.reports.factors import design
 from parking_exp.reports.origins import not_in_store, provenance
 from parking_exp.reports.pairs import compare_pairs
+from parking_exp.reports.places import sample
 from parking_exp.reports.selection import Group, choose, group, one_cell, relabelled
-from parking_exp.reports.summaries import Frames, real_share, sample, shared_horizons, summarise
+from parking_exp.reports.summaries import real_share, shared_horizons, summarise
 from parking_exp.results import Results
 from parking_exp.states import RunState
 from parking_exp.store import without_password
@@ -60,15 +62,15 @@ def compare(results: Results, question: Question, states: Mapping[str, RunState]
     groups, factors = relabelled(asked)
     if not question.quick:
         _refuse_nothing_done(groups, question)
-    frames = Frames.of(results)
-    horizons = shared_horizons(groups, frames)
-    cells = [summarise(one, number, frames, horizons, question.quick) for number, one in enumerate(groups)]
+    courses = Courses.of(results)
+    horizons = shared_horizons(groups, courses)
+    cells = [summarise(one, number, courses, horizons, question.quick) for number, one in enumerate(groups)]
     names = [(one.experiment, one.name) for one in groups]
     baseline = f"c{names.index((reference.experiment, reference.name))}" if reference else None
     shown = _shown(cells, baseline)
-    cells = [_with_places(cell, results, frames) if cell.id in shown else cell for cell in cells]
+    cells, problems = _with_places(cells, shown, groups, results, courses)
     kind = design(factors, [one.settings for one in groups])
-    parts = _factor_parts(kind, cells, groups, factors, frames)
+    parts = _factor_parts(kind, cells, groups, factors, courses)
     pairs, family = compare_pairs(cells, baseline)
     left_out = [one.label for one in everything if one.name not in {chosen.name for chosen in asked}]
     unheard = not_in_store(results.runs, groups, states, whole=not question.cells)
@@ -95,7 +97,7 @@ def compare(results: Results, question: Question, states: Mapping[str, RunState]
             words.claims(cells, pairs, baseline),
             words.about_factors(kind, factors, parts.effects, parts.interactions, parts.importance),
         ),
-        warnings=words.together(words.warnings(groups, cells, origin), results.problems),
+        warnings=words.together(words.warnings(groups, cells, origin), results.problems, problems),
         missing=words.together(words.missing(cells, unheard)),
         provenance=origin,
         notes=_notes(results, cells, shown),
@@ -110,19 +112,30 @@ class _FactorParts:
 
 
 def _factor_parts(
-    kind: Design, cells: Sequence[Cell], groups: Sequence[Group], factors: Sequence[Factor], frames: Frames
+    kind: Design, cells: Sequence[Cell], groups: Sequence[Group], factors: Sequence[Factor], courses: Courses
 ) -> _FactorParts:
     if kind == "search":
         return _FactorParts(importance=importance(cells, factors))
     if kind != "factorial":
         return _FactorParts()
-    shares = {cell.id: real_share(one, frames) for cell, one in zip(cells, groups, strict=True)}
+    shares = {cell.id: real_share(one, courses) for cell, one in zip(cells, groups, strict=True)}
     return _FactorParts(main_effects(cells, factors), interactions(cells, factors, shares))
 
 
-def _with_places(cell: Cell, results: Results, frames: Frames) -> Cell:
-    paths, failures = sample(cell, results, frames)
-    return replace(cell, paths=paths, failures=failures)
+def _with_places(
+    cells: Sequence[Cell], shown: Sequence[str], groups: Sequence[Group], results: Results, courses: Courses
+) -> tuple[list[Cell], list[str]]:
+    """Return the cells, those that are shown with trajectories, and what is wrong with some recordings."""
+    found, problems = [], []
+    for cell, one in zip(cells, groups, strict=True):
+        if cell.id not in shown:
+            found.append(cell)
+            continue
+        runs = [(seed.seed, seed.run_id) for seed in cell.seeds]
+        places = sample(runs, results, courses.certified, int(str(one.config.get("env.vehicles_count") or 0)))
+        found.append(replace(cell, paths=places.paths, failures=places.failures))
+        problems += places.problems
+    return found, problems
 
 
 def _shown(cells: Sequence[Cell], baseline: str | None) -> list[str]:

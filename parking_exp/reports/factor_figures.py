@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 
 from parking_exp.reports.content import Content, Factor, Interaction, Interval, MainEffect, Setting
+from parking_exp.reports.formats import points, rate_interval
 from parking_exp.reports.sheet import Sheet, numbers, text_on, tiles
 from parking_exp.reports.style import (
     COLUMN_IN,
@@ -17,8 +18,6 @@ from parking_exp.reports.style import (
     TINY_PT,
     clean,
     elided,
-    percent_interval,
-    points,
     seeds_text,
     setting_text,
     widest,
@@ -115,8 +114,7 @@ def _effect_panel(
         sheet.text(axes, place, -0.05, text, transform=transform, **style)
     known = [(x, y, v) for x, y, v in zip(places, mean, effect.levels, strict=True) if np.isfinite(y)]
     tips = [
-        f"{effect.factor} = {setting_text(v.level)}: {percent_interval(v.effect)}, {_cells(v.cells)}"
-        for _, _, v in known
+        f"{effect.factor} = {setting_text(v.level)}: {rate_interval(v.effect)}, {_cells(v.cells)}" for _, _, v in known
     ]
     sheet.tip_points(axes, [x for x, _, _ in known], [y for _, y, _ in known], tips, radius=5)
 
@@ -198,7 +196,7 @@ def _fill_heat_map(sheet: Sheet, axes: Any, table: Interaction, scale: tuple[Any
             fills.append(colours((100 * mean.value - lowest) / (highest - lowest)))
             residual = table.residual[r][c]
             rest = "" if residual is None else f"; {points(residual)} points beside the main effects"
-            sheet.tip_box(axes, *box, f"{where}: {percent_interval(mean)}, {seeds_text(mean.n)}{rest}")
+            sheet.tip_box(axes, *box, f"{where}: {rate_interval(mean)}, {seeds_text(mean.n)}{rest}")
             style = {"ha": "center", "va": "center", "color": text_on(fills[-1])}
             small = [] if mean.low is None or mean.high is None else [f"[{100 * mean.low:.0f}, {100 * mean.high:.0f}]"]
             small += [f"n={mean.n}"] if len(counts) > 1 else []

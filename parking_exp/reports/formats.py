@@ -44,6 +44,34 @@ def number_interval(interval: Interval, digits: int = 0) -> str:
     return _with_interval(*(number(part, digits) for part in (interval.value, interval.low, interval.high)))
 
 
+def rate_text(value: float | None) -> str:
+    """Write 0.944 as `94.4 %`, for sentences and hover values."""
+    return f"{percent(value)} %" if known(value) is not None else "unknown"
+
+
+def rate_interval(interval: Interval) -> str:
+    """Write `94.4 % [91.2, 97.1]`, or the number alone where it has no interval."""
+    return rate_text(interval.value) + _brackets(percent(interval.low), percent(interval.high))
+
+
+def points(difference: float | None) -> str:
+    """Write a difference of rates in percentage points: `+3.2`, with a proper minus."""
+    text = percent(difference, signed=True)
+    return "0.0" if text[1:] == "0.0" else text
+
+
+def points_interval(interval: Interval) -> str:
+    """Write `+9.1 points [+4.0, +14.2]`, or the number alone."""
+    return f"{points(interval.value)} points{_brackets(points(interval.low), points(interval.high))}"
+
+
+def p_value(p: float | None) -> str:
+    """Write `p = 0.012`; what is not known as nothing."""
+    if (p := known(p)) is None:
+        return ""
+    return "p < 0.001" if p < 0.001 else f"p = {p:.3f}" if p < 0.1 else f"p = {p:.2f}"
+
+
 def rate(share: Interval | Share) -> float | None:
     """Return an interval's value, a share's k / n."""
     if isinstance(share, Interval):
@@ -99,4 +127,8 @@ def csv(value: Any) -> Any:
 
 
 def _with_interval(value: str, low: str, high: str) -> str:
-    return f"{value} [{low}, {high}]" if value and low and high else value
+    return value + _brackets(low, high) if value else value
+
+
+def _brackets(low: str, high: str) -> str:
+    return f" [{low}, {high}]" if low and high else ""

@@ -17,9 +17,10 @@ from parking_exp.lot import (
     WALL_THICKNESS_M,
 )
 from parking_exp.reports.content import Cell, Content, Path, SlotRate
+from parking_exp.reports.formats import rate_text
 from parking_exp.reports.seed_figures import shown_cells
 from parking_exp.reports.sheet import Sheet, text_on, tiles
-from parking_exp.reports.style import COLUMN_IN, FULL_IN, GRID, INK, SMALL_PT, TINY_PT, labels, percent, width_pt
+from parking_exp.reports.style import COLUMN_IN, FULL_IN, GRID, INK, SMALL_PT, TINY_PT, labels, width_pt
 
 _OUTCOMES = ("success", "crash", "timeout")
 _MOST_ENDS = 150
@@ -153,8 +154,8 @@ def _slots(lots: _Lots, cell: Cell, origin: tuple[float, float], scale: tuple[An
         if width_pt("88", TINY_PT) < SLOT_WIDTH_M * lots.scale - 0.4 and len(number) < 3:
             style = {"ha": "center", "va": "center_baseline", "fontsize": TINY_PT}
             lots.axes.text(x, y, number, color=text_on(fills[-1]), zorder=4, **style)
-        parts = f"{percent(slot.crash)} crash, {percent(slot.timeout)} timeout"
-        tip = f"{cell.label}, slot {slot.slot}: {percent(share)} failed ({parts}), {slot.n:,} episodes"
+        parts = f"{rate_text(slot.crash)} crash, {rate_text(slot.timeout)} timeout"
+        tip = f"{cell.label}, slot {slot.slot}: {rate_text(share)} failed ({parts}), {slot.n:,} episodes"
         lots.sheet.tip_box(lots.axes, *box, tip)
     if boxes:
         tiles(lots.axes, boxes, fills, linewidths=0.4, edgecolors=GRID, zorder=2)

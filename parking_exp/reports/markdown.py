@@ -8,7 +8,7 @@ from parking_exp.reports.content import Content
 from parking_exp.reports.listings import Listing, listings
 
 if TYPE_CHECKING:
-    from parking_exp.reports.page import Picture
+    from parking_exp.reports.figures import Picture
 
 ROWS = 100
 """A longer table is cut: `tables/*.csv` hold everything."""

@@ -6,7 +6,7 @@ import re
 from collections.abc import Mapping, Sequence
 from functools import cache
 from pathlib import Path
-from typing import Any, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
@@ -14,30 +14,15 @@ from markupsafe import Markup
 from parking_exp.reports import formats
 from parking_exp.reports.content import Cell, Content
 from parking_exp.reports.listings import Listing, listings
+from parking_exp.statistics.intervals import BOOTSTRAP, EXACT, NONE, SCORE
+
+if TYPE_CHECKING:
+    from parking_exp.reports.figures import Picture
+    from parking_exp.reports.style import CellStyle
 
 TEMPLATES = Path(__file__).parent / "templates"
 MAX_ROWS = 3000
 """A longer table is left to `tables/*.csv`, where its part about the cells in the figures is longer too."""
-
-
-class Picture(Protocol):
-    """What a page needs to know about a figure."""
-
-    @property
-    def name(self) -> str:
-        """Of its file and its anchor."""
-
-    @property
-    def title(self) -> str:
-        """What it shows, in a few words."""
-
-    @property
-    def caption(self) -> str:
-        """How it is read."""
-
-    @property
-    def svg(self) -> str:
-        """Its markup, made by us: names from the store are escaped in it."""
 
 
 class Section(NamedTuple):
@@ -76,25 +61,16 @@ MARKERS = {
     "X": "M2.8 .5l2.2 2.2l2.2-2.2l2.3 2.3l-2.2 2.2l2.2 2.2l-2.3 2.3l-2.2-2.2l-2.2 2.2l-2.3-2.3l2.2-2.2l-2.2-2.2z",
 }
 METHODS = {
-    "t": "Intervals of means over fewer than 20 seeds are Student's.",
-    "bca": "Intervals of means over 20 seeds or more are bias-corrected and accelerated bootstrap intervals.",
-    "none": "Where there is one seed, or no variation at all, there is no interval.",
+    BOOTSTRAP: "Intervals of means over 5 seeds and more are studentised bootstrap intervals: where rates pile up "
+    "below 100 %, Student's and BCa's cover less than they say.",
+    SCORE: "Intervals of means over 2 to 4 seeds are Wilson's, with Student's quantile and as many trials as the "
+    "variance between seeds amounts to.",
+    EXACT: "Where all seeds ended alike, the interval is the one that holds whatever the distribution.",
+    NONE: "A single seed has no interval.",
 }
 
 
-class Style(Protocol):
-    """How a cell looks in the figures: a colour such as `#0072B2`, and one of matplotlib's markers `o s ^ D v P X`."""
-
-    @property
-    def colour(self) -> str:
-        """As CSS writes it."""
-
-    @property
-    def marker(self) -> str:
-        """As matplotlib writes it."""
-
-
-def page(content: Content, pictures: Sequence[Picture] = (), styles: Mapping[str, Style] | None = None) -> str:
+def page(content: Content, pictures: Sequence["Picture"] = (), styles: "Mapping[str, CellStyle] | None" = None) -> str:
     """Return `index.html`.
 
     Args:
@@ -117,14 +93,13 @@ def page(content: Content, pictures: Sequence[Picture] = (), styles: Mapping[str
             cut=cut,
             swatches={cell: _swatch(style) for cell, style in (styles or {}).items()},
             badges=_badges(content),
-            notes=[cell for cell in content.cells if cell.note],
             methods=_methods(content),
             stages=_stages(content.cells),
         )
     )
 
 
-def _swatch(style: Style) -> Markup:
+def _swatch(style: "CellStyle") -> Markup:
     svg = Markup('<svg viewBox="0 0 10 10"><path fill="{}" d="{}"/></svg>')
     return svg.format(style.colour, MARKERS.get(style.marker, MARKERS["o"]))
 
@@ -152,7 +127,7 @@ def _listings(content: Content) -> tuple[dict[str, Listing], set[str]]:
     return found, long
 
 
-def _sections(pictures: Sequence[Picture], found: Mapping[str, Listing]) -> list[dict[str, Any]]:
+def _sections(pictures: Sequence["Picture"], found: Mapping[str, Listing]) -> list[dict[str, Any]]:
     left = list(pictures)
     made = []
     for section in SECTIONS:

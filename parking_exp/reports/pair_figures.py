@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from parking_exp.reports.content import Cell, Content, Interval, Pair
+from parking_exp.reports.formats import p_value, points
 from parking_exp.reports.seed_figures import label_widths, row_sheet, shown_cells
 from parking_exp.reports.sheet import Sheet, text_on, tiles
 from parking_exp.reports.style import (
@@ -16,8 +17,6 @@ from parking_exp.reports.style import (
     cell_style,
     clean,
     labels,
-    p_text,
-    points,
     widest,
     width_pt,
 )
@@ -57,7 +56,7 @@ def _turned(pair: Pair) -> Pair:
 def _pair_tip(a: Cell, b: Cell, pair: Pair) -> str:
     parts = [f"{a.label} minus {b.label}: {_difference(pair.difference)} points"]
     if pair.p_holm is not None:
-        parts.append(f"Holm {p_text(pair.p_holm)}")
+        parts.append(f"Holm {p_value(pair.p_holm)}")
     if pair.improvement.value is not None:
         parts.append(f"probability of improvement {pair.improvement.value:.2f}")
     words = {"same": "can't be told apart", "unknown": "too few seeds"}
@@ -162,7 +161,7 @@ def _from_baseline(content: Content) -> tuple[Sheet, str] | None:
             axes.plot([100 * difference.low, 100 * difference.high], [row] * 2, color=look.colour, lw=1.6)
         axes.plot([value], [row], marker=look.marker, ms=5, color=look.colour, mec=PAPER, mew=0.6)
         sheet.tip_points(axes, [value], [row], [_pair_tip(cell, base, pair)], radius=5)
-        text = f"{_difference(difference)}   {_VERDICTS[pair.verdict]} {p_text(pair.p_holm)}"
+        text = f"{_difference(difference)}   {_VERDICTS[pair.verdict]} {p_value(pair.p_holm)}"
         style = {"transform": axes.get_yaxis_transform(), "fontsize": SMALL_PT, "va": "center_baseline"}
         sheet.text(axes, 1.02, row, text.strip(), **style)
     caption = (

@@ -5,19 +5,10 @@ from typing import Any
 import numpy as np
 
 from parking_exp.reports.content import Cell, Content, Factor
+from parking_exp.reports.formats import p_value, rate_text
 from parking_exp.reports.seed_figures import row_sheet
 from parking_exp.reports.sheet import Sheet
-from parking_exp.reports.style import (
-    FULL_IN,
-    INK,
-    PAPER,
-    SMALL_PT,
-    TEXT_PT,
-    elided,
-    p_text,
-    percent,
-    setting_text,
-)
+from parking_exp.reports.style import FULL_IN, INK, PAPER, SMALL_PT, TEXT_PT, elided, setting_text
 
 _MOST_AXES = 8
 _BAR = "#0072B2"
@@ -74,7 +65,7 @@ def parallel_coordinates(content: Content) -> tuple[Sheet, str] | None:
 
 def _tip(cell: Cell, rate: float, factors: list[Factor]) -> str:
     settings = ", ".join(f"{factor.name}={setting_text(cell.settings.get(factor.key))}" for factor in factors)
-    return f"{cell.label}: {percent(rate / 100)} ({settings})"
+    return f"{cell.label}: {rate_text(rate / 100)} ({settings})"
 
 
 def _upright(
@@ -147,11 +138,11 @@ def importance(content: Content) -> tuple[Sheet, str] | None:
     axes.set_xticks([tick for tick in axes.get_xticks() if tick <= 100])
     for row, item in enumerate(found):
         arrow = "" if not item.direction else " ↑" if item.direction > 0 else " ↓"
-        text = f"{p_text(item.p)}{arrow}".strip()
+        text = f"{p_value(item.p)}{arrow}".strip()
         sheet.text(axes, shares[row] + 0.02 * axes.get_xlim()[1], row, text, fontsize=SMALL_PT, va="center_baseline")
         rank = "" if item.direction is None else f"; rank correlation {item.direction:+.2f}"
-        p = f", {p_text(item.p)}" if item.p is not None else ""
-        tip = f"{item.factor}: {percent(item.share)} of the variance{p}{rank}"
+        p = f", {p_value(item.p)}" if item.p is not None else ""
+        tip = f"{item.factor}: {rate_text(item.share)} of the variance{p}{rank}"
         sheet.tip_box(axes, 0, row - 0.5, axes.get_xlim()[1], 1, tip)
     caption = (
         "Share of the variance of final success over the cells of the search that each hyperparameter explains "

@@ -6,19 +6,9 @@ from typing import Any
 import numpy as np
 
 from parking_exp.reports.content import Cell, Content, Curve, Seed, Survival
+from parking_exp.reports.formats import rate_interval, rate_text
 from parking_exp.reports.sheet import Sheet, legend_height, legend_width, line_90, numbers
-from parking_exp.reports.style import (
-    COLUMN_IN,
-    FULL_IN,
-    SMALL_PT,
-    cell_style,
-    labels,
-    percent,
-    percent_interval,
-    seeds_text,
-    thousands,
-    widest,
-)
+from parking_exp.reports.style import COLUMN_IN, FULL_IN, SMALL_PT, cell_style, labels, seeds_text, thousands, widest
 
 _GOLDEN = 0.6180339887498949
 _MOST_SEED_LINES = 4  # cells; with more, lines of seeds hide the means
@@ -98,13 +88,13 @@ def _seeds_and_mean(sheet: Sheet, axes: Any, row: int, cell: Cell, floor: float)
         low, high = (min(100, max(0, 100 * bound)) for bound in (mean.low, mean.high))
         axes.plot([low, high], [below] * 2, color=look.colour, lw=1.2, marker="|", ms=5, mew=1.2)
     axes.plot([100 * mean.value], [below], marker=look.marker, ms=4.2, color=look.colour, mec="none")
-    text = f"{cell.label}: mean {percent_interval(mean)}, {seeds_text(mean.n)}"
+    text = f"{cell.label}: mean {rate_interval(mean)}, {seeds_text(mean.n)}"
     sheet.tip_points(axes, [100 * mean.value], [below], [text], radius=5)
 
 
 def _seed_text(seed: Seed) -> str:
     interval = "" if seed.low is None or seed.high is None else f" [{100 * seed.low:.0f}, {100 * seed.high:.0f}]"
-    return f"seed {seed.seed}: {percent(seed.success)}{interval}"
+    return f"seed {seed.seed}: {rate_text(seed.success)}{interval}"
 
 
 def learning_curves(content: Content) -> tuple[Sheet, str] | None:
@@ -163,7 +153,7 @@ def _curve_tips(sheet: Sheet, success: Any, crash: Any, cell: Cell, curve: Curve
             if rate is not None and np.isfinite(rate):
                 bounds = "" if word or low is None or high is None else f" [{100 * low:.1f}, {100 * high:.1f}]"
                 at.append((step, 100 * rate))
-                texts.append(f"{cell.label}, {step:,} env steps: {word}{percent(rate)}{bounds}, {seeds_text(n)}")
+                texts.append(f"{cell.label}, {step:,} env steps: {word}{rate_text(rate)}{bounds}, {seeds_text(n)}")
         sheet.tip_points(axes, [x for x, _ in at], [y for _, y in at], texts)
 
 
@@ -221,7 +211,7 @@ def _survival_tips(sheet: Sheet, axes: Any, cell: Cell, survival: Survival, cens
     for time, share, low, high in zip(survival.time, survival.reached, survival.low, survival.high, strict=True):
         bounds = "" if low is None or high is None else f" [{100 * low:.0f}, {100 * high:.0f}]"
         texts.append(
-            f"{cell.label}: {percent(share)}{bounds} of {seeds_text(survival.n)} by {time:,.0f} {survival.unit}"
+            f"{cell.label}: {rate_text(share)}{bounds} of {seeds_text(survival.n)} by {time:,.0f} {survival.unit}"
         )
     sheet.tip_points(axes, survival.time, [100 * share for share in survival.reached], texts)
     ends, counts = np.unique(censored[0], return_counts=True)

@@ -9,7 +9,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-from parking_exp.reports.content import Cell, Interval, Setting
+from parking_exp.reports.content import Cell, Setting
 
 COLUMN_IN, FULL_IN = 3.3, 6.8
 TEXT_PT, SMALL_PT, TINY_PT = 8.0, 7.0, 6.0
@@ -154,31 +154,6 @@ def setting_text(value: Setting) -> str:
     if value is None or isinstance(value, bool):
         return {None: "none", True: "true", False: "false"}[value]
     return f"{value:g}" if isinstance(value, float) else str(value)
-
-
-def percent(share: float | None) -> str:
-    """Return e.g. `92 %` or `98.6 %`."""
-    return "unknown" if share is None else f"{100 * share:.1f}".removesuffix(".0") + " %"
-
-
-def percent_interval(interval: Interval) -> str:
-    """Return e.g. `91.2 % [88.0, 94.1]`."""
-    if interval.low is None or interval.high is None:
-        return percent(interval.value)
-    return f"{percent(interval.value)} [{100 * interval.low:.1f}, {100 * interval.high:.1f}]"
-
-
-def points(difference: float) -> str:
-    """Return a difference of shares in percentage points, e.g. `+3.2`, with a proper minus."""
-    text = f"{100 * difference:+.1f}".replace("-", "\N{MINUS SIGN}")
-    return "0.0" if text[1:] == "0.0" else text
-
-
-def p_text(p: float | None) -> str:
-    """Return e.g. `p = 0.012`, or nothing."""
-    if p is None:
-        return ""
-    return "p < 0.001" if p < 0.001 else f"p = {p:.3f}" if p < 0.1 else f"p = {p:.2f}"
 
 
 def seeds_text(n: int) -> str:

@@ -1,16 +1,15 @@
-"""A cell's runs -> its numbers: seeds, means, curves, times to 90 %, scene map, sampled trajectories."""
+"""A cell's runs -> its numbers: seeds, means, curves, times to 90 %, scene map."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
-from parking_exp.reports.content import Cell, Curve, Interval, Path, Seed, Share, SlotRate, Survival
+from parking_exp.reports.content import Cell, Curve, Interval, Seed, Share, Survival
+from parking_exp.reports.courses import OUTCOMES, Course, Courses
+from parking_exp.reports.places import slot_rates
 from parking_exp.reports.selection import Group
-from parking_exp.results import Results
-from parking_exp.scenes import Scenes
 from parking_exp.statistics import (
     Estimate,
     coverage_note,
@@ -26,41 +25,25 @@ from parking_exp.statistics import (
 
 GOOD = 0.9
 HOLD = 3
-PATHS_AN_OUTCOME = 4
-SEEDS_OF_PATHS = 10
-OUTCOMES = ("success", "crash", "timeout")
 STAGES = {"interrupted": "pending", "killed": "failed"}
 RATES = {name: f"{name}_rate" for name in (*OUTCOMES, "parked")}
-
-
-@dataclass(frozen=True)
-class Frames:
-    """Curves and certified episodes of every run, by run id."""
-
-    curves: dict[str, pd.DataFrame]
-    episodes: dict[str, pd.DataFrame]
-
-    @staticmethod
-    def of(results: Results) -> "Frames":
-        """Split the frames once: a thousand look-ups in a frame are slow."""
-        certified = results.episodes[results.episodes["phase"] == "certified"]
-        return Frames(_by_run(results.curves), _by_run(certified))
+RUN_COLUMNS = ["run_id", "run_dir", "seed", "n_scenes", "episode_steps", "cpu_s", *RATES.values()]
 
 
 def summarise(
-    group: Group, number: int, frames: Frames, horizons: tuple[float | None, float | None], unfinished: bool
+    group: Group, number: int, courses: Courses, horizons: tuple[float | None, float | None], unfinished: bool
 ) -> Cell:
     """Return a cell's numbers.
 
     Args:
         group: its runs.
         number: of the cell in the report.
-        frames: see there.
+        courses: curves and certified episodes of the runs.
         horizons: up to which env step, and CPU-second, times to 90 % are averaged; see `shared_horizons`.
         unfinished: whether learning curves show runs that are not done, too.
     """
-    runs: list[dict[str, Any]] = group.done.to_dict("records")  # type: ignore[assignment]
-    seeds = [_seed(run, frames) for run in runs]
+    runs: list[dict[str, Any]] = group.done[RUN_COLUMNS].to_dict("records")  # type: ignore[assignment]
+    seeds = [_seed(run, courses) for run in runs]
     success = _mean([seed.success for seed in seeds])
     times = [(seed.steps_to_90, seed.reached_90) for seed in seeds]
     cpu_times = [(seed.cpu_s_to_90, seed.reached_90) for seed in seeds]
@@ -81,102 +64,48 @@ def summarise(
         area=_mean([seed.area for seed in seeds]),
         reaching_90=_reaching([seed.success for seed in seeds]),
         seeds=seeds,
-        curve=_curve(group.runs if unfinished else group.done, frames),
+        curve=_curve(group.runs if unfinished else group.done, courses),
         survival=_survival("env steps", times, horizons[0]),
         survival_cpu=_survival("CPU-seconds", cpu_times, horizons[1]),
-        slots=_slots([frames.episodes[seed.run_id] for seed in seeds if seed.run_id in frames.episodes]),
+        slots=slot_rates([courses.certified[seed.run_id] for seed in seeds if seed.run_id in courses.certified]),
         note=_note([seed.success for seed in seeds]),
     )
 
 
-def shared_horizons(groups: Sequence[Group], frames: Frames) -> tuple[float | None, float | None]:
+def shared_horizons(groups: Sequence[Group], courses: Courses) -> tuple[float | None, float | None]:
     """Return the env step and the CPU-second up to which every finished run was watched."""
-    curves = [_evaluated(frames.curves.get(run)) for group in groups for run in group.done["run_id"]]
-    steps = [float(curve["step"].iloc[-1]) for curve in curves if len(curve)]
-    cpu_s = [end for curve in curves if len(curve) and (end := _trained_s(curve)) is not None]
+    ids = [run for group in groups for run in group.done["run_id"].tolist()]
+    curves = [courses.curves[run] for run in ids if run in courses.curves]
+    steps = [float(curve.step[-1]) for curve in curves]
+    cpu_s = [curve.trained_s for curve in curves if np.isfinite(curve.trained_s)]
     return min(steps, default=None), min(cpu_s, default=None)
 
 
-def real_share(group: Group, frames: Frames) -> float | None:
+def real_share(group: Group, courses: Courses) -> float | None:
     """Return the mean share of real transitions in a cell's batches, as the buffer measured it."""
-    curves = [frames.curves[run]["real_share"].dropna() for run in group.done["run_id"] if run in frames.curves]
-    last = [float(known.iloc[-1]) for known in curves if len(known)]
+    curves = [courses.curves[run].real_share for run in group.done["run_id"].tolist() if run in courses.curves]
+    last = [float(known[-1]) for curve in curves if len(known := curve[~np.isnan(curve)])]
     return float(np.mean(last)) if last else None
 
 
-def sample(cell: Cell, results: Results, frames: Frames) -> tuple[list[Path], list[tuple[float, float, str]]]:
-    """Return some trajectories of each outcome, and where all crashes and timeouts of the cell ended.
-
-    Which ones is drawn at random, the same ones each time: from as many different seeds as there are.
-    """
-    rng = np.random.default_rng(0)
-    paths, ends = [], []
-    wanted: dict[str, list[tuple[Seed, int]]] = {outcome: [] for outcome in OUTCOMES}
-    for index in rng.permutation(len(cell.seeds)):
-        seed = cell.seeds[index]
-        episodes = frames.episodes.get(seed.run_id)
-        if episodes is None:
-            continue
-        for outcome in OUTCOMES:
-            scenes = episodes.loc[episodes["outcome"] == outcome, "scene"].to_numpy(copy=True)
-            wanted[outcome] += [(seed, int(scene)) for scene in rng.permutation(scenes)]
-    for outcome, found in wanted.items():
-        wanted[outcome] = _spread(found)
-    tables: dict[str, pd.DataFrame] = {}
-    for seed in cell.seeds:
-        table = results.trajectories(seed.run_id)
-        if not len(table):
-            continue
-        tables[seed.run_id] = table
-        last = table.drop_duplicates("scene", keep="last").set_index("scene")
-        episodes = frames.episodes.get(seed.run_id)
-        if episodes is not None:
-            failed = episodes[episodes["outcome"] != "success"].set_index("scene")["outcome"]
-            both = last.join(failed, how="inner")
-            ends += [
-                (float(x), float(y), str(o)) for x, y, o in zip(both["x_m"], both["y_m"], both["outcome"], strict=True)
-            ]
-    for outcome, found in wanted.items():
-        usable = [(seed, scene) for seed, scene in found if seed.run_id in tables][:PATHS_AN_OUTCOME]
-        paths += [_path(tables[seed.run_id], seed.seed, scene, outcome) for seed, scene in usable]
-    return paths, ends
-
-
-def _path(table: pd.DataFrame, seed: int, scene: int, outcome: Any) -> Path:
-    rows = table[table["scene"] == scene]
-    x, y, heading = ([round(float(value), 3) for value in rows[name]] for name in ("x_m", "y_m", "heading_rad"))
-    goal = int(Scenes.from_seeds([scene]).goal[0])
-    return Path(seed, scene, outcome, goal, x, y, heading)
-
-
-def _spread(found: list[tuple[Seed, int]]) -> list[tuple[Seed, int]]:
-    """Order episodes so that each seed's first comes before any seed's second."""
-    rank: dict[int, int] = {}
-    keyed = []
-    for seed, scene in found:
-        keyed.append((rank.setdefault(seed.seed, 0), seed, scene))
-        rank[seed.seed] += 1
-    return [(seed, scene) for _, seed, scene in sorted(keyed, key=lambda one: one[0])]
-
-
-def _seed(run: dict[str, Any], frames: Frames) -> Seed:
-    rates = {name: _number(run.get(column)) for name, column in RATES.items()}
-    episodes, curve = frames.episodes.get(run["run_id"]), _evaluated(frames.curves.get(run["run_id"]))
-    n_scenes = len(episodes) if episodes is not None else _whole(run.get("n_scenes"))
+def _seed(run: dict[str, Any], courses: Courses) -> Seed:
+    rates = {name: _number(run[column]) for name, column in RATES.items()}
+    episodes, curve = courses.certified.get(run["run_id"]), courses.curves.get(run["run_id"])
+    n_scenes = len(episodes.scene) if episodes is not None else _whole(run["n_scenes"])
     low = high = None
     if rates["success"] is not None and n_scenes:
         low, high = wilson_interval(round(rates["success"] * n_scenes), n_scenes)
-    steps, reached, cpu_s, area = _course(curve)
+    steps, reached, cpu_s, area = _course(curve) if curve is not None else (None, False, None, None)
     return Seed(
         seed=int(run["seed"]),
         run_id=run["run_id"],
-        run_dir=run.get("run_dir"),
+        run_dir=run["run_dir"],
         **rates,
         n_scenes=n_scenes,
         low=low,
         high=high,
-        episode_steps=_number(run.get("episode_steps")),
-        cpu_s=_number(run.get("cpu_s")),
+        episode_steps=_number(run["episode_steps"]),
+        cpu_s=_number(run["cpu_s"]),
         steps_to_90=steps,
         reached_90=reached,
         cpu_s_to_90=cpu_s,
@@ -184,47 +113,35 @@ def _seed(run: dict[str, Any], frames: Frames) -> Seed:
     )
 
 
-def _course(curve: pd.DataFrame) -> tuple[float | None, bool, float | None, float | None]:
+def _course(curve: Course) -> tuple[float, bool, float | None, float | None]:
     """Return time to 90 % in env steps, whether it was reached, the same in CPU-seconds, and the area."""
-    if not len(curve):
-        return None, False, None, None
-    steps, rates = curve["step"].to_numpy(float), curve["success_rate"].to_numpy(float)
-    time, reached = steps_to(steps, rates, GOOD, HOLD)
-    cpu_s = _number(curve.loc[curve["step"] == time, "cpu_s"].iloc[-1]) if reached else _trained_s(curve)
-    return float(time), reached, cpu_s, normalised_area(steps, rates) if len(curve) > 1 else None
+    time, reached = steps_to(curve.step, curve.success, GOOD, HOLD)
+    cpu_s = curve.cpu_s[np.searchsorted(curve.step, time)] if reached else curve.trained_s
+    area = normalised_area(curve.step, curve.success) if len(curve.step) > 1 else None
+    return time, reached, _number(cpu_s), area
 
 
-def _trained_s(curve: pd.DataFrame) -> float | None:
-    """Return the CPU seconds up to which a run was watched. What its last row says includes how the run ended: the
-    final evaluation and its certification, which may take longer than the training did.
-    """
-    return _number(curve["cpu_s"].iloc[-2 if len(curve) > 1 else -1])
-
-
-def _curve(runs: pd.DataFrame, frames: Frames) -> Curve | None:
+def _curve(runs: pd.DataFrame, courses: Courses) -> Curve | None:
     """Return the learning curve over all runs that have one."""
-    known = {
-        int(seed): _evaluated(frames.curves.get(run)) for run, seed in zip(runs["run_id"], runs["seed"], strict=True)
-    }
-    tables = {seed: table for seed, table in known.items() if len(table)}
-    if not tables:
+    pairs = zip(runs["run_id"].tolist(), runs["seed"].tolist(), strict=True)
+    known = {int(seed): courses.curves[run] for run, seed in pairs if run in courses.curves}
+    if not known:
         return None
-    success, crash = (
-        pd.concat({seed: table.set_index("step")[name] for seed, table in tables.items()}, axis=1).sort_index()
-        for name in ("success_rate", "crash_rate")
-    )
-    means = [_interval(point) for point in mean_band(success.to_numpy(float).T)]
+    steps = np.unique(np.concatenate([curve.step for curve in known.values()]))
+    success, crash = np.full((2, len(known), len(steps)), np.nan)
+    for row, curve in enumerate(known.values()):
+        at = np.searchsorted(steps, curve.step)
+        success[row, at], crash[row, at] = curve.success, curve.crash
+    means = [_interval(point) for point in mean_band(success)]
+    crashed = [column[~np.isnan(column)] for column in crash.T]
     return Curve(
-        step=[int(step) for step in success.index],
+        step=steps.tolist(),
         mean=[mean.value for mean in means],
         low=[mean.low for mean in means],
         high=[mean.high for mean in means],
         n=[mean.n for mean in means],
-        crash=[_number(value) for value in crash.mean(axis=1)],
-        seeds=[
-            (seed, [int(step) for step in table["step"]], [_number(rate) for rate in table["success_rate"]])
-            for seed, table in tables.items()
-        ],
+        crash=[float(column.mean()) if len(column) else None for column in crashed],
+        seeds=[(seed, curve.step.tolist(), curve.success.tolist()) for seed, curve in known.items()],
     )
 
 
@@ -254,21 +171,6 @@ def _survival(unit: str, times: Sequence[tuple[float | None, bool]], horizon: fl
     )
 
 
-def _slots(tables: Sequence[pd.DataFrame]) -> list[SlotRate]:
-    """Return what happened in the scenes with each goal slot."""
-    if not tables:
-        return []
-    episodes = pd.concat(tables)
-    scenes = np.unique(episodes["scene"])
-    goals = pd.Series(Scenes.from_seeds(scenes.tolist()).goal, index=scenes)
-    table = pd.crosstab(episodes["scene"].map(goals), episodes["outcome"].astype(str))
-    found = []
-    for slot, row in table.iterrows():
-        n = int(row.sum())
-        found.append(SlotRate(int(slot), n, *(float(row.get(outcome, 0)) / n for outcome in OUTCOMES)))  # type: ignore[call-overload]
-    return found
-
-
 def _mean(values: Sequence[float | None], bounds: tuple[float, float] | None = (0.0, 1.0)) -> Interval:
     known = [value for value in values if value is not None]
     return _interval(mean_interval(known, bounds=bounds)) if known else Interval(None)
@@ -294,15 +196,6 @@ def _note(values: Sequence[float | None]) -> str | None:
 def _counts(status: pd.Series) -> dict[str, int]:
     stages = [STAGES.get(one, one) for one in status]
     return {stage: stages.count(stage) for stage in ("done", "running", "failed", "pending")}
-
-
-def _by_run(frame: pd.DataFrame) -> dict[str, pd.DataFrame]:
-    return {str(run): table.reset_index(drop=True) for run, table in frame.groupby("run_id", sort=False, observed=True)}
-
-
-def _evaluated(curve: pd.DataFrame | None) -> pd.DataFrame:
-    """Return the rows that have a success rate."""
-    return pd.DataFrame() if curve is None else curve[curve["success_rate"].notna()]
 
 
 def _number(value: Any) -> float | None:

@@ -16,41 +16,13 @@ from parking_exp.reports.content import (
     Provenance,
 )
 from parking_exp.reports.factors import shown
+from parking_exp.reports.formats import p_value, points_interval, rate_interval
 from parking_exp.reports.selection import Group
 
 ENOUGH_SEEDS = 10
 FEW_NAMES = 4
 LARGE_RESIDUAL = 0.05
 VERDICTS = {"better": "is better than", "worse": "is worse than", "same": "can't be told apart from"}
-
-
-def percent(value: float | None) -> str:
-    """Write a rate."""
-    return "no rate" if value is None else f"{100 * value:.1f} %"
-
-
-def with_interval(interval: Interval) -> str:
-    """Write a mean rate with its interval: `94.4 % [91.2, 97.1]`."""
-    if interval.low is None or interval.high is None:
-        return percent(interval.value)
-    return f"{percent(interval.value)} [{100 * interval.low:.1f}, {100 * interval.high:.1f}]"
-
-
-def points(interval: Interval) -> str:
-    """Write a difference of rates: `+9.1 points [4.0, 14.2]`."""
-    if interval.value is None:
-        return "no difference is known"
-    words = f"{100 * interval.value:+.1f} points"
-    if interval.low is None or interval.high is None:
-        return words
-    return f"{words} [{100 * interval.low:+.1f}, {100 * interval.high:+.1f}]"
-
-
-def p_value(p: float | None) -> str:
-    """Write a p-value."""
-    if p is None:
-        return "no p"
-    return "p < 0.001" if p < 0.001 else f"p = {p:.3f}" if p < 0.1 else f"p = {p:.2f}"
 
 
 def named(names: Sequence[str]) -> str:
@@ -69,9 +41,9 @@ def claims(cells: Sequence[Cell], pairs: Sequence[Pair], baseline: str | None) -
     best = having[0]
     seeds = f"mean of {best.success.n} seeds" if best.success.n > 1 else "one seed"
     if len(having) == 1:
-        yield f"{best.label} succeeds in {with_interval(best.success)} of the scenes, {seeds}."
+        yield f"{best.label} succeeds in {rate_interval(best.success)} of the scenes, {seeds}."
     else:
-        yield f"{best.label} has the highest final success: {with_interval(best.success)} of the scenes, {seeds}."
+        yield f"{best.label} has the highest final success: {rate_interval(best.success)} of the scenes, {seeds}."
         reference = next((cell for cell in having if cell.id == baseline), best)
         yield from _against(reference, having, pairs)
     yield from _reaching(having)
@@ -96,7 +68,7 @@ def about_factors(
         low = min(known, key=lambda level: level.effect.value or 0.0)
         yield (
             f"{names[effect.factor]}: {shown(high.level)} is best on average over the other factors, "
-            f"{with_interval(high.effect)}, and {shown(low.level)} worst, {with_interval(low.effect)}."
+            f"{rate_interval(high.effect)}, and {shown(low.level)} worst, {rate_interval(low.effect)}."
         )
     for table in interactions:
         rest = [(abs(r), r, i, j) for i, row in enumerate(table.residual) for j, r in enumerate(row) if r is not None]
@@ -195,7 +167,7 @@ def _against(reference: Cell, having: Sequence[Cell], pairs: Sequence[Pair]) -> 
         ("same", "can't be told apart from"),
     ):
         if found := verdicts[verdict]:
-            one = "; ".join(f"{name} ({points(gap)}, {p_value(p)})" for name, gap, p in found[:FEW_NAMES])
+            one = "; ".join(f"{name} ({points_interval(gap)}, {p_value(p)})" for name, gap, p in found[:FEW_NAMES])
             more = f"; and {len(found) - FEW_NAMES} more" if len(found) > FEW_NAMES else ""
             yield f"{reference.label} {words} {one}{more}."
     if found := verdicts["unknown"]:
@@ -230,11 +202,11 @@ def _crashes(having: Sequence[Cell]) -> Iterator[str]:
         most, least = max(known, key=lambda c: c.crash.value or 0), min(known, key=lambda c: c.crash.value or 0)
         if most is not least:
             yield (
-                f"{most.label} crashes most, in {with_interval(most.crash)} of the scenes; {least.label} least, in "
-                f"{with_interval(least.crash)}."
+                f"{most.label} crashes most, in {rate_interval(most.crash)} of the scenes; {least.label} least, in "
+                f"{rate_interval(least.crash)}."
             )
     elif known:
-        yield f"It crashes in {with_interval(known[0].crash)} of the scenes."
+        yield f"It crashes in {rate_interval(known[0].crash)} of the scenes."
 
 
 def _cost(having: Sequence[Cell]) -> Iterator[str]:

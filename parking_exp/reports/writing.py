@@ -10,6 +10,7 @@ from parking_exp.reports.content import Content
 from parking_exp.reports.figures import draw
 from parking_exp.reports.markdown import markdown
 from parking_exp.reports.page import page
+from parking_exp.reports.style import cell_style
 from parking_exp.reports.tables import write_tables
 
 MADE_HERE = {"figures": {".svg", ".pdf", ".png"}, "tables": {".csv", ".tex"}}
@@ -31,7 +32,7 @@ def write(content: Content, folder: Path, formats: Sequence[str]) -> None:
             _replace(Path(new) / part, _made(folder / part), endings)
     write_atomically(folder / "report.json", json.dumps(content.plain(), ensure_ascii=False, allow_nan=False, indent=1))
     write_atomically(folder / "report.md", markdown(content, pictures))
-    write_atomically(folder / "index.html", page(content, pictures))
+    write_atomically(folder / "index.html", page(content, pictures, {name: cell_style(name) for name in content.shown}))
 
 
 def _replace(new: Path, folder: Path, endings: set[str]) -> None:
