@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -37,7 +38,7 @@ class Group:
     runs: pd.DataFrame
     repeated: int
 
-    @property
+    @cached_property
     def done(self) -> pd.DataFrame:
         """The finished runs."""
         return self.runs[self.runs["status"] == "done"]

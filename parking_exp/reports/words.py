@@ -200,7 +200,7 @@ def _crashes(having: Sequence[Cell]) -> Iterator[str]:
     known = [cell for cell in having if cell.crash.value is not None]
     if len(known) > 1:
         most, least = max(known, key=lambda c: c.crash.value or 0), min(known, key=lambda c: c.crash.value or 0)
-        if most is not least:
+        if most.crash.value != least.crash.value:
             yield (
                 f"{most.label} crashes most, in {rate_interval(most.crash)} of the scenes; {least.label} least, in "
                 f"{rate_interval(least.crash)}."
@@ -210,25 +210,23 @@ def _crashes(having: Sequence[Cell]) -> Iterator[str]:
 
 
 def _cost(having: Sequence[Cell]) -> Iterator[str]:
-    known = [cell for cell in having if cell.cpu_s.value is not None]
-    if len(known) > 1:
-        most, least = max(known, key=lambda c: c.cpu_s.value or 0), min(known, key=lambda c: c.cpu_s.value or 0)
-        yield (
-            f"A run took {least.cpu_s.value:.0f} ({least.label}) to {most.cpu_s.value:.0f} ({most.label}) CPU-seconds "
-            "on average."
-        )
-    elif known:
-        yield f"A run took {known[0].cpu_s.value:.0f} CPU-seconds on average."
-    for cell in having[:FEW_NAMES]:
-        times = cell.survival
-        if times is None or times.n < 2:
-            continue
-        if times.median is None:
-            yield f"{cell.label}: {times.k} of {times.n} seeds held 90 % for three evaluations, so no median time."
-        else:
-            cpu = cell.survival_cpu.median if cell.survival_cpu else None
-            seconds = "" if cpu is None else f" and {cpu:.0f} CPU-seconds"
-            yield f"{cell.label} takes a median of {times.median:,.0f} env steps{seconds} to hold 90 %."
+    known = sorted((cell for cell in having if cell.cpu_s.value is not None), key=lambda c: c.cpu_s.value or 0.0)
+    if known:
+        least, most = known[0], known[-1]
+        low, high = (f"{cell.cpu_s.value:,.0f}" for cell in (least, most))
+        some = f"{low} ({least.label}) to {high} ({most.label})" if low != high else low
+        yield f"A run took {some} CPU-seconds on average."
+    times = [f"{cell.label} {_median(cell)}" for cell in having if cell.survival and cell.survival.n > 1]
+    if times:
+        yield f"Median time to hold 90 %: {'; '.join(times[:FEW_NAMES])}."
+
+
+def _median(cell: Cell) -> str:
+    assert cell.survival is not None
+    if cell.survival.median is None:
+        return f"none, since {cell.survival.k} of {cell.survival.n} seeds did"
+    cpu_s = cell.survival_cpu.median if cell.survival_cpu else None
+    return f"{cell.survival.median:,.0f} env steps" + ("" if cpu_s is None else f", {cpu_s:,.0f} CPU-seconds")
 
 
 def _mixed(groups: Sequence[Group], origin: Provenance) -> Iterator[str]:
