@@ -72,15 +72,6 @@ def report(config: DictConfig) -> Path:
         RunNotFoundError: none of the runs is done.
     """
     request = validate_report(config)
-    from parking_exp.reading import no_garbage
-
-    with no_garbage():  # a third of the time
-        content, folder = _report(request)
-    _print(content, folder)
-    return folder
-
-
-def _report(request: ReportRequest) -> "tuple[Content, Path]":
     from rich.progress import Progress, SpinnerColumn, TextColumn
 
     from parking_exp.reports.comparison import Question, compare
@@ -107,7 +98,8 @@ def _report(request: ReportRequest) -> "tuple[Content, Path]":
         bar.update(task, description="drawing")
         with FileLock(folder.parent / f".{folder.name}.lock"):
             write(content, folder, request.report.formats)
-    return content, folder
+    _print(content, folder)
+    return folder
 
 
 def _experiments(request: ReportRequest) -> list[str] | None:

@@ -61,7 +61,10 @@ def interactions(
         factors: of the design.
         real_shares: measured share of real transitions, by id of the cell.
     """
-    pairs = sorted(combinations(_crossed(factors, cells), 2), key=lambda pair: sum(one.key == "env" for one in pair))
+    crossed = _crossed(factors, cells)
+    if len(crossed) > 2:  # an env is what a table is for
+        crossed = [factor for factor in crossed if factor.key != "env"]
+    pairs = combinations(crossed, 2)
     found: list[Interaction] = []
     for row, column in pairs:
         for given, some in _given(cells, [one for one in factors if one not in (row, column)]):

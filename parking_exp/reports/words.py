@@ -2,6 +2,7 @@
 
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
+from typing import NamedTuple
 
 from parking_exp.reports.content import (
     Cell,
@@ -31,6 +32,18 @@ def named(names: Sequence[str]) -> str:
     if len(names) > FEW_NAMES:
         return f"{', '.join(few)} and {len(names) - FEW_NAMES} more"
     return few[0] if len(few) == 1 else f"{', '.join(few[:-1])} and {few[-1]}"
+
+
+class Gap(NamedTuple):
+    """How far a cell is from another one, and the p of that."""
+
+    label: str
+    points: Interval
+    p: float | None
+
+    def __str__(self) -> str:
+        """Write `td3 (+26.1 points [+16.9, +35.4], p < 0.001)`."""
+        return f"{self.label} ({', '.join(filter(None, (points_interval(self.points), p_value(self.p))))})"
 
 
 def claims(cells: Sequence[Cell], pairs: Sequence[Pair], baseline: str | None) -> Iterator[str]:
@@ -148,31 +161,27 @@ def _rank(cell: Cell) -> tuple[float, float]:
 def _against(reference: Cell, having: Sequence[Cell], pairs: Sequence[Pair]) -> Iterator[str]:
     """Compare one cell with all others."""
     labels = {cell.id: cell.label for cell in having}
-    verdicts: dict[str, list[tuple[str, Interval, float | None]]] = {
-        "better": [],
-        "worse": [],
-        "same": [],
-        "unknown": [],
-    }
+    verdicts: dict[str, list[Gap]] = {word: [] for word in (*VERDICTS, "unknown")}
     for pair in pairs:
         if reference.id not in (pair.a, pair.b):
             continue
         first = pair.a == reference.id
         other = labels[pair.b if first else pair.a]
         verdict = pair.verdict if pair.verdict in {"same", "unknown"} else _better(pair.verdict, first)
-        verdicts[verdict].append((other, pair.difference if first else _turned(pair.difference), pair.p_holm))
-    for verdict, words in (
-        ("better", "is better than"),
-        ("worse", "is worse than"),
-        ("same", "can't be told apart from"),
-    ):
-        if found := verdicts[verdict]:
-            one = "; ".join(f"{name} ({points_interval(gap)}, {p_value(p)})" for name, gap, p in found[:FEW_NAMES])
-            more = f"; and {len(found) - FEW_NAMES} more" if len(found) > FEW_NAMES else ""
-            yield f"{reference.label} {words} {one}{more}."
+        verdicts[verdict].append(Gap(other, pair.difference if first else _turned(pair.difference), pair.p_holm))
+    for verdict, words in VERDICTS.items():
+        if found := sorted(verdicts[verdict], key=lambda gap: abs(gap.points.value or 0.0)):
+            yield f"{reference.label} {words} {_gaps(found)}."
     if found := verdicts["unknown"]:
-        names = named([name for name, _, _ in found])
+        names = named([gap.label for gap in found])
         yield f"Whether {reference.label} differs from {names} can't be told: that takes two finished seeds of each."
+
+
+def _gaps(found: Sequence[Gap]) -> str:
+    """List all differences, or say how many there are and name the smallest and the largest."""
+    if len(found) <= FEW_NAMES:
+        return "; ".join(map(str, found))
+    return f"{len(found)} others, from {found[0]} to {found[-1]}"
 
 
 def _better(verdict: str, first: bool) -> str:
