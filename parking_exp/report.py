@@ -80,7 +80,8 @@ def report(config: DictConfig) -> Path:
     from parking_exp.tables import console
 
     columns = (SpinnerColumn(), TextColumn("{task.description}"))
-    with Progress(*columns, console=console(stderr=True), transient=True) as bar:
+    screen = console(stderr=True)
+    with Progress(*columns, console=screen, transient=True, disable=not screen.is_terminal) as bar:
         task = bar.add_task("reading the store")
         results = load(_experiments(request), uri=request.tracking.uri, output_dir=request.output_path)
         experiments = list(dict.fromkeys(results.runs["experiment"]))

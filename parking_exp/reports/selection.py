@@ -76,13 +76,14 @@ def group(runs: pd.DataFrame) -> tuple[list[Group], list[Factor]]:
     return _in_order(found, factors), factors
 
 
-def choose(groups: Sequence[Group], asked: Sequence[str]) -> list[Group]:
+def choose(groups: Sequence[Group], asked: Sequence[str], key: str = "cells") -> list[Group]:
     """Return the cells that were asked for.
 
     Args:
         groups: all cells.
         asked: labels, names or patterns of them (`her_*`), any of which may fit; and `KEY=VALUE,VALUE`, all of which
             have to: a config key or a group, and the values it may have.
+        key: what was typed, for errors.
 
     Raises:
         ConfigError: one of them fits nothing.
@@ -95,13 +96,13 @@ def choose(groups: Sequence[Group], asked: Sequence[str]) -> list[Group]:
         for pattern in patterns:
             if not (fitting := _matching(groups, pattern)):
                 hint = closest(pattern, [one.label for one in groups])
-                raise ConfigError(f"cells: no cell is called {pattern!r}{hint}")
+                raise ConfigError(f"{key}: no cell is called {pattern!r}{hint}")
             wanted |= {id(one) for one in fitting}
         found = [one for one in groups if id(one) in wanted]
     for condition in narrowing:
         found = _narrowed(found, groups, condition)
     if not found:
-        raise ConfigError(f"cells: no cell fits all of {', '.join(asked)}")
+        raise ConfigError(f"{key}: no cell fits all of {', '.join(asked)}")
     return found
 
 
@@ -112,7 +113,7 @@ def one_cell(groups: Sequence[Group], asked: str) -> Group:
         ConfigError: none does, or several do.
     """
     exact = [one for one in groups if asked in {one.label, one.name}]
-    found = exact or choose(groups, [asked])
+    found = exact or choose(groups, [asked], "baseline")
     if len(found) > 1:
         few = ", ".join(repr(one.label) for one in found[:5])
         raise ConfigError(f"baseline={asked}: {len(found)} cells fit, {few} among them; name one")
