@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from parking_exp.reports import seed_figures, style
+from parking_exp.reports import formats, seed_figures, style
 from parking_exp.reports.content import Interval
 from parking_exp.reports.figures import draw
 
@@ -116,25 +116,25 @@ def test_values_under_the_pointer_are_the_contents_own(three):
     content, _, pictures = three
     cell = content.cells[0]
     seed = cell.seeds[3]
-    rate = f"{100 * seed.success:.1f}".removesuffix(".0")
+    rate = f"{100 * seed.success:.1f}"
     text = f"sac, seed 3: {rate} % [{100 * seed.low:.0f}, {100 * seed.high:.0f}]"
     assert text in tips(pictures["final_success"])
-    mean = f"sac: mean {style.percent_interval(cell.success)}, 10 seeds"
+    mean = f"sac: mean {formats.rate_interval(cell.success)}, 10 seeds"
     assert mean in tips(pictures["final_success"])
     step, rate = cell.curve.step[4], cell.curve.mean[4]
     assert any(
-        t.startswith(f"sac, {step:,} env steps: {style.percent(rate)} [") for t in tips(pictures["learning_curves"])
+        t.startswith(f"sac, {step:,} env steps: {formats.rate_text(rate)} [") for t in tips(pictures["learning_curves"])
     )
     slot = cell.slots[5]
-    failed = style.percent(slot.crash + slot.timeout)
+    failed = formats.rate_text(slot.crash + slot.timeout)
     assert any(t.startswith(f"sac, slot 5: {failed} failed (") for t in tips(pictures["scene_map"]))
     path = cell.paths[2]
     assert f"sac, seed 2, scene 1002: crash after 17 steps, slot {path.slot}" in tips(pictures["trajectories"])
 
 
-@pytest.mark.parametrize(("value", "text"), [(0.92, "92 %"), (0.986, "98.6 %"), (1.0, "100 %"), (None, "unknown")])
+@pytest.mark.parametrize(("value", "text"), [(0.92, "92.0 %"), (0.986, "98.6 %"), (1.0, "100.0 %"), (None, "unknown")])
 def test_shares_are_written_as_percentages(value, text):
-    assert style.percent(value) == text
+    assert formats.rate_text(value) == text
 
 
 def test_every_seed_point_lies_under_its_value(three):
@@ -154,10 +154,10 @@ def test_a_pair_reads_the_same_both_ways_round(three):
     content, _, pictures = three
     pair = content.pairs[1]
     assert (pair.a, pair.b, pair.verdict) == ("c0", "c2", "a")
-    value, low, high = (style.points(v) for v in (pair.difference.value, pair.difference.low, pair.difference.high))
+    value, low, high = (formats.points(v) for v in (pair.difference.value, pair.difference.low, pair.difference.high))
     found = tips(pictures["pairwise"])
     assert any(t.startswith(f"sac minus ddpg: {value} [{low}, {high}] points") for t in found)
-    value, low, high = (style.points(-v) for v in (pair.difference.value, pair.difference.high, pair.difference.low))
+    value, low, high = (formats.points(-v) for v in (pair.difference.value, pair.difference.high, pair.difference.low))
     turned = next(t for t in found if t.startswith("ddpg minus sac"))
     assert turned.startswith(f"ddpg minus sac: {value} [{low}, {high}] points")
     assert turned.endswith("; sac is better")

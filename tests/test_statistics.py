@@ -14,6 +14,7 @@ import pytest
 from scipy import optimize, stats
 
 from parking_exp.statistics import (
+    contrast,
     coverage_note,
     holm,
     importance,
@@ -569,3 +570,52 @@ def test_wilson_misses_more_than_it_says_only_for_few_trials_close_to_the_end():
         assert covering.of_rate(rate, 500).mean() >= 0.93
         assert covering.of_rate(rate, 100).mean() >= 0.92  # 92.2 % at 0.99
         assert all(covering.of_rate(rate, n).mean() >= 0.85 for n in covering.SEEDS)  # 85 % for 3 seeds at 0.95
+
+
+def test_a_contrast_of_one_factor_is_welchs_test():
+    table = pd.DataFrame(
+        {"strategy": ["a"] * 4 + ["b"] * 5, "success": [0.9, 0.8, 0.95, 0.7, 0.5, 0.6, 0.2, 0.4, 0.55]}
+    )
+    found = contrast(table, ["strategy"], "success", ("strategy", "a", "b"))
+    a, b = (table.loc[table["strategy"] == name, "success"] for name in "ab")
+    known = stats.ttest_ind(a, b, equal_var=False)
+    interval = known.confidence_interval()
+    assert (found.difference, found.p) == pytest.approx((a.mean() - b.mean(), known.pvalue))
+    assert (found.low, found.high) == pytest.approx((interval.low, interval.high))
+
+
+def test_a_contrast_over_another_factor_weighs_cells_the_same():
+    cells = {("a", 1): [0.9, 0.7], ("a", 2): [0.5, 0.3], ("b", 1): [0.4, 0.2], ("b", 2): [0.2, 0.0]}
+    found = contrast(frame(cells), ["strategy", "goals"], "success", ("strategy", "a", "b"))
+    # (.8 + .4) / 2 - (.3 + .1) / 2; each mean has the variance .02 / 2, a quarter of which counts, four times: .01,
+    # on 4 degrees of freedom, as all are the same: t = .4 / .1
+    assert found.difference == pytest.approx(0.4)
+    assert found.df == pytest.approx(4)
+    assert found.p == pytest.approx(2 * stats.t.sf(4, 4))
+    assert found.high - found.difference == pytest.approx(stats.t.ppf(0.975, 4) * 0.1)
+
+
+def test_a_contrast_of_single_seeds_takes_the_pooled_variance_and_has_none_without_scatter():
+    cells = {("a", 1): [0.9, 0.7], ("a", 2): [0.5], ("b", 1): [0.4], ("b", 2): [0.2]}
+    found = contrast(frame(cells), ["strategy", "goals"], "success", ("strategy", "a", "b"))
+    # pooled variance .02 on 1 degree of freedom; .02 * (1/2 + 1 + 1 + 1) / 4 = .0175
+    assert found.p == pytest.approx(2 * stats.t.sf(0.35 / math.sqrt(0.0175), 1))
+    alone = contrast(
+        frame({key: values[:1] for key, values in cells.items()}), ["strategy"], "success", ("strategy", "a", "b")
+    )
+    assert math.isfinite(alone.p)  # two goals are two seeds of a strategy
+    single = contrast(frame({("a", 1): [0.9], ("b", 1): [0.4]}), ["strategy"], "success", ("strategy", "a", "b"))
+    assert (single.difference, math.isnan(single.p)) == (0.5, True)
+    with pytest.raises(ValueError, match="strategy has no level 'c'"):
+        contrast(frame(cells), ["strategy"], "success", ("strategy", "a", "c"))
+
+
+def test_the_f_test_of_interaction_is_that_of_a_two_way_table():
+    # Means .8 .4 / .3 .1: residuals +-.05, so that 2 seeds each give 8 * .0025 = .02 on 1 degree of freedom, against
+    # .08 within cells on 4.
+    cells = {("a", 1): [0.9, 0.7], ("a", 2): [0.5, 0.3], ("b", 1): [0.4, 0.2], ("b", 2): [0.2, 0.0]}
+    assert interaction(frame(cells), "strategy", "goals", "success").p == pytest.approx(stats.f.sf(1.0, 1, 4))
+    del cells["b", 2]
+    assert math.isnan(interaction(frame(cells), "strategy", "goals", "success").p)  # a sum fits three cells
+    once = {key: values[:1] for key, values in cells.items()}
+    assert math.isnan(interaction(frame(once), "strategy", "goals", "success").p)

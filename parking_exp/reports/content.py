@@ -265,11 +265,21 @@ class Level:
 
 @dataclass(frozen=True)
 class MainEffect:
-    """What one factor does on average over the others."""
+    """What one factor does on average over the others.
+
+    Attributes:
+        factor: its key.
+        levels: the mean of each.
+        complete: whether all combinations are there; else levels are averaged over different cells.
+        largest: the highest mean less the lowest.
+        p: of that difference, corrected (Bonferroni) for the choice among all pairs of levels.
+    """
 
     factor: str
     levels: Sequence[Level]
     complete: bool
+    largest: Interval | None = None
+    p: float | None = None
 
 
 @dataclass(frozen=True)
@@ -285,6 +295,7 @@ class Interaction:
         n: seeds.
         residual: what the two main effects do not explain.
         real_share: measured share of real transitions in batches, shape (columns,), where a factor is n_sampled_goal.
+        p: of the F test of interaction: whether both effects just add up; None where seeds do not scatter.
     """
 
     row: str
@@ -298,6 +309,7 @@ class Interaction:
     n: Sequence[Sequence[int]]
     residual: Sequence[Sequence[float | None]]
     real_share: Sequence[float | None] | None = None
+    p: float | None = None
 
 
 @dataclass(frozen=True)

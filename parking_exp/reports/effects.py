@@ -32,23 +32,23 @@ def main_effects(cells: Sequence[Cell], factors: Sequence[Factor]) -> list[MainE
     frame = _frame(cells, crossing)
     if not len(frame):
         return []
-    found = statistics.main_effects(frame, [factor.key for factor in crossing], RESPONSE)
-    return [
-        MainEffect(
-            factor.key,
-            [
-                Level(
-                    level.level,
-                    Interval(level.mean, _known(level.low), _known(level.high), level.seeds, level.method),
-                    level.cells,
-                )
-                for level in found.levels
-                if level.factor == factor.key
-            ],
-            found.complete,
-        )
-        for factor in crossing
+    keys = [factor.key for factor in crossing]
+    found = statistics.main_effects(frame, keys, RESPONSE)
+    return [_main_effect(factor, frame, keys, found) for factor in crossing]
+
+
+def _main_effect(factor: Factor, frame: pd.DataFrame, keys: Sequence[str], found: statistics.MainEffects) -> MainEffect:
+    means = [level for level in found.levels if level.factor == factor.key]
+    levels = [
+        Level(one.level, Interval(one.mean, _rate(one.low), _rate(one.high), one.seeds, one.method), one.cells)
+        for one in means
     ]
+    highest, lowest = max(means, key=lambda one: one.mean), min(means, key=lambda one: one.mean)
+    gap = statistics.contrast(frame, keys, RESPONSE, (factor.key, highest.level, lowest.level))
+    largest = Interval(gap.difference, _known(gap.low), _known(gap.high), min(gap.n_a, gap.n_b), gap.method)
+    pairs = len(means) * (len(means) - 1) // 2
+    p = None if np.isnan(gap.p) else min(1.0, gap.p * pairs)
+    return MainEffect(factor.key, levels, found.complete, largest, p)
 
 
 def interactions(
@@ -108,7 +108,9 @@ def _interaction(
     grid = [[numbers.get((r, c), nothing) for c in columns_shown] for r in rows_shown]
     mean, low, high, n, residual = ([[entry[part] for entry in line] for line in grid] for part in range(5))
     shares = _shares(cells, column, columns_shown, real_shares) if column.key == REAL else None
-    return Interaction(row.key, column.key, given, rows_shown, columns_shown, mean, low, high, n, residual, shares)
+    return Interaction(
+        row.key, column.key, given, rows_shown, columns_shown, mean, low, high, n, residual, shares, _known(table.p)
+    )
 
 
 def _entry(one: statistics.InteractionCell) -> tuple[Any, ...]:

@@ -1,6 +1,7 @@
 """Cells against each other: which pairs, their numbers, and the correction for how many there are."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from itertools import combinations
 from typing import Literal
 
@@ -50,7 +51,7 @@ def _pair(a: Cell, b: Cell) -> Pair:
     return Pair(
         a=a.id,
         b=b.id,
-        difference=Interval(test.difference, _known(test.low), _known(test.high), n, test.method),
+        difference=Interval(test.difference, _cut(test.low), _cut(test.high), n, test.method),
         p=_known(test.p),
         p_holm=None,
         improvement=Interval(better.probability, _known(better.low), _known(better.high), n, better.method),
@@ -61,8 +62,6 @@ def _pair(a: Cell, b: Cell) -> Pair:
 
 
 def _corrected(pairs: Sequence[Pair]) -> list[Pair]:
-    from dataclasses import replace
-
     corrected = holm([np.nan if pair.p is None else pair.p for pair in pairs])
     times = holm([np.nan if pair.log_rank_p is None else pair.log_rank_p for pair in pairs])
     return [
@@ -94,6 +93,11 @@ def _times(survival: Survival | None, a: Cell, b: Cell) -> float | None:
 
 def _rates(cell: Cell) -> list[float]:
     return [seed.success for seed in cell.seeds if seed.success is not None]
+
+
+def _cut(bound: float) -> float | None:
+    """Return the end of an interval, cut to what a difference of rates can be."""
+    return None if (value := _known(bound)) is None else min(max(value, -1.0), 1.0)
 
 
 def _known(value: float) -> float | None:

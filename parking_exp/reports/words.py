@@ -18,20 +18,21 @@ from parking_exp.reports.content import (
 )
 from parking_exp.reports.factors import shown
 from parking_exp.reports.formats import p_value, points_interval, rate_interval
+from parking_exp.reports.pairs import SIGNIFICANT
 from parking_exp.reports.selection import Group
 
 ENOUGH_SEEDS = 10
 FEW_NAMES = 4
-LARGE_RESIDUAL = 0.05
 VERDICTS = {"better": "is better than", "worse": "is worse than", "same": "can't be told apart from"}
 
 
 def named(names: Sequence[str]) -> str:
     """List names, the first few of many."""
     few = list(names[:FEW_NAMES])
+    comma = "; " if any("," in name for name in few) else ", "
     if len(names) > FEW_NAMES:
-        return f"{', '.join(few)} and {len(names) - FEW_NAMES} more"
-    return few[0] if len(few) == 1 else f"{', '.join(few[:-1])} and {few[-1]}"
+        return f"{comma.join(few)} and {len(names) - FEW_NAMES} more"
+    return few[0] if len(few) == 1 else f"{comma.join(few[:-1])} and {few[-1]}"
 
 
 class Gap(NamedTuple):
@@ -74,38 +75,53 @@ def about_factors(
     """Yield what single factors do."""
     names = {factor.key: factor.name for factor in factors}
     for effect in effects:
-        known = [level for level in effect.levels if level.effect.value is not None]
-        if len(known) < 2:
-            continue
-        high = max(known, key=lambda level: level.effect.value or 0.0)
-        low = min(known, key=lambda level: level.effect.value or 0.0)
-        yield (
-            f"{names[effect.factor]}: {shown(high.level)} is best on average over the other factors, "
-            f"{rate_interval(high.effect)}, and {shown(low.level)} worst, {rate_interval(low.effect)}."
-        )
+        yield from _effect(effect, names[effect.factor])
     for table in interactions:
-        rest = [(abs(r), r, i, j) for i, row in enumerate(table.residual) for j, r in enumerate(row) if r is not None]
-        if not rest or len(rest) < 4:
-            continue
-        size, residual, row, column = max(rest)
-        where = f"{shown(table.rows[row])} with {names[table.column]}={shown(table.columns[column])}"
-        given = f" ({table.given})" if table.given else ""
-        if size >= LARGE_RESIDUAL:
-            yield (
-                f"{names[table.row]} and {names[table.column]} do not just add up{given}: "
-                f"{where} is {100 * residual:+.1f} points from what both would give alone."
-            )
-        else:
-            yield (
-                f"{names[table.row]} and {names[table.column]} add up{given}, as far as these means tell: "
-                f"none is more than {100 * size:.1f} points from it."
-            )
+        yield from _interaction(table, names[table.row], names[table.column])
     for one in importance[:3] if design == "search" else ():
         sign = {True: ", larger is better", False: ", smaller is better", None: ""}
         way = sign[None if one.direction is None or not one.direction else one.direction > 0]
         yield (
             f"{names[one.factor]} alone explains {100 * one.share:.0f} % of the variance of success between cells "
             f"({p_value(one.p)}{way})."
+        )
+
+
+def _effect(effect: MainEffect, name: str) -> Iterator[str]:
+    known = [level for level in effect.levels if level.effect.value is not None]
+    if len(known) < 2 or effect.largest is None:
+        return
+    high = max(known, key=lambda level: level.effect.value or 0.0)
+    low = min(known, key=lambda level: level.effect.value or 0.0)
+    p = f", {p_value(effect.p)}" if effect.p is not None else ""
+    gap = f"{points_interval(effect.largest)}{p}"
+    if effect.p is not None and effect.p < SIGNIFICANT:
+        yield (
+            f"{name}: {shown(high.level)} ({rate_interval(high.effect)}) is better than {shown(low.level)} "
+            f"({rate_interval(low.effect)}), on average over the other factors: {gap}."
+        )
+    else:
+        yield (
+            f"{name}: levels can't be told apart, on average over the other factors; the largest difference is "
+            f"{shown(high.level)} less {shown(low.level)}, {gap}."
+        )
+
+
+def _interaction(table: Interaction, row: str, column: str) -> Iterator[str]:
+    rest = [(abs(r), r, i, j) for i, line in enumerate(table.residual) for j, r in enumerate(line) if r is not None]
+    if len(rest) < 4 or table.p is None:
+        return
+    size, residual, i, j = max(rest)
+    given, p = (f" ({table.given})" if table.given else ""), p_value(table.p)
+    if table.p < SIGNIFICANT:
+        yield (
+            f"{row} and {column} do not just add up{given} (F test, {p}): {shown(table.rows[i])} with {column}="
+            f"{shown(table.columns[j])} is {100 * residual:+.1f} points from what both would give alone."
+        )
+    else:
+        yield (
+            f"{row} and {column} add up{given}, as far as can be told (F test, {p}): no combination is more than "
+            f"{100 * size:.1f} points from it."
         )
 
 
@@ -206,16 +222,14 @@ def _wilson(cell: Cell) -> str:
 
 
 def _crashes(having: Sequence[Cell]) -> Iterator[str]:
-    known = [cell for cell in having if cell.crash.value is not None]
-    if len(known) > 1:
-        most, least = max(known, key=lambda c: c.crash.value or 0), min(known, key=lambda c: c.crash.value or 0)
-        if most.crash.value != least.crash.value:
-            yield (
-                f"{most.label} crashes most, in {rate_interval(most.crash)} of the scenes; {least.label} least, in "
-                f"{rate_interval(least.crash)}."
-            )
-    elif known:
-        yield f"It crashes in {rate_interval(known[0].crash)} of the scenes."
+    known = sorted((cell for cell in having if cell.crash.value is not None), key=lambda c: c.crash.value or 0.0)
+    if known:
+        least, most = known[0], known[-1]
+        if least.crash.value == most.crash.value:
+            yield f"Crashes end {rate_interval(most.crash)} of the episodes."
+        else:
+            low, high = (f"{rate_interval(cell.crash)} ({cell.label})" for cell in (least, most))
+            yield f"Crashes end {low} to {high} of the episodes."
 
 
 def _cost(having: Sequence[Cell]) -> Iterator[str]:
@@ -233,7 +247,7 @@ def _cost(having: Sequence[Cell]) -> Iterator[str]:
 def _median(cell: Cell) -> str:
     assert cell.survival is not None
     if cell.survival.median is None:
-        return f"none, since {cell.survival.k} of {cell.survival.n} seeds did"
+        return f"unknown ({cell.survival.k} of {cell.survival.n} seeds did)"
     cpu_s = cell.survival_cpu.median if cell.survival_cpu else None
     return f"{cell.survival.median:,.0f} env steps" + ("" if cpu_s is None else f", {cpu_s:,.0f} CPU-seconds")
 

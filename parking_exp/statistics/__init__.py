@@ -6,6 +6,7 @@ from parking_exp.statistics.effects import (
     InteractionCell,
     LevelMean,
     MainEffects,
+    contrast,
     interaction,
     main_effects,
 )
@@ -36,6 +37,7 @@ __all__ = [
     "RestrictedMean",
     "Share",
     "Survival",
+    "contrast",
     "coverage_note",
     "holm",
     "importance",

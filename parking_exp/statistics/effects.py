@@ -8,18 +8,20 @@ from itertools import product
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from scipy.special import stdtrit
+from scipy.special import fdtrc, stdtr, stdtrit
 
 from parking_exp.statistics.checks import confident
 from parking_exp.statistics.intervals import NONE, mean_interval
+from parking_exp.statistics.pairs import Difference
 
 if TYPE_CHECKING:  # a training imports this package and needs no frames of ours
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
     import pandas as pd
 
 CELLS = "cells' own variances"
 POOLED = "pooled variance"
+ROUNDING = 1e-12  # a sum of squares that is nothing but rounding
 
 
 @dataclass(frozen=True)
@@ -61,12 +63,15 @@ class InteractionCell:
 
 @dataclass(frozen=True)
 class Interaction:
-    """All combinations, row by row; `complete` says whether none is missing."""
+    """All combinations, row by row; `complete` says whether none is missing, and `p` how well a sum of two effects
+    explains them all: NaN where seeds do not scatter or nothing is left to explain.
+    """
 
     rows: tuple[Any, ...]
     columns: tuple[Any, ...]
     cells: tuple[InteractionCell, ...]
     complete: bool
+    p: float
 
 
 def main_effects(frame: pd.DataFrame, factors: Sequence[str], response: str, confidence: float = 0.95) -> MainEffects:
@@ -85,9 +90,7 @@ def main_effects(frame: pd.DataFrame, factors: Sequence[str], response: str, con
     _check(frame, factors, response)
     confident(confidence)
     groups = dict(_cells(frame, factors, response))
-    pooled = [values for values in groups.values() if len(values) > 1]
-    df = sum(len(values) - 1 for values in pooled)
-    variance = sum(values.var(ddof=1) * (len(values) - 1) for values in pooled) / df if df else math.nan
+    variance, df = _pooled(list(groups.values()))
     levels = []
     for i, factor in enumerate(factors):
         for level in _levels(frame[factor]):
@@ -141,24 +144,85 @@ def interaction(
                 float(residuals[row, column]),
             )
         )
-    return Interaction(tuple(rows), tuple(columns), tuple(cells), len(groups) == len(cells))
+    p = _interaction_p(groups, design)
+    return Interaction(tuple(rows), tuple(columns), tuple(cells), len(groups) == len(cells), p)
+
+
+def contrast(
+    frame: pd.DataFrame, factors: Sequence[str], response: str, levels: tuple[str, Any, Any], confidence: float = 0.95
+) -> Difference:
+    """Return how far two levels of a factor are apart: the difference of the means that `main_effects` gives.
+
+    `levels` is (factor, one, other). Interval and p are those of a linear contrast of independent means with their own
+    variances (Welch 1947); where a cell has a single seed, of the pooled variance of all cells. NaN without scatter.
+
+    Raises:
+        ValueError: as `main_effects`, or there is no such level.
+    """
+    _check(frame, factors, response)
+    groups = _cells(frame, factors, response)
+    place = list(factors).index(levels[0])
+    sides = [[values for key, values in groups if key[place] == level] for level in levels[1:]]
+    if not all(sides):
+        raise ValueError(f"{levels[0]} has no level {levels[1] if not sides[0] else levels[2]!r}")
+    (one, variance, spread), (other, variance_b, spread_b) = (_mean_of_means(side) for side in sides)
+    total, df = variance + variance_b, 0.0
+    if not math.isnan(total):
+        df = total**2 / (spread + spread_b) if spread + spread_b > 0 else 0.0
+    else:
+        pooled, df = _pooled([values for _, values in groups])
+        total = sum(pooled * sum(1 / len(values) for values in side) / len(side) ** 2 for side in sides)
+    n_one, n_other = (sum(map(len, side)) for side in sides)
+    if not (df > 0 and total > 0):
+        return Difference(one - other, math.nan, math.nan, math.nan, math.nan, n_one, n_other, NONE)
+    error = math.sqrt(total)
+    half = float(stdtrit(df, 0.5 + confident(confidence) / 2)) * error
+    p = 2 * float(stdtr(df, -abs(one - other) / error))
+    return Difference(one - other, one - other - half, one - other + half, p, df, n_one, n_other, CELLS)
+
+
+def _mean_of_means(cells: Sequence[np.ndarray]) -> tuple[float, float, float]:
+    """Return the mean of cell means, its variance, and what the degrees of freedom follow from; NaN with one seed."""
+    mean = float(np.mean([values.mean() for values in cells]))
+    if min(map(len, cells)) < 2:
+        return mean, math.nan, math.nan
+    squares = np.array([values.var(ddof=1) / len(values) for values in cells]) / len(cells) ** 2
+    return mean, float(squares.sum()), float((squares**2 / (np.array([*map(len, cells)]) - 1)).sum())
+
+
+def _pooled(cells: Sequence[np.ndarray]) -> tuple[float, float]:
+    """Return the pooled variance of all cells with two seeds or more, and its degrees of freedom; NaN and 0 without."""
+    several = [values for values in cells if len(values) > 1]
+    df = float(sum(len(values) - 1 for values in several))
+    return (sum(float(values.var(ddof=1)) * (len(values) - 1) for values in several) / df if df else math.nan), df
+
+
+def _interaction_p(groups: Mapping[tuple[Any, ...], np.ndarray], design: np.ndarray) -> float:
+    """Return the p of the F test of interaction (Fisher 1925): cell means against the sum of two effects."""
+    sizes, response = np.array([len(values) for values in groups.values()]), np.concatenate(list(groups.values()))
+    rows = np.repeat(design, sizes, axis=0)
+    fitted, _, rank, _ = np.linalg.lstsq(rows, response, rcond=None)
+    means = np.repeat([values.mean() for values in groups.values()], sizes)
+    within, beside = float(((response - means) ** 2).sum()), float(((rows @ fitted - means) ** 2).sum())
+    df, left = len(groups) - int(rank), len(response) - len(groups)
+    if df < 1 or left < 1 or within < ROUNDING:
+        return math.nan
+    return float(fdtrc(df, left, beside / df / (within / left)))
 
 
 def _level(
-    factor: str, level: Any, cells: list[np.ndarray], pooled: float, pooled_df: int, confidence: float
+    factor: str, level: Any, cells: list[np.ndarray], pooled: float, pooled_df: float, confidence: float
 ) -> LevelMean:
-    sizes = np.array([len(values) for values in cells])
-    mean, low, high, method = float(np.mean([values.mean() for values in cells])), math.nan, math.nan, NONE
-    if sizes.min() > 1:
-        squares = np.array([values.var(ddof=1) for values in cells]) / sizes / len(cells) ** 2
-        total, spread = float(squares.sum()), float((squares**2 / (sizes - 1)).sum())
-        df, name = (total**2 / spread if spread > 0 else 0.0), CELLS
+    mean, total, spread = _mean_of_means(cells)
+    low, high, method, df, name = math.nan, math.nan, NONE, 0.0, CELLS
+    if not math.isnan(total):
+        df = total**2 / spread if spread > 0 else 0.0
     else:
-        total, df, name = pooled * float((1 / sizes).sum()) / len(cells) ** 2, float(pooled_df), POOLED
+        total, df, name = pooled * sum(1 / len(values) for values in cells) / len(cells) ** 2, pooled_df, POOLED
     if df > 0 and total > 0:
         half = float(stdtrit(df, 0.5 + confidence / 2)) * math.sqrt(total)
         low, high, method = mean - half, mean + half, name
-    return LevelMean(factor, level, mean, low, high, len(cells), int(sizes.sum()), method)
+    return LevelMean(factor, level, mean, low, high, len(cells), sum(map(len, cells)), method)
 
 
 def _check(frame: pd.DataFrame, factors: Sequence[str], response: str) -> None:
