@@ -223,6 +223,7 @@ def _content(cells, factors, design, baseline=None):
         cells=cells,
         shown=[cell.id for cell in (cells if len(cells) <= 12 or design == "factorial" else best[:12])],
         baseline=baseline,
+        reference=baseline,
         family=FAMILY,
         pairs=pairs,
         effects=(),

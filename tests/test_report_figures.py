@@ -164,7 +164,7 @@ def test_a_pair_reads_the_same_both_ways_round(three):
 
 
 def test_with_a_baseline_differences_are_from_it(three, tmp_path):
-    content = replace(three[0], baseline="c1")
+    content = replace(three[0], baseline="c1", reference="c1")
     picture = by_name(draw(content, tmp_path, []))["pairwise"]
     assert "baseline, td3," in picture.caption
     assert [t.partition(":")[0] for t in tips(picture) if " minus " in t] == ["sac minus td3", "ddpg minus td3"]

@@ -71,7 +71,7 @@ def compare(results: Results, question: Question, states: Mapping[str, RunState]
     cells, problems = _with_places(cells, shown, groups, results, courses)
     kind = design(factors, [one.settings for one in groups])
     parts = _factor_parts(kind, cells, groups, factors, courses)
-    pairs, family = compare_pairs(cells, baseline)
+    family = compare_pairs(cells, baseline)
     left_out = [one.label for one in everything if one.name not in {chosen.name for chosen in asked}]
     unheard = not_in_store(results.runs, groups, states, whole=not question.cells)
     origin = provenance(groups, left_out, without_password(results.uri), states, unheard)
@@ -87,20 +87,21 @@ def compare(results: Results, question: Question, states: Mapping[str, RunState]
         cells=cells,
         shown=shown,
         baseline=baseline,
-        family=family,
-        pairs=pairs,
+        family=family.words,
+        pairs=family.pairs,
         effects=parts.effects,
         interactions=parts.interactions,
         importance=parts.importance,
         exploratory=any(cell.success.n < words.ENOUGH_SEEDS for cell in cells),
         claims=words.together(
-            words.claims(cells, pairs, baseline),
+            words.claims(cells, family.pairs, baseline),
             words.about_factors(kind, factors, parts.effects, parts.interactions, parts.importance),
         ),
         warnings=words.together(words.warnings(groups, cells, origin), results.problems, problems),
         missing=words.together(words.missing(cells, unheard)),
         provenance=origin,
         notes=_notes(results, cells, shown),
+        reference=family.reference,
     )
 
 

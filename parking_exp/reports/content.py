@@ -381,7 +381,9 @@ class Content:
         design, factors: how cells differ.
         cells: in the order of the sweep.
         shown: ids of the cells that figures show; all of them, or the first ones by success where there are too many.
-        baseline: id of the cell that others are compared with; None: all pairs.
+        baseline: id of the cell that others are to be compared with.
+        reference: id of the cell that all others are compared with: the baseline or, where cells are many, the one with
+            the highest mean; None: all pairs.
         family: a sentence: which pairs were compared, and how p was corrected.
         pairs, effects, interactions, importance: see there; empty where they make no sense.
         exploratory: fewer than 10 seeds somewhere.
@@ -413,6 +415,7 @@ class Content:
     missing: Sequence[str]
     provenance: Provenance
     notes: Sequence[str] = field(default_factory=tuple)
+    reference: str | None = None
 
     def cell(self, cell_id: str) -> Cell:
         """Return a cell by its id."""

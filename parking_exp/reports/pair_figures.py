@@ -1,4 +1,4 @@
-"""Pictures of pairs: every cell against every other one, or against the baseline."""
+"""Pictures of pairs: every cell against every other one, or against one."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -28,8 +28,8 @@ _MOST_WITH_TEXT = 20
 
 
 def pairwise(content: Content) -> tuple[Sheet, str] | None:
-    """Draw differences of final success: from the baseline, or between all cells."""
-    return _pair_matrix(content) if content.baseline is None else _from_baseline(content)
+    """Draw differences of final success: from the one cell that all are compared with, or between all cells."""
+    return _pair_matrix(content) if content.reference is None else _from_reference(content)
 
 
 def _differences(content: Content) -> dict[tuple[str, str], Pair]:
@@ -141,9 +141,10 @@ def _diverging() -> Any:
     return LinearSegmentedColormap.from_list("differences", ["#B35806", "#F1A340", "#F7F7F7", "#67A9CF", "#2166AC"])
 
 
-def _from_baseline(content: Content) -> tuple[Sheet, str] | None:
+def _from_reference(content: Content) -> tuple[Sheet, str] | None:
     known = _differences(content)
-    base = content.cell(content.baseline or "")
+    base = content.cell(content.reference or "")
+    name = "the baseline" if content.baseline else "the highest mean"
     rows = [(cell, known[cell.id, base.id]) for cell in shown_cells(content) if (cell.id, base.id) in known]
     if not rows:
         return None
@@ -152,7 +153,7 @@ def _from_baseline(content: Content) -> tuple[Sheet, str] | None:
     edge = max(1.0, *(100 * abs(bound) for three in bounds for bound in three if bound is not None))
     lowest = min(0.0, *(100 * bound for three in bounds for bound in three if bound is not None))
     highest = max(0.0, *(100 * bound for three in bounds for bound in three if bound is not None))
-    axes.set(xlim=(lowest - 0.06 * edge, highest + 0.06 * edge), xlabel="difference from the baseline (points)")
+    axes.set(xlim=(lowest - 0.06 * edge, highest + 0.06 * edge), xlabel=f"difference from {name} (points)")
     axes.axvline(0, color=INK, lw=0.8)
     for row, (cell, pair) in enumerate(rows):
         look, difference = cell_style(cell.id), pair.difference
@@ -165,8 +166,8 @@ def _from_baseline(content: Content) -> tuple[Sheet, str] | None:
         style = {"transform": axes.get_yaxis_transform(), "fontsize": SMALL_PT, "va": "center_baseline"}
         sheet.text(axes, 1.02, row, text.strip(), **style)
     caption = (
-        f"Final success less that of the baseline, {clean(base.label)}, in percentage points, with 95 % intervals. "
-        "▲ better than the baseline, ▼ worse, ≈ can't be told apart, ? too few seeds; p corrected by Holm's method. "
+        f"Final success less {name}, {clean(base.label)}, in percentage points, with 95 % intervals. "
+        "▲ better than that cell, ▼ worse, ≈ can't be told apart, ? too few seeds; p corrected by Holm's method. "
         f"{content.family}"
     )
     return sheet, caption.strip()

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import combinations
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -14,8 +14,16 @@ ALL_PAIRS_UP_TO = 12  # cells: 66 pairs
 SIGNIFICANT = 0.05
 
 
-def compare_pairs(cells: Sequence[Cell], baseline: str | None) -> tuple[list[Pair], str]:
-    """Return the pairs of the declared family, and a sentence that declares it.
+class Family(NamedTuple):
+    """Pairs that were compared, the sentence that declares them, and the cell that is part of all of them, if any."""
+
+    pairs: list[Pair]
+    words: str
+    reference: str | None
+
+
+def compare_pairs(cells: Sequence[Cell], baseline: str | None) -> Family:
+    """Return the pairs of the declared family.
 
     Without a baseline these are all pairs or, where cells are many, all against the one with the highest mean.
 
@@ -34,14 +42,15 @@ def compare_pairs(cells: Sequence[Cell], baseline: str | None) -> tuple[list[Pai
         couples = [(cell, reference) for cell in having if cell.id != reference.id]
         family = f"{len(couples)} cells against {'the baseline' if baseline else 'the one with the highest mean'}"
     if not couples:
-        return [], ""
+        return Family([], "", baseline)
     words = f"Compared were {family}, by Welch's test on the final success of seeds; p is Holm's over this family."
     if reference is not None and baseline is None:
         words += (
             " The reference was chosen by its result, so that the others' distance from it is too large on average; "
             "name a baseline beforehand to avoid that."
         )
-    return _corrected([_pair(a, b) for a, b in couples]), words
+    pairs = _corrected([_pair(a, b) for a, b in couples])
+    return Family(pairs, words, reference.id if reference else None)
 
 
 def _pair(a: Cell, b: Cell) -> Pair:
