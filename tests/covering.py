@@ -4,9 +4,11 @@ A seed's true rate is drawn from a Beta distribution, or is 0 if the seed collap
 `python tests/covering.py` prints the whole table.
 """
 
+import warnings
 from dataclasses import dataclass
 
 import numpy as np
+from scipy import stats
 
 from parking_exp.statistics import coverage_note, restricted_mean, wilson_interval
 from parking_exp.statistics.intervals import interval_rows
@@ -76,6 +78,30 @@ def of_mean(rates, n, draws=DRAWS):
     return (low <= rates.truth) & (rates.truth <= high)
 
 
+def of_mean_by_student(rates, n, draws=DRAWS):
+    """Return in which of the draws Student's interval holds the mean: what `mean_interval` would be without skew."""
+    values = rates.measured(n, draws)
+    half = stats.t.ppf(0.975, n - 1) * values.std(axis=1, ddof=1) / np.sqrt(n)
+    return np.abs(values.mean(axis=1) - rates.truth) <= half
+
+
+def of_mean_by_bca(rates, n, draws=DRAWS):
+    """Return in which of the draws the bias-corrected and accelerated bootstrap holds the mean; NaN holds nothing."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # draws without scatter
+        found = stats.bootstrap(
+            (rates.measured(n, draws),),
+            np.mean,
+            axis=1,
+            vectorized=True,
+            n_resamples=999,
+            batch=50,
+            rng=9,
+            method="BCa",
+        ).confidence_interval
+    return (found.low <= rates.truth) & (rates.truth <= found.high)
+
+
 def of_difference(a, b, n, draws=DRAWS):
     """Return in which of the draws Welch's interval holds the difference."""
     first, second = a.measured(n, draws, seed=2), b.measured(n, draws, seed=3)
@@ -135,6 +161,8 @@ def main():
     print("seeds", *SEEDS)
     for rates in HEALTHY + COLLAPSING:
         print("mean", rates, *(f"{100 * of_mean(rates, n).mean():.1f}" for n in SEEDS))
+        print("  by Student", *(f"{100 * of_mean_by_student(rates, n).mean():.1f}" for n in SEEDS))
+        print("  by BCa, from 20", *(f"{100 * of_mean_by_bca(rates, n).mean():.1f}" for n in SEEDS[3:]))
     for pair in PAIRS + SKEWED_PAIRS:
         print("difference", *pair, *(f"{100 * of_difference(*pair, n).mean():.1f}" for n in SEEDS))
         print("improvement", *pair, *(f"{100 * of_improvement(*pair, n).mean():.1f}" for n in SEEDS))

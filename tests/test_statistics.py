@@ -506,6 +506,13 @@ def test_welch_falls_below_93_percent_where_the_noisier_cell_has_a_tail_and_the_
     assert covering.speaks(first, 10, second).mean() > 0.85
 
 
+def test_students_interval_and_bca_cover_too_little_where_rates_pile_up_below_one():
+    # Why `mean_interval` takes neither.
+    assert covering.of_mean_by_student(covering.Rates(0.9, 0.15), 5).mean() < 0.85
+    assert covering.of_mean_by_student(covering.Rates(0.99, 0.03), 10).mean() < 0.85
+    assert covering.of_mean_by_bca(covering.Rates(0.95, 0.1), 20, draws=1000).mean() < 0.93
+
+
 def test_note_is_silent_on_healthy_seeds_and_names_the_coverage_on_others():
     assert coverage_note(TEN) is None
     assert coverage_note(TEN, TEN) is None
