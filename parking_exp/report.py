@@ -1,7 +1,10 @@
 """Compare the cells of an experiment, and write it down: page, Markdown, tables, figures, JSON."""
 
+import os
 import shlex
 import sys
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -14,6 +17,8 @@ from parking_exp.validation import parse
 
 if TYPE_CHECKING:
     from parking_exp.reports.content import Content
+    from parking_exp.reports.printer import Printer
+    from parking_exp.results import Results
     from parking_exp.states import RunState
 
 Format = Literal["svg", "pdf", "png"]
@@ -72,35 +77,61 @@ def report(config: DictConfig) -> Path:
         RunNotFoundError: none of the runs is done.
     """
     request = validate_report(config)
-    from rich.progress import Progress, SpinnerColumn, TextColumn
-
-    from parking_exp.reports.comparison import Question, compare
-    from parking_exp.reports.writing import write
     from parking_exp.results import load
-    from parking_exp.tables import console
 
-    columns = (SpinnerColumn(), TextColumn("{task.description}"))
-    screen = console(stderr=True)
-    with Progress(*columns, console=screen, transient=True, disable=not screen.is_terminal) as bar:
-        task = bar.add_task("reading the store")
+    with _pdfs(request) as printer, _progress() as say:
+        say("reading the store")
         results = load(_experiments(request), uri=request.tracking.uri, output_dir=request.output_path)
-        experiments = list(dict.fromkeys(results.runs["experiment"]))
-        question = Question(
-            experiments=experiments,
-            cells=request.cells_asked,
-            baseline=request.baseline,
-            quick=request.report.quick,
-            command=_command(request, experiments),
-        )
-        bar.update(task, description=f"comparing {len(results.runs)} runs")
-        content = compare(results, question, _states(request.output_path, experiments))
-        folder = request.output_path / "reports" / (request.name or "+".join(experiments))
+        say(f"comparing {len(results.runs)} runs")
+        content = _compare(request, results)
+        say("drawing")
+        from parking_exp.reports.writing import write  # with matplotlib: not before there is something to draw
+
+        folder = request.output_path / "reports" / (request.name or "+".join(content.experiments))
         folder.mkdir(parents=True, exist_ok=True)
-        bar.update(task, description="drawing")
         with FileLock(folder.parent / f".{folder.name}.lock"):
-            write(content, folder, request.report.formats)
+            write(content, folder, request.report.formats, printer)
     _print(content, folder)
     return folder
+
+
+def _pdfs(request: ReportRequest) -> "AbstractContextManager[Printer | None]":
+    """Start what draws PDFs beside this process, if there are any to draw and a core to do it."""
+    from parking_exp.reports.printer import Printer
+
+    return Printer() if "pdf" in request.report.formats and (os.cpu_count() or 1) > 1 else nullcontext()
+
+
+@contextmanager
+def _progress() -> Iterator[Callable[[str], None]]:
+    """Yield what says, on a terminal, what is being done."""
+    from rich.progress import Progress, SpinnerColumn, TextColumn
+
+    from parking_exp.tables import console
+
+    screen = console(stderr=True)
+    columns = (SpinnerColumn(), TextColumn("{task.description}", markup=False))
+    with Progress(*columns, console=screen, transient=True, disable=not screen.is_terminal) as bar:
+        task = bar.add_task("")
+
+        def say(what: str) -> None:
+            bar.update(task, description=what)
+
+        yield say
+
+
+def _compare(request: ReportRequest, results: "Results") -> "Content":
+    from parking_exp.reports.comparison import Question, compare
+
+    experiments = list(dict.fromkeys(results.runs["experiment"]))
+    question = Question(
+        experiments=experiments,
+        cells=request.cells_asked,
+        baseline=request.baseline,
+        quick=request.report.quick,
+        command=_command(request, experiments),
+    )
+    return compare(results, question, _states(request.output_path, experiments))
 
 
 def _experiments(request: ReportRequest) -> list[str] | None:

@@ -10,24 +10,31 @@ from parking_exp.reports.content import Content
 from parking_exp.reports.figures import draw
 from parking_exp.reports.markdown import markdown
 from parking_exp.reports.page import page
+from parking_exp.reports.printer import Printer
 from parking_exp.reports.style import cell_style
 from parking_exp.reports.tables import write_tables
 
 MADE_HERE = {"figures": {".svg", ".pdf", ".png"}, "tables": {".csv", ".tex"}}
 
 
-def write(content: Content, folder: Path, formats: Sequence[str]) -> None:
+def write(content: Content, folder: Path, formats: Sequence[str], printer: Printer | None = None) -> None:
     """Write all files of a report; the page is the last.
 
     Args:
         content: what it says.
         folder: made if it is not there; other files in it stay as they are.
         formats: of the figures.
+        printer: draws PDFs meanwhile; None: they are drawn here.
     """
     folder.mkdir(parents=True, exist_ok=True)
     with TemporaryDirectory(prefix=".new-", dir=folder) as new:
-        pictures = draw(content, _made(Path(new) / "figures"), formats)
+        figures = _made(Path(new) / "figures")
+        if printer is not None:
+            printer.draw(content, figures)
+        pictures = draw(content, figures, [one for one in formats if printer is None or one != "pdf"])
         write_tables(content, _made(Path(new) / "tables"))
+        if printer is not None:
+            printer.wait()
         for part, endings in MADE_HERE.items():
             _replace(Path(new) / part, _made(folder / part), endings)
     write_atomically(folder / "report.json", json.dumps(content.plain(), ensure_ascii=False, allow_nan=False, indent=1))
