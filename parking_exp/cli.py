@@ -112,13 +112,17 @@ def report_arguments(arguments: list[str]) -> list[str]:
         ConfigError: cells are named both ways.
     """
     found, cells = [], []
+    arguments = ["report=quick" if argument == "--quick" else argument for argument in arguments]
     overrides = get_args_parser().parse_args(arguments).overrides
     for argument in arguments:
         key, equals, value = argument.partition("=")
         if argument not in overrides:
             found.append(argument)
         elif key == "experiment" and equals:
-            found.append(f"experiment_name=[{value.strip('[]')}]")
+            names = value.removeprefix("[").removesuffix("]").split(",")
+            found.append(
+                "experiment_name=null" if value == "null" else f"experiment_name=[{','.join(map(in_quotes, names))}]"
+            )
         elif key == "baseline" and value not in {"", "null"}:
             found.append(f"baseline={in_quotes(value)}")
         elif key.lstrip("+~").split(".")[0].split("/")[0] in REPORT_KEYS:

@@ -21,7 +21,8 @@ TRAINING_SCENES_START = 2**31
 # Keys that change no result; besides them `evaluation.video_episodes`.
 WITHOUT_RESULT = frozenset({"experiment_name", "output_dir", "tracking", "checkpoint", "timeout_s"})
 
-Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$", max_length=80)]
+NAME = r"^[A-Za-z0-9][A-Za-z0-9._-]*$"
+Name = Annotated[str, Field(pattern=NAME, max_length=80)]
 Positive = Annotated[int, Field(ge=1)]
 Count = Annotated[int, Field(ge=0)]
 PositiveFloat = Annotated[float, Field(gt=0, allow_inf_nan=False)]

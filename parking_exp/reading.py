@@ -55,7 +55,7 @@ class Reader:
         self.uri = absolute(uri)
         path = database(self.uri)
         if path is not None and not path.is_file():
-            raise ResultsError(f"there is no store {path}; train something first, or set output_dir or uri")
+            raise ResultsError(f"there is no store {path}; train something first, or name another output_dir or store")
         if path is None and Path(uri).is_file():
             raise ResultsError(f"uri={uri} is a file and no URI; type sqlite:///{uri}")
         with self._asked():

@@ -1,9 +1,10 @@
 """Compare the cells of an experiment, and write it down: page, Markdown, tables, figures, JSON."""
 
 import os
+import re
 import shlex
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -12,7 +13,9 @@ from filelock import FileLock
 from omegaconf import DictConfig
 from pydantic import Field
 
-from parking_exp.config import Name, Section
+from parking_exp.config import NAME, Section
+from parking_exp.errors import ConfigError
+from parking_exp.store import without_password
 from parking_exp.validation import parse
 
 if TYPE_CHECKING:
@@ -40,7 +43,7 @@ class StoreConfig(Section):
 class ReportRequest(Section):
     """The config of scripts/report.py."""
 
-    experiment_name: Name | Annotated[list[Name], Field(min_length=1)] | None
+    experiment_name: str | list[str] | None
     cells: str | list[str] | None
     baseline: str | None
     output_dir: str
@@ -87,9 +90,9 @@ def report(config: DictConfig) -> Path:
         say("drawing")
         from parking_exp.reports.writing import write  # with matplotlib: not before there is something to draw
 
-        folder = request.output_path / "reports" / (request.name or "+".join(content.experiments))
+        folder = request.output_path / "reports" / (request.name or _folder_name(content.experiments))
         folder.mkdir(parents=True, exist_ok=True)
-        with FileLock(folder.parent / f".{folder.name}.lock"):
+        with FileLock(folder / ".lock"):
             write(content, folder, request.report.formats, printer)
     _print(content, folder)
     return folder
@@ -123,15 +126,17 @@ def _progress() -> Iterator[Callable[[str], None]]:
 def _compare(request: ReportRequest, results: "Results") -> "Content":
     from parking_exp.reports.comparison import Question, compare
 
-    experiments = list(dict.fromkeys(results.runs["experiment"]))
+    having = list(dict.fromkeys(results.runs["experiment"]))
+    if request.experiment_name is None and len(having) > 1:
+        raise ConfigError(f"experiment: the store has several; name one or more of {', '.join(having)}")
     question = Question(
-        experiments=experiments,
+        experiments=_experiments(request) or having,
         cells=request.cells_asked,
         baseline=request.baseline,
         quick=request.report.quick,
-        command=_command(request, experiments),
+        command=_command(request, _experiments(request) or having),
     )
-    return compare(results, question, _states(request.output_path, experiments))
+    return compare(results, question, _states(request.output_path, having))
 
 
 def _experiments(request: ReportRequest) -> list[str] | None:
@@ -139,22 +144,33 @@ def _experiments(request: ReportRequest) -> list[str] | None:
     return [named] if isinstance(named, str) else named
 
 
+def _folder_name(experiments: Sequence[str]) -> str:
+    """Return a name that is a folder's and nothing else: in a store, experiments may be called anything."""
+    return re.sub(r"[^\w.+-]|^\.", "_", "+".join(experiments))
+
+
 def _states(output_dir: Path, experiments: list[str]) -> "dict[str, RunState]":
     """Return how far runs are that lie here and are not done, by run directory: newer than what the store knows."""
     from parking_exp.states import find, read_state
 
-    paths = [path for name in experiments for path in find(output_dir, name)]
-    states = {str(path): read_state(path) for path in paths}
+    ours = [name for name in experiments if re.fullmatch(NAME, name)]
+    states = {str(path): read_state(path) for name in ours for path in find(output_dir, name)}
     return {path: state for path, state in states.items() if state.stage != "done"}
 
 
-def _command(request: ReportRequest, experiments: list[str]) -> str:
+def _command(request: ReportRequest, experiments: Sequence[str]) -> str:
     """Return the command that makes this report."""
     words = ["python", "scripts/report.py", f"experiment={','.join(experiments)}", *request.cells_asked]
     if request.baseline:
         words.append(f"baseline={request.baseline}")
     if request.report.quick:
         words.append("report=quick")
+    if request.output_path != Path("outputs").absolute():
+        words.append(f"output_dir={request.output_dir}")
+    if request.tracking.uri:
+        words.append(f"tracking.uri={without_password(request.tracking.uri)}")
+    if request.name:
+        words.append(f"name={request.name}")
     return shlex.join(words)
 
 

@@ -264,4 +264,4 @@ def _twice(runs: pd.DataFrame) -> Iterator[str]:
     found = runs.groupby(["experiment", "cell", "seed"], sort=False)["run_id"].agg(list)
     for key, run_ids in found[found.map(len) > 1].items():
         experiment, cell, seed = cast(tuple[str, str, int], key)
-        yield f"{experiment}, {cell}, seed {seed}: {len(run_ids)} runs have it, and all of them count"
+        yield f"{experiment}, {cell}, seed {seed}: {len(run_ids)} runs have it"

@@ -223,7 +223,7 @@ class Store:
 def _write_lock(uri: str) -> AbstractContextManager[Any]:
     """A lock that this process's writers to an embedded store share with all others; other stores have their own."""
     path = database(uri)
-    if path is None:
+    if path is None or (path.exists() and not os.access(path.parent, os.W_OK)):  # who can't write may still read
         return nullcontext()
     return FileLock(path.with_name(f".{path.name}.lock"), timeout=WAIT_S, poll_interval=0.01)
 

@@ -198,15 +198,15 @@ def test_runs_of_different_lengths_have_curves_as_far_as_they_go(output_dir):
     made(output_dir, "one", {"short": [], "long": ["total_timesteps=800"]}, range(2), lambda *_: Look(success=0.8))
     short, long = content(output_dir).cells
     assert (short.curve.step[-1], long.curve.step[-1]) == (400, 800)
-    assert short.survival.horizon == long.survival.horizon == 400
+    assert short.survival.horizon == long.survival.horizon == 200  # three evaluations from 200 on end at 400
 
 
 def test_time_to_90_percent_is_censored_where_it_was_not_held(output_dir):
     curves = {0: [1 / 3, 1.0, 1.0, 1.0], 1: [0.0, 1.0, 1 / 3, 1.0]}  # of three scenes
     made(output_dir, "one", {"sac": []}, [0, 1], lambda label, seed: Look(curve=curves[seed]))
     (cell,) = content(output_dir).cells
-    assert [(seed.steps_to_90, seed.reached_90) for seed in cell.seeds] == [(200, True), (400, False)]
-    assert cell.survival.censored == [400]
+    assert [(seed.steps_to_90, seed.reached_90) for seed in cell.seeds] == [(200, True), (200, False)]
+    assert cell.survival.censored == [200]
     assert (cell.survival.k, cell.survival.n, cell.survival.median) == (1, 2, 200)
     assert cell.seeds[0].area == pytest.approx((2 / 3 + 1 + 1) / 3)
 

@@ -4,7 +4,8 @@ from itertools import product
 
 import pytest
 
-from parking_exp.reports.factors import design, differing, find_factors, label, shown, unique
+from parking_exp.reports.factors import design, differing, find_factors, label, unique
+from parking_exp.reports.formats import setting
 
 
 def cell(env="parking", algorithm="sac", buffer="her_future", **others):
@@ -122,7 +123,7 @@ def test_labels_that_are_the_same_get_the_key_of_their_cell():
     ("value", "text"), [(True, "true"), (0.0003, "0.0003"), (4, "4"), (None, "null"), ("x", "x"), (1e-5, "1e-05")]
 )
 def test_values_are_shown_as_in_yaml(value, text):
-    assert shown(value) == text
+    assert setting(value) == text
 
 
 def test_one_numeric_factor_is_worth_a_curve_and_a_few_words_are_a_list():

@@ -239,8 +239,8 @@ def test_holm_by_hand_and_without_nan_in_the_family():
 def test_steps_to_is_the_first_of_three_evaluations_that_hold():
     steps = [0, 10, 20, 30, 40, 50, 60]
     assert steps_to(steps, [0, 0.9, 0.95, 0.8, 0.9, 0.9, 1.0]) == (40.0, True)
-    assert steps_to(steps, [0, 0.9, 0.95, math.nan, 0.9, 0.9, 0.1]) == (60.0, False)
-    assert steps_to(steps[:2], [1.0, 1.0]) == (10.0, False)
+    assert steps_to(steps, [0, 0.9, 0.95, math.nan, 0.9, 0.9, 0.1]) == (40.0, False)
+    assert steps_to(steps[:2], [1.0, 1.0]) == (0.0, False)
     assert steps_to(steps[:2], [0.0, 1.0], hold=1) == (10.0, True)
 
 
@@ -626,3 +626,12 @@ def test_the_f_test_of_interaction_is_that_of_a_two_way_table():
     assert math.isnan(interaction(frame(cells), "strategy", "goals", "success").p)  # a sum fits three cells
     once = {key: values[:1] for key, values in cells.items()}
     assert math.isnan(interaction(frame(once), "strategy", "goals", "success").p)
+
+
+def test_seeds_that_are_all_the_same_have_no_interval_of_their_main_effect():
+    # Three times 0.8 has a variance of 1e-32 in floats.
+    effects = main_effects(frame({("a", 1): [0.8] * 3, ("b", 1): [0.4] * 3}), ["strategy"], "success")
+    assert all(math.isnan(level.low) for level in effects.levels)
+    assert math.isnan(
+        contrast(frame({("a", 1): [0.8] * 3, ("b", 1): [0.4] * 3}), ["strategy"], "success", ("strategy", "a", "b")).p
+    )

@@ -4,9 +4,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 
+import pandas as pd
+
 from parking_exp import __version__
 from parking_exp.errors import RunNotFoundError
-from parking_exp.reports import words
+from parking_exp.reports import cautions, words
 from parking_exp.reports.content import Cell, Content, Design, Factor, Importance, Interaction, MainEffect
 from parking_exp.reports.courses import Courses
 from parking_exp.reports.effects import importance, interactions, main_effects
@@ -20,6 +22,7 @@ from parking_exp.results import Results
 from parking_exp.states import RunState
 from parking_exp.store import without_password
 
+STATUS = {"running": "running", "failed": "failed", "pending": "interrupted", "done": "done"}
 SHOWN_WHOLE, SHOWN = 16, 12  # cells in pictures: all of up to 16, else the 12 best
 
 
@@ -54,27 +57,18 @@ def compare(results: Results, question: Question, states: Mapping[str, RunState]
         ConfigError: a cell or baseline that there is not.
         RunNotFoundError: none of the runs is done, and `quick` is not asked for.
     """
-    everything, _ = group(results.runs)
-    asked = choose(everything, question.cells) if question.cells else everything
-    reference = one_cell(everything, question.baseline) if question.baseline else None
-    if reference is not None and not any(one is reference for one in asked):
-        asked = [reference, *asked]
-    groups, factors = relabelled(asked)
-    if not question.quick:
-        _refuse_nothing_done(groups, question)
+    chosen = _choose(_up_to_date(results.runs, states), question)
+    groups, factors, baseline = chosen.groups, chosen.factors, chosen.baseline
     courses = Courses.of(results)
     horizons = shared_horizons(groups, courses)
     cells = [summarise(one, number, courses, horizons, question.quick) for number, one in enumerate(groups)]
-    names = [(one.experiment, one.name) for one in groups]
-    baseline = f"c{names.index((reference.experiment, reference.name))}" if reference else None
     shown = _shown(cells, baseline)
     cells, problems = _with_places(cells, shown, groups, results, courses)
     kind = design(factors, [one.settings for one in groups])
     parts = _factor_parts(kind, cells, groups, factors, courses)
     family = compare_pairs(cells, baseline)
-    left_out = [one.label for one in everything if one.name not in {chosen.name for chosen in asked}]
     unheard = not_in_store(results.runs, groups, states, whole=not question.cells)
-    origin = provenance(groups, left_out, without_password(results.uri), states, unheard)
+    origin = provenance(groups, chosen.left_out, without_password(results.uri), unheard)
     return Content(
         title=" and ".join(question.experiments),
         experiments=list(question.experiments),
@@ -92,17 +86,60 @@ def compare(results: Results, question: Question, states: Mapping[str, RunState]
         effects=parts.effects,
         interactions=parts.interactions,
         importance=parts.importance,
-        exploratory=any(cell.success.n < words.ENOUGH_SEEDS for cell in cells),
-        claims=words.together(
-            words.claims(cells, family.pairs, baseline),
+        exploratory=any(cell.success.n < cautions.ENOUGH_SEEDS for cell in cells),
+        claims=cautions.together(
+            words.claims(cells, family),
             words.about_factors(kind, factors, parts.effects, parts.interactions, parts.importance),
         ),
-        warnings=words.together(words.warnings(groups, cells, origin), results.problems, problems),
-        missing=words.together(words.missing(cells, unheard)),
+        warnings=cautions.together(
+            cautions.warnings(groups, cells, origin),
+            cautions.narrow_pairs(cells, family.pairs),
+            results.problems,
+            problems,
+        ),
+        missing=cautions.together(
+            cautions.missing(cells, unheard), cautions.without_runs(question.experiments, results.runs["experiment"])
+        ),
         provenance=origin,
         notes=_notes(results, cells, shown),
         reference=family.reference,
     )
+
+
+@dataclass(frozen=True)
+class _Chosen:
+    """The cells of a report, what sets them apart, the id of the baseline, and labels of the cells left out."""
+
+    groups: list[Group]
+    factors: list[Factor]
+    baseline: str | None
+    left_out: list[str]
+
+
+def _choose(runs: pd.DataFrame, question: Question) -> _Chosen:
+    everything, _ = group(runs)
+    asked = choose(everything, question.cells) if question.cells else everything
+    reference = one_cell(everything, question.baseline) if question.baseline else None
+    if reference is not None and not any(one is reference for one in asked):
+        asked = [reference, *asked]
+    if not question.quick:
+        _refuse_nothing_done(asked, question)
+        if reference is not None and not len(reference.done):
+            raise RunNotFoundError(f"baseline={question.baseline}: none of its {len(reference.runs)} runs is done")
+    groups, factors = relabelled(asked)
+    place = next((number for number, one in enumerate(asked) if one is reference), None)
+    left_out = [one.label for one in everything if not any(one is chosen for chosen in asked)]
+    return _Chosen(groups, factors, None if place is None else f"c{place}", left_out)
+
+
+def _up_to_date(runs: pd.DataFrame, states: Mapping[str, RunState]) -> pd.DataFrame:
+    """Return runs with the status and reason that their directories have, where these lie on this machine."""
+    rows = runs[["run_dir", "status", "error"]].astype(object).itertuples(index=False)
+    found = []
+    for run_dir, status, error in rows:
+        state = None if status == "done" else states.get(str(run_dir))
+        found.append((STATUS[state.stage], state.reason or error) if state else (status, error))
+    return runs.assign(status=[status for status, _ in found], error=[error for _, error in found])
 
 
 @dataclass(frozen=True)

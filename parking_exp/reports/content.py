@@ -19,9 +19,9 @@ class Interval:
 
     Attributes:
         value: e.g. the mean over seeds; None without data.
-        low, high: None where there is no interval (one seed, no variation at all).
+        low, high: None where there is no interval, e.g. over one seed.
         n: seeds behind it.
-        method: how the interval was made, e.g. `t`, `bca`, `none`.
+        method: how the interval was made, as `parking_exp.statistics` names it.
     """
 
     value: float | None
@@ -53,7 +53,8 @@ class Seed:
         low, high: Wilson interval of `success`.
         episode_steps: mean length of its final episodes [policy steps].
         cpu_s: CPU seconds of the whole run.
-        steps_to_90, reached_90: first step from which three evaluations in a row had 90 %, True; else the last, False.
+        steps_to_90, reached_90: first step from which three evaluations in a row had 90 %, and True; else the last from
+            which that could have been seen, and False.
         cpu_s_to_90: CPU seconds at that step.
         area: normalised area under its curve.
     """
@@ -222,6 +223,7 @@ class Pair:
         improvement: probability that a seed of a is better than one of b, ties counted half, with its interval.
         log_rank_p, log_rank_p_holm: of the times to 90 %; None where none was reached.
         verdict: `a` or `b` is better (p_holm below 0.05), `same`: they can't be told apart, `unknown`: too few seeds.
+        note: a sentence about an interval that is known to be too narrow; None if all is well.
     """
 
     a: str
@@ -233,6 +235,7 @@ class Pair:
     log_rank_p: float | None
     log_rank_p_holm: float | None
     verdict: Literal["a", "b", "same", "unknown"]
+    note: str | None = None
 
 
 @dataclass(frozen=True)
@@ -295,7 +298,8 @@ class Interaction:
         n: seeds.
         residual: what the two main effects do not explain.
         real_share: measured share of real transitions in batches, shape (columns,), where a factor is n_sampled_goal.
-        p: of the F test of interaction: whether both effects just add up; None where seeds do not scatter.
+        p: of the F test of interaction, whether both effects just add up, with Holm's correction for the tables;
+            None where seeds do not scatter or nothing is left to test.
     """
 
     row: str

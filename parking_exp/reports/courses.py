@@ -14,7 +14,7 @@ OUTCOMES: tuple[Outcome, ...] = ("success", "crash", "timeout")
 
 @dataclass(frozen=True)
 class Course:
-    """A run's evaluations during training that have a success rate, shape (n,) each, n >= 1; NaN: not logged.
+    """A run's evaluations during training, shape (n,) each, n >= 1; NaN: not logged.
 
     Attributes:
         step: env steps.
@@ -29,12 +29,14 @@ class Course:
     cpu_s: np.ndarray
     real_share: np.ndarray
 
-    @property
-    def trained_s(self) -> float:
-        """CPU seconds up to which the run was watched. Its last row includes the final evaluation and certification,
-        which may take longer than the training did.
+    def watched(self, hold: int) -> tuple[float, float]:
+        """Return env step and CPU second of the last evaluation from which `hold` in a row could be seen; 0 without.
+
+        That leaves out the last row, whose CPU seconds include how the run ended.
         """
-        return float(self.cpu_s[-2 if len(self.cpu_s) > 1 else -1])
+        if len(self.step) < hold:
+            return 0.0, 0.0
+        return float(self.step[-hold]), float(self.cpu_s[-hold])
 
 
 @dataclass(frozen=True)
@@ -55,7 +57,8 @@ class Courses:
     @staticmethod
     def of(results: Results) -> "Courses":
         """Split the frames of some results."""
-        curves = results.curves[results.curves["success_rate"].notna()]
+        rated = results.curves.loc[results.curves["success_rate"].notna(), "run_id"]
+        curves = results.curves[results.curves["run_id"].isin(rated)]
         names = ("step", "success_rate", "crash_rate", "cpu_s", "real_share")
         episodes = results.episodes[results.episodes["phase"] == "certified"]
         outcome = pd.Categorical(episodes["outcome"].astype(str), OUTCOMES).codes

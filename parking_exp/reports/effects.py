@@ -1,6 +1,7 @@
 """What single factors do: main effects and interactions of crossed ones, importance in a search."""
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from itertools import combinations, product
 from typing import Any
 
@@ -18,7 +19,7 @@ from parking_exp.reports.content import (
     MainEffect,
     Setting,
 )
-from parking_exp.reports.factors import shown
+from parking_exp.reports.formats import finite, setting
 
 RESPONSE = "success"
 MOST_TABLES = 6
@@ -45,7 +46,7 @@ def _main_effect(factor: Factor, frame: pd.DataFrame, keys: Sequence[str], found
     ]
     highest, lowest = max(means, key=lambda one: one.mean), min(means, key=lambda one: one.mean)
     gap = statistics.contrast(frame, keys, RESPONSE, (factor.key, highest.level, lowest.level))
-    largest = Interval(gap.difference, _known(gap.low), _known(gap.high), min(gap.n_a, gap.n_b), gap.method)
+    largest = Interval(gap.difference, finite(gap.low), finite(gap.high), min(gap.n_a, gap.n_b), gap.method)
     pairs = len(means) * (len(means) - 1) // 2
     p = None if np.isnan(gap.p) else min(1.0, gap.p * pairs)
     return MainEffect(factor.key, levels, found.complete, largest, p)
@@ -70,7 +71,8 @@ def interactions(
         for given, some in _given(cells, [one for one in factors if one not in (row, column)]):
             if len(found) < MOST_TABLES and (table := _interaction(some, row, column, given, real_shares)):
                 found.append(table)
-    return found
+    corrected = statistics.holm([np.nan if table.p is None else table.p for table in found])
+    return [replace(table, p=finite(p)) for table, p in zip(found, corrected, strict=True)]
 
 
 def importance(cells: Sequence[Cell], factors: Sequence[Factor]) -> list[Importance]:
@@ -109,12 +111,12 @@ def _interaction(
     mean, low, high, n, residual = ([[entry[part] for entry in line] for line in grid] for part in range(5))
     shares = _shares(cells, column, columns_shown, real_shares) if column.key == REAL else None
     return Interaction(
-        row.key, column.key, given, rows_shown, columns_shown, mean, low, high, n, residual, shares, _known(table.p)
+        row.key, column.key, given, rows_shown, columns_shown, mean, low, high, n, residual, shares, finite(table.p)
     )
 
 
 def _entry(one: statistics.InteractionCell) -> tuple[Any, ...]:
-    return (_known(one.mean), _known(one.low), _known(one.high), one.n, _known(one.residual))
+    return (finite(one.mean), finite(one.low), finite(one.high), one.n, finite(one.residual))
 
 
 def _shares(
@@ -138,7 +140,7 @@ def _given(cells: Sequence[Cell], others: Sequence[Factor]) -> Iterator[tuple[st
         yield None, list(cells)
         return
     for values in settings:
-        words = ", ".join(f"{factor.name}={shown(value)}" for factor, value in zip(others, values, strict=True))
+        words = ", ".join(f"{factor.name}={setting(value)}" for factor, value in zip(others, values, strict=True))
         some = [
             cell
             for cell in cells
@@ -150,7 +152,7 @@ def _given(cells: Sequence[Cell], others: Sequence[Factor]) -> Iterator[tuple[st
 def _crossed(factors: Sequence[Factor], cells: Sequence[Cell]) -> list[Factor]:
     """Return the factors that have two levels or more among the cells with a value of all of them."""
     full = [cell for cell in cells if all(cell.settings[factor.key] is not None for factor in factors)]
-    return [factor for factor in factors if len({shown(cell.settings[factor.key]) for cell in full}) > 1]
+    return [factor for factor in factors if len({setting(cell.settings[factor.key]) for cell in full}) > 1]
 
 
 def _frame(cells: Sequence[Cell], factors: Sequence[Factor]) -> pd.DataFrame:
@@ -167,8 +169,4 @@ def _frame(cells: Sequence[Cell], factors: Sequence[Factor]) -> pd.DataFrame:
 
 def _rate(bound: float) -> float | None:
     """Return the end of an interval, cut to what a rate can be."""
-    return None if (value := _known(bound)) is None else min(max(value, 0.0), 1.0)
-
-
-def _known(value: float) -> float | None:
-    return float(value) if np.isfinite(value) else None
+    return None if (value := finite(bound)) is None else min(max(value, 0.0), 1.0)

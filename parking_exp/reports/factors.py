@@ -10,6 +10,7 @@ from typing import Any
 
 from parking_exp.config import WITHOUT_RESULT
 from parking_exp.reports.content import Design, Factor, Setting
+from parking_exp.reports.formats import setting
 
 Config = Mapping[str, Setting]
 """Dotted keys -> values of one cell."""
@@ -71,7 +72,7 @@ def label(settings: Mapping[str, Setting], factors: Sequence[Factor]) -> str:
         if value is None:
             continue
         bare = factor.key in {*GROUPS, EXPERIMENT}
-        words.append(shown(value) if bare else f"{factor.name}={shown(value)}")
+        words.append(setting(value) if bare else f"{factor.name}={setting(value)}")
     return ", ".join(words)
 
 
@@ -81,15 +82,6 @@ def unique(labels: Sequence[str], names: Sequence[str]) -> list[str]:
         text if text and labels.count(text) == 1 else f"{text or name.rpartition('-')[0]} ({name.rpartition('-')[2]})"
         for text, name in zip(labels, names, strict=True)
     ]
-
-
-def shown(value: Setting) -> str:
-    """Write a value as it would stand in YAML."""
-    if isinstance(value, bool):
-        return str(value).lower()
-    if isinstance(value, float):
-        return f"{value:g}"
-    return "null" if value is None else str(value)
 
 
 def design(factors: Sequence[Factor], settings: Sequence[Mapping[str, Setting]]) -> Design:

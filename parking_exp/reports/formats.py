@@ -2,6 +2,7 @@
 
 import math
 import re
+from numbers import Real
 from typing import Any
 
 from parking_exp.reports.content import Interval, Share
@@ -9,26 +10,26 @@ from parking_exp.reports.content import Interval, Share
 CONTROL = re.compile(r"[\x00-\x1f\x7f-\x9f\u2028\u2029]+")
 
 
-def known(value: float | None) -> float | None:
-    """Return a number, or None for what is none."""
-    return value if value is not None and math.isfinite(value) else None
+def finite(value: object) -> float | None:
+    """Return a number that is finite, else None: what JSON and readers can take."""
+    return float(value) if isinstance(value, Real) and math.isfinite(value) else None
 
 
 def percent(share: float | None, *, signed: bool = False) -> str:
     """Write 0.944 as `94.4`; what is not known as nothing."""
-    if (share := known(share)) is None:
+    if (share := finite(share)) is None:
         return ""
     return f"{100 * share + 0.0:{'+' if signed else ''}.1f}".replace("-", "−" if signed else "-")  # noqa: RUF001
 
 
 def number(value: float | None, digits: int = 0) -> str:
     """Write 40000 as `40,000`."""
-    return "" if (value := known(value)) is None else f"{value:,.{digits}f}"
+    return "" if (value := finite(value)) is None else f"{value:,.{digits}f}"
 
 
 def probability(p: float | None) -> str:
     """Write a p value: three digits, and nothing smaller."""
-    if (p := known(p)) is None:
+    if (p := finite(p)) is None:
         return ""
     return "<0.001" if p < 0.001 else f"{p:.3f}"
 
@@ -46,7 +47,7 @@ def number_interval(interval: Interval, digits: int = 0) -> str:
 
 def rate_text(value: float | None) -> str:
     """Write 0.944 as `94.4 %`, for sentences and hover values."""
-    return f"{percent(value)} %" if known(value) is not None else "unknown"
+    return f"{percent(value)} %" if finite(value) is not None else "unknown"
 
 
 def rate_interval(interval: Interval) -> str:
@@ -67,7 +68,7 @@ def points_interval(interval: Interval) -> str:
 
 def p_value(p: float | None) -> str:
     """Write `p = 0.012`; what is not known as nothing."""
-    if (p := known(p)) is None:
+    if (p := finite(p)) is None:
         return ""
     return "p < 0.001" if p < 0.001 else f"p = {p:.3f}" if p < 0.1 else f"p = {p:.2f}"
 
@@ -75,7 +76,7 @@ def p_value(p: float | None) -> str:
 def rate(share: Interval | Share) -> float | None:
     """Return an interval's value, a share's k / n."""
     if isinstance(share, Interval):
-        return known(share.value)
+        return finite(share.value)
     return share.k / share.n if share.n else None
 
 

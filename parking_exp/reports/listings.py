@@ -146,7 +146,7 @@ def interaction(table: Interaction, number: int) -> Listing:
         ]
         rows.append([_setting(level), *(_rate(spread, bar=False) for spread in spreads)])
     if table.real_share:
-        shares = [Entry(formats.percent(share), formats.known(share)) for share in table.real_share]
+        shares = [Entry(formats.percent(share), formats.finite(share)) for share in table.real_share]
         rows.append([Entry("real transitions (%)"), *shares])
     given = f" for {table.given}" if table.given else ""
     return Listing(
@@ -163,7 +163,7 @@ def importance(content: Content) -> Listing:
         [
             Entry(found.factor, found.factor),
             Entry(formats.percent(found.share), found.share, bar=(None, found.share, None)),
-            Entry(_signed(found.direction), formats.known(found.direction)),
+            Entry(_signed(found.direction), formats.finite(found.direction)),
             _p(found.p),
         ]
         for found in content.importance
@@ -185,12 +185,12 @@ def seeds(content: Content, wanted: Collection[str]) -> Listing:
             reached = formats.number(seed.steps_to_90)
             spread = Interval(seed.success, seed.low, seed.high)
             row = [_name(cell), Entry(str(seed.seed), seed.seed), _rate(spread)]
-            row += [Entry(formats.percent(rate), formats.known(rate)) for rate in (seed.parked, seed.crash)]
-            row += [Entry(formats.percent(seed.timeout), formats.known(seed.timeout)), _whole(seed.n_scenes)]
+            row += [Entry(formats.percent(rate), formats.finite(rate)) for rate in (seed.parked, seed.crash)]
+            row += [Entry(formats.percent(seed.timeout), formats.finite(seed.timeout)), _whole(seed.n_scenes)]
             row += [
-                Entry(reached if seed.reached_90 or not reached else f"> {reached}", formats.known(seed.steps_to_90))
+                Entry(reached if seed.reached_90 or not reached else f"> {reached}", formats.finite(seed.steps_to_90))
             ]
-            row += [Entry(formats.number(seed.cpu_s), formats.known(seed.cpu_s)), Entry(seed.run_id, seed.run_id)]
+            row += [Entry(formats.number(seed.cpu_s), formats.finite(seed.cpu_s)), Entry(seed.run_id, seed.run_id)]
             rows.append(row)
     titles = ["Seed", "Success (%)", "Parked (%)", "Crash (%)", "Timeout (%)", "Scenes", "Steps to 90 %", "CPU (s)"]
     return Listing(
@@ -257,7 +257,7 @@ def _runs(cell: Cell) -> Entry:
 
 def _rate(spread: Interval | Share, *, bar: bool = True) -> Entry:
     value = formats.rate(spread)
-    picture = (formats.known(spread.low), value, formats.known(spread.high)) if bar and value is not None else None
+    picture = (formats.finite(spread.low), value, formats.finite(spread.high)) if bar and value is not None else None
     return Entry(formats.percent_interval(spread), value, picture)
 
 
@@ -270,12 +270,12 @@ def _reaching(share: Share) -> Entry:
 def _time(survival: Survival | None) -> Entry:
     if survival is None:
         return Entry("")
-    median = formats.known(survival.median)
+    median = formats.finite(survival.median)
     return Entry("not reached" if median is None else formats.number(median), median)
 
 
 def _number(spread: Interval, digits: int = 0) -> Entry:
-    return Entry(formats.number(spread.value, digits), formats.known(spread.value))
+    return Entry(formats.number(spread.value, digits), formats.finite(spread.value))
 
 
 def _whole(value: int | None) -> Entry:
@@ -283,7 +283,7 @@ def _whole(value: int | None) -> Entry:
 
 
 def _p(p: float | None) -> Entry:
-    return Entry(formats.probability(p), formats.known(p))
+    return Entry(formats.probability(p), formats.finite(p))
 
 
 def _setting(value: Setting) -> Entry:
@@ -291,4 +291,4 @@ def _setting(value: Setting) -> Entry:
 
 
 def _signed(value: float | None) -> str:
-    return "" if formats.known(value) is None else f"{value:+.2f}"
+    return "" if formats.finite(value) is None else f"{value:+.2f}"

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 from parking_exp.reports import formats
 from parking_exp.reports.content import Content
 from parking_exp.reports.listings import Listing, listings
+from parking_exp.reports.methods import REFERENCES, methods
 
 if TYPE_CHECKING:
     from parking_exp.reports.figures import Picture
@@ -16,17 +17,16 @@ ROWS = 100
 escape = formats.markdown
 
 
-def markdown(content: Content, pictures: Sequence["Picture"] = ()) -> str:
-    """Return `report.md`: claims, tables, links to `figures/NAME.png`, what was run."""
+def markdown(content: Content, pictures: Sequence["Picture"] = (), ending: str = "png") -> str:
+    """Return `report.md`: claims, tables, links to `figures/NAME.<ending>`, what was run, how it was computed."""
     found = listings(content, content.shown)
     parts = [f"# {escape(content.title)}", *_summary(content)]
     if "headline" in found:
         parts += ["## Results", table(found["headline"], len(content.cells))]
-    parts.append(_list(f"{cell.label}: {cell.note}" for cell in content.cells if cell.note))
     if pictures:
         parts.append("## Figures")
         parts += [
-            f"![{escape(picture.title)}](figures/{picture.name}.png)\n\n{escape(picture.caption)}"
+            f"![{escape(picture.title)}](figures/{picture.name}.{ending})\n\n{escape(picture.caption)}"
             for picture in pictures
         ]
     if "pairs" in found:
@@ -34,7 +34,8 @@ def markdown(content: Content, pictures: Sequence["Picture"] = ()) -> str:
     for name, listing in found.items():
         if name.partition("-")[0] in ("effects", "interactions", "importance"):
             parts += [f"## {name.replace('-', ' ').capitalize()}", table(listing)]
-    return "\n\n".join(part for part in [*parts, *_provenance(content, found)] if part) + "\n"
+    how = ["## How it was computed", _list(methods(content)), escape(REFERENCES)]
+    return "\n\n".join(part for part in [*parts, *_provenance(content, found), *how] if part) + "\n"
 
 
 def table(listing: Listing, total: int = 0) -> str:

@@ -14,7 +14,7 @@ VERSION = "version."
 SHORT_COMMIT = 10
 WORDS = {
     "running": "under way",
-    "interrupted": "stopped; typed again, it goes on",
+    "interrupted": "cut off; it goes on when the sweep is typed again",
     "pending": "not begun",
 }
 
@@ -23,7 +23,6 @@ def provenance(
     groups: Sequence[Group],
     left_out: Sequence[str],
     uri: str,
-    states: Mapping[str, RunState],
     unheard: Sequence[FailedRun],
 ) -> Provenance:
     """Return what exactly was run.
@@ -32,7 +31,6 @@ def provenance(
         groups: the cells of the report.
         left_out: labels of the other cells of the experiments.
         uri: of the store, without passwords.
-        states: how far runs are that lie on this machine, by run directory; what they say is newer.
         unheard: runs that the store has not heard of.
     """
     runs = pd.concat([group.runs for group in groups])
@@ -51,7 +49,7 @@ def provenance(
         machines=_counts(runs["cpu"]),
         difference=difference,
         common={key: value for key, value in common.items() if can_matter(key)},
-        unfinished=[*(run for group in groups for run in _unfinished(group, states)), *unheard],
+        unfinished=[*(run for group in groups for run in _unfinished(group)), *unheard],
         uri=uri,
         left_out=list(left_out),
         first=started.min().isoformat(timespec="seconds") if len(started) else None,
@@ -81,13 +79,11 @@ def not_in_store(
     return found
 
 
-def _unfinished(group: Group, states: Mapping[str, RunState]) -> list[FailedRun]:
+def _unfinished(group: Group) -> list[FailedRun]:
     found = []
     for run in group.runs[group.runs["status"] != "done"].to_dict("records"):
-        state = states.get(str(run["run_dir"]))
-        status = state.stage if state else str(run["status"])
-        known = state.reason if state else run["error"]
-        reason = str(known) if isinstance(known, str) and known else WORDS.get(status, "no reason is known")
+        status = str(run["status"])
+        reason = _text(run["error"]) or WORDS.get(status, "no reason is known")
         found.append(FailedRun(group.label, int(run["seed"]), status, reason, _text(run["run_dir"])))
     return found
 
@@ -103,4 +99,4 @@ def _counts(values: pd.Series) -> dict[str, int]:
 
 
 def _text(value: object) -> str | None:
-    return value if isinstance(value, str) else None
+    return value if isinstance(value, str) and value else None

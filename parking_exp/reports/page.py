@@ -14,7 +14,7 @@ from markupsafe import Markup
 from parking_exp.reports import formats
 from parking_exp.reports.content import Cell, Content
 from parking_exp.reports.listings import Listing, listings
-from parking_exp.statistics.intervals import BOOTSTRAP, EXACT, NONE, SCORE
+from parking_exp.reports.methods import REFERENCES, methods
 
 if TYPE_CHECKING:
     from parking_exp.reports.figures import Picture
@@ -60,14 +60,6 @@ MARKERS = {
     "P": "M3.4 .4h3.2v3h3v3.2h-3v3h-3.2v-3h-3v-3.2h3z",
     "X": "M2.8 .5l2.2 2.2l2.2-2.2l2.3 2.3l-2.2 2.2l2.2 2.2l-2.3 2.3l-2.2-2.2l-2.2 2.2l-2.3-2.3l2.2-2.2l-2.2-2.2z",
 }
-METHODS = {
-    BOOTSTRAP: "Intervals of means over 5 seeds and more are studentised bootstrap intervals: where rates pile up "
-    "below 100 %, Student's and BCa's cover less than they say.",
-    SCORE: "Intervals of means over 2 to 4 seeds are Wilson's, with Student's quantile and as many trials as the "
-    "variance between seeds amounts to.",
-    EXACT: "Where all seeds ended alike, the interval is the one that holds whatever the distribution.",
-    NONE: "A single seed has no interval.",
-}
 
 
 def page(content: Content, pictures: Sequence["Picture"] = (), styles: "Mapping[str, CellStyle] | None" = None) -> str:
@@ -93,7 +85,8 @@ def page(content: Content, pictures: Sequence["Picture"] = (), styles: "Mapping[
             cut=cut,
             swatches={cell: _swatch(style) for cell, style in (styles or {}).items()},
             badges=_badges(content),
-            methods=_methods(content),
+            methods=list(methods(content)),
+            references=REFERENCES,
             stages=_stages(content.cells),
         )
     )
@@ -162,11 +155,6 @@ def _badges(content: Content) -> list[tuple[str, str]]:
     if n := len(content.warnings):
         badges.append((f"{n} warning{'s' if n > 1 else ''}", "about what makes numbers hard to compare"))
     return badges
-
-
-def _methods(content: Content) -> list[str]:
-    used = {cell.success.method for cell in content.cells}
-    return [sentence for method, sentence in METHODS.items() if method in used]
 
 
 def _stages(cells: Sequence[Cell]) -> dict[str, int]:

@@ -8,7 +8,8 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from parking_exp.reports.content import Cell, Interval, Pair, Survival
-from parking_exp.statistics import holm, log_rank, probability_of_improvement, welch
+from parking_exp.reports.formats import finite
+from parking_exp.statistics import coverage_note, holm, log_rank, probability_of_improvement, welch
 
 ALL_PAIRS_UP_TO = 12  # cells: 66 pairs
 SIGNIFICANT = 0.05
@@ -40,11 +41,15 @@ def compare_pairs(cells: Sequence[Cell], baseline: str | None) -> Family:
         family = f"all {len(couples)} pairs of {len(having)} cells"
     else:
         couples = [(cell, reference) for cell in having if cell.id != reference.id]
-        family = f"{len(couples)} cells against {'the baseline' if baseline else 'the one with the highest mean'}"
+        name = "the baseline" if reference.id == baseline else "the one with the highest mean"
+        family = f"{len(couples)} cells against {name}"
     if not couples:
-        return Family([], "", baseline)
-    words = f"Compared were {family}, by Welch's test on the final success of seeds; p is Holm's over this family."
-    if reference is not None and baseline is None:
+        return Family([], "", None)
+    words = (
+        f"Compared were {family}, by Welch's test on the final success of seeds; p is Holm's over this family, "
+        "intervals are for each difference by itself."
+    )
+    if reference is not None and reference.id != baseline:
         words += (
             " The reference was chosen by its result, so that the others' distance from it is too large on average; "
             "name a baseline beforehand to avoid that."
@@ -61,12 +66,13 @@ def _pair(a: Cell, b: Cell) -> Pair:
         a=a.id,
         b=b.id,
         difference=Interval(test.difference, _cut(test.low), _cut(test.high), n, test.method),
-        p=_known(test.p),
+        p=finite(test.p),
         p_holm=None,
-        improvement=Interval(better.probability, _known(better.low), _known(better.high), n, better.method),
+        improvement=Interval(better.probability, finite(better.low), finite(better.high), n, better.method),
         log_rank_p=_times(a.survival, a, b),
         log_rank_p_holm=None,
         verdict="unknown",
+        note=coverage_note(ours, theirs),
     )
 
 
@@ -74,7 +80,7 @@ def _corrected(pairs: Sequence[Pair]) -> list[Pair]:
     corrected = holm([np.nan if pair.p is None else pair.p for pair in pairs])
     times = holm([np.nan if pair.log_rank_p is None else pair.log_rank_p for pair in pairs])
     return [
-        replace(pair, p_holm=_known(p), log_rank_p_holm=_known(time), verdict=_verdict(pair, _known(p)))
+        replace(pair, p_holm=finite(p), log_rank_p_holm=finite(time), verdict=_verdict(pair, finite(p)))
         for pair, p, time in zip(pairs, corrected, times, strict=True)
     ]
 
@@ -97,7 +103,7 @@ def _times(survival: Survival | None, a: Cell, b: Cell) -> float | None:
         )
         for cell in (a, b)
     )
-    return _known(log_rank(ours, theirs))
+    return finite(log_rank(ours, theirs))
 
 
 def _rates(cell: Cell) -> list[float]:
@@ -106,8 +112,4 @@ def _rates(cell: Cell) -> list[float]:
 
 def _cut(bound: float) -> float | None:
     """Return the end of an interval, cut to what a difference of rates can be."""
-    return None if (value := _known(bound)) is None else min(max(value, -1.0), 1.0)
-
-
-def _known(value: float) -> float | None:
-    return float(value) if np.isfinite(value) else None
+    return None if (value := finite(bound)) is None else min(max(value, -1.0), 1.0)

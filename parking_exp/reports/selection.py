@@ -1,6 +1,8 @@
 """Which runs a report is about: runs -> cells with labels, and the ones that were asked for."""
 
-from collections.abc import Mapping, Sequence
+import math
+import re
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from functools import cached_property
@@ -9,9 +11,11 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from parking_exp.columns import typed
 from parking_exp.errors import ConfigError
 from parking_exp.reports.content import Factor, Setting
-from parking_exp.reports.factors import GROUPS, Config, find_factors, label, shown, unique
+from parking_exp.reports.factors import GROUPS, Config, can_matter, find_factors, label, unique
+from parking_exp.reports.formats import setting
 from parking_exp.wording import closest
 
 CONFIG = "config."
@@ -82,13 +86,13 @@ def choose(groups: Sequence[Group], asked: Sequence[str], key: str = "cells") ->
     Args:
         groups: all cells.
         asked: labels, names or patterns of them (`her_*`), any of which may fit; and `KEY=VALUE,VALUE`, all of which
-            have to: a config key or a group, and the values it may have.
+            have to: a group, a config key or the end of one, and the values it may have.
         key: what was typed, for errors.
 
     Raises:
         ConfigError: one of them fits nothing.
     """
-    patterns = [one for one in asked if "=" not in one or _matching(groups, one)]
+    patterns = [one for one in asked if "=" not in one or _called(groups, one)]
     narrowing = [one for one in asked if one not in patterns]
     found = list(groups)
     if patterns:
@@ -112,8 +116,7 @@ def one_cell(groups: Sequence[Group], asked: str) -> Group:
     Raises:
         ConfigError: none does, or several do.
     """
-    exact = [one for one in groups if asked in {one.label, one.name}]
-    found = exact or choose(groups, [asked], "baseline")
+    found = _called(groups, asked) or choose(groups, [asked], "baseline")
     if len(found) > 1:
         few = ", ".join(repr(one.label) for one in found[:5])
         raise ConfigError(f"baseline={asked}: {len(found)} cells fit, {few} among them; name one")
@@ -132,23 +135,47 @@ def relabelled(groups: Sequence[Group]) -> tuple[list[Group], list[Factor]]:
     ], factors
 
 
+def _called(groups: Sequence[Group], name: str) -> list[Group]:
+    return [one for one in groups if name in (one.label, one.name)]
+
+
 def _matching(groups: Sequence[Group], pattern: str) -> list[Group]:
-    names = [(one, (one.label, one.name, *one.label.split(", "))) for one in groups]
-    exact = [one for one, words in names if pattern in words[:2]]
-    return exact or [one for one, words in names if any(fnmatchcase(word, pattern) for word in words)]
+    parts = [(one, (one.label, one.name, *one.label.split(", "))) for one in groups]
+    return _called(groups, pattern) or [
+        one for one, words in parts if any(fnmatchcase(word, pattern) for word in words)
+    ]
 
 
 def _narrowed(groups: list[Group], everyone: Sequence[Group], condition: str) -> list[Group]:
-    key, _, wanted = condition.partition("=")
-    name = f"{key}.name" if key in GROUPS else key
-    if not any(name in one.config for one in everyone):
-        known = {*GROUPS, "experiment", "baseline", "cells", *(key for one in everyone for key in one.config)}
-        raise ConfigError(f"{key}: neither a key of this command nor of these runs' configs{closest(key, known)}")
-    values = {value.strip() for value in wanted.strip("[]").split(",")}
-    there = {shown(one.config[name]) for one in everyone if name in one.config}
+    typed_key, _, wanted = condition.partition("=")
+    keys = dict.fromkeys(key for one in everyone for key in one.config if can_matter(key))
+    name = _whole_key(typed_key, keys)
+    if name is None:
+        choices = {*GROUPS, "experiment", "baseline", "cells", *keys}
+        hint = closest(typed_key, choices)
+        raise ConfigError(f"{typed_key}: neither a key of this command nor of these runs' configs{hint}")
+    there = {_bare(setting(one.config[name])) for one in everyone if name in one.config}
+    values = {_bare(wanted)} & there or {_bare(setting(typed(one.strip()))) for one in _listed(wanted)}
     if unknown := sorted(values - there):
-        raise ConfigError(f"{key}={unknown[0]}: no run has that{closest(unknown[0], there)}")
-    return [one for one in groups if name in one.config and shown(one.config[name]) in values]
+        raise ConfigError(f"{typed_key}={unknown[0]}: no run has that{closest(unknown[0], there)}")
+    return [one for one in groups if name in one.config and _bare(setting(one.config[name])) in values]
+
+
+def _whole_key(typed_key: str, keys: Iterable[str]) -> str | None:
+    """Return the config key that is meant by a group, a key, or the end of one that there is once."""
+    exact = f"{typed_key}.name" if typed_key in GROUPS else typed_key
+    found = [key for key in keys if key == exact] or [key for key in keys if key.endswith(f".{typed_key}")]
+    return found[0] if len(found) == 1 else None
+
+
+def _listed(text: str) -> list[str]:
+    """Split values at commas, those within brackets excepted; brackets around all of them are only a list's."""
+    inner = text[1:-1] if text.startswith("[") and text.endswith("]") else text
+    return re.split(r",(?![^\[]*\])", inner)
+
+
+def _bare(text: str) -> str:
+    return text.replace(" ", "")
 
 
 def _in_order(groups: Sequence[Group], factors: Sequence[Factor]) -> list[Group]:
@@ -166,7 +193,8 @@ def _config(columns: Mapping[str, np.ndarray], row: int) -> dict[str, Setting]:
 
 
 def _plain(value: Any) -> Setting:
-    return value.item() if isinstance(value, np.generic) else value
+    plain = value.item() if isinstance(value, np.generic) else value
+    return str(plain) if isinstance(plain, float) and math.isinf(plain) else plain  # JSON has no infinity
 
 
 def _plain_label(config: Config, name: str) -> str:

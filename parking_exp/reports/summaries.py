@@ -8,6 +8,7 @@ import pandas as pd
 
 from parking_exp.reports.content import Cell, Curve, Interval, Seed, Share, Survival
 from parking_exp.reports.courses import OUTCOMES, Course, Courses
+from parking_exp.reports.formats import finite
 from parking_exp.reports.places import slot_rates
 from parking_exp.reports.selection import Group
 from parking_exp.statistics import (
@@ -25,7 +26,7 @@ from parking_exp.statistics import (
 
 GOOD = 0.9
 HOLD = 3
-STAGES = {"interrupted": "pending", "killed": "failed"}
+STAGES = {"interrupted": "pending"}
 RATES = {name: f"{name}_rate" for name in (*OUTCOMES, "parked")}
 RUN_COLUMNS = ["run_id", "run_dir", "seed", "n_scenes", "episode_steps", "cpu_s", *RATES.values()]
 
@@ -76,9 +77,9 @@ def shared_horizons(groups: Sequence[Group], courses: Courses) -> tuple[float | 
     """Return the env step and the CPU-second up to which every finished run was watched."""
     ids = [run for group in groups for run in group.done["run_id"].tolist()]
     curves = [courses.curves[run] for run in ids if run in courses.curves]
-    steps = [float(curve.step[-1]) for curve in curves]
-    cpu_s = [curve.trained_s for curve in curves if np.isfinite(curve.trained_s)]
-    return min(steps, default=None), min(cpu_s, default=None)
+    ends = [curve.watched(HOLD) for curve in curves]
+    cpu_s = [seconds for _, seconds in ends if np.isfinite(seconds)]
+    return min((step for step, _ in ends), default=None), min(cpu_s, default=None)
 
 
 def real_share(group: Group, courses: Courses) -> float | None:
@@ -89,7 +90,7 @@ def real_share(group: Group, courses: Courses) -> float | None:
 
 
 def _seed(run: dict[str, Any], courses: Courses) -> Seed:
-    rates = {name: _number(run[column]) for name, column in RATES.items()}
+    rates = {name: finite(run[column]) for name, column in RATES.items()}
     episodes, curve = courses.certified.get(run["run_id"]), courses.curves.get(run["run_id"])
     n_scenes = len(episodes.scene) if episodes is not None else _whole(run["n_scenes"])
     low = high = None
@@ -104,8 +105,8 @@ def _seed(run: dict[str, Any], courses: Courses) -> Seed:
         n_scenes=n_scenes,
         low=low,
         high=high,
-        episode_steps=_number(run["episode_steps"]),
-        cpu_s=_number(run["cpu_s"]),
+        episode_steps=finite(run["episode_steps"]),
+        cpu_s=finite(run["cpu_s"]),
         steps_to_90=steps,
         reached_90=reached,
         cpu_s_to_90=cpu_s,
@@ -116,9 +117,9 @@ def _seed(run: dict[str, Any], courses: Courses) -> Seed:
 def _course(curve: Course) -> tuple[float, bool, float | None, float | None]:
     """Return time to 90 % in env steps, whether it was reached, the same in CPU-seconds, and the area."""
     time, reached = steps_to(curve.step, curve.success, GOOD, HOLD)
-    cpu_s = curve.cpu_s[np.searchsorted(curve.step, time)] if reached else curve.trained_s
-    area = normalised_area(curve.step, curve.success) if len(curve.step) > 1 else None
-    return time, reached, _number(cpu_s), area
+    cpu_s = curve.cpu_s[np.searchsorted(curve.step, time)] if reached else curve.watched(HOLD)[1]
+    area = normalised_area(curve.step, curve.success) if np.count_nonzero(~np.isnan(curve.success)) > 1 else None
+    return time, reached, finite(cpu_s), area
 
 
 def _curve(runs: pd.DataFrame, courses: Courses) -> Curve | None:
@@ -141,7 +142,7 @@ def _curve(runs: pd.DataFrame, courses: Courses) -> Curve | None:
         high=[mean.high for mean in means],
         n=[mean.n for mean in means],
         crash=[float(column.mean()) if len(column) else None for column in crashed],
-        seeds=[(seed, curve.step.tolist(), curve.success.tolist()) for seed, curve in known.items()],
+        seeds=[(seed, curve.step.tolist(), [finite(rate) for rate in curve.success]) for seed, curve in known.items()],
     )
 
 
@@ -155,13 +156,13 @@ def _survival(unit: str, times: Sequence[tuple[float | None, bool]], horizon: fl
     mean = Interval(None)
     if horizon:
         found = restricted_mean(at, observed, horizon)
-        mean = Interval(found.mean, _number(found.low), _number(found.high), found.n, found.method)
+        mean = Interval(found.mean, finite(found.low), finite(found.high), found.n, found.method)
     return Survival(
         unit=unit,
         time=[*start, *estimate.times],
         reached=[*start, *estimate.reached],
-        low=[*start, *map(_number, estimate.low)],
-        high=[*start, *map(_number, estimate.high)],
+        low=[*start, *map(finite, estimate.low)],
+        high=[*start, *map(finite, estimate.high)],
         censored=sorted(time for time, reached in known if not reached),
         n=len(known),
         k=int(observed.sum()),
@@ -177,7 +178,7 @@ def _mean(values: Sequence[float | None], bounds: tuple[float, float] | None = (
 
 
 def _interval(estimate: Estimate) -> Interval:
-    return Interval(_number(estimate.mean), _number(estimate.low), _number(estimate.high), estimate.n, estimate.method)
+    return Interval(finite(estimate.mean), finite(estimate.low), finite(estimate.high), estimate.n, estimate.method)
 
 
 def _reaching(values: Sequence[float | None]) -> Share:
@@ -198,10 +199,5 @@ def _counts(status: pd.Series) -> dict[str, int]:
     return {stage: stages.count(stage) for stage in ("done", "running", "failed", "pending")}
 
 
-def _number(value: Any) -> float | None:
-    """Return a finite number, else None."""
-    return None if value is None or not np.isfinite(value) else float(value)
-
-
 def _whole(value: Any) -> int | None:
-    return None if (number := _number(value)) is None else int(number)
+    return None if (number := finite(value)) is None else int(number)

@@ -1,38 +1,23 @@
-"""A report's numbers in sentences: what they show, what makes them hard to compare, what is missing."""
+"""A report's numbers in sentences: what they show. `cautions` has what stands in the way."""
 
-from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import NamedTuple
 
+from parking_exp.reports.cautions import FEW_NAMES, named
 from parking_exp.reports.content import (
     Cell,
     Design,
     Factor,
-    FailedRun,
     Importance,
     Interaction,
     Interval,
     MainEffect,
     Pair,
-    Provenance,
 )
-from parking_exp.reports.factors import shown
-from parking_exp.reports.formats import p_value, points_interval, rate_interval
-from parking_exp.reports.pairs import SIGNIFICANT
-from parking_exp.reports.selection import Group
+from parking_exp.reports.formats import p_value, points_interval, rate_interval, setting
+from parking_exp.reports.pairs import SIGNIFICANT, Family
 
-ENOUGH_SEEDS = 10
-FEW_NAMES = 4
 VERDICTS = {"better": "is better than", "worse": "is worse than", "same": "can't be told apart from"}
-
-
-def named(names: Sequence[str]) -> str:
-    """List names, the first few of many."""
-    few = list(names[:FEW_NAMES])
-    comma = "; " if any("," in name for name in few) else ", "
-    if len(names) > FEW_NAMES:
-        return f"{comma.join(few)} and {len(names) - FEW_NAMES} more"
-    return few[0] if len(few) == 1 else f"{comma.join(few[:-1])} and {few[-1]}"
 
 
 class Gap(NamedTuple):
@@ -47,19 +32,25 @@ class Gap(NamedTuple):
         return f"{self.label} ({', '.join(filter(None, (points_interval(self.points), p_value(self.p))))})"
 
 
-def claims(cells: Sequence[Cell], pairs: Sequence[Pair], baseline: str | None) -> Iterator[str]:
+def claims(cells: Sequence[Cell], family: Family) -> Iterator[str]:
     """Yield what the comparison shows, the most important first: which is better, by how much, how sure, the cost."""
     having = sorted((cell for cell in cells if cell.success.value is not None), key=_rank)
     if not having:
+        if any(cell.counts["done"] for cell in cells):
+            yield "No finished run has a final success rate."
         return
     best = having[0]
     seeds = f"mean of {best.success.n} seeds" if best.success.n > 1 else "one seed"
     if len(having) == 1:
         yield f"{best.label} succeeds in {rate_interval(best.success)} of the scenes, {seeds}."
     else:
-        yield f"{best.label} has the highest final success: {rate_interval(best.success)} of the scenes, {seeds}."
-        reference = next((cell for cell in having if cell.id == baseline), best)
-        yield from _against(reference, having, pairs)
+        first = [cell.label for cell in having if cell.success.value == best.success.value]
+        if len(first) > 1:
+            yield f"{named(first)} have the same final success, the highest: {rate_interval(best.success)}."
+        else:
+            yield f"{best.label} has the highest final success: {rate_interval(best.success)} of the scenes, {seeds}."
+        reference = next((cell for cell in having if cell.id == family.reference), best)
+        yield from _against(reference, having, family.pairs)
     yield from _reaching(having)
     yield from _crashes(having)
     yield from _cost(having)
@@ -74,36 +65,49 @@ def about_factors(
 ) -> Iterator[str]:
     """Yield what single factors do."""
     names = {factor.key: factor.name for factor in factors}
+    if any(not effect.complete for effect in effects):
+        yield "Not all combinations of the factors are there: their levels are means of different cells."
     for effect in effects:
-        yield from _effect(effect, names[effect.factor])
+        if effect.complete:
+            yield from _effect(effect, names[effect.factor], len(effects) > 1)
     for table in interactions:
         yield from _interaction(table, names[table.row], names[table.column])
-    for one in importance[:3] if design == "search" else ():
-        sign = {True: ", larger is better", False: ", smaller is better", None: ""}
-        way = sign[None if one.direction is None or not one.direction else one.direction > 0]
+    if design == "search":
+        yield from _importance(importance, names)
+
+
+def _importance(importance: Sequence[Importance], names: Mapping[str, str]) -> Iterator[str]:
+    """Say which hyperparameters matter; p is corrected (Bonferroni) for how many were looked at."""
+    shown = [one for one in importance if one.p is not None and one.p * len(importance) < SIGNIFICANT]
+    for one in shown:
+        way = "" if not one.direction else ", larger is better" if one.direction > 0 else ", smaller is better"
         yield (
             f"{names[one.factor]} alone explains {100 * one.share:.0f} % of the variance of success between cells "
             f"({p_value(one.p)}{way})."
         )
+    if importance and not shown:
+        yield "No hyperparameter can be shown to matter by itself."
+    if importance:
+        yield "The best of a search was chosen by its result: run it on other seeds before its rate is believed."
 
 
-def _effect(effect: MainEffect, name: str) -> Iterator[str]:
+def _effect(effect: MainEffect, name: str, several: bool) -> Iterator[str]:
     known = [level for level in effect.levels if level.effect.value is not None]
     if len(known) < 2 or effect.largest is None:
         return
     high = max(known, key=lambda level: level.effect.value or 0.0)
     low = min(known, key=lambda level: level.effect.value or 0.0)
     p = f", {p_value(effect.p)}" if effect.p is not None else ""
-    gap = f"{points_interval(effect.largest)}{p}"
+    gap, over = f"{points_interval(effect.largest)}{p}", ", on average over the other factors" if several else ""
     if effect.p is not None and effect.p < SIGNIFICANT:
         yield (
-            f"{name}: {shown(high.level)} ({rate_interval(high.effect)}) is better than {shown(low.level)} "
-            f"({rate_interval(low.effect)}), on average over the other factors: {gap}."
+            f"{name}: {setting(high.level)} ({rate_interval(high.effect)}) is better than {setting(low.level)} "
+            f"({rate_interval(low.effect)}){over}: {gap}."
         )
-    else:
+    elif high.level != low.level:
         yield (
-            f"{name}: levels can't be told apart, on average over the other factors; the largest difference is "
-            f"{shown(high.level)} less {shown(low.level)}, {gap}."
+            f"{name}: levels can't be told apart{over}; the largest difference is {setting(high.level)} less "
+            f"{setting(low.level)}, {gap}."
         )
 
 
@@ -115,59 +119,14 @@ def _interaction(table: Interaction, row: str, column: str) -> Iterator[str]:
     given, p = (f" ({table.given})" if table.given else ""), p_value(table.p)
     if table.p < SIGNIFICANT:
         yield (
-            f"{row} and {column} do not just add up{given} (F test, {p}): {shown(table.rows[i])} with {column}="
-            f"{shown(table.columns[j])} is {100 * residual:+.1f} points from what both would give alone."
+            f"{row} and {column} do not just add up{given} (F test, {p}): {setting(table.rows[i])} with {column}="
+            f"{setting(table.columns[j])} is {100 * residual:+.1f} points from what both would give alone."
         )
     else:
         yield (
             f"{row} and {column} add up{given}, as far as can be told (F test, {p}): no combination is more than "
             f"{100 * size:.1f} points from it."
         )
-
-
-def warnings(groups: Sequence[Group], cells: Sequence[Cell], origin: Provenance) -> Iterator[str]:
-    """Yield what makes numbers hard to compare."""
-    few = [cell for cell in cells if cell.success.n < ENOUGH_SEEDS]
-    if few:
-        number = min(cell.success.n for cell in few)
-        yield (
-            f"Exploratory: {_of(len(few), len(cells), 'cell')} fewer than {ENOUGH_SEEDS} finished seeds "
-            f"(the fewest: {number})."
-        )
-    yield from _mixed(groups, origin)
-    yield from _notes(cells)
-    for group in groups:
-        if group.repeated:
-            yield f"{group.label}: {_runs(group.repeated)} left out, since another one has the same seed."
-        if len(blank := group.done[group.done["success_rate"].isna()]):
-            yield f"{group.label}: {_runs(len(blank))} finished without a final success rate, and left out."
-
-
-def missing(cells: Sequence[Cell], unheard: Sequence[FailedRun]) -> Iterator[str]:
-    """Yield which runs have no result.
-
-    Args:
-        cells: of the report.
-        unheard: runs that the store has not heard of.
-    """
-    total: Counter[str] = Counter()
-    for cell in cells:
-        total.update(cell.counts)
-    not_begun = sum(run.status == "pending" for run in unheard)
-    total.update(run.status for run in unheard if run.status != "pending")
-    waiting = {"running": "under way", "failed": "failed", "pending": "cut off or waiting"}
-    found = [f"{total[stage]} {words}" for stage, words in waiting.items() if total[stage]]
-    if not_begun:
-        found.append(f"{not_begun} not begun")
-    if found:
-        everything = sum(total.values()) + not_begun
-        yield f"{total['done']} of {everything} runs are done: {', '.join(found)}."
-    if empty := [cell.label for cell in cells if not cell.counts["done"]]:
-        yield f"No run is done of {named(empty)}."
-    whole = [cell for cell in cells if cell.counts["done"]]
-    most = max((cell.counts["done"] for cell in whole), default=0)
-    if behind := [cell.label for cell in whole if cell.counts["done"] < most]:
-        yield f"Fewer than {most} seeds are done of {named(behind)}."
 
 
 def _rank(cell: Cell) -> tuple[float, float]:
@@ -209,11 +168,16 @@ def _turned(gap: Interval) -> Interval:
     return Interval(None if gap.value is None else -gap.value, low, high, gap.n, gap.method)
 
 
+def _first(parts: Sequence[str]) -> str:
+    more = f"; tables have {len(parts) - FEW_NAMES} more" if len(parts) > FEW_NAMES else ""
+    return "; ".join(parts[:FEW_NAMES]) + more
+
+
 def _reaching(having: Sequence[Cell]) -> Iterator[str]:
-    several = [cell for cell in having if cell.reaching_90.n > 1][:FEW_NAMES]
+    several = [cell for cell in having if cell.reaching_90.n > 1]
     if several:
         parts = [f"{cell.label} {cell.reaching_90.k} of {cell.reaching_90.n}" + _wilson(cell) for cell in several]
-        yield f"Seeds that end at 90 % or above: {'; '.join(parts)}."
+        yield f"Seeds that end at 90 % or above: {_first(parts)}."
 
 
 def _wilson(cell: Cell) -> str:
@@ -241,7 +205,7 @@ def _cost(having: Sequence[Cell]) -> Iterator[str]:
         yield f"A run took {some} CPU-seconds on average."
     times = [f"{cell.label} {_median(cell)}" for cell in having if cell.survival and cell.survival.n > 1]
     if times:
-        yield f"Median time to hold 90 %: {'; '.join(times[:FEW_NAMES])}."
+        yield f"Median time to hold 90 %: {_first(times)}."
 
 
 def _median(cell: Cell) -> str:
@@ -250,51 +214,3 @@ def _median(cell: Cell) -> str:
         return f"unknown ({cell.survival.k} of {cell.survival.n} seeds did)"
     cpu_s = cell.survival_cpu.median if cell.survival_cpu else None
     return f"{cell.survival.median:,.0f} env steps" + ("" if cpu_s is None else f", {cpu_s:,.0f} CPU-seconds")
-
-
-def _mixed(groups: Sequence[Group], origin: Provenance) -> Iterator[str]:
-    mixed = {package: list(found) for package, found in origin.versions.items() if len(found) > 1}
-    for package, found in mixed.items():
-        yield f"Versions are mixed: {package} {named(found)}."
-    if len(origin.commits) > 1:
-        yield f"Commits are mixed: {named(list(origin.commits))}."
-    if any(commit.endswith("+") for commit in origin.commits):
-        yield "Some runs were made from files that differ from their commit (marked +)."
-    if len(origin.machines) > 1:
-        yield f"Machines are mixed, so that CPU-seconds do not compare: {named(list(origin.machines))}."
-    for key, words in (
-        ("total_timesteps", "Budgets are mixed: cells were trained for {} env steps."),
-        ("evaluation.final_n_scenes", "Scene sets are mixed: final models were evaluated on {} scenes."),
-        ("evaluation.first_scene", "Scene sets are mixed: they begin at scenes {}."),
-        ("env.name", "Tasks are mixed: cells belong to the envs {}; their rates are not of the same scenes."),
-    ):
-        values = list(dict.fromkeys(group.config.get(key) for group in groups))
-        if len(values) > 1:
-            yield words.format(named([f"{v:,}" if isinstance(v, int) else shown(v) for v in values]))
-    seeds = {tuple(group.done["seed"]) for group in groups if len(group.done)}
-    if len(seeds) > 1:
-        yield "Cells do not have the same seeds."
-
-
-def _notes(cells: Sequence[Cell]) -> Iterator[str]:
-    notes: dict[str, list[str]] = {}
-    for cell in cells:
-        if cell.note:
-            notes.setdefault(cell.note, []).append(cell.label)
-    for note, labels in notes.items():
-        yield f"{named(labels)}: {note}"
-
-
-def _of(k: int, n: int, what: str) -> str:
-    if k == n:
-        return f"the {what} has" if n == 1 else f"all {n} {what}s have"
-    return f"{k} of {n} {what}s {'has' if k == 1 else 'have'}"
-
-
-def _runs(number: int) -> str:
-    return "a run was" if number == 1 else f"{number} runs were"
-
-
-def together(*parts: Iterable[str]) -> list[str]:
-    """Return all sentences, each once."""
-    return list(dict.fromkeys(sentence for part in parts for sentence in part))

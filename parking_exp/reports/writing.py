@@ -27,19 +27,22 @@ def write(content: Content, folder: Path, formats: Sequence[str], printer: Print
         printer: draws PDFs meanwhile; None: they are drawn here.
     """
     folder.mkdir(parents=True, exist_ok=True)
+    numbers = json.dumps(content.plain(), ensure_ascii=False, allow_nan=False, indent=1)
     with TemporaryDirectory(prefix=".new-", dir=folder) as new:
         figures = _made(Path(new) / "figures")
         if printer is not None:
             printer.draw(content, figures)
         pictures = draw(content, figures, [one for one in formats if printer is None or one != "pdf"])
         write_tables(content, _made(Path(new) / "tables"))
+        html = page(content, pictures, {name: cell_style(name) for name in content.shown})
+        linked = next((one for one in ("png", "svg") if one in formats), None)
+        text = markdown(content, pictures if linked else (), linked or "")
         if printer is not None:
             printer.wait()
         for part, endings in MADE_HERE.items():
             _replace(Path(new) / part, _made(folder / part), endings)
-    write_atomically(folder / "report.json", json.dumps(content.plain(), ensure_ascii=False, allow_nan=False, indent=1))
-    write_atomically(folder / "report.md", markdown(content, pictures))
-    write_atomically(folder / "index.html", page(content, pictures, {name: cell_style(name) for name in content.shown}))
+    for name, written in (("report.json", numbers), ("report.md", text), ("index.html", html)):
+        write_atomically(folder / name, written)
 
 
 def _replace(new: Path, folder: Path, endings: set[str]) -> None:

@@ -186,15 +186,20 @@ def _mean_of_means(cells: Sequence[np.ndarray]) -> tuple[float, float, float]:
     mean = float(np.mean([values.mean() for values in cells]))
     if min(map(len, cells)) < 2:
         return mean, math.nan, math.nan
-    squares = np.array([values.var(ddof=1) / len(values) for values in cells]) / len(cells) ** 2
+    squares = np.array([_variance(values) / len(values) for values in cells]) / len(cells) ** 2
     return mean, float(squares.sum()), float((squares**2 / (np.array([*map(len, cells)]) - 1)).sum())
+
+
+def _variance(values: np.ndarray) -> float:
+    """Return the variance between seeds, 0 where they are all the same: numpy's is some 1e-32 there."""
+    return float(values.var(ddof=1)) if np.ptp(values) > 0 else 0.0
 
 
 def _pooled(cells: Sequence[np.ndarray]) -> tuple[float, float]:
     """Return the pooled variance of all cells with two seeds or more, and its degrees of freedom; NaN and 0 without."""
     several = [values for values in cells if len(values) > 1]
     df = float(sum(len(values) - 1 for values in several))
-    return (sum(float(values.var(ddof=1)) * (len(values) - 1) for values in several) / df if df else math.nan), df
+    return (sum(_variance(values) * (len(values) - 1) for values in several) / df if df else math.nan), df
 
 
 def _interaction_p(groups: Mapping[tuple[Any, ...], np.ndarray], design: np.ndarray) -> float:

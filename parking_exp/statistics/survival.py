@@ -43,8 +43,9 @@ class RestrictedMean:
 def steps_to(steps: ArrayLike, rates: ArrayLike, threshold: float = 0.9, hold: int = 3) -> tuple[float, bool]:
     """Return the first step from which `hold` evaluations in a row are at least `threshold`, and True.
 
-    Where there is none, the run is censored: its last step, and False. `steps`, shape (evaluations,), rises; NaN
-    rates have not reached anything.
+    Where there is none, the run is censored: the last step from which that could have been seen, which is that of the
+    `hold`-th evaluation from the end (0 with fewer), and False. `steps`, shape (evaluations,), rises; NaN rates have
+    not reached anything.
 
     Raises:
         ValueError: there are no evaluations, the shapes differ, steps do not rise, or `hold` is below 1.
@@ -56,11 +57,12 @@ def steps_to(steps: ArrayLike, rates: ArrayLike, threshold: float = 0.9, hold: i
         raise ValueError("the steps of evaluations must rise")
     if hold < 1:
         raise ValueError(f"a threshold is held for at least one evaluation, not {hold}")
-    if len(at) >= hold:
-        held = np.lib.stride_tricks.sliding_window_view(rate >= threshold, hold).all(axis=1)
-        if held.any():
-            return float(at[held.argmax()]), True
-    return float(at[-1]), False
+    if len(at) < hold:
+        return 0.0, False
+    held = np.lib.stride_tricks.sliding_window_view(rate >= threshold, hold).all(axis=1)
+    if held.any():
+        return float(at[held.argmax()]), True
+    return float(at[-hold]), False
 
 
 def kaplan_meier(times: ArrayLike, observed: ArrayLike, confidence: float = 0.95) -> Survival:

@@ -1,0 +1,140 @@
+"""What stands in the way of a report's claims, in sentences: few seeds, mixed conditions, missing runs."""
+
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+
+from parking_exp.reports.content import Cell, FailedRun, Pair, Provenance
+from parking_exp.reports.formats import setting
+from parking_exp.reports.selection import Group
+
+ENOUGH_SEEDS = 10
+FEW_NAMES = 4
+
+
+def named(names: Sequence[str]) -> str:
+    """List names, the first few of many."""
+    few = list(names[:FEW_NAMES])
+    comma = "; " if any("," in name for name in few) else ", "
+    if len(names) > FEW_NAMES:
+        return f"{comma.join(few)} and {len(names) - FEW_NAMES} more"
+    return few[0] if len(few) == 1 else f"{comma.join(few[:-1])} and {few[-1]}"
+
+
+def warnings(groups: Sequence[Group], cells: Sequence[Cell], origin: Provenance) -> Iterator[str]:
+    """Yield what makes numbers hard to compare."""
+    few = [cell for cell in cells if cell.success.n < ENOUGH_SEEDS]
+    if few:
+        number = min(cell.success.n for cell in few)
+        yield (
+            f"Exploratory: {_of(len(few), len(cells), 'cell')} fewer than {ENOUGH_SEEDS} finished seeds "
+            f"(the fewest: {number})."
+        )
+    yield from _mixed(groups, origin)
+    yield from _notes(cells)
+    for group in groups:
+        if group.repeated:
+            yield f"{group.label}: {_runs(group.repeated)} left out, since another one has the same seed."
+        if len(blank := group.done[group.done["success_rate"].isna()]):
+            yield f"{group.label}: {_runs(len(blank))} finished without a final success rate, and left out."
+
+
+def narrow_pairs(cells: Sequence[Cell], pairs: Sequence[Pair]) -> Iterator[str]:
+    """Yield which differences have intervals that are known to be too narrow, beyond what was said of the cells."""
+    labels, said = {cell.id: cell.label for cell in cells}, {cell.note for cell in cells}
+    found: dict[str, list[str]] = {}
+    for pair in pairs:
+        if pair.note and pair.note not in said:
+            found.setdefault(pair.note, []).append(f"{labels[pair.a]} against {labels[pair.b]}")
+    yield from _grouped(found)
+
+
+def missing(cells: Sequence[Cell], unheard: Sequence[FailedRun]) -> Iterator[str]:
+    """Yield which runs have no result.
+
+    Args:
+        cells: of the report.
+        unheard: runs that the store has not heard of.
+    """
+    total: Counter[str] = Counter()
+    for cell in cells:
+        total.update(cell.counts)
+    not_begun = sum(run.status == "pending" for run in unheard)
+    total.update(run.status for run in unheard if run.status != "pending")
+    waiting = {"running": "under way", "failed": "failed", "pending": "cut off or waiting"}
+    found = [f"{total[stage]} {words}" for stage, words in waiting.items() if total[stage]]
+    if not_begun:
+        found.append(f"{not_begun} not begun")
+    if found:
+        everything = sum(total.values()) + not_begun
+        yield f"{total['done']} of {everything} runs are done: {', '.join(found)}."
+    if empty := [cell.label for cell in cells if not cell.counts["done"]]:
+        yield f"No run is done of {named(empty)}."
+    whole = [cell for cell in cells if cell.counts["done"]]
+    most = max((cell.counts["done"] for cell in whole), default=0)
+    if behind := [cell.label for cell in whole if cell.counts["done"] < most]:
+        yield f"Fewer than {most} seeds are done of {named(behind)}."
+
+
+def without_runs(experiments: Iterable[str], having: Iterable[str]) -> Iterator[str]:
+    """Yield which experiments were asked for and have no runs."""
+    there = set(having)
+    for name in experiments:
+        if name not in there:
+            yield f"Experiment {name} has no runs."
+
+
+def _mixed(groups: Sequence[Group], origin: Provenance) -> Iterator[str]:
+    mixed = {package: list(found) for package, found in origin.versions.items() if len(found) > 1}
+    for package, found in mixed.items():
+        yield f"Versions are mixed: {package} {named(found)}."
+    if len(origin.commits) > 1:
+        yield f"Commits are mixed: {named(list(origin.commits))}."
+    if any(commit.endswith("+") for commit in origin.commits):
+        yield "Some runs were made from files that differ from their commit (marked +)."
+    if len(origin.machines) > 1:
+        yield f"Machines are mixed, so that CPU-seconds do not compare: {named(list(origin.machines))}."
+    for key, words in (
+        ("total_timesteps", "Budgets are mixed: cells were trained for {} env steps."),
+        ("evaluation.final_n_scenes", "Scene sets are mixed: final models were evaluated on {} scenes."),
+        ("evaluation.first_scene", "Scene sets are mixed: they begin at scenes {}."),
+        ("evaluation.n_scenes", "Scene sets are mixed: evaluations during training were on {} scenes."),
+        (
+            "evaluation.every_n_steps",
+            "Evaluations are mixed: every {} env steps, which changes times to 90 %.",
+        ),
+        ("env.name", "Tasks are mixed: cells belong to the envs {}; their rates are not of the same scenes."),
+    ):
+        values = list(dict.fromkeys(group.config.get(key) for group in groups))
+        if len(values) > 1:
+            yield words.format(named([f"{v:,}" if isinstance(v, int) else setting(v) for v in values]))
+    seeds = {tuple(group.done["seed"]) for group in groups if len(group.done)}
+    if len(seeds) > 1:
+        yield "Cells do not have the same seeds."
+
+
+def _notes(cells: Sequence[Cell]) -> Iterator[str]:
+    notes: dict[str, list[str]] = {}
+    for cell in cells:
+        if cell.note:
+            notes.setdefault(cell.note, []).append(cell.label)
+    yield from _grouped(notes)
+
+
+def _grouped(found: Mapping[str, Sequence[str]]) -> Iterator[str]:
+    for note, labels in found.items():
+        yield f"{named(labels)}: {note}"
+
+
+def _of(k: int, n: int, what: str) -> str:
+    if k == n:
+        return f"the {what} has" if n == 1 else f"all {n} {what}s have"
+    return f"{k} of {n} {what}s {'has' if k == 1 else 'have'}"
+
+
+def _runs(number: int) -> str:
+    return "a run was" if number == 1 else f"{number} runs were"
+
+
+def together(*parts: Iterable[str]) -> list[str]:
+    """Return all sentences, each once."""
+    return list(dict.fromkeys(sentence for part in parts for sentence in part))
