@@ -226,3 +226,38 @@ def test_words_without_a_key_of_the_command_name_cells():
     ]
     with pytest.raises(ConfigError, match=r"name cells either as words or as cells=\[...\]"):
         report_arguments(["her", "cells=[x]"])
+
+
+@pytest.mark.parametrize("name", ["../../elsewhere", "/elsewhere", "größe <b>"])
+def test_experiments_that_were_renamed_in_the_store_stay_in_their_folder(made, name):
+    from mlflow import MlflowClient
+
+    client = MlflowClient(f"sqlite:///{made}/mlflow.db")
+    client.rename_experiment(client.get_experiment_by_name("one").experiment_id, name)
+    report(made, f"experiment={name}", "report=quick")
+    (folder,) = (made / "reports").iterdir()
+    assert (folder / "index.html").exists()
+    assert "/" not in folder.name
+    assert not (made.parent / "elsewhere").exists()
+
+
+def test_without_a_name_it_is_the_only_experiment_or_a_sentence(made):
+    assert report(made, "report=quick").stdout
+    make_store(made, "two", {"sac": []}, [0], bulk=True)
+    said = report(made, code=2).stderr
+    assert said == "error: experiment: the store has several; name one or more of one, two\n"
+
+
+def test_an_experiment_without_runs_beside_others_is_missing(made):
+    from mlflow import MlflowClient
+
+    MlflowClient(f"sqlite:///{made}/mlflow.db").create_experiment("empty")
+    assert "Experiment empty has no runs." in report(made, "experiment=one,empty", "report=quick").stdout
+
+
+def test_markdown_shows_figures_that_are_there(made):
+    report(made, "experiment=one", "report.formats=[svg]")
+    text = (made / "reports" / "one" / "report.md").read_text()
+    assert "figures/final_success.svg" in text
+    report(made, "experiment=one", "report.formats=[]")
+    assert "figures/" not in (made / "reports" / "one" / "report.md").read_text()

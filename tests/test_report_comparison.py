@@ -15,9 +15,11 @@ from stores import Look, compose, make_store
 
 from parking_exp.errors import ConfigError, RunNotFoundError
 from parking_exp.reports.comparison import Question, compare
+from parking_exp.reports.courses import Courses
 from parking_exp.reports.selection import choose, group, one_cell
 from parking_exp.results import load
 from parking_exp.states import find, read_state
+from parking_exp.statistics import steps_to
 
 ENDS = {"sac": [0.8, 1.0, 0.8, 1.0, 1.0], "td3": [0.4, 0.2, 0.4, 0.6, 0.4]}
 made = partial(make_store, bulk=True)
@@ -385,3 +387,128 @@ def test_everything_is_plain_enough_for_json(two):
     again = json.loads(json.dumps(content(two).plain(), allow_nan=False))
     assert again["cells"][0]["success"]["value"] == pytest.approx(0.92)
     assert isinstance(pd.json_normalize(again["pairs"]), pd.DataFrame)
+
+
+def test_a_crossing_without_effects_claims_none(output_dir):
+    rng = np.random.default_rng(5)
+    cells = {f"{s}{n}": [f"buffer=her_{s}", f"buffer.n_sampled_goal={n}"] for s in ("future", "final") for n in (1, 4)}
+    rates = {(label, seed): rng.choice([0.4, 0.6, 0.8]) for label in cells for seed in range(4)}
+    made(output_dir, "one", cells, range(4), lambda label, seed: Look(success=rates[label, seed]))
+    found = content(output_dir)
+    said = " ".join(found.claims)
+    assert said.count("levels can't be told apart, on average over the other factors") == 2
+    assert "add up, as far as can be told (F test, p = " in said
+    assert "is better than" not in said
+
+
+def test_a_single_factor_has_no_others_and_levels_that_tie_are_not_said_to_differ(output_dir):
+    cells = {str(n): [f"buffer.n_sampled_goal={n}"] for n in (1, 2, 4)}
+    made(
+        output_dir,
+        "one",
+        cells,
+        range(3),
+        lambda label, seed: Look(success=0.8 if label == "4" else 0.4 + 0.2 * (seed == 0)),
+    )
+    (claim,) = (claim for claim in content(output_dir).claims if claim.startswith("n_sampled_goal: "))
+    assert "other factors" not in claim
+    made(output_dir, "two", cells, range(3), lambda *_: Look(success=0.8))
+    assert not any(claim.startswith("n_sampled_goal: ") for claim in content(output_dir, "two").claims)
+
+
+def test_levels_of_an_incomplete_crossing_are_not_compared(output_dir):
+    cells = {
+        f"{s}{n}": [f"buffer=her_{s}", f"buffer.n_sampled_goal={n}"] for s in ("future", "final") for n in (1, 2, 4)
+    }
+    del cells["final4"], cells["future1"]
+    made(output_dir, "one", cells, range(3), lambda label, seed: Look(success=0.2 * (seed + ("future" in label))))
+    found = content(output_dir)
+    assert found.effects
+    assert not any(effect.complete for effect in found.effects)
+    assert "Not all combinations of the factors are there: their levels are means of different cells." in found.claims
+    assert not any("on average over the other factors" in claim for claim in found.claims)
+
+
+def test_a_baseline_without_a_finished_run_is_refused_and_quick_compares_without(output_dir):
+    def look(label, seed):
+        return Look(status="failed", error="x") if label == "td3" else Look()
+
+    made(output_dir, "one", {**ALGORITHMS, "ddpg": ["algorithm=ddpg"]}, range(2), look)
+    with pytest.raises(RunNotFoundError, match=r"baseline=td3: none of its 2 runs is done"):
+        content(output_dir, baseline="td3")
+    found = content(output_dir, baseline="td3", quick=True)
+    assert found.reference is None
+    assert "all 1 pairs of 2 cells" in found.family
+
+
+def test_cells_that_tie_share_the_first_place(output_dir):
+    made(output_dir, "one", ALGORITHMS, range(2), lambda label, seed: Look(success=1.0 - 0.2 * seed, crash=0))
+    assert content(output_dir).claims[0].startswith("sac and td3 have the same final success, the highest: 90.0 %")
+
+
+@pytest.mark.parametrize(
+    ("override", "words"),
+    [
+        ("evaluation.n_scenes=4", "Scene sets are mixed: evaluations during training were on 3 and 4 scenes."),
+        (
+            "evaluation.every_n_steps=200",
+            "Evaluations are mixed: every 100 and 200 env steps, which changes times to 90 %.",
+        ),
+    ],
+)
+def test_evaluations_that_are_mixed_are_warned_of(output_dir, override, words):
+    made(output_dir, "one", {"plain": [], "other": [override]}, range(2))
+    assert words in content(output_dir).warnings
+
+
+def test_an_evaluation_without_a_rate_does_not_count_as_holding(two):
+    results = load("one", output_dir=two)
+    run = results.runs["run_id"][0]
+    curve = results.curves[results.curves["run_id"] == run].iloc[:4].assign(success_rate=[0.95, math.nan, 0.95, 0.95])
+    course = Courses.of(replace(results, curves=curve)).curves[run]
+    assert steps_to(course.step, course.success) == (course.step[1], False)
+    assert course.watched(3) == (course.step[1], course.cpu_s[1])
+
+
+def test_runs_are_as_their_directories_say_where_these_are_here(output_dir):
+    runs = make_store(
+        output_dir, "one", {"sac": []}, range(3), lambda label, seed: Look(status="done" if seed == 0 else "running")
+    )
+    runs["sac", 1].update(status="failed", error="it was killed")
+    found = content(output_dir)
+    assert found.cells[0].counts == {"done": 1, "running": 0, "failed": 1, "pending": 1}
+    assert [(run.seed, run.status, run.reason) for run in found.provenance.unfinished] == [
+        (1, "failed", "it was killed"),
+        (2, "interrupted", "cut off; it goes on when the sweep is typed again"),
+    ]
+
+
+def test_cells_of_other_experiments_with_the_same_name_are_left_out_by_name(output_dir):
+    for experiment in ("one", "two"):
+        made(output_dir, experiment, ALGORITHMS, [0])
+    results = load(["one", "two"], output_dir=output_dir)
+    found = compare(results, Question(experiments=["one", "two"], cells=["one"]), {})
+    assert [cell.experiment for cell in found.cells] == ["one", "one"]
+    assert sorted(found.provenance.left_out) == ["two, sac", "two, td3"]
+
+
+def test_cells_are_narrowed_by_the_end_of_a_key_by_lists_and_by_other_ways_to_write_a_number(output_dir):
+    cells = {"a": ["buffer=her_final", "algorithm.net_arch=[16,16]"], "b": ["buffer=her_final", "algorithm.gamma=0.002"],
+             "c": ["algorithm.gamma=0.002"]}  # fmt: skip
+    made(output_dir, "one", cells, [0])
+    groups, _ = group(load("one", output_dir=output_dir).runs)
+    assert len(choose(groups, ["gamma=2e-3"])) == 2
+    assert len(choose(groups, ["her_final", "gamma=0.002"])) == 1
+    assert len(choose(groups, ["algorithm.net_arch=[16,16]"])) == 3
+    with pytest.raises(ConfigError, match=r"^seed: neither a key"):
+        choose(groups, ["seed=0"])
+
+
+def test_infinite_values_of_a_config_are_words(two):
+    results = load("one", output_dir=two)
+    found = compare(
+        replace(results, runs=results.runs.assign(**{"config.env.x": [math.inf] * 5 + [1.0] * 5})),
+        Question(["one"]),
+        {},
+    )
+    assert found.provenance.difference["env.x"] == ["inf", 1.0]

@@ -52,12 +52,13 @@ class Listing:
 def listings(content: Content, cells: Collection[str] | None = None) -> dict[str, Listing]:
     """Return every table that has rows, by name; about these cells alone where they are given.
 
-    Names: `headline`, `pairs`, `effects`, `interactions`, `interactions-2` ..., `importance`, `seeds`, `config`,
-    `common`, `versions`, `unfinished`.
+    Names: `headline`, `times`, `pairs`, `effects`, `interactions`, `interactions-2` ..., `importance`, `seeds`,
+    `config`, `common`, `versions`, `unfinished`.
     """
     wanted = {cell.id for cell in content.cells} if cells is None else set(cells)
     made = [
         headline(content, wanted),
+        times(content, wanted),
         pairs(content, wanted),
         effects(content),
         *(interaction(table, number) for number, table in enumerate(content.interactions, start=1)),
@@ -96,6 +97,28 @@ def headline(content: Content, wanted: Collection[str]) -> Listing:
 
 
 VERDICTS = {"same": "can't be told apart", "unknown": "too few seeds to tell"}
+
+
+def times(content: Content, wanted: Collection[str]) -> Listing:
+    """Return a row for each cell: how long it took to hold 90 %, and the area under its curve."""
+    cells = [cell for cell in content.cells if cell.id in wanted and cell.survival]
+    clocks = [("steps", [cell.survival for cell in cells]), ("CPU-s", [cell.survival_cpu for cell in cells])]
+    titles = ["Reached"]
+    rows = [[_name(cell), Entry(f"{cell.survival.k}/{cell.survival.n}")] for cell in cells if cell.survival]
+    for unit, found in clocks:
+        horizon = next((one.horizon for one in found if one and one.horizon), None)
+        titles += [f"Median ({unit})", f"Mean up to {formats.number(horizon)} ({unit})"]
+        for row, survival in zip(rows, found, strict=True):
+            row += [_time(survival), _counted(survival.restricted_mean if survival else Interval(None))]
+    for row, cell in zip(rows, cells, strict=True):
+        row.append(_rate(cell.area, bar=False))
+    return Listing(
+        "times",
+        "Time until three evaluations in a row have 90 %, with the mean up to a time that all seeds were watched; area "
+        f"under the learning curve in % of the highest possible; means {PERCENT}.",
+        [Column("Cell"), *(Column(title, numeric=True) for title in [*titles, "Area (%)"])],
+        rows,
+    )
 
 
 def pairs(content: Content, wanted: Collection[str]) -> Listing:
@@ -276,6 +299,10 @@ def _time(survival: Survival | None) -> Entry:
 
 def _number(spread: Interval, digits: int = 0) -> Entry:
     return Entry(formats.number(spread.value, digits), formats.finite(spread.value))
+
+
+def _counted(spread: Interval) -> Entry:
+    return Entry(formats.number_interval(spread), formats.finite(spread.value))
 
 
 def _whole(value: int | None) -> Entry:

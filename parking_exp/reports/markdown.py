@@ -23,6 +23,8 @@ def markdown(content: Content, pictures: Sequence["Picture"] = (), ending: str =
     parts = [f"# {escape(content.title)}", *_summary(content)]
     if "headline" in found:
         parts += ["## Results", table(found["headline"], len(content.cells))]
+    if "times" in found:
+        parts += ["## Time to 90 %", table(found["times"], len(content.cells))]
     if pictures:
         parts.append("## Figures")
         parts += [

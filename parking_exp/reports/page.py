@@ -40,7 +40,7 @@ class Section(NamedTuple):
 SECTIONS = (
     Section("results", "Which is better", ["final_success*"], ["headline"]),
     Section("curves", "Learning curves", ["learning_curves*", "curves*"]),
-    Section("time", "Time to 90 %", ["time_to_90*", "survival*"]),
+    Section("time", "Time to 90 %", ["time_to_90*", "survival*"], ["times"]),
     Section("pairs", "Pair by pair", ["pair*"], ["pairs"]),
     Section(
         "factors", "What each factor does", ["main_effects*", "effects*", "interaction*"], ["effects", "interactions*"]
