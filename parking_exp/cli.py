@@ -7,6 +7,7 @@ known to be good.
 import argparse
 import gc
 import os
+import re
 import signal
 import sys
 from collections.abc import Callable
@@ -80,6 +81,13 @@ def report() -> None:
     from parking_exp.report import report as write_report
     from parking_exp.report import validate_report
 
+    def only_one(arguments: argparse.Namespace) -> None:
+        configs = composed("report", arguments.overrides, arguments.config_dir)
+        if len(configs) > 1:
+            raise ConfigError("a report takes one value for each key; name=... makes another one beside it")
+        validate_report(configs[0])
+        run(configs[0])
+
     def run(config: DictConfig) -> None:
         from parking_exp.reading import no_garbage
 
@@ -91,7 +99,7 @@ def report() -> None:
         sys.argv[1:] = report_arguments(sys.argv[1:])
     except ParkingError as error:
         _fail(error)
-    _command("report", _single("report", validate_report, run), shows=run)
+    _command("report", only_one, shows=run)
 
 
 def benchmark() -> None:
@@ -113,7 +121,7 @@ def report_arguments(arguments: list[str]) -> list[str]:
     """
     found, cells = [], []
     arguments = ["report=quick" if argument == "--quick" else argument for argument in arguments]
-    overrides = get_args_parser().parse_args(arguments).overrides
+    overrides = _parser().parse_args(arguments).overrides
     for argument in arguments:
         key, equals, value = argument.partition("=")
         if argument not in overrides:
@@ -124,14 +132,25 @@ def report_arguments(arguments: list[str]) -> list[str]:
                 "experiment_name=null" if value == "null" else f"experiment_name=[{','.join(map(in_quotes, names))}]"
             )
         elif key == "baseline" and value not in {"", "null"}:
-            found.append(f"baseline={in_quotes(value)}")
+            found.append(f"baseline={in_quotes(_unquoted(value))}")
+        elif key == "cells" and equals and value != "null" and not value.startswith("["):
+            cells += _words(value)
         elif key.lstrip("+~").split(".")[0].split("/")[0] in REPORT_KEYS:
             found.append(argument)
         else:
-            cells.append(argument)
+            cells += _words(argument) if not equals else [argument]
     if cells and any(argument.startswith("cells=") for argument in found):
         raise ConfigError(f"{cells[0]}: name cells either as words or as cells=[...]")
     return [*found, *([f"cells=[{','.join(map(in_quotes, cells))}]"] if cells else [])]
+
+
+def _unquoted(text: str) -> str:
+    return text[1:-1] if len(text) > 1 and text[0] == text[-1] and text[0] in "'\"" else text
+
+
+def _words(text: str) -> list[str]:
+    """Split at commas; a comma before a space is part of a label."""
+    return re.split(r",(?! )", text)
 
 
 def _translate() -> None:
@@ -157,7 +176,7 @@ def _single(config_name: str, check: Task, task: Task) -> Callable[[argparse.Nam
 def _command(config_name: str, command: Callable[[argparse.Namespace], None], shows: Task) -> None:
     """Run a command, or let Hydra show what it is asked for, and turn errors into sentences and exit statuses."""
     sys.argv[1:] = [quoted(argument) for argument in sys.argv[1:]]
-    arguments = get_args_parser().parse_args()
+    arguments = _parser().parse_args()
     if _only_shows(arguments):
         hydra.main(version_base=VERSION_BASE, config_path=str(config_dir()), config_name=config_name)(shows)()
         return
@@ -173,6 +192,13 @@ def _command(config_name: str, command: Callable[[argparse.Namespace], None], sh
         _fail(OutputDirectoryError(f"{error.strerror or error}{where}"))
     except KeyboardInterrupt:
         _fail(InterruptedRunError("stopped; type the same command to go on", signal.SIGINT))
+
+
+def _parser() -> argparse.ArgumentParser:
+    """Return Hydra's parser, which would take `--experiment` for `--experimental-rerun`."""
+    parser = get_args_parser()
+    parser.allow_abbrev = False
+    return parser
 
 
 def _only_shows(arguments: argparse.Namespace) -> bool:

@@ -14,7 +14,7 @@ from omegaconf import DictConfig
 from pydantic import Field
 
 from parking_exp.config import NAME, Section
-from parking_exp.errors import ConfigError
+from parking_exp.errors import ConfigError, ResultsError
 from parking_exp.store import without_password
 from parking_exp.validation import parse
 
@@ -80,11 +80,9 @@ def report(config: DictConfig) -> Path:
         RunNotFoundError: none of the runs is done.
     """
     request = validate_report(config)
-    from parking_exp.results import load
-
     with _pdfs(request) as printer, _progress() as say:
         say("reading the store")
-        results = load(_experiments(request), uri=request.tracking.uri, output_dir=request.output_path)
+        results = _load(request)
         say(f"comparing {len(results.runs)} runs")
         content = _compare(request, results)
         say("drawing")
@@ -149,13 +147,30 @@ def _folder_name(experiments: Sequence[str]) -> str:
     return re.sub(r"[^\w.+-]|^\.", "_", "+".join(experiments))
 
 
-def _states(output_dir: Path, experiments: list[str]) -> "dict[str, RunState]":
-    """Return how far runs are that lie here and are not done, by run directory: newer than what the store knows."""
+def _states(output_dir: Path, experiments: Sequence[str]) -> "dict[str, RunState]":
+    """Return how far runs are that lie here, by run directory: newer than what the store knows."""
     from parking_exp.states import find, read_state
 
     ours = [name for name in experiments if re.fullmatch(NAME, name)]
-    states = {str(path): read_state(path) for name in ours for path in find(output_dir, name)}
-    return {path: state for path, state in states.items() if state.stage != "done"}
+    return {str(path): read_state(path) for name in ours for path in find(output_dir, name)}
+
+
+def _load(request: ReportRequest) -> "Results":
+    from parking_exp.results import load
+    from parking_exp.tables import name
+
+    experiments = _experiments(request)
+    try:
+        return load(experiments, uri=request.tracking.uri, output_dir=request.output_path)
+    except ResultsError as error:
+        here = _states(request.output_path, experiments or []).values()
+        if failed := [state for state in here if state.stage == "failed"]:
+            reason = f"{len(failed)} of its runs failed, e.g. {name(failed[0])}: {failed[0].reason}"
+            raise ResultsError(f"{error}; {reason}") from error
+        if here:
+            hint = "`python scripts/status.py` tells how far they are, and with sync=true sends them to the store"
+            raise ResultsError(f"{error}; {len(here)} runs of it are here: {hint}") from error
+        raise
 
 
 def _command(request: ReportRequest, experiments: Sequence[str]) -> str:

@@ -62,7 +62,7 @@ from parking_exp.columns import TEXT, column, flags, integers, text, times, type
 from parking_exp.errors import ResultsError
 from parking_exp.reading import Point, Reader, StoredRun, no_garbage
 from parking_exp.recordings import EPISODES, read_episodes, read_trajectories
-from parking_exp.store import default_uri, reason
+from parking_exp.store import default_uri, reason, without_password
 from parking_exp.wording import closest
 
 STATUSES = ("done", "running", "failed", "interrupted")
@@ -113,6 +113,10 @@ class Results:
     uri: str
     problems: tuple[str, ...] = ()
     ignored: int = 0
+
+    def __repr__(self) -> str:
+        sizes = ", ".join(f"{len(getattr(self, name))} {name}" for name in ("runs", "curves", "episodes"))
+        return f"<Results of {without_password(self.uri)}: rows of {sizes}; {len(self.problems)} problems>"
 
     @cached_property
     def _reader(self) -> Reader:

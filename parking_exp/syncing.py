@@ -101,8 +101,10 @@ def sync_all(directories: Iterable[RunDirectory]) -> Iterator[tuple[RunDirectory
         Each run that was not in step, and what kept it from being so now, or None.
     """
     down: dict[str, str] = {}
-    for directory in directories:
-        if in_step(directory) or directory.under_way:
+    # All are looked at first: where a store was lost, the first run to be sent makes it again.
+    behind = [directory for directory in directories if not in_step(directory)]
+    for directory in behind:
+        if directory.under_way:
             continue
         uri = directory.tracking_uri or ""
         problem = down.get(uri) or try_sync(directory)

@@ -24,7 +24,7 @@ from parking_exp.errors import ConfigError, FailedRunError, InterruptedRunError,
 from parking_exp.machine import THREAD_VARIABLES, pin
 from parking_exp.runs import RunDirectory
 from parking_exp.startup import quick_imports
-from parking_exp.store import import_mlflow
+from parking_exp.store import import_mlflow, store_uri
 
 LOG_FILE = "log.txt"
 GRACE_S = 8.0  # to save a checkpoint after a signal, before the process is killed
@@ -83,23 +83,27 @@ def supervise(
 
 def _run(directory: RunDirectory, share: Share, stop: threading.Event, started: OnStart | None) -> Ending:
     try:
-        timeout_s = directory.config().timeout_s
+        config = directory.config()
     except ConfigError as error:
         directory.update(status="failed", error=str(error))
         return "failed"
     # Before there is a worker: what that one writes is later, and must not be overwritten.
-    directory.update(status="running", error=None, killed=None, host=socket.gethostname(), started=time.time())
+    started_at = {"host": socket.gethostname(), "started": time.time()}
+    # With the store, so that it hears of a run that fails before it tracks anything.
+    uri = store_uri(config) if config.tracking.mlflow else None
+    directory.update(status="running", error=None, killed=None, tracking_uri=uri, **started_at)
     with (directory.path / LOG_FILE).open("ab") as log:
         process = _start(directory.path, share, log)
         try:
             directory.update(pid=process.pid)
             if started is not None:
                 started(process)
-            late = _wait(process, timeout_s, stop)
+            late = _wait(process, config.timeout_s, stop)
         finally:
             if process.poll() is None:  # something went wrong here: nobody is left without a supervisor
                 _kill(process)
-    return _ending(directory, process.returncode, f"ran past timeout_s={timeout_s:g}" if late else None, stop.is_set())
+    past = f"ran past timeout_s={config.timeout_s:g}" if late else None
+    return _ending(directory, process.returncode, past, stop.is_set())
 
 
 def _wait(process: subprocess.Popen[bytes], timeout_s: float | None, stop: threading.Event) -> bool:

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from conftest import ROOT, in_memory, store
+from conftest import ROOT, in_memory, run_script, store
 from servers import closed_port, mlflow_server, needs_server
 from stores import STARTED_MS, Look, compose, made_episodes, made_trajectories, make_store
 
@@ -473,3 +473,19 @@ def test_a_server_gives_the_same_frames_as_a_database(tmp_path, ablation, monkey
         pd.testing.assert_frame_equal(load("her", uri=uri).curves, local.curves)
         monkeypatch.setattr("parking_exp.reading.POINTS_A_REQUEST", 2)
         assert len(Reader(uri).histories([directory.run_id], ["eval/success_rate"])["eval/success_rate"]) == 3
+
+
+def test_a_store_that_was_lost_is_made_again_from_all_run_directories(output_dir):
+    make_store(output_dir, "her", HER, range(2))
+    before = load("her", output_dir=output_dir).runs
+    (output_dir / "mlflow.db").unlink()
+    done = run_script("status.py", "sync=true", f"output_dir={output_dir}")  # MLflow opens a store once a process
+    assert done.stderr.count("the store has everything") == 4
+    after = load("her", output_dir=output_dir).runs
+    same = ["cell", "seed", "status", "success_rate", "run_dir"]
+    pd.testing.assert_frame_equal(before[same], after[same])
+
+
+def test_results_say_in_a_line_what_they_are(output_dir):
+    make_store(output_dir, "her", HER, [0])
+    assert repr(load("her", output_dir=output_dir)).startswith("<Results of sqlite:///")

@@ -58,21 +58,27 @@ def missing(cells: Sequence[Cell], unheard: Sequence[FailedRun]) -> Iterator[str
     total: Counter[str] = Counter()
     for cell in cells:
         total.update(cell.counts)
-    not_begun = sum(run.status == "pending" for run in unheard)
-    total.update(run.status for run in unheard if run.status != "pending")
-    waiting = {"running": "under way", "failed": "failed", "pending": "cut off or waiting"}
+    lost = sum(run.status == "done" for run in unheard)
+    total.update(run.status for run in unheard if run.status != "done")
+    waiting = {"running": "under way", "failed": "failed", "pending": "cut off or not begun"}
     found = [f"{total[stage]} {words}" for stage, words in waiting.items() if total[stage]]
-    if not_begun:
-        found.append(f"{not_begun} not begun")
     if found:
-        everything = sum(total.values()) + not_begun
+        everything = sum(total.values())
         yield f"{total['done']} of {everything} runs are done: {', '.join(found)}."
     if empty := [cell.label for cell in cells if not cell.counts["done"]]:
         yield f"No run is done of {named(empty)}."
-    whole = [cell for cell in cells if cell.counts["done"]]
-    most = max((cell.counts["done"] for cell in whole), default=0)
-    if behind := [cell.label for cell in whole if cell.counts["done"] < most]:
-        yield f"Fewer than {most} seeds are done of {named(behind)}."
+    if lost:
+        yield f"{lost} more runs are done here, but not in the store; `python scripts/status.py sync=true` sends them."
+
+
+def same_runs(groups: Sequence[Group]) -> Iterator[str]:
+    """Yield which cells of different experiments have the same config: what ends their names is a hash of it."""
+    found: dict[str, list[str]] = {}
+    for group in groups:
+        found.setdefault(group.name, []).append(group.label)
+    for labels in found.values():
+        if len(labels) > 1:
+            yield f"{named(labels)} have the same config: equal seeds are equal runs, and they are not independent."
 
 
 def without_runs(experiments: Iterable[str], having: Iterable[str]) -> Iterator[str]:

@@ -23,6 +23,7 @@ from parking_exp.states import RunState
 from parking_exp.store import without_password
 
 STATUS = {"running": "running", "failed": "failed", "pending": "interrupted", "done": "done"}
+MOST_PROBLEMS = 5
 SHOWN_WHOLE, SHOWN = 16, 12  # cells in pictures: all of up to 16, else the 12 best
 
 
@@ -67,7 +68,7 @@ def compare(results: Results, question: Question, states: Mapping[str, RunState]
     kind = design(factors, [one.settings for one in groups])
     parts = _factor_parts(kind, cells, groups, factors, courses)
     family = compare_pairs(cells, baseline)
-    unheard = not_in_store(results.runs, groups, states, whole=not question.cells)
+    unheard = [] if question.cells else not_in_store(results.runs, states)
     origin = provenance(groups, chosen.left_out, without_password(results.uri), unheard)
     return Content(
         title=" and ".join(question.experiments),
@@ -93,15 +94,15 @@ def compare(results: Results, question: Question, states: Mapping[str, RunState]
         ),
         warnings=cautions.together(
             cautions.warnings(groups, cells, origin),
+            cautions.same_runs(groups),
             cautions.narrow_pairs(cells, family.pairs),
-            results.problems,
-            problems,
+            _few([*results.problems, *problems]),
         ),
         missing=cautions.together(
             cautions.missing(cells, unheard), cautions.without_runs(question.experiments, results.runs["experiment"])
         ),
         provenance=origin,
-        notes=_notes(results, cells, shown),
+        notes=_notes(results, chosen, cells, shown),
         reference=family.reference,
     )
 
@@ -133,13 +134,31 @@ def _choose(runs: pd.DataFrame, question: Question) -> _Chosen:
 
 
 def _up_to_date(runs: pd.DataFrame, states: Mapping[str, RunState]) -> pd.DataFrame:
-    """Return runs with the status and reason that their directories have, where these lie on this machine."""
+    """Return runs with the status and reason that their directories have, where these lie on this machine.
+
+    Runs that the store has not heard of are added to cells that it knows.
+    """
     rows = runs[["run_dir", "status", "error"]].astype(object).itertuples(index=False)
     found = []
     for run_dir, status, error in rows:
         state = None if status == "done" else states.get(str(run_dir))
         found.append((STATUS[state.stage], state.reason or error) if state else (status, error))
-    return runs.assign(status=[status for status, _ in found], error=[error for _, error in found])
+    runs = runs.assign(status=[status for status, _ in found], error=[error for _, error in found])
+    known, added = set(runs["run_dir"]), []
+    for path, state in states.items():
+        cell = runs[(runs["experiment"] == state.experiment) & (runs["cell"] == state.cell)]
+        if path not in known and len(cell) and state.stage != "done":
+            added.append(_planned(cell.iloc[:1], path, state))
+    return pd.concat([runs, *added], ignore_index=True)
+
+
+def _planned(like: pd.DataFrame, path: str, state: RunState) -> pd.DataFrame:
+    """Return the row of a run that the store has not heard of, with the config of another one of its cell."""
+    config = [str(column) for column in like if str(column).startswith("config.")]
+    row = like[["experiment", "cell", "name", *config]].assign(
+        run_id="", run_dir=path, seed=state.seed, status=state.stage, error=state.reason, steps=0
+    )
+    return row.reindex(columns=like.columns).astype(like.dtypes.to_dict())
 
 
 @dataclass(frozen=True)
@@ -195,11 +214,24 @@ def _refuse_nothing_done(groups: Sequence[Group], question: Question) -> None:
     )
 
 
-def _notes(results: Results, cells: Sequence[Cell], shown: Sequence[str]) -> list[str]:
+def _few(problems: Sequence[str]) -> list[str]:
+    """Return problems with single runs, the first of many."""
+    more = [f"{len(problems) - MOST_PROBLEMS} more runs have such problems."] if len(problems) > MOST_PROBLEMS else []
+    return [*problems[:MOST_PROBLEMS], *more]
+
+
+def _notes(results: Results, chosen: _Chosen, cells: Sequence[Cell], shown: Sequence[str]) -> list[str]:
     notes = []
     if len(shown) < len(cells):
         best = f"the {len(shown)} with the highest success"
         notes.append(f"Pictures show {best} of {len(cells)} cells; tables have all.")
+    if chosen.left_out:
+        notes.append(
+            f"{len(chosen.left_out)} more cells of the experiments were left out by what was asked for; fewer pairs "
+            "make smaller p."
+        )
+    if any(cell.seeds and not cell.paths for cell in cells if cell.id in shown):
+        notes.append("Some cells have no trajectories to be drawn: their runs are older than these, or lost them.")
     if results.ignored:
         notes.append(f"The store has {results.ignored} more runs that this package did not make; they are left out.")
     return notes

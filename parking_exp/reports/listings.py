@@ -85,12 +85,12 @@ def headline(content: Content, wanted: Collection[str]) -> Listing:
             row.append(_time(cell.survival))
         rows.append([*row, _number(cell.episode_steps, 1), _whole(cell.total_timesteps), _number(cell.cpu_s)])
     titles = ["Success (%)", "Parked (%)", "Crash (%)", "Timeout (%)", "Seeds ≥ 90 %"]
-    titles += ["Steps to 90 %"] if timed else []
+    titles += ["Steps to hold 90 %"] if timed else []
     titles += ["Steps an episode", "Env steps", "CPU (s)"]
     return Listing(
         "headline",
-        f"Final evaluation: means over seeds, {PERCENT}; how many seeds reached 90 %, with Wilson's interval of their "
-        f"share{'; median of the steps to 90 %' if timed else ''}.",
+        f"Final evaluation: means over seeds, {PERCENT}; how many seeds ended at 90 % or above, with Wilson's interval "
+        f"of their share{'; median of the env steps until 90 % were held for three evaluations' if timed else ''}.",
         [Column("Cell"), Column("Seeds", numeric=True), *(Column(title, numeric=True) for title in titles)],
         rows,
     )
@@ -294,7 +294,7 @@ def _time(survival: Survival | None) -> Entry:
     if survival is None:
         return Entry("")
     median = formats.finite(survival.median)
-    return Entry("not reached" if median is None else formats.number(median), median)
+    return Entry("fewer than half" if median is None else formats.number(median), median)
 
 
 def _number(spread: Interval, digits: int = 0) -> Entry:

@@ -41,6 +41,10 @@ def methods(content: Content) -> Iterator[str]:
         if isinstance(interval, Interval) and interval.n
     }
     yield from (sentence for method, sentence in INTERVALS.items() if method in used)
+    yield (
+        "CPU-seconds of a run count everything, its final evaluation and its certification on highway-env included; "
+        "times to 90 % count what came before."
+    )
     yield "All intervals are at 95 %. Shares of scenes and of seeds have Wilson's."
     fewest = min((cell.success.n for cell in content.cells if cell.success.n), default=0)
     if fewest > 1:

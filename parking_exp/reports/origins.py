@@ -16,6 +16,7 @@ WORDS = {
     "running": "under way",
     "interrupted": "cut off; it goes on when the sweep is typed again",
     "pending": "not begun",
+    "done": "the store lacks it; python scripts/status.py sync=true sends it",
 }
 
 
@@ -57,25 +58,20 @@ def provenance(
     )
 
 
-def not_in_store(
-    runs: pd.DataFrame, groups: Sequence[Group], states: Mapping[str, RunState], *, whole: bool
-) -> list[FailedRun]:
-    """Return the runs on this machine that a store has not heard of: planned ones, and those that failed at once.
+def not_in_store(runs: pd.DataFrame, states: Mapping[str, RunState]) -> list[FailedRun]:
+    """Return runs on this machine that a store lacks: all of the cells that it does not know, and those that are done.
 
     Args:
         runs: all that the store has of the experiments.
-        groups: the cells of the report.
-        states: of runs on this machine that are not done, by run directory.
-        whole: whether the report is about all cells, those included that the store does not know.
+        states: of runs on this machine, by run directory.
     """
-    known, experiments = set(runs["run_dir"].dropna()), {group.experiment for group in groups}
-    labels = {(group.experiment, group.name): group.label for group in groups}
+    cells, paths = set(zip(runs["experiment"], runs["cell"], strict=True)), set(runs["run_dir"])
     found = []
     for path, state in states.items():
-        cell = (state.experiment, state.cell)
-        if path not in known and state.experiment in experiments and (whole or cell in labels):
+        unknown = (state.experiment, state.cell) not in cells
+        if unknown or (state.stage == "done" and path not in paths):
             reason = state.reason or WORDS.get(state.stage, "no reason is known")
-            found.append(FailedRun(labels.get(cell, state.label), state.seed, state.stage, reason, path))
+            found.append(FailedRun(state.label, state.seed, state.stage, reason, path))
     return found
 
 

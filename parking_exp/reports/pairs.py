@@ -38,11 +38,11 @@ def compare_pairs(cells: Sequence[Cell], baseline: str | None) -> Family:
         reference = max(having, key=lambda cell: cell.success.value or 0.0)
     if reference is None:
         couples = list(combinations(having, 2))
-        family = f"all {len(couples)} pairs of {len(having)} cells"
+        family = "two cells" if len(couples) == 1 else f"all {len(couples)} pairs of {len(having)} cells"
     else:
         couples = [(cell, reference) for cell in having if cell.id != reference.id]
         name = "the baseline" if reference.id == baseline else "the one with the highest mean"
-        family = f"{len(couples)} cells against {name}"
+        family = f"{len(couples)} cell{'s' if len(couples) > 1 else ''} against {name}"
     if not couples:
         return Family([], "", None)
     words = (

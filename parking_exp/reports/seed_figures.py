@@ -181,7 +181,7 @@ def time_to_90(content: Content) -> tuple[Sheet, str] | None:
     caption = (
         "Share of seeds whose success has reached 90 % in three evaluations in a row (Kaplan and Meier's estimate; "
         f"{seed_counts(named)}). Crosses (+): seeds not there when their observation ended. Bands: 95 % intervals, "
-        "left out where no seed got there."
+        "left out where no seed got there, whose lines are drawn a little apart."
     )
     return sheet, caption
 
@@ -191,11 +191,13 @@ def _survival_panel(sheet: Sheet, axes: Any, pairs: Sequence[tuple[Cell, Surviva
     axes.set(xlim=(0, 1.03 * last), ylim=(-3, 103), xlabel=pairs[0][1].unit)
     axes.xaxis.set_major_formatter(thousands)
     axes.locator_params(axis="x", nbins=5)
+    flat = [survival for _, survival in pairs if not survival.k]
     for cell, survival in pairs:
         look = cell_style(cell.id)
+        lift = 1.2 * flat.index(survival) if survival in flat else 0.0  # lines at 0 would hide one another
         end = max([*survival.time, *survival.censored])
         time = np.array([*survival.time, end], dtype=float)
-        share, low, high = (100 * numbers([*v, v[-1]]) for v in (survival.reached, survival.low, survival.high))
+        share, low, high = (100 * numbers([*v, v[-1]]) + lift for v in (survival.reached, survival.low, survival.high))
         if survival.k:
             axes.fill_between(time, low, high, step="post", color=look.colour, alpha=0.07, lw=0)
         axes.plot(time, share, drawstyle="steps-post", color=look.colour, lw=1.3, ls=look.line)

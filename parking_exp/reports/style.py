@@ -1,5 +1,6 @@
 """How pictures look: the colour, marker and line of each cell, fonts, and text that no font or parser stumbles over."""
 
+import re
 import unicodedata
 import zlib
 from collections.abc import Iterator, Sequence
@@ -17,9 +18,9 @@ TEXT_PT, SMALL_PT, TINY_PT = 8.0, 7.0, 6.0
 # Pages replace these three by variables of their theme; nothing else is drawn with them.
 INK, GRID, PAPER = "#1c1e21", "#d5d8dc", "#fffffe"
 
-# Okabe and Ito's palette without black and yellow.
-_COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
-_MARKERS = ("o", "s", "^", "D", "v", "P", "X")  # one more than colours: no pair repeats in 42 cells
+# Okabe and Ito's palette without black and yellow, and two of Paul Tol's `muted`.
+_COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#882255", "#999933")
+_MARKERS = ("o", "s", "^", "D", "v", "P", "X")  # one less than colours: no pair repeats in 56 cells
 _LINES: tuple[Any, ...] = ("-", (0, (4, 1.5)), (0, (1.2, 1.2)), (0, (5, 1.2, 1.2, 1.2)))
 
 _RC = {
@@ -135,13 +136,30 @@ def elided(text: str, width: float, size: float = TEXT_PT) -> str:
 
 def labels(cells: Sequence[Cell], width: float, size: float = TEXT_PT) -> dict[str, str]:
     """Return a label of at most `width` points for each cell's id; those that would read the same end in the id."""
-    short = {cell.id: elided(cell.label, width, size) or cell.id for cell in cells}
+    names = _without_common({cell.id: clean(cell.label) for cell in cells})
+    short = {key: elided(_narrowed(text, width, size), width, size) or key for key, text in names.items()}
     texts = list(short.values())
-    for cell in cells:
-        if texts.count(short[cell.id]) > 1:
-            suffix = f" ({cell.id})"
-            short[cell.id] = elided(cell.label, width - width_pt(suffix, size), size) + suffix
+    for key, text in names.items():
+        if texts.count(short[key]) > 1:
+            suffix = f" ({key})"
+            short[key] = elided(text, width - width_pt(suffix, size), size) + suffix
     return short
+
+
+def _without_common(names: dict[str, str]) -> dict[str, str]:
+    """Drop the parts of labels that all of them have."""
+    parts = {key: text.split(", ") for key, text in names.items()}
+    common = set.intersection(*map(set, parts.values())) if len(parts) > 1 else set()
+    return {key: ", ".join(part for part in some if part not in common) or names[key] for key, some in parts.items()}
+
+
+def _narrowed(text: str, width: float, size: float) -> str:
+    """Shorten the keys of a label, and no values, as far as it takes: `her_future, n_s…al=4`."""
+    for kept in range(16, 1, -2):
+        if width_pt(text, size) <= width:
+            break
+        text = re.sub(rf"(\w{{{kept // 2}}})[\w.…]+(\w{{{kept // 2}}}=)", r"\1…\2", text)
+    return text
 
 
 def widest(texts: Sequence[str], size: float = TEXT_PT) -> float:

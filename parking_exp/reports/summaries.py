@@ -26,7 +26,7 @@ from parking_exp.statistics import (
 
 GOOD = 0.9
 HOLD = 3
-STAGES = {"interrupted": "pending"}
+STAGES = {"interrupted": "pending"}  # as MLflow's index has it, and as a run directory
 RATES = {name: f"{name}_rate" for name in (*OUTCOMES, "parked")}
 RUN_COLUMNS = ["run_id", "run_dir", "seed", "n_scenes", "episode_steps", "cpu_s", *RATES.values()]
 

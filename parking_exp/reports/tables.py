@@ -97,7 +97,7 @@ def _csv(frame: pd.DataFrame) -> str:
         if not pd.api.types.is_numeric_dtype(safe[name]):
             safe[name] = safe[name].map(formats.csv)
     safe.columns = pd.Index([formats.csv(name) for name in safe.columns])
-    return str(safe.to_csv(index=False, lineterminator="\n"))
+    return str(safe.to_csv(index=False, lineterminator="\n", float_format="%.10g"))
 
 
 def _who(cell: Cell) -> Row:

@@ -28,8 +28,9 @@ class Gap(NamedTuple):
     p: float | None
 
     def __str__(self) -> str:
-        """Write `td3 (+26.1 points [+16.9, +35.4], p < 0.001)`."""
-        return f"{self.label} ({', '.join(filter(None, (points_interval(self.points), p_value(self.p))))})"
+        """Write `td3 (+26.1 points [+16.9, +35.4], Holm's p < 0.001)`."""
+        p = f"Holm's {p_value(self.p)}" if self.p is not None else ""
+        return f"{self.label} ({', '.join(filter(None, (points_interval(self.points), p)))})"
 
 
 def claims(cells: Sequence[Cell], family: Family) -> Iterator[str]:

@@ -14,7 +14,8 @@ from parking_exp.reports.printer import Printer
 from parking_exp.reports.style import cell_style
 from parking_exp.reports.tables import write_tables
 
-MADE_HERE = {"figures": {".svg", ".pdf", ".png"}, "tables": {".csv", ".tex"}}
+PARTS = ("figures", "tables")
+MADE = ".made-"  # what a report has put into a folder: only that is its to delete
 
 
 def write(content: Content, folder: Path, formats: Sequence[str], printer: Printer | None = None) -> None:
@@ -39,19 +40,22 @@ def write(content: Content, folder: Path, formats: Sequence[str], printer: Print
         text = markdown(content, pictures if linked else (), linked or "")
         if printer is not None:
             printer.wait()
-        for part, endings in MADE_HERE.items():
-            _replace(Path(new) / part, _made(folder / part), endings)
+        for part in PARTS:
+            _replace(Path(new) / part, _made(folder / part))
     for name, written in (("report.json", numbers), ("report.md", text), ("index.html", html)):
         write_atomically(folder / name, written)
 
 
-def _replace(new: Path, folder: Path, endings: set[str]) -> None:
-    names = {path.name for path in new.iterdir()}
+def _replace(new: Path, folder: Path) -> None:
+    """Move all files of a folder into another one, and delete there what an earlier report has left."""
+    names, before = {path.name for path in new.iterdir()}, folder.with_name(f"{MADE}{folder.name}")
+    stale = set(before.read_text(encoding="utf-8").splitlines()) - names if before.exists() else set()
+    write_atomically(before, "\n".join(sorted(names | stale)))
     for path in new.iterdir():
         path.replace(folder / path.name)
-    for path in folder.iterdir():
-        if path.suffix in endings and path.name not in names:
-            path.unlink()
+    for name in stale:
+        (folder / name).unlink(missing_ok=True)
+    write_atomically(before, "\n".join(sorted(names)))
 
 
 def _made(folder: Path) -> Path:
