@@ -479,7 +479,7 @@ def test_a_store_that_was_lost_is_made_again_from_all_run_directories(output_dir
     make_store(output_dir, "her", HER, range(2))
     before = load("her", output_dir=output_dir).runs
     (output_dir / "mlflow.db").unlink()
-    done = run_script("status.py", "sync=true", f"output_dir={output_dir}")  # MLflow opens a store once a process
+    done = run_script("status", "sync=true", f"output_dir={output_dir}")  # MLflow opens a store once a process
     assert done.stderr.count("the store has everything") == 4
     after = load("her", output_dir=output_dir).runs
     same = ["cell", "seed", "status", "success_rate", "run_dir"]
