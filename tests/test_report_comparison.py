@@ -264,6 +264,7 @@ def test_a_her_ablation_has_effects_interactions_and_the_real_share(output_dir):
     (table,) = found.interactions
     assert (table.row, table.column, table.given) == ("buffer", "buffer.n_sampled_goal", None)
     assert list(table.columns) == [1, 4, None]
+    assert found.notes == ["Not part of the main effects, without a value of every factor: replay."]
     shares = dict(zip(table.columns, table.real_share, strict=True))
     assert shares[None] == 1.0
     at = {row: dict(zip(table.columns, means, strict=True)) for row, means in zip(table.rows, table.mean, strict=True)}

@@ -102,7 +102,7 @@ def compare(results: Results, question: Question, states: Mapping[str, RunState]
             cautions.missing(cells, unheard), cautions.without_runs(question.experiments, results.runs["experiment"])
         ),
         provenance=origin,
-        notes=_notes(results, chosen, cells, shown),
+        notes=_notes(results, chosen, cells, shown, crossed=bool(parts.effects)),
         reference=family.reference,
     )
 
@@ -220,7 +220,9 @@ def _few(problems: Sequence[str]) -> list[str]:
     return [*problems[:MOST_PROBLEMS], *more]
 
 
-def _notes(results: Results, chosen: _Chosen, cells: Sequence[Cell], shown: Sequence[str]) -> list[str]:
+def _notes(
+    results: Results, chosen: _Chosen, cells: Sequence[Cell], shown: Sequence[str], *, crossed: bool
+) -> list[str]:
     notes = []
     if len(shown) < len(cells):
         best = f"the {len(shown)} with the highest success"
@@ -232,6 +234,8 @@ def _notes(results: Results, chosen: _Chosen, cells: Sequence[Cell], shown: Sequ
         )
     if any(cell.seeds and not cell.paths for cell in cells if cell.id in shown):
         notes.append("Some cells have no trajectories to be drawn: their runs are older than these, or lost them.")
+    if outside := [cell.label for cell in cells if None in cell.settings.values()] if crossed else []:
+        notes.append(f"Not part of the main effects, without a value of every factor: {cautions.named(outside)}.")
     if results.ignored:
         notes.append(f"The store has {results.ignored} more runs that this package did not make; they are left out.")
     return notes

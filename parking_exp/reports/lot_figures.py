@@ -183,7 +183,9 @@ def _spread(items: Sequence[Any], most: int) -> list[Any]:
 
 def trajectories(content: Content) -> tuple[Sheet, str] | None:
     """Draw sampled episodes from above, a row per cell, a column per outcome."""
-    cells = [cell for cell in shown_cells(content) if cell.paths][:_MOST_ROWS]
+    having = sorted((cell for cell in shown_cells(content) if cell.paths), key=lambda cell: -(cell.success.value or 0))
+    best = having[:_MOST_ROWS]
+    cells = [cell for cell in shown_cells(content) if any(cell is one for one in best)]
     if not cells:
         return None
     lots = _Lots(3 * len(cells), 3, right=0.05, gap=0.24, top=0.16)
@@ -204,6 +206,7 @@ def trajectories(content: Content) -> tuple[Sheet, str] | None:
     caption = (
         "Sampled episodes from above, by how they ended: path of the car from its start (arrow) to its outline where "
         "it ended; the goal slot is shaded, parked cars are grey."
+        + (f" The {len(cells)} of {len(having)} cells with the highest success." if len(cells) < len(having) else "")
     )
     return lots.sheet, caption
 

@@ -191,10 +191,10 @@ def _survival_panel(sheet: Sheet, axes: Any, pairs: Sequence[tuple[Cell, Surviva
     axes.set(xlim=(0, 1.03 * last), ylim=(-3, 103), xlabel=pairs[0][1].unit)
     axes.xaxis.set_major_formatter(thousands)
     axes.locator_params(axis="x", nbins=5)
-    flat = [survival for _, survival in pairs if not survival.k]
+    flat = [cell.id for cell, survival in pairs if not survival.k]
     for cell, survival in pairs:
         look = cell_style(cell.id)
-        lift = 1.2 * flat.index(survival) if survival in flat else 0.0  # lines at 0 would hide one another
+        lift = 1.2 * flat.index(cell.id) if cell.id in flat else 0.0  # lines at 0 would hide one another
         end = max([*survival.time, *survival.censored])
         time = np.array([*survival.time, end], dtype=float)
         share, low, high = (100 * numbers([*v, v[-1]]) + lift for v in (survival.reached, survival.low, survival.high))
