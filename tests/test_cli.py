@@ -189,6 +189,7 @@ def test_a_built_wheel_works_from_any_directory(tmp_path):
     assert sorted(path.name for path in (site / "bin").iterdir()) == [
         "parking-benchmark",
         "parking-evaluate",
+        "parking-report",
         "parking-status",
         "parking-train",
     ]
