@@ -31,7 +31,7 @@ train: setup  ## train the default recipe (ARGS='key=value ...' to change it)
 	$(BIN)/python scripts/train.py $(ARGS)
 
 test: setup  ## the fast test suite, on two cores
-	$(BIN)/python -m pytest --numprocesses=2 $(ARGS)
+	$(BIN)/python -m pytest --numprocesses=2 --dist=worksteal $(ARGS)
 
 test-slow: setup  ## the proofs that take minutes
 	$(BIN)/python -m pytest -m slow $(ARGS)

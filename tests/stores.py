@@ -16,6 +16,7 @@ import time
 import uuid
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -124,6 +125,7 @@ def make_store(
     return runs
 
 
+@cache
 def compose(*overrides: str) -> RunConfig:
     """Compose one cell of the smoke experiment."""
     from parking_exp.validation import validate
@@ -295,17 +297,16 @@ def _insert(
     from sqlalchemy import create_engine, insert
 
     store = Store(uri)
-    tables: dict[Any, list[dict[str, Any]]] = {
-        model: [] for model in (models.SqlRun, models.SqlParam, models.SqlTag, models.SqlMetric, models.SqlLatestMetric)
-    }
-    locations: dict[str, str] = {}
+    names = {"runs": models.SqlRun, "params": models.SqlParam, "tags": models.SqlTag, "metrics": models.SqlMetric}
+    tables: dict[Any, list[dict[str, Any]]] = {model: [] for model in (*names.values(), models.SqlLatestMetric)}
+    experiment_id, location = "", ""
     for key, directory in runs.items():
         config, look = configs[key], looks[key]
-        experiment_id = store._experiment(config) if not locations else next(iter(locations))
-        if experiment_id not in locations:
-            locations[experiment_id] = store.client.get_experiment(experiment_id).artifact_location
+        if not location:
+            experiment_id = store._experiment(config)
+            location = store.client.get_experiment(experiment_id).artifact_location
         run_id = uuid.uuid4().hex
-        artifact_uri = f"{locations[experiment_id]}/{run_id}/artifacts"
+        artifact_uri = f"{location}/{run_id}/artifacts"
         lines, episodes, certified = _content(config, look)
         if look.status != "running":
             place = Path(artifact_uri.removeprefix("file://"))
@@ -313,63 +314,63 @@ def _insert(
             _write_artifacts(place, episodes, certified, look)
         directory.path.mkdir(parents=True, exist_ok=True)
         write_json(directory.path / "status.json", {"status": look.status, "run_id": run_id, "tracking_uri": uri})
-        name = f"{config.cell}-seed={config.seed}"
-        tables[models.SqlRun].append(
-            {
-                "run_uuid": run_id,
-                "name": look.tags.get("mlflow.runName", name),
-                "source_type": "UNKNOWN",
-                "source_name": "",
-                "entry_point_name": "",
-                "user_id": "",
-                "status": MLFLOW_STATUS[look.status],
-                "start_time": look.started_ms,
-                "end_time": None if look.status == "running" else look.started_ms + 1000 * int(WALL_S),
-                "source_version": "",
-                "lifecycle_stage": "active",
-                "artifact_uri": artifact_uri,
-                "experiment_id": int(experiment_id),
-            }
-        )
-        tags = {
-            "experiment": config.experiment_name,
-            "cell": config.cell,
-            "seed": str(config.seed),
-            "run_key": config.run_key,
-            "run_dir": str(directory.path.absolute()),
-            "error": " ".join((look.error or "").split()),
-            "status": look.status,
-            "mlflow.runName": name,
-            **_provenance(),
-            **look.tags,
-        }
-        tables[models.SqlTag] += [
-            {"run_uuid": run_id, "key": tag, "value": value} for tag, value in tags.items() if value is not None
-        ]
-        params = {**flatten(config.plain()), **look.params}
-        tables[models.SqlParam] += [
-            {"run_uuid": run_id, "key": name, "value": value[:LONGEST_PARAM]} for name, value in params.items()
-        ]
-        points = [
-            {
-                "run_uuid": run_id,
-                "key": name,
-                "value": 0.0 if math.isnan(value) else value,
-                "is_nan": math.isnan(value),
-                "step": line["step"],
-                "timestamp": line["time_ms"],
-            }
-            for line in lines
-            for name, value in line["metrics"].items()
-        ]
-        tables[models.SqlMetric] += points
-        tables[models.SqlLatestMetric] += {point["key"]: point for point in points}.values()
+        place_in_store = {"run_uuid": run_id, "artifact_uri": artifact_uri, "experiment_id": int(experiment_id)}
+        for name, rows in _rows(place_in_store, directory, config, look, lines).items():
+            tables[names[name]] += rows
+            if name == "metrics":
+                tables[models.SqlLatestMetric] += {point["key"]: point for point in rows}.values()
     engine = create_engine(uri)
     with engine.begin() as connection:
         for model, rows in tables.items():
             if rows:
                 connection.execute(insert(model.__table__), rows)
     engine.dispose()
+
+
+def _rows(
+    place: Mapping[str, Any], directory: RunDirectory, config: RunConfig, look: Look, lines: Sequence[Mapping[str, Any]]
+) -> dict[str, list[dict[str, Any]]]:
+    """Return a run's rows of MLflow's tables."""
+    run, name = {"run_uuid": place["run_uuid"]}, f"{config.cell}-seed={config.seed}"
+    tags = {
+        "experiment": config.experiment_name,
+        "cell": config.cell,
+        "seed": str(config.seed),
+        "run_key": config.run_key,
+        "run_dir": str(directory.path.absolute()),
+        "error": " ".join((look.error or "").split()),
+        "status": look.status,
+        "mlflow.runName": name,
+        **_provenance(),
+        **look.tags,
+    }
+    about = {
+        "name": look.tags.get("mlflow.runName", name),
+        "status": MLFLOW_STATUS[look.status],
+        "start_time": look.started_ms,
+        "end_time": None if look.status == "running" else look.started_ms + 1000 * int(WALL_S),
+        "source_type": "UNKNOWN",
+        "lifecycle_stage": "active",
+        **dict.fromkeys(("source_name", "entry_point_name", "user_id", "source_version"), ""),
+    }
+    params = {**flatten(config.plain()), **look.params}
+    points = [(key, value, line) for line in lines for key, value in line["metrics"].items()]
+    return {
+        "runs": [{**place, **about}],
+        "tags": [{**run, "key": key, "value": value} for key, value in tags.items() if value is not None],
+        "params": [{**run, "key": key, "value": value[:LONGEST_PARAM]} for key, value in params.items()],
+        "metrics": [
+            {
+                **run,
+                "key": key,
+                "value": 0.0 if math.isnan(value) else value,
+                "is_nan": math.isnan(value),
+                "step": line["step"],
+                "timestamp": line["time_ms"],
+            }
+            for key, value, line in points
+        ],
+    }
 
 
 def benchmark_store(output_dir: Path, n_runs: int = 1000, n_cells: int = 100) -> None:
