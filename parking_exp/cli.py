@@ -5,7 +5,6 @@ known to be good.
 """
 
 import argparse
-import gc
 import os
 import re
 import signal
@@ -31,9 +30,9 @@ def train() -> None:
     """Entry point of `scripts/train.py` and `parking-train`: one run in this process, or a sweep."""
 
     def run(config: DictConfig) -> None:
-        from parking_exp.startup import quick_imports
+        from parking_exp.garbage import no_garbage
 
-        with quick_imports():
+        with no_garbage(freeze=True):
             from parking_exp.training import train as train_run
 
         train_run(config)
@@ -89,11 +88,10 @@ def report() -> None:
         run(configs[0])
 
     def run(config: DictConfig) -> None:
-        from parking_exp.reading import no_garbage
+        from parking_exp.garbage import no_garbage
 
-        with no_garbage():
+        with no_garbage(freeze=True):
             write_report(config)
-            gc.freeze()  # what there is goes with the process; to look through it again at the end takes a second
 
     try:
         sys.argv[1:] = report_arguments(sys.argv[1:])

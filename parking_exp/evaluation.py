@@ -9,7 +9,7 @@ import pandas as pd
 
 from parking_exp.config import EnvConfig, Simulation
 from parking_exp.envs import Batch, start
-from parking_exp.outcomes import outcome
+from parking_exp.outcomes import OUTCOMES, outcome
 from parking_exp.policy import Observation, Policy
 from parking_exp.trajectories import Recorder
 
@@ -71,7 +71,7 @@ def differences(episodes: pd.DataFrame, certified: pd.DataFrame) -> list[str]:
 
 def summarise(episodes: pd.DataFrame) -> dict[str, float]:
     """Return rates and means of an episodes table: success_rate, crash_rate, ..., speed_mps_mean."""
-    rates = {f"{name}_rate": float((episodes["outcome"] == name).mean()) for name in ("success", "crash", "timeout")}
+    rates = {f"{name}_rate": float((episodes["outcome"] == name).mean()) for name in OUTCOMES}
     rates["parked_rate"] = float(episodes["parked"].mean())
     means = ["return", "steps", "distance_m", "heading_error_rad", "speed_mps"]
     return rates | {f"{name}_mean": float(episodes[name].mean()) for name in means}

@@ -2,7 +2,7 @@
 
 import math
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 
@@ -12,6 +12,7 @@ PARKED_HEADING_RAD = math.radians(10.0)
 PARKED_SPEED_MPS = 0.5
 
 Outcome = Literal["success", "crash", "timeout"]
+OUTCOMES: tuple[Outcome, ...] = get_args(Outcome)
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,6 @@ is asked for the histories of a hundred runs at once, by a route that its own pi
 there is no such route, run by run.
 """
 
-import gc
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -18,6 +17,7 @@ from typing import Any
 from urllib.parse import unquote, urlparse
 
 from parking_exp.errors import ResultsError
+from parking_exp.garbage import no_garbage
 from parking_exp.store import absolute, connect, database, reason, without_password
 
 Point = tuple[str, int, int, float]
@@ -179,18 +179,6 @@ def local_folder(uri: str) -> Path | None:
     if parts.scheme == "file" and parts.netloc in ("", "localhost"):
         return Path(unquote(parts.path))
     return None if parts.scheme else Path(uri)
-
-
-@contextmanager
-def no_garbage() -> Iterator[None]:
-    """Don't look for garbage while hundreds of thousands of objects are made that all stay: two thirds of the time."""
-    enabled = gc.isenabled()
-    gc.disable()
-    try:
-        yield
-    finally:
-        if enabled:
-            gc.enable()
 
 
 def chunks(items: Sequence[str], size: int) -> Iterator[Sequence[str]]:

@@ -4,16 +4,15 @@ import io
 import zipfile
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any, get_args
+from typing import Any
 
 import numpy as np
 import pandas as pd
 
-from parking_exp.outcomes import Outcome
+from parking_exp.outcomes import OUTCOMES
 from parking_exp.trajectories import CAR_COLUMNS
 
 PHASES = ("eval", "final", "certified")
-OUTCOMES: tuple[str, ...] = get_args(Outcome)
 EPISODES: dict[str, Any] = {
     "phase": pd.CategoricalDtype([*PHASES]),
     "step": "int64",

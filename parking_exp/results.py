@@ -60,9 +60,11 @@ import pandas as pd
 
 from parking_exp.columns import TEXT, column, flags, integers, text, times, typed
 from parking_exp.errors import ResultsError
-from parking_exp.reading import Point, Reader, StoredRun, no_garbage
+from parking_exp.garbage import no_garbage
+from parking_exp.reading import Point, Reader, StoredRun
 from parking_exp.recordings import EPISODES, read_episodes, read_trajectories
 from parking_exp.store import default_uri, reason, without_password
+from parking_exp.trajectories import TRAJECTORIES_FILE
 from parking_exp.wording import closest
 
 STATUSES = ("done", "running", "failed", "interrupted")
@@ -135,9 +137,9 @@ class Results:
             hint = closest(run_id, self.runs["run_id"])
             raise ResultsError(f"run_id={run_id}: it is none of the {len(self.runs)} runs{hint}")
         try:
-            return read_trajectories(self._reader.artifact(places.iloc[0], "trajectories.npz"))
+            return read_trajectories(self._reader.artifact(places.iloc[0], TRAJECTORIES_FILE))
         except Exception as error:  # each place of artifacts has its own, and a file may be damaged
-            raise ResultsError(f"run {run_id}: trajectories.npz can't be read: {reason(error)}") from error
+            raise ResultsError(f"run {run_id}: {TRAJECTORIES_FILE} can't be read: {reason(error)}") from error
 
 
 def load(

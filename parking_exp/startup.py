@@ -1,22 +1,5 @@
 """A short way from the start of a process to the first env step."""
 
-import gc
-from collections.abc import Iterator
-from contextlib import contextmanager
-
-
-@contextmanager
-def quick_imports() -> Iterator[None]:
-    """Import large libraries without collecting garbage meanwhile, of which they make none: a fifth less time."""
-    enabled = gc.isenabled()
-    gc.disable()
-    try:
-        yield
-    finally:
-        gc.freeze()  # nor is it looked through again
-        if enabled:
-            gc.enable()
-
 
 def spare_dynamo() -> None:
     """Keep torch from importing its compiler, which takes a second, because an optimizer is made.

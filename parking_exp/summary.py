@@ -3,6 +3,7 @@
 import pandas as pd
 
 from parking_exp.evaluation import summarise
+from parking_exp.outcomes import OUTCOMES
 from parking_exp.statistics import wilson_interval
 
 
@@ -30,10 +31,10 @@ def describe(episodes: pd.DataFrame) -> str:
 
 def success_line(summary: dict[str, float], step: int) -> str:
     """Return one line about an evaluation during training."""
-    rates = ", ".join(f"{name} {summary[f'{name}_rate']:.0%}" for name in ("success", "crash", "timeout", "parked"))
+    rates = ", ".join(f"{name} {summary[f'{name}_rate']:.0%}" for name in (*OUTCOMES, "parked"))
     return f"evaluation at step {step}: {rates}"
 
 
 def _counts(episodes: pd.DataFrame) -> dict[str, int]:
-    outcomes = {name: int((episodes["outcome"] == name).sum()) for name in ("success", "crash", "timeout")}
+    outcomes: dict[str, int] = {name: int((episodes["outcome"] == name).sum()) for name in OUTCOMES}
     return {**outcomes, "parked": int(episodes["parked"].sum())}

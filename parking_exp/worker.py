@@ -21,9 +21,9 @@ from pathlib import Path
 from typing import IO, Any, Literal
 
 from parking_exp.errors import ConfigError, FailedRunError, InterruptedRunError, ParkingError, RunLockedError
+from parking_exp.garbage import no_garbage
 from parking_exp.machine import THREAD_VARIABLES, pin
 from parking_exp.runs import RunDirectory
-from parking_exp.startup import quick_imports
 from parking_exp.store import import_mlflow, store_uri
 
 LOG_FILE = "log.txt"
@@ -200,7 +200,7 @@ def main() -> None:
     try:
         # Where the directory is now counts: it may have been moved since its config was written.
         config = directory.config().model_copy(update={"output_dir": str(path.parents[2])})
-        with quick_imports():  # of torch, for which cores and threads are settled now
+        with no_garbage(freeze=True):  # of torch, for which cores and threads are settled now
             from parking_exp.training import train
 
             if config.tracking.mlflow:

@@ -1,4 +1,4 @@
-"""Courses of results -> a whole report's numbers and words."""
+"""Frames of results -> a whole report's numbers and words."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -146,8 +146,10 @@ def _up_to_date(runs: pd.DataFrame, states: Mapping[str, RunState]) -> pd.DataFr
     runs = runs.assign(status=[status for status, _ in found], error=[error for _, error in found])
     known, added = set(runs["run_dir"]), []
     for path, state in states.items():
+        if path in known or state.stage == "done":
+            continue
         cell = runs[(runs["experiment"] == state.experiment) & (runs["cell"] == state.cell)]
-        if path not in known and len(cell) and state.stage != "done":
+        if len(cell):
             added.append(_planned(cell.iloc[:1], path, state))
     return pd.concat([runs, *added], ignore_index=True)
 

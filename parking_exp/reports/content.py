@@ -5,9 +5,12 @@ Rates are shares in 0 ... 1, differences are differences of shares. What is not 
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import Any, Literal
+from dataclasses import asdict, dataclass, field, replace
+from typing import Any, Literal, cast
 
+from parking_exp.outcomes import Outcome
+
+Verdict = Literal["a", "b", "same", "unknown"]
 Setting = str | int | float | bool | None
 Design = Literal["single", "list", "factorial", "search"]
 """How cells differ: one cell; a few without a plan; crossed factors; many points drawn from ranges."""
@@ -157,7 +160,7 @@ class Path:
 
     seed: int
     scene: int
-    outcome: Literal["success", "crash", "timeout"]
+    outcome: Outcome
     slot: int
     x_m: Sequence[float]
     y_m: Sequence[float]
@@ -234,8 +237,20 @@ class Pair:
     improvement: Interval
     log_rank_p: float | None
     log_rank_p_holm: float | None
-    verdict: Literal["a", "b", "same", "unknown"]
+    verdict: Verdict
     note: str | None = None
+
+    def turned(self) -> "Pair":
+        """Return the same pair the other way round."""
+        old, better = self.difference, self.improvement
+        low, high = (None if bound is None else -bound for bound in (old.high, old.low))
+        difference = replace(old, value=None if old.value is None else 0.0 - old.value, low=low, high=high)
+        low, high, value = (None if bound is None else 1 - bound for bound in (better.high, better.low, better.value))
+        improvement = replace(better, value=value, low=low, high=high)
+        verdict = {"a": "b", "b": "a", "same": "same", "unknown": "unknown"}[self.verdict]
+        return replace(
+            self, a=self.b, b=self.a, difference=difference, improvement=improvement, verdict=cast(Verdict, verdict)
+        )
 
 
 @dataclass(frozen=True)
@@ -427,6 +442,4 @@ class Content:
 
     def plain(self) -> dict[str, Any]:
         """Return everything as JSON can hold it."""
-        from dataclasses import asdict
-
         return asdict(self)

@@ -6,10 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from parking_exp.outcomes import Outcome
 from parking_exp.results import Results
-
-OUTCOMES: tuple[Outcome, ...] = ("success", "crash", "timeout")
 
 
 @dataclass(frozen=True)
@@ -41,7 +38,7 @@ class Course:
 
 @dataclass(frozen=True)
 class Certified:
-    """A run's final episodes on real highway-env: their scenes and indices into OUTCOMES, shape (n,)."""
+    """A run's final episodes on real highway-env: their scenes and indices into `outcomes.OUTCOMES`, shape (n,)."""
 
     scene: np.ndarray
     outcome: np.ndarray
@@ -61,7 +58,7 @@ class Courses:
         curves = results.curves[results.curves["run_id"].isin(rated)]
         names = ("step", "success_rate", "crash_rate", "cpu_s", "real_share")
         episodes = results.episodes[results.episodes["phase"] == "certified"]
-        outcome = pd.Categorical(episodes["outcome"].astype(str), OUTCOMES).codes
+        outcome = episodes["outcome"].cat.codes
         return Courses(
             {run: Course(*parts) for run, parts in _split(curves["run_id"], *(curves[name] for name in names))},
             {run: Certified(*parts) for run, parts in _split(episodes["run_id"], episodes["scene"], outcome)},

@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from parking_exp.reports import formats
 from parking_exp.reports.content import Content, Factor, Interaction, Interval, MainEffect, Setting
 from parking_exp.reports.formats import points, rate_interval
 from parking_exp.reports.sheet import Sheet, numbers, text_on, tiles
@@ -19,7 +20,6 @@ from parking_exp.reports.style import (
     clean,
     elided,
     seeds_text,
-    setting_text,
     widest,
     width_pt,
 )
@@ -36,7 +36,7 @@ def main_effects(content: Content) -> tuple[Sheet, str] | None:
     width = COLUMN_IN if columns == 1 else FULL_IN
     step = (width - 0.6) / columns
     most = (1.0 if rows == 1 else 0.8) * 72
-    texts = {e.factor: [elided(setting_text(v.level), most, SMALL_PT) for v in e.levels] for e in effects}
+    texts = {e.factor: [elided(formats.level(v.level), most, SMALL_PT) for v in e.levels] for e in effects}
     places = {e.factor: _positions(factors[e.factor], [v.level for v in e.levels]) for e in effects}
     inner = 72 * (step - 0.2)
     turned = {key: not _fits(texts[key], places[key], inner) for key in texts}
@@ -114,7 +114,7 @@ def _effect_panel(
         sheet.text(axes, place, -0.05, text, transform=transform, **style)
     known = [(x, y, v) for x, y, v in zip(places, mean, effect.levels, strict=True) if np.isfinite(y)]
     tips = [
-        f"{effect.factor} = {setting_text(v.level)}: {rate_interval(v.effect)}, {_cells(v.cells)}" for _, _, v in known
+        f"{effect.factor} = {formats.level(v.level)}: {rate_interval(v.effect)}, {_cells(v.cells)}" for _, _, v in known
     ]
     sheet.tip_points(axes, [x for x, _, _ in known], [y for _, y, _ in known], tips, radius=5)
 
@@ -138,11 +138,11 @@ def interactions(content: Content) -> list[tuple[Sheet, str]]:
 
 
 def _heat_map(table: Interaction, names: dict[str, str], scale: tuple[Any, float, float]) -> tuple[Sheet, str]:
-    rows = [elided(setting_text(level), 1.3 * 72, SMALL_PT) for level in table.rows]
+    rows = [elided(formats.level(level), 1.3 * 72, SMALL_PT) for level in table.rows]
     left = widest(rows, SMALL_PT) / 72 + 0.36
     width = COLUMN_IN if left + 0.48 * len(table.columns) + 0.7 <= COLUMN_IN else FULL_IN
     step = min(0.8, (width - left - 0.7) / max(1, len(table.columns)))
-    columns = [elided(setting_text(level), max(20, 72 * step - 3), SMALL_PT) for level in table.columns]
+    columns = [elided(formats.level(level), max(20, 72 * step - 3), SMALL_PT) for level in table.columns]
     share = table.real_share is not None and any(value is not None for value in table.real_share)
     head, foot = (0.28 if table.given else 0.08), (0.62 if share else 0.46)
     tall, wide = 0.36 * len(rows), step * len(columns)
@@ -187,7 +187,7 @@ def _fill_heat_map(sheet: Sheet, axes: Any, table: Interaction, scale: tuple[Any
     for r, row in enumerate(table.rows):
         for c, column in enumerate(table.columns):
             mean = Interval(table.mean[r][c], table.low[r][c], table.high[r][c], table.n[r][c])
-            where = f"{setting_text(row)} × {setting_text(column)}"  # noqa: RUF001
+            where = f"{formats.level(row)} × {formats.level(column)}"  # noqa: RUF001
             box = (c - 0.5, r - 0.5, 1, 1)
             if mean.value is None:
                 sheet.tip_box(axes, *box, f"{where}: no finished runs")

@@ -89,6 +89,11 @@ def setting(value: Any) -> str:
     return f"{value:.6g}" if isinstance(value, float) else str(value)
 
 
+def level(value: Any) -> str:
+    """Write a factor's level; a control that has no such key has none."""
+    return "none" if value is None else setting(value)
+
+
 def one_line(text: str) -> str:
     """Return a text without line breaks and other control characters."""
     return CONTROL.sub(" ", text).strip()

@@ -175,7 +175,7 @@ def interaction(table: Interaction, number: int) -> Listing:
     return Listing(
         "interactions" if number == 1 else f"interactions-{number}",
         f"Mean final success (%) by {table.row} (rows) and {table.column} (columns){given}, {PERCENT}.",
-        [Column(table.row), *(Column(formats.setting(level), numeric=True) for level in table.columns)],
+        [Column(table.row), *(Column(formats.level(level), numeric=True) for level in table.columns)],
         rows,
     )
 

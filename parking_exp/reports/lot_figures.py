@@ -16,13 +16,13 @@ from parking_exp.lot import (
     SLOT_WIDTH_M,
     WALL_THICKNESS_M,
 )
+from parking_exp.outcomes import OUTCOMES
 from parking_exp.reports.content import Cell, Content, Path, SlotRate
 from parking_exp.reports.formats import rate_text
 from parking_exp.reports.seed_figures import shown_cells
 from parking_exp.reports.sheet import Sheet, text_on, tiles
 from parking_exp.reports.style import COLUMN_IN, FULL_IN, GRID, INK, SMALL_PT, TINY_PT, labels, width_pt
 
-_OUTCOMES = ("success", "crash", "timeout")
 _MOST_ENDS = 150
 _MOST_ROWS = 6
 _MOST_PATHS = 6  # a panel
@@ -190,14 +190,14 @@ def trajectories(content: Content) -> tuple[Sheet, str] | None:
         return None
     lots = _Lots(3 * len(cells), 3, right=0.05, gap=0.24, top=0.16)
     lots.ground()
-    for (x, _), outcome in zip(lots.origins, _OUTCOMES, strict=False):
+    for (x, _), outcome in zip(lots.origins, OUTCOMES, strict=False):
         lots.axes.text(x, -8 / lots.scale, outcome, ha="center", va="center")
     width = (FULL_IN - 0.55) * 72
     short = labels(cells, width)
     for row, cell in enumerate(cells):
         x, y = lots.origins[3 * row] + (-LOT_LENGTH_M / 2 - 1, LOT_WIDTH_M / 2 + 1 + 7 / lots.scale)
         lots.sheet.text(lots.axes, x, y, short[cell.id])
-        for column, outcome in enumerate(_OUTCOMES):
+        for column, outcome in enumerate(OUTCOMES):
             paths = [path for path in cell.paths if path.outcome == outcome and len(path.x_m)]
             origin = lots.origins[3 * row + column]
             if not paths:

@@ -22,7 +22,6 @@ from parking_exp.reports.style import (
 )
 
 _VERDICTS = {"a": "▲", "b": "▼", "same": "≈", "unknown": "?"}
-_FLIPPED = {"a": "b", "b": "a"}
 _MOST_WITH_P = 12
 _MOST_WITH_TEXT = 20
 
@@ -37,20 +36,8 @@ def _differences(content: Content) -> dict[tuple[str, str], Pair]:
     found = {}
     for pair in content.pairs:
         if pair.difference.value is not None:
-            found[pair.a, pair.b], found[pair.b, pair.a] = pair, _turned(pair)
+            found[pair.a, pair.b], found[pair.b, pair.a] = pair, pair.turned()
     return found
-
-
-def _turned(pair: Pair) -> Pair:
-    from dataclasses import replace
-
-    old, better = pair.difference, pair.improvement
-    low, high = (None if bound is None else -bound for bound in (old.high, old.low))
-    turned = replace(old, value=None if old.value is None else 0.0 - old.value, low=low, high=high)
-    low, high, value = (None if bound is None else 1 - bound for bound in (better.high, better.low, better.value))
-    verdict: Any = _FLIPPED.get(pair.verdict, pair.verdict)
-    improvement = replace(better, value=value, low=low, high=high)
-    return replace(pair, a=pair.b, b=pair.a, difference=turned, improvement=improvement, verdict=verdict)
 
 
 def _pair_tip(a: Cell, b: Cell, pair: Pair) -> str:

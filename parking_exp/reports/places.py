@@ -9,9 +9,9 @@ import pandas as pd
 
 from parking_exp.errors import ResultsError
 from parking_exp.lot import N_SLOTS
-from parking_exp.outcomes import Outcome
+from parking_exp.outcomes import OUTCOMES, Outcome
 from parking_exp.reports.content import Path, SlotRate
-from parking_exp.reports.courses import OUTCOMES, Certified
+from parking_exp.reports.courses import Certified
 from parking_exp.results import Results
 from parking_exp.scenes import Scenes
 

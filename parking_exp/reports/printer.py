@@ -1,6 +1,5 @@
 """PDFs, drawn by a second process: to embed their fonts takes as long as all other formats together."""
 
-import gc
 import os
 import pickle
 import subprocess
@@ -9,6 +8,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Self
 
+from parking_exp.garbage import no_garbage
 from parking_exp.reports.content import Content
 
 PACKAGE_PARENT = Path(__file__).resolve().parents[2]
@@ -59,13 +59,12 @@ def main() -> None:
     """Draw what comes in as a pickle from the process that started this one."""
     from parking_exp.reports.figures import draw
 
-    gc.disable()
-    try:
-        content, folder = pickle.load(sys.stdin.buffer)
-    except EOFError:  # it has come to nothing
-        return
-    draw(content, folder, ["pdf"])
-    gc.freeze()
+    with no_garbage(freeze=True):
+        try:
+            content, folder = pickle.load(sys.stdin.buffer)
+        except EOFError:  # it has come to nothing
+            return
+        draw(content, folder, ["pdf"])
 
 
 if __name__ == "__main__":

@@ -4,11 +4,12 @@ from typing import Any
 
 import numpy as np
 
+from parking_exp.reports import formats
 from parking_exp.reports.content import Cell, Content, Factor
 from parking_exp.reports.formats import p_value, rate_text
 from parking_exp.reports.seed_figures import row_sheet
 from parking_exp.reports.sheet import Sheet
-from parking_exp.reports.style import FULL_IN, INK, PAPER, SMALL_PT, TEXT_PT, elided, setting_text
+from parking_exp.reports.style import FULL_IN, INK, PAPER, SMALL_PT, TEXT_PT, elided
 
 _MOST_AXES = 8
 _BAR = "#0072B2"
@@ -64,7 +65,7 @@ def parallel_coordinates(content: Content) -> tuple[Sheet, str] | None:
 
 
 def _tip(cell: Cell, rate: float, factors: list[Factor]) -> str:
-    settings = ", ".join(f"{factor.name}={setting_text(cell.settings.get(factor.key))}" for factor in factors)
+    settings = ", ".join(f"{factor.name}={formats.level(cell.settings.get(factor.key))}" for factor in factors)
     return f"{cell.label}: {rate_text(rate / 100)} ({settings})"
 
 
@@ -92,7 +93,7 @@ class _Scale:
         plain = [v for v in values if isinstance(v, int | float) and not isinstance(v, bool) and np.isfinite(v)]
         self.numeric = factor.numeric and len(plain) > 0 and len(set(plain)) > 1
         self.log = self.numeric and factor.log and min(plain) > 0
-        self.levels = sorted({setting_text(value) for value in values})
+        self.levels = sorted({formats.level(value) for value in values})
         if self.numeric:
             self.low, self.high = (self._at(v) for v in (min(plain), max(plain)))
             self.values = sorted(set(plain))
@@ -106,7 +107,7 @@ class _Scale:
         """NaN for a number that a cell doesn't have."""
         value = cell.settings.get(self.factor.key)
         if not self.numeric:
-            return (self.levels.index(setting_text(value)) + 0.5) / len(self.levels)
+            return (self.levels.index(formats.level(value)) + 0.5) / len(self.levels)
         if not isinstance(value, int | float) or isinstance(value, bool) or not np.isfinite(value):
             return float("nan")
         return (self._at(value) - self.low) / (self.high - self.low)
@@ -117,7 +118,7 @@ class _Scale:
             levels = [((k + 0.5) / len(self.levels), text) for k, text in enumerate(self.levels)]
             return levels[:: -(-len(levels) // 14)]
         if len(self.values) <= 6:
-            return [((self._at(v) - self.low) / (self.high - self.low), setting_text(v)) for v in self.values]
+            return [((self._at(v) - self.low) / (self.high - self.low), formats.level(v)) for v in self.values]
         at = np.linspace(self.low, self.high, 5)
         return [(k / 4, f"{10**v:.2g}" if self.log else f"{v:.3g}") for k, v in enumerate(at)]
 

@@ -10,7 +10,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-from parking_exp.reports.content import Cell, Setting
+from parking_exp.reports.content import Cell
 
 COLUMN_IN, FULL_IN = 3.3, 6.8
 TEXT_PT, SMALL_PT, TINY_PT = 8.0, 7.0, 6.0
@@ -165,13 +165,6 @@ def _narrowed(text: str, width: float, size: float) -> str:
 def widest(texts: Sequence[str], size: float = TEXT_PT) -> float:
     """Width of the widest of some texts [pt]; 0 without any."""
     return max((width_pt(text, size) for text in texts), default=0.0)
-
-
-def setting_text(value: Setting) -> str:
-    """Return a factor's level as axes show it."""
-    if value is None or isinstance(value, bool):
-        return {None: "none", True: "true", False: "false"}[value]
-    return f"{value:g}" if isinstance(value, float) else str(value)
 
 
 def seeds_text(n: int) -> str:

@@ -139,12 +139,10 @@ def _against(reference: Cell, having: Sequence[Cell], pairs: Sequence[Pair]) -> 
     labels = {cell.id: cell.label for cell in having}
     verdicts: dict[str, list[Gap]] = {word: [] for word in (*VERDICTS, "unknown")}
     for pair in pairs:
-        if reference.id not in (pair.a, pair.b):
-            continue
-        first = pair.a == reference.id
-        other = labels[pair.b if first else pair.a]
-        verdict = pair.verdict if pair.verdict in {"same", "unknown"} else _better(pair.verdict, first)
-        verdicts[verdict].append(Gap(other, pair.difference if first else _turned(pair.difference), pair.p_holm))
+        if reference.id in (pair.a, pair.b):
+            ours = pair if pair.a == reference.id else pair.turned()
+            verdict = {"a": "better", "b": "worse"}.get(ours.verdict, ours.verdict)
+            verdicts[verdict].append(Gap(labels[ours.b], ours.difference, ours.p_holm))
     for verdict, words in VERDICTS.items():
         if found := sorted(verdicts[verdict], key=lambda gap: abs(gap.points.value or 0.0)):
             yield f"{reference.label} {words} {_gaps(found)}."
@@ -158,15 +156,6 @@ def _gaps(found: Sequence[Gap]) -> str:
     if len(found) <= FEW_NAMES:
         return "; ".join(map(str, found))
     return f"{len(found)} others, from {found[0]} to {found[-1]}"
-
-
-def _better(verdict: str, first: bool) -> str:
-    return "better" if (verdict == "a") == first else "worse"
-
-
-def _turned(gap: Interval) -> Interval:
-    low, high = (None if bound is None else -bound for bound in (gap.high, gap.low))
-    return Interval(None if gap.value is None else -gap.value, low, high, gap.n, gap.method)
 
 
 def _first(parts: Sequence[str]) -> str:
