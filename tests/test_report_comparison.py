@@ -532,3 +532,29 @@ def test_the_same_config_in_two_experiments_is_said_to_be_the_same_runs(output_d
     assert (
         "one and two have the same config: equal seeds are equal runs, and they are not independent." in found.warnings
     )
+
+
+def test_a_factor_of_which_one_level_is_done_has_no_difference_yet(output_dir):
+    cells = {str(n): [f"buffer.n_sampled_goal={n}"] for n in (1, 2, 4)}
+    made(output_dir, "one", cells, range(2), lambda label, seed: Look(status="done" if label == "1" else "interrupted"))
+    found = content(output_dir, quick=True)
+    (effect,) = found.effects
+    assert [level.level for level in effect.levels] == [1]
+    assert (effect.largest, effect.p) == (None, None)
+    assert not any(claim.startswith("n_sampled_goal: ") for claim in found.claims)
+
+
+def test_differences_end_where_rates_do(output_dir):
+    cells = {str(n): [f"buffer.n_sampled_goal={n}"] for n in (1, 2, 4)}
+    made(
+        output_dir,
+        "one",
+        cells,
+        range(2),
+        lambda label, seed: Look(success=(0.2, 1.0)[seed] if label == "1" else 0.2 * seed),
+    )
+    found = content(output_dir)
+    (effect,) = found.effects
+    spans = [effect.largest, *(pair.difference for pair in found.pairs)]
+    assert all(-1 <= span.low <= span.value <= span.high <= 1 for span in spans)
+    assert (effect.largest.low, effect.largest.high) == (-1, 1)

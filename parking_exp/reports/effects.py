@@ -19,7 +19,7 @@ from parking_exp.reports.content import (
     MainEffect,
     Setting,
 )
-from parking_exp.reports.formats import finite, setting
+from parking_exp.reports.formats import finite, setting, within
 
 RESPONSE = "success"
 MOST_TABLES = 6
@@ -40,13 +40,16 @@ def main_effects(cells: Sequence[Cell], factors: Sequence[Factor]) -> list[MainE
 
 def _main_effect(factor: Factor, frame: pd.DataFrame, keys: Sequence[str], found: statistics.MainEffects) -> MainEffect:
     means = [level for level in found.levels if level.factor == factor.key]
-    levels = [
-        Level(one.level, Interval(one.mean, _rate(one.low), _rate(one.high), one.seeds, one.method), one.cells)
-        for one in means
-    ]
+    levels = []
+    for one in means:
+        mean = Interval(one.mean, within(one.low, 0, 1), within(one.high, 0, 1), one.seeds, one.method)
+        levels.append(Level(one.level, mean, one.cells))
+    if len(means) < 2:  # of the others, no run is done yet
+        return MainEffect(factor.key, levels, found.complete)
     highest, lowest = max(means, key=lambda one: one.mean), min(means, key=lambda one: one.mean)
     gap = statistics.contrast(frame, keys, RESPONSE, (factor.key, highest.level, lowest.level))
-    largest = Interval(gap.difference, finite(gap.low), finite(gap.high), min(gap.n_a, gap.n_b), gap.method)
+    low, high = (within(bound, -1, 1) for bound in (gap.low, gap.high))
+    largest = Interval(gap.difference, low, high, min(gap.n_a, gap.n_b), gap.method)
     pairs = len(means) * (len(means) - 1) // 2
     p = None if np.isnan(gap.p) else min(1.0, gap.p * pairs)
     return MainEffect(factor.key, levels, found.complete, largest, p)
@@ -165,8 +168,3 @@ def _frame(cells: Sequence[Cell], factors: Sequence[Factor]) -> pd.DataFrame:
         if seed.success is not None
     ]
     return pd.DataFrame(rows, columns=[*(factor.key for factor in factors), RESPONSE])
-
-
-def _rate(bound: float) -> float | None:
-    """Return the end of an interval, cut to what a rate can be."""
-    return None if (value := finite(bound)) is None else min(max(value, 0.0), 1.0)

@@ -15,6 +15,11 @@ def finite(value: object) -> float | None:
     return float(value) if isinstance(value, Real) and math.isfinite(value) else None
 
 
+def within(bound: float, low: float, high: float) -> float | None:
+    """Return the end of an interval, cut to what its number can be; None where there is none."""
+    return None if (value := finite(bound)) is None else min(max(value, low), high)
+
+
 def percent(share: float | None, *, signed: bool = False) -> str:
     """Write 0.944 as `94.4`; what is not known as nothing."""
     if (share := finite(share)) is None:

@@ -8,7 +8,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from parking_exp.reports.content import Cell, Interval, Pair, Survival
-from parking_exp.reports.formats import finite
+from parking_exp.reports.formats import finite, within
 from parking_exp.statistics import coverage_note, holm, log_rank, probability_of_improvement, welch
 
 ALL_PAIRS_UP_TO = 12  # cells: 66 pairs
@@ -65,7 +65,7 @@ def _pair(a: Cell, b: Cell) -> Pair:
     return Pair(
         a=a.id,
         b=b.id,
-        difference=Interval(test.difference, _cut(test.low), _cut(test.high), n, test.method),
+        difference=Interval(test.difference, within(test.low, -1, 1), within(test.high, -1, 1), n, test.method),
         p=finite(test.p),
         p_holm=None,
         improvement=Interval(better.probability, finite(better.low), finite(better.high), n, better.method),
@@ -108,8 +108,3 @@ def _times(survival: Survival | None, a: Cell, b: Cell) -> float | None:
 
 def _rates(cell: Cell) -> list[float]:
     return [seed.success for seed in cell.seeds if seed.success is not None]
-
-
-def _cut(bound: float) -> float | None:
-    """Return the end of an interval, cut to what a difference of rates can be."""
-    return None if (value := finite(bound)) is None else min(max(value, -1.0), 1.0)
