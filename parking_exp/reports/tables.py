@@ -156,6 +156,7 @@ def _pairs(content: Content) -> Iterator[Row]:
             "log_rank_p": pair.log_rank_p,
             "log_rank_p_holm": pair.log_rank_p_holm,
             "verdict": pair.verdict,
+            "note": pair.note,
         }
 
 
@@ -184,9 +185,10 @@ def _survivals(content: Content) -> Iterator[Row]:
 
 def _effects(content: Content) -> Iterator[Row]:
     for effect in content.effects:
+        largest = {**_spread("largest_difference", effect.largest or Interval(None)), "p_largest_difference": effect.p}
         for level in effect.levels:
-            spread = _spread("success", level.effect)
-            yield {"factor": effect.factor, "level": level.level, **spread, "cells": level.cells, "n": level.effect.n}
+            spread = {**_spread("success", level.effect), "cells": level.cells, "n": level.effect.n}
+            yield {"factor": effect.factor, "level": level.level, **spread, **largest}
 
 
 def _interactions(content: Content) -> Iterator[Row]:
@@ -204,6 +206,7 @@ def _interactions(content: Content) -> Iterator[Row]:
                     "success_high": table.high[i][j],
                     "residual": table.residual[i][j],
                     "n": table.n[i][j],
+                    "p_interaction": table.p,
                     "real_share": table.real_share[j] if table.real_share else None,
                 }
 
