@@ -47,6 +47,9 @@
     parked                                     bool      the strict definition of success
     steps, return                              int64, float64: length; sum of rewards
     distance_m, heading_error_rad, speed_mps   float64   absolute values at its end
+
+A column that the table of a run of an earlier version does not have is missing in its rows: NaN, or <NA> in `parked`
+and `steps`, which are boolean and Int64 then. phase, step, scene and outcome are always there.
 """
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
