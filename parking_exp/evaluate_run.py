@@ -22,8 +22,10 @@ from parking_exp.errors import ConfigError, RunNotFoundError
 from parking_exp.files import write_json
 from parking_exp.rules import check_env
 from parking_exp.runs import RunDirectory, find_run
+from parking_exp.terminal import say
 from parking_exp.trust import check_trust
 from parking_exp.validation import parse
+from parking_exp.wording import several
 
 
 class StoreConfig(Section):
@@ -99,10 +101,10 @@ def evaluate_run(config: DictConfig) -> Path:
     if problems := check_env(env):
         raise ConfigError("\n".join(problems))
     folder = directory.path / "evaluations" / (request.name or _folder_name(request, run, env))
-    print(f"run directory  {directory.path}")
+    say(f"run directory  {directory.path}")
     _evaluate(request, run, env, weights, folder)
     _store(request, directory)
-    print(f"results        {folder}")
+    say(f"results        {folder}")
     return folder
 
 
@@ -123,7 +125,7 @@ def _evaluate(request: EvaluationRequest, run: RunConfig, env: EnvConfig, weight
     policy = greedy_policy(model)
     scenes = range(request.first_scene, request.first_scene + request.episodes)
     with torch_settings(run), Progress(console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task(f"{request.episodes} episodes of {env.name}", total=request.episodes)
+        task = bar.add_task(f"{several(request.episodes, 'episode')} of {env.name}", total=request.episodes)
 
         def report(finished: int) -> None:
             bar.update(task, completed=finished)
@@ -141,11 +143,11 @@ def _evaluate(request: EvaluationRequest, run: RunConfig, env: EnvConfig, weight
         "episodes": len(episodes),
     }
     write_json(folder / "summary.json", {**about, **summarise(episodes), "intervals": intervals(episodes)})
-    print(
-        f"{request.model} model on {request.episodes} scenes of {env.name}, from scene {request.first_scene}, "
-        f"simulated by {request.simulator}"
+    say(
+        f"{request.model} model on {several(request.episodes, 'scene')} of {env.name}, from scene "
+        f"{request.first_scene}, simulated by {request.simulator}"
     )
-    print(describe(episodes))
+    say(*describe(episodes).split("\n"))
     if request.video:
         record(policy, env, scenes[: request.video], folder / "video.mp4", gif=request.gif)
 
@@ -158,7 +160,7 @@ def _store(request: EvaluationRequest, directory: RunDirectory) -> None:
     from parking_exp.tracking import later
 
     if problem := try_sync(directory, request.tracking.uri):
-        print(f"not stored     {problem}; {later(directory.path.parents[2])}")
+        say(f"not stored     {problem}; {later(directory.path.parents[2])}")
 
 
 def _simulated(env: EnvConfig, simulator: Simulation) -> EnvConfig:

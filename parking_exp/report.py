@@ -3,7 +3,6 @@
 import os
 import re
 import shlex
-import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from pathlib import Path
@@ -16,6 +15,7 @@ from pydantic import Field
 from parking_exp.config import NAME, Section
 from parking_exp.errors import ConfigError, ResultsError
 from parking_exp.store import without_password
+from parking_exp.terminal import say
 from parking_exp.validation import parse
 
 if TYPE_CHECKING:
@@ -108,7 +108,7 @@ def _progress() -> Iterator[Callable[[str], None]]:
     """Yield what says, on a terminal, what is being done."""
     from rich.progress import Progress, SpinnerColumn, TextColumn
 
-    from parking_exp.tables import console
+    from parking_exp.terminal import console
 
     screen = console(stderr=True)
     columns = (SpinnerColumn(), TextColumn("{task.description}", markup=False))
@@ -191,8 +191,6 @@ def _command(request: ReportRequest, experiments: Sequence[str]) -> str:
 
 def _print(content: "Content", folder: Path) -> None:
     """Say on the terminal what the report says in its first lines."""
-    for sentence in (*content.claims, *content.missing):
-        print(sentence)
-    for sentence in content.warnings:
-        print(f"warning: {sentence}", file=sys.stderr)
-    print(f"report         {folder / 'index.html'}")
+    say(*content.claims, *content.missing)
+    say(*(f"warning: {sentence}" for sentence in content.warnings), stderr=True)
+    say(f"report         {folder / 'index.html'}")

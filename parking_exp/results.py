@@ -52,6 +52,7 @@ A column that the table of a run of an earlier version does not have is missing 
 and `steps`, which are boolean and Int64 then. phase, step, scene and outcome are always there.
 """
 
+import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -98,6 +99,7 @@ RUN_COLUMNS = (
 CURVE_COLUMNS = ("run_id", "step", *CURVE.values(), *BESIDE_A_CURVE.values())
 EPISODE_COLUMNS = ("run_id", *EPISODES)
 
+SEED = re.compile(r"\d{1,18}")
 OURS = ("cell", "seed", "run_key", "run_dir", "status")  # tags that make a run one of this package's
 
 
@@ -187,7 +189,8 @@ def _chosen(reader: Reader, experiments: str | Iterable[str] | None) -> dict[str
 
 
 def _is_ours(run: StoredRun) -> bool:
-    return all(name in run.tags for name in OURS) and run.tags["status"] in STATUSES and run.tags["seed"].isdecimal()
+    tags = run.tags
+    return all(name in tags for name in OURS) and tags["status"] in STATUSES and bool(SEED.fullmatch(tags["seed"]))
 
 
 def _runs(found: Sequence[StoredRun], names: Mapping[str, str], histories: Mapping[str, list[Point]]) -> pd.DataFrame:

@@ -15,19 +15,20 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 from filelock import FileLock, Timeout
 from omegaconf import OmegaConf
+from pydantic import TypeAdapter, ValidationError
 from yaml import YAMLError
 
 from parking_exp.config import RunConfig
 from parking_exp.errors import ConfigError, OutputDirectoryError, RunLockedError, RunNotFoundError
 from parking_exp.files import read_object, write_atomically, write_json
+from parking_exp.status_file import Status, StatusEntries, read_entries
 from parking_exp.validation import parse
+from parking_exp.wording import several, similar
 
-Status = Literal["pending", "running", "done", "failed", "interrupted"]
-"""What status.json says. `running` may be out of date: the process may be gone (`states` looks)."""
 STATUS_FILE, BEAT_FILE = "status.json", "beat.json"
 CLAIM, LOCK = ".claim", ".lock"
 # A look at a lock takes it for a moment: who wants to have it tries again for this long.
@@ -100,11 +101,14 @@ class RunDirectory:
         self._update(values, durable=True)
 
     def result(self) -> RunResult | None:
-        """Return the stored result of a finished run, else None."""
+        """Return the stored result of a finished run, else None, also where it is damaged."""
         stored = read_object(self.path / "result.json")
         if not stored or self.status != "done":
             return None
-        return RunResult(**{**stored, "run_id": self.run_id})  # the store may have been down until later
+        with suppress(ValidationError):
+            # The store may have been down until later.
+            return TypeAdapter(RunResult).validate_python({**stored, "run_id": self.run_id})
+        return None
 
     def finish(self, result: RunResult, **values: Any) -> None:
         """Store the result, and entries of status.json; from here on the run is done."""
@@ -219,8 +223,8 @@ class RunDirectory:
                     stale.unlink()
 
     def read_status(self) -> dict[str, Any]:
-        """Return the entries of status.json."""
-        return read_object(self.path / STATUS_FILE)
+        """Return the entries of status.json; one of the wrong type is none."""
+        return read_entries(self.path / STATUS_FILE, StatusEntries)[0]
 
 
 def _is_held(path: Path) -> bool:
@@ -252,12 +256,14 @@ def find_run(name: str, output_dir: Path, having: str) -> RunDirectory:
     if name == "latest":
         usable = [file for file in files if (file.parent / having).exists()]
         if not usable:
-            raise RunNotFoundError(f"run=latest: none of the {len(files)} runs in {output_dir} has {having} yet")
+            there = several(len(files), "run")
+            raise RunNotFoundError(f"run=latest: of {there} in {output_dir}, none has {having} yet")
         return RunDirectory(usable[-1].parent.absolute())
-    for file in files:
-        if read_object(file).get("run_id") == name:
-            return RunDirectory(file.parent.absolute())
+    ids = {run_id: file.parent for file in files if (run_id := RunDirectory(file.parent).run_id)}
+    if name in ids:
+        return RunDirectory(ids[name].absolute())
+    hint = similar(name, ["latest", *ids, *(str(file.parent) for file in files)])
     raise RunNotFoundError(
-        f"run={name}: no run directory and no MLflow run id of the {len(files)} runs in {output_dir}; "
-        f"the latest is {files[-1].parent}"
+        f"run={name}: no run directory, and no MLflow run id of {several(len(files), 'run')} in {output_dir}"
+        + (hint or f"; the latest is {files[-1].parent}")
     )

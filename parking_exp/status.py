@@ -1,6 +1,5 @@
 """How far are the runs? A look at their directories; nothing is opened that is large, and no library that is slow."""
 
-import sys
 import time
 from pathlib import Path
 from typing import Annotated
@@ -15,9 +14,10 @@ from parking_exp.errors import ConfigError, RunNotFoundError, UnsyncedError
 from parking_exp.runs import RunDirectory
 from parking_exp.states import RunState, as_json, find, read_state
 from parking_exp.syncing import sync_all
-from parking_exp.tables import cell_table, console, failure_lines, running_lines, stopped_lines
+from parking_exp.tables import cell_table, damaged_lines, failure_lines, running_lines, stopped_lines
+from parking_exp.terminal import console, say
 from parking_exp.validation import parse
-from parking_exp.wording import closest
+from parking_exp.wording import closest, several
 
 WATCH_S = 2.0
 
@@ -62,7 +62,7 @@ def show(config: DictConfig) -> None:
     states = _look(request)
     out = console()
     if request.as_json:
-        print(as_json(states))
+        say(*as_json(states).split("\n"))
     elif request.watch and out.is_terminal:
         with Live(_picture(states), console=out, auto_refresh=False) as live:
             while True:
@@ -96,10 +96,11 @@ def _sync(request: StatusRequest) -> None:
     failed = 0
     for directory, problem in sync_all(directories):
         failed += problem is not None
-        print(f"{directory.path}: {problem or 'the store has everything'}", file=sys.stderr)
+        say(f"{directory.path}: {problem or 'the store has everything'}", stderr=True)
     if failed:
-        raise UnsyncedError(f"{failed} runs could not be sent to their store; sync=true tries again")
+        raise UnsyncedError(f"{several(failed, 'run')} could not be sent to their store; sync=true tries again")
 
 
 def _picture(states: list[RunState]) -> RenderableType:
-    return Group(cell_table(states), *running_lines(states), *stopped_lines(states), *failure_lines(states))
+    lines = (running_lines, stopped_lines, failure_lines, damaged_lines)
+    return Group(cell_table(states), *(line for some in lines for line in some(states)))

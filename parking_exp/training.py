@@ -26,6 +26,7 @@ from parking_exp.runs import RunDirectory, RunResult
 from parking_exp.session import Session
 from parking_exp.stopping import StopRequest, stop_on_signal
 from parking_exp.summary import describe
+from parking_exp.terminal import say
 from parking_exp.tracking import Tracker, later, open_tracker
 from parking_exp.validation import validate
 
@@ -48,10 +49,8 @@ def train(config: DictConfig | Mapping[str, Any] | RunConfig, *, supervised: boo
     directory = RunDirectory(config.run_dir)
     with nullcontext() if supervised else directory.claimed(), directory.locked():
         if (result := directory.result()) is not None:
-            print(
-                f"already done; to train it afresh, change the seed or delete its directory\n"
-                f"{_closing_words(result, directory.unsynced)}"
-            )
+            say("already done; to train it afresh, change the seed or delete its directory")
+            say(*_closing_words(result, directory.unsynced))
             return result
         directory.create(config)
         with stop_on_signal() as stop, torch_settings(config):
@@ -103,7 +102,7 @@ def _train(config: RunConfig, directory: RunDirectory, stop: StopRequest) -> Run
         raise InterruptedRunError(words, signal.SIGINT) from None
     result = directory.result()
     assert result is not None
-    print(f"{describe(episodes)}\n{_closing_words(result, directory.unsynced)}")
+    say(*describe(episodes).split("\n"), *_closing_words(result, directory.unsynced))
     return result
 
 
@@ -132,7 +131,7 @@ def _cost(result: RunResult) -> dict[str, float | None]:
     }
 
 
-def _closing_words(result: RunResult, unsynced: str | None) -> str:
+def _closing_words(result: RunResult, unsynced: str | None) -> list[str]:
     rate = result.metrics.get("certified/success_rate")
     lines = (
         [f"final success rate {rate:.1%} on highway-env, after {result.steps} env steps"] if rate is not None else []
@@ -142,4 +141,4 @@ def _closing_words(result: RunResult, unsynced: str | None) -> str:
         lines.append(f"MLflow run     {result.run_id}   (make ui)")
     if unsynced:
         lines.append(f"not all of it is in the store ({unsynced}); {later(Path(result.run_dir).parents[2])}")
-    return "\n".join(lines)
+    return lines

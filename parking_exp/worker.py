@@ -26,6 +26,7 @@ from parking_exp.garbage import no_garbage
 from parking_exp.machine import THREAD_VARIABLES, pin
 from parking_exp.runs import RunDirectory
 from parking_exp.store import import_mlflow, store_uri
+from parking_exp.terminal import say
 
 LOG_FILE = "log.txt"
 GRACE_S = 8.0  # to save a checkpoint after a signal, before the process is killed
@@ -216,11 +217,11 @@ def main() -> None:
     except RunLockedError:
         sys.exit(LOCKED)
     except FailedRunError as error:
-        print(f"error: {error}", file=sys.stderr)
+        say(f"error: {error}", stderr=True)
         sys.exit(2)
     except ParkingError as error:
         directory.update(status="failed", error=str(error))
-        print(f"error: {error}", file=sys.stderr)
+        say(f"error: {error}", stderr=True)
         sys.exit(2)
 
 

@@ -2,6 +2,7 @@
 
 import math
 import shutil
+import sqlite3
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -10,7 +11,7 @@ import numpy as np
 import pandas as pd
 import pytest
 import scipy.stats
-from conftest import in_memory
+from conftest import in_memory, store
 from stores import Look, compose, make_store
 
 from parking_exp.errors import ConfigError, RunNotFoundError
@@ -193,6 +194,42 @@ def test_metrics_that_are_nan_leave_a_run_out_and_say_so(output_dir):
     assert (found.cells[0].success.value, found.cells[0].success.n) == (pytest.approx(0.6), 2)
     assert "sac, her_future: a run was finished without a final success rate, and left out." in found.warnings
     assert not any(math.isnan(value) for value in numbers(found.plain()))
+
+
+@pytest.mark.parametrize(("value", "words"), [(7.5, "7.5"), (-0.5, "-0.5"), (math.inf, "1.79769e+308")])
+def test_a_rate_that_is_impossible_leaves_its_run_out_and_is_said(output_dir, value, words):
+    runs = made(output_dir, "one", {"sac": []}, range(3), lambda *_: Look(success=0.6, crash=0.2))
+    run_id = runs["sac", 1].run_id
+    store(output_dir).log_metric(run_id, "certified/success_rate", value, step=400)
+    found = content(output_dir)
+    assert (found.cells[0].success.value, found.cells[0].success.n) == (pytest.approx(0.6), 2)
+    assert (found.cells[0].crash.value, found.cells[0].crash.n) == (pytest.approx(0.2), 3)
+    cell = found.cells[0].name
+    assert f"run {run_id} ({cell}, seed 1): impossible values count as missing: success_rate={words}." in found.warnings
+
+
+def test_impossible_values_of_every_kind_count_as_missing(output_dir):
+    runs = made(output_dir, "one", {"sac": []}, range(2), lambda *_: Look(curve=(0.5, 1.0)))
+    run_id, client = runs["sac", 1].run_id, store(output_dir)
+    for key, value, step in [("certified/steps_mean", -1, 400), ("time/cpu_s", -math.inf, 400), ("eval/success_rate", 2, 200),
+                             ("buffer/real_share", -1, 200), ("eval/crash_rate", 0.5, -7)]:  # fmt: skip
+        client.log_metric(run_id, key, value, step=step)
+    found = content(output_dir)
+    (warning,) = [sentence for sentence in found.warnings if run_id in sentence]
+    assert warning.endswith("count as missing: step=-7, episode_steps=-1, cpu_s=-1.79769e+308 and 3 more.")
+    assert (found.cells[0].episode_steps.n, found.cells[0].cpu_s.n, found.cells[0].success.n) == (1, 1, 2)
+    assert dict(zip(found.cells[0].curve.step, found.cells[0].curve.n, strict=True)) == {200: 1, 400: 2}
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [("env.vehicles_count", "many"), ("env.vehicles_count", "99"), ("buffer.n_sampled_goal", "9" * 5000), ("total_timesteps", "-inf"), ("evaluation.final_n_scenes", "9" * 20)],
+)  # fmt: skip
+def test_a_config_that_is_nonsense_breaks_no_report(output_dir, key, value):
+    runs = made(output_dir, "one", {"sac": [], "td3": ["algorithm=td3"]}, range(2))
+    with sqlite3.connect(output_dir / "mlflow.db") as database:
+        database.execute("update params set value=? where key=? and run_uuid=?", (value, key, runs["sac", 0].run_id))
+    assert [cell.success.n for cell in content(output_dir).cells] == [2, 2]
 
 
 def test_runs_of_different_lengths_have_curves_as_far_as_they_go(output_dir):

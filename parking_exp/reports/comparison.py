@@ -8,6 +8,7 @@ import pandas as pd
 
 from parking_exp import __version__
 from parking_exp.errors import RunNotFoundError
+from parking_exp.lot import N_SLOTS
 from parking_exp.reports import cautions, words
 from parking_exp.reports.content import Cell, Content, Design, Factor, Importance, Interaction, MainEffect
 from parking_exp.reports.courses import Courses
@@ -18,6 +19,7 @@ from parking_exp.reports.pairs import compare_pairs
 from parking_exp.reports.places import sample
 from parking_exp.reports.selection import Group, choose, group, one_cell, relabelled
 from parking_exp.reports.summaries import real_share, shared_horizons, summarise
+from parking_exp.reports.validity import valid
 from parking_exp.results import Results
 from parking_exp.states import RunState
 from parking_exp.store import without_password
@@ -58,6 +60,7 @@ def compare(results: Results, question: Question, states: Mapping[str, RunState]
         ConfigError: a cell or baseline that there is not.
         RunNotFoundError: none of the runs is done, and `quick` is not asked for.
     """
+    results, impossible = valid(results)
     chosen = _choose(_up_to_date(results.runs, states), question)
     groups, factors, baseline = chosen.groups, chosen.factors, chosen.baseline
     courses = Courses.of(results)
@@ -96,7 +99,7 @@ def compare(results: Results, question: Question, states: Mapping[str, RunState]
             cautions.warnings(groups, cells, origin),
             cautions.same_runs(groups),
             cautions.narrow_pairs(cells, family.pairs),
-            _few([*results.problems, *problems]),
+            _few([*impossible, *results.problems, *problems]),
         ),
         missing=cautions.together(
             cautions.missing(cells, unheard), cautions.without_runs(question.experiments, results.runs["experiment"])
@@ -191,7 +194,9 @@ def _with_places(
             found.append(cell)
             continue
         runs = [(seed.seed, seed.run_id) for seed in cell.seeds]
-        places = sample(runs, results, courses.certified, int(str(one.config.get("env.vehicles_count") or 0)))
+        vehicles = one.config.get("env.vehicles_count")
+        parked = vehicles if type(vehicles) is int and 0 < vehicles < N_SLOTS else 0
+        places = sample(runs, results, courses.certified, parked)
         found.append(replace(cell, paths=places.paths, failures=places.failures))
         problems += places.problems
     return found, problems
