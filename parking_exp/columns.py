@@ -12,6 +12,7 @@ TEXT: Any = "str" if int(pd.__version__.partition(".")[0]) >= 3 else object
 INTEGER = re.compile(r"[+-]?\d+")
 FLOAT = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)(e[+-]?\d+)?|[+-]?inf|nan", re.IGNORECASE)
 INT64 = range(-(2**63), 2**63)
+YEAR_10000_MS = 253_402_300_800_000
 DIGITS = 300  # of whole numbers that floats can take
 
 
@@ -57,5 +58,6 @@ def flags(values: Iterable[str | None]) -> Any:
 
 
 def times(values: Iterable[int | None]) -> Any:
-    """Return milliseconds since 1970 as times in UTC; None is missing."""
-    return pd.to_datetime(pd.Series(list(values), dtype="Int64"), unit="ms", utc=True).dt.as_unit("ms")
+    """Return milliseconds since 1970 as times in UTC; None is missing, and so is what no calendar has."""
+    known = [value if value is not None and 0 <= value < YEAR_10000_MS else None for value in values]
+    return pd.to_datetime(pd.Series(known, dtype="Int64"), unit="ms", utc=True).dt.as_unit("ms")

@@ -69,7 +69,7 @@ from parking_exp.reading import Point, Reader, StoredRun
 from parking_exp.recordings import EPISODES, read_episodes, read_trajectories
 from parking_exp.store import default_uri, reason, without_password
 from parking_exp.trajectories import TRAJECTORIES_FILE
-from parking_exp.wording import closest
+from parking_exp.wording import closest, several
 
 STATUSES = ("done", "running", "failed", "interrupted")
 RATES = ("success_rate", "crash_rate", "timeout_rate", "parked_rate")
@@ -140,7 +140,7 @@ class Results:
         places = self.runs.loc[self.runs["run_id"] == run_id, "artifact_uri"]
         if places.empty:
             hint = closest(run_id, self.runs["run_id"])
-            raise ResultsError(f"run_id={run_id}: it is none of the {len(self.runs)} runs{hint}")
+            raise ResultsError(f"run_id={run_id}: it is none of {several(len(self.runs), 'run')}{hint}")
         try:
             return read_trajectories(self._reader.artifact(places.iloc[0], TRAJECTORIES_FILE))
         except Exception as error:  # each place of artifacts has its own, and a file may be damaged

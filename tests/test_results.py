@@ -18,7 +18,7 @@ from servers import closed_port, mlflow_server, needs_server
 from stores import STARTED_MS, Look, compose, made_episodes, made_trajectories, make_store
 
 from parking_exp import evaluation, results
-from parking_exp.columns import column, typed
+from parking_exp.columns import column, times, typed
 from parking_exp.errors import ResultsError
 from parking_exp.reading import Reader
 from parking_exp.recordings import EPISODES
@@ -140,6 +140,12 @@ def test_a_parameter_is_what_its_text_says(word, value):
 )  # fmt: skip
 def test_a_column_has_the_one_type_of_its_values(values, dtype):
     assert str(pd.Series(column(values)).dtype) == dtype
+
+
+def test_times_that_no_calendar_has_are_missing():
+    found = times([0, None, -1, 10**18, 1_700_000_000_000])
+    assert found.isna().tolist() == [False, True, True, True, False]
+    assert found.dropna().astype("int64").tolist() == [0, 1_700_000_000_000]
 
 
 def test_a_curve_has_a_row_for_each_evaluation(ablation):
@@ -394,7 +400,7 @@ def test_trajectories_that_cannot_be_had_are_said(output_dir, tmp_path):
     for run_id in found.runs["run_id"]:
         with pytest.raises(ResultsError, match=rf"^run {run_id}: trajectories.npz can't be read: "):
             found.trajectories(run_id)
-    with pytest.raises(ResultsError, match=r"^run_id=x: it is none of the 5 runs; choose from "):
+    with pytest.raises(ResultsError, match=r"^run_id=x: it is none of 5 runs; choose from "):
         found.trajectories("x")
 
 
