@@ -40,7 +40,7 @@ class Monitor:
         self._steps_before = self._steps()
         self._bar = Progress(
             TextColumn("{task.description}"),
-            BarColumn(bar_width=40),
+            BarColumn(bar_width=20),
             MofNCompleteColumn(),
             TextColumn("runs"),
             TimeElapsedColumn(),
@@ -105,7 +105,9 @@ class Monitor:
         elif state.stage == "running":
             self.say(f"started  {name(state)}{f'  on {state.host}' if state.host else ''}")
         else:
-            self.say(f"stopped  {name(state)}, at step {state.step}")
+            self.say(
+                f"stopped  {name(state)}, {f'at step {state.step}' if state.step else 'before its first checkpoint'}"
+            )
 
     def _render(self) -> RenderableType:
         table = Table.grid(padding=(0, 2))

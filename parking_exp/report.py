@@ -99,7 +99,7 @@ def _config_keys() -> Iterator[str]:
     for name, node in nodes:
         yield name
         if isinstance(node, DictConfig):
-            nodes += [(f"{name}.{key}".removeprefix("."), value) for key, value in node.items()]
+            nodes += [(f"{name}.{key!s}".removeprefix("."), value) for key, value in node.items()]
             if "_target_" in node:
                 yield from (f"{name}.{argument}" for argument in signature(node["_target_"]).parameters)
 
