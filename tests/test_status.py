@@ -7,8 +7,9 @@ import pytest
 from conftest import run_script
 from sweeps import SLOW, begin, statuses, wait_until
 
+from parking_exp.errors import RunNotFoundError
 from parking_exp.files import read_json
-from parking_exp.runs import RunDirectory
+from parking_exp.runs import RunDirectory, find_run
 from parking_exp.states import read_state
 from parking_exp.tables import duration
 
@@ -49,6 +50,76 @@ def test_a_status_that_a_power_cut_has_emptied_is_pending(tmp_path, content):
     path = run_dir(tmp_path, status="done")
     (path / "status.json").write_text(content)
     assert read_state(path).stage == "pending"
+
+
+WRONG = {
+    "status": ["done"], "label": 7, "error": {}, "killed": "no", "total_timesteps": -1, "steps": "x", "success_rate": 7.5,
+    "wall_s": 1e300, "cpu_s": True, "memory_bytes": 0.5, "host": [], "pid": "1", "started": "now", "run_id": 3,
+    "tracking_uri": ["a"], "unsynced": 1,
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", WRONG)
+def test_an_entry_of_the_wrong_type_reads_as_absent_and_is_told(tmp_path, name):
+    path = run_dir(tmp_path, **{"status": "done", "steps": 5, name: WRONG[name]})
+    state = read_state(path)
+    assert state.damaged == f"status.json has no valid {name}"
+    assert state.stage == ("pending" if name == "status" else "done")
+    assert state.step == (0 if name in {"status", "steps"} else 5)
+    assert name not in RunDirectory(path).read_status()
+    RunDirectory(path).update(host="here")
+    assert read_state(path).damaged is None
+
+
+def test_a_status_that_is_damaged_is_one_runs_alone(tmp_path):
+    whole = run_dir(tmp_path, "cell-a", 0, status="done", steps=1000, success_rate=0.5, run_id="abc")
+    contents = [json.dumps(WRONG), "{", "[]", '"x"', "[" * 100_000, '{"status": "done", "success_rate": NaN}', "\xff"]
+    for number, content in enumerate(contents):
+        path = run_dir(tmp_path, "cell-b", number)
+        (path / "status.json").write_bytes(content.encode("latin-1"))
+        (path / "beat.json").write_text(json.dumps({"time": "x", "step": [], "steps_per_s": {}, "doing": 1}))
+    told = run_script("status", f"output_dir={tmp_path}")
+    assert told.returncode == 0, told.stderr
+    lines = told.stdout.splitlines()
+    assert [line.split() for line in lines[1:4]] == [["a", "1", "50%"], ["cell-b", "1", "6"], ["all", "2", "6"]]
+    assert lines[4:] == [
+        *[f"damaged  cell-b seed={n}: status.json {what}; it counts as {stage}   {tmp_path}/mine/cell-b/seed={n}"
+          for n, what, stage in [(0, f"has no valid {' and no valid '.join(sorted(WRONG))}", "pending"), *[
+              (n, "can't be read", "pending") for n in (1, 2, 3, 4)], (5, "has no valid success_rate", "done"), (6, "can't be read", "pending")]]
+    ]  # fmt: skip
+    assert find_run("abc", tmp_path, "x").path == whole
+    with pytest.raises(
+        RunNotFoundError, match=r"^run=abx: no run directory, .* of 8 runs in .*; did you mean 'abc'\?$"
+    ):
+        find_run("abx", tmp_path, "x")
+    with pytest.raises(RunNotFoundError, match=r"did you mean 'latest'\?$"):
+        find_run("lates", tmp_path, "x")
+    with pytest.raises(RunNotFoundError, match=r"; the latest is /"):
+        find_run("None", tmp_path, "x")
+    found = json.loads(run_script("status", f"output_dir={tmp_path}", "--json").stdout)
+    assert [run["damaged"] for run in found["cells"][1]["runs"]][5] == "status.json has no valid success_rate"
+    process = RunDirectory(tmp_path / "mine" / "cell-b" / "seed=0")
+    with process.claimed():
+        assert (read_state(process.path).stage, read_state(process.path).step) == ("running", 0)
+
+
+def test_text_of_a_foreign_run_does_nothing_to_the_terminal(tmp_path):
+    evil = "x\x1b]0;t\x07\x9b31m\r\x7f\u202e\nfailed   other"
+    run_dir(tmp_path, "cell-\x1b[2J", 0, status="failed", error=evil, label=evil, host=evil)
+    held = RunDirectory(run_dir(tmp_path, "cell-b", 1, status="running", host=evil, started=time.time() - 1))
+    with held.claimed():
+        held.beat(step=1, steps_per_s=0.0, doing=evil)
+        told = run_script("status", f"output_dir={tmp_path}")
+        plain = run_script("status", f"output_dir={tmp_path}", "--json")
+    assert told.returncode == plain.returncode == 0
+    shown = r"x\x1b]0;t\x07\x9b31m\r\x7f\u202e\nfailed   other"
+    assert all(line.isprintable() for line in told.stdout.split("\n"))
+    assert f"failed   “{shown}” seed=0: {shown}   {tmp_path}/mine/cell-\\x1b[2J/seed=0\n" in told.stdout
+    assert f"running  b seed=1: 1 of 1000 steps, {shown}   {shown}\n" in told.stdout
+    assert plain.stdout.isascii()
+    assert "\x7f" not in plain.stdout
+    found = json.loads(plain.stdout)["cells"]
+    assert {cell["runs"][0]["host"] for cell in found} == {evil}
 
 
 def test_a_beat_of_an_earlier_process_does_not_count(tmp_path):

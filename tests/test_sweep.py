@@ -1,5 +1,6 @@
 """Sweeps: planned, frozen, launched, cut off in every way, typed again."""
 
+import io
 import json
 import os
 import re
@@ -13,11 +14,15 @@ from conftest import ROOT, run_script, script
 from sweeps import QUICK, SLOW, begin, stages, statuses, sweep, trained, wait_until, workers
 
 from parking_exp.composition import composed_runs
+from parking_exp.monitor import Monitor
 from parking_exp.pool import launch
 from parking_exp.runs import RunDirectory
 from parking_exp.states import read_state
 from parking_exp.sweep import plan
+from parking_exp.terminal import Screen
 from parking_exp.worker import supervise
+
+TWO = ("hydra.launcher.n_jobs=2",)  # at a time, on however many cores
 
 
 def test_a_dry_run_prints_the_plan_and_makes_nothing(tmp_path):
@@ -34,7 +39,7 @@ def test_a_dry_run_prints_the_plan_and_makes_nothing(tmp_path):
 
 
 def test_typed_again_a_sweep_does_only_what_is_missing(tmp_path):
-    first = sweep(tmp_path, "seeds=2")
+    first = sweep(tmp_path, "seeds=2", *TWO)
     assert first.returncode == 0, first.stderr
     assert [line.split()[0] for line in first.stderr.splitlines()] == ["started", "started", "done", "done"]
     assert trained(tmp_path) == [1, 1]
@@ -99,7 +104,7 @@ def test_a_run_that_hangs_past_its_time_is_failed(tmp_path):
 
 
 def test_no_worker_outlives_a_sweep_that_is_killed_and_typed_again_it_goes_on(tmp_path):
-    process = begin(tmp_path, "seeds=3", *SLOW)
+    process = begin(tmp_path, "seeds=3", *SLOW, *TWO)
     wait_until(lambda: len(list(tmp_path.glob("*/*/*/checkpoints/step=*"))) >= 2)
     assert len(workers(tmp_path)) == 2
     process.kill()
@@ -111,14 +116,14 @@ def test_no_worker_outlives_a_sweep_that_is_killed_and_typed_again_it_goes_on(tm
         "done": 0, "running": 0, "failed": 0, "pending": 3
     }  # fmt: skip
     assert max(run["step"] for run in told["cells"][0]["runs"]) >= 50
-    done = sweep(tmp_path, "seeds=3", *SLOW)
+    done = sweep(tmp_path, "seeds=3", *SLOW, *TWO)
     assert done.returncode == 0, done.stderr
     assert stages(tmp_path) == ["done"] * 3
     assert trained(tmp_path) == [1, 2, 2]
 
 
 def test_ctrl_c_saves_checkpoints_and_leaves_within_ten_seconds(tmp_path):
-    process = begin(tmp_path, "seeds=2", *SLOW[:2], "checkpoint.every_n_steps=null")
+    process = begin(tmp_path, "seeds=2", *SLOW[:2], "checkpoint.every_n_steps=null", *TWO)
     wait_until(lambda: len(list(tmp_path.glob("*/*/*/metrics.jsonl"))) == 2)
     process.send_signal(signal.SIGINT)
     _, errors = process.communicate(timeout=10)
@@ -141,9 +146,9 @@ def test_two_sweeps_at_once_share_the_work(tmp_path):
 
 
 def test_a_sweep_takes_over_what_another_one_leaves(tmp_path):
-    other = begin(tmp_path, "seeds=2", *SLOW)
+    other = begin(tmp_path, "seeds=2", *SLOW, *TWO)
     wait_until(lambda: stages(tmp_path).count("running") == 2)
-    ours = begin(tmp_path, "seeds=2", *SLOW)
+    ours = begin(tmp_path, "seeds=2", *SLOW, *TWO)
     wait_until(lambda: len(list(tmp_path.glob("*/*/*/checkpoints/step=*"))) >= 2)
     time.sleep(3)
     assert ours.poll() is None  # it waits, though there is nothing for it to run
@@ -174,6 +179,27 @@ def test_a_frozen_config_that_is_broken_fails_its_run_alone(tmp_path):
     (runs[0].path / "config.yaml").write_text("a: [b")
     assert launch([run.path for run in runs], n_jobs=1) == {runs[0].path: "failed", runs[1].path: "done"}
     assert read_state(runs[0].path).reason.startswith(f"{runs[0].path / 'config.yaml'} can't be read: ")
+
+
+def test_a_run_that_was_stopped_before_its_first_checkpoint_is_said_so(tmp_path):
+    (run,) = plan(composed_runs("config", [*QUICK, "seeds=1", f"output_dir={tmp_path}"]))
+    directory, out = RunDirectory(run.path), Screen(file=io.StringIO(), width=200)
+    directory.freeze(run.config, "her", None)
+
+    def lines():
+        return out.file.getvalue().splitlines()
+
+    with Monitor([run.path], out):
+        for _ in range(2):
+            with directory.claimed():
+                directory.update(status="running")
+                wait_until(lambda: lines()[-1:] == ["started  her seed=0"])
+            wait_until(lambda: lines()[-1].startswith("stopped"))
+            (run.path / "checkpoints" / "step=300").mkdir(parents=True, exist_ok=True)
+    assert lines() == [
+        "started  her seed=0", "stopped  her seed=0, before its first checkpoint",
+        "started  her seed=0", "stopped  her seed=0, at step 300",
+    ]  # fmt: skip
 
 
 def test_who_looks_at_a_run_does_not_keep_it_from_being_frozen_or_claimed(tmp_path):

@@ -68,16 +68,17 @@ def article(rounds: int, steps: int) -> dict[str, Any]:
     return entry | {"peer": "plain stable-baselines3 + highway-env", "unit": "env steps", "steps": steps}
 
 
-def overhead(rounds: int, steps: int, slice_steps: int) -> tuple[dict[str, Any], Policy]:
+def overhead(rounds: int, steps: int, slice_steps: int, *changes: str) -> tuple[dict[str, Any], Policy]:
     """Measure what the default run costs besides training, and return a policy trained on the way.
 
     A tracked run is trained for `steps`; its parts are timed, and slices of it are measured in turn with slices of a
     bare one. The ratio is that of the default run in full length, put together from them: start, training with its
     rows of metrics, every evaluation and checkpoint, and the end with certification, figures, video and artifacts.
+    `changes` are overrides of the run that is timed.
     """
     full = run_config()
     with tempfile.TemporaryDirectory() as folder, ExitStack() as stack:
-        overrides = [f"output_dir={folder}/out", "tracking.progress_bar=false"]
+        overrides = [f"output_dir={folder}/out", "tracking.progress_bar=false", *changes]
         config = run_config(*overrides, f"total_timesteps={steps}")
         _make_store(config)
         stack.enter_context(RunDirectory(config.run_dir).locked())

@@ -21,19 +21,24 @@ BARE = (
     "evaluation.n_scenes=1",
     "evaluation.video_episodes=0",
 )
+MOMENT = ("env.duration=4", "env.training_duration=2", "algorithm.learning_starts=100", "total_timesteps=108")
 
 
-def scaling(rounds: int, steps: int, all_cores: Sequence[int]) -> dict[str, Any]:
-    """Compare two workers with one: runs an hour, each with its start, its end and `steps` of the default training."""
+def scaling(rounds: int, steps: int | None, all_cores: Sequence[int]) -> dict[str, Any]:
+    """Compare two workers with one: runs an hour, each with its start, its end and `steps` of the default training.
+
+    None: of training for a moment, as `overhead` has it.
+    """
+    length = MOMENT if steps is None else (f"total_timesteps={steps}",)
     ratios = []
     with _cores(all_cores), tempfile.TemporaryDirectory() as folder:
         for number in range(rounds):
             seconds = []
             for workers in (1, 2):
-                paths = _frozen(Path(folder) / f"{number}-{workers}", f"total_timesteps={steps}", "seeds=2", *BARE)
+                paths = _frozen(Path(folder) / f"{number}-{workers}", "seeds=2", *BARE, *length)
                 seconds.append(_seconds(paths, workers))
             ratios.append(seconds[0] / seconds[1])
-    peer = f"the same two runs of {steps} steps, one after the other"
+    peer = f"the same two runs of {steps or 108} steps, one after the other"
     return spread(ratios, "ratio") | {"peer": peer, "cores": len(all_cores)}
 
 
@@ -43,21 +48,20 @@ def overhead(rounds: int, all_cores: Sequence[int]) -> dict[str, Any]:
     That is its start, to the first env step, and its end: final model, curves, all artifacts to the store. The final
     evaluation and its certification are a single scene of at most 20 steps.
     """
-    short = ("env.duration=4", "env.training_duration=2", "algorithm.learning_starts=100", "total_timesteps=108")
     values = []
     with _cores(all_cores), tempfile.TemporaryDirectory() as folder:
         for number in range(rounds + 1):
-            values.append(_seconds(_frozen(Path(folder), f"seed={number}", *BARE, *short), 1))
+            values.append(_seconds(_frozen(Path(folder), f"seed={number}", *BARE, *MOMENT), 1))
     return spread(values[1:], "seconds") | {
         "peer": "",
         "unit": "seconds a run, besides its training",
     }  # the first made the store
 
 
-def scan(rounds: int, n_seeds: int) -> dict[str, Any]:
-    """Measure how long it takes to check the cells of `her_ablation` and look up their finished runs."""
+def scan(rounds: int, n_seeds: int, *cells: str) -> dict[str, Any]:
+    """Measure how long it takes to check the cells of `her_ablation`, or some of them, and look up their runs."""
     with tempfile.TemporaryDirectory() as folder:
-        runs = composed_runs("config", ["experiment=her_ablation", f"seeds={n_seeds}", f"output_dir={folder}"])
+        runs = composed_runs("config", ["experiment=her_ablation", *cells, f"seeds={n_seeds}", f"output_dir={folder}"])
         for run in plan(runs):
             run.path.mkdir(parents=True)
             write_json(run.path / STATUS_FILE, {"status": "done", "steps": 20_000, "label": run.label}, durable=False)

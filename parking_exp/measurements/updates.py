@@ -14,13 +14,13 @@ from parking_exp.measurements.rounds import interleave
 PEER = "stable-baselines3"
 
 
-def updates(config: RunConfig, rounds: int, updates_a_slice: int) -> dict[str, Any]:
+def updates(config: RunConfig, rounds: int, updates_a_slice: int, transitions: int = 10_000) -> dict[str, Any]:
     """Compare updates a second, in rounds of as many as the config does after each step of its envs.
 
     Ours have the config's matmul precision, the peer has torch's default.
     """
     _, gradient_steps = config.update_rounds()
-    ours, peer = filled(config, lean=True), filled(config, lean=False)
+    ours, peer = filled(config, lean=True, transitions=transitions), filled(config, lean=False, transitions=transitions)
     calls = max(1, updates_a_slice // gradient_steps)
 
     def mine() -> float:
@@ -36,15 +36,15 @@ def updates(config: RunConfig, rounds: int, updates_a_slice: int) -> dict[str, A
     return interleave(mine, lambda: side(peer), rounds) | about
 
 
-def filled(config: RunConfig, lean: bool) -> Any:
-    """Return a model whose replay buffer holds 10,000 random transitions, made with our classes or with theirs."""
+def filled(config: RunConfig, lean: bool, transitions: int = 10_000) -> Any:
+    """Return a model whose replay buffer holds random transitions, made with our classes or with theirs."""
     if not lean:
         config = theirs(config)
     model = build_model(config, make_training_envs(config.env, config.n_envs), seed=0)
     assert isinstance(model, getattr(stable_baselines3, config.algorithm.target.rpartition(".")[2]))
     model.set_logger(Logger(None, []))
-    model.learning_starts = 10_000
-    model.learn(10_000)
+    model.learning_starts = transitions
+    model.learn(transitions)
     model.learning_starts = 0
     return model
 

@@ -1,0 +1,55 @@
+"""What comes from a run directory or a store does nothing to a terminal."""
+
+import io
+import logging
+
+import pytest
+from conftest import run_script
+from rich.table import Table
+
+from parking_exp.terminal import LogFormatter, Screen, console, printable, say
+
+HOSTILE = "a\x1b]0;t\x07\x1b[2J\x9b31m\r\b\x7f\u202eb\u2066\nfailed   c\x00\t\u2028\udc9b"
+SHOWN = r"a\x1b]0;t\x07\x1b[2J\x9b31m\r\x08\x7f\u202eb\u2066\nfailed   c\x00\t\u2028\udc9b"
+
+
+def test_characters_that_are_not_printable_are_shown_as_escapes():
+    assert printable(HOSTILE) == SHOWN
+    assert printable("größe 学習 λ − “a, b” é") == "größe 学習 λ − “a, b” é"  # noqa: RUF001
+
+
+def test_lines_are_printed_one_by_one(capsys):
+    say("one", HOSTILE)
+    say("two", stderr=True)
+    assert capsys.readouterr() == (f"one\n{SHOWN}\n", "two\n")
+
+
+@pytest.mark.parametrize("is_terminal", [True, False])
+def test_a_console_shows_lines_cells_and_headings(is_terminal):
+    out = io.StringIO()
+    screen = Screen(file=out, force_terminal=is_terminal, color_system=None, width=300)
+    table = Table(box=None)
+    table.add_column(f"1{HOSTILE}")
+    table.add_row(f"2{HOSTILE}")
+    screen.print(table)
+    screen.print(f"3{HOSTILE}")
+    screen.print(f"[bold] :warning: {HOSTILE}")
+    lines = [line.strip() for line in out.getvalue().splitlines()]
+    assert lines == [f"1{SHOWN}", f"2{SHOWN}", f"3{SHOWN}", f"[bold] :warning: {SHOWN}"]
+    assert isinstance(console(), Screen)
+
+
+def test_a_log_record_is_shown_line_by_line():
+    record = logging.LogRecord("name", logging.WARNING, "file", 1, "checkpoint %s\nsecond", ("a\x1b[2J",), None)
+    assert LogFormatter().format(record) == "checkpoint a\\x1b[2J\nsecond"
+
+
+def test_an_error_that_names_a_hostile_directory_shows_it(tmp_path):
+    path = tmp_path / "mine\x1b]0;t\x07" / "cell" / "seed=0"
+    path.mkdir(parents=True)
+    (path / "status.json").write_text("{}")
+    done = run_script("evaluate", f"run={path}", f"output_dir={tmp_path}")
+    assert done.returncode == 2
+    assert done.stderr.isprintable() is False  # its line break
+    assert done.stderr.strip().isprintable()
+    assert r"mine\x1b]0;t\x07/cell/seed=0" in done.stderr
