@@ -151,9 +151,12 @@ def test_hostile_names_are_text_everywhere(output_dir):
     hostile = "<script>window.pwned=1</script>"
     make_store(
         output_dir, "one", {"a": []}, range(2),
-        lambda label, seed: Look(tags={"cpu": hostile, "mlflow.runName": hostile, "cell": f"x{hostile}-{label}"}), bulk=True,
+        lambda label, seed: Look(tags={"cpu": hostile, "mlflow.runName": hostile, "cell": f"x{hostile}-{label}"},
+                                 params={"algorithm.name": "\x1b[2J\x9b31m\u202e\nerror: x"}), bulk=True,
     )  # fmt: skip
-    report(output_dir, "experiment=one")
+    done = report(output_dir, "experiment=one")
+    assert all(line.isprintable() for line in (done.stdout + done.stderr).split("\n"))
+    assert done.stdout.startswith(r"“\x1b[2J\x9b31m\u202e\nerror: x, her_future” succeeds in 80.0 % [")
     folder = output_dir / "reports" / "one"
     page = (folder / "index.html").read_text()
     assert hostile not in page
