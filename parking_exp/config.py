@@ -13,6 +13,8 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from parking_exp.locations import directory_path
+
 DEFAULT_FEATURES = ["x", "y", "vx", "vy", "cos_h", "sin_h"]
 DEFAULT_SCALES = [100, 100, 5, 5, 1, 1]
 # Seeds of training scenes start here; evaluation scenes lie below, so the two never meet.
@@ -209,7 +211,7 @@ class RunConfig(Section):
     @property
     def output_path(self) -> Path:
         """Absolute output directory."""
-        return Path(self.output_dir).expanduser().absolute()
+        return directory_path(self.output_dir)
 
     @property
     def cell_key(self) -> str:

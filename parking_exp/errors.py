@@ -29,6 +29,14 @@ class ResultsError(ParkingError, LookupError):
     """Results of runs that are not where they were looked for, or that can't be read."""
 
 
+class DamagedFileError(ParkingError):
+    """A file of a run directory that has lost something, or is not what it has to be."""
+
+
+class StoreError(ParkingError):
+    """A store that is up and can't take a run as it is."""
+
+
 class UnsyncedError(ParkingError):
     """A store fails, and has not got all that the run directories have."""
 

@@ -20,8 +20,10 @@ from parking_exp.config import (
 )
 from parking_exp.errors import ConfigError, RunNotFoundError
 from parking_exp.files import write_json
+from parking_exp.locations import default_uri, directory_path, is_same_store
 from parking_exp.rules import check_env
 from parking_exp.runs import RunDirectory, find_run
+from parking_exp.store import without_password
 from parking_exp.trust import check_trust
 from parking_exp.validation import parse
 
@@ -84,7 +86,7 @@ def evaluate_run(config: DictConfig) -> Path:
         UntrustedError: the stored config would execute what runs are not made of, and `trust` is false.
     """
     request = validate_request(config)
-    output_dir = Path(request.output_dir).expanduser().absolute()
+    output_dir = directory_path(request.output_dir)
     directory = find_run(request.run, output_dir, having=f"models/{request.model}.zip")
     weights = directory.models / f"{request.model}.zip"
     if not weights.exists():
@@ -93,6 +95,7 @@ def evaluate_run(config: DictConfig) -> Path:
             + ("try model=best" if (directory.models / "best.zip").exists() else "let it train first")
         )
     run = directory.config()
+    directory.check_links()
     if not request.trust:
         check_trust(run, directory.path / "config.yaml")
     env = request.env or _simulated(run.env, request.simulator)
@@ -101,7 +104,7 @@ def evaluate_run(config: DictConfig) -> Path:
     folder = directory.path / "evaluations" / (request.name or _folder_name(request, run, env))
     print(f"run directory  {directory.path}")
     _evaluate(request, run, env, weights, folder)
-    _store(request, directory)
+    _store(request, directory, output_dir)
     print(f"results        {folder}")
     return folder
 
@@ -150,15 +153,27 @@ def _evaluate(request: EvaluationRequest, run: RunConfig, env: EnvConfig, weight
         record(policy, env, scenes[: request.video], folder / "video.mp4", gif=request.gif)
 
 
-def _store(request: EvaluationRequest, directory: RunDirectory) -> None:
-    """Bring the results into the run's store, where it has one."""
-    if not (request.tracking.mlflow and directory.tracking_uri):
+def _store(request: EvaluationRequest, directory: RunDirectory, output_dir: Path) -> None:
+    """Bring the results into the run's store: the one that is typed, or the embedded one of the output directory.
+
+    A run directory may come from elsewhere, and what it names as its store is no reason to connect there.
+    """
+    tracked_in = directory.tracking_uri
+    uri = request.tracking.uri or (default_uri(output_dir) if tracked_in else None)
+    if not request.tracking.mlflow or uri is None:
+        return
+    if request.tracking.uri is None and tracked_in is not None and not is_same_store(tracked_in, uri):
+        place = without_password(tracked_in)
+        print(
+            f"not stored     the run is tracked in {place}, not in the store of output_dir={output_dir}; "
+            f"tracking.uri={place} sends the results there"
+        )
         return
     from parking_exp.syncing import try_sync
     from parking_exp.tracking import later
 
-    if problem := try_sync(directory, request.tracking.uri):
-        print(f"not stored     {problem}; {later(directory.path.parents[2])}")
+    if problem := try_sync(directory, uri):
+        print(f"not stored     {problem}; {later(directory.output_dir, uri)}")
 
 
 def _simulated(env: EnvConfig, simulator: Simulation) -> EnvConfig:

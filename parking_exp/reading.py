@@ -14,11 +14,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
-from urllib.parse import unquote, urlparse
 
 from parking_exp.errors import ResultsError
 from parking_exp.garbage import no_garbage
-from parking_exp.store import absolute, connect, database, reason, without_password
+from parking_exp.locations import absolute, database, lies_inside, local_folder
+from parking_exp.store import connect, reason, without_password
 
 Point = tuple[str, int, int, float]
 """Run id, step, time in ms, value."""
@@ -47,12 +47,16 @@ class StoredRun:
 class Reader:
     """A connection to a store that there is.
 
+    Args:
+        uri: the store.
+        artifacts_in: the folder that artifacts have to lie in, since a store may come from elsewhere; None: anywhere.
+
     Raises:
         ResultsError: there is none, or it does not answer.
     """
 
-    def __init__(self, uri: str) -> None:
-        self.uri = absolute(uri)
+    def __init__(self, uri: str, artifacts_in: Path | None = None) -> None:
+        self.uri, self._artifacts_in = absolute(uri), artifacts_in
         path = database(self.uri)
         if path is not None and not path.is_file():
             raise ResultsError(f"there is no store {path}; train something first, or name another output_dir or store")
@@ -67,6 +71,11 @@ class Reader:
     def place(self) -> str:
         """The URI as it may be shown."""
         return without_password(self.uri)
+
+    def run_dir(self, tag: str | None) -> str | None:
+        """Return the run directory that a run's tag means: relative ones lie beside an embedded store."""
+        path = database(self.uri)
+        return str(path.parent / tag) if path and tag else tag
 
     def experiments(self) -> dict[str, str]:
         """Return the ids of all experiments that are not deleted, by name."""
@@ -108,7 +117,11 @@ class Reader:
         Raises:
             Exception: it is there and can't be had; `store.reason` makes a sentence of it.
         """
-        if (folder := local_folder(folder_uri)) is not None:
+        folder = local_folder(folder_uri)
+        place = self._artifacts_in
+        if place is not None and (folder is None or not lies_inside(folder / name, place)):
+            raise ResultsError(f"it lies outside of {place}; tracking.uri={self.place} reads it there, too")
+        if folder is not None:
             try:
                 return (folder / name).read_bytes()
             except FileNotFoundError:
@@ -171,14 +184,6 @@ class Reader:
                 yield
         except Exception as error:
             raise ResultsError(f"the store {self.place} can't be read: {reason(error)}") from error
-
-
-def local_folder(uri: str) -> Path | None:
-    """Return the folder that a URI of artifacts means on this machine, None where they lie elsewhere."""
-    parts = urlparse(uri)
-    if parts.scheme == "file" and parts.netloc in ("", "localhost"):
-        return Path(unquote(parts.path))
-    return None if parts.scheme else Path(uri)
 
 
 def chunks(items: Sequence[str], size: int) -> Iterator[Sequence[str]]:

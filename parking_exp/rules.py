@@ -128,7 +128,11 @@ def _check_evaluation(run: RunConfig) -> list[str]:
 def _check_tracking(run: RunConfig) -> list[str]:
     """Refuse a store that can never work; one that is only down is none of these."""
     uri = run.tracking.uri
-    if uri is None or not run.tracking.mlflow:
+    if not run.tracking.mlflow:
+        return []
+    if run.experiment_name == "Default":
+        return ["experiment_name=Default is MLflow's own, which keeps artifacts elsewhere; take another name"]
+    if uri is None:
         return []
     scheme = uri.partition(":")[0].partition("+")[0]
     if scheme == "sqlite" and re.fullmatch(r"sqlite:///[^?]+", uri) is None:

@@ -19,7 +19,7 @@ from parking_exp.evaluation import differences, evaluate, rank, summarise
 from parking_exp.figures import learning_curves
 from parking_exp.files import sync
 from parking_exp.loggers import make_logger
-from parking_exp.logs import MetricsLog, append_episodes, sync_logs
+from parking_exp.logs import MetricsLog, append_episodes
 from parking_exp.progress import TrainingProgress
 from parking_exp.runs import RunDirectory
 from parking_exp.seeding import derive_seeds
@@ -126,7 +126,6 @@ class Session:
             return
         self.progress.step = self.progress.saved = step
         self.progress.cpu_s, self.progress.wall_s = self.times()
-        self.progress.log_sizes = sync_logs(self.directory.path)
         checkpoints.save(
             self.directory.checkpoints, self.model, self.progress, self._best, self.config.checkpoint.keep_last
         )

@@ -19,11 +19,12 @@ from parking_exp.composition import Composed
 from parking_exp.config import RunConfig
 from parking_exp.errors import FailedRunError, OutputDirectoryError
 from parking_exp.launching import Launch
+from parking_exp.locations import store_uri
 from parking_exp.machine import cores
 from parking_exp.monitor import Monitor
+from parking_exp.outdated import sync_all
 from parking_exp.runs import RunDirectory
 from parking_exp.states import RunState, Stage, counts, find, read_state
-from parking_exp.syncing import sync_all
 from parking_exp.tables import cell_table, console, duration, failure_lines, stopped_lines
 from parking_exp.tracking import later
 from parking_exp.validation import validate
@@ -210,10 +211,14 @@ def _launch_all(due: list[Path], launch: Launch, monitor: Monitor) -> None:
 
 def _sync(runs: Sequence[Planned], monitor: Monitor) -> None:
     """Send what workers could not, because they were killed or their store was down."""
-    problems = [problem for _, problem in sync_all(RunDirectory(run.path) for run in runs) if problem]
+    uris = list({store_uri(run.config) for run in runs if run.config.tracking.mlflow})
+    found = sync_all((RunDirectory(run.path) for run in runs), uris)
+    problems = [(directory, problem) for directory, problem in found if problem]
     if problems:
+        directory, problem = problems[0]
         whose = f"{len(problems)} runs are" if len(problems) > 1 else "a run is"
-        monitor.say(f"{whose} not all in the store ({problems[0]}); {later(runs[0].config.output_path)}")
+        what_to_do = later(directory.output_dir, directory.tracking_uri)
+        monitor.say(f"{whose} not all in the store ({problem}); {what_to_do}")
 
 
 def _wait(elsewhere: list[Path]) -> tuple[list[Path], list[Path]]:

@@ -9,7 +9,6 @@ import time
 import traceback
 from collections.abc import Mapping
 from contextlib import nullcontext
-from pathlib import Path
 from typing import Any
 
 import torch
@@ -20,8 +19,9 @@ from parking_exp.algorithms import torch_settings
 from parking_exp.checkpoints import Progress
 from parking_exp.config import RunConfig
 from parking_exp.errors import ConfigError, FailedRunError, InterruptedRunError
-from parking_exp.logs import cut_back
+from parking_exp.logs import log_hashes, restore_logs
 from parking_exp.progress import TrainingProgress
+from parking_exp.provenance import typed_command
 from parking_exp.runs import RunDirectory, RunResult
 from parking_exp.session import Session
 from parking_exp.stopping import StopRequest, stop_on_signal
@@ -50,7 +50,7 @@ def train(config: DictConfig | Mapping[str, Any] | RunConfig, *, supervised: boo
         if (result := directory.result()) is not None:
             print(
                 f"already done; to train it afresh, change the seed or delete its directory\n"
-                f"{_closing_words(result, directory.unsynced)}"
+                f"{_closing_words(result, directory)}"
             )
             return result
         directory.create(config)
@@ -60,16 +60,20 @@ def train(config: DictConfig | Mapping[str, Any] | RunConfig, *, supervised: boo
 
 def _train(config: RunConfig, directory: RunDirectory, stop: StopRequest) -> RunResult:
     (directory.path / "traceback.txt").unlink(missing_ok=True)
-    process = {"pid": os.getpid(), "host": socket.gethostname(), "started": time.time()}
+    process: dict[str, Any] = {"pid": os.getpid(), "host": socket.gethostname(), "started": time.time()}
+    if command := typed_command():  # a supervised run has the sweep's
+        process["command"] = command
     directory.update(status="running", error=None, killed=None, total_timesteps=config.total_timesteps, **process)
     tracker = Tracker()
     try:
         checkpoint = checkpoints.latest(directory.checkpoints)
         progress = checkpoints.read_progress(checkpoint) if checkpoint else Progress()
-        cut_back(directory.path, progress.log_sizes)
+        damaged = restore_logs(directory.path, checkpoint)
         shown = config.tracking.progress_bar
         with TrainingProgress(config.total_timesteps, progress.step, shown, beat=directory.beat) as bar:
             bar.say(f"{config.cell}, seed {config.seed}: {config.total_timesteps} env steps, in {directory.path}")
+            for name in damaged:
+                bar.say(f"{name} was damaged; it is taken from the checkpoint")
             tracker = open_tracker(config, directory, bar.say)
             session = Session(
                 config=config,
@@ -84,7 +88,7 @@ def _train(config: RunConfig, directory: RunDirectory, stop: StopRequest) -> Run
             episodes = session.finish()
         metrics = session.metrics.latest()
         finished = RunResult(str(directory.path), directory.run_id, session.model.num_timesteps, metrics)
-        directory.finish(finished, **_cost(finished))
+        directory.finish(finished, logs=log_hashes(directory.path), **_cost(finished))
     except (InterruptedRunError, KeyboardInterrupt) as error:
         directory.update(status="interrupted")
         tracker.close()
@@ -99,11 +103,11 @@ def _train(config: RunConfig, directory: RunDirectory, stop: StopRequest) -> Run
     try:
         tracker.close()
     except KeyboardInterrupt:
-        words = f"the run is done, its store is not up to date; {later(config.output_path)}"
+        words = f"the run is done, its store is not up to date; {later(config.output_path, directory.tracking_uri)}"
         raise InterruptedRunError(words, signal.SIGINT) from None
     result = directory.result()
     assert result is not None
-    print(f"{describe(episodes)}\n{_closing_words(result, directory.unsynced)}")
+    print(f"{describe(episodes)}\n{_closing_words(result, directory)}")
     return result
 
 
@@ -132,7 +136,7 @@ def _cost(result: RunResult) -> dict[str, float | None]:
     }
 
 
-def _closing_words(result: RunResult, unsynced: str | None) -> str:
+def _closing_words(result: RunResult, directory: RunDirectory) -> str:
     rate = result.metrics.get("certified/success_rate")
     lines = (
         [f"final success rate {rate:.1%} on highway-env, after {result.steps} env steps"] if rate is not None else []
@@ -140,6 +144,7 @@ def _closing_words(result: RunResult, unsynced: str | None) -> str:
     lines.append(f"run directory  {result.run_dir}")
     if result.run_id:
         lines.append(f"MLflow run     {result.run_id}   (make ui)")
-    if unsynced:
-        lines.append(f"not all of it is in the store ({unsynced}); {later(Path(result.run_dir).parents[2])}")
+    if directory.unsynced:
+        what_to_do = later(directory.output_dir, directory.tracking_uri)
+        lines.append(f"not all of it is in the store ({directory.unsynced}); {what_to_do}")
     return "\n".join(lines)

@@ -103,8 +103,17 @@ def parse(model: type[Model], config: DictConfig | Mapping[str, Any], without: S
         plain: Any = OmegaConf.to_container(node, resolve=True, throw_on_missing=True)
     except OmegaConfBaseException as error:
         raise ConfigError(f"{error.full_key}: {str(error).splitlines()[0]}") from error
+    return check(model, {key: value for key, value in plain.items() if key not in without})
+
+
+def check(model: type[Model], plain: Mapping[str, Any]) -> Model:
+    """Check plain values against a schema.
+
+    Raises:
+        ConfigError: they don't fit.
+    """
     try:
-        return model.model_validate({key: value for key, value in plain.items() if key not in without})
+        return model.model_validate(plain)
     except ValidationError as error:
         raise ConfigError("\n".join(_sentences(error, model)[:5])) from error
 

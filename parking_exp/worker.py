@@ -20,12 +20,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any, Literal
 
-from parking_exp.config import RunConfig
 from parking_exp.errors import ConfigError, FailedRunError, InterruptedRunError, ParkingError, RunLockedError
 from parking_exp.garbage import no_garbage
+from parking_exp.locations import store_uri
 from parking_exp.machine import THREAD_VARIABLES, pin
 from parking_exp.runs import RunDirectory
-from parking_exp.store import import_mlflow, store_uri
+from parking_exp.store import import_mlflow
 
 LOG_FILE = "log.txt"
 GRACE_S = 8.0  # to save a checkpoint after a signal, before the process is killed
@@ -84,7 +84,7 @@ def supervise(
 
 def _run(directory: RunDirectory, share: Share, stop: threading.Event, started: OnStart | None) -> Ending:
     try:
-        config = _present_config(directory)
+        config = directory.config()
     except ConfigError as error:
         directory.update(status="failed", error=str(error))
         return "failed"
@@ -105,11 +105,6 @@ def _run(directory: RunDirectory, share: Share, stop: threading.Event, started: 
                 _kill(process)
     past = f"ran past timeout_s={config.timeout_s:g}" if late else None
     return _ending(directory, process.returncode, past, stop.is_set())
-
-
-def _present_config(directory: RunDirectory) -> RunConfig:
-    """Read a run's config. Where the directory is now counts: it may have been moved since that was written."""
-    return directory.config().model_copy(update={"output_dir": str(directory.path.parents[2])})
 
 
 def _wait(process: subprocess.Popen[bytes], timeout_s: float | None, stop: threading.Event) -> bool:
@@ -204,7 +199,7 @@ def main() -> None:
         pin([int(core) for core in cores.split(",")])
     directory = RunDirectory(path)
     try:
-        config = _present_config(directory)
+        config = directory.config()
         with no_garbage(freeze=True):  # of torch, for which cores and threads are settled now
             from parking_exp.training import train
 

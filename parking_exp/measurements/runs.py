@@ -19,6 +19,7 @@ from parking_exp.composition import composed
 from parking_exp.config import RunConfig
 from parking_exp.envs import make_env
 from parking_exp.envs.vector import make_training_envs
+from parking_exp.locations import store_uri
 from parking_exp.measurements.rounds import interleave, rounded, spread
 from parking_exp.measurements.updates import theirs
 from parking_exp.policy import Policy
@@ -26,7 +27,6 @@ from parking_exp.progress import TrainingProgress
 from parking_exp.runs import RunDirectory
 from parking_exp.session import Schedule, Session
 from parking_exp.stopping import StopRequest
-from parking_exp.store import store_uri
 from parking_exp.tracking import open_tracker
 from parking_exp.validation import validate
 
