@@ -130,6 +130,42 @@ def test_a_run_that_was_cut_off_twice_is_the_one_that_was_not(tmp_path, kind):
     assert differences(whole, pieces) == []
 
 
+DAMAGE = {
+    "gone": lambda path: path.unlink(),
+    "cut": lambda path: path.write_bytes(path.read_bytes()[:40]),
+    "flipped": lambda path: path.write_bytes(b"\x00" + path.read_bytes()[1:]),
+}
+
+
+@pytest.mark.parametrize("kind", DAMAGE)
+@pytest.mark.parametrize("name", ["metrics.jsonl", "episodes.csv", "monitor.csv"])
+def test_a_log_that_was_damaged_before_a_resume_is_whole_again(uninterrupted, tmp_path, capsys, name, kind):
+    config = configured(tmp_path, "tracking.progress_bar=true")
+    with cut_at(137), pytest.raises(FailedRunError):
+        train(config)
+    DAMAGE[kind](only_run(tmp_path).path / name)
+    train(config)
+    assert differences(uninterrupted, only_run(tmp_path).path) == []
+    assert f"{name} was damaged; it is taken from the checkpoint" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("kind", DAMAGE)
+def test_a_run_goes_on_without_its_other_files(uninterrupted, tmp_path, kind):
+    """What is not in a checkpoint, and only says something about the run."""
+    config = configured(tmp_path, "tracking.mlflow=true", f"tracking.uri=sqlite:///{tmp_path / 'file'}/x.db")
+    (tmp_path / "file").touch()  # a store that is down
+    with cut_at(137), pytest.raises(FailedRunError):
+        train(config)
+    for name in ("provenance.json", "synced.json", "status.json", "beat.json"):
+        if (path := only_run(tmp_path).path / name).exists() and (kind != "gone" or name != "status.json"):
+            DAMAGE[kind](path)
+    train(config)
+    directory = only_run(tmp_path)
+    assert differences(uninterrupted, directory.path) == []
+    assert directory.status == "done"
+    assert directory.unsynced == f"File exists: {tmp_path / 'file'}"
+
+
 def test_the_comparison_sees_everything(uninterrupted, tmp_path):
     """Another seed differs in every kind of thing that is compared, else nothing would be shown above."""
     other = run(tmp_path, "seed=1")

@@ -27,9 +27,10 @@ from servers import closed_port, mlflow_server, needs_server
 from syncing_processes import KEYS, grow, sync
 
 from parking_exp import artifacts as sent_files
-from parking_exp import checkpoints
+from parking_exp import checkpoints, syncing
+from parking_exp.files import write_json
 from parking_exp.locations import default_uri
-from parking_exp.logs import restore_logs
+from parking_exp.logs import log_hashes, restore_logs
 from parking_exp.outdated import in_step as in_step_with
 from parking_exp.outdated import known_statuses, sync_all
 from parking_exp.provenance import provenance
@@ -248,6 +249,112 @@ def test_a_run_that_was_killed_sends_nothing_above_its_last_checkpoint(output_di
     assert stored_points(output_dir, run_id) == local_points(directory)
     run = store(output_dir).get_run(run_id)
     assert (run.info.status, run.data.tags["status"]) == ("FINISHED", "done")
+
+
+LOST = {
+    "gone": lambda path: path.unlink(),
+    "cut": lambda path: path.write_bytes(path.read_bytes()[:-70]),
+    "flipped": lambda path: path.write_bytes(b"\x00" + path.read_bytes()[1:]),
+}
+
+
+def ended(output_dir, seed=0):
+    """A run that is done, and knows the hashes of its logs."""
+    directory = written_run(output_dir, seed)
+    grow(directory, rows=20)
+    (directory.path / "episodes.csv").write_text("phase,step\n" + 20 * "eval,1\n")
+    result = RunResult(str(directory.path), directory.run_id, 20, {})
+    directory.finish(result, logs=log_hashes(directory.path))
+    return directory
+
+
+@pytest.mark.parametrize("kind", LOST)
+@pytest.mark.parametrize("name", ["metrics.jsonl", "episodes.csv"])
+def test_what_a_finished_run_has_lost_is_taken_back_from_the_store(output_dir, kind, name):
+    directory = ended(output_dir)
+    sync(directory)
+    before, run_id = stored_points(output_dir, directory.run_id), directory.run_id
+    whole = (directory.path / name).read_bytes()
+    LOST[kind](directory.path / name)
+    (directory.path / "synced.json").unlink()
+    sync(directory)
+    assert (directory.path / name).read_bytes() == whole
+    assert directory.run_id == run_id
+    assert stored_points(output_dir, run_id) == before
+
+
+@pytest.mark.parametrize("name", ["metrics.jsonl", "episodes.csv"])
+def test_what_a_store_has_no_copy_of_is_said_and_all_else_is_sent(output_dir, name):
+    directory = ended(output_dir)
+    LOST["cut"](directory.path / name)
+    (problem,) = sync_everything(output_dir)
+    assert problem == (
+        f"{name} in {directory.path} has lost something, and the store has no copy; what the store has of it stays as it is"
+    )
+    assert directory.unsynced == problem
+    stored = artifacts(store(output_dir), directory.run_id)
+    assert name not in stored
+    assert "checkpoints/step=0000000020/model.zip" in stored
+    assert store(output_dir).get_run(directory.run_id).info.status == "FINISHED"
+
+
+@pytest.mark.parametrize("kind", LOST)
+def test_a_run_that_was_cut_off_and_has_lost_its_metrics_keeps_those_of_the_store(output_dir, kind):
+    directory = written_run(output_dir)
+    grow(directory, rows=20)
+    points = local_points(directory)
+    sync(directory)
+    run_id = directory.run_id
+    LOST[kind](directory.path / "metrics.jsonl")
+    (directory.path / "synced.json").unlink()
+    assert "metrics.jsonl in" in sync_everything(output_dir)[0]
+    assert directory.run_id == run_id
+    assert stored_points(output_dir, run_id) == points
+    assert directory.status == "running"
+
+
+def test_an_error_of_ours_is_not_called_the_stores_and_stops_nothing(output_dir, monkeypatch):
+    directory, said = written_run(output_dir), []
+    monkeypatch.setattr(syncing, "flatten", {}.__getitem__)
+    tracker = open_tracker(directory.config(), directory, said.append)
+    problem = directory.unsynced
+    path = directory.path / "sync_traceback.txt"
+    assert problem.startswith("an error of parking_exp: ")
+    assert problem.endswith(f"; its traceback is in {path}")
+    assert "syncing.py" in path.read_text()
+    assert path.read_text().startswith("Traceback (most recent call last)")
+    assert len(said) == 1
+    monkeypatch.undo()
+    tracker.close()
+    assert (directory.unsynced, path.exists()) == (None, False)
+
+
+def test_a_run_that_waits_to_go_on_is_interrupted_in_the_store(output_dir):
+    directory = written_run(output_dir)
+    directory.update(status="pending")  # frozen again by a sweep that was killed then
+    assert sync_everything(output_dir) == [None]
+    assert store(output_dir).get_run(directory.run_id).data.tags["status"] == "interrupted"
+
+
+def test_mlflows_ui_is_told_what_experiments_and_runs_are(output_dir):
+    directory, client = ended(output_dir), store(output_dir)
+    directory.update(command="python scripts/train.py experiment=smoke")
+    rates = {f"certified/{name}_rate": rate for name, rate in {"success": 0.94, "crash": 0.04, "parked": 0.0}.items()}
+    write_json(directory.path / "result.json", {"run_dir": "", "run_id": None, "steps": 60000, "metrics": rates})
+    sync(directory)
+    experiment = client.get_experiment_by_name("smoke")
+    assert experiment.tags["mlflow.experimentKind"] == "custom_model_development"
+    assert "experiment=smoke" in experiment.tags["mlflow.note.content"]
+    assert client.get_run(directory.run_id).data.tags["mlflow.note.content"] == (
+        "sac, her_future on parking, seed 0: success 94.0%, crash 4.0%, parked 0.0% on 5 scenes of highway-env"
+        " after 60,000 env steps.\n\nTyped: `python scripts/train.py experiment=smoke`"
+    )
+    client.set_tag(directory.run_id, "mlflow.note.content", "my own words")
+    client.set_experiment_tag(experiment.experiment_id, "mlflow.note.content", "mine")
+    directory.update(command="python scripts/train.py")
+    sync(directory)
+    assert client.get_run(directory.run_id).data.tags["mlflow.note.content"] == "my own words"
+    assert client.get_experiment_by_name("smoke").tags["mlflow.note.content"] == "mine"
 
 
 @pytest.mark.parametrize(("status", "theirs"), [("failed", "FAILED"), ("interrupted", "KILLED")])
