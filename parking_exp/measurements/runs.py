@@ -106,6 +106,8 @@ def overhead(rounds: int, steps: int, slice_steps: int) -> tuple[dict[str, Any],
         end_s = _seconds(session.finish)
         session.directory.update(status="done")
         session.tracker.close()
+        if problem := session.directory.unsynced:  # then its checkpoints and its end have cost too little
+            raise RuntimeError(f"the store of the run that was to be timed has not got everything: {problem}")
     evaluations = full.total_timesteps // (full.evaluation.every_n_steps or full.total_timesteps)
     checkpoints = full.total_timesteps // (full.checkpoint.every_n_steps or full.total_timesteps)
     besides = start_s + (evaluations - 1) * evaluation_s + checkpoints * checkpoint_s + end_s
@@ -132,6 +134,7 @@ def _tracked_session(config: RunConfig) -> tuple[Session, float]:
     directory = RunDirectory(config.run_dir)
     start = time.perf_counter()
     directory.create(config)
+    directory.update(status="running")
     tracker = open_tracker(config, directory)
     session = Session(
         config=config,
