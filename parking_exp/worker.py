@@ -22,7 +22,7 @@ from typing import IO, Any, Literal
 
 from parking_exp.errors import ConfigError, FailedRunError, InterruptedRunError, ParkingError, RunLockedError
 from parking_exp.garbage import no_garbage
-from parking_exp.locations import store_uri
+from parking_exp.locations import directory_path, store_uri
 from parking_exp.machine import THREAD_VARIABLES, pin
 from parking_exp.runs import RunDirectory
 from parking_exp.store import import_mlflow
@@ -85,6 +85,8 @@ def supervise(
 def _run(directory: RunDirectory, share: Share, stop: threading.Event, started: OnStart | None) -> Ending:
     try:
         config = directory.config()
+        if config.run_dir != directory_path(directory.path):
+            raise ConfigError(f"{directory.path / 'config.yaml'} is the config of another run; type the sweep again")
     except ConfigError as error:
         directory.update(status="failed", error=str(error))
         return "failed"

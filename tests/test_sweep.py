@@ -176,6 +176,14 @@ def test_a_frozen_config_that_is_broken_fails_its_run_alone(tmp_path):
     assert read_state(runs[0].path).reason.startswith(f"{runs[0].path / 'config.yaml'} can't be read: ")
 
 
+def test_a_config_of_another_run_is_not_trained(tmp_path):
+    ours, another = plan(composed_runs("config", [*QUICK, "seeds=2", f"output_dir={tmp_path}"]))
+    RunDirectory(ours.path).freeze(another.config, ours.label, None)
+    assert supervise(ours.path) == "failed"
+    place = ours.path / "config.yaml"
+    assert read_state(ours.path).reason == f"{place} is the config of another run; type the sweep again"
+
+
 def test_who_looks_at_a_run_does_not_keep_it_from_being_frozen_or_claimed(tmp_path):
     (run,) = plan(composed_runs("config", [*QUICK, "seeds=1", f"output_dir={tmp_path}"]))
     directory, over = RunDirectory(run.path), threading.Event()
