@@ -15,10 +15,10 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from parking_exp.errors import ResultsError
+from parking_exp.errors import ParkingError, ResultsError
 from parking_exp.garbage import no_garbage
 from parking_exp.locations import absolute, database, lies_inside, local_folder
-from parking_exp.store import connect, reason, without_password
+from parking_exp.store import connect, is_store_failure, reason, without_password
 
 Point = tuple[str, int, int, float]
 """Run id, step, time in ms, value."""
@@ -144,8 +144,10 @@ class Reader:
         def one(uri: str) -> bytes | Exception | None:
             try:
                 return self.artifact(uri, name)
-            except Exception as error:  # of any of the places that MLflow knows; the caller says it
-                return error
+            except Exception as error:
+                if not is_store_failure(error):
+                    raise
+                return error  # the caller says it
 
         if all(local_folder(uri) is not None for uri in uris):
             yield from map(one, uris)
@@ -154,10 +156,12 @@ class Reader:
             yield from pool.map(one, uris)
 
     def _from_server(self, key: str, run_ids: Sequence[str]) -> list[Point]:
+        from mlflow.exceptions import MlflowException
         from mlflow.utils.rest_utils import http_request_safe
 
         parameters = {"run_id": list(run_ids), "metric_key": key, "max_results": POINTS_A_REQUEST}
-        with suppress(Exception):  # another kind of server; if it is down, the next request says so
+        # Another kind of server has no such route, or another answer; if it is down, the next request says so.
+        with suppress(MlflowException, OSError, ValueError, KeyError, TypeError):
             answer = http_request_safe(self._store.get_host_creds(), HISTORIES, "GET", params=parameters).json()
             points = [(p["run_id"], int(p["step"]), int(p["timestamp"]), float(p["value"])) for p in answer["metrics"]]
             if len(points) < POINTS_A_REQUEST:
@@ -183,6 +187,8 @@ class Reader:
             with no_garbage():
                 yield
         except Exception as error:
+            if isinstance(error, ParkingError) or not is_store_failure(error):
+                raise
             raise ResultsError(f"the store {self.place} can't be read: {reason(error)}") from error
 
 

@@ -64,7 +64,7 @@ from parking_exp.garbage import no_garbage
 from parking_exp.locations import default_uri, directory_path
 from parking_exp.reading import Point, Reader, StoredRun
 from parking_exp.recordings import EPISODES, read_episodes, read_trajectories
-from parking_exp.store import reason, without_password
+from parking_exp.store import is_store_failure, reason, without_password
 from parking_exp.trajectories import TRAJECTORIES_FILE
 from parking_exp.wording import closest
 
@@ -141,7 +141,9 @@ class Results:
             raise ResultsError(f"run_id={run_id}: it is none of the {len(self.runs)} runs{hint}")
         try:
             return read_trajectories(self._reader.artifact(places.iloc[0], TRAJECTORIES_FILE))
-        except Exception as error:  # each place of artifacts has its own, and a file may be damaged
+        except Exception as error:
+            if not isinstance(error, ValueError) and not is_store_failure(error):  # a damaged file is a ValueError
+                raise
             raise ResultsError(f"run {run_id}: {TRAJECTORIES_FILE} can't be read: {reason(error)}") from error
 
 

@@ -230,7 +230,9 @@ class Store:
 
         try:
             get_artifact_repository(run.info.artifact_uri, tracking_uri=self.uri).delete_artifacts(name)
-        except Exception as error:  # this is tidying up; each place of artifacts has its own way to refuse it
+        except Exception as error:  # this is tidying up, and a place of artifacts may not allow it
+            if not isinstance(error, NotImplementedError) and not is_store_failure(error):
+                raise
             logging.getLogger(__name__).debug("%s stays in the store: %s", name, error)
 
     def folders(self, run: "Run", name: str) -> list[str]:
