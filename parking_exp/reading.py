@@ -118,9 +118,9 @@ class Reader:
             Exception: it is there and can't be had; `store.reason` makes a sentence of it.
         """
         folder = local_folder(folder_uri)
-        place = self._artifacts_in
-        if place is not None and (folder is None or not lies_inside(folder / name, place)):
-            raise ResultsError(f"it lies outside of {place}; tracking.uri={self.place} reads it there, too")
+        within = self._artifacts_in
+        if within is not None and (folder is None or not lies_inside(folder / name, within)):
+            raise ResultsError(f"it lies outside of {within}; tracking.uri={self.place} reads it there, too")
         if folder is not None:
             try:
                 return (folder / name).read_bytes()
