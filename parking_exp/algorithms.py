@@ -6,12 +6,13 @@ from typing import Any
 
 import numpy as np
 import torch
-from hydra.utils import get_class, instantiate
+from hydra.utils import get_class, get_object, instantiate
 from stable_baselines3.common.noise import ActionNoise
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from stable_baselines3.common.torch_layers import CombinedExtractor
 from stable_baselines3.common.vec_env import VecEnv
 
+from parking_exp.arguments import CLASS_ARGUMENTS
 from parking_exp.buffers import HerBuffer
 from parking_exp.config import RunConfig
 from parking_exp.envs.reward import GoalReward
@@ -78,7 +79,23 @@ def _policy_kwargs(config: RunConfig) -> dict[str, Any]:
     else:
         # What a MultiInputPolicy has by default, except CrossQ's.
         policy_kwargs["features_extractor_class"] = CombinedExtractor
-    return policy_kwargs | (config.algorithm.arguments.get("policy_kwargs") or {})
+    given = config.algorithm.arguments.get("policy_kwargs") or {}
+    classes = {name: _class(value) for name, value in given.items() if name in CLASS_ARGUMENTS}
+    rest = instantiate({name: value for name, value in given.items() if name not in classes} | {"_convert_": "all"})
+    return policy_kwargs | rest | classes
+
+
+def _class(value: Any) -> Any:
+    """Return the class that a dotted path or a `_target_` node names; with the node's arguments, if it has any."""
+    if isinstance(value, str):
+        return get_class(value)
+    if not isinstance(value, Mapping):
+        return value
+    found = get_object(value["_target_"])
+    is_class = isinstance(found, type)
+    if is_class and not set(value) - {"_target_", "_partial_"}:
+        return found
+    return instantiate({**value, "_convert_": "all", "_partial_": is_class})
 
 
 def _action_noise(node: Mapping[str, Any]) -> ActionNoise:

@@ -32,7 +32,9 @@ NAME = r"^[A-Za-z0-9][A-Za-z0-9._-]*$"
 Name = Annotated[str, Field(pattern=NAME, max_length=80)]
 Positive = Annotated[int, Field(ge=1)]
 Count = Annotated[int, Field(ge=0)]
+NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 PositiveFloat = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+Duration = Annotated[float, Field(gt=0, le=100_000)]
 Share = Annotated[float, Field(gt=0, le=1)]
 Bounds = Annotated[list[float], Field(min_length=2, max_length=2)]
 Simulation = Literal["vectorized", "highway_env"]
@@ -74,7 +76,7 @@ class EnvConfig(Section):
     id: Literal["parking-v0"]
     simulator: Simulation
     reward: Literal["dense", "sparse"]
-    training_duration: PositiveFloat | None
+    training_duration: Duration | None
 
     observation: ObservationConfig
     action: ActionConfig
@@ -84,7 +86,7 @@ class EnvConfig(Section):
     steering_range: PositiveFloat
     simulation_frequency: Positive
     policy_frequency: Positive
-    duration: PositiveFloat
+    duration: Duration
     controlled_vehicles: Literal[1]
     vehicles_count: Annotated[int, Field(ge=0, le=26)]
     add_walls: bool
