@@ -38,6 +38,7 @@ Duration = Annotated[float, Field(gt=0, le=100_000)]
 Share = Annotated[float, Field(gt=0, le=1)]
 Bounds = Annotated[list[float], Field(min_length=2, max_length=2)]
 Simulation = Literal["vectorized", "highway_env"]
+Precision = Literal["highest", "medium"]
 Scene = Annotated[int, Field(ge=0, lt=TRAINING_SCENES_START)]
 
 
@@ -239,7 +240,7 @@ class RunConfig(Section):
     updates_per_step: Annotated[float, Field(ge=0.001, allow_inf_nan=False)]
     device: Annotated[str, Field(pattern=r"^(cpu|auto|mps|cuda(:\d+)?)$")]
     torch_threads: Positive | None
-    precision: Literal["highest", "medium"]
+    precision: Literal["auto"] | Precision
     timeout_s: PositiveFloat | None = None
     env: EnvConfig
     algorithm: AlgorithmConfig
