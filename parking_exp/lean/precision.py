@@ -61,20 +61,22 @@ def measure(timer: Timer) -> tuple[Sequence[float], Sequence[float]]:
 
 
 def _seconds(precision: Precision, layers: list[Layer], batch: int) -> float:
-    """Time a forward and a backward pass of a minibatch through a network.
+    """Time what an update does with a critic: the target's forward pass, the critic's own update, the actor's gradient.
 
     In CPU time: other processes on the same cores, such as the other runs of a sweep, would decide by the clock.
     """
     rows = min(batch, max(FEWEST_ROWS, MOST_PRODUCTS // sum(weight.numel() for weight, _ in layers)))
-    network, x = Perceptron(layers), torch.ones(rows, layers[0][0].shape[1])
+    network, x, ones = Perceptron(layers), torch.ones(rows, layers[0][0].shape[1]), torch.ones(rows, 1)
     gradients = [torch.empty_like(tensor) for layer in layers for tensor in layer]
     before = torch.get_float32_matmul_precision()
     torch.set_float32_matmul_precision(precision)
     try:
         with torch.no_grad():
             start = time.process_time()
+            network.forward(x)
             values = network.forward(x)
-            network.backward(values, torch.ones_like(values[-1]), gradients)
+            network.backward(values, ones, gradients)
+            network.input_gradient(network.forward(x), ones)
             return time.process_time() - start
     finally:
         torch.set_float32_matmul_precision(before)
