@@ -139,7 +139,7 @@ def _single_core(settings: BenchmarkConfig) -> Figures:
         from parking_exp.measurements import runs, updates
 
         wide = "256" in net
-        options = ["algorithm.features=raw", "precision=medium"] if wide else []  # as experiment=article has it
+        options = ["algorithm.features=raw", "precision=auto"] if wide else []  # as experiment=article has it
         config = runs.run_config(
             f"algorithm={algorithm}", f"algorithm.net_arch={net}", "algorithm.batch_size=256", *options
         )

@@ -103,13 +103,16 @@ def evaluate_run(config: DictConfig) -> Path:
         raise ConfigError("\n".join(problems))
     folder = directory.path / "evaluations" / (request.name or _folder_name(request, run, env))
     print(f"run directory  {directory.path}")
-    _evaluate(request, run, env, weights, folder)
+    precision = directory.read_status().get("precision", "highest")
+    _evaluate(request, run, env, weights, folder, precision)
     _store(request, directory, output_dir)
     print(f"results        {folder}")
     return folder
 
 
-def _evaluate(request: EvaluationRequest, run: RunConfig, env: EnvConfig, weights: Path, folder: Path) -> None:
+def _evaluate(
+    request: EvaluationRequest, run: RunConfig, env: EnvConfig, weights: Path, folder: Path, precision: object
+) -> None:
     from rich.console import Console
     from rich.progress import Progress
     from stable_baselines3.common.vec_env import DummyVecEnv
@@ -125,7 +128,7 @@ def _evaluate(request: EvaluationRequest, run: RunConfig, env: EnvConfig, weight
     load_weights(weights, model)
     policy = greedy_policy(model)
     scenes = range(request.first_scene, request.first_scene + request.episodes)
-    with torch_settings(run), Progress(console=Console(stderr=True), transient=True) as bar:
+    with torch_settings(run, precision), Progress(console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task(f"{request.episodes} episodes of {env.name}", total=request.episodes)
 
         def report(finished: int) -> None:

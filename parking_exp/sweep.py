@@ -76,8 +76,16 @@ def plan(composed: Sequence[Composed], retry: str | None = None) -> list[Planned
             config = config.model_copy(update={"seed": one.seed})
         path = folder / f"seed={config.seed}"
         if path not in runs:
-            runs[path] = Planned(config, path, one.label or folder.name, read_state(path), retry is not None)
+            label = _label(one, config) or folder.name
+            runs[path] = Planned(config, path, label, read_state(path), retry is not None)
     return list(runs.values())
+
+
+def _label(one: Composed, config: RunConfig) -> str:
+    """Return a cell's label, in which an option is called what other keys have made of it."""
+    groups = ("env", "algorithm", "buffer")
+    names = {one.cell[group]["name"]: getattr(config, group).name for group in groups}
+    return ", ".join(names.get(part, part) for part in one.label.split(", "))
 
 
 def sweep(runs: Sequence[Planned], launch: Launch, *, dry_run: bool = False) -> None:

@@ -54,7 +54,10 @@ def train(config: DictConfig | Mapping[str, Any] | RunConfig, *, supervised: boo
             )
             return result
         directory.create(config)
-        with stop_on_signal() as stop, torch_settings(config):
+        # A run goes on as it began, on whatever machine.
+        recorded = directory.read_status().get("precision")
+        with stop_on_signal() as stop, torch_settings(config, recorded) as precision:
+            directory.update(precision=precision)
             return _train(config, directory, stop)
 
 

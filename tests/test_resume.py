@@ -13,11 +13,12 @@ import pytest
 import torch
 from conftest import make_config, only_run, script
 from gymnasium import spaces
+from omegaconf import OmegaConf
 from sameness import differences, exact
 from stable_baselines3.common.logger import Logger
 from test_training import wait_for
 
-from parking_exp import checkpoints, session, streams, trees
+from parking_exp import algorithms, checkpoints, session, streams, trees
 from parking_exp.algorithms import build_model, greedy_policy
 from parking_exp.envs import make_env, vector
 from parking_exp.envs.retrace import Retraced
@@ -55,6 +56,9 @@ KINDS = {
     ),
     "tqc": ("algorithm=tqc", "buffer=her_final"),
     "crossq": ("algorithm=crossq",),
+    "sac with another activation and optimizer": (
+        "+algorithm.policy_kwargs={activation_fn:torch.nn.Tanh,optimizer_class:{_target_:torch.optim.AdamW,_partial_:true}}",
+    ),
 }  # fmt: skip
 
 
@@ -392,3 +396,16 @@ def test_a_tree_comes_back_with_its_types():
     assert again["empty"].shape == (0, 2)
     with pytest.raises(TypeError, match="a/0 is a Box, which can't be saved without pickling it"):
         trees.split({"a": [spaces.Box(0, 1)]})
+
+
+def test_a_resumed_run_keeps_the_precision_that_it_began_with(tmp_path, monkeypatch):
+    """Another machine, or another moment, would choose otherwise."""
+    wide = ("algorithm.net_arch=[128,128]", "precision=auto")
+    monkeypatch.setattr(algorithms, "faster_precision", lambda model: "medium")
+    whole = run(tmp_path / "whole", *wide)
+    choices = iter(["medium"])
+    monkeypatch.setattr(algorithms, "faster_precision", lambda model: next(choices))
+    pieces = run(tmp_path / "pieces", *wide, cuts=[cut_at(71), cut_at(137)])
+    assert differences(whole, pieces) == []
+    assert read_json(pieces / "status.json")["precision"] == "medium"
+    assert OmegaConf.load(pieces / "config.yaml").precision == "auto"

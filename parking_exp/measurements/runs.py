@@ -59,13 +59,20 @@ def article(rounds: int, steps: int) -> dict[str, Any]:
     for model in (ours, peer):
         model.set_logger(Logger(None, []))
         model.learn(arguments["learning_starts"])
+    with torch_settings(config) as precision:
+        pass
 
     def mine() -> float:
-        with torch_settings(config):
+        with torch_settings(config, precision):
             return _learn(ours, steps // rounds)
 
     entry = interleave(mine, lambda: _learn(peer, steps // rounds), rounds)
-    return entry | {"peer": "plain stable-baselines3 + highway-env", "unit": "env steps", "steps": steps}
+    return entry | {
+        "peer": "plain stable-baselines3 + highway-env",
+        "unit": "env steps",
+        "steps": steps,
+        "precision": precision,
+    }
 
 
 def overhead(rounds: int, steps: int, slice_steps: int) -> tuple[dict[str, Any], Policy]:
