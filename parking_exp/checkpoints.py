@@ -21,7 +21,7 @@ from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 
 from parking_exp import streams, trees
 from parking_exp.buffers import HerBuffer
-from parking_exp.errors import DamagedModelError
+from parking_exp.errors import DamagedModelError, ModelError
 from parking_exp.files import read_json, sha256, sync, write_json
 from parking_exp.lean.training import LeanTraining
 from parking_exp.weights import load_weights
@@ -135,6 +135,8 @@ def restore(folder: Path, model: OffPolicyAlgorithm, best: Path) -> dict[str, An
         load_weights(folder / MODEL, model)
     except DamagedModelError as error:
         raise DamagedModelError(f"{error}; delete {folder} to go on from the checkpoint before it") from error
+    except ModelError as error:
+        raise ModelError(f"{error}; mend the class, or delete {folder.parents[1]} to train it afresh") from error
     if (folder / BEST).exists():
         shutil.copyfile(folder / BEST, best)
     else:

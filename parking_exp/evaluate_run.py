@@ -18,7 +18,7 @@ from parking_exp.config import (
     Simulation,
     short_hash,
 )
-from parking_exp.errors import ConfigError, DamagedModelError, RunNotFoundError
+from parking_exp.errors import ConfigError, DamagedModelError, ModelError, RunNotFoundError
 from parking_exp.files import write_json
 from parking_exp.rules import check_env
 from parking_exp.runs import RunDirectory, find_run
@@ -102,9 +102,11 @@ def evaluate_run(config: DictConfig) -> Path:
     print(f"run directory  {directory.path}")
     try:
         _evaluate(request, run, env, weights, folder)
-    except DamagedModelError as error:
+    except ModelError as error:
         ways = _ways_out(directory, request.model, "delete it and type its training command again, which makes it")
-        raise DamagedModelError(f"{error}; {ways}") from error
+        if not isinstance(error, DamagedModelError):
+            ways = f"put back the config.yaml that it was trained with, or {ways}"
+        raise ModelError(f"{error}; {ways}") from error
     _store(request, directory)
     print(f"results        {folder}")
     return folder

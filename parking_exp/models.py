@@ -25,12 +25,12 @@ def make_models(directory: RunDirectory) -> str:
     names, checkpoint = " and ".join(f"models/{name}" for name in gone), directory.final_checkpoint
     if (problem := checkpoints.check(checkpoint)) is not None:
         why = f"{checkpoint} is not whole ({problem})" if checkpoint.exists() else "no checkpoint of its end is left"
-        return f"its {names} can't be found, nor made again: {why}; delete {directory.path} to train it afresh"
+        return f"{names}: gone, and can't be made again, since {why}; delete {directory.path} to train it afresh"
     directory.models.mkdir(exist_ok=True)
     for name in gone:
         earlier = name == "best.zip" and not _ends_with_best(directory, checkpoint)
         _copy(checkpoint / (checkpoints.BEST if earlier else checkpoints.MODEL), directory.models / name)
-    return f"its {names} could not be found, and was made again from {checkpoint}"
+    return f"{names}: gone, and made again from {checkpoint}"
 
 
 def _ends_with_best(directory: RunDirectory, checkpoint: Path) -> bool:

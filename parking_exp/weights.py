@@ -101,11 +101,11 @@ def apply_weights(weights: Weights, model: OffPolicyAlgorithm, name: str) -> Non
     """
     modules, variables = model._get_torch_save_params()
     if problem := _misfit(weights, model):
-        raise ModelError(f"{name} does not fit {_class(model)} as config.yaml describes it: {problem}")
+        raise ModelError(f"{name} does not fit {_class(model)} as its config.yaml describes it ({problem})")
     try:
         model.set_parameters({key: weights[key] for key in modules}, device=model.device)
     except (LookupError, TypeError, ValueError, AttributeError, RuntimeError) as error:  # an optimizer's: torch checks
-        raise ModelError(f"{name} does not fit {_class(model)}: {str(error).splitlines()[0]}") from error
+        raise ModelError(f"{name} does not fit {_class(model)} ({str(error).splitlines()[0]})") from error
     for key in variables:
         if weights[key] is not None:
             recursive_setattr(model, f"{key}.data", weights[key].data)
