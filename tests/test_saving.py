@@ -34,8 +34,7 @@ KINDS = {
 }
 
 
-def built(*overrides, seed=0, steps=0):
-    config = make_config(*SMOKE, *overrides)
+def built(config, seed, steps=0):
     model = build_model(config, make_training_envs(config.env, config.n_envs), seed)
     model.set_logger(Logger(None, []))
     if steps:
@@ -46,7 +45,9 @@ def built(*overrides, seed=0, steps=0):
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_trained_model_of_a_proven_class_is_restored_to_the_last_bit(kind):
     """Parameters, target networks, optimizers, coefficients and actions: what is not checked again when it is used."""
-    model, other = built(*KINDS[kind], steps=100), built(*KINDS[kind], seed=1)
+    config = make_config(*SMOKE, *KINDS[kind])
+    model, other = built(config, seed=0, steps=60), built(config, seed=1)
+    assert model._n_updates > 0
     name = f"{type(model).__module__}.{type(model).__qualname__}"
     assert name.endswith(f".{kind.split(' ')[0]}")
     assert name in PROVEN
@@ -54,8 +55,9 @@ def test_a_trained_model_of_a_proven_class_is_restored_to_the_last_bit(kind):
 
 
 def test_all_proven_classes_are_proven():
-    proven = {type(built(*KINDS[kind])) for kind in KINDS}
-    assert {f"{one.__module__}.{one.__qualname__}" for one in proven} == PROVEN
+    kinds = {kind.split(" ")[0] for kind in KINDS}
+    assert {name for name in PROVEN if name.partition(".")[2] in kinds} == PROVEN
+    assert len(kinds) == len(PROVEN)
 
 
 @pytest.mark.parametrize(
