@@ -18,13 +18,14 @@ from typing import Any
 import numpy as np
 from stable_baselines3.common.buffers import ReplayBuffer
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
-from stable_baselines3.common.save_util import load_from_zip_file, recursive_setattr
 
 from parking_exp import streams, trees
 from parking_exp.buffers import HerBuffer
+from parking_exp.errors import DamagedModelError, ModelError
 from parking_exp.files import read_json, sha256, sync, write_json
 from parking_exp.lean.training import LeanTraining
 from parking_exp.logs import copy_logs
+from parking_exp.weights import load_weights
 
 log = logging.getLogger(__name__)
 
@@ -126,8 +127,16 @@ def restore(folder: Path, model: OffPolicyAlgorithm, best: Path) -> dict[str, An
 
     Returns:
         The streams, for `streams.restore` when the next rollout begins.
+
+    Raises:
+        ModelError: its weights can't be loaded, although its files are as they were written.
     """
-    load_weights(folder / MODEL, model)
+    try:
+        load_weights(folder / MODEL, model)
+    except DamagedModelError as error:
+        raise DamagedModelError(f"{error}; delete {folder} to go on from the checkpoint before it") from error
+    except ModelError as error:
+        raise ModelError(f"{error}; mend the class, or delete {folder.parents[1]} to train it afresh") from error
     if (folder / BEST).exists():
         shutil.copyfile(folder / BEST, best)
     else:
@@ -143,18 +152,6 @@ def restore(folder: Path, model: OffPolicyAlgorithm, best: Path) -> dict[str, An
     if isinstance(model, LeanTraining) and model._n_updates:
         model.bind()
     return state["streams"]
-
-
-def load_weights(path: Path, model: OffPolicyAlgorithm) -> None:
-    """Load parameters and optimizers from a Stable-Baselines3 zip.
-
-    Its pickled part is not read, and tensors are loaded as torch's `weights_only`: nothing in the file is executed.
-    """
-    _, parameters, variables = load_from_zip_file(path, device=model.device, load_data=False)
-    model.set_parameters(parameters, device=model.device)
-    for name, value in (variables or {}).items():
-        if value is not None:  # e.g. log_ent_coef, absent where the coefficient is fixed
-            recursive_setattr(model, f"{name}.data", value.data)
 
 
 @contextmanager

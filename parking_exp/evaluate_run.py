@@ -18,7 +18,7 @@ from parking_exp.config import (
     Simulation,
     short_hash,
 )
-from parking_exp.errors import ConfigError, RunNotFoundError
+from parking_exp.errors import ConfigError, DamagedModelError, ModelError, RunNotFoundError
 from parking_exp.files import write_json
 from parking_exp.locations import default_uri, directory_path, is_same_store
 from parking_exp.rules import check_env
@@ -81,7 +81,8 @@ def evaluate_run(config: DictConfig) -> Path:
     """Evaluate, print, and store; return the folder of the results.
 
     Raises:
-        ConfigError: the config is not valid.
+        ConfigError: the config is not valid, or the run's algorithm can't be restored exactly.
+        ModelError: the model is damaged, or does not fit the run's config.
         RunNotFoundError: no run answers to `run`, or it has no such model yet.
         UntrustedError: the stored config would execute what runs are not made of, and `trust` is false.
     """
@@ -90,10 +91,9 @@ def evaluate_run(config: DictConfig) -> Path:
     directory = find_run(request.run, output_dir, having=f"models/{request.model}.zip")
     weights = directory.models / f"{request.model}.zip"
     if not weights.exists():
-        raise RunNotFoundError(
-            f"run={request.run}: {directory.path} has no {request.model} model yet; "
-            + ("try model=best" if (directory.models / "best.zip").exists() else "let it train first")
-        )
+        state = "is gone" if directory.status == "done" else "has not been made yet"
+        ways = _ways_out(directory, request.model, "type its training command again, which makes it")
+        raise RunNotFoundError(f"run={request.run}: {weights} {state}; {ways}")
     run = directory.config()
     directory.check_links()
     if not request.trust:
@@ -104,10 +104,29 @@ def evaluate_run(config: DictConfig) -> Path:
     folder = directory.path / "evaluations" / (request.name or _folder_name(request, run, env))
     print(f"run directory  {directory.path}")
     precision = directory.read_status().get("precision", "highest")
-    _evaluate(request, run, env, weights, folder, precision)
+    try:
+        _evaluate(request, run, env, weights, folder, precision)
+    except ModelError as error:
+        ways = _ways_out(directory, request.model, "delete it and type its training command again, which makes it")
+        if not isinstance(error, DamagedModelError):
+            ways = f"put back the config.yaml that it was trained with, or {ways}"
+        raise ModelError(f"{error}; {ways}") from error
     _store(request, directory, output_dir)
     print(f"results        {folder}")
     return folder
+
+
+def _ways_out(directory: RunDirectory, model: str, again: str) -> str:
+    """Say what to type where a run's model is gone or damaged; `again` has the last checkpoint make it."""
+    other = "best" if model == "final" else "final"
+    ways = [f"try model={other}"] if (directory.models / f"{other}.zip").exists() else []
+    if directory.status != "done":
+        return (ways or ["let it train first"])[0]
+    if directory.final_checkpoint.exists():
+        ways.append(f"{again} from the last checkpoint")
+    else:
+        ways.append(f"delete {directory.path} to train it afresh, since no checkpoint of its end is left")
+    return ", or ".join(ways)
 
 
 def _evaluate(
@@ -118,12 +137,14 @@ def _evaluate(
     from stable_baselines3.common.vec_env import DummyVecEnv
 
     from parking_exp.algorithms import build_model, greedy_policy, torch_settings
-    from parking_exp.checkpoints import load_weights
     from parking_exp.envs import make_env
     from parking_exp.evaluation import evaluate, summarise
+    from parking_exp.saving import check_saving
     from parking_exp.summary import describe, intervals
     from parking_exp.video import record
+    from parking_exp.weights import load_weights
 
+    check_saving(run)
     model = build_model(run, DummyVecEnv([lambda: make_env(env)]), seed=0, for_training=False)
     load_weights(weights, model)
     policy = greedy_policy(model)

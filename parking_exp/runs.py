@@ -30,11 +30,15 @@ from parking_exp.validation import check
 Status = Literal["pending", "running", "done", "failed", "interrupted"]
 """What status.json says. `running` may be out of date: the process may be gone (`states` looks)."""
 STATUS_FILE, BEAT_FILE = "status.json", "beat.json"
+MODELS = ("final.zip", "best.zip")
 CLAIM, LOCK = ".claim", ".lock"
 OUTPUT_DIR = "../../.."  # from a run directory
 # A look at a lock takes it for a moment: who wants to have it tries again for this long.
 LOCK_PATIENCE_S = 2.0
 STALE_S = 3600.0
+# Space that a run keeps while it trains, so that its end can be written down on a disk that is full by then.
+RESERVE, RESERVE_BYTES = ".reserve", 64 * 1024
+ENDS = ("done", "failed", "interrupted")
 # A supervisor that is killed takes its worker with it; until it is gone, the next one waits.
 WORKER_PATIENCE_S = 20.0
 
@@ -103,10 +107,29 @@ class RunDirectory:
         """Whether a process, be it this one, is responsible for the run now, or works on it."""
         return any(_is_held(self.path / name) for name in (CLAIM, LOCK))
 
+    @property
+    def final_checkpoint(self) -> Path:
+        """The checkpoint that a finished run's final model is from."""
+        steps = self.read_status().get("steps")
+        return self.checkpoints / (f"step={steps:010d}" if isinstance(steps, int) else "step=")
+
+    @property
+    def lacks_model(self) -> bool:
+        """Whether the run is done, and its final or its best model is gone."""
+        return not all((self.models / name).exists() for name in MODELS) and self.status == "done"
+
+    @property
+    def can_make_models(self) -> bool:
+        """Whether the run is done, a model of its is gone, and the checkpoint is there that it can be made from."""
+        # In this order, since a sweep asks this of every run.
+        return self.checkpoints.exists() and self.lacks_model and self.final_checkpoint.exists()
+
     def update(self, **values: Any) -> None:
         """Change entries of status.json; None removes one."""
         if uri := values.get("tracking_uri"):
             values["tracking_uri"] = relative(uri, self.output_dir)
+        if values.get("status") in ENDS:
+            (self.path / RESERVE).unlink(missing_ok=True)
         self._update(values, durable=True)
 
     def result(self) -> RunResult | None:
@@ -123,12 +146,26 @@ class RunDirectory:
         self.update(status="done", steps=result.steps, **values)
 
     def create(self, config: RunConfig) -> None:
-        """Make the directory and write the resolved config into it.
+        """Make the directory, write the resolved config into it, and reserve space for the run's end.
 
         Raises:
             OutputDirectoryError: it can't be written.
         """
         self._write_config(config, durable=True)
+        self.reserve()
+
+    def reserve(self) -> None:
+        """Take up the space in which the run's end can be written, until that is done.
+
+        Raises:
+            OutputDirectoryError: there is not as much left.
+        """
+        path = self.path / RESERVE
+        try:
+            path.write_bytes(os.urandom(RESERVE_BYTES))  # what can't be compressed
+        except OSError as error:
+            path.unlink(missing_ok=True)
+            raise OutputDirectoryError(f"output_dir: {self.path} cannot be written: {error.strerror}") from error
 
     def freeze(self, config: RunConfig, label: str, started: float | None, *, keep: bool = False) -> None:
         """Write down what is going to run, under which name in tables; nothing that is typed later changes it.
@@ -298,7 +335,9 @@ def find_run(name: str, output_dir: Path, having: str) -> RunDirectory:
     if name == "latest":
         usable = [file for file in files if (file.parent / having).exists()]
         if not usable:
-            raise RunNotFoundError(f"run=latest: none of the {len(files)} runs in {output_dir} has {having} yet")
+            done = any(read_object(file).get("status") == "done" for file in files)
+            hint = "; where a run is done and it is gone, its training command typed again makes it" if done else ""
+            raise RunNotFoundError(f"run=latest: none of the {len(files)} runs in {output_dir} has {having} yet{hint}")
         return RunDirectory(usable[-1].parent.absolute())
     for file in files:
         if read_object(file).get("run_id") == name:

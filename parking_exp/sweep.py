@@ -43,6 +43,7 @@ class Planned:
         label: of its cell.
         state: how far it is.
         retried: whether it is run again if it has failed.
+        lacks_models: whether it is done, and models of its are gone that can be made again.
     """
 
     config: RunConfig
@@ -50,13 +51,14 @@ class Planned:
     label: str
     state: RunState
     retried: bool
+    lacks_models: bool
 
     @property
     def is_due(self) -> bool:
         """Whether this sweep runs it, unless another process does."""
         if self.state.stage == "failed":
             return self.state.killed or self.retried
-        return self.state.stage != "done"
+        return self.state.stage != "done" or self.lacks_models
 
 
 def plan(composed: Sequence[Composed], retry: str | None = None) -> list[Planned]:
@@ -77,7 +79,8 @@ def plan(composed: Sequence[Composed], retry: str | None = None) -> list[Planned
         path = folder / f"seed={config.seed}"
         if path not in runs:
             label = _label(one, config) or folder.name
-            runs[path] = Planned(config, path, label, read_state(path), retry is not None)
+            state, lacks_models = read_state(path), RunDirectory(path).can_make_models
+            runs[path] = Planned(config, path, label, state, retry is not None, lacks_models)
     return list(runs.values())
 
 
@@ -128,8 +131,10 @@ def describe(runs: Sequence[Planned], launch: Launch, out: Console) -> None:
     if cells * seeds == len(runs):
         product += f" x {_several(seeds, 'seed')}"
     left = found["failed"] - sum(run.state.stage == "failed" for run in due)
-    parts = [f"{found['done']} done", f"{found['running']} running elsewhere" if found["running"] else ""]
+    modelless = sum(run.state.stage == "done" for run in due)
+    parts = [f"{found['done'] - modelless} done", f"{found['running']} running elsewhere" if found["running"] else ""]
     parts += [f"{left} failed before (retry=failed runs them again)" if left else "", f"{len(due)} to run"]
+    parts[-1] += f" ({modelless} of them only to make models again that are gone)" if modelless else ""
     out.print(
         f"{product} = {_several(len(runs), 'run')}: {', '.join(filter(None, parts))}{_estimate(runs, due, launch)}"
     )

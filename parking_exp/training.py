@@ -19,10 +19,13 @@ from parking_exp.algorithms import torch_settings
 from parking_exp.checkpoints import Progress
 from parking_exp.config import RunConfig
 from parking_exp.errors import ConfigError, FailedRunError, InterruptedRunError
+from parking_exp.files import write_atomically
 from parking_exp.logs import log_hashes, restore_logs
+from parking_exp.models import make_models
 from parking_exp.progress import TrainingProgress
 from parking_exp.provenance import typed_command
 from parking_exp.runs import RunDirectory, RunResult
+from parking_exp.saving import check_saving
 from parking_exp.session import Session
 from parking_exp.stopping import StopRequest, stop_on_signal
 from parking_exp.summary import describe
@@ -33,7 +36,8 @@ from parking_exp.validation import validate
 def train(config: DictConfig | Mapping[str, Any] | RunConfig, *, supervised: bool = False) -> RunResult:
     """Train, evaluate and track one run, or finish what is left of it.
 
-    A run that is done returns its stored result. One that was cut off goes on from its latest whole checkpoint.
+    A run that is done returns its stored result, and its models are made again if they are gone. One that was cut off
+    goes on from its latest whole checkpoint.
     `supervised`: another process has claimed the run, and started this one for it.
 
     Raises:
@@ -43,15 +47,17 @@ def train(config: DictConfig | Mapping[str, Any] | RunConfig, *, supervised: boo
         FailedRunError: anything else; the run is marked failed, its traceback kept.
     """
     config = validate(config)
-    if config.device.startswith("cuda") and not torch.cuda.is_available():
-        raise ConfigError(f"device={config.device}: torch finds no CUDA device; the closest valid choice is cpu")
     directory = RunDirectory(config.run_dir)
+    if directory.result() is None:
+        if config.device.startswith("cuda") and not torch.cuda.is_available():
+            raise ConfigError(f"device={config.device}: torch finds no CUDA device; the closest valid choice is cpu")
+        check_saving(config)
     with nullcontext() if supervised else directory.claimed(), directory.locked():
         if (result := directory.result()) is not None:
-            print(
-                f"already done; to train it afresh, change the seed or delete its directory\n"
-                f"{_closing_words(result, directory)}"
-            )
+            print("already done; to train it afresh, change the seed or delete its directory")
+            if directory.lacks_model:
+                print(make_models(directory))
+            print(_closing_words(result, directory))
             return result
         directory.create(config)
         # A run goes on as it began, on whatever machine.
@@ -117,8 +123,8 @@ def _train(config: RunConfig, directory: RunDirectory, stop: StopRequest) -> Run
 def _record_failure(error: BaseException, directory: RunDirectory, tracker: Tracker) -> None:
     """Leave a status and a traceback behind, as far as a full disk or a lost store allows."""
     steps = (
-        lambda: (directory.path / "traceback.txt").write_text("".join(traceback.format_exception(error))),
         lambda: directory.update(status="failed", error=f"{type(error).__name__}: {error}"),
+        lambda: write_atomically(directory.path / "traceback.txt", "".join(traceback.format_exception(error))),
         tracker.close,
     )
     for step in steps:

@@ -20,7 +20,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any, Literal
 
-from parking_exp.errors import ConfigError, FailedRunError, InterruptedRunError, ParkingError, RunLockedError
+from parking_exp.errors import (
+    ConfigError,
+    FailedRunError,
+    InterruptedRunError,
+    OutputDirectoryError,
+    ParkingError,
+    RunLockedError,
+)
 from parking_exp.garbage import no_garbage
 from parking_exp.locations import directory_path, store_uri
 from parking_exp.machine import THREAD_VARIABLES, pin
@@ -75,11 +82,23 @@ def supervise(
         return "elsewhere"
     try:
         with directory.claimed():
-            if (status := directory.status) in ("done", "failed"):
+            if (status := directory.status) == "done" and directory.can_make_models:
+                _make_models(directory)
+            if status in ("done", "failed"):
                 return status  # by another sweep, since this one was planned
             return _run(directory, share or Share(), stop or threading.Event(), started)
     except RunLockedError:
         return "elsewhere"
+
+
+def _make_models(directory: RunDirectory) -> None:
+    """Make models that are gone again. That is a copy, and takes no process of its own; the run stays done."""
+    from parking_exp.models import make_models
+
+    try:
+        print(make_models(directory), file=sys.stderr)
+    except OSError as error:
+        print(f"error: {directory.models} cannot be written: {error.strerror}", file=sys.stderr)
 
 
 def _run(directory: RunDirectory, share: Share, stop: threading.Event, started: OnStart | None) -> Ending:
@@ -87,7 +106,8 @@ def _run(directory: RunDirectory, share: Share, stop: threading.Event, started: 
         config = directory.config()
         if config.run_dir != directory_path(directory.path):
             raise ConfigError(f"{directory.path / 'config.yaml'} is the config of another run; type the sweep again")
-    except ConfigError as error:
+        directory.reserve()
+    except (ConfigError, OutputDirectoryError) as error:
         directory.update(status="failed", error=str(error))
         return "failed"
     # Before there is a worker: what that one writes is later, and must not be overwritten.
