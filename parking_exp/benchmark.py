@@ -15,6 +15,7 @@ from parking_exp.errors import ConfigError
 from parking_exp.files import read_json, write_json
 from parking_exp.locations import directory_path
 from parking_exp.machine import cores
+from parking_exp.terminal import say
 from parking_exp.validation import parse
 from parking_exp.wording import closest
 
@@ -90,10 +91,10 @@ def benchmark(config: DictConfig) -> Path:
     earlier = read_json(path) or {}
     about = {"quick": settings.quick, "core": settings.core, "versions": _versions()}
     write_json(path, {**earlier, **{key: {**entry, "about": about} for key, entry in results.items()}})
-    print(_table(results))
+    say(*_table(results))
     if settings.quick:
-        print("--quick: these figures only show that everything runs")
-    print(f"written to {path}")
+        say("--quick: these figures only show that everything runs")
+    say(f"written to {path}")
     return path
 
 
@@ -197,7 +198,7 @@ def _versions() -> dict[str, str]:
     return {name: installed[name] for name in names if name in installed}
 
 
-def _table(results: dict[str, dict[str, Any]]) -> str:
+def _table(results: dict[str, dict[str, Any]]) -> list[str]:
     lines = [f"{'figure':<30}{'median':>9}  {'spread':<19}{'target':<10}  peer"]
     for key, entry in results.items():
         sign, bound = TARGETS[key]
@@ -210,4 +211,4 @@ def _table(results: dict[str, dict[str, Any]]) -> str:
         low, high = entry["lowest"], entry["highest"]
         words = f"{target:<10}  {entry.get('peer', '')}{'' if met else '   MISSED'}"
         lines.append(f"{key:<30}{value:>9.4g}  {f'{low:.4g} to {high:.4g}':<19}{words}")
-    return "\n".join(lines)
+    return lines

@@ -5,6 +5,7 @@ known to be good.
 """
 
 import argparse
+import logging
 import os
 import re
 import signal
@@ -19,6 +20,7 @@ from omegaconf import DictConfig
 from parking_exp.composition import VERSION_BASE, composed, composed_runs, config_dir, in_quotes, quoted
 from parking_exp.config import SweepOptions
 from parking_exp.errors import ConfigError, InterruptedRunError, OutputDirectoryError, ParkingError
+from parking_exp.terminal import LogFormatter, say
 
 Task = Callable[[DictConfig], object]
 REPORT_KEYS = {"experiment_name", "cells", "baseline", "output_dir", "name", "tracking", "report", "hydra"}
@@ -173,6 +175,8 @@ def _single(config_name: str, check: Task, task: Task) -> Callable[[argparse.Nam
 
 def _command(config_name: str, command: Callable[[argparse.Namespace], None], shows: Task) -> None:
     """Run a command, or let Hydra show what it is asked for, and turn errors into sentences and exit statuses."""
+    if logging.lastResort is not None:  # what warnings go through
+        logging.lastResort.setFormatter(LogFormatter())
     sys.argv[1:] = [quoted(argument) for argument in sys.argv[1:]]
     arguments = _parser().parse_args()
     if _only_shows(arguments):
@@ -217,6 +221,5 @@ def _fail(error: ParkingError) -> NoReturn:
     if os.environ.get("HYDRA_FULL_ERROR") == "1":
         raise error
     prefix = "" if isinstance(error, InterruptedRunError) else "error: "
-    for line in str(error).splitlines():
-        print(f"{prefix}{line}", file=sys.stderr)
+    say(*(f"{prefix}{line}" for line in str(error).strip().split("\n")), stderr=True)
     sys.exit(128 + error.signal_number if isinstance(error, InterruptedRunError) else 2)

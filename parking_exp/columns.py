@@ -12,6 +12,8 @@ TEXT: Any = "str" if int(pd.__version__.partition(".")[0]) >= 3 else object
 INTEGER = re.compile(r"[+-]?\d+")
 FLOAT = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)(e[+-]?\d+)?|[+-]?inf|nan", re.IGNORECASE)
 INT64 = range(-(2**63), 2**63)
+YEAR_10000_MS = 253_402_300_800_000
+DIGITS = 300  # of whole numbers that floats can take
 
 
 @lru_cache(maxsize=100_000)
@@ -21,9 +23,9 @@ def typed(text: str | None) -> Any:
         return None
     if text in ("True", "False"):
         return text == "True"
-    if INTEGER.fullmatch(text):
+    if INTEGER.fullmatch(text) and len(text) < DIGITS:
         return int(text)
-    return float(text) if FLOAT.fullmatch(text) else text
+    return float(text) if FLOAT.fullmatch(text) and not INTEGER.fullmatch(text) else text
 
 
 def column(values: Sequence[Any]) -> Any:
@@ -46,7 +48,8 @@ def text(values: Iterable[str | None]) -> Any:
 
 def integers(values: Iterable[str | None]) -> Any:
     """Return the whole numbers that are written in texts; what is none is missing."""
-    return pd.array([value if type(value := typed(word)) is int else None for word in values], dtype="Int64")
+    known = [value if type(value := typed(word)) is int and value in INT64 else None for word in values]
+    return pd.array(known, dtype="Int64")
 
 
 def flags(values: Iterable[str | None]) -> Any:
@@ -55,5 +58,6 @@ def flags(values: Iterable[str | None]) -> Any:
 
 
 def times(values: Iterable[int | None]) -> Any:
-    """Return milliseconds since 1970 as times in UTC; None is missing."""
-    return pd.to_datetime(pd.Series(list(values), dtype="Int64"), unit="ms", utc=True).dt.as_unit("ms")
+    """Return milliseconds since 1970 as times in UTC; None is missing, and so is what no calendar has."""
+    known = [value if value is not None and 0 <= value < YEAR_10000_MS else None for value in values]
+    return pd.to_datetime(pd.Series(known, dtype="Int64"), unit="ms", utc=True).dt.as_unit("ms")

@@ -24,8 +24,10 @@ from parking_exp.locations import default_uri, directory_path, is_same_store
 from parking_exp.rules import check_env
 from parking_exp.runs import RunDirectory, find_run
 from parking_exp.store import without_password
+from parking_exp.terminal import say
 from parking_exp.trust import check_trust
 from parking_exp.validation import parse
+from parking_exp.wording import several
 
 
 class StoreConfig(Section):
@@ -102,7 +104,7 @@ def evaluate_run(config: DictConfig) -> Path:
     if problems := check_env(env):
         raise ConfigError("\n".join(problems))
     folder = directory.path / "evaluations" / (request.name or _folder_name(request, run, env))
-    print(f"run directory  {directory.path}")
+    say(f"run directory  {directory.path}")
     precision = directory.read_status().get("precision", "highest")
     try:
         _evaluate(request, run, env, weights, folder, precision)
@@ -112,7 +114,7 @@ def evaluate_run(config: DictConfig) -> Path:
             ways = f"put back the config.yaml that it was trained with, or {ways}"
         raise ModelError(f"{error}; {ways}") from error
     _store(request, directory, output_dir)
-    print(f"results        {folder}")
+    say(f"results        {folder}")
     return folder
 
 
@@ -150,7 +152,7 @@ def _evaluate(
     policy = greedy_policy(model)
     scenes = range(request.first_scene, request.first_scene + request.episodes)
     with torch_settings(run, precision), Progress(console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task(f"{request.episodes} episodes of {env.name}", total=request.episodes)
+        task = bar.add_task(f"{several(request.episodes, 'episode')} of {env.name}", total=request.episodes)
 
         def report(finished: int) -> None:
             bar.update(task, completed=finished)
@@ -168,11 +170,11 @@ def _evaluate(
         "episodes": len(episodes),
     }
     write_json(folder / "summary.json", {**about, **summarise(episodes), "intervals": intervals(episodes)})
-    print(
-        f"{request.model} model on {request.episodes} scenes of {env.name}, from scene {request.first_scene}, "
-        f"simulated by {request.simulator}"
+    say(
+        f"{request.model} model on {several(request.episodes, 'scene')} of {env.name}, from scene "
+        f"{request.first_scene}, simulated by {request.simulator}"
     )
-    print(describe(episodes))
+    say(*describe(episodes).split("\n"))
     if request.video:
         record(policy, env, scenes[: request.video], folder / "video.mp4", gif=request.gif)
 
@@ -188,7 +190,7 @@ def _store(request: EvaluationRequest, directory: RunDirectory, output_dir: Path
         return
     if request.tracking.uri is None and tracked_in is not None and not is_same_store(tracked_in, uri):
         place = without_password(tracked_in)
-        print(
+        say(
             f"not stored     the run is tracked in {place}, not in the store of output_dir={output_dir}; "
             f"tracking.uri={place} sends the results there"
         )
@@ -197,7 +199,7 @@ def _store(request: EvaluationRequest, directory: RunDirectory, output_dir: Path
     from parking_exp.tracking import later
 
     if problem := try_sync(directory, uri):
-        print(f"not stored     {problem}; {later(directory.output_dir, uri)}")
+        say(f"not stored     {problem}; {later(directory.output_dir, uri)}")
 
 
 def _simulated(env: EnvConfig, simulator: Simulation) -> EnvConfig:

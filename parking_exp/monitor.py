@@ -17,8 +17,8 @@ from rich.table import Table
 
 from parking_exp.runs import STATUS_FILE
 from parking_exp.states import RunState, counts, read_state
-from parking_exp.tables import console as make_console
 from parking_exp.tables import duration, name, under_way
+from parking_exp.terminal import console as make_console
 
 POLL_S = 1.0
 
@@ -40,7 +40,7 @@ class Monitor:
         self._steps_before = self._steps()
         self._bar = Progress(
             TextColumn("{task.description}"),
-            BarColumn(bar_width=40),
+            BarColumn(bar_width=20),
             MofNCompleteColumn(),
             TextColumn("runs"),
             TimeElapsedColumn(),
@@ -105,13 +105,15 @@ class Monitor:
         elif state.stage == "running":
             self.say(f"started  {name(state)}{f'  on {state.host}' if state.host else ''}")
         else:
-            self.say(f"stopped  {name(state)}, at step {state.step}")
+            self.say(
+                f"stopped  {name(state)}, {f'at step {state.step}' if state.step else 'before its first checkpoint'}"
+            )
 
     def _render(self) -> RenderableType:
         table = Table.grid(padding=(0, 2))
         for state in self.states.values():
             if state.stage == "running":
-                done = state.step / state.total_timesteps if state.total_timesteps else 0.0
+                done = min(1.0, state.step / state.total_timesteps) if state.total_timesteps else 0.0
                 bar = f"{'━' * round(20 * done):<20}"
                 table.add_row(name(state), bar, under_way(state), state.host or "")
         return Group(table, self._bar)

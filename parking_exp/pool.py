@@ -3,7 +3,6 @@
 import os
 import queue
 import subprocess
-import sys
 import threading
 import time
 from collections.abc import Callable, Sequence
@@ -15,6 +14,7 @@ from parking_exp.machine import cores, cuda_devices, free_memory, memory_of, sha
 from parking_exp.runs import RunDirectory
 from parking_exp.states import read_state
 from parking_exp.stopping import stop_on_signal
+from parking_exp.terminal import say
 from parking_exp.worker import Ending, Share, supervise
 
 GIB = 2**30
@@ -80,7 +80,7 @@ class _Pool:
             try:
                 self.endings[path] = supervise(path, self.slots[slot], self.stop, self._started(slot))
             except Exception as error:  # its directory can't be written, say; the others go on
-                print(f"error: {path}: {type(error).__name__}: {error}", file=sys.stderr)
+                say(f"error: {path}: {type(error).__name__}: {error}", stderr=True)
                 self.endings[path] = "failed"
                 with suppress(Exception):
                     RunDirectory(path).update(status="failed", error=f"{type(error).__name__}: {error}")

@@ -1,15 +1,18 @@
 """What a person sees of a training: a bar on a terminal, a line now and then elsewhere."""
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from types import TracebackType
 from typing import Self
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
+from parking_exp.terminal import Screen
+
 LINES = 10  # lines a run, where there is no terminal
 BEAT_EVERY_S = 1.0
+BESIDE_FIGURES = 36  # columns of the bar at its shortest, its description, both times, and gaps
 Beat = Callable[..., None]
 
 
@@ -26,7 +29,7 @@ class TrainingProgress:
     def __init__(
         self, total_steps: int, start: int, enabled: bool, console: Console | None = None, beat: Beat | None = None
     ) -> None:
-        self.console = console or Console(stderr=True, markup=False, emoji=False)
+        self.console = console or Screen(stderr=True)
         self.total, self.start, self.enabled = total_steps, start, enabled
         self._started = time.monotonic()
         self._beat, self._next_beat, self._step = beat, 0.0, start
@@ -61,18 +64,24 @@ class TrainingProgress:
             self._send("train", rate)
         if not self.enabled:
             return
-        figures = f"{rate:.0f} steps/s"
+        known = [f"{rate:.0f} steps/s"]
         if success_rate is not None and episode_return is not None:
-            figures = f"success {success_rate:4.0%}  return {episode_return:6.1f}  {figures}"
-        self._bar.update(self._task, completed=step, figures=figures, description="train")
+            known = [f"success {success_rate:4.0%}", f"return {episode_return:6.1f}", *known]
+        self._bar.update(self._task, completed=step, figures=self._fitting(known), description="train")
         if not self.console.is_terminal and step >= self._next_line:
             self._next_line += max(1, self.total // LINES)
-            self.say(f"train  {step}/{self.total} steps  {figures}")
+            self.say(f"train  {step}/{self.total} steps  {'  '.join(known)}")
 
     def busy(self, what: str) -> None:
         """Say what goes on besides training."""
         self._send(what, 0.0)
-        self._bar.update(self._task, description=what)
+        self._bar.update(self._task, description=what, figures="")
+
+    def _fitting(self, figures: Sequence[str]) -> str:
+        """Return as many figures as there is room for beside the times: without the return, or the speed alone."""
+        room = self.console.width - BESIDE_FIGURES - len(f"{self.total}/{self.total}")
+        choices = ["  ".join(some) for some in (figures, [figures[0], figures[-1]], figures[-1:])]
+        return next((text for text in choices if len(text) <= room), "")
 
     def _send(self, doing: str, rate: float) -> None:
         if self._beat is not None:

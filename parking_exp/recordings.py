@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from parking_exp.config import TRAINING_SCENES_START
 from parking_exp.outcomes import OUTCOMES
 from parking_exp.trajectories import CAR_COLUMNS
 
@@ -25,13 +26,18 @@ EPISODES: dict[str, Any] = {
     "heading_error_rad": "float64",
     "speed_mps": "float64",
 }
+REQUIRED = ("phase", "step", "scene", "outcome")
+"""Columns without which a row means nothing. Others may be missing in runs of earlier versions."""
+NULLABLE = {"bool": "boolean", "int64": "Int64"}
 TRAJECTORIES: dict[str, Any] = {"scene": "int64", "step": "int64", **dict.fromkeys(CAR_COLUMNS, "float32")}
 
 
 def read_episodes(texts: Mapping[str, bytes], run_ids: Sequence[str]) -> tuple[pd.DataFrame, dict[str, str]]:
     """Return the episodes of many runs as one table, and what is wrong with the texts that are none.
 
-    Texts with the same header are parsed as one: it is the number of parses that takes time.
+    Texts with the same header are parsed as one: it is the number of parses that takes time. Where a text lacks a
+    column of EPISODES, its rows have none of these values, and the column has the nullable type. Columns that
+    EPISODES does not have are left out.
 
     Args:
         texts: content of `episodes.csv` by run id.
@@ -74,6 +80,8 @@ def read_trajectories(content: bytes | None) -> pd.DataFrame:
     if len({lengths.sum(), *(len(stored[name]) for name in CAR_COLUMNS)}) > 1 or len(stored["scene"]) != len(lengths):
         raise ValueError("its arrays are not of the same episodes")
     steps = np.concatenate([np.arange(0), *map(np.arange, lengths)])
+    if not all(np.isfinite(stored[name]).all() for name in CAR_COLUMNS):
+        raise ValueError("it has places that are no numbers")
     columns = {**stored, "scene": np.repeat(stored["scene"], lengths), "step": steps}
     return pd.DataFrame({name: columns[name].astype(dtype) for name, dtype in TRAJECTORIES.items()})
 
@@ -103,12 +111,19 @@ def _parse(texts: Sequence[bytes]) -> tuple[pd.DataFrame, list[int]]:
     if not all(text.endswith(b"\n") for text in texts):
         raise ValueError("it is cut off")
     header = texts[0].partition(b"\n")[0] + b"\n"
+    names = {name.strip('"') for name in header.decode(errors="replace").strip().split(",")}
+    if absent := [name for name in REQUIRED if name not in names]:
+        raise ValueError(f"it has no column {' and no column '.join(absent)}")
+    columns = [name for name in EPISODES if name in names]
     bodies = [text[len(header) :] for text in texts]
     lengths = [body.count(b"\n") for body in bodies]
-    table = pd.read_csv(io.BytesIO(b"".join([header, *bodies])), dtype=EPISODES, usecols=list(EPISODES))
+    table = pd.read_csv(io.BytesIO(b"".join([header, *bodies])), dtype=EPISODES, usecols=columns)
     if len(table) != sum(lengths) or table[["phase", "outcome"]].isna().any(axis=None):
         raise ValueError("it has rows that are no episodes")
-    return table[list(EPISODES)], lengths
+    if not table["scene"].between(0, TRAINING_SCENES_START - 1).all():
+        raise ValueError("it has scenes that there are not")
+    without = {name: NULLABLE.get(dtype, dtype) for name, dtype in EPISODES.items() if name not in names}
+    return table.reindex(columns=list(EPISODES)).astype(without), lengths
 
 
 def _empty(dtypes: Mapping[str, Any]) -> pd.DataFrame:

@@ -3,21 +3,24 @@
 import os
 import re
 import shlex
-import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from filelock import FileLock
 from omegaconf import DictConfig
 from pydantic import Field
 
+from parking_exp.composition import composed
 from parking_exp.config import NAME, Section
 from parking_exp.errors import ConfigError, ResultsError
 from parking_exp.locations import directory_path
+from parking_exp.signatures import signature
 from parking_exp.store import without_password
+from parking_exp.terminal import say
 from parking_exp.validation import parse
+from parking_exp.wording import several, similar
 
 if TYPE_CHECKING:
     from parking_exp.reports.content import Content
@@ -26,6 +29,7 @@ if TYPE_CHECKING:
     from parking_exp.states import RunState
 
 Format = Literal["svg", "pdf", "png"]
+ALIKE = 0.8  # from how similar on a word is a misspelt key
 
 
 class ReportOptions(Section):
@@ -69,7 +73,41 @@ def validate_report(config: DictConfig) -> ReportRequest:
     Raises:
         ConfigError: with a sentence for each thing that is wrong.
     """
-    return parse(ReportRequest, config)
+    request = parse(ReportRequest, config)
+    conditions = [one.partition("=")[0] for one in request.cells_asked if "=" in one]
+    if conditions:
+        _refuse_misspelt(conditions)
+    return request
+
+
+def _refuse_misspelt(typed: Sequence[str]) -> None:
+    """Refuse what is nearly a key of this command or of a run's config. A run's own class may have any arguments.
+
+    Raises:
+        ConfigError: a key that is misspelt, with the closest one.
+    """
+    run_keys = {ending for key in _config_keys() for ending in _endings(key)}
+    known = {*ReportRequest.model_fields, "experiment", *run_keys}
+    for key in typed:
+        own = key.startswith(("algorithm.", "buffer."))
+        if key not in known and not own and (hint := similar(key, known, cutoff=ALIKE)):
+            raise ConfigError(f"{key}: there is no such key{hint}")
+
+
+def _config_keys() -> Iterator[str]:
+    """Yield the dotted keys of the default run, and the arguments that its classes have besides."""
+    nodes: list[tuple[str, Any]] = [("", composed("config", [])[0])]
+    for name, node in nodes:
+        yield name
+        if isinstance(node, DictConfig):
+            nodes += [(f"{name}.{key!s}".removeprefix("."), value) for key, value in node.items()]
+            if "_target_" in node:
+                yield from (f"{name}.{argument}" for argument in signature(node["_target_"]).parameters)
+
+
+def _endings(key: str) -> list[str]:
+    parts = key.split(".")
+    return [".".join(parts[start:]) for start in range(len(parts))]
 
 
 def report(config: DictConfig) -> Path:
@@ -84,7 +122,7 @@ def report(config: DictConfig) -> Path:
     with _pdfs(request) as printer, _progress() as say:
         say("reading the store")
         results = _load(request)
-        say(f"comparing {len(results.runs)} runs")
+        say(f"comparing {several(len(results.runs), 'run')}")
         content = _compare(request, results)
         say("drawing")
         from parking_exp.reports.writing import write  # with matplotlib: not before there is something to draw
@@ -109,7 +147,7 @@ def _progress() -> Iterator[Callable[[str], None]]:
     """Yield what says, on a terminal, what is being done."""
     from rich.progress import Progress, SpinnerColumn, TextColumn
 
-    from parking_exp.tables import console
+    from parking_exp.terminal import console
 
     screen = console(stderr=True)
     columns = (SpinnerColumn(), TextColumn("{task.description}", markup=False))
@@ -166,11 +204,13 @@ def _load(request: ReportRequest) -> "Results":
     except ResultsError as error:
         here = _states(request.output_path, experiments or []).values()
         if failed := [state for state in here if state.stage == "failed"]:
-            reason = f"{len(failed)} of its runs failed, e.g. {name(failed[0])}: {failed[0].reason}"
+            reason = f"{several(len(failed), 'run')} of it failed, e.g. {name(failed[0])}: {failed[0].reason}"
             raise ResultsError(f"{error}; {reason}") from error
         if here:
-            hint = "`python scripts/status.py` tells how far they are, and with sync=true sends them to the store"
-            raise ResultsError(f"{error}; {len(here)} runs of it are here: {hint}") from error
+            hint = "`python scripts/status.py` tells how far that is, and with sync=true sends it to the store"
+            raise ResultsError(
+                f"{error}; {several(len(here), 'run')} of it {'is' if len(here) == 1 else 'are'} here: {hint}"
+            ) from error
         raise
 
 
@@ -192,8 +232,6 @@ def _command(request: ReportRequest, experiments: Sequence[str]) -> str:
 
 def _print(content: "Content", folder: Path) -> None:
     """Say on the terminal what the report says in its first lines."""
-    for sentence in (*content.claims, *content.missing):
-        print(sentence)
-    for sentence in content.warnings:
-        print(f"warning: {sentence}", file=sys.stderr)
-    print(f"report         {folder / 'index.html'}")
+    say(*content.claims, *content.missing)
+    say(*(f"warning: {sentence}" for sentence in content.warnings), stderr=True)
+    say(f"report         {folder / 'index.html'}")

@@ -47,8 +47,12 @@
     parked                                     bool      the strict definition of success
     steps, return                              int64, float64: length; sum of rewards
     distance_m, heading_error_rad, speed_mps   float64   absolute values at its end
+
+A column that the table of a run of an earlier version does not have is missing in its rows: NaN, or <NA> in `parked`
+and `steps`, which are boolean and Int64 then. phase, step, scene and outcome are always there.
 """
 
+import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -66,7 +70,7 @@ from parking_exp.reading import Point, Reader, StoredRun
 from parking_exp.recordings import EPISODES, read_episodes, read_trajectories
 from parking_exp.store import is_store_failure, reason, without_password
 from parking_exp.trajectories import TRAJECTORIES_FILE
-from parking_exp.wording import closest
+from parking_exp.wording import closest, several
 
 STATUSES = ("done", "running", "failed", "interrupted")
 RATES = ("success_rate", "crash_rate", "timeout_rate", "parked_rate")
@@ -96,6 +100,7 @@ RUN_COLUMNS = (
 CURVE_COLUMNS = ("run_id", "step", *CURVE.values(), *BESIDE_A_CURVE.values())
 EPISODE_COLUMNS = ("run_id", *EPISODES)
 
+SEED = re.compile(r"\d{1,18}")
 OURS = ("cell", "seed", "run_key", "run_dir", "status")  # tags that make a run one of this package's
 
 
@@ -138,7 +143,7 @@ class Results:
         places = self.runs.loc[self.runs["run_id"] == run_id, "artifact_uri"]
         if places.empty:
             hint = closest(run_id, self.runs["run_id"])
-            raise ResultsError(f"run_id={run_id}: it is none of the {len(self.runs)} runs{hint}")
+            raise ResultsError(f"run_id={run_id}: it is none of {several(len(self.runs), 'run')}{hint}")
         try:
             return read_trajectories(self._reader.artifact(places.iloc[0], TRAJECTORIES_FILE))
         except Exception as error:
@@ -191,7 +196,8 @@ def _chosen(reader: Reader, experiments: str | Iterable[str] | None) -> dict[str
 
 
 def _is_ours(run: StoredRun) -> bool:
-    return all(name in run.tags for name in OURS) and run.tags["status"] in STATUSES and run.tags["seed"].isdecimal()
+    tags = run.tags
+    return all(name in tags for name in OURS) and tags["status"] in STATUSES and bool(SEED.fullmatch(tags["seed"]))
 
 
 def _runs(

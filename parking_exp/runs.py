@@ -15,20 +15,21 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import yaml
 from filelock import FileLock, Timeout
+from pydantic import TypeAdapter, ValidationError
 
 from parking_exp.config import RunConfig
 from parking_exp.errors import ConfigError, OutputDirectoryError, RunLockedError, RunNotFoundError, UntrustedError
 from parking_exp.files import read_object, write_atomically, write_json
 from parking_exp.locations import absolute, directory_path, lies_inside, relative
 from parking_exp.provenance import typed_command
+from parking_exp.status_file import Status, StatusEntries, read_entries
 from parking_exp.validation import check
+from parking_exp.wording import several, similar
 
-Status = Literal["pending", "running", "done", "failed", "interrupted"]
-"""What status.json says. `running` may be out of date: the process may be gone (`states` looks)."""
 STATUS_FILE, BEAT_FILE = "status.json", "beat.json"
 MODELS = ("final.zip", "best.zip")
 CLAIM, LOCK = ".claim", ".lock"
@@ -133,12 +134,15 @@ class RunDirectory:
         self._update(values, durable=True)
 
     def result(self) -> RunResult | None:
-        """Return the stored result of a finished run, else None."""
+        """Return the stored result of a finished run, else None, also where it is damaged."""
         stored = read_object(self.path / "result.json")
         if not stored or self.status != "done":
             return None
         # The store may have been down until later, and the directory moved.
-        return RunResult(**{**stored, "run_dir": str(self.path.absolute()), "run_id": self.run_id})
+        known = {**stored, "run_dir": str(self.path.absolute()), "run_id": self.run_id}
+        with suppress(ValidationError):
+            return TypeAdapter(RunResult).validate_python(known)
+        return None
 
     def finish(self, result: RunResult, **values: Any) -> None:
         """Store the result, and entries of status.json; from here on the run is done."""
@@ -291,8 +295,8 @@ class RunDirectory:
                     stale.unlink()
 
     def read_status(self) -> dict[str, Any]:
-        """Return the entries of status.json."""
-        return read_object(self.path / STATUS_FILE)
+        """Return the entries of status.json; one of the wrong type is none."""
+        return read_entries(self.path / STATUS_FILE, StatusEntries)[0]
 
 
 def _texts(node: Any, key: str = "") -> Iterator[tuple[str, str]]:
@@ -335,14 +339,16 @@ def find_run(name: str, output_dir: Path, having: str) -> RunDirectory:
     if name == "latest":
         usable = [file for file in files if (file.parent / having).exists()]
         if not usable:
-            done = any(read_object(file).get("status") == "done" for file in files)
+            done = any(RunDirectory(file.parent).status == "done" for file in files)
             hint = "; where a run is done and it is gone, its training command typed again makes it" if done else ""
-            raise RunNotFoundError(f"run=latest: none of the {len(files)} runs in {output_dir} has {having} yet{hint}")
+            there = several(len(files), "run")
+            raise RunNotFoundError(f"run=latest: of {there} in {output_dir}, none has {having} yet{hint}")
         return RunDirectory(usable[-1].parent.absolute())
-    for file in files:
-        if read_object(file).get("run_id") == name:
-            return RunDirectory(file.parent.absolute())
+    ids = {run_id: file.parent for file in files if (run_id := RunDirectory(file.parent).run_id)}
+    if name in ids:
+        return RunDirectory(ids[name].absolute())
+    hint = similar(name, ["latest", *ids, *(str(file.parent) for file in files)])
     raise RunNotFoundError(
-        f"run={name}: no run directory and no MLflow run id of the {len(files)} runs in {output_dir}; "
-        f"the latest is {files[-1].parent}"
+        f"run={name}: no run directory, and no MLflow run id of {several(len(files), 'run')} in {output_dir}"
+        + (hint or f"; the latest is {files[-1].parent}")
     )

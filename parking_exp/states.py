@@ -7,8 +7,8 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-from parking_exp.files import read_object
 from parking_exp.runs import BEAT_FILE, STATUS_FILE, RunDirectory
+from parking_exp.status_file import BeatEntries, StatusEntries, read_entries
 
 Stage = Literal["done", "running", "failed", "pending"]
 STAGES: tuple[Stage, ...] = ("done", "running", "failed", "pending")
@@ -33,6 +33,7 @@ class RunState:
         success_rate, wall_s, cpu_s, memory_bytes: of a finished run.
         started: when its last process began, in seconds since 1970.
         unsynced: why the store does not have all of it; None where it has.
+        damaged: what is wrong with its status.json; None if nothing is.
     """
 
     run_dir: str
@@ -56,6 +57,7 @@ class RunState:
     memory_bytes: int | None = None
     unsynced: str | None = None
     started: float | None = None
+    damaged: str | None = None
 
     def plain(self) -> dict[str, Any]:
         """Return everything as JSON can hold it."""
@@ -63,8 +65,8 @@ class RunState:
 
 
 def read_state(path: Path) -> RunState:
-    """Read one run directory; one that is not there yet is pending."""
-    status = read_object(path / STATUS_FILE)
+    """Read one run directory; one that is not there yet is pending, and so is one whose status.json can't be read."""
+    status, damaged = read_entries(path / STATUS_FILE, StatusEntries)
     seed = path.name.removeprefix("seed=")
     known: dict[str, Any] = {
         "run_dir": str(path),
@@ -75,6 +77,7 @@ def read_state(path: Path) -> RunState:
         "total_timesteps": status.get("total_timesteps"),
         "unsynced": status.get("unsynced"),
         "started": status.get("started"),
+        "damaged": damaged,
     }
     written = status.get("status", "pending")
     if written == "done":
@@ -110,7 +113,7 @@ def by_cell(states: Iterable[RunState]) -> Iterator[tuple[tuple[str, str], list[
 
 
 def _under_way(path: Path, total: int | None, status: dict[str, Any]) -> dict[str, Any]:
-    beat = read_object(path / BEAT_FILE)
+    beat, _ = read_entries(path / BEAT_FILE, BeatEntries)
     if beat.get("time", 0.0) < status.get("started", time.time()):  # of an earlier process, or none yet
         return {"step": _saved_step(path), "doing": "starting"}
     step, rate = beat.get("step", 0), beat.get("steps_per_s") or None

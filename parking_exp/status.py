@@ -1,6 +1,5 @@
 """How far are the runs? A look at their directories; nothing is opened that is large, and no library that is slow."""
 
-import sys
 import time
 from pathlib import Path
 from typing import Annotated
@@ -16,9 +15,10 @@ from parking_exp.locations import default_uri, directory_path
 from parking_exp.outdated import sync_all
 from parking_exp.runs import RunDirectory
 from parking_exp.states import RunState, as_json, find, read_state
-from parking_exp.tables import cell_table, console, failure_lines, running_lines, stopped_lines
+from parking_exp.tables import cell_table, damaged_lines, failure_lines, running_lines, stopped_lines
+from parking_exp.terminal import console, say
 from parking_exp.validation import parse
-from parking_exp.wording import closest
+from parking_exp.wording import closest, several
 
 WATCH_S = 2.0
 
@@ -70,7 +70,7 @@ def show(config: DictConfig) -> None:
     states = _look(request)
     out = console()
     if request.as_json:
-        print(as_json(states))
+        say(*as_json(states).split("\n"))
     elif request.watch and out.is_terminal:
         with Live(_picture(states), console=out, auto_refresh=False) as live:
             while True:
@@ -105,17 +105,17 @@ def _sync(request: StatusRequest) -> None:
     problems: dict[str, list[RunDirectory]] = {}
     for directory, problem in sync_all(directories, uris):
         if problem is None:
-            print(f"{directory.path}: the store has everything", file=sys.stderr)
+            say(f"{directory.path}: the store has everything", stderr=True)
         else:
             problems.setdefault(problem, []).append(directory)
     for problem, runs in problems.items():
         others = f" and {len(runs) - 1} more" if len(runs) > 1 else ""
-        print(f"{runs[0].path}{others}: {problem}", file=sys.stderr)
+        say(f"{runs[0].path}{others}: {problem}", stderr=True)
     if problems:
         failed = sum(map(len, problems.values()))
-        whose = "a run" if failed == 1 else f"{failed} runs"
-        raise UnsyncedError(f"the store has not got all of {whose}; sync=true tries again")
+        raise UnsyncedError(f"the store has not got all of {several(failed, 'run')}; sync=true tries again")
 
 
 def _picture(states: list[RunState]) -> RenderableType:
-    return Group(cell_table(states), *running_lines(states), *stopped_lines(states), *failure_lines(states))
+    lines = (running_lines, stopped_lines, failure_lines, damaged_lines)
+    return Group(cell_table(states), *(line for some in lines for line in some(states)))

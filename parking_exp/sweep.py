@@ -6,7 +6,6 @@ several can share one experiment.
 
 import fcntl
 import itertools
-import sys
 import time
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
@@ -25,9 +24,11 @@ from parking_exp.monitor import Monitor
 from parking_exp.outdated import sync_all
 from parking_exp.runs import RunDirectory
 from parking_exp.states import RunState, Stage, counts, find, read_state
-from parking_exp.tables import cell_table, console, duration, failure_lines, stopped_lines
+from parking_exp.tables import cell_table, damaged_lines, duration, failure_lines, stopped_lines
+from parking_exp.terminal import console, say
 from parking_exp.tracking import later
 from parking_exp.validation import validate
+from parking_exp.wording import several
 
 WAIT_POLL_S = 1.0
 SWEEPING = ".sweeping"  # in an experiment's folder: locked, shared, by every sweep that is at it
@@ -125,18 +126,20 @@ def describe(runs: Sequence[Planned], launch: Launch, out: Console) -> None:
     """Print the plan: cells x seeds, what is done, what will run, and how long that may take."""
     states = [run.state for run in runs]
     out.print(cell_table(states, [run.label for run in runs]))
+    for line in damaged_lines(states):
+        out.print(line)
     found, due = counts(states), [run for run in runs if run.is_due and run.state.stage != "running"]
     cells, seeds = len({run.path.parent for run in runs}), len({run.config.seed for run in runs})
-    product = _several(cells, "cell")
+    product = several(cells, "cell")
     if cells * seeds == len(runs):
-        product += f" x {_several(seeds, 'seed')}"
+        product += f" x {several(seeds, 'seed')}"
     left = found["failed"] - sum(run.state.stage == "failed" for run in due)
     modelless = sum(run.state.stage == "done" for run in due)
     parts = [f"{found['done'] - modelless} done", f"{found['running']} running elsewhere" if found["running"] else ""]
     parts += [f"{left} failed before (retry=failed runs them again)" if left else "", f"{len(due)} to run"]
     parts[-1] += f" ({modelless} of them only to make models again that are gone)" if modelless else ""
     out.print(
-        f"{product} = {_several(len(runs), 'run')}: {', '.join(filter(None, parts))}{_estimate(runs, due, launch)}"
+        f"{product} = {several(len(runs), 'run')}: {', '.join(filter(None, parts))}{_estimate(runs, due, launch)}"
     )
 
 
@@ -204,7 +207,7 @@ def _freeze(run: Planned, keep: bool) -> bool:
     try:
         RunDirectory(run.path).freeze(run.config, run.label, run.state.started, keep=keep)
     except (OutputDirectoryError, OSError) as error:
-        print(f"error: {error}", file=sys.stderr)
+        say(f"error: {error}", stderr=True)
         return False
     return True
 
@@ -256,8 +259,4 @@ def _judge(states: Sequence[RunState]) -> None:
     retry = any(state.stage == "failed" and not state.killed for state in states)
     advice = "; type the same command to go on" if again else ""
     advice += "; retry=failed runs failed ones again" if retry else ""
-    raise FailedRunError(f"of {_several(len(states), 'run')}, {' and '.join(parts)}{advice}")
-
-
-def _several(number: int, what: str) -> str:
-    return f"{number} {what}" if number == 1 else f"{number} {what}s"
+    raise FailedRunError(f"of {several(len(states), 'run')}, {' and '.join(parts)}{advice}")

@@ -2,18 +2,10 @@
 
 from collections.abc import Iterator, Sequence
 
-from rich.console import Console
 from rich.table import Table
 
 from parking_exp.states import STAGES, RunState, by_cell, counts
-
-WIDE = 1000  # columns of what is no terminal: lines are not broken there
-
-
-def console(*, stderr: bool = False) -> Console:
-    """Return a console that prints names and reasons as they are: brackets and colons in them mean nothing."""
-    out = Console(stderr=stderr, highlight=False, markup=False, emoji=False, soft_wrap=True)
-    return out if out.is_terminal else Console(stderr=stderr, highlight=False, markup=False, emoji=False, width=WIDE)
+from parking_exp.wording import enclosed
 
 
 def cell_table(states: Sequence[RunState], labels: Sequence[str] | None = None) -> Table:
@@ -47,6 +39,13 @@ def failure_lines(states: Sequence[RunState]) -> Iterator[str]:
             yield f"failed   {name(state)}: {state.reason or 'no reason is known'}   {state.run_dir}"
 
 
+def damaged_lines(states: Sequence[RunState]) -> Iterator[str]:
+    """Yield a line for every run whose status.json is damaged; what is not readable there counts as missing."""
+    for state in states:
+        if state.damaged:
+            yield f"damaged  {name(state)}: {state.damaged}; it counts as {state.stage}   {state.run_dir}"
+
+
 def stopped_lines(states: Sequence[RunState]) -> Iterator[str]:
     """Yield a line for every run that was cut off, with the step that it goes on from."""
     for state in states:
@@ -75,7 +74,7 @@ def under_way(state: RunState) -> str:
 
 def name(state: RunState) -> str:
     """Name a run: its cell's label and its seed."""
-    return f"{state.label} seed={state.seed}"
+    return f"{enclosed(state.label)} seed={state.seed}"
 
 
 def duration(seconds: float) -> str:

@@ -29,6 +29,7 @@ from parking_exp.saving import check_saving
 from parking_exp.session import Session
 from parking_exp.stopping import StopRequest, stop_on_signal
 from parking_exp.summary import describe
+from parking_exp.terminal import say
 from parking_exp.tracking import Tracker, later, open_tracker
 from parking_exp.validation import validate
 
@@ -54,10 +55,10 @@ def train(config: DictConfig | Mapping[str, Any] | RunConfig, *, supervised: boo
         check_saving(config)
     with nullcontext() if supervised else directory.claimed(), directory.locked():
         if (result := directory.result()) is not None:
-            print("already done; to train it afresh, change the seed or delete its directory")
+            say("already done; to train it afresh, change the seed or delete its directory")
             if directory.lacks_model:
-                print(make_models(directory))
-            print(_closing_words(result, directory))
+                say(make_models(directory))
+            say(*_closing_words(result, directory))
             return result
         directory.create(config)
         # A run goes on as it began, on whatever machine.
@@ -116,7 +117,7 @@ def _train(config: RunConfig, directory: RunDirectory, stop: StopRequest) -> Run
         raise InterruptedRunError(words, signal.SIGINT) from None
     result = directory.result()
     assert result is not None
-    print(f"{describe(episodes)}\n{_closing_words(result, directory)}")
+    say(*describe(episodes).split("\n"), *_closing_words(result, directory))
     return result
 
 
@@ -145,7 +146,7 @@ def _cost(result: RunResult) -> dict[str, float | None]:
     }
 
 
-def _closing_words(result: RunResult, directory: RunDirectory) -> str:
+def _closing_words(result: RunResult, directory: RunDirectory) -> list[str]:
     rate = result.metrics.get("certified/success_rate")
     lines = (
         [f"final success rate {rate:.1%} on highway-env, after {result.steps} env steps"] if rate is not None else []
@@ -156,4 +157,4 @@ def _closing_words(result: RunResult, directory: RunDirectory) -> str:
     if directory.unsynced:
         what_to_do = later(directory.output_dir, directory.tracking_uri)
         lines.append(f"not all of it is in the store ({directory.unsynced}); {what_to_do}")
-    return "\n".join(lines)
+    return lines

@@ -33,6 +33,7 @@ from parking_exp.locations import directory_path, store_uri
 from parking_exp.machine import THREAD_VARIABLES, pin
 from parking_exp.runs import RunDirectory
 from parking_exp.store import import_mlflow
+from parking_exp.terminal import say
 
 LOG_FILE = "log.txt"
 GRACE_S = 8.0  # to save a checkpoint after a signal, before the process is killed
@@ -96,9 +97,9 @@ def _make_models(directory: RunDirectory) -> None:
     from parking_exp.models import make_models
 
     try:
-        print(make_models(directory), file=sys.stderr)
+        say(make_models(directory), stderr=True)
     except OSError as error:
-        print(f"error: {directory.models} cannot be written: {error.strerror}", file=sys.stderr)
+        say(f"error: {directory.models} cannot be written: {error.strerror}", stderr=True)
 
 
 def _run(directory: RunDirectory, share: Share, stop: threading.Event, started: OnStart | None) -> Ending:
@@ -233,11 +234,11 @@ def main() -> None:
     except RunLockedError:
         sys.exit(LOCKED)
     except FailedRunError as error:
-        print(f"error: {error}", file=sys.stderr)
+        say(f"error: {error}", stderr=True)
         sys.exit(2)
     except ParkingError as error:
         directory.update(status="failed", error=str(error))
-        print(f"error: {error}", file=sys.stderr)
+        say(f"error: {error}", stderr=True)
         sys.exit(2)
 
 

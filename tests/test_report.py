@@ -174,8 +174,7 @@ def test_non_ascii_names_stay_what_they_are(output_dir):
         (["experiment=on"], r"experiment=on: sqlite:///.* has none of that name; did you mean 'one'\?"),
         (["experiment=one", "td4"], "cells: no cell is called 'td4'; did you mean 'td3'?"),
         (["experiment=one", "baseline=td4"], "baseline: no cell is called 'td4'; did you mean 'td3'?"),
-        (["experiment=one", "baselin=td3"], "baselin: neither a key of this command nor of these runs' configs; did you "
-                                            "mean 'baseline'?"),
+        (["experiment=one", "nmae=x"], "nmae: neither a key of this command nor of these runs' configs; did you mean 'name'?"),
         (["experiment=one", "report=quik"], "report=quik: there is no such option; did you mean 'quick'?"),
         (["experiment=one", "report.formats=[gif]"], "report.formats"),
         (["experiment=one", "tracking.uri=sqlite:///nowhere.db"], "there is no store .*nowhere.db"),
@@ -186,6 +185,26 @@ def test_a_mistake_is_a_sentence_and_nothing_is_written(made, arguments, words):
     assert re.search(words if "\\" in words or ".*" in words else re.escape(words), done.stderr), done.stderr
     assert not (made / "reports").exists()
     assert not (made / "nowhere.db").exists()
+
+
+@pytest.mark.parametrize(
+    ("typed", "meant"),
+    [
+        ("basline=td3", "baseline"), ("ouput_dir=x", "output_dir"), ("experment=one", "experiment"), ("cels=td3", "cells"),
+        ("trackng.uri=x", "tracking.uri"), ("n_sampled_gaol=4", "n_sampled_goal"), ("buffr.n_sampled_goal=4", "buffer.n_sampled_goal"),
+        ("target_entropi=1", "target_entropy"), ("reprot=quick", "report"),
+    ],
+)  # fmt: skip
+def test_a_misspelt_key_is_refused_before_the_store_is_read(tmp_path, typed, meant):
+    done = report(tmp_path, typed, code=2)
+    assert done.stderr == f"error: {typed.partition('=')[0]}: there is no such key; did you mean {meant!r}?\n"
+
+
+@pytest.mark.parametrize(
+    "typed", ["n_sampled_goal=4", "_target_=mine.Mine", "my_own=3", "algorithm.gama=1", "her_final, gamma=1"]
+)
+def test_what_may_be_an_argument_of_a_runs_own_class_is_left_to_the_store(tmp_path, typed):
+    assert re.match(r"error: there is no store .*mlflow.db", report(tmp_path, typed, code=2).stderr)
 
 
 def test_an_experiment_without_runs_is_a_sentence(output_dir):
@@ -266,10 +285,10 @@ def test_markdown_shows_figures_that_are_there(made):
 
 def test_a_run_that_fails_before_it_trains_is_told_with_its_reason(tmp_path):
     run_script("train", "experiment=smoke", "timeout_s=100", "device=cuda", f"output_dir={tmp_path}")
-    assert "none of its 1 runs is done" in report(tmp_path, "experiment=smoke", code=2).stderr
+    assert "of its 1 run, none is done" in report(tmp_path, "experiment=smoke", code=2).stderr
     report(tmp_path, "experiment=smoke", "report=quick")
     stored = json.loads((tmp_path / "reports" / "smoke" / "report.json").read_text())
     (run,) = stored["provenance"]["unfinished"]
     assert run["status"] == "failed"
     assert "torch finds no CUDA device" in run["reason"]
-    assert stored["missing"][0] == "0 of 1 runs are done: 1 failed."
+    assert stored["missing"][0] == "0 of 1 run is done: 1 failed."

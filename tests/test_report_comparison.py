@@ -1,7 +1,9 @@
 """From a store to what a report says."""
 
 import math
+import re
 import shutil
+import sqlite3
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -10,7 +12,7 @@ import numpy as np
 import pandas as pd
 import pytest
 import scipy.stats
-from conftest import in_memory
+from conftest import in_memory, store
 from stores import Look, compose, make_store
 
 from parking_exp.errors import ConfigError, RunNotFoundError
@@ -153,7 +155,7 @@ def test_one_run_has_a_rate_with_wilsons_interval_and_none_over_seeds(output_dir
     assert (cell.success.value, cell.success.low, cell.success.high, cell.success.method) == (0.8, None, None, "none")
     assert (cell.seeds[0].low, cell.seeds[0].high) == pytest.approx((0.3755, 0.9638), abs=1e-4)  # Wilson's, 4 of 5
     assert (found.design, found.pairs, cell.label) == ("single", [], "sac, her_future")
-    assert found.claims[0] == "sac, her_future succeeds in 80.0 % of the scenes, one seed."
+    assert found.claims[0] == "“sac, her_future” succeeds in 80.0 % of the scenes, one seed."
 
 
 def test_seeds_that_are_all_perfect_leave_room_below(output_dir):
@@ -191,8 +193,65 @@ def test_metrics_that_are_nan_leave_a_run_out_and_say_so(output_dir):
     made(output_dir, "one", {"sac": []}, range(3), look)
     found = content(output_dir)
     assert (found.cells[0].success.value, found.cells[0].success.n) == (pytest.approx(0.6), 2)
-    assert "sac, her_future: a run was finished without a final success rate, and left out." in found.warnings
+    assert "“sac, her_future”: a run was finished without a final success rate, and left out." in found.warnings
     assert not any(math.isnan(value) for value in numbers(found.plain()))
+
+
+@pytest.mark.parametrize(("value", "words"), [(7.5, "7.5"), (-0.5, "-0.5"), (math.inf, "1.79769e+308")])
+def test_a_rate_that_is_impossible_leaves_its_run_out_and_is_said(output_dir, value, words):
+    runs = made(output_dir, "one", {"sac": []}, range(3), lambda *_: Look(success=0.6, crash=0.2))
+    run_id = runs["sac", 1].run_id
+    store(output_dir).log_metric(run_id, "certified/success_rate", value, step=400)
+    found = content(output_dir)
+    assert (found.cells[0].success.value, found.cells[0].success.n) == (pytest.approx(0.6), 2)
+    assert (found.cells[0].crash.value, found.cells[0].crash.n) == (pytest.approx(0.2), 3)
+    cell = found.cells[0].name
+    assert f"run {run_id} ({cell}, seed 1): impossible values count as missing: success_rate={words}." in found.warnings
+
+
+def test_impossible_values_of_every_kind_count_as_missing(output_dir):
+    runs = made(output_dir, "one", {"sac": []}, range(2), lambda *_: Look(curve=(0.5, 1.0)))
+    run_id, client = runs["sac", 1].run_id, store(output_dir)
+    for key, value, step in [("certified/steps_mean", -1, 400), ("time/cpu_s", -math.inf, 400), ("eval/success_rate", 2, 200),
+                             ("buffer/real_share", -1, 200), ("eval/crash_rate", 0.5, -7)]:  # fmt: skip
+        client.log_metric(run_id, key, value, step=step)
+    found = content(output_dir)
+    (warning,) = [sentence for sentence in found.warnings if run_id in sentence]
+    assert warning.endswith("count as missing: step=-7, episode_steps=-1, cpu_s=-1.79769e+308 and 3 more.")
+    assert (found.cells[0].episode_steps.n, found.cells[0].cpu_s.n, found.cells[0].success.n) == (1, 1, 2)
+    assert dict(zip(found.cells[0].curve.step, found.cells[0].curve.n, strict=True)) == {200: 1, 400: 2}
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [("env.vehicles_count", "many"), ("env.vehicles_count", "99"), ("buffer.n_sampled_goal", "9" * 5000), ("total_timesteps", "-inf"), ("evaluation.final_n_scenes", "9" * 20)],
+)  # fmt: skip
+def test_a_config_that_is_nonsense_breaks_no_report(output_dir, key, value):
+    runs = made(output_dir, "one", {"sac": [], "td3": ["algorithm=td3"]}, range(2))
+    with sqlite3.connect(output_dir / "mlflow.db") as database:
+        database.execute("update params set value=? where key=? and run_uuid=?", (value, key, runs["sac", 0].run_id))
+    assert [cell.success.n for cell in content(output_dir).cells] == [2, 2]
+
+
+def test_a_label_with_commas_reads_as_one_name_in_sentences(output_dir):
+    cells = {
+        f"{kind} {n}": [f"buffer=her_{kind}", f"buffer.n_sampled_goal={n}"]
+        for kind in ("future", "final")
+        for n in (1, 4)
+    }
+    made(
+        output_dir, "one", cells, range(3), lambda label, _: Look(success=0.8 if label == "future 1" else 0.4, crash=0)
+    )
+    found = content(output_dir)
+    names = {f"her_{kind}, n_sampled_goal={n}" for kind in ("future", "final") for n in (1, 4)}
+    assert {cell.label for cell in found.cells} == names
+    assert found.claims[0].startswith("“her_future, n_sampled_goal=1” has the highest final success: 80.0 % [")
+    assert found.claims[1].startswith(
+        "“her_future, n_sampled_goal=1” can't be told apart from “her_final, n_sampled_goal=1” (+40.0 points"
+    )
+    for sentence in (*found.claims, *found.warnings, *found.missing, *found.notes):
+        assert not any(name in re.sub("“[^”]*”", "", sentence) for name in names), sentence
+    assert any(names <= set(re.findall("“([^”]*)”", sentence)) for sentence in found.claims)
 
 
 def test_runs_of_different_lengths_have_curves_as_far_as_they_go(output_dir):
@@ -227,7 +286,7 @@ def test_unfinished_runs_are_missing_and_quick_shows_their_curves(output_dir):
 
 def test_where_nothing_is_done_quick_still_shows_what_there_is(output_dir):
     made(output_dir, "one", {"sac": []}, range(2), lambda *_: Look(status="interrupted"))
-    with pytest.raises(RunNotFoundError, match="none of its 2 runs is done; report=quick shows what there is so far"):
+    with pytest.raises(RunNotFoundError, match="of its 2 runs, none is done; report=quick shows what there is so far"):
         content(output_dir)
     found = content(output_dir, quick=True)
     assert found.cells[0].success.value is None
@@ -370,7 +429,7 @@ def test_of_two_runs_with_the_same_seed_the_one_that_is_done_counts(output_dir):
     again.loc[again["success_rate"] == 0.2, "status"] = "failed"
     found = compare(replace(results, runs=again), Question(experiments=["one"]), {})
     assert [seed.success for seed in found.cells[0].seeds] == [0.8]
-    assert "sac, her_future: a run was left out, since another one has the same seed." in found.warnings
+    assert "“sac, her_future”: a run was left out, since another one has the same seed." in found.warnings
 
 
 def numbers(value):
@@ -434,7 +493,7 @@ def test_a_baseline_without_a_finished_run_is_refused_and_quick_compares_without
         return Look(status="failed", error="x") if label == "td3" else Look()
 
     made(output_dir, "one", {**ALGORITHMS, "ddpg": ["algorithm=ddpg"]}, range(2), look)
-    with pytest.raises(RunNotFoundError, match=r"baseline=td3: none of its 2 runs is done"):
+    with pytest.raises(RunNotFoundError, match=r"baseline=td3: of its 2 runs, none is done"):
         content(output_dir, baseline="td3")
     found = content(output_dir, baseline="td3", quick=True)
     assert found.reference is None
@@ -521,7 +580,7 @@ def test_runs_that_are_done_here_and_not_in_the_store_are_missing(output_dir):
     states = {str(path): read_state(path) for path in find(output_dir, "one")}
     found = compare(replace(results, runs=results.runs[~gone]), Question(["one"]), states)
     assert found.missing == [
-        "1 more runs are done here, but not in the store; `python scripts/status.py sync=true` sends them."
+        "1 more run is done here, but not in the store; `python scripts/status.py sync=true` sends what is missing."
     ]
 
 

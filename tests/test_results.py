@@ -18,7 +18,7 @@ from servers import closed_port, mlflow_server, needs_server
 from stores import STARTED_MS, Look, compose, made_episodes, made_trajectories, make_store
 
 from parking_exp import evaluation, results
-from parking_exp.columns import column, typed
+from parking_exp.columns import column, times, typed
 from parking_exp.errors import ResultsError
 from parking_exp.locations import default_uri
 from parking_exp.reading import Reader
@@ -142,6 +142,12 @@ def test_a_column_has_the_one_type_of_its_values(values, dtype):
     assert str(pd.Series(column(values)).dtype) == dtype
 
 
+def test_times_that_no_calendar_has_are_missing():
+    found = times([0, None, -1, 10**18, 1_700_000_000_000])
+    assert found.isna().tolist() == [False, True, True, True, False]
+    assert found.dropna().astype("int64").tolist() == [0, 1_700_000_000_000]
+
+
 def test_a_curve_has_a_row_for_each_evaluation(ablation):
     output_dir, made = ablation
     curves = load("her", output_dir=output_dir).curves
@@ -251,7 +257,49 @@ def test_lost_and_damaged_artifacts_are_said_and_spoil_nothing_else(output_dir):
     assert said["9"] == "is missing in the store"
     assert {said[seed] for seed in "123"} == {"can't be read: it is cut off"}
     assert said["4"] == "can't be read: it has rows that are no episodes"
+    assert said["6"] == "can't be read: it has no column scene"
     assert all("\n" not in words for words in said.values())
+
+
+def test_columns_that_a_run_of_an_earlier_version_lacks_are_missing_and_the_others_stay(output_dir):
+    older = "note,phase,step,scene,outcome,return\nx,certified,400,0,success,-1.5\n,certified,400,1,crash,-7\n"
+    contents = {0: {}, 1: {"episodes.csv": older.encode()}}
+    made = make_store(output_dir, "e", {"": []}, contents, lambda _, seed: Look(contents=contents[seed]))
+    found = load("e", output_dir=output_dir)
+    assert found.problems == ()
+    old = found.episodes[found.episodes["run_id"] == made["", 1].run_id]
+    assert old[["phase", "step", "scene", "outcome", "return"]].values.tolist() == [
+        ["certified", 400, 0, "success", -1.5], ["certified", 400, 1, "crash", -7.0]
+    ]  # fmt: skip
+    assert old[["parked", "steps", "distance_m", "heading_error_rad", "speed_mps"]].isna().all(axis=None)
+    new = found.episodes[found.episodes["run_id"] == made["", 0].run_id]
+    table = pd.read_csv(made["", 0].path / "episodes.csv")
+    assert (
+        new[["parked", "steps", "distance_m"]].values.tolist()
+        == table[["parked", "steps", "distance_m"]].values.tolist()
+    )
+    types = {name: str(dtype) for name, dtype in found.episodes.dtypes.items()}
+    assert types == {
+        "run_id": "category", "phase": "category", "outcome": "category", "step": "int64", "scene": "int64",
+        "parked": "boolean", "steps": "Int64",
+        **dict.fromkeys(["return", "distance_m", "heading_error_rad", "speed_mps"], "float64"),
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize("name", ["phase", "step", "scene", "outcome"])
+def test_a_table_of_episodes_without_a_column_that_it_needs_is_said_with_its_name(output_dir, name):
+    text = "phase,step,scene,outcome\ncertified,400,0,success\n".replace(name, f"not_{name}")
+    make_store(output_dir, "e", {"": []}, [0], lambda *_: Look(contents={"episodes.csv": text.encode()}))
+    found = load("e", output_dir=output_dir)
+    assert found.problems[0].endswith(f"episodes.csv can't be read: it has no column {name}")
+    assert len(found.episodes) == 0
+
+
+def test_scenes_that_there_are_not_are_said(output_dir):
+    text = "phase,step,scene,outcome\ncertified,400,-1,success\n"
+    make_store(output_dir, "e", {"": []}, [0], lambda *_: Look(contents={"episodes.csv": text.encode()}))
+    (problem,) = load("e", output_dir=output_dir).problems
+    assert problem.endswith("episodes.csv can't be read: it has scenes that there are not")
 
 
 def test_runs_of_others_and_deleted_ones_are_left_out(output_dir):
@@ -352,7 +400,7 @@ def test_trajectories_that_cannot_be_had_are_said(output_dir, tmp_path):
     for run_id in found.runs["run_id"]:
         with pytest.raises(ResultsError, match=rf"^run {run_id}: trajectories.npz can't be read: "):
             found.trajectories(run_id)
-    with pytest.raises(ResultsError, match=r"^run_id=x: it is none of the 5 runs; choose from "):
+    with pytest.raises(ResultsError, match=r"^run_id=x: it is none of 5 runs; choose from "):
         found.trajectories("x")
 
 

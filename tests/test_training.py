@@ -460,7 +460,7 @@ def test_evaluate_refuses_a_model_that_is_not_its_configs(finished, key, value, 
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["run=nowhere"], "run=nowhere: no run directory and no MLflow run id of the 1 runs in"),
+        (["run=nowhere"], "run=nowhere: no run directory, and no MLflow run id of 1 run in"),
         (["epsodes=3"], "epsodes: there is no such key; did you mean 'episodes'?"),
         (["episodes=0"], "episodes=0 is out of range; the closest valid choice is 1"),
         (["episodes=3", "video=5"], "video=5 is above episodes; the closest valid choice is 3"),
@@ -623,7 +623,7 @@ def test_latest_is_the_last_run_that_has_a_model(tmp_path):
         if finished:
             (run / "models" / "final.zip").touch()
     assert find_run("latest", tmp_path, having="models/final.zip").path.name == "finished"
-    with pytest.raises(RunNotFoundError, match=r"none of the 3 runs in .* has models/best.zip yet"):
+    with pytest.raises(RunNotFoundError, match=r"run=latest: of 3 runs in .*, none has models/best.zip yet"):
         find_run("latest", tmp_path, having="models/best.zip")
 
 

@@ -6,18 +6,22 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from parking_exp.reports.content import Cell, FailedRun, Pair, Provenance
 from parking_exp.reports.formats import setting
 from parking_exp.reports.selection import Group
+from parking_exp.wording import enclosed, several
 
 ENOUGH_SEEDS = 10
 FEW_NAMES = 4
 
 
 def named(names: Sequence[str]) -> str:
-    """List names, the first few of many."""
-    few = list(names[:FEW_NAMES])
-    comma = "; " if any("," in name for name in few) else ", "
+    """List labels and the like, the first few of many; one that has commas itself is in quotes."""
+    return _listed([enclosed(name) for name in names])
+
+
+def _listed(names: Sequence[str]) -> str:
+    few = names[:FEW_NAMES]
     if len(names) > FEW_NAMES:
-        return f"{comma.join(few)} and {len(names) - FEW_NAMES} more"
-    return few[0] if len(few) == 1 else f"{comma.join(few[:-1])} and {few[-1]}"
+        return f"{', '.join(few)} and {len(names) - FEW_NAMES} more"
+    return few[0] if len(few) == 1 else f"{', '.join(few[:-1])} and {few[-1]}"
 
 
 def warnings(groups: Sequence[Group], cells: Sequence[Cell], origin: Provenance) -> Iterator[str]:
@@ -33,9 +37,9 @@ def warnings(groups: Sequence[Group], cells: Sequence[Cell], origin: Provenance)
     yield from _notes(cells)
     for group in groups:
         if group.repeated:
-            yield f"{group.label}: {_runs(group.repeated)} left out, since another one has the same seed."
+            yield f"{enclosed(group.label)}: {_runs(group.repeated)} left out, since another one has the same seed."
         if len(blank := group.done[group.done["success_rate"].isna()]):
-            yield f"{group.label}: {_runs(len(blank))} finished without a final success rate, and left out."
+            yield f"{enclosed(group.label)}: {_runs(len(blank))} finished without a final success rate, and left out."
 
 
 def narrow_pairs(cells: Sequence[Cell], pairs: Sequence[Pair]) -> Iterator[str]:
@@ -44,7 +48,7 @@ def narrow_pairs(cells: Sequence[Cell], pairs: Sequence[Pair]) -> Iterator[str]:
     found: dict[str, list[str]] = {}
     for pair in pairs:
         if pair.note and pair.note not in said:
-            found.setdefault(pair.note, []).append(f"{labels[pair.a]} against {labels[pair.b]}")
+            found.setdefault(pair.note, []).append(f"{enclosed(labels[pair.a])} against {enclosed(labels[pair.b])}")
     yield from _grouped(found)
 
 
@@ -64,11 +68,13 @@ def missing(cells: Sequence[Cell], unheard: Sequence[FailedRun]) -> Iterator[str
     found = [f"{total[stage]} {words}" for stage, words in waiting.items() if total[stage]]
     if found:
         everything = sum(total.values())
-        yield f"{total['done']} of {everything} runs are done: {', '.join(found)}."
+        are = "is" if everything == 1 else "are"
+        yield f"{total['done']} of {several(everything, 'run')} {are} done: {', '.join(found)}."
     if empty := [cell.label for cell in cells if not cell.counts["done"]]:
         yield f"No run is done of {named(empty)}."
     if lost:
-        yield f"{lost} more runs are done here, but not in the store; `python scripts/status.py sync=true` sends them."
+        some = f"{several(lost, 'more run')} {'is' if lost == 1 else 'are'} done here"
+        yield f"{some}, but not in the store; `python scripts/status.py sync=true` sends what is missing."
 
 
 def same_runs(groups: Sequence[Group]) -> Iterator[str]:
@@ -122,13 +128,13 @@ def _notes(cells: Sequence[Cell]) -> Iterator[str]:
     notes: dict[str, list[str]] = {}
     for cell in cells:
         if cell.note:
-            notes.setdefault(cell.note, []).append(cell.label)
+            notes.setdefault(cell.note, []).append(enclosed(cell.label))
     yield from _grouped(notes)
 
 
 def _grouped(found: Mapping[str, Sequence[str]]) -> Iterator[str]:
-    for note, labels in found.items():
-        yield f"{named(labels)}: {note}"
+    for note, names in found.items():
+        yield f"{_listed(names)}: {note}"
 
 
 def _of(k: int, n: int, what: str) -> str:

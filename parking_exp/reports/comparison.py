@@ -8,6 +8,7 @@ import pandas as pd
 
 from parking_exp import __version__
 from parking_exp.errors import RunNotFoundError
+from parking_exp.lot import N_SLOTS
 from parking_exp.reports import cautions, words
 from parking_exp.reports.content import Cell, Content, Design, Factor, Importance, Interaction, MainEffect
 from parking_exp.reports.courses import Courses
@@ -18,9 +19,11 @@ from parking_exp.reports.pairs import compare_pairs
 from parking_exp.reports.places import sample
 from parking_exp.reports.selection import Group, choose, group, one_cell, relabelled
 from parking_exp.reports.summaries import real_share, shared_horizons, summarise
+from parking_exp.reports.validity import valid
 from parking_exp.results import Results
 from parking_exp.states import RunState
 from parking_exp.store import without_password
+from parking_exp.wording import several
 
 STATUS = {"running": "running", "failed": "failed", "pending": "interrupted", "done": "done"}
 MOST_PROBLEMS = 5
@@ -58,6 +61,7 @@ def compare(results: Results, question: Question, states: Mapping[str, RunState]
         ConfigError: a cell or baseline that there is not.
         RunNotFoundError: none of the runs is done, and `quick` is not asked for.
     """
+    results, impossible = valid(results)
     chosen = _choose(_up_to_date(results.runs, states), question)
     groups, factors, baseline = chosen.groups, chosen.factors, chosen.baseline
     courses = Courses.of(results)
@@ -96,7 +100,7 @@ def compare(results: Results, question: Question, states: Mapping[str, RunState]
             cautions.warnings(groups, cells, origin),
             cautions.same_runs(groups),
             cautions.narrow_pairs(cells, family.pairs),
-            _few([*results.problems, *problems]),
+            _few([*impossible, *results.problems, *problems]),
         ),
         missing=cautions.together(
             cautions.missing(cells, unheard), cautions.without_runs(question.experiments, results.runs["experiment"])
@@ -126,7 +130,9 @@ def _choose(runs: pd.DataFrame, question: Question) -> _Chosen:
     if not question.quick:
         _refuse_nothing_done(asked, question)
         if reference is not None and not len(reference.done):
-            raise RunNotFoundError(f"baseline={question.baseline}: none of its {len(reference.runs)} runs is done")
+            raise RunNotFoundError(
+                f"baseline={question.baseline}: of its {several(len(reference.runs), 'run')}, none is done"
+            )
     groups, factors = relabelled(asked)
     place = next((number for number, one in enumerate(asked) if one is reference), None)
     left_out = [one.label for one in everything if not any(one is chosen for chosen in asked)]
@@ -191,7 +197,9 @@ def _with_places(
             found.append(cell)
             continue
         runs = [(seed.seed, seed.run_id) for seed in cell.seeds]
-        places = sample(runs, results, courses.certified, int(str(one.config.get("env.vehicles_count") or 0)))
+        vehicles = one.config.get("env.vehicles_count")
+        parked = vehicles if type(vehicles) is int and 0 < vehicles < N_SLOTS else 0
+        places = sample(runs, results, courses.certified, parked)
         found.append(replace(cell, paths=places.paths, failures=places.failures))
         problems += places.problems
     return found, problems
@@ -211,15 +219,16 @@ def _refuse_nothing_done(groups: Sequence[Group], question: Question) -> None:
         return
     runs = sum(len(one.runs) for one in groups)
     raise RunNotFoundError(
-        f"experiment={','.join(question.experiments)}: none of its {runs} runs is done; "
+        f"experiment={','.join(question.experiments)}: of its {several(runs, 'run')}, none is done; "
         "report=quick shows what there is so far"
     )
 
 
 def _few(problems: Sequence[str]) -> list[str]:
     """Return problems with single runs, the first of many."""
-    more = [f"{len(problems) - MOST_PROBLEMS} more runs have such problems."] if len(problems) > MOST_PROBLEMS else []
-    return [*problems[:MOST_PROBLEMS], *more]
+    more = len(problems) - MOST_PROBLEMS
+    rest = [f"Runs with such problems besides: {more}."] if more > 0 else []
+    return [*problems[:MOST_PROBLEMS], *rest]
 
 
 def _notes(
@@ -231,13 +240,14 @@ def _notes(
         notes.append(f"Pictures show {best} of {len(cells)} cells; tables have all.")
     if chosen.left_out:
         notes.append(
-            f"{len(chosen.left_out)} more cells of the experiments were left out by what was asked for; fewer pairs "
-            "make smaller p."
+            f"By what was asked for, {several(len(chosen.left_out), 'more cell')} of the experiments "
+            f"{'was' if len(chosen.left_out) == 1 else 'were'} left out; fewer pairs make smaller p."
         )
     if any(cell.seeds and not cell.paths for cell in cells if cell.id in shown):
         notes.append("Some cells have no trajectories to be drawn: their runs are older than these, or lost them.")
     if outside := [cell.label for cell in cells if None in cell.settings.values()] if crossed else []:
         notes.append(f"Not part of the main effects, without a value of every factor: {cautions.named(outside)}.")
     if results.ignored:
-        notes.append(f"The store has {results.ignored} more runs that this package did not make; they are left out.")
+        others = several(results.ignored, "more run")
+        notes.append(f"The store has {others} that this package did not make, and that the report leaves out.")
     return notes

@@ -22,6 +22,7 @@ from parking_exp.reports.formats import rate_text
 from parking_exp.reports.seed_figures import shown_cells
 from parking_exp.reports.sheet import Sheet, text_on, tiles
 from parking_exp.reports.style import COLUMN_IN, FULL_IN, GRID, INK, SMALL_PT, TINY_PT, labels, width_pt
+from parking_exp.wording import enclosed
 
 _MOST_ENDS = 150
 _MOST_ROWS = 6
@@ -146,7 +147,7 @@ def _slots(lots: _Lots, cell: Cell, origin: tuple[float, float], scale: tuple[An
         x, y = SLOT_POSITIONS[slot.slot] + origin
         box, share = _around(x, y, SLOT_WIDTH_M, SLOT_LENGTH_M), _failed(slot)
         if share is None:
-            lots.sheet.tip_box(lots.axes, *box, f"{cell.label}, slot {slot.slot}: no episodes")
+            lots.sheet.tip_box(lots.axes, *box, f"{enclosed(cell.label)}, slot {slot.slot}: no episodes")
             continue
         boxes.append(box)
         fills.append(colours(100 * share / top))
@@ -155,7 +156,7 @@ def _slots(lots: _Lots, cell: Cell, origin: tuple[float, float], scale: tuple[An
             style = {"ha": "center", "va": "center_baseline", "fontsize": TINY_PT}
             lots.axes.text(x, y, number, color=text_on(fills[-1]), zorder=4, **style)
         parts = f"{rate_text(slot.crash)} crash, {rate_text(slot.timeout)} timeout"
-        tip = f"{cell.label}, slot {slot.slot}: {rate_text(share)} failed ({parts}), {slot.n:,} episodes"
+        tip = f"{enclosed(cell.label)}, slot {slot.slot}: {rate_text(share)} failed ({parts}), {slot.n:,} episodes"
         lots.sheet.tip_box(lots.axes, *box, tip)
     if boxes:
         tiles(lots.axes, boxes, fills, linewidths=0.4, edgecolors=GRID, zorder=2)
@@ -228,9 +229,8 @@ def _paths(lots: _Lots, cell: Cell, paths: Sequence[Path], origin: np.ndarray) -
         parked.update(path.parked_slots)
         goals.add(path.slot)
         steps = len(path.x_m) - 1
-        tip = (
-            f"{cell.label}, seed {path.seed}, scene {path.scene}: {path.outcome} after {steps} steps, slot {path.slot}"
-        )
+        which = f"{enclosed(cell.label)}, seed {path.seed}, scene {path.scene}"
+        tip = f"{which}: {path.outcome} after {steps} steps, slot {path.slot}"
         lots.sheet.tip_line(lots.axes, thinned[:: max(1, len(thinned) // 40), :2], tip)
     if not lines:
         return

@@ -20,6 +20,7 @@ from parking_exp.reports.style import (
     widest,
     width_pt,
 )
+from parking_exp.wording import enclosed
 
 _VERDICTS = {"a": "▲", "b": "▼", "same": "≈", "unknown": "?"}
 _MOST_WITH_P = 12
@@ -41,13 +42,15 @@ def _differences(content: Content) -> dict[tuple[str, str], Pair]:
 
 
 def _pair_tip(a: Cell, b: Cell, pair: Pair) -> str:
-    parts = [f"{a.label} minus {b.label}: {_difference(pair.difference)} points"]
+    parts = [f"{enclosed(a.label)} minus {enclosed(b.label)}: {_difference(pair.difference)} points"]
     if pair.p_holm is not None:
         parts.append(f"Holm {p_value(pair.p_holm)}")
     if pair.improvement.value is not None:
         parts.append(f"probability of improvement {pair.improvement.value:.2f}")
     words = {"same": "can't be told apart", "unknown": "too few seeds"}
-    return "; ".join([*parts, words.get(pair.verdict, f"{(a if pair.verdict == 'a' else b).label} is better")])
+    return "; ".join(
+        [*parts, words.get(pair.verdict, f"{enclosed((a if pair.verdict == 'a' else b).label)} is better")]
+    )
 
 
 def _difference(interval: Interval) -> str:
@@ -153,7 +156,7 @@ def _from_reference(content: Content) -> tuple[Sheet, str] | None:
         style = {"transform": axes.get_yaxis_transform(), "fontsize": SMALL_PT, "va": "center_baseline"}
         sheet.text(axes, 1.02, row, text.strip(), **style)
     caption = (
-        f"Final success less {name}, {clean(base.label)}, in percentage points, with 95 % intervals. "
+        f"Final success less {name}, {enclosed(clean(base.label))}, in percentage points, with 95 % intervals. "
         "▲ better than that cell, ▼ worse, ≈ can't be told apart, ? too few seeds; p corrected by Holm's method. "
         f"{content.family}"
     )

@@ -10,6 +10,7 @@ from parking_exp.reports.formats import p_value, rate_text
 from parking_exp.reports.seed_figures import row_sheet
 from parking_exp.reports.sheet import Sheet
 from parking_exp.reports.style import FULL_IN, INK, PAPER, SMALL_PT, TEXT_PT, elided
+from parking_exp.wording import enclosed
 
 _MOST_AXES = 8
 _BAR = "#0072B2"
@@ -66,7 +67,7 @@ def parallel_coordinates(content: Content) -> tuple[Sheet, str] | None:
 
 def _tip(cell: Cell, rate: float, factors: list[Factor]) -> str:
     settings = ", ".join(f"{factor.name}={formats.level(cell.settings.get(factor.key))}" for factor in factors)
-    return f"{cell.label}: {rate_text(rate / 100)} ({settings})"
+    return f"{enclosed(cell.label)}: {rate_text(rate / 100)} ({settings})"
 
 
 def _upright(

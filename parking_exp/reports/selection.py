@@ -151,7 +151,7 @@ def _narrowed(groups: list[Group], everyone: Sequence[Group], condition: str) ->
     keys = dict.fromkeys(key for one in everyone for key in one.config if can_matter(key))
     name = _whole_key(typed_key, keys)
     if name is None:
-        choices = {*GROUPS, "experiment", "baseline", "cells", *keys}
+        choices = {*GROUPS, "experiment", "baseline", "cells", "name", "output_dir", "tracking.uri", "report", *keys}
         hint = closest(typed_key, choices)
         raise ConfigError(f"{typed_key}: neither a key of this command nor of these runs' configs{hint}")
     there = {_bare(setting(one.config[name])) for one in everyone if name in one.config}

@@ -16,6 +16,7 @@ from parking_exp.reports.content import (
 )
 from parking_exp.reports.formats import p_value, points_interval, rate_interval, setting
 from parking_exp.reports.pairs import SIGNIFICANT, Family
+from parking_exp.wording import enclosed, several
 
 VERDICTS = {"better": "is better than", "worse": "is worse than", "same": "can't be told apart from"}
 
@@ -30,7 +31,7 @@ class Gap(NamedTuple):
     def __str__(self) -> str:
         """Write `td3 (+26.1 points [+16.9, +35.4], Holm's p < 0.001)`."""
         p = f"Holm's {p_value(self.p)}" if self.p is not None else ""
-        return f"{self.label} ({', '.join(filter(None, (points_interval(self.points), p)))})"
+        return f"{enclosed(self.label)} ({', '.join(filter(None, (points_interval(self.points), p)))})"
 
 
 def claims(cells: Sequence[Cell], family: Family) -> Iterator[str]:
@@ -43,13 +44,14 @@ def claims(cells: Sequence[Cell], family: Family) -> Iterator[str]:
     best = having[0]
     seeds = f"mean of {best.success.n} seeds" if best.success.n > 1 else "one seed"
     if len(having) == 1:
-        yield f"{best.label} succeeds in {rate_interval(best.success)} of the scenes, {seeds}."
+        yield f"{enclosed(best.label)} succeeds in {rate_interval(best.success)} of the scenes, {seeds}."
     else:
         first = [cell.label for cell in having if cell.success.value == best.success.value]
         if len(first) > 1:
             yield f"{named(first)} have the same final success, the highest: {rate_interval(best.success)}."
         else:
-            yield f"{best.label} has the highest final success: {rate_interval(best.success)} of the scenes, {seeds}."
+            rate = rate_interval(best.success)
+            yield f"{enclosed(best.label)} has the highest final success: {rate} of the scenes, {seeds}."
         reference = next((cell for cell in having if cell.id == family.reference), best)
         yield from _against(reference, having, family.pairs)
     yield from _reaching(having)
@@ -145,10 +147,11 @@ def _against(reference: Cell, having: Sequence[Cell], pairs: Sequence[Pair]) -> 
             verdicts[verdict].append(Gap(labels[ours.b], ours.difference, ours.p_holm))
     for verdict, words in VERDICTS.items():
         if found := sorted(verdicts[verdict], key=lambda gap: abs(gap.points.value or 0.0)):
-            yield f"{reference.label} {words} {_gaps(found)}."
+            yield f"{enclosed(reference.label)} {words} {_gaps(found)}."
     if found := verdicts["unknown"]:
         names = named([gap.label for gap in found])
-        yield f"Whether {reference.label} differs from {names} can't be told: that takes two finished seeds of each."
+        name = enclosed(reference.label)
+        yield f"Whether {name} differs from {names} can't be told: that takes two finished seeds of each."
 
 
 def _gaps(found: Sequence[Gap]) -> str:
@@ -164,9 +167,11 @@ def _first(parts: Sequence[str]) -> str:
 
 
 def _reaching(having: Sequence[Cell]) -> Iterator[str]:
-    several = [cell for cell in having if cell.reaching_90.n > 1]
-    if several:
-        parts = [f"{cell.label} {cell.reaching_90.k} of {cell.reaching_90.n}" + _wilson(cell) for cell in several]
+    known = [cell for cell in having if cell.reaching_90.n > 1]
+    if known:
+        parts = [
+            f"{enclosed(cell.label)} {cell.reaching_90.k} of {cell.reaching_90.n}" + _wilson(cell) for cell in known
+        ]
         yield f"Seeds that end at 90 % or above: {_first(parts)}."
 
 
@@ -182,7 +187,7 @@ def _crashes(having: Sequence[Cell]) -> Iterator[str]:
         if least.crash.value == most.crash.value:
             yield f"Crashes end {rate_interval(most.crash)} of the episodes."
         else:
-            low, high = (f"{rate_interval(cell.crash)} ({cell.label})" for cell in (least, most))
+            low, high = (f"{rate_interval(cell.crash)} ({enclosed(cell.label)})" for cell in (least, most))
             yield f"Crashes end {low} to {high} of the episodes."
 
 
@@ -191,9 +196,9 @@ def _cost(having: Sequence[Cell]) -> Iterator[str]:
     if known:
         least, most = known[0], known[-1]
         low, high = (f"{cell.cpu_s.value:,.0f}" for cell in (least, most))
-        some = f"{low} ({least.label}) to {high} ({most.label})" if low != high else low
+        some = f"{low} ({enclosed(least.label)}) to {high} ({enclosed(most.label)})" if low != high else low
         yield f"A run took {some} CPU-seconds on average."
-    times = [f"{cell.label} {_median(cell)}" for cell in having if cell.survival and cell.survival.n > 1]
+    times = [f"{enclosed(cell.label)} {_median(cell)}" for cell in having if cell.survival and cell.survival.n > 1]
     if times:
         yield f"Median time to hold 90 %: {_first(times)}."
 
@@ -201,6 +206,6 @@ def _cost(having: Sequence[Cell]) -> Iterator[str]:
 def _median(cell: Cell) -> str:
     assert cell.survival is not None
     if cell.survival.median is None:
-        return f"unknown ({cell.survival.k} of {cell.survival.n} seeds did)"
+        return f"unknown ({cell.survival.k} of {several(cell.survival.n, 'seed')} did)"
     cpu_s = cell.survival_cpu.median if cell.survival_cpu else None
     return f"{cell.survival.median:,.0f} env steps" + ("" if cpu_s is None else f", {cpu_s:,.0f} CPU-seconds")
