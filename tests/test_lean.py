@@ -134,7 +134,11 @@ def matmul_precision():
 
 @pytest.mark.parametrize("name", ALGORITHMS)
 def test_medium_precision_is_the_same_update_but_for_rounding(name, matmul_precision):
-    """After one update, which Adam's first step magnifies; after 100, roundings would have grown beyond comparing."""
+    """After one update, which Adam's first step magnifies; after 100, roundings would have grown beyond comparing.
+
+    Adam's first step is as long for a gradient that is almost zero, whose sign is a matter of rounding. On CPUs with AMX
+    torch rounds to bfloat16, to 8 bits instead of 24, and more of them turn.
+    """
     samples = batches(1, 256, 0)
     theirs, ours = pair(name, "algorithm.net_arch=[256,256,256]", "algorithm.features=raw")
     matmul_precision("highest")
@@ -143,7 +147,14 @@ def test_medium_precision_is_the_same_update_but_for_rounding(name, matmul_preci
     update(ours, samples, rounds=1)
     pairs = zip(ours.policy.parameters(), theirs.policy.parameters(), strict=True)
     close = [(mine - other).abs() < 1e-5 for mine, other in pairs]
-    assert sum(part.sum().item() for part in close) > 0.99 * sum(part.numel() for part in close)
+    same = 0.95 if rounds_to_bfloat16() else 0.99
+    assert sum(part.sum().item() for part in close) > same * sum(part.numel() for part in close)
+
+
+def rounds_to_bfloat16():
+    """Whether float32 products are made in bfloat16 on this machine, with the precision that is set."""
+    one = torch.ones(256, 256) + 2**-10  # 1 in bfloat16
+    return (one @ one)[0, 0].item() < 256.25
 
 
 def test_a_runs_threads_and_precision_hold_while_it_runs():
