@@ -6,18 +6,20 @@ from typing import Any
 
 import numpy as np
 import torch
-from hydra.utils import get_class, instantiate
+from hydra.utils import get_class, get_object, instantiate
 from stable_baselines3.common.noise import ActionNoise
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from stable_baselines3.common.torch_layers import CombinedExtractor
 from stable_baselines3.common.vec_env import VecEnv
 
+from parking_exp.arguments import CLASS_ARGUMENTS
 from parking_exp.buffers import HerBuffer
-from parking_exp.config import RunConfig
+from parking_exp.config import Precision, RunConfig
 from parking_exp.envs.reward import GoalReward
-from parking_exp.envs.vector import is_parking
+from parking_exp.envs.vector import is_parking, make_training_envs
 from parking_exp.errors import ConfigError
 from parking_exp.features import EgoFrameExtractor
+from parking_exp.lean.precision import faster_precision
 from parking_exp.policy import Policy
 from parking_exp.startup import spare_dynamo
 
@@ -78,7 +80,23 @@ def _policy_kwargs(config: RunConfig) -> dict[str, Any]:
     else:
         # What a MultiInputPolicy has by default, except CrossQ's.
         policy_kwargs["features_extractor_class"] = CombinedExtractor
-    return policy_kwargs | (config.algorithm.arguments.get("policy_kwargs") or {})
+    given = config.algorithm.arguments.get("policy_kwargs") or {}
+    classes = {name: _class(value) for name, value in given.items() if name in CLASS_ARGUMENTS}
+    rest = instantiate({name: value for name, value in given.items() if name not in classes} | {"_convert_": "all"})
+    return policy_kwargs | rest | classes
+
+
+def _class(value: Any) -> Any:
+    """Return the class that a dotted path or a `_target_` node names; with the node's arguments, if it has any."""
+    if isinstance(value, str):
+        return get_class(value)
+    if not isinstance(value, Mapping):
+        return value
+    found = get_object(value["_target_"])
+    is_class = isinstance(found, type)
+    if is_class and not set(value) - {"_target_", "_partial_"}:
+        return found
+    return instantiate({**value, "_convert_": "all", "_partial_": is_class})
 
 
 def _action_noise(node: Mapping[str, Any]) -> ActionNoise:
@@ -89,14 +107,27 @@ def _action_noise(node: Mapping[str, Any]) -> ActionNoise:
 
 
 @contextmanager
-def torch_settings(config: RunConfig) -> Iterator[None]:
-    """Give torch the threads and the precision of a run, for a while."""
-    threads, precision = torch.get_num_threads(), torch.get_float32_matmul_precision()
+def torch_settings(config: RunConfig, recorded: object = None) -> Iterator[Precision]:
+    """Give torch the threads and the precision of a run, for a while; yield the precision.
+
+    `precision: auto` means what is `recorded` of the run, if anything is, or else what is faster now.
+    """
+    threads, before = torch.get_num_threads(), torch.get_float32_matmul_precision()
     if config.torch_threads is not None:
         torch.set_num_threads(config.torch_threads)
-    torch.set_float32_matmul_precision(config.precision)
     try:
-        yield
+        precision = _precision(config, recorded)
+        torch.set_float32_matmul_precision(precision)
+        yield precision
     finally:
         torch.set_num_threads(threads)
-        torch.set_float32_matmul_precision(precision)
+        torch.set_float32_matmul_precision(before)
+
+
+def _precision(config: RunConfig, recorded: object) -> Precision:
+    if config.precision != "auto":
+        return config.precision
+    if recorded in ("highest", "medium"):
+        return recorded
+    model = build_model(config, make_training_envs(config.env, 1), seed=0, for_training=False)
+    return faster_precision(model)

@@ -1,6 +1,6 @@
 """The files of a run that its store gets as artifacts."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from mlflow.entities import Run
 
 AT_THE_END = (
+    "metrics.jsonl",
     "episodes.csv",
     "trajectories.npz",
     "curves.png",
@@ -27,7 +28,9 @@ Sent = dict[str, list[int]]
 """Fingerprints of what was sent, by name in the store."""
 
 
-def send(store: Store, run: "Run", directory: RunDirectory, under_way: bool, sent: Sent) -> None:
+def send(
+    store: Store, run: "Run", directory: RunDirectory, under_way: bool, sent: Sent, without: Sequence[str] = ()
+) -> None:
     """Send the files that have changed, and delete from the store what is gone and can't come back.
 
     Args:
@@ -36,9 +39,12 @@ def send(store: Store, run: "Run", directory: RunDirectory, under_way: bool, sen
         directory: of the run.
         under_way: files that grow with the run are sent at its end.
         sent: kept up to date.
+        without: names of files that stay as they are in the store.
     """
     files = _files(directory, under_way)
     for name, file in files.items():
+        if name in without:
+            continue
         try:
             state = fingerprint(file)  # before it is sent: what is written meanwhile is sent again
             if sent.get(name) == state:
@@ -98,4 +104,5 @@ def checkpoint_folders(directory: RunDirectory) -> list[Path]:
 def _buffer_record(folder: Path) -> dict[str, Any] | None:
     """Return path, hash and size of a checkpoint's replay buffer, which stays in the run directory."""
     path, digest = folder / BUFFER, read_object(folder / MANIFEST).get(BUFFER)
-    return {"path": str(path), "sha256": digest, "bytes": path.stat().st_size} if digest else None
+    name = str(path.relative_to(folder.parents[1]))  # in the run directory, wherever that may be moved
+    return {"path": name, "sha256": digest, "bytes": path.stat().st_size} if digest else None

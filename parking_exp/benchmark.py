@@ -13,6 +13,7 @@ from pydantic import Field
 from parking_exp.config import Positive, Section
 from parking_exp.errors import ConfigError
 from parking_exp.files import read_json, write_json
+from parking_exp.locations import directory_path
 from parking_exp.machine import cores
 from parking_exp.terminal import say
 from parking_exp.validation import parse
@@ -92,7 +93,7 @@ def benchmark(config: DictConfig) -> Path:
         for key, measure in _figures(settings, all_cores):
             status.update(key)
             results[key] = {"missing": f"{', '.join(absent)} not installed"} if absent else measure()
-    path = Path(settings.output_dir).expanduser().absolute() / "benchmark.json"
+    path = directory_path(settings.output_dir) / "benchmark.json"
     path.parent.mkdir(parents=True, exist_ok=True)
     # A figure that is not measured this time stays as it was.
     earlier = read_json(path) or {}
@@ -153,7 +154,7 @@ def _single_core(settings: BenchmarkConfig) -> Figures:
         from parking_exp.measurements import runs, updates
 
         wide = "256" in net
-        options = ["algorithm.features=raw", "precision=medium"] if wide else []  # as experiment=article has it
+        options = ["algorithm.features=raw", "precision=auto"] if wide else []  # as experiment=article has it
         config = runs.run_config(
             f"algorithm={algorithm}", f"algorithm.net_arch={net}", "algorithm.batch_size=256", *options
         )

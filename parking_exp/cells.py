@@ -5,6 +5,7 @@ how many seeds, or which, each cell gets.
 """
 
 import itertools
+import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
@@ -12,6 +13,7 @@ from parking_exp.errors import ConfigError
 
 Block = Mapping[str, Any]
 Point = list[str]
+MOST_RUNS = 100_000
 
 
 def points(blocks: Sequence[Block], typed: Mapping[str, list[str]], has: Callable[[str, Point], bool]) -> list[Point]:
@@ -48,6 +50,7 @@ def points(blocks: Sequence[Block], typed: Mapping[str, list[str]], has: Callabl
         for key, values in typed.items():
             if key not in block and (key not in listed or has(key, first)):
                 lines.append([f"{key}={value}" for value in values])
+        check_number(len(found) + math.prod(map(len, lines)), "what is swept over")
         found |= dict.fromkeys(itertools.product(*lines))
     if not found:
         raise ConfigError("no cell is left of the experiment; what is typed contradicts its cells")
@@ -88,13 +91,24 @@ def seeds_of(value: object) -> list[int] | None:
     """
     if value is None:
         return None
-    if isinstance(value, int) and not isinstance(value, bool) and value > 0:
+    if type(value) is int and value > 0:
+        check_number(value, f"seeds={value}")
         return list(range(value))
     if isinstance(value, list) and value and all(type(seed) is int for seed in value):
-        if not all(0 <= seed < 2**32 for seed in value):
-            raise ConfigError(f"seeds={value!r} is out of range; seeds are 0 to {2**32 - 1}")
+        if beyond := [seed for seed in value if not 0 <= seed < 2**32]:
+            raise ConfigError(f"seeds: {beyond[0]} is out of range; seeds are 0 to {2**32 - 1}")
         return list(dict.fromkeys(value))
-    raise ConfigError(f"seeds={value!r} is neither a number of seeds nor a list of them")
+    raise ConfigError(f"seeds={value!r} is neither a number of seeds (1 or more) nor a list of them, such as [0,1]")
+
+
+def check_number(number: int, what: str) -> None:
+    """Refuse more runs or cells than a sweep can have; `what` makes that many.
+
+    Raises:
+        ConfigError: they are too many.
+    """
+    if number > MOST_RUNS:
+        raise ConfigError(f"{what} makes {number} runs; a sweep has {MOST_RUNS} at most")
 
 
 def written(value: object) -> str:

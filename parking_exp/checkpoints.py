@@ -1,9 +1,9 @@
 """The training state, saved whole or not at all, and restored only when it is whole.
 
 A checkpoint is a directory `step=<n>` with the model (policy, target networks, optimizers: Stable-Baselines3's
-zip), the filled part of the replay buffer, counters and streams as JSON and arrays, and a manifest of hashes. It is
-written under another name and renamed when all of it is on the disk. A training that is restored from it goes on as if
-it had not been cut, to the last bit. Nothing in it is unpickled on restoring.
+zip), the filled part of the replay buffer, counters and streams as JSON and arrays, the logs so far, and a manifest of
+hashes. It is written under another name and renamed when all of it is on the disk. A training that is restored from it
+goes on as if it had not been cut, to the last bit. Nothing in it is unpickled on restoring.
 """
 
 import logging
@@ -11,24 +11,26 @@ import shutil
 from collections import deque
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from stable_baselines3.common.buffers import ReplayBuffer
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
-from stable_baselines3.common.save_util import load_from_zip_file, recursive_setattr
 
 from parking_exp import streams, trees
 from parking_exp.buffers import HerBuffer
+from parking_exp.errors import DamagedModelError, ModelError
 from parking_exp.files import read_json, sha256, sync, write_json
 from parking_exp.lean.training import LeanTraining
+from parking_exp.logs import copy_logs
+from parking_exp.weights import load_weights
 
 log = logging.getLogger(__name__)
 
 MODEL, BUFFER, BEST, MANIFEST = "model.zip", "replay_buffer.npz", "best.zip", "manifest.json"
-STATE, ARRAYS = "state.json", "state.npz"
+STATE, ARRAYS, METRICS = "state.json", "state.npz", "metrics.jsonl"
 COUNTERS = ("num_timesteps", "_n_updates", "_episode_num", "_current_progress_remaining")
 LAST = ("_last_obs", "_last_episode_starts")
 RECENT = ("ep_info_buffer", "ep_success_buffer")
@@ -43,7 +45,6 @@ class Progress:
         evaluated, saved: env steps at the last evaluation and checkpoint.
         best: rank of the best evaluation so far (`evaluation.rank`).
         cpu_s, wall_s: time spent so far, earlier processes included.
-        log_sizes: bytes of each append-only file at this step; on resume, files are cut back to them.
     """
 
     step: int = 0
@@ -52,14 +53,13 @@ class Progress:
     best: list[float] | None = None
     cpu_s: float = 0.0
     wall_s: float = 0.0
-    log_sizes: dict[str, int] = field(default_factory=dict)
 
 
 def save(directory: Path, model: OffPolicyAlgorithm, progress: Progress, best: Path, keep_last: int) -> Path:
     """Write a checkpoint, then delete all but the last `keep_last`.
 
     Args:
-        directory: of the run's checkpoints.
+        directory: of the run's checkpoints; the logs beside it travel with each checkpoint.
         model: what is trained.
         progress: of the run.
         best: the best model's file; it travels with the checkpoint, since a later one may replace it.
@@ -74,6 +74,7 @@ def save(directory: Path, model: OffPolicyAlgorithm, progress: Progress, best: P
         _save_buffer(model.replay_buffer, folder / BUFFER)
         if best.exists():
             shutil.copyfile(best, folder / BEST)
+        copy_logs(directory.parent, folder)
         plain, arrays = trees.split({"model": _attributes(model), "streams": streams.gather(model)})
         _write_arrays(folder / ARRAYS, arrays)
         write_json(folder / STATE, {"progress": asdict(progress), **plain})
@@ -105,7 +106,7 @@ def check(folder: Path) -> str | None:
         return f"{MANIFEST} is missing"
     if not isinstance(manifest, dict):
         return f"{MANIFEST} is not readable"
-    for name in (MODEL, BUFFER, STATE, ARRAYS):
+    for name in (MODEL, BUFFER, STATE, ARRAYS, METRICS):
         if name not in manifest:
             return f"{MANIFEST} does not name {name}; earlier versions of this package did not write all of them"
     for name, digest in manifest.items():
@@ -126,8 +127,16 @@ def restore(folder: Path, model: OffPolicyAlgorithm, best: Path) -> dict[str, An
 
     Returns:
         The streams, for `streams.restore` when the next rollout begins.
+
+    Raises:
+        ModelError: its weights can't be loaded, although its files are as they were written.
     """
-    load_weights(folder / MODEL, model)
+    try:
+        load_weights(folder / MODEL, model)
+    except DamagedModelError as error:
+        raise DamagedModelError(f"{error}; delete {folder} to go on from the checkpoint before it") from error
+    except ModelError as error:
+        raise ModelError(f"{error}; mend the class, or delete {folder.parents[1]} to train it afresh") from error
     if (folder / BEST).exists():
         shutil.copyfile(folder / BEST, best)
     else:
@@ -143,18 +152,6 @@ def restore(folder: Path, model: OffPolicyAlgorithm, best: Path) -> dict[str, An
     if isinstance(model, LeanTraining) and model._n_updates:
         model.bind()
     return state["streams"]
-
-
-def load_weights(path: Path, model: OffPolicyAlgorithm) -> None:
-    """Load parameters and optimizers from a Stable-Baselines3 zip.
-
-    Its pickled part is not read, and tensors are loaded as torch's `weights_only`: nothing in the file is executed.
-    """
-    _, parameters, variables = load_from_zip_file(path, device=model.device, load_data=False)
-    model.set_parameters(parameters, device=model.device)
-    for name, value in (variables or {}).items():
-        if value is not None:  # e.g. log_ent_coef, absent where the coefficient is fixed
-            recursive_setattr(model, f"{name}.data", value.data)
 
 
 @contextmanager

@@ -16,11 +16,11 @@ from hydra._internal.utils import create_config_search_path
 from hydra.core.global_hydra import GlobalHydra
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import Override, OverrideType
-from hydra.errors import HydraException
+from hydra.errors import HydraException, OverrideParseException
 from omegaconf import DictConfig, ListConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
-from parking_exp.cells import check_blocks, labels, points, seeds_of
+from parking_exp.cells import check_blocks, check_number, labels, points, seeds_of
 from parking_exp.errors import ConfigError, ParkingError
 from parking_exp.signatures import UnknownTarget, signature
 from parking_exp.wording import closest
@@ -48,6 +48,14 @@ class Composed:
     def config(self) -> DictConfig:
         """The config of the run."""
         return self.cell if self.seed is None else cast(DictConfig, OmegaConf.merge(self.cell, {"seed": self.seed}))
+
+
+def options_of(group: str) -> str:
+    """List the options of a group, for `--help`: `${options:env}`."""
+    return ", ".join(GlobalHydra.instance().config_loader().get_group_options(group))
+
+
+OmegaConf.register_new_resolver("options", options_of, replace=True)
 
 
 def config_dir() -> Path:
@@ -144,6 +152,7 @@ def _runs(config_name: str, typed: dict[str, list[str]], seeds: list[int] | None
         seeds = None
     runs, cells = [], set()
     all_points = points(blocks, typed, lambda key, point: _has(config_name, key, point))
+    check_number(len(all_points) * len(seeds or [None]), f"{len(all_points)} cells x {len(seeds or [None])} seeds")
     for point, label in zip(all_points, labels(all_points), strict=True):
         cell = compose(config_name, point)
         if (known := OmegaConf.to_yaml(cell)) in cells:  # blocks that differ may be the same once values are typed
@@ -242,6 +251,8 @@ def _refuse_unknown_names(config_name: str, overrides: list[Override]) -> None:
     groups, keys = [], []
     for override in overrides:
         name = override.key_or_group
+        if not name:
+            raise ConfigError(f"{override.input_line}: there is no key before the equals sign; write KEY=VALUE")
         if _is_hydras(name) and name != "hydra/launcher":
             continue
         options = loader.get_group_options(name)
@@ -252,14 +263,25 @@ def _refuse_unknown_names(config_name: str, overrides: list[Override]) -> None:
             raise ConfigError(f"{name}: there is no such group here{closest(name, ours)}")
         if name in ours:
             groups.append(override)
-        values = list(override.sweep_string_iterator()) if override.is_sweep_override() else [override.value()]
-        for value in values:
-            if isinstance(value, str) and value not in options:
-                raise ConfigError(f"{name}={value}: there is no such option{closest(value, options)}")
+        if override.type != OverrideType.DEL:
+            _refuse_unknown_options(override, options)
     base = compose(config_name, _without_sweeps(groups))
     for override in keys:
         if override.type in {OverrideType.CHANGE, OverrideType.DEL}:
             _refuse_unknown_key(base, override, ours)
+
+
+def _refuse_unknown_options(override: Override, options: list[str]) -> None:
+    name, values = override.key_or_group, [override.value()]
+    if override.package is not None:
+        raise ConfigError(f"{override.input_line}: options have their place; write {name}=OPTION")
+    if override.is_sweep_override():
+        values = list(override.sweep_string_iterator())
+    for value in values[0] if isinstance(values[0], list) else values:
+        if value is None:
+            raise ConfigError(f"{name}=null: leave it out, or choose from {', '.join(options)}")
+        if str(value) not in options:
+            raise ConfigError(f"{name}={value}: there is no such option{closest(str(value), options)}")
 
 
 def _refuse_unknown_key(base: DictConfig, override: Override, groups: set[str]) -> None:
@@ -296,6 +318,13 @@ def _arguments(node: object) -> set[str]:
 
 
 def _first_sentence(error: Exception) -> str:
+    if isinstance(error, OverrideParseException):
+        quoting = """a list is [1,2], and text with spaces, quotes or brackets stands in quotes: "KEY='a (b)'\""""
+        return f"{error.override}: can't be read; write KEY=VALUE, where {quoting}"
+    merging = "Error merging override "
+    if str(error).startswith(merging):
+        override = str(error).splitlines()[0].removeprefix(merging)
+        return f"{override}: a value of another kind stands there; see it with --cfg job"
     lines = [line.strip().rstrip(".") for line in str(error).splitlines() if line.strip()]
     hint = [line for line in lines[1:2] if line.startswith("To append")]
     return "; ".join([*lines[:1], *hint]) or type(error).__name__

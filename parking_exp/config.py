@@ -7,11 +7,14 @@ arguments of third-party classes stay under the library's own names (`validation
 import hashlib
 import json
 import math
+import re
 from fractions import Fraction
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from parking_exp.locations import directory_path
 
 DEFAULT_FEATURES = ["x", "y", "vx", "vy", "cos_h", "sin_h"]
 DEFAULT_SCALES = [100, 100, 5, 5, 1, 1]
@@ -21,21 +24,30 @@ TRAINING_SCENES_START = 2**31
 # Keys that change no result; besides them `evaluation.video_episodes`.
 WITHOUT_RESULT = frozenset({"experiment_name", "output_dir", "tracking", "checkpoint", "timeout_s"})
 
+# Names that our options have: they say what runs, and follow the keys that change it. Any other name is the user's own.
+ALGORITHM_NAMES = frozenset({"sac", "td3", "ddpg", "tqc", "crossq"})
+BUFFER_NAMES = frozenset({"her_future", "her_final", "her_episode", "her_random", "replay"})
+ENV_NAMES = frozenset({"parking", "parking_sparse", "parking_parked", "parking_action_repeat", "parking_2021"})
+REPLAY_CLASSES = ("HerBuffer", "HerReplayBuffer", "DictReplayBuffer")  # ours and Stable-Baselines3's
+
 NAME = r"^[A-Za-z0-9][A-Za-z0-9._-]*$"
 Name = Annotated[str, Field(pattern=NAME, max_length=80)]
 Positive = Annotated[int, Field(ge=1)]
 Count = Annotated[int, Field(ge=0)]
+NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 PositiveFloat = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+Duration = Annotated[float, Field(gt=0, le=100_000)]
 Share = Annotated[float, Field(gt=0, le=1)]
 Bounds = Annotated[list[float], Field(min_length=2, max_length=2)]
 Simulation = Literal["vectorized", "highway_env"]
+Precision = Literal["highest", "medium"]
 Scene = Annotated[int, Field(ge=0, lt=TRAINING_SCENES_START)]
 
 
 class Section(BaseModel):
     """A strict, frozen part of the config: unknown keys and wrong types are errors."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
 
 
 class ObservationConfig(Section):
@@ -67,7 +79,7 @@ class EnvConfig(Section):
     id: Literal["parking-v0"]
     simulator: Simulation
     reward: Literal["dense", "sparse"]
-    training_duration: PositiveFloat | None
+    training_duration: Duration | None
 
     observation: ObservationConfig
     action: ActionConfig
@@ -77,7 +89,7 @@ class EnvConfig(Section):
     steering_range: PositiveFloat
     simulation_frequency: Positive
     policy_frequency: Positive
-    duration: PositiveFloat
+    duration: Duration
     controlled_vehicles: Literal[1]
     vehicles_count: Annotated[int, Field(ge=0, le=26)]
     add_walls: bool
@@ -92,6 +104,16 @@ class EnvConfig(Section):
     offscreen_rendering: bool | None
     manual_control: Literal[False]
     real_time_rendering: bool
+
+    @model_validator(mode="after")
+    def _name_what_runs(self) -> Self:
+        """`sparse` and `parked` in an option's name follow the keys; what makes the other variants may be gone."""
+        if self.name not in ENV_NAMES:
+            return self
+        variants = {"parking_action_repeat": self.policy_frequency == 1, "parking_2021": not self.add_walls}
+        name = self.name if variants.get(self.name) else "parking"
+        name += "_parked" * (self.vehicles_count > 0) + "_sparse" * (self.reward == "sparse")
+        return self.model_copy(update={"name": name})
 
     def highway_options(self, training: bool = False) -> dict[str, Any]:
         """Return the `config` for `gym.make(self.id, config=...)`; `training` applies `training_duration`."""
@@ -119,7 +141,7 @@ class EnvConfig(Section):
 class ThirdParty(BaseModel):
     """A section with fields of ours and, besides them, constructor arguments of the class in `_target_`."""
 
-    model_config = ConfigDict(extra="allow", frozen=True, strict=True)
+    model_config = ConfigDict(extra="allow", frozen=True, strict=True, allow_inf_nan=False)
 
     name: Name
     target: Annotated[str, Field(alias="_target_")]
@@ -129,6 +151,15 @@ class ThirdParty(BaseModel):
         """The constructor arguments, under the library's own names."""
         return dict(self.model_extra or {})
 
+    @property
+    def class_name(self) -> str:
+        """The last part of `_target_`."""
+        return self.target.rpartition(".")[2]
+
+    def _named_after_class(self) -> Self:
+        name = re.sub(r"[^a-z0-9_]", "", self.class_name.lower()).strip("_")
+        return self.model_copy(update={"name": name[:80] or self.name})
+
 
 class AlgorithmConfig(ThirdParty):
     """The `algorithm` group."""
@@ -136,12 +167,30 @@ class AlgorithmConfig(ThirdParty):
     features: Literal["raw", "ego"]
     net_arch: Annotated[list[Positive], Field(min_length=1)]
 
+    @model_validator(mode="after")
+    def _name_what_runs(self) -> Self:
+        """`sac` with another class is named after that class, in lower case."""
+        if self.name not in ALGORITHM_NAMES:
+            return self
+        return self._named_after_class()
+
 
 class BufferConfig(ThirdParty):
     """The `buffer` group."""
 
     buffer_size: Positive
     optimize_memory_usage: Literal[False]
+
+    @model_validator(mode="after")
+    def _name_what_runs(self) -> Self:
+        """`her_*` and `replay` follow the strategy, and other classes have their own name, in lower case."""
+        if self.name not in BUFFER_NAMES:
+            return self
+        if self.class_name not in REPLAY_CLASSES:
+            return self._named_after_class()
+        default = None if self.class_name == "DictReplayBuffer" else "future"
+        strategy = self.arguments.get("goal_selection_strategy", default)
+        return self.model_copy(update={"name": "replay" if strategy is None else f"her_{strategy}"})
 
 
 class EvaluationConfig(Section):
@@ -193,7 +242,7 @@ class RunConfig(Section):
     updates_per_step: Annotated[float, Field(ge=0.001, allow_inf_nan=False)]
     device: Annotated[str, Field(pattern=r"^(cpu|auto|mps|cuda(:\d+)?)$")]
     torch_threads: Positive | None
-    precision: Literal["highest", "medium"]
+    precision: Literal["auto"] | Precision
     timeout_s: PositiveFloat | None = None
     env: EnvConfig
     algorithm: AlgorithmConfig
@@ -209,7 +258,7 @@ class RunConfig(Section):
     @property
     def output_path(self) -> Path:
         """Absolute output directory."""
-        return Path(self.output_dir).expanduser().absolute()
+        return directory_path(self.output_dir)
 
     @property
     def cell_key(self) -> str:

@@ -17,6 +17,18 @@ class UntrustedError(ParkingError):
     """A stored config would execute something that may come from anywhere."""
 
 
+class ModelError(ParkingError):
+    """A model file that is not of the model it is loaded into, or a class whose files do not hold all weights."""
+
+    def __init__(self, message: str) -> None:
+        # Names in a file may come from anywhere: no control characters of theirs reach a terminal.
+        super().__init__("".join(character if character.isprintable() else "?" for character in message))
+
+
+class DamagedModelError(ModelError):
+    """A model file that can't be read, or holds something else than weights."""
+
+
 class OutputDirectoryError(ParkingError):
     """A run directory cannot be made."""
 
@@ -27,6 +39,14 @@ class RunLockedError(ParkingError):
 
 class ResultsError(ParkingError, LookupError):
     """Results of runs that are not where they were looked for, or that can't be read."""
+
+
+class DamagedFileError(ParkingError):
+    """A file of a run directory that has lost something, or is not what it has to be."""
+
+
+class StoreError(ParkingError):
+    """A store that is up and can't take a run as it is."""
 
 
 class UnsyncedError(ParkingError):

@@ -18,10 +18,12 @@ from parking_exp.config import (
     Simulation,
     short_hash,
 )
-from parking_exp.errors import ConfigError, RunNotFoundError
+from parking_exp.errors import ConfigError, DamagedModelError, ModelError, RunNotFoundError
 from parking_exp.files import write_json
+from parking_exp.locations import default_uri, directory_path, is_same_store
 from parking_exp.rules import check_env
 from parking_exp.runs import RunDirectory, find_run
+from parking_exp.store import without_password
 from parking_exp.terminal import say
 from parking_exp.trust import check_trust
 from parking_exp.validation import parse
@@ -81,20 +83,21 @@ def evaluate_run(config: DictConfig) -> Path:
     """Evaluate, print, and store; return the folder of the results.
 
     Raises:
-        ConfigError: the config is not valid.
+        ConfigError: the config is not valid, or the run's algorithm can't be restored exactly.
+        ModelError: the model is damaged, or does not fit the run's config.
         RunNotFoundError: no run answers to `run`, or it has no such model yet.
         UntrustedError: the stored config would execute what runs are not made of, and `trust` is false.
     """
     request = validate_request(config)
-    output_dir = Path(request.output_dir).expanduser().absolute()
+    output_dir = directory_path(request.output_dir)
     directory = find_run(request.run, output_dir, having=f"models/{request.model}.zip")
     weights = directory.models / f"{request.model}.zip"
     if not weights.exists():
-        raise RunNotFoundError(
-            f"run={request.run}: {directory.path} has no {request.model} model yet; "
-            + ("try model=best" if (directory.models / "best.zip").exists() else "let it train first")
-        )
+        state = "is gone" if directory.status == "done" else "has not been made yet"
+        ways = _ways_out(directory, request.model, "type its training command again, which makes it")
+        raise RunNotFoundError(f"run={request.run}: {weights} {state}; {ways}")
     run = directory.config()
+    directory.check_links()
     if not request.trust:
         check_trust(run, directory.path / "config.yaml")
     env = request.env or _simulated(run.env, request.simulator)
@@ -102,29 +105,53 @@ def evaluate_run(config: DictConfig) -> Path:
         raise ConfigError("\n".join(problems))
     folder = directory.path / "evaluations" / (request.name or _folder_name(request, run, env))
     say(f"run directory  {directory.path}")
-    _evaluate(request, run, env, weights, folder)
-    _store(request, directory)
+    precision = directory.read_status().get("precision", "highest")
+    try:
+        _evaluate(request, run, env, weights, folder, precision)
+    except ModelError as error:
+        ways = _ways_out(directory, request.model, "delete it and type its training command again, which makes it")
+        if not isinstance(error, DamagedModelError):
+            ways = f"put back the config.yaml that it was trained with, or {ways}"
+        raise ModelError(f"{error}; {ways}") from error
+    _store(request, directory, output_dir)
     say(f"results        {folder}")
     return folder
 
 
-def _evaluate(request: EvaluationRequest, run: RunConfig, env: EnvConfig, weights: Path, folder: Path) -> None:
+def _ways_out(directory: RunDirectory, model: str, again: str) -> str:
+    """Say what to type where a run's model is gone or damaged; `again` has the last checkpoint make it."""
+    other = "best" if model == "final" else "final"
+    ways = [f"try model={other}"] if (directory.models / f"{other}.zip").exists() else []
+    if directory.status != "done":
+        return (ways or ["let it train first"])[0]
+    if directory.final_checkpoint.exists():
+        ways.append(f"{again} from the last checkpoint")
+    else:
+        ways.append(f"delete {directory.path} to train it afresh, since no checkpoint of its end is left")
+    return ", or ".join(ways)
+
+
+def _evaluate(
+    request: EvaluationRequest, run: RunConfig, env: EnvConfig, weights: Path, folder: Path, precision: object
+) -> None:
     from rich.console import Console
     from rich.progress import Progress
     from stable_baselines3.common.vec_env import DummyVecEnv
 
     from parking_exp.algorithms import build_model, greedy_policy, torch_settings
-    from parking_exp.checkpoints import load_weights
     from parking_exp.envs import make_env
     from parking_exp.evaluation import evaluate, summarise
+    from parking_exp.saving import check_saving
     from parking_exp.summary import describe, intervals
     from parking_exp.video import record
+    from parking_exp.weights import load_weights
 
+    check_saving(run)
     model = build_model(run, DummyVecEnv([lambda: make_env(env)]), seed=0, for_training=False)
     load_weights(weights, model)
     policy = greedy_policy(model)
     scenes = range(request.first_scene, request.first_scene + request.episodes)
-    with torch_settings(run), Progress(console=Console(stderr=True), transient=True) as bar:
+    with torch_settings(run, precision), Progress(console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task(f"{several(request.episodes, 'episode')} of {env.name}", total=request.episodes)
 
         def report(finished: int) -> None:
@@ -152,15 +179,27 @@ def _evaluate(request: EvaluationRequest, run: RunConfig, env: EnvConfig, weight
         record(policy, env, scenes[: request.video], folder / "video.mp4", gif=request.gif)
 
 
-def _store(request: EvaluationRequest, directory: RunDirectory) -> None:
-    """Bring the results into the run's store, where it has one."""
-    if not (request.tracking.mlflow and directory.tracking_uri):
+def _store(request: EvaluationRequest, directory: RunDirectory, output_dir: Path) -> None:
+    """Bring the results into the run's store: the one that is typed, or the embedded one of the output directory.
+
+    A run directory may come from elsewhere, and what it names as its store is no reason to connect there.
+    """
+    tracked_in = directory.tracking_uri
+    uri = request.tracking.uri or (default_uri(output_dir) if tracked_in else None)
+    if not request.tracking.mlflow or uri is None:
+        return
+    if request.tracking.uri is None and tracked_in is not None and not is_same_store(tracked_in, uri):
+        place = without_password(tracked_in)
+        say(
+            f"not stored     the run is tracked in {place}, not in the store of output_dir={output_dir}; "
+            f"tracking.uri={place} sends the results there"
+        )
         return
     from parking_exp.syncing import try_sync
     from parking_exp.tracking import later
 
-    if problem := try_sync(directory, request.tracking.uri):
-        say(f"not stored     {problem}; {later(directory.path.parents[2])}")
+    if problem := try_sync(directory, uri):
+        say(f"not stored     {problem}; {later(directory.output_dir, uri)}")
 
 
 def _simulated(env: EnvConfig, simulator: Simulation) -> EnvConfig:

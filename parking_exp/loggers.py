@@ -1,6 +1,10 @@
 """Stable-Baselines3's logger with the outputs that a run wants."""
 
+import numbers
+import os
+import socket
 import sys
+import time
 from pathlib import Path
 from typing import Any
 
@@ -9,9 +13,10 @@ from stable_baselines3.common.logger import (
     HumanOutputFormat,
     KVWriter,
     Logger,
-    TensorBoardOutputFormat,
 )
-from torch.utils.tensorboard import SummaryWriter
+from tensorboard.compat.proto.event_pb2 import Event, SessionLog
+from tensorboard.summary.writer.record_writer import RecordWriter
+from torch.utils.tensorboard.summary import scalar
 
 from parking_exp.config import TrackingConfig
 from parking_exp.logs import MetricsLog
@@ -26,11 +31,7 @@ def make_logger(tracking: TrackingConfig, run_dir: Path, metrics: MetricsLog, st
     table = _csv(run_dir / "progress.csv", metrics) if tracking.csv else None
     formats: list[KVWriter] = [_MetricsWriter(metrics, table)]
     if tracking.tensorboard:
-        board = TensorBoardOutputFormat(str(run_dir / "tensorboard"))
-        board.writer.close()
-        # Also at step 0: a run that was killed before its first checkpoint starts anew beside its old events.
-        board.writer = SummaryWriter(str(run_dir / "tensorboard"), purge_step=step + 1)
-        formats.append(board)
+        formats.append(_EventWriter(run_dir / "tensorboard", step))
     if tracking.stdout:
         formats.append(HumanOutputFormat(sys.stdout))
     return Logger(str(run_dir), formats)
@@ -51,6 +52,41 @@ class _MetricsWriter(KVWriter):
         """Close the table; the log's rows are on their way to the disk already."""
         if self.table is not None:
             self.table.close()
+
+
+class _EventWriter(KVWriter):
+    """Writes the numbers of the logger's rows to a TensorBoard event file.
+
+    TensorBoard's own writer has a thread for it, which prints a traceback when the disk is full. Here that is an error
+    of the row.
+
+    Args:
+        folder: of event files.
+        step: TensorBoard forgets what earlier files have after it. Also at step 0: a run that was killed before its
+            first checkpoint starts anew beside its old events.
+    """
+
+    def __init__(self, folder: Path, step: int) -> None:
+        folder.mkdir(exist_ok=True)
+        name = f"events.out.tfevents.{int(time.time()):010d}.{socket.gethostname()}.{os.getpid()}"
+        self._file = (folder / name).open("ab")
+        self._records = RecordWriter(self._file)
+        self._add(file_version="brain.Event:2")
+        self._add(session_log=SessionLog(status=SessionLog.START), step=step + 1)
+        self._file.flush()
+
+    def write(self, key_values: dict[str, Any], key_excluded: dict[str, tuple[str, ...]], step: int = 0) -> None:
+        for key, value in sorted(key_values.items()):
+            if isinstance(value, numbers.Real) and "tensorboard" not in (key_excluded[key] or ()):
+                self._add(summary=scalar(key, value), step=step)
+        self._file.flush()
+
+    def close(self) -> None:
+        """Close the file; its rows are on their way to the disk already."""
+        self._file.close()
+
+    def _add(self, **values: Any) -> None:
+        self._records.write(Event(wall_time=time.time(), **values).SerializeToString())
 
 
 def _csv(path: Path, metrics: MetricsLog) -> CSVOutputFormat:

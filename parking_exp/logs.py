@@ -3,6 +3,7 @@
 import json
 import numbers
 import os
+import shutil
 import time
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -10,29 +11,88 @@ from typing import Any
 
 import pandas as pd
 
-from parking_exp.files import sync
+from parking_exp.errors import DamagedFileError
+from parking_exp.files import sha256
 
-APPENDED = ["metrics.jsonl", "episodes.csv", "monitor.csv"]
-"""Files of a run directory that only ever grow."""
-
-
-def sync_logs(run_dir: Path) -> dict[str, int]:
-    """Wait until the append-only files are on the disk, and return the size of each, in bytes."""
-    found = [run_dir / name for name in APPENDED if (run_dir / name).exists()]
-    for path in found:
-        sync(path)
-    return {path.name: path.stat().st_size for path in found}
+APPENDED = ("metrics.jsonl", "episodes.csv", "monitor.csv")
+"""Files of a run directory that only ever grow. Each checkpoint has a copy of them."""
 
 
-def cut_back(run_dir: Path, sizes: Mapping[str, int]) -> None:
-    """Cut each append-only file back to an earlier size: what was written after it is going to be done again."""
+def copy_logs(run_dir: Path, checkpoint: Path) -> None:
+    """Copy the logs into a checkpoint; metrics that there are none of yet become an empty file."""
     for name in APPENDED:
-        path = run_dir / name
-        if path.exists():
-            if name in sizes:
-                os.truncate(path, sizes[name])
-            else:
-                path.unlink()
+        if (run_dir / name).exists():
+            shutil.copyfile(run_dir / name, checkpoint / name)
+    (checkpoint / "metrics.jsonl").touch()
+
+
+def restore_logs(run_dir: Path, checkpoint: Path | None) -> list[str]:
+    """Bring the logs back to a checkpoint: what was written after it is going to be done again.
+
+    Returns:
+        The names of those that had lost something that they had at the checkpoint.
+    """
+    damaged = []
+    for name in APPENDED:
+        path, copy = run_dir / name, checkpoint / name if checkpoint else None
+        if copy is None or not copy.exists():
+            path.unlink(missing_ok=True)
+        elif _begins_like(path, copy):
+            os.truncate(path, copy.stat().st_size)
+        else:
+            damaged.append(name)
+            shutil.copyfile(copy, path)
+    return damaged
+
+
+def log_hashes(run_dir: Path) -> dict[str, str]:
+    """Return the SHA-256 of each log, for `damaged_logs` of a run that is done."""
+    return {name: sha256(run_dir / name) for name in APPENDED if (run_dir / name).exists()}
+
+
+def damaged_logs(run_dir: Path, hashes: Mapping[str, str], checkpoint: Path | None) -> list[str]:
+    """Return the names of the logs that have lost something.
+
+    Args:
+        run_dir: of a run that no process is working on.
+        hashes: of whole logs; none for a run that is not done.
+        checkpoint: the last one; without hashes, logs have to begin like its copies.
+    """
+    if hashes:
+        known = [name for name in APPENDED if name in hashes]
+        return [name for name in known if not _has_hash(run_dir / name, hashes[name])]
+    copies = [checkpoint / name for name in APPENDED] if checkpoint else []
+    return [copy.name for copy in copies if copy.exists() and not _begins_like(run_dir / copy.name, copy)]
+
+
+def _begins_like(path: Path, copy: Path) -> bool:
+    size = copy.stat().st_size
+    if not path.exists() or path.stat().st_size < size:
+        return False
+    with path.open("rb") as file:
+        return file.read(size) == copy.read_bytes()
+
+
+def _has_hash(path: Path, digest: str) -> bool:
+    return path.exists() and sha256(path) == digest
+
+
+def read_metrics(path: Path) -> Iterator[dict[str, Any]]:
+    """Yield the rows of a `metrics.jsonl`, none where there is no file.
+
+    Raises:
+        DamagedFileError: a line is not such a row.
+    """
+    if not path.exists():
+        return
+    with path.open("rb") as file:
+        for number, line in enumerate(file, 1):
+            try:
+                record = json.loads(line)
+                record["step"], record["time_ms"], record["metrics"].items()
+            except (ValueError, KeyError, TypeError, AttributeError) as error:
+                raise DamagedFileError(f"{path} is damaged: line {number} is no row of metrics") from error
+            yield record
 
 
 class MetricsLog:
@@ -62,10 +122,7 @@ class MetricsLog:
 
     def records(self) -> Iterator[dict[str, Any]]:
         """Yield the rows so far."""
-        if self.path.exists():
-            with self.path.open(encoding="utf-8") as file:
-                for line in file:
-                    yield json.loads(line)
+        return read_metrics(self.path)
 
     def latest(self) -> dict[str, float]:
         """Return the last value of every metric."""

@@ -44,6 +44,12 @@ def free_memory(cgroup: Path = CGROUP) -> int:
     return free
 
 
+def total_memory(cgroup: Path = CGROUP) -> int:
+    """Return how many bytes of memory this machine has, or the control group may use."""
+    total, limit = psutil.virtual_memory().total, _read(cgroup / "memory.max")
+    return total if limit is None else min(total, limit)
+
+
 def memory_of(pid: int) -> int:
     """Return how many bytes of memory a process and its children hold; 0 if it is gone."""
     try:

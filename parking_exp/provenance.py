@@ -1,7 +1,10 @@
 """What exactly was run: versions, commit, machine."""
 
 import platform
+import re
+import shlex
 import subprocess
+import sys
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
@@ -20,6 +23,18 @@ def provenance() -> dict[str, str]:
         except PackageNotFoundError:
             continue
     return tags | _git() | {"cpu": _cpu()}
+
+
+def typed_command() -> str | None:
+    """Return the command line of this process where it is one of ours, without passwords."""
+    name = Path(sys.argv[0]).name
+    if name.startswith("parking-"):
+        words = [name]
+    elif name in {"train.py", "tune.py"}:
+        words = ["python", f"scripts/{name}"]
+    else:  # called from Python
+        return None
+    return re.sub(r"//[^/@\s]*@", "//***@", shlex.join([*words, *sys.argv[1:]]))
 
 
 def _git() -> dict[str, str]:

@@ -14,11 +14,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
-from urllib.parse import unquote, urlparse
 
-from parking_exp.errors import ResultsError
+from parking_exp.errors import ParkingError, ResultsError
 from parking_exp.garbage import no_garbage
-from parking_exp.store import absolute, connect, database, reason, without_password
+from parking_exp.locations import absolute, database, lies_inside, local_folder
+from parking_exp.store import connect, is_store_failure, reason, without_password
 
 Point = tuple[str, int, int, float]
 """Run id, step, time in ms, value."""
@@ -47,12 +47,16 @@ class StoredRun:
 class Reader:
     """A connection to a store that there is.
 
+    Args:
+        uri: the store.
+        artifacts_in: the folder that artifacts have to lie in, since a store may come from elsewhere; None: anywhere.
+
     Raises:
         ResultsError: there is none, or it does not answer.
     """
 
-    def __init__(self, uri: str) -> None:
-        self.uri = absolute(uri)
+    def __init__(self, uri: str, artifacts_in: Path | None = None) -> None:
+        self.uri, self._artifacts_in = absolute(uri), artifacts_in
         path = database(self.uri)
         if path is not None and not path.is_file():
             raise ResultsError(f"there is no store {path}; train something first, or name another output_dir or store")
@@ -67,6 +71,11 @@ class Reader:
     def place(self) -> str:
         """The URI as it may be shown."""
         return without_password(self.uri)
+
+    def run_dir(self, tag: str | None) -> str | None:
+        """Return the run directory that a run's tag means: relative ones lie beside an embedded store."""
+        path = database(self.uri)
+        return str(path.parent / tag) if path and tag else tag
 
     def experiments(self) -> dict[str, str]:
         """Return the ids of all experiments that are not deleted, by name."""
@@ -108,7 +117,11 @@ class Reader:
         Raises:
             Exception: it is there and can't be had; `store.reason` makes a sentence of it.
         """
-        if (folder := local_folder(folder_uri)) is not None:
+        folder = local_folder(folder_uri)
+        within = self._artifacts_in
+        if within is not None and (folder is None or not lies_inside(folder / name, within)):
+            raise ResultsError(f"it lies outside of {within}; tracking.uri={self.place} reads it there, too")
+        if folder is not None:
             try:
                 return (folder / name).read_bytes()
             except FileNotFoundError:
@@ -131,8 +144,10 @@ class Reader:
         def one(uri: str) -> bytes | Exception | None:
             try:
                 return self.artifact(uri, name)
-            except Exception as error:  # of any of the places that MLflow knows; the caller says it
-                return error
+            except Exception as error:
+                if not is_store_failure(error):
+                    raise
+                return error  # the caller says it
 
         if all(local_folder(uri) is not None for uri in uris):
             yield from map(one, uris)
@@ -141,10 +156,12 @@ class Reader:
             yield from pool.map(one, uris)
 
     def _from_server(self, key: str, run_ids: Sequence[str]) -> list[Point]:
+        from mlflow.exceptions import MlflowException
         from mlflow.utils.rest_utils import http_request_safe
 
         parameters = {"run_id": list(run_ids), "metric_key": key, "max_results": POINTS_A_REQUEST}
-        with suppress(Exception):  # another kind of server; if it is down, the next request says so
+        # Another kind of server has no such route, or another answer; if it is down, the next request says so.
+        with suppress(MlflowException, OSError, ValueError, KeyError, TypeError):
             answer = http_request_safe(self._store.get_host_creds(), HISTORIES, "GET", params=parameters).json()
             points = [(p["run_id"], int(p["step"]), int(p["timestamp"]), float(p["value"])) for p in answer["metrics"]]
             if len(points) < POINTS_A_REQUEST:
@@ -170,15 +187,9 @@ class Reader:
             with no_garbage():
                 yield
         except Exception as error:
+            if isinstance(error, ParkingError) or not is_store_failure(error):
+                raise
             raise ResultsError(f"the store {self.place} can't be read: {reason(error)}") from error
-
-
-def local_folder(uri: str) -> Path | None:
-    """Return the folder that a URI of artifacts means on this machine, None where they lie elsewhere."""
-    parts = urlparse(uri)
-    if parts.scheme == "file" and parts.netloc in ("", "localhost"):
-        return Path(unquote(parts.path))
-    return None if parts.scheme else Path(uri)
 
 
 def chunks(items: Sequence[str], size: int) -> Iterator[Sequence[str]]:

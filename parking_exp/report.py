@@ -15,6 +15,7 @@ from pydantic import Field
 from parking_exp.composition import composed
 from parking_exp.config import NAME, Section
 from parking_exp.errors import ConfigError, ResultsError
+from parking_exp.locations import directory_path
 from parking_exp.signatures import signature
 from parking_exp.store import without_password
 from parking_exp.terminal import say
@@ -58,7 +59,7 @@ class ReportRequest(Section):
     @property
     def output_path(self) -> Path:
         """Absolute output directory."""
-        return Path(self.output_dir).expanduser().absolute()
+        return directory_path(self.output_dir)
 
     @property
     def cells_asked(self) -> list[str]:

@@ -53,7 +53,7 @@ and `steps`, which are boolean and Int64 then. phase, step, scene and outcome ar
 """
 
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -65,9 +65,10 @@ import pandas as pd
 from parking_exp.columns import TEXT, column, flags, integers, text, times, typed
 from parking_exp.errors import ResultsError
 from parking_exp.garbage import no_garbage
+from parking_exp.locations import default_uri, directory_path
 from parking_exp.reading import Point, Reader, StoredRun
 from parking_exp.recordings import EPISODES, read_episodes, read_trajectories
-from parking_exp.store import default_uri, reason, without_password
+from parking_exp.store import is_store_failure, reason, without_password
 from parking_exp.trajectories import TRAJECTORIES_FILE
 from parking_exp.wording import closest, several
 
@@ -112,6 +113,7 @@ class Results:
         uri: the store.
         problems: a sentence for each thing that is missing or broken; the frames have the rest.
         ignored: how many runs were left out, as they are none of this package's.
+        artifacts_in: the folder that artifacts have to lie in; None: anywhere.
     """
 
     runs: pd.DataFrame
@@ -120,6 +122,7 @@ class Results:
     uri: str
     problems: tuple[str, ...] = ()
     ignored: int = 0
+    artifacts_in: Path | None = None
 
     def __repr__(self) -> str:
         sizes = ", ".join(f"{len(getattr(self, name))} {name}" for name in ("runs", "curves", "episodes"))
@@ -127,7 +130,7 @@ class Results:
 
     @cached_property
     def _reader(self) -> Reader:
-        return Reader(self.uri)
+        return Reader(self.uri, self.artifacts_in)
 
     def trajectories(self, run_id: str) -> pd.DataFrame:
         """Return the ways that the car took in final episodes of a run: one row per step, the start (step 0) included.
@@ -143,7 +146,9 @@ class Results:
             raise ResultsError(f"run_id={run_id}: it is none of {several(len(self.runs), 'run')}{hint}")
         try:
             return read_trajectories(self._reader.artifact(places.iloc[0], TRAJECTORIES_FILE))
-        except Exception as error:  # each place of artifacts has its own, and a file may be damaged
+        except Exception as error:
+            if not isinstance(error, ValueError) and not is_store_failure(error):  # a damaged file is a ValueError
+                raise
             raise ResultsError(f"run {run_id}: {TRAJECTORIES_FILE} can't be read: {reason(error)}") from error
 
 
@@ -160,7 +165,8 @@ def load(
     Raises:
         ResultsError: there is no such store, it can't be read, there is no such experiment, or it has no runs.
     """
-    reader = Reader(uri or default_uri(Path(output_dir).expanduser().absolute()))
+    here = directory_path(output_dir)
+    reader = Reader(uri) if uri else Reader(default_uri(here), artifacts_in=here)
     ids = _chosen(reader, experiments)
     found = reader.runs(list(ids.values()))
     kept = [run for run in found if _is_ours(run)]
@@ -169,10 +175,11 @@ def load(
         raise ResultsError(f"{asked}: it has no runs of parking_exp{f', but {len(found)} by others' if found else ''}")
     histories = reader.histories([run.run_id for run in kept], [*CURVE, *BESIDE_A_CURVE])
     with no_garbage():
-        runs = _runs(kept, {experiment_id: name for name, experiment_id in ids.items()}, histories)
+        runs = _runs(kept, {experiment_id: name for name, experiment_id in ids.items()}, histories, reader.run_dir)
         curves = _curves(histories)
         episodes, problems = _episodes(reader, runs)
-    return Results(runs, curves, episodes, reader.uri, (*_twice(runs), *problems), len(found) - len(kept))
+    said = (*_twice(runs), *problems)
+    return Results(runs, curves, episodes, reader.uri, said, len(found) - len(kept), None if uri else here)
 
 
 def _chosen(reader: Reader, experiments: str | Iterable[str] | None) -> dict[str, str]:
@@ -193,7 +200,12 @@ def _is_ours(run: StoredRun) -> bool:
     return all(name in tags for name in OURS) and tags["status"] in STATUSES and bool(SEED.fullmatch(tags["seed"]))
 
 
-def _runs(found: Sequence[StoredRun], names: Mapping[str, str], histories: Mapping[str, list[Point]]) -> pd.DataFrame:
+def _runs(
+    found: Sequence[StoredRun],
+    names: Mapping[str, str],
+    histories: Mapping[str, list[Point]],
+    located: Callable[[str | None], str | None],
+) -> pd.DataFrame:
     steps: dict[str, int] = {}
     for points in histories.values():
         for run_id, step, _, _ in points:
@@ -224,7 +236,7 @@ def _runs(found: Sequence[StoredRun], names: Mapping[str, str], histories: Mappi
         **{name: numbers(key) for key, name in COST.items()},
         "started": times(run.start_ms for run in found),
         "ended": times(run.end_ms for run in found),
-        "run_dir": tagged("run_dir"),
+        "run_dir": text(located(tag.get("run_dir")) for tag in tags),
         "artifact_uri": text(run.artifact_uri for run in found),
         "git_commit": tagged("git_commit"),
         "git_dirty": flags(tag.get("git_dirty") for tag in tags),

@@ -3,12 +3,16 @@
 import re
 from collections.abc import Mapping
 from importlib.metadata import entry_points
+from itertools import pairwise
 
 from parking_exp.config import DEFAULT_FEATURES, DEFAULT_SCALES, TRAINING_SCENES_START, EnvConfig, RunConfig
+from parking_exp.machine import total_memory
 from parking_exp.signatures import UnknownTarget, signature
 from parking_exp.wording import no_target
 
 STORES = ("sqlite", "http", "https", "postgresql", "mysql", "mssql", "databricks")  # MLflow's own
+# What is needed at least: `HerBuffer` takes 113 bytes a transition, other buffers and a batch of tensors more.
+TRANSITION_BYTES, SCENE_BYTES = 113, 1000
 HER_OPTIONS = ("n_sampled_goal", "relabel_collision", "relabel_terminated", "goal_velocity")
 
 
@@ -45,8 +49,26 @@ def check_env(env: EnvConfig) -> list[str]:
 
 def check_rules(run: RunConfig) -> list[str]:
     """Rules between keys of different groups."""
-    checks = (_check_buffer, _check_algorithm, _check_evaluation, _check_tracking)
+    checks = (_check_memory, _check_buffer, _check_algorithm, _check_evaluation, _check_tracking)
     return check_env(run.env) + [problem for check in checks for problem in check(run)]
+
+
+def _check_memory(run: RunConfig) -> list[str]:
+    """Refuse what can never fit; how much memory is free now is no matter."""
+    per_unit = {
+        "buffer.buffer_size": (run.buffer.buffer_size, TRANSITION_BYTES),
+        "algorithm.batch_size": (run.algorithm.arguments.get("batch_size"), TRANSITION_BYTES),
+        "algorithm.net_arch": (sum(wide * high for wide, high in pairwise([1, *run.algorithm.net_arch, 1])), 4),
+        "n_envs": (run.n_envs, SCENE_BYTES),
+        "evaluation.final_n_scenes": (run.evaluation.final_n_scenes, SCENE_BYTES),
+    }
+    total = total_memory()
+    return [
+        f"{key} takes {number * size / 1e9:,.1f} GB of memory or more ({number} x {size} bytes), and this machine has "
+        f"{total / 1e9:,.1f} GB; choose a smaller one"
+        for key, (number, size) in per_unit.items()
+        if isinstance(number, int) and number * size > total
+    ]
 
 
 def _check_buffer(run: RunConfig) -> list[str]:
@@ -128,7 +150,11 @@ def _check_evaluation(run: RunConfig) -> list[str]:
 def _check_tracking(run: RunConfig) -> list[str]:
     """Refuse a store that can never work; one that is only down is none of these."""
     uri = run.tracking.uri
-    if uri is None or not run.tracking.mlflow:
+    if not run.tracking.mlflow:
+        return []
+    if run.experiment_name == "Default":
+        return ["experiment_name=Default is MLflow's own, which keeps artifacts elsewhere; take another name"]
+    if uri is None:
         return []
     scheme = uri.partition(":")[0].partition("+")[0]
     if scheme == "sqlite" and re.fullmatch(r"sqlite:///[^?]+", uri) is None:

@@ -17,9 +17,8 @@ from parking_exp.envs.vector import make_training_envs
 from parking_exp.errors import CertificationError, InterruptedRunError
 from parking_exp.evaluation import differences, evaluate, rank, summarise
 from parking_exp.figures import learning_curves
-from parking_exp.files import sync
 from parking_exp.loggers import make_logger
-from parking_exp.logs import MetricsLog, append_episodes, sync_logs
+from parking_exp.logs import MetricsLog, append_episodes
 from parking_exp.progress import TrainingProgress
 from parking_exp.runs import RunDirectory
 from parking_exp.seeding import derive_seeds
@@ -28,6 +27,7 @@ from parking_exp.summary import success_line
 from parking_exp.tracking import Tracker
 from parking_exp.trajectories import TRAJECTORIES_FILE, Recorder
 from parking_exp.video import record
+from parking_exp.weights import save_model
 
 BAR_UPDATES_A_SECOND = 5
 
@@ -92,7 +92,7 @@ class Session:
         certified = self._certify(episodes)
         self._dump()
         self.model.logger.close()
-        self._save_model(self.directory.models / "final.zip")
+        save_model(self.model, self.directory.models / "final.zip")
         learning_curves(self.metrics.frame(), f"{self.config.experiment_name}: {path.parent.name}", path / "curves.png")
         if evaluation.video_episodes:
             self.bar.busy("video")
@@ -126,7 +126,6 @@ class Session:
             return
         self.progress.step = self.progress.saved = step
         self.progress.cpu_s, self.progress.wall_s = self.times()
-        self.progress.log_sizes = sync_logs(self.directory.path)
         checkpoints.save(
             self.directory.checkpoints, self.model, self.progress, self._best, self.config.checkpoint.keep_last
         )
@@ -179,15 +178,8 @@ class Session:
             self.progress.evaluated = step
             if self.progress.best is None or list(rank(summary)) > self.progress.best:
                 self.progress.best = list(rank(summary))
-                self._save_model(self._best)
+                save_model(self.model, self._best)
         return summary
-
-    def _save_model(self, path: Path) -> None:
-        """Save a model that Stable-Baselines3 loads anywhere: a HER buffer would want an env to load with."""
-        temporary = path.with_name(f".{path.name}")
-        self.model.save(temporary, exclude=["replay_buffer_class", "replay_buffer_kwargs"])
-        sync(temporary)
-        temporary.replace(path)
 
     def _dump(self) -> None:
         cpu_s, wall_s = self.times()

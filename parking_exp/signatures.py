@@ -73,10 +73,7 @@ def signature(target: str) -> Signature:
     Raises:
         UnknownTarget: no such package, module or class, or one without Python source.
     """
-    module, _, name = target.rpartition(".")
-    if not module:
-        raise UnknownTarget(target, "is not the dotted path of a class", [])
-    definition, home = _resolve(_source(module, target), name, target)
+    definition, home = _definition(target)
     if isinstance(definition, ast.FunctionDef):
         return _signature(definition, is_method=False)
     constructor = _constructor(definition, home, target)
@@ -90,38 +87,99 @@ def defined_in(target: str) -> str:
     Raises:
         UnknownTarget: it names nothing, or no class.
     """
-    module, _, name = target.rpartition(".")
-    if not module:
-        raise UnknownTarget(target, "is not the dotted path of a class", [])
-    definition, home = _resolve(_source(module, target), name, target)
+    return ".".join(_module_name(_class(target)[1]))
+
+
+def base_names(target: str) -> set[str]:
+    """Return the names of the class at a dotted path and of its bases, as far as their source can be read.
+
+    Raises:
+        UnknownTarget: it names nothing, or no class.
+    """
+    return {node.name for node, _ in _lineage(*_class(target), target)}
+
+
+def policy_signature(target: str, alias: str) -> Signature | None:
+    """Return what the policy takes that an algorithm has under a name in its `policy_aliases`.
+
+    None where the source does not say which it is.
+
+    Raises:
+        UnknownTarget: `target` names nothing, or no class.
+    """
+    for node, path in _lineage(*_class(target), target):
+        for item in node.body:
+            if not isinstance(item, ast.Assign | ast.AnnAssign) or not isinstance(item.value, ast.Dict):
+                continue
+            names = item.targets if isinstance(item, ast.Assign) else [item.target]
+            if "policy_aliases" not in map(ast.unparse, names):
+                continue
+            for key, value in zip(item.value.keys, item.value.values, strict=True):
+                if isinstance(key, ast.Constant) and key.value == alias:
+                    policy, home = _resolve_base(ast.unparse(value), path, target)
+                    found = _constructor(policy, home, target) if isinstance(policy, ast.ClassDef) else None
+                    return _signature(found, is_method=True) if found else None
+    return None
+
+
+def _class(target: str) -> tuple[ast.ClassDef, Path]:
+    definition, home = _definition(target)
     if not isinstance(definition, ast.ClassDef):
         raise UnknownTarget(target, "is not a class", [])
-    return ".".join(_module_name(home))
+    return definition, home
+
+
+def _definition(target: str) -> "Home":
+    """Find where the class or function at a dotted path is defined."""
+    module, _, name = target.rpartition(".") if isinstance(target, str) else ("", "", "")
+    if not module or not all(part.isidentifier() for part in target.split(".")):
+        raise UnknownTarget(str(target), "is not a dotted path, PACKAGE.MODULE.CLASS", [])
+    return _resolve(_source(module, target), name, target)
 
 
 def _source(module: str, target: str) -> Path:
     """Find the source file of a module without importing its parents (which would import torch)."""
     first, *rest = module.split(".")
-    spec = importlib.util.find_spec(first)  # a top-level name: nothing is imported
-    if spec is None or spec.origin is None:
-        raise UnknownTarget(target, f"the package {first!r} is not installed", [])
-    path = Path(spec.origin)
+    file, folders = _package(first, target)
     for name in rest:
-        folder = path.parent if path.name == "__init__.py" else None
-        choices = [folder / name / "__init__.py", folder / f"{name}.py"] if folder else []
-        found = next((choice for choice in choices if choice.exists()), None)
-        if found is None:
-            known = sorted(p.stem for p in folder.iterdir() if not p.name.startswith("_")) if folder else []
-            raise UnknownTarget(target, f"there is no module {name!r} in {path.parent.name}", known)
-        path = found
-    if path.suffix != ".py":
-        raise UnknownTarget(target, "has no Python source to read its signature from", [])
-    return path
+        places = [folder / name for folder in folders]
+        files = [file for place in places for file in (place / "__init__.py", place.with_suffix(".py"))]
+        found = next((file for file in files if file.is_file()), None)
+        namespace = [place for place in places if place.is_dir()]
+        if found is None and not namespace:
+            raise UnknownTarget(target, f"there is no module {name!r} in {first}", _modules(folders))
+        file, folders = found, namespace if found is None else [found.parent] * (found.name == "__init__.py")
+        first = f"{first}.{name}"
+    if file is None or file.suffix != ".py" or not file.is_file():  # built in, frozen, compiled, or a namespace
+        raise UnknownTarget(target, f"{module} has no Python source to read its signature from", _modules(folders))
+    return file
+
+
+def _package(name: str, target: str) -> tuple[Path | None, list[Path]]:
+    """Return the source file of a top-level module, and where its submodules are; nothing is imported."""
+    if name == "__main__":
+        raise UnknownTarget(target, "__main__ is a script, not a module; put the class into a module of its own", [])
+    try:
+        spec = importlib.util.find_spec(name)
+    except (ImportError, ValueError):  # a module that was put together at run time
+        spec = None
+    if spec is None:
+        raise UnknownTarget(target, f"the package {name!r} is not installed", [])
+    return Path(spec.origin) if spec.origin else None, [Path(place) for place in spec.submodule_search_locations or []]
+
+
+def _modules(folders: list[Path]) -> list[str]:
+    """Return the names of modules and packages in some folders."""
+    paths = [path for folder in folders for path in folder.iterdir()]
+    return sorted({p.stem for p in paths if p.stem[0] != "_" and (p.suffix == ".py" or (p / "__init__.py").exists())})
 
 
 @cache
 def _tree(path: Path) -> ast.Module:
-    return ast.parse(path.read_text(encoding="utf-8"))
+    try:
+        return ast.parse(path.read_bytes())
+    except (OSError, SyntaxError, ValueError) as error:
+        raise UnknownTarget(str(path), f"{path} is not valid Python: {error}", []) from error
 
 
 def _module_name(path: Path) -> list[str]:
@@ -185,28 +243,41 @@ def _top_level(tree: ast.Module) -> Iterator[ast.stmt]:
             pending = [*node.body, *node.orelse, *pending]
 
 
-def _names(path: Path) -> list[str]:
+def _names(path: Path, seen: frozenset[Path] = frozenset()) -> list[str]:
+    """Return the public names of a module, those that it imports among them."""
     names: list[str] = []
     for node in _top_level(_tree(path)):
         if isinstance(node, ast.ClassDef | ast.FunctionDef):
             names.append(node.name)
-        elif isinstance(node, ast.ImportFrom):
+        elif isinstance(node, ast.ImportFrom) and node.names[0].name != "*":
             names.extend(alias.asname or alias.name for alias in node.names)
-    return names
+        elif isinstance(node, ast.ImportFrom) and path not in seen:
+            with suppress(UnknownTarget):
+                names.extend(_names(_source(_imported_module(node, path), str(path)), seen | {path}))
+    return [name for name in names if name[0] != "_"]
 
 
 def _constructor(node: ast.ClassDef, path: Path, target: str) -> ast.FunctionDef | None:
-    for item in node.body:
-        if isinstance(item, ast.FunctionDef) and item.name == "__init__":
-            return item
+    for one, _ in _lineage(node, path, target):
+        for item in one.body:
+            if isinstance(item, ast.FunctionDef) and item.name == "__init__":
+                return item
+    return None
+
+
+def _lineage(
+    node: ast.ClassDef, path: Path, target: str, seen: frozenset[tuple[Path, str]] = frozenset()
+) -> Iterator[tuple[ast.ClassDef, Path]]:
+    """Yield a class and its bases, depth first, each with the file where it stands."""
+    yield node, path
+    seen |= {(path, node.name)}
     for base in node.bases:
         try:
             parent, home = _resolve_base(ast.unparse(base), path, target)
         except UnknownTarget:
             continue  # a builtin, or made at run time
-        if isinstance(parent, ast.ClassDef) and (found := _constructor(parent, home, target)):
-            return found
-    return None
+        if isinstance(parent, ast.ClassDef) and (home, parent.name) not in seen:
+            yield from _lineage(parent, home, target, seen)
 
 
 def _resolve_base(name: str, path: Path, target: str) -> Home:

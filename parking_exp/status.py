@@ -11,15 +11,22 @@ from rich.live import Live
 
 from parking_exp.config import Name, Section
 from parking_exp.errors import ConfigError, RunNotFoundError, UnsyncedError
+from parking_exp.locations import default_uri, directory_path
+from parking_exp.outdated import sync_all
 from parking_exp.runs import RunDirectory
 from parking_exp.states import RunState, as_json, find, read_state
-from parking_exp.syncing import sync_all
 from parking_exp.tables import cell_table, damaged_lines, failure_lines, running_lines, stopped_lines
 from parking_exp.terminal import console, say
 from parking_exp.validation import parse
 from parking_exp.wording import closest, several
 
 WATCH_S = 2.0
+
+
+class StoreConfig(Section):
+    """Where runs are tracked."""
+
+    uri: str | None
 
 
 class StatusRequest(Section):
@@ -30,11 +37,12 @@ class StatusRequest(Section):
     as_json: Annotated[bool, Field(alias="json")]
     watch: bool
     sync: bool
+    tracking: StoreConfig
 
     @property
     def output_path(self) -> Path:
         """Absolute output directory."""
-        return Path(self.output_dir).expanduser().absolute()
+        return directory_path(self.output_dir)
 
 
 def validate_status(config: DictConfig) -> StatusRequest:
@@ -93,12 +101,19 @@ def _sync(request: StatusRequest) -> None:
         UnsyncedError: one of them still fails.
     """
     directories = [RunDirectory(path) for path in find(request.output_path, request.experiment_name)]
-    failed = 0
-    for directory, problem in sync_all(directories):
-        failed += problem is not None
-        say(f"{directory.path}: {problem or 'the store has everything'}", stderr=True)
-    if failed:
-        raise UnsyncedError(f"{several(failed, 'run')} could not be sent to their store; sync=true tries again")
+    uris = [default_uri(request.output_path), *filter(None, [request.tracking.uri])]
+    problems: dict[str, list[RunDirectory]] = {}
+    for directory, problem in sync_all(directories, uris):
+        if problem is None:
+            say(f"{directory.path}: the store has everything", stderr=True)
+        else:
+            problems.setdefault(problem, []).append(directory)
+    for problem, runs in problems.items():
+        others = f" and {len(runs) - 1} more" if len(runs) > 1 else ""
+        say(f"{runs[0].path}{others}: {problem}", stderr=True)
+    if problems:
+        failed = sum(map(len, problems.values()))
+        raise UnsyncedError(f"the store has not got all of {several(failed, 'run')}; sync=true tries again")
 
 
 def _picture(states: list[RunState]) -> RenderableType:

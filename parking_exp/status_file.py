@@ -36,6 +36,9 @@ class StatusEntries(_Entries):
     run_id: str | None = None
     tracking_uri: str | None = None
     unsynced: str | None = None
+    command: str | None = None
+    precision: Literal["highest", "medium"] | None = None
+    logs: dict[str, str] | None = None
 
 
 class BeatEntries(_Entries):

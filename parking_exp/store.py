@@ -11,23 +11,32 @@ import logging
 import os
 import re
 import sqlite3
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
 from filelock import FileLock
 
 from parking_exp.config import RunConfig
+from parking_exp.descriptions import experiment_tags
+from parking_exp.errors import ParkingError, StoreError
+from parking_exp.locations import ARTIFACTS, database
+from parking_exp.relocation import relocate
 
 if TYPE_CHECKING:
     from mlflow import MlflowClient
     from mlflow.entities import Metric, Run
 
-SQLITE = "sqlite:///"
 WAIT_S = 120  # for other writers
-METRICS_A_BATCH, PARAMS_A_BATCH = 1000, 100  # MLflow's own limits
+METRICS_A_BATCH, PARAMS_A_BATCH, RUNS_A_PAGE = 1000, 100, 1000  # MLflow's own limits
 LONGEST_REASON = 200
+# Whose exceptions are a store's failures: MLflow, what it reaches a database by, and what it reaches artifacts by.
+STORE_PACKAGES = {
+    "mlflow", "sqlalchemy", "alembic", "psycopg2", "pymysql", "requests", "urllib3",
+    "boto3", "botocore", "google", "azure", "paramiko", "pysftp",
+}  # fmt: skip
 ENVIRONMENT = {
     "MLFLOW_DISABLE_TELEMETRY": "true",  # nothing leaves the machine
     "GIT_PYTHON_REFRESH": "quiet",
@@ -41,26 +50,6 @@ ENVIRONMENT = {
     # A kept connection would go on writing into a database file that was deleted or replaced meanwhile.
     "MLFLOW_SQLALCHEMYSTORE_POOLCLASS": "NullPool",
 }
-
-
-def default_uri(output_dir: Path) -> str:
-    """Return the URI of the embedded store under an output directory."""
-    return f"{SQLITE}{output_dir / 'mlflow.db'}"
-
-
-def store_uri(config: RunConfig) -> str:
-    """Return the URI of a run's store."""
-    return absolute(config.tracking.uri or default_uri(config.output_path))
-
-
-def absolute(uri: str) -> str:
-    """Return a URI with its sqlite path made absolute, so that it means the same everywhere."""
-    return f"{SQLITE}{Path(uri.removeprefix(SQLITE)).absolute()}" if uri.startswith(SQLITE) else uri
-
-
-def database(uri: str) -> Path | None:
-    """Return the file of an embedded store, None for any other."""
-    return Path(uri.removeprefix(SQLITE)) if uri.startswith(SQLITE) else None
 
 
 def import_mlflow() -> None:
@@ -90,11 +79,27 @@ def connect(uri: str) -> "MlflowClient":
             _open_database(uri)
         client = MlflowClient(uri)
         client.search_experiments(max_results=1)
+        if path is not None and os.access(path, os.W_OK):
+            relocate(path)
     return client
+
+
+def is_store_failure(error: BaseException) -> bool:
+    """Whether an error comes from a store, its disk or its network, or says in a sentence what is wrong with a run.
+
+    Anything else is an error of this package.
+    """
+    return isinstance(error, OSError | sqlite3.Error | ParkingError) or _package(error) in STORE_PACKAGES
+
+
+def _package(error: BaseException) -> str:
+    return type(error).__module__.partition(".")[0]
 
 
 def reason(error: BaseException) -> str:
     """Say in one sentence what a store's error came from, without passwords."""
+    if isinstance(error, ParkingError):  # a sentence already
+        return without_password(str(error))
     chain = list(_chain(error))
     causes = [getattr(link, "orig", link) for link in chain]  # SQLAlchemy wraps the driver's error
     known = [cause for cause in causes if isinstance(cause, OSError | sqlite3.Error) or "psycopg" in str(type(cause))]
@@ -120,7 +125,11 @@ class Store:
         self._lock = _write_lock(uri)
 
     def find(self, run_id: str | None, experiment: str, tags: Mapping[str, str]) -> "Run | None":
-        """Find a run that is not deleted: by its id, or by its tags where a kill came before the id was written."""
+        """Find a run that is not deleted: by its id, or by its tags where a kill came before the id was written.
+
+        An id of a run with another key, or of a run directory that is elsewhere and still there, is none of ours:
+        status.json may have been copied, or written by anybody.
+        """
         from mlflow.exceptions import MlflowException
 
         if run_id is not None:
@@ -130,13 +139,33 @@ class Store:
                 if error.error_code != "RESOURCE_DOES_NOT_EXIST":
                     raise
             else:
-                if run.info.lifecycle_stage == "active":
-                    return run
+                if run.info.lifecycle_stage == "active" and run.data.tags.get("run_key") == tags["run_key"]:
+                    place = self._place(run.data.tags.get("run_dir", ""))
+                    if place == self._place(tags["run_dir"]) or not place.is_dir():
+                        return run
         found = self.client.get_experiment_by_name(experiment)
         if found is None:
             return None
         runs = self.client.search_runs([found.experiment_id], f"tags.run_key = '{tags['run_key']}'")
-        return next((run for run in runs if run.data.tags.get("run_dir") == tags["run_dir"]), None)
+        place = self._place(tags["run_dir"])
+        return next((run for run in runs if self._place(run.data.tags.get("run_dir", "")) == place), None)
+
+    def statuses(self, experiments: Iterable[str]) -> dict[str, str]:
+        """Return the tag `status` of every run of some experiments, by run id. Runs that a user has deleted are there.
+
+        Experiments that the store does not have are passed over.
+        """
+        from mlflow.entities import ViewType
+
+        found = [self.client.get_experiment_by_name(name) for name in experiments]
+        ids, token = [one.experiment_id for one in found if one is not None], None
+        statuses: dict[str, str] = {}
+        while ids:
+            page = self.client.search_runs(ids, "", ViewType.ALL, RUNS_A_PAGE, page_token=token)
+            statuses |= {run.info.run_id: run.data.tags.get("status", "") for run in page}
+            if not (token := page.token):
+                break
+        return statuses
 
     def create(self, config: RunConfig, tags: Mapping[str, str], start_ms: int | None) -> "Run":
         """Create a run, and its experiment if need be."""
@@ -188,13 +217,22 @@ class Store:
         """Store a value as a JSON artifact."""
         self.client.log_dict(run.info.run_id, value, name)
 
+    def download(self, run: "Run", name: str) -> bytes | None:
+        """Return the content of an artifact, None where the run has none of that name."""
+        if not any(item.path == name for item in self.client.list_artifacts(run.info.run_id)):
+            return None
+        with TemporaryDirectory() as folder:
+            return Path(self.client.download_artifacts(run.info.run_id, name, folder)).read_bytes()
+
     def delete_artifact(self, run: "Run", name: str) -> None:
         """Delete an artifact or a folder of them, where the place of artifacts can do that and allows it."""
         from mlflow.store.artifact.artifact_repository_registry import get_artifact_repository
 
         try:
             get_artifact_repository(run.info.artifact_uri, tracking_uri=self.uri).delete_artifacts(name)
-        except Exception as error:  # this is tidying up; each place of artifacts has its own way to refuse it
+        except Exception as error:  # this is tidying up, and a place of artifacts may not allow it
+            if not isinstance(error, NotImplementedError) and not is_store_failure(error):
+                raise
             logging.getLogger(__name__).debug("%s stays in the store: %s", name, error)
 
     def folders(self, run: "Run", name: str) -> list[str]:
@@ -205,19 +243,36 @@ class Store:
         """Return the id of a run's experiment, made by one process of many."""
         from mlflow.exceptions import MlflowException
 
+        name, location = config.experiment_name, None
         # A tracking server has its own place for artifacts; a database would put them into the current directory.
-        place = config.output_path / "mlflow-artifacts" / config.experiment_name
-        location = None if self.uri.startswith(("http", "databricks")) else place.as_uri()
+        if not self.uri.startswith(("http", "databricks")):
+            place = config.output_path / ARTIFACTS / name
+            place.mkdir(parents=True, exist_ok=True)
+            location = place.as_uri()
         with self._lock:
-            experiment = self.client.get_experiment_by_name(config.experiment_name)
+            experiment = self.client.get_experiment_by_name(name)
             if experiment is None:
                 try:
-                    return self.client.create_experiment(config.experiment_name, location)
+                    return self.client.create_experiment(name, location, experiment_tags(name))
                 except MlflowException:  # without a lock of ours another process may have been first
-                    experiment = self.client.get_experiment_by_name(config.experiment_name)
+                    experiment = self.client.get_experiment_by_name(name)
                     if experiment is None:
                         raise
+            if experiment.lifecycle_stage == "deleted":
+                restore = f"mlflow experiments restore --experiment-id {experiment.experiment_id}"
+                raise StoreError(
+                    f"the experiment {name} was deleted in this store: restore it with"
+                    f" `MLFLOW_TRACKING_URI={without_password(self.uri)} {restore}`, or take another experiment_name"
+                )
+            for key, value in experiment_tags(name).items():
+                if key not in experiment.tags:
+                    self.client.set_experiment_tag(experiment.experiment_id, key, value)
         return experiment.experiment_id
+
+    def _place(self, run_dir: str) -> Path:
+        """Return the directory that the tag `run_dir` means."""
+        path = database(self.uri)
+        return ((path.parent if path else Path()) / run_dir).resolve()
 
 
 def _write_lock(uri: str) -> AbstractContextManager[Any]:

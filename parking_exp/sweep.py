@@ -18,11 +18,12 @@ from parking_exp.composition import Composed
 from parking_exp.config import RunConfig
 from parking_exp.errors import FailedRunError, OutputDirectoryError
 from parking_exp.launching import Launch
+from parking_exp.locations import store_uri
 from parking_exp.machine import cores
 from parking_exp.monitor import Monitor
+from parking_exp.outdated import sync_all
 from parking_exp.runs import RunDirectory
 from parking_exp.states import RunState, Stage, counts, find, read_state
-from parking_exp.syncing import sync_all
 from parking_exp.tables import cell_table, damaged_lines, duration, failure_lines, stopped_lines
 from parking_exp.terminal import console, say
 from parking_exp.tracking import later
@@ -43,6 +44,7 @@ class Planned:
         label: of its cell.
         state: how far it is.
         retried: whether it is run again if it has failed.
+        lacks_models: whether it is done, and models of its are gone that can be made again.
     """
 
     config: RunConfig
@@ -50,13 +52,14 @@ class Planned:
     label: str
     state: RunState
     retried: bool
+    lacks_models: bool
 
     @property
     def is_due(self) -> bool:
         """Whether this sweep runs it, unless another process does."""
         if self.state.stage == "failed":
             return self.state.killed or self.retried
-        return self.state.stage != "done"
+        return self.state.stage != "done" or self.lacks_models
 
 
 def plan(composed: Sequence[Composed], retry: str | None = None) -> list[Planned]:
@@ -76,8 +79,17 @@ def plan(composed: Sequence[Composed], retry: str | None = None) -> list[Planned
             config = config.model_copy(update={"seed": one.seed})
         path = folder / f"seed={config.seed}"
         if path not in runs:
-            runs[path] = Planned(config, path, one.label or folder.name, read_state(path), retry is not None)
+            label = _label(one, config) or folder.name
+            state, lacks_models = read_state(path), RunDirectory(path).can_make_models
+            runs[path] = Planned(config, path, label, state, retry is not None, lacks_models)
     return list(runs.values())
+
+
+def _label(one: Composed, config: RunConfig) -> str:
+    """Return a cell's label, in which an option is called what other keys have made of it."""
+    groups = ("env", "algorithm", "buffer")
+    names = {one.cell[group]["name"]: getattr(config, group).name for group in groups}
+    return ", ".join(names.get(part, part) for part in one.label.split(", "))
 
 
 def sweep(runs: Sequence[Planned], launch: Launch, *, dry_run: bool = False) -> None:
@@ -122,8 +134,10 @@ def describe(runs: Sequence[Planned], launch: Launch, out: Console) -> None:
     if cells * seeds == len(runs):
         product += f" x {several(seeds, 'seed')}"
     left = found["failed"] - sum(run.state.stage == "failed" for run in due)
-    parts = [f"{found['done']} done", f"{found['running']} running elsewhere" if found["running"] else ""]
+    modelless = sum(run.state.stage == "done" for run in due)
+    parts = [f"{found['done'] - modelless} done", f"{found['running']} running elsewhere" if found["running"] else ""]
     parts += [f"{left} failed before (retry=failed runs them again)" if left else "", f"{len(due)} to run"]
+    parts[-1] += f" ({modelless} of them only to make models again that are gone)" if modelless else ""
     out.print(
         f"{product} = {several(len(runs), 'run')}: {', '.join(filter(None, parts))}{_estimate(runs, due, launch)}"
     )
@@ -213,10 +227,14 @@ def _launch_all(due: list[Path], launch: Launch, monitor: Monitor) -> None:
 
 def _sync(runs: Sequence[Planned], monitor: Monitor) -> None:
     """Send what workers could not, because they were killed or their store was down."""
-    problems = [problem for _, problem in sync_all(RunDirectory(run.path) for run in runs) if problem]
+    uris = list({store_uri(run.config) for run in runs if run.config.tracking.mlflow})
+    found = sync_all((RunDirectory(run.path) for run in runs), uris)
+    problems = [(directory, problem) for directory, problem in found if problem]
     if problems:
+        directory, problem = problems[0]
         whose = f"{len(problems)} runs are" if len(problems) > 1 else "a run is"
-        monitor.say(f"{whose} not all in the store ({problems[0]}); {later(runs[0].config.output_path)}")
+        what_to_do = later(directory.output_dir, directory.tracking_uri)
+        monitor.say(f"{whose} not all in the store ({problem}); {what_to_do}")
 
 
 def _wait(elsewhere: list[Path]) -> tuple[list[Path], list[Path]]:

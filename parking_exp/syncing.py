@@ -1,4 +1,4 @@
-"""Making a store agree with run directories: these are the truth, the store is their index.
+"""Making a store agree with a run directory: the directory is the truth, the store is its index.
 
 `sync` needs nothing but a run directory, in any state that a kill can leave it in, and does what is missing: after each
 checkpoint, at the end, and later for a run whose store was down or that was killed.
@@ -6,30 +6,37 @@ checkpoint, at the end, and later for a run whose store was down or that was kil
 Metrics are sent as soon as they are final: up to the last checkpoint, and all of them when the run is done. A run that
 was cut off goes on from that checkpoint and logs everything after it again. So the store's latest points are always
 among those of the run directory. Where they are not, the store's run has another past and is replaced: the directory
-was deleted and the run trained afresh, or the last checkpoint was corrupt and the one before it was taken.
+was deleted and the run trained afresh, or the last checkpoint was corrupt and the one before it was taken. Logs that
+have lost something are no other past: they are taken back from the store, or left out, and that is said.
 
 `synced.json` says what the store has: which status and error, and size and time of each file that was sent. It is
 written after the fact, so that a kill makes a file be sent twice, never be forgotten.
 """
 
-import json
-from collections.abc import Iterable, Iterator, Mapping
+import hashlib
+import traceback
+from collections.abc import Mapping
 from contextlib import suppress
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from filelock import FileLock
 
 from parking_exp import artifacts
 from parking_exp.config import RunConfig
+from parking_exp.descriptions import NOTE, run_note
+from parking_exp.errors import DamagedFileError, StoreError
 from parking_exp.files import fingerprint, read_object, write_json
+from parking_exp.locations import absolute, database, lies_inside, local_folder, relative, relative_path
+from parking_exp.logs import damaged_logs, read_metrics
 from parking_exp.provenance import PROVENANCE_FILE
 from parking_exp.runs import RunDirectory, Status
-from parking_exp.store import Store, absolute, connect, database, reason
+from parking_exp.store import Store, is_store_failure, reason
 
 if TYPE_CHECKING:
     from mlflow.entities import Metric, Run
 
-SYNCED_FILE = "synced.json"
+SYNCED_FILE, TRACEBACK_FILE = "synced.json", "sync_traceback.txt"
 # MLflow cuts or refuses longer values; the whole config is an artifact besides.
 LONGEST_PARAM = 6000
 LONGEST_ERROR = 500
@@ -37,103 +44,92 @@ WAIT_S = 120  # for another process that syncs the same run
 MLFLOW_STATUS = {"running": "RUNNING", "done": "FINISHED", "failed": "FAILED", "interrupted": "KILLED"}
 
 
-def sync(directory: RunDirectory, uri: str | None = None) -> None:
+def sync(directory: RunDirectory, uri: str) -> None:
     """Make a store agree with a run directory. Done again, it changes nothing.
-
-    Args:
-        directory: of a run that is tracked; for one that is not, nothing is done.
-        uri: the store; None for the one that the run was tracked in.
 
     Raises:
         ConfigError: the run was made by another version of this package.
-        Exception: the store can't be reached or does not take it all; `store.reason` makes a sentence of it.
+        DamagedFileError: a log has lost something, and the store has no copy. All else was sent.
+        UntrustedError: a symbolic link leads out of the run directory.
+        StoreError: the store can't take the run as it is.
+        Exception: the store can't be reached, or does not take it all; `store.is_store_failure` tells which these are.
     """
-    if (stored_at := uri or directory.tracking_uri) is None:
-        return
-    uri = absolute(stored_at)
+    uri = absolute(uri)
     config = directory.config()
+    directory.check_links()
     with FileLock(directory.path / ".sync.lock", timeout=WAIT_S):
-        status = present_status(directory)
-        store, points = Store(uri), _final_metrics(directory, status)
-        run = _run(store, directory, config, points)
+        status, store, tags = present_status(directory), Store(uri), _tags(directory, config, uri)
+        known = store.find(directory.run_id, config.experiment_name, tags)
+        damaged = _restore_logs(store, known, directory, status)
+        # Fewer points than there were are no other past, and never take the place of the store's.
+        points = [] if "metrics.jsonl" in damaged else _final_metrics(directory, status)
+        run = _run(store, known, directory, config, tags, points)
         sent = _Sent(directory, uri, run.info.run_id)
         if sent.status != status:  # from here on a kill leaves a run that is not in step
             sent.status = None
             sent.write()
         params = {key: value[:LONGEST_PARAM] for key, value in flatten(config.plain()).items()}
-        tags = _tags(directory, config)
+        if run.data.tags.get(NOTE, sent.note) == sent.note:  # else a user has written another one
+            sent.note = tags[NOTE] = run_note(directory, config)
         store.log(run, params, tags)
         sent.error = tags["error"]
         latest = _latest_points(run)
         store.log_metrics(run, [point for point in points if point.step > latest.get(point.key, (-1, 0))[0]])
         try:
-            artifacts.send(store, run, directory, status == "running", sent.files)
+            artifacts.send(store, run, directory, status == "running", sent.files, without=damaged)
         finally:
             sent.write()
         # Last, so that a run that is done in the store has everything there.
         store.set_status(run, status, MLFLOW_STATUS[status], None if status == "running" else _end_ms(directory))
         sent.status = status
         sent.write()
+    if damaged:
+        raise DamagedFileError(
+            f"{', '.join(damaged)} in {directory.path} has lost something, and the store has no copy; "
+            "what the store has of it stays as it is"
+        )
 
 
-def try_sync(directory: RunDirectory, uri: str | None = None) -> str | None:
+def try_sync(directory: RunDirectory, uri: str) -> str | None:
     """Sync as far as the store allows, and return what is in the way, or None.
 
-    The reason is noted in status.json as `unsynced` until a later attempt succeeds.
+    The reason is noted in status.json as `unsynced` until a later attempt succeeds. What is no failure of the store
+    keeps nothing from going on either: the run directory has everything; its traceback is kept, and named.
     """
     problem = None
     try:
         sync(directory, uri)
-    except Exception as error:  # whatever it is, the run directory has everything, and a training has to go on
-        problem = reason(error)
-    if directory.unsynced != problem:
-        with suppress(OSError):  # on a full disk
+    except Exception as error:
+        problem = reason(error) if is_store_failure(error) else _keep_traceback(directory, error)
+    with suppress(OSError):  # on a full disk
+        if problem is None:
+            (directory.path / TRACEBACK_FILE).unlink(missing_ok=True)
+        if directory.unsynced != problem:
             directory.update(unsynced=problem)
     return problem
 
 
-def sync_all(directories: Iterable[RunDirectory]) -> Iterator[tuple[RunDirectory, str | None]]:
-    """Sync every run that is not in step with its store and that no process is working on.
-
-    Runs that are in step are told from small files, without a connection.
-
-    Yields:
-        Each run that was not in step, and what kept it from being so now, or None.
-    """
-    down: dict[str, str] = {}
-    # All are looked at first: where a store was lost, the first run to be sent makes it again.
-    behind = [directory for directory in directories if not in_step(directory)]
-    for directory in behind:
-        if directory.under_way:
-            continue
-        uri = directory.tracking_uri or ""
-        problem = down.get(uri) or try_sync(directory)
-        if problem and uri not in down and (cause := _unreachable(uri)):
-            down[uri] = cause  # the next thousand runs need not knock
-        yield directory, problem
-
-
-def in_step(directory: RunDirectory) -> bool:
-    """Whether the store has all that it is to have of a run (or the run is not tracked)."""
-    status = directory.read_status()
-    uri, sent = status.get("tracking_uri"), read_object(directory.path / SYNCED_FILE)
-    if uri is None:
-        return True
-    path = database(uri)
+def recorded_in_step(directory: RunDirectory) -> bool:
+    """Whether a store had all that it is to have of a run when it was synced last, as its small files tell."""
+    status, sent = directory.read_status(), read_object(directory.path / SYNCED_FILE)
+    files = sent.get("files")
     return (
         not status.get("unsynced")
-        and sent.get("uri") == uri
+        and sent.get("uri") == status.get("tracking_uri")
+        and sent.get("run_id") == status.get("run_id")
         and sent.get("status") == present_status(directory)
         and sent.get("error", "") == _error(directory)
-        and (path is None or path.exists())
-        and all(sent["files"].get(name) == fingerprint(file) for name, file in artifacts.evaluations(directory))
+        and isinstance(files, dict)
+        and all(files.get(name) == fingerprint(file) for name, file in artifacts.evaluations(directory))
     )
 
 
 def present_status(directory: RunDirectory) -> Status:
-    """Return a run's status; one that was killed is `interrupted`."""
+    """Return a run's status; one that was killed, or waits to go on, is `interrupted`."""
     status = directory.status
-    return "interrupted" if status == "running" and not directory.under_way else status
+    if status == "pending" or (status == "running" and not directory.under_way):
+        return "interrupted"
+    return status
 
 
 def flatten(config: Mapping[str, Any], prefix: str = "") -> dict[str, str]:
@@ -151,11 +147,14 @@ class _Sent:
     def __init__(self, directory: RunDirectory, uri: str, run_id: str) -> None:
         self._path = directory.path / SYNCED_FILE
         self._written = read_object(self._path)
-        self.uri, self.run_id = uri, run_id
-        same = self._written.get("uri") == uri and self._written.get("run_id") == run_id
-        self.status: str | None = self._written.get("status") if same else None
-        self.error: str = self._written.get("error", "") if same else ""
-        self.files: dict[str, list[int]] = dict(self._written["files"]) if same else {}
+        self.uri, self.run_id = relative(uri, directory.output_dir), run_id
+        same = self._written.get("uri") == self.uri and self._written.get("run_id") == run_id
+        known = self._written if same else {}
+        self.status: str | None = known.get("status")
+        self.error: str = known.get("error", "")
+        self.note: str | None = known.get("note")
+        files = known.get("files")
+        self.files: dict[str, list[int]] = dict(files) if isinstance(files, dict) else {}
 
     def write(self) -> None:
         """Write it down, if it has changed."""
@@ -164,6 +163,7 @@ class _Sent:
             "run_id": self.run_id,
             "status": self.status,
             "error": self.error,
+            "note": self.note,
             "files": self.files,
         }
         if value != self._written:
@@ -171,28 +171,43 @@ class _Sent:
             self._written = {**value, "files": dict(self.files)}
 
 
-def _run(store: Store, directory: RunDirectory, config: RunConfig, points: list["Metric"]) -> "Run":
-    """Return the store's run, found or created, and write its id down."""
-    tags, known = _tags(directory, config), directory.run_id
-    run = store.find(known, config.experiment_name, tags)
+def _run(
+    store: Store, run: "Run | None", directory: RunDirectory, config: RunConfig, tags: dict[str, str],
+    points: list["Metric"],
+) -> "Run":  # fmt: skip
+    """Return the store's run, the one that was found or a new one, and write its id down.
+
+    Raises:
+        StoreError: the embedded store of an output directory keeps the run's artifacts elsewhere.
+    """
     if run is not None and _another_past(run, points):
         store.delete(run)
         run = None
     if run is None:
         start_ms = read_object(directory.path / PROVENANCE_FILE).get("started_ms")
         run = store.create(config, {**tags, "status": "running"}, start_ms)
-    if known != run.info.run_id or directory.tracking_uri != store.uri:
+    path = database(store.uri)
+    if path is not None and lies_inside(path, directory.output_dir):
+        folder = local_folder(run.info.artifact_uri)
+        if folder is None or not lies_inside(folder, directory.output_dir):
+            raise StoreError(
+                f"the experiment {config.experiment_name} of this store keeps its artifacts outside of "
+                f"{directory.output_dir}, in {run.info.artifact_uri}; take another experiment_name"
+            )
+    if directory.run_id != run.info.run_id or directory.tracking_uri != store.uri:
         directory.update(run_id=run.info.run_id, tracking_uri=store.uri)
     return run
 
 
-def _tags(directory: RunDirectory, config: RunConfig) -> dict[str, str]:
+def _tags(directory: RunDirectory, config: RunConfig, uri: str) -> dict[str, str]:
+    path = database(uri)
+    run_dir = relative_path(directory.path, path.parent) if path else str(directory.path.absolute())
     return {
         "experiment": config.experiment_name,
         "cell": config.cell,
         "seed": str(config.seed),
         "run_key": config.run_key,
-        "run_dir": str(directory.path.absolute()),
+        "run_dir": run_dir,
         "error": _error(directory),
         **read_object(directory.path / PROVENANCE_FILE).get("tags", {}),
     }
@@ -205,29 +220,37 @@ def _error(directory: RunDirectory) -> str:
     return words if len(words) <= LONGEST_ERROR else f"{words[: LONGEST_ERROR - 3]}..."
 
 
+def _restore_logs(store: Store, run: "Run | None", directory: RunDirectory, status: Status) -> list[str]:
+    """Take logs that have lost something back from the store; return the names of those that it has no copy of."""
+    if status == "running":  # they grow; the next checkpoint or resume looks after them
+        return []
+    hashes: dict[str, str] = directory.read_status().get("logs", {}) if status == "done" else {}
+    lost = []
+    for name in damaged_logs(directory.path, hashes, _last_checkpoint(directory)):
+        content = store.download(run, name) if run is not None and name in hashes else None
+        if content is None or hashlib.sha256(content).hexdigest() != hashes[name]:
+            lost.append(name)
+        else:
+            (directory.path / name).write_bytes(content)
+    return lost
+
+
 def _final_metrics(directory: RunDirectory, status: Status) -> list["Metric"]:
     """Return all points that no resumed run is going to log again."""
     from mlflow.entities import Metric
 
-    path = directory.path / "metrics.jsonl"
-    if not path.exists():
-        return []
-    size = None if status == "done" else _size_at_checkpoint(directory, path.name)
-    with path.open("rb") as file:
-        records = [json.loads(line) for line in file.read(size).splitlines()]
+    folder = directory.path if status == "done" else _last_checkpoint(directory)
     return [
         Metric(key, value, record["time_ms"], record["step"])
-        for record in records
+        for record in (read_metrics(folder / "metrics.jsonl") if folder else ())
         for key, value in record["metrics"].items()
     ]
 
 
-def _size_at_checkpoint(directory: RunDirectory, name: str) -> int:
-    """Return how long a log was at the last checkpoint. One that can't be read is not what a resumed run takes."""
-    for folder in reversed(artifacts.checkpoint_folders(directory)):
-        if sizes := read_object(folder / artifacts.STATE).get("progress", {}).get("log_sizes"):
-            return sizes.get(name, 0)
-    return 0
+def _last_checkpoint(directory: RunDirectory) -> Path | None:
+    """Return the newest checkpoint that has logs."""
+    folders = artifacts.checkpoint_folders(directory)
+    return next((folder for folder in reversed(folders) if (folder / "metrics.jsonl").exists()), None)
 
 
 def _latest_points(run: "Run") -> dict[str, tuple[int, int]]:
@@ -250,9 +273,7 @@ def _end_ms(directory: RunDirectory) -> int:
     return max(times) // 1_000_000
 
 
-def _unreachable(uri: str) -> str | None:
-    try:
-        connect(uri)
-    except Exception as error:
-        return reason(error)
-    return None
+def _keep_traceback(directory: RunDirectory, error: Exception) -> str:
+    path = directory.path / TRACEBACK_FILE
+    path.write_text("".join(traceback.format_exception(error)), encoding="utf-8")
+    return f"an error of parking_exp: {type(error).__name__}: {error}; its traceback is in {path}"

@@ -6,20 +6,25 @@ from collections.abc import Callable
 from pathlib import Path
 
 from parking_exp.config import RunConfig
-from parking_exp.files import read_json, write_json
+from parking_exp.files import read_object, write_json
+from parking_exp.locations import default_uri, store_uri
 from parking_exp.provenance import PROVENANCE_FILE, provenance
 from parking_exp.runs import RunDirectory
-from parking_exp.store import store_uri, without_password
+from parking_exp.store import without_password
 from parking_exp.syncing import try_sync
 
 # Between attempts at a store that fails: so that no more than a twentieth of a training's time goes there.
 SHORTEST_PAUSE_S, PAUSE_TO_ATTEMPT = 30.0, 20.0
 
 
-def later(output_dir: Path) -> str:
-    """Say what to type when a store has failed."""
-    where = "" if output_dir == Path("outputs").absolute() else f" output_dir={shlex.quote(str(output_dir))}"
-    return f"`python scripts/status.py sync=true{where}` sends it when the store is back"
+def later(output_dir: Path, uri: str | None) -> str:
+    """Say what to type when a store has not got everything; `uri` is the store, None for the embedded one."""
+    words = ["python", "scripts/status.py", "sync=true"]
+    if output_dir != Path("outputs").absolute():
+        words.append(f"output_dir={output_dir}")
+    if uri is not None and uri != default_uri(output_dir):
+        words.append(f"tracking.uri={without_password(uri)}")
+    return f"`{shlex.join(words)}` sends what is missing"
 
 
 class Tracker:
@@ -57,13 +62,13 @@ class MlflowTracker(Tracker):
         if self.problem is None:
             self._next_attempt = 0.0
             if before:
-                self.say("the store is back, and has everything")
+                self.say("the store has everything now")
             return
         self._next_attempt = now + max(SHORTEST_PAUSE_S, PAUSE_TO_ATTEMPT * (now - start))
         if before is None:
             where = without_password(self.uri)
-            what_to_do = later(self.directory.path.parents[2])
-            self.say(f"the store {where} fails ({self.problem}); the run goes on, and {what_to_do}")
+            what_to_do = later(self.directory.output_dir, self.uri)
+            self.say(f"the store {where} has not got everything ({self.problem}); the run goes on, and {what_to_do}")
 
 
 def open_tracker(config: RunConfig, directory: RunDirectory, say: Callable[[str], None] = print) -> Tracker:
@@ -73,8 +78,9 @@ def open_tracker(config: RunConfig, directory: RunDirectory, say: Callable[[str]
         return Tracker()
     # Of the process that trains, not of one that syncs later.
     path = directory.path / PROVENANCE_FILE
-    started_ms = (read_json(path) or {}).get("started_ms", time.time_ns() // 1_000_000)
-    write_json(path, {"started_ms": started_ms, "tags": provenance()})
+    started_ms = read_object(path).get("started_ms", time.time_ns() // 1_000_000)
+    tags = provenance() | {"precision": directory.read_status().get("precision", config.precision)}
+    write_json(path, {"started_ms": started_ms, "tags": tags})
     uri = store_uri(config)
     directory.update(tracking_uri=uri)
     return MlflowTracker(uri, directory, say)

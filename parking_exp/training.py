@@ -9,7 +9,6 @@ import time
 import traceback
 from collections.abc import Mapping
 from contextlib import nullcontext
-from pathlib import Path
 from typing import Any
 
 import torch
@@ -20,9 +19,13 @@ from parking_exp.algorithms import torch_settings
 from parking_exp.checkpoints import Progress
 from parking_exp.config import RunConfig
 from parking_exp.errors import ConfigError, FailedRunError, InterruptedRunError
-from parking_exp.logs import cut_back
+from parking_exp.files import write_atomically
+from parking_exp.logs import log_hashes, restore_logs
+from parking_exp.models import make_models
 from parking_exp.progress import TrainingProgress
+from parking_exp.provenance import typed_command
 from parking_exp.runs import RunDirectory, RunResult
+from parking_exp.saving import check_saving
 from parking_exp.session import Session
 from parking_exp.stopping import StopRequest, stop_on_signal
 from parking_exp.summary import describe
@@ -34,7 +37,8 @@ from parking_exp.validation import validate
 def train(config: DictConfig | Mapping[str, Any] | RunConfig, *, supervised: bool = False) -> RunResult:
     """Train, evaluate and track one run, or finish what is left of it.
 
-    A run that is done returns its stored result. One that was cut off goes on from its latest whole checkpoint.
+    A run that is done returns its stored result, and its models are made again if they are gone. One that was cut off
+    goes on from its latest whole checkpoint.
     `supervised`: another process has claimed the run, and started this one for it.
 
     Raises:
@@ -44,31 +48,42 @@ def train(config: DictConfig | Mapping[str, Any] | RunConfig, *, supervised: boo
         FailedRunError: anything else; the run is marked failed, its traceback kept.
     """
     config = validate(config)
-    if config.device.startswith("cuda") and not torch.cuda.is_available():
-        raise ConfigError(f"device={config.device}: torch finds no CUDA device; the closest valid choice is cpu")
     directory = RunDirectory(config.run_dir)
+    if directory.result() is None:
+        if config.device.startswith("cuda") and not torch.cuda.is_available():
+            raise ConfigError(f"device={config.device}: torch finds no CUDA device; the closest valid choice is cpu")
+        check_saving(config)
     with nullcontext() if supervised else directory.claimed(), directory.locked():
         if (result := directory.result()) is not None:
             say("already done; to train it afresh, change the seed or delete its directory")
-            say(*_closing_words(result, directory.unsynced))
+            if directory.lacks_model:
+                say(make_models(directory))
+            say(*_closing_words(result, directory))
             return result
         directory.create(config)
-        with stop_on_signal() as stop, torch_settings(config):
+        # A run goes on as it began, on whatever machine.
+        recorded = directory.read_status().get("precision")
+        with stop_on_signal() as stop, torch_settings(config, recorded) as precision:
+            directory.update(precision=precision)
             return _train(config, directory, stop)
 
 
 def _train(config: RunConfig, directory: RunDirectory, stop: StopRequest) -> RunResult:
     (directory.path / "traceback.txt").unlink(missing_ok=True)
-    process = {"pid": os.getpid(), "host": socket.gethostname(), "started": time.time()}
+    process: dict[str, Any] = {"pid": os.getpid(), "host": socket.gethostname(), "started": time.time()}
+    if command := typed_command():  # a supervised run has the sweep's
+        process["command"] = command
     directory.update(status="running", error=None, killed=None, total_timesteps=config.total_timesteps, **process)
     tracker = Tracker()
     try:
         checkpoint = checkpoints.latest(directory.checkpoints)
         progress = checkpoints.read_progress(checkpoint) if checkpoint else Progress()
-        cut_back(directory.path, progress.log_sizes)
+        damaged = restore_logs(directory.path, checkpoint)
         shown = config.tracking.progress_bar
         with TrainingProgress(config.total_timesteps, progress.step, shown, beat=directory.beat) as bar:
             bar.say(f"{config.cell}, seed {config.seed}: {config.total_timesteps} env steps, in {directory.path}")
+            for name in damaged:
+                bar.say(f"{name} was damaged; it is taken from the checkpoint")
             tracker = open_tracker(config, directory, bar.say)
             session = Session(
                 config=config,
@@ -83,7 +98,7 @@ def _train(config: RunConfig, directory: RunDirectory, stop: StopRequest) -> Run
             episodes = session.finish()
         metrics = session.metrics.latest()
         finished = RunResult(str(directory.path), directory.run_id, session.model.num_timesteps, metrics)
-        directory.finish(finished, **_cost(finished))
+        directory.finish(finished, logs=log_hashes(directory.path), **_cost(finished))
     except (InterruptedRunError, KeyboardInterrupt) as error:
         directory.update(status="interrupted")
         tracker.close()
@@ -98,19 +113,19 @@ def _train(config: RunConfig, directory: RunDirectory, stop: StopRequest) -> Run
     try:
         tracker.close()
     except KeyboardInterrupt:
-        words = f"the run is done, its store is not up to date; {later(config.output_path)}"
+        words = f"the run is done, its store is not up to date; {later(config.output_path, directory.tracking_uri)}"
         raise InterruptedRunError(words, signal.SIGINT) from None
     result = directory.result()
     assert result is not None
-    say(*describe(episodes).split("\n"), *_closing_words(result, directory.unsynced))
+    say(*describe(episodes).split("\n"), *_closing_words(result, directory))
     return result
 
 
 def _record_failure(error: BaseException, directory: RunDirectory, tracker: Tracker) -> None:
     """Leave a status and a traceback behind, as far as a full disk or a lost store allows."""
     steps = (
-        lambda: (directory.path / "traceback.txt").write_text("".join(traceback.format_exception(error))),
         lambda: directory.update(status="failed", error=f"{type(error).__name__}: {error}"),
+        lambda: write_atomically(directory.path / "traceback.txt", "".join(traceback.format_exception(error))),
         tracker.close,
     )
     for step in steps:
@@ -131,7 +146,7 @@ def _cost(result: RunResult) -> dict[str, float | None]:
     }
 
 
-def _closing_words(result: RunResult, unsynced: str | None) -> list[str]:
+def _closing_words(result: RunResult, directory: RunDirectory) -> list[str]:
     rate = result.metrics.get("certified/success_rate")
     lines = (
         [f"final success rate {rate:.1%} on highway-env, after {result.steps} env steps"] if rate is not None else []
@@ -139,6 +154,7 @@ def _closing_words(result: RunResult, unsynced: str | None) -> list[str]:
     lines.append(f"run directory  {result.run_dir}")
     if result.run_id:
         lines.append(f"MLflow run     {result.run_id}   (make ui)")
-    if unsynced:
-        lines.append(f"not all of it is in the store ({unsynced}); {later(Path(result.run_dir).parents[2])}")
+    if directory.unsynced:
+        what_to_do = later(directory.output_dir, directory.tracking_uri)
+        lines.append(f"not all of it is in the store ({directory.unsynced}); {what_to_do}")
     return lines

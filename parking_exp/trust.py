@@ -4,6 +4,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
+from parking_exp.arguments import CLASS_ARGUMENTS, class_path
 from parking_exp.config import RunConfig
 from parking_exp.errors import UntrustedError
 from parking_exp.signatures import UnknownTarget, defined_in
@@ -53,6 +54,8 @@ def is_trusted(target: object) -> bool:
     """Whether a `_target_` is the dotted path of a class that is defined in one of the `TRUSTED` modules."""
     if not isinstance(target, str) or not all(part.isidentifier() for part in target.split(".")):
         return False
+    if target.partition(".")[0] not in {trusted.partition(".")[0] for trusted in TRUSTED}:
+        return False  # another package that has imported such a class
     try:
         module = defined_in(target)
     except UnknownTarget:
@@ -61,11 +64,13 @@ def is_trusted(target: object) -> bool:
 
 
 def _targets(node: Any, key: str = "") -> Iterator[tuple[str, Any]]:
-    """Yield every `_target_` in nested containers, with its key."""
+    """Yield everything in nested containers that is imported: each `_target_` and each class argument, with its key."""
     children = node.items() if isinstance(node, Mapping) else enumerate(node) if isinstance(node, list) else ()
     for name, value in children:
         path = f"{key}.{name}" if key else str(name)
         if name == "_target_":
+            yield path, class_path(node)
+        elif name in CLASS_ARGUMENTS and isinstance(value, str):
             yield path, value
         else:
             yield from _targets(value, path)

@@ -2,6 +2,9 @@
 
 import difflib
 from collections.abc import Iterable
+from typing import Any
+
+from pydantic import BaseModel
 
 from parking_exp.signatures import UnknownTarget
 
@@ -36,3 +39,44 @@ def no_target(key: str, target: str, error: UnknownTarget) -> str:
     """Return what is wrong with a `_target_` that names nothing."""
     extra = "; pip install 'parking-exp[contrib]'" if target.startswith("sb3_contrib.") and not error.known else ""
     return f"{key}={target}: {error.reason}{closest(target.rpartition('.')[2], error.known)}{extra}"
+
+
+def sentence(item: Any, model: type[BaseModel] | None = None, prefix: str = "") -> str:
+    """Say what pydantic complains about: an item of `ValidationError.errors()`, of a section or of the key `prefix`."""
+    parts = [str(part) for part in item["loc"] if part != "nullable"]
+    key = ".".join([*([prefix] if prefix else []), *parts])
+    context, value = item.get("ctx", {}), item["input"]
+    match item["type"]:
+        case "extra_forbidden":
+            return f"{key}: there is no such key{closest(parts[-1], _keys(model, parts[:-1]))}"
+        case "missing":
+            return f"{key} is missing"
+        case "greater_than_equal":
+            return f"{key}={value} is out of range; the closest valid choice is {context['ge']}"
+        case "less_than_equal":
+            return f"{key}={value} is out of range; the closest valid choice is {context['le']}"
+        case "less_than":
+            return f"{key}={value} is out of range; the closest valid choice is {context['lt'] - 1}"
+        case "greater_than":
+            return f"{key}={value} is out of range; it must be greater than {context['gt']}"
+        case "literal_error":
+            choices = [part.strip().strip("'") for part in context["expected"].replace(" or ", ", ").split(", ")]
+            hint = closest(str(value), choices) if len(choices) > 1 else f"; it can only be {choices[0]}"
+            return f"{key}={value} is not a valid choice{hint}"
+        case "model_type":
+            return f"{key}={value!r} is not a group of keys; it holds {', '.join(_keys(model, parts))}"
+        case "string_pattern_mismatch" if parts == ["device"]:
+            return f"device={value!r} is not a valid choice; choose from cpu, auto, cuda, cuda:N, mps"
+        case "string_pattern_mismatch":
+            return f"{key}={value!r} is not valid; it must match {context['pattern']}"
+    problem = item["msg"][0].lower() + item["msg"][1:]
+    return f"{key}={value!r}: {problem}"
+
+
+def _keys(model: type[BaseModel] | None, path: list[str]) -> list[str]:
+    """Keys of the (nested) section at a path."""
+    for part in path:
+        field = model.model_fields.get(part) if model else None
+        annotation = field.annotation if field else None
+        model = annotation if isinstance(annotation, type) and issubclass(annotation, BaseModel) else None
+    return list(model.model_fields) if model else []

@@ -20,12 +20,19 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any, Literal
 
-from parking_exp.config import RunConfig
-from parking_exp.errors import ConfigError, FailedRunError, InterruptedRunError, ParkingError, RunLockedError
+from parking_exp.errors import (
+    ConfigError,
+    FailedRunError,
+    InterruptedRunError,
+    OutputDirectoryError,
+    ParkingError,
+    RunLockedError,
+)
 from parking_exp.garbage import no_garbage
+from parking_exp.locations import directory_path, store_uri
 from parking_exp.machine import THREAD_VARIABLES, pin
 from parking_exp.runs import RunDirectory
-from parking_exp.store import import_mlflow, store_uri
+from parking_exp.store import import_mlflow
 from parking_exp.terminal import say
 
 LOG_FILE = "log.txt"
@@ -76,17 +83,32 @@ def supervise(
         return "elsewhere"
     try:
         with directory.claimed():
-            if (status := directory.status) in ("done", "failed"):
+            if (status := directory.status) == "done" and directory.can_make_models:
+                _make_models(directory)
+            if status in ("done", "failed"):
                 return status  # by another sweep, since this one was planned
             return _run(directory, share or Share(), stop or threading.Event(), started)
     except RunLockedError:
         return "elsewhere"
 
 
+def _make_models(directory: RunDirectory) -> None:
+    """Make models that are gone again. That is a copy, and takes no process of its own; the run stays done."""
+    from parking_exp.models import make_models
+
+    try:
+        say(make_models(directory), stderr=True)
+    except OSError as error:
+        say(f"error: {directory.models} cannot be written: {error.strerror}", stderr=True)
+
+
 def _run(directory: RunDirectory, share: Share, stop: threading.Event, started: OnStart | None) -> Ending:
     try:
-        config = _present_config(directory)
-    except ConfigError as error:
+        config = directory.config()
+        if config.run_dir != directory_path(directory.path):
+            raise ConfigError(f"{directory.path / 'config.yaml'} is the config of another run; type the sweep again")
+        directory.reserve()
+    except (ConfigError, OutputDirectoryError) as error:
         directory.update(status="failed", error=str(error))
         return "failed"
     # Before there is a worker: what that one writes is later, and must not be overwritten.
@@ -106,11 +128,6 @@ def _run(directory: RunDirectory, share: Share, stop: threading.Event, started: 
                 _kill(process)
     past = f"ran past timeout_s={config.timeout_s:g}" if late else None
     return _ending(directory, process.returncode, past, stop.is_set())
-
-
-def _present_config(directory: RunDirectory) -> RunConfig:
-    """Read a run's config. Where the directory is now counts: it may have been moved since that was written."""
-    return directory.config().model_copy(update={"output_dir": str(directory.path.parents[2])})
 
 
 def _wait(process: subprocess.Popen[bytes], timeout_s: float | None, stop: threading.Event) -> bool:
@@ -205,7 +222,7 @@ def main() -> None:
         pin([int(core) for core in cores.split(",")])
     directory = RunDirectory(path)
     try:
-        config = _present_config(directory)
+        config = directory.config()
         with no_garbage(freeze=True):  # of torch, for which cores and threads are settled now
             from parking_exp.training import train
 

@@ -53,7 +53,8 @@ def in_memory():
 @pytest.fixture(scope="session")
 def empty():
     """An output directory with an initialised store: to make one takes seconds."""
-    from parking_exp.store import connect, default_uri
+    from parking_exp.locations import default_uri
+    from parking_exp.store import connect
 
     with in_memory() as folder:
         connect(default_uri(Path(folder)))
@@ -76,7 +77,8 @@ def only_run(output_dir):
 
 def store(output_dir):
     """A client of an output directory's own store."""
-    from parking_exp.store import connect, default_uri
+    from parking_exp.locations import default_uri
+    from parking_exp.store import connect
 
     return connect(default_uri(output_dir))
 

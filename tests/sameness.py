@@ -69,7 +69,7 @@ def events(path):
 
 def state(path):
     found = json.loads(path.read_text())
-    for name in ("cpu_s", "wall_s", "log_sizes"):
+    for name in ("cpu_s", "wall_s"):
         del found["progress"][name]
     for episode in found["model"]["ep_info_buffer"]:
         del episode["t"]

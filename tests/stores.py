@@ -27,11 +27,12 @@ from parking_exp.composition import composed
 from parking_exp.config import RunConfig
 from parking_exp.evaluation import summarise
 from parking_exp.files import write_json
-from parking_exp.logs import append_episodes
+from parking_exp.locations import default_uri
+from parking_exp.logs import append_episodes, copy_logs
 from parking_exp.lot import SLOT_POSITIONS
 from parking_exp.provenance import provenance
 from parking_exp.runs import RunDirectory, RunResult
-from parking_exp.store import Store, default_uri
+from parking_exp.store import Store
 from parking_exp.syncing import LONGEST_PARAM, MLFLOW_STATUS, flatten, sync
 
 STARTED_MS = 1_700_000_000_000
@@ -248,8 +249,7 @@ def _write(directory: RunDirectory, config: RunConfig, look: Look, label: str, u
     if lines:  # a checkpoint, without which the store gets no metrics yet
         folder = directory.checkpoints / f"step={lines[-1]['step']:010d}"
         folder.mkdir(parents=True)
-        sizes = {"metrics.jsonl": (path / "metrics.jsonl").stat().st_size}
-        write_json(folder / "state.json", {"progress": {"log_sizes": sizes}})
+        copy_logs(path, folder)
     if look.status == "failed":
         (path / "traceback.txt").write_text(f"Traceback (most recent call last):\n{look.error}\n")
 

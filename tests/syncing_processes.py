@@ -11,16 +11,23 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from parking_exp.files import sha256, write_json
-from parking_exp.logs import MetricsLog, sync_logs
+from parking_exp.locations import default_uri
+from parking_exp.logs import MetricsLog, copy_logs
+from parking_exp.outdated import sync_all
 from parking_exp.runs import RunDirectory
 from parking_exp.states import find
 from parking_exp.store import ENVIRONMENT
-from parking_exp.syncing import sync, sync_all
+from parking_exp.syncing import sync as sync_to
 
 KEYS = ("eval/success_rate", "rollout/ep_rew_mean", "train/loss")
 WATCHED = ("parking_exp/store.py", "parking_exp/syncing.py", "parking_exp/artifacts.py", "parking_exp/files.py",
            "parking_exp/runs.py", "mlflow/tracking/client.py", "mlflow/store/tracking/sqlalchemy_store.py",
            "mlflow/store/artifact/local_artifact_repo.py")  # fmt: skip
+
+
+def sync(directory):
+    """Sync with the store that the run was tracked in."""
+    sync_to(directory, directory.tracking_uri)
 
 
 def grow(directory, rows, checkpoint=True):
@@ -34,8 +41,9 @@ def grow(directory, rows, checkpoint=True):
         folder.mkdir(parents=True)
         (folder / "model.zip").write_bytes(b"model" * 1000)
         (folder / "replay_buffer.npz").write_bytes(b"buffer")
-        write_json(folder / "state.json", {"progress": {"log_sizes": sync_logs(directory.path)}})
-        files = {name: sha256(folder / name) for name in ("model.zip", "replay_buffer.npz", "state.json")}
+        write_json(folder / "state.json", {"progress": {}})
+        copy_logs(directory.path, folder)
+        files = {file.name: sha256(file) for file in folder.iterdir()}
         write_json(folder / "manifest.json", files)
         for stale in sorted(directory.checkpoints.iterdir())[:-2]:
             for file in stale.iterdir():
@@ -112,4 +120,5 @@ if __name__ == "__main__":
         endings = [statuses([forked(killed_sync, *pair)])[0] for pair in zip(directories, moments, strict=True)]
         print(endings)
     if command == "scan":
-        print(len(list(sync_all([RunDirectory(path) for path in find(Path(paths[0]))]))), "mlflow" in sys.modules)
+        found = [RunDirectory(path) for path in find(Path(paths[0]))]
+        print(len(list(sync_all(found, [default_uri(Path(paths[0]))]))))

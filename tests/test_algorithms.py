@@ -7,9 +7,11 @@ from pathlib import Path
 import gymnasium as gym
 import numpy as np
 import pytest
+import torch
 from conftest import make_config, options
 from hydra.utils import get_class
 from stable_baselines3.common.logger import Logger
+from stable_baselines3.common.torch_layers import CombinedExtractor
 from stable_baselines3.common.vec_env import DummyVecEnv
 
 from parking_exp.algorithms import build_model, greedy_policy
@@ -133,9 +135,52 @@ def test_a_learning_rate_schedule_is_a_target_node():
     assert [model.lr_schedule(progress) for progress in (1.0, 0.5, 0.0)] == pytest.approx([1e-2, 5.5e-3, 1e-3])
 
 
+@pytest.mark.parametrize("algorithm", options("algorithm"))
+@pytest.mark.parametrize(
+    "written",
+    [
+        "{name}",
+        "{{_target_:hydra.utils.get_class,path:{name}}}",
+        "{{_target_:{name},_partial_:true}}",
+        "{{_target_:{name}}}",
+    ],
+)
+def test_classes_among_the_policys_arguments_are_dotted_paths_or_targets(algorithm, written):
+    classes = {"activation_fn": "torch.nn.Tanh", "optimizer_class": "torch.optim.AdamW"}
+    typed = ",".join(f"{key}:{written.format(name=name)}" for key, name in classes.items())
+    config = make_config(
+        *SMALL, f"algorithm={algorithm}", f"+algorithm.policy_kwargs={{{typed},optimizer_kwargs:{{weight_decay:0.5}}}}"
+    )
+    model = build_model(config, make_training_envs(config.env, config.n_envs), seed=0)
+    model.set_logger(Logger(None, []))
+    model.learn(60)
+    assert model._n_updates > 0
+    assert {type(module) for module in model.actor.modules()} & {torch.nn.Tanh, torch.nn.ReLU} == {torch.nn.Tanh}
+    for network in (model.actor, model.critic):
+        assert type(network.optimizer) is torch.optim.AdamW
+        assert network.optimizer.param_groups[0]["weight_decay"] == 0.5
+
+
+def test_arguments_of_a_class_are_given_to_it():
+    activation = "{_target_:torch.nn.LeakyReLU,negative_slope:0.3}"
+    config = make_config(*SMALL, f"+algorithm.policy_kwargs.activation_fn={activation}")
+    model = build_model(config, make_training_envs(config.env, config.n_envs), seed=0)
+    slopes = {module.negative_slope for module in model.actor.modules() if isinstance(module, torch.nn.LeakyReLU)}
+    assert slopes == {0.3}
+
+
+def test_another_features_extractor_takes_the_place_of_ours():
+    extractor = "stable_baselines3.common.torch_layers.CombinedExtractor"
+    kwargs = f"{{features_extractor_class:{extractor},features_extractor_kwargs:{{cnn_output_dim:32}}}}"
+    config = make_config(*SMALL, "algorithm.features=raw", f"+algorithm.policy_kwargs={kwargs}")
+    model = build_model(config, make_training_envs(config.env, config.n_envs), seed=0)
+    assert type(model.actor.features_extractor) is CombinedExtractor
+    assert model.policy_kwargs["features_extractor_kwargs"] == {"cnn_output_dim": 32}
+
+
 def test_what_the_library_refuses_is_a_config_error():
-    config = make_config(*SMALL, "+algorithm.policy_kwargs.n_critic=3")
-    with pytest.raises(ConfigError, match=r"parking_exp.lean.SAC refuses its arguments: .*n_critic"):
+    config = make_config(*SMALL, "+algorithm.policy_kwargs.optimizer_kwargs={betas:[2,2]}")
+    with pytest.raises(ConfigError, match=r"parking_exp.lean.SAC refuses its arguments: Invalid beta"):
         build_model(config, make_training_envs(config.env, config.n_envs), seed=0)
 
 

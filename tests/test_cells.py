@@ -7,7 +7,7 @@ import pytest
 from conftest import run_script
 
 from parking_exp.cells import points, seeds_of
-from parking_exp.composition import composed
+from parking_exp.composition import composed, composed_runs
 from parking_exp.errors import ConfigError
 from parking_exp.validation import validate
 
@@ -66,8 +66,27 @@ def test_seeds(value, seeds):
 
 @pytest.mark.parametrize("value", [0, -1, True, "x", [], ["a"], 1.5, [True], [[1]]])
 def test_other_seeds_are_refused(value):
-    with pytest.raises(ConfigError, match="neither a number of seeds nor a list"):
+    with pytest.raises(ConfigError, match=r"neither a number of seeds .* nor a list"):
         seeds_of(value)
+
+
+@pytest.mark.parametrize(
+    ("overrides", "message"),
+    [
+        (["seeds=4294967296"], "seeds=4294967296 makes 4294967296 runs; a sweep has 100000 at most"),
+        (["seeds=50001", "buffer=her_future,replay"], "2 cells x 50001 seeds makes 100002 runs; a sweep has 100000 at most"),
+        ([f"{key}={','.join(map(str, range(1, 11)))}" for key in ("n_envs", "total_timesteps", "algorithm.batch_size", "env.duration",
+          "env.scaling", "checkpoint.keep_last")], "what is swept over makes 1000000 runs; a sweep has 100000 at most"),
+        (["seeds=[3,4294967296]"], "seeds: 4294967296 is out of range; seeds are 0 to 4294967295"),
+    ],
+)  # fmt: skip
+def test_more_runs_than_a_sweep_can_have_are_refused(overrides, message):
+    with pytest.raises(ConfigError, match=f"^{re.escape(message)}$"):
+        composed_runs("config", overrides)
+
+
+def test_a_sweep_can_have_a_hundred_thousand_runs():
+    assert len(composed_runs("config", ["seeds=100000"])) == 100_000
 
 
 def test_seeds_on_a_command_line():
@@ -83,8 +102,11 @@ def test_seeds_on_a_command_line():
 @pytest.mark.parametrize(
     ("overrides", "message"),
     [
-        (("seeds=a,b",), "seeds=['a', 'b'] is neither a number of seeds nor a list of them"),
-        (("seeds=[1,2],[3]",), "seeds=[[1, 2], [3]] is neither a number of seeds nor a list of them"),
+        (("seeds=a,b",), "seeds=['a', 'b'] is neither a number of seeds (1 or more) nor a list of them, such as [0,1]"),
+        (
+            ("seeds=[1,2],[3]",),
+            "seeds=[[1, 2], [3]] is neither a number of seeds (1 or more) nor a list of them, such as [0,1]",
+        ),
         (("seeds=3", "seed=1"), "seed and seeds are both given; seeds=[...] names several"),
         (("cells=3",), "cells=3 is not a list of {key: [values]}"),
         (("cells=[3]",), "cells=[3] is not a list of {key: [values]}"),

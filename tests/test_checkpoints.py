@@ -13,7 +13,8 @@ from parking_exp import checkpoints
 from parking_exp.algorithms import build_model
 from parking_exp.checkpoints import Progress
 from parking_exp.envs.vector import make_training_envs
-from parking_exp.logs import APPENDED, cut_back, sync_logs
+from parking_exp.errors import DamagedFileError
+from parking_exp.logs import APPENDED, copy_logs, damaged_logs, log_hashes, read_metrics, restore_logs
 
 
 def trained(*overrides, steps=100):
@@ -108,7 +109,7 @@ def test_keep_last_bounds_what_is_on_disk(tmp_path):
         save(tmp_path, model, step, keep_last=2)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["step=0000000030", "step=0000000040"]
     assert sorted(path.name for path in (tmp_path / "step=0000000040").iterdir()) == [
-        "manifest.json", "model.zip", "replay_buffer.npz", "state.json", "state.npz",
+        "manifest.json", "metrics.jsonl", "model.zip", "replay_buffer.npz", "state.json", "state.npz",
     ]  # fmt: skip
 
 
@@ -217,13 +218,65 @@ def test_restoring_unpickles_nothing(tmp_path, monkeypatch):
     assert fresh.num_timesteps == 100
 
 
-def test_logs_are_cut_back_to_the_checkpoint(tmp_path):
+@pytest.fixture
+def logs(tmp_path):
+    """A run directory with logs, and a checkpoint that has metrics and episodes but no monitor.csv yet."""
+    checkpoint = tmp_path / "checkpoint"
+    checkpoint.mkdir()
+    for name in ("metrics.jsonl", "episodes.csv"):
+        (tmp_path / name).write_text(f"{name}: kept\n")
+    copy_logs(tmp_path, checkpoint)
+    return tmp_path, checkpoint
+
+
+def test_logs_are_cut_back_to_the_checkpoint(logs):
+    run_dir, checkpoint = logs
     for name in APPENDED:
-        (tmp_path / name).write_text("kept\n")
-    before = sync_logs(tmp_path)
-    (tmp_path / "metrics.jsonl").write_text("kept\n" + json.dumps({"step": 9}))
-    (tmp_path / "episodes.csv").write_text("kept\nhalf a l")
-    cut_back(tmp_path, {name: before[name] for name in ("metrics.jsonl", "episodes.csv")})
-    assert (tmp_path / "metrics.jsonl").read_text() == "kept\n"
-    assert (tmp_path / "episodes.csv").read_text() == "kept\n"
-    assert not (tmp_path / "monitor.csv").exists()  # it did not exist yet at the checkpoint
+        with (run_dir / name).open("a") as file:
+            file.write("half a l")
+    assert restore_logs(run_dir, checkpoint) == []
+    for name in ("metrics.jsonl", "episodes.csv"):
+        assert (run_dir / name).read_text() == f"{name}: kept\n"
+    assert not (run_dir / "monitor.csv").exists()  # it did not exist yet at the checkpoint
+
+
+DAMAGE = {
+    "gone": lambda path: path.unlink(),
+    "emptied": lambda path: path.write_bytes(b""),
+    "cut": lambda path: path.write_bytes(path.read_bytes()[:-3]),
+    "flipped": lambda path: path.write_bytes(b"M" + path.read_bytes()[1:] + b"and more\n"),
+}
+
+
+@pytest.mark.parametrize("kind", DAMAGE)
+def test_a_log_that_has_lost_something_is_taken_from_the_checkpoint(logs, kind):
+    run_dir, checkpoint = logs
+    DAMAGE[kind](run_dir / "metrics.jsonl")
+    assert damaged_logs(run_dir, {}, checkpoint) == ["metrics.jsonl"]
+    assert restore_logs(run_dir, checkpoint) == ["metrics.jsonl"]
+    assert (run_dir / "metrics.jsonl").read_bytes() == b"metrics.jsonl: kept\n"
+    assert damaged_logs(run_dir, {}, checkpoint) == []
+
+
+@pytest.mark.parametrize("kind", DAMAGE)
+def test_logs_of_a_run_that_is_done_are_known_by_their_hashes(logs, kind):
+    run_dir, _ = logs
+    hashes = log_hashes(run_dir)
+    assert damaged_logs(run_dir, hashes, None) == []
+    DAMAGE[kind](run_dir / "episodes.csv")
+    assert damaged_logs(run_dir, hashes, None) == ["episodes.csv"]
+
+
+def test_without_a_checkpoint_logs_begin_anew(logs):
+    run_dir, _ = logs
+    assert restore_logs(run_dir, None) == []
+    assert not any((run_dir / name).exists() for name in APPENDED)
+
+
+@pytest.mark.parametrize("line", ["{", "[]", "3", '{"step": 1}', '{"step": 1, "time_ms": 1, "metrics": 3}', "\x00" * 9])
+def test_a_damaged_row_of_metrics_is_named(tmp_path, line):
+    path = tmp_path / "metrics.jsonl"
+    path.write_text('{"step": 1, "time_ms": 1, "metrics": {"a": 1.0}}\n' + line + "\n")
+    with pytest.raises(DamagedFileError) as refusal:
+        list(read_metrics(path))
+    assert str(refusal.value) == f"{path} is damaged: line 2 is no row of metrics"

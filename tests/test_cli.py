@@ -6,7 +6,7 @@ import subprocess
 import sys
 
 import pytest
-from conftest import ROOT, run_script
+from conftest import ROOT, options, run_script
 
 from parking_exp.composition import composed, quoted
 
@@ -29,7 +29,13 @@ finally:
         (["env=parkin"], "error: env=parkin: there is no such option; did you mean 'parking'?\n"),
         (["algorithm.gamma=2"], "error: algorithm.gamma=2 is out of range; the closest valid choice is 1.0\n"),
         (["-m", "seed=0,1", "n_envs=0"], "error: n_envs=0 is out of range; the closest valid choice is 1\n"),
-        (["seed=[1"], "error: "),
+        (["seed=[1"], "error: seed=[1: can't be read; write KEY=VALUE, "),
+        (
+            ["algorithm._target_=__main__.X"],
+            "error: algorithm._target_=__main__.X: __main__ is a script, not a module; ",
+        ),
+        (["seeds=4294967296"], "error: seeds=4294967296 makes 4294967296 runs; a sweep has 100000 at most\n"),
+        (["env=null"], "error: env=null: leave it out, or choose from parking, "),
         (["experiment=smoke", "+nonsense=1"], "error: nonsense: there is no such key"),
     ],
 )
@@ -55,6 +61,16 @@ def test_help_and_refusals_import_nothing_heavy(tmp_path, name, argument):
     done = subprocess.run([sys.executable, "-c", code], check=False, capture_output=True, text=True, cwd=tmp_path)
     assert done.stderr.endswith("heavy: []\n")
     assert list(tmp_path.iterdir()) == []
+
+
+def test_help_lists_the_groups_that_the_command_has_with_their_options():
+    lines = run_script("train", "--help").stdout.splitlines()
+    start = lines.index("Groups (group=option)") + 1
+    listed = {line.partition(": ")[0]: line.partition(": ")[2] for line in lines[start : lines.index("", start)]}
+    launchers = listed.pop("hydra/launcher")
+    groups = ("env", "algorithm", "buffer", "budget", "experiment")
+    assert listed == {group: ", ".join(options(group)) for group in groups}
+    assert launchers.startswith("basic, local, ray, slurm ")
 
 
 def test_help_names_groups_keys_and_examples():

@@ -4,6 +4,9 @@ import pytest
 from conftest import make_config
 from highway_env.envs.parking_env import ParkingEnv
 
+from parking_exp.config import RunConfig
+from parking_exp.validation import validate
+
 
 def test_parking_has_highway_envs_own_options_and_values():
     ours = make_config("env=parking").env.highway_options()
@@ -73,3 +76,45 @@ def test_run_directories_are_absolute_and_readable(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     config = make_config("experiment=smoke", "seed=3")
     assert config.run_dir == tmp_path / "outputs" / "smoke" / f"parking-sac-her_future-{config.cell_key}" / "seed=3"
+
+
+@pytest.mark.parametrize(
+    ("overrides", "expected"),
+    [
+        ("algorithm._target_=sb3_contrib.TQC", "parking-tqc-her_future"),
+        ("algorithm._target_=misbehaving.Lingers", "parking-lingers-her_future"),
+        ("algorithm._target_=stable_baselines3.SAC", "parking-sac-her_future"),
+        ("algorithm=td3 algorithm._target_=stable_baselines3.TD3", "parking-td3-her_future"),
+        ("algorithm.name=td3", "parking-sac-her_future"),
+        ("algorithm.name=my_variant algorithm._target_=sb3_contrib.TQC", "parking-my_variant-her_future"),
+        ("buffer.goal_selection_strategy=final", "parking-sac-her_final"),
+        ("buffer=replay buffer.goal_selection_strategy=random", "parking-sac-her_random"),
+        ("~buffer.goal_selection_strategy", "parking-sac-her_future"),
+        ("buffer.goal_selection_strategy=null ~buffer.n_sampled_goal ~buffer.relabel_collision "
+         "~buffer.relabel_terminated ~buffer.goal_velocity", "parking-sac-replay"),
+        ("buffer._target_=stable_baselines3.common.buffers.DictReplayBuffer ~buffer.n_sampled_goal "
+         "~buffer.relabel_collision ~buffer.relabel_terminated ~buffer.goal_velocity ~buffer.goal_selection_strategy",
+         "parking-sac-replay"),
+        ("buffer.name=mine buffer.goal_selection_strategy=final", "parking-sac-mine"),
+        ("env.reward=sparse", "parking_sparse-sac-her_future"),
+        ("env=parking_sparse env.reward=dense", "parking-sac-her_future"),
+        ("env.vehicles_count=3", "parking_parked-sac-her_future"),
+        ("env=parking_parked env.vehicles_count=0", "parking-sac-her_future"),
+        ("env=parking_parked env.reward=sparse", "parking_parked_sparse-sac-her_future"),
+        ("env=parking_2021 env.reward=sparse", "parking_2021_sparse-sac-her_future"),
+        ("env=parking_2021 env.add_walls=true", "parking-sac-her_future"),
+        ("env=parking_action_repeat env.policy_frequency=5", "parking-sac-her_future"),
+        ("env.name=mine env.reward=sparse", "mine-sac-her_future"),
+        ("env.collision_reward=-1", "parking-sac-her_future"),
+    ],
+)  # fmt: skip
+def test_a_name_never_contradicts_what_runs(overrides, expected):
+    config = make_config(*overrides.split())
+    assert config.cell == f"{expected}-{config.cell_key}"
+    assert validate(config.plain()) == config
+
+
+def test_a_class_whose_name_is_no_name_leaves_a_valid_one():
+    plain = make_config().plain()
+    plain["algorithm"]["_target_"] = "mine._MySÄC"
+    assert RunConfig.model_validate(plain).algorithm.name == "mysc"

@@ -7,7 +7,7 @@ import pytest
 from conftest import run_script
 from sweeps import MISBEHAVING, QUICK
 
-from parking_exp.machine import cores, cuda_devices, free_memory, shares
+from parking_exp.machine import cores, cuda_devices, free_memory, shares, total_memory
 from parking_exp.worker import Share
 
 
@@ -39,6 +39,14 @@ def test_a_share_sets_threads_and_devices():
 def test_visible_devices_are_those_that_are_shared_out(monkeypatch, visible, expected):
     monkeypatch.setenv("CUDA_VISIBLE_DEVICES", visible)
     assert cuda_devices() == expected
+
+
+def test_all_memory_is_bounded_by_the_control_group(tmp_path):
+    whole = total_memory(tmp_path)
+    (tmp_path / "memory.max").write_text("max\n")
+    assert total_memory(tmp_path) == whole > 1e8
+    (tmp_path / "memory.max").write_text("3000\n")
+    assert total_memory(tmp_path) == 3000
 
 
 def test_free_memory_is_bounded_by_the_control_group(tmp_path):

@@ -20,10 +20,10 @@ from stores import STARTED_MS, Look, compose, made_episodes, made_trajectories, 
 from parking_exp import evaluation, results
 from parking_exp.columns import column, times, typed
 from parking_exp.errors import ResultsError
+from parking_exp.locations import default_uri
 from parking_exp.reading import Reader
 from parking_exp.recordings import EPISODES
 from parking_exp.results import load
-from parking_exp.store import default_uri
 
 HER = {"four": ["buffer.n_sampled_goal=4"], "none": ["buffer=replay"]}
 LOOKS = {

@@ -13,11 +13,12 @@ import pytest
 import torch
 from conftest import make_config, only_run, script
 from gymnasium import spaces
+from omegaconf import OmegaConf
 from sameness import differences, exact
 from stable_baselines3.common.logger import Logger
 from test_training import wait_for
 
-from parking_exp import checkpoints, session, streams, trees
+from parking_exp import algorithms, checkpoints, session, streams, trees
 from parking_exp.algorithms import build_model, greedy_policy
 from parking_exp.envs import make_env, vector
 from parking_exp.envs.retrace import Retraced
@@ -55,6 +56,9 @@ KINDS = {
     ),
     "tqc": ("algorithm=tqc", "buffer=her_final"),
     "crossq": ("algorithm=crossq",),
+    "sac with another activation and optimizer": (
+        "+algorithm.policy_kwargs={activation_fn:torch.nn.Tanh,optimizer_class:{_target_:torch.optim.AdamW,_partial_:true}}",
+    ),
 }  # fmt: skip
 
 
@@ -128,6 +132,42 @@ def test_a_run_that_was_cut_off_twice_is_the_one_that_was_not(tmp_path, kind):
     whole = run(tmp_path / "whole", *KINDS[kind])
     pieces = run(tmp_path / "pieces", *KINDS[kind], cuts=[cut_at(71), cut_at(137)])
     assert differences(whole, pieces) == []
+
+
+DAMAGE = {
+    "gone": lambda path: path.unlink(),
+    "cut": lambda path: path.write_bytes(path.read_bytes()[:40]),
+    "flipped": lambda path: path.write_bytes(b"\x00" + path.read_bytes()[1:]),
+}
+
+
+@pytest.mark.parametrize("kind", DAMAGE)
+@pytest.mark.parametrize("name", ["metrics.jsonl", "episodes.csv", "monitor.csv"])
+def test_a_log_that_was_damaged_before_a_resume_is_whole_again(uninterrupted, tmp_path, capsys, name, kind):
+    config = configured(tmp_path, "tracking.progress_bar=true")
+    with cut_at(137), pytest.raises(FailedRunError):
+        train(config)
+    DAMAGE[kind](only_run(tmp_path).path / name)
+    train(config)
+    assert differences(uninterrupted, only_run(tmp_path).path) == []
+    assert f"{name} was damaged; it is taken from the checkpoint" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("kind", DAMAGE)
+def test_a_run_goes_on_without_its_other_files(uninterrupted, tmp_path, kind):
+    """What is not in a checkpoint, and only says something about the run."""
+    config = configured(tmp_path, "tracking.mlflow=true", f"tracking.uri=sqlite:///{tmp_path / 'file'}/x.db")
+    (tmp_path / "file").touch()  # a store that is down
+    with cut_at(137), pytest.raises(FailedRunError):
+        train(config)
+    for name in ("provenance.json", "synced.json", "status.json", "beat.json"):
+        if (path := only_run(tmp_path).path / name).exists() and (kind != "gone" or name != "status.json"):
+            DAMAGE[kind](path)
+    train(config)
+    directory = only_run(tmp_path)
+    assert differences(uninterrupted, directory.path) == []
+    assert directory.status == "done"
+    assert directory.unsynced == f"File exists: {tmp_path / 'file'}"
 
 
 def test_the_comparison_sees_everything(uninterrupted, tmp_path):
@@ -356,3 +396,16 @@ def test_a_tree_comes_back_with_its_types():
     assert again["empty"].shape == (0, 2)
     with pytest.raises(TypeError, match="a/0 is a Box, which can't be saved without pickling it"):
         trees.split({"a": [spaces.Box(0, 1)]})
+
+
+def test_a_resumed_run_keeps_the_precision_that_it_began_with(tmp_path, monkeypatch):
+    """Another machine, or another moment, would choose otherwise."""
+    wide = ("algorithm.net_arch=[128,128]", "precision=auto")
+    monkeypatch.setattr(algorithms, "faster_precision", lambda model: "medium")
+    whole = run(tmp_path / "whole", *wide)
+    choices = iter(["medium"])
+    monkeypatch.setattr(algorithms, "faster_precision", lambda model: next(choices))
+    pieces = run(tmp_path / "pieces", *wide, cuts=[cut_at(71), cut_at(137)])
+    assert differences(whole, pieces) == []
+    assert read_json(pieces / "status.json")["precision"] == "medium"
+    assert OmegaConf.load(pieces / "config.yaml").precision == "auto"

@@ -1,13 +1,15 @@
 """Signatures read from source are those that Python sees."""
 
 import inspect
+import re
 import subprocess
 import sys
 
 import pytest
+from conftest import make_config, options
 from hydra.utils import get_class
 
-from parking_exp.signatures import Parameter, UnknownTarget, signature
+from parking_exp.signatures import Parameter, UnknownTarget, policy_signature, signature
 
 TARGETS = [
     "stable_baselines3.SAC",
@@ -41,6 +43,61 @@ def test_reading_a_signature_imports_nothing():
         "signature('stable_baselines3.SAC'); print(sorted({'torch', 'stable_baselines3'} & set(sys.modules)))"
     )
     assert subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True).stdout == "[]\n"
+
+
+ODD = {
+    "__main__.X": "__main__ is a script",
+    "builtins.dict": "builtins has no Python source",
+    "zipimport.zipimporter": "zipimport has no Python source",
+    "math.floor": "math has no Python source",
+    "os.path.join": "there is no module 'path' in os",
+    "namespace.X": "namespace has no Python source",
+    "namespace.nowhere.X": "there is no module 'nowhere' in namespace",
+    "broken.X": "is not valid Python",
+    "binary.X": "is not valid Python",
+    "..SAC": "is not a dotted path",
+    "a/b.SAC": "is not a dotted path",
+    "stable_baselines3.": "is not a dotted path",
+    3: "is not a dotted path",
+    None: "is not a dotted path",
+}
+
+
+@pytest.mark.parametrize("target", ODD)
+def test_whatever_a_target_is_the_reason_is_a_phrase(target, tmp_path, monkeypatch):
+    (tmp_path / "namespace").mkdir()
+    (tmp_path / "broken.py").write_text("class X(:\n")
+    (tmp_path / "binary.py").write_bytes(b"\0\xff")
+    monkeypatch.syspath_prepend(tmp_path)
+    with pytest.raises(UnknownTarget, match=re.escape(ODD[target])):
+        signature(target)
+
+
+def test_classes_in_namespace_packages_and_of_bases_of_their_own_name_are_found(tmp_path, monkeypatch):
+    (tmp_path / "spread" / "out").mkdir(parents=True)
+    source = "class Warning(Warning):\n    pass\nclass Mine:\n    def __init__(self, a, b=1): pass\n"
+    (tmp_path / "spread" / "out" / "mine.py").write_text(source)
+    monkeypatch.syspath_prepend(tmp_path)
+    assert list(signature("spread.out.mine.Mine").parameters) == ["a", "b"]
+    assert signature("spread.out.mine.Warning").open
+
+
+@pytest.mark.parametrize("option", options("algorithm"))
+def test_a_policys_signature_is_the_imported_ones(option):
+    target = make_config(f"algorithm={option}").algorithm.target
+    policy = get_class(target).policy_aliases["MultiInputPolicy"]
+    expected = list(inspect.signature(policy.__init__).parameters)[1:]
+    assert list(policy_signature(target, "MultiInputPolicy").parameters) == expected
+
+
+def test_only_modules_are_suggested_as_modules():
+    with pytest.raises(UnknownTarget) as refusal:
+        signature("stable_baselines3.sacc.SAC")
+    assert refusal.value.known == ["a2c", "common", "ddpg", "dqn", "her", "ppo", "sac", "td3"]
+    with pytest.raises(UnknownTarget) as refusal:
+        signature("torch.nn.Tan")
+    assert "Tanh" in refusal.value.known
+    assert not [name for name in refusal.value.known if name[0] in "_*"]
 
 
 @pytest.mark.parametrize("target", ["SAC", "stable_baselines3.SACC", "stable_baselines3.nowhere.SAC", "nowhere.SAC"])

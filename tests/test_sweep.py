@@ -38,6 +38,12 @@ def test_a_dry_run_prints_the_plan_and_makes_nothing(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
+def test_labels_of_a_sweep_say_what_runs_and_what_comes_to_the_same_runs_once(tmp_path):
+    axes = ["buffer=her_future,her_final", "buffer.n_sampled_goal=2,4", "buffer.goal_selection_strategy=final"]
+    runs = plan(composed_runs("config", [*QUICK, *axes, f"output_dir={tmp_path}"]))
+    assert [run.label for run in runs] == ["her_final, n_sampled_goal=2", "her_final, n_sampled_goal=4"]
+
+
 def test_typed_again_a_sweep_does_only_what_is_missing(tmp_path):
     first = sweep(tmp_path, "seeds=2", *TWO)
     assert first.returncode == 0, first.stderr
@@ -200,6 +206,14 @@ def test_a_run_that_was_stopped_before_its_first_checkpoint_is_said_so(tmp_path)
         "started  her seed=0", "stopped  her seed=0, before its first checkpoint",
         "started  her seed=0", "stopped  her seed=0, at step 300",
     ]  # fmt: skip
+
+
+def test_a_config_of_another_run_is_not_trained(tmp_path):
+    ours, another = plan(composed_runs("config", [*QUICK, "seeds=2", f"output_dir={tmp_path}"]))
+    RunDirectory(ours.path).freeze(another.config, ours.label, None)
+    assert supervise(ours.path) == "failed"
+    place = ours.path / "config.yaml"
+    assert read_state(ours.path).reason == f"{place} is the config of another run; type the sweep again"
 
 
 def test_who_looks_at_a_run_does_not_keep_it_from_being_frozen_or_claimed(tmp_path):

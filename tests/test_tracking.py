@@ -24,22 +24,27 @@ from conftest import (
     store,
 )
 from servers import closed_port, mlflow_server, needs_server
-from syncing_processes import KEYS, grow
+from syncing_processes import KEYS, grow, sync
 
 from parking_exp import artifacts as sent_files
-from parking_exp import checkpoints
-from parking_exp.files import read_json
+from parking_exp import checkpoints, syncing
+from parking_exp.files import write_json
+from parking_exp.locations import default_uri
+from parking_exp.logs import log_hashes, restore_logs
+from parking_exp.outdated import in_step as in_step_with
+from parking_exp.outdated import known_statuses, sync_all
 from parking_exp.provenance import provenance
 from parking_exp.runs import RunDirectory, RunResult
 from parking_exp.states import find
-from parking_exp.store import connect, default_uri, reason
-from parking_exp.syncing import flatten, in_step, sync, sync_all, try_sync
+from parking_exp.store import connect, reason
+from parking_exp.syncing import flatten, try_sync
 from parking_exp.tracking import open_tracker
 from parking_exp.training import train
 
 
-def later(output_dir):
-    return f"`python scripts/status.py sync=true output_dir={output_dir}` sends it when the store is back"
+def later(output_dir, uri=""):
+    where = f" tracking.uri={uri}" if uri else ""
+    return f"`python scripts/status.py sync=true output_dir={output_dir}{where}` sends what is missing"
 
 
 QUICK = ("experiment=smoke", "evaluation.video_episodes=0", "tracking.tensorboard=false")
@@ -50,8 +55,14 @@ def smoke_config():
     return make_config("experiment=smoke")
 
 
-def all_runs(output_dir):
-    return [RunDirectory(path) for path in find(output_dir)]
+def sync_everything(output_dir, *uris):
+    """Sync every run of an output directory with its embedded store or others; what was in the way of each."""
+    directories = [RunDirectory(path) for path in find(output_dir)]
+    return [problem for _, problem in sync_all(directories, [default_uri(output_dir), *uris])]
+
+
+def in_step(directory):
+    return in_step_with(directory, known_statuses(directory.tracking_uri, [directory]))
 
 
 @pytest.fixture(scope="module")
@@ -151,8 +162,8 @@ def test_a_sync_that_is_killed_anywhere_is_made_whole_by_the_next_one(output_dir
     killed = processes("kill", [directory.path for directory in directories], CALLS=calls)
     assert killed.stdout.strip() == str([-9] * 10)
     assert not any(in_step(directory) for directory in directories)
-    assert [problem for _, problem in sync_all(all_runs(output_dir))] == [None] * 10
-    assert list(sync_all(all_runs(output_dir))) == []
+    assert sync_everything(output_dir) == [None] * 10
+    assert sync_everything(output_dir) == []
     client = store(output_dir)
     assert rows(output_dir, "SELECT status, count(*) FROM runs GROUP BY status") == [("FINISHED", 11)]
     for directory in directories:
@@ -180,31 +191,53 @@ def test_syncing_again_changes_nothing(output_dir):
     assert in_step(directory)
 
 
-def test_what_is_in_step_is_told_without_mlflow_and_left_alone(output_dir):
+def test_what_is_in_step_is_left_alone_and_a_store_that_was_lost_is_made_again(output_dir):
     directory = written_run(output_dir)
     finish(directory)
     sync(directory)
     before = content(output_dir)
-    assert processes("scan", [output_dir]).stdout.split() == ["0", "False"]
+    assert sync_everything(output_dir) == []
     assert content(output_dir) == before
-    (output_dir / "mlflow.db").unlink()  # a store that was lost is made again
-    assert processes("scan", [output_dir]).stdout.split() == ["1", "True"]
+    (output_dir / "mlflow.db").unlink()
+    assert processes("scan", [output_dir]).stdout.split() == ["1"]
     assert store(output_dir).get_run(directory.run_id).data.tags["status"] == "done"
+
+
+def test_a_lost_store_is_made_again_also_where_something_has_written_to_the_new_one(output_dir, empty_store):
+    directories = [written_run(output_dir, seed) for seed in range(4)]
+    for directory in directories:
+        grow(directory, rows=5)
+        finish(directory)
+        sync(directory)
+    shutil.copy(empty_store, output_dir)  # another one in its place
+    sync(directories[2])  # as an evaluation does
+    assert sync_everything(output_dir) == [None] * 3
+    assert sync_everything(output_dir) == []
+    assert rows(output_dir, "SELECT status, count(*) FROM runs GROUP BY status") == [("FINISHED", 4)]
+    for directory in directories:
+        assert stored_points(output_dir, directory.run_id) == local_points(directory)
+
+
+def test_a_run_that_a_user_has_deleted_in_the_store_stays_deleted(output_dir):
+    directory = written_run(output_dir)
+    finish(directory)
+    sync(directory)
+    store(output_dir).delete_run(directory.run_id)
+    assert sync_everything(output_dir) == []
 
 
 def test_a_run_that_was_killed_sends_nothing_above_its_last_checkpoint(output_dir):
     directory = written_run(output_dir)
     grow(directory, rows=20)
     grow(directory, rows=7, checkpoint=False)
-    assert [(found.path, problem) for found, problem in sync_all(all_runs(output_dir))] == [(directory.path, None)]
+    assert sync_everything(output_dir) == [None]
     run_id = directory.run_id
     assert stored_points(output_dir, run_id) == local_points(directory, up_to=20)
     run = store(output_dir).get_run(run_id)
     assert (run.info.status, run.data.tags["status"], directory.status) == ("KILLED", "interrupted", "running")
-    assert list(sync_all(all_runs(output_dir))) == []
+    assert sync_everything(output_dir) == []
 
-    sizes = read_json(directory.checkpoints / "step=0000000020" / "state.json")["progress"]["log_sizes"]
-    os.truncate(directory.path / "metrics.jsonl", sizes["metrics.jsonl"])
+    assert restore_logs(directory.path, directory.checkpoints / "step=0000000020") == []
     time.sleep(0.002)  # the same steps come at another time
     with directory.locked():  # it goes on
         sync(directory)
@@ -216,6 +249,112 @@ def test_a_run_that_was_killed_sends_nothing_above_its_last_checkpoint(output_di
     assert stored_points(output_dir, run_id) == local_points(directory)
     run = store(output_dir).get_run(run_id)
     assert (run.info.status, run.data.tags["status"]) == ("FINISHED", "done")
+
+
+LOST = {
+    "gone": lambda path: path.unlink(),
+    "cut": lambda path: path.write_bytes(path.read_bytes()[:-70]),
+    "flipped": lambda path: path.write_bytes(b"\x00" + path.read_bytes()[1:]),
+}
+
+
+def ended(output_dir, seed=0):
+    """A run that is done, and knows the hashes of its logs."""
+    directory = written_run(output_dir, seed)
+    grow(directory, rows=20)
+    (directory.path / "episodes.csv").write_text("phase,step\n" + 20 * "eval,1\n")
+    result = RunResult(str(directory.path), directory.run_id, 20, {})
+    directory.finish(result, logs=log_hashes(directory.path))
+    return directory
+
+
+@pytest.mark.parametrize("kind", LOST)
+@pytest.mark.parametrize("name", ["metrics.jsonl", "episodes.csv"])
+def test_what_a_finished_run_has_lost_is_taken_back_from_the_store(output_dir, kind, name):
+    directory = ended(output_dir)
+    sync(directory)
+    before, run_id = stored_points(output_dir, directory.run_id), directory.run_id
+    whole = (directory.path / name).read_bytes()
+    LOST[kind](directory.path / name)
+    (directory.path / "synced.json").unlink()
+    sync(directory)
+    assert (directory.path / name).read_bytes() == whole
+    assert directory.run_id == run_id
+    assert stored_points(output_dir, run_id) == before
+
+
+@pytest.mark.parametrize("name", ["metrics.jsonl", "episodes.csv"])
+def test_what_a_store_has_no_copy_of_is_said_and_all_else_is_sent(output_dir, name):
+    directory = ended(output_dir)
+    LOST["cut"](directory.path / name)
+    (problem,) = sync_everything(output_dir)
+    assert problem == (
+        f"{name} in {directory.path} has lost something, and the store has no copy; what the store has of it stays as it is"
+    )
+    assert directory.unsynced == problem
+    stored = artifacts(store(output_dir), directory.run_id)
+    assert name not in stored
+    assert "checkpoints/step=0000000020/model.zip" in stored
+    assert store(output_dir).get_run(directory.run_id).info.status == "FINISHED"
+
+
+@pytest.mark.parametrize("kind", LOST)
+def test_a_run_that_was_cut_off_and_has_lost_its_metrics_keeps_those_of_the_store(output_dir, kind):
+    directory = written_run(output_dir)
+    grow(directory, rows=20)
+    points = local_points(directory)
+    sync(directory)
+    run_id = directory.run_id
+    LOST[kind](directory.path / "metrics.jsonl")
+    (directory.path / "synced.json").unlink()
+    assert "metrics.jsonl in" in sync_everything(output_dir)[0]
+    assert directory.run_id == run_id
+    assert stored_points(output_dir, run_id) == points
+    assert directory.status == "running"
+
+
+def test_an_error_of_ours_is_not_called_the_stores_and_stops_nothing(output_dir, monkeypatch):
+    directory, said = written_run(output_dir), []
+    monkeypatch.setattr(syncing, "flatten", {}.__getitem__)
+    tracker = open_tracker(directory.config(), directory, said.append)
+    problem = directory.unsynced
+    path = directory.path / "sync_traceback.txt"
+    assert problem.startswith("an error of parking_exp: ")
+    assert problem.endswith(f"; its traceback is in {path}")
+    assert "syncing.py" in path.read_text()
+    assert path.read_text().startswith("Traceback (most recent call last)")
+    assert len(said) == 1
+    monkeypatch.undo()
+    tracker.close()
+    assert (directory.unsynced, path.exists()) == (None, False)
+
+
+def test_a_run_that_waits_to_go_on_is_interrupted_in_the_store(output_dir):
+    directory = written_run(output_dir)
+    directory.update(status="pending")  # frozen again by a sweep that was killed then
+    assert sync_everything(output_dir) == [None]
+    assert store(output_dir).get_run(directory.run_id).data.tags["status"] == "interrupted"
+
+
+def test_mlflows_ui_is_told_what_experiments_and_runs_are(output_dir):
+    directory, client = ended(output_dir), store(output_dir)
+    directory.update(command="python scripts/train.py experiment=smoke")
+    rates = {f"certified/{name}_rate": rate for name, rate in {"success": 0.94, "crash": 0.04, "parked": 0.0}.items()}
+    write_json(directory.path / "result.json", {"run_dir": "", "run_id": None, "steps": 60000, "metrics": rates})
+    sync(directory)
+    experiment = client.get_experiment_by_name("smoke")
+    assert experiment.tags["mlflow.experimentKind"] == "custom_model_development"
+    assert "experiment=smoke" in experiment.tags["mlflow.note.content"]
+    assert client.get_run(directory.run_id).data.tags["mlflow.note.content"] == (
+        "sac, her_future on parking, seed 0: success 94.0%, crash 4.0%, parked 0.0% on 5 scenes of highway-env"
+        " after 60,000 env steps.\n\nTyped: `python scripts/train.py experiment=smoke`"
+    )
+    client.set_tag(directory.run_id, "mlflow.note.content", "my own words")
+    client.set_experiment_tag(experiment.experiment_id, "mlflow.note.content", "mine")
+    directory.update(command="python scripts/train.py")
+    sync(directory)
+    assert client.get_run(directory.run_id).data.tags["mlflow.note.content"] == "my own words"
+    assert client.get_experiment_by_name("smoke").tags["mlflow.note.content"] == "mine"
 
 
 @pytest.mark.parametrize(("status", "theirs"), [("failed", "FAILED"), ("interrupted", "KILLED")])
@@ -257,9 +396,9 @@ def test_a_run_that_fails_again_for_another_reason_is_not_in_step(output_dir):
     assert in_step(directory)
     # As its supervisor does for a process that was killed before it could open its store.
     directory.update(status="failed", error="killed by SIGKILL (out of memory?)", killed=True)
-    assert [problem for _, problem in sync_all(all_runs(output_dir))] == [None]
+    assert sync_everything(output_dir) == [None]
     assert client.get_run(directory.run_id).data.tags["error"] == "killed by SIGKILL (out of memory?)"
-    assert list(sync_all(all_runs(output_dir))) == []
+    assert sync_everything(output_dir) == []
 
 
 def test_a_run_that_is_trained_afresh_in_the_same_place_takes_the_place_of_the_old_one(output_dir):
@@ -298,8 +437,8 @@ def test_what_others_log_to_a_run_is_left_alone(output_dir):
 def test_a_run_that_another_process_works_on_is_left_to_it(output_dir):
     directory = written_run(output_dir)
     with directory.locked():
-        assert list(sync_all(all_runs(output_dir))) == []
-    assert [problem for _, problem in sync_all(all_runs(output_dir))] == [None]
+        assert sync_everything(output_dir) == []
+    assert sync_everything(output_dir) == [None]
 
 
 def test_provenance_is_that_of_the_process_that_trained(output_dir):
@@ -319,7 +458,7 @@ def test_a_store_that_has_just_failed_is_left_alone_until_the_end(fresh_dir):
     directory, said = written_run(fresh_dir, uri=uri), []
     tracker = open_tracker(directory.config(), directory, said.append)
     problem = f"File exists: {blocked}"
-    assert said == [f"the store {uri} fails ({problem}); the run goes on, and {later(fresh_dir)}"]
+    assert said == [f"the store {uri} has not got everything ({problem}); the run goes on, and {later(fresh_dir, uri)}"]
     assert directory.unsynced == problem
     blocked.unlink()
     tracker.sync()
@@ -327,7 +466,7 @@ def test_a_store_that_has_just_failed_is_left_alone_until_the_end(fresh_dir):
     tracker.close()
     assert directory.unsynced is None
     assert "unsynced" not in directory.read_status()
-    assert said[1:] == ["the store is back, and has everything"]
+    assert said[1:] == ["the store has everything now"]
 
 
 def test_a_thousand_runs_do_not_each_wait_for_a_server_that_is_down(fresh_dir):
@@ -335,16 +474,15 @@ def test_a_thousand_runs_do_not_each_wait_for_a_server_that_is_down(fresh_dir):
         directories = [written_run(fresh_dir, seed, f"http://127.0.0.1:{port}") for seed in range(3)]
         for directory in directories:
             directory.update(status="done")
-        outcome = [problem for _, problem in sync_all(all_runs(fresh_dir))]
-        assert outcome == ["Connection refused"] * 3
-        # Only the first run asked; the others are as they were, and not in step.
-        assert [directory.unsynced for directory in directories] == ["Connection refused", None, None]
-    assert not any(in_step(directory) for directory in directories)
+        uri = f"http://127.0.0.1:{port}"
+        assert sync_everything(fresh_dir, uri) == ["Connection refused"] * 3
+        # The store was asked once, for all of them.
+        assert [directory.unsynced for directory in directories] == [None] * 3
 
 
 def test_a_store_that_is_no_database_is_told_at_once(fresh_dir):
     (fresh_dir / "mlflow.db").write_text("this is not a database, and it is long enough to be looked at " * 20)
-    assert try_sync(written_run(fresh_dir)) == "file is not a database"
+    assert try_sync(written_run(fresh_dir), default_uri(fresh_dir)) == "file is not a database"
 
 
 def test_reasons_have_no_password():
@@ -372,7 +510,7 @@ def test_a_store_that_fails_in_the_middle_gets_the_rest_later(output_dir, capsys
     assert max(step for _, step, _, _ in stored_points(output_dir, result.run_id)) == 200
     with closing(sqlite3.connect(output_dir / "mlflow.db")) as database:
         database.execute("DROP TRIGGER full")
-    assert [problem for _, problem in sync_all(all_runs(output_dir))] == [None]
+    assert sync_everything(output_dir) == [None]
     assert directory.unsynced is None
     assert directory.run_id == result.run_id
     assert_store_is_whole(output_dir, 400)
@@ -390,18 +528,20 @@ def test_a_run_whose_store_is_down_is_done_and_the_store_gets_all_of_it_later(sm
     assert f"not all of it is in the store ({problem}); {later(tmp_path)}" in done.stdout
     assert done.stderr.count(problem) == 1
     assert "Traceback" not in done.stderr
-    evaluated = run_script("evaluate", f"run={directory.path}", "episodes=2", "simulator=vectorized", "name=two")
+    evaluated = run_script(
+        "evaluate", f"run={directory.path}", f"output_dir={tmp_path}", "episodes=2", "simulator=vectorized", "name=two"
+    )
     assert evaluated.returncode == 0, evaluated.stderr
     assert f"not stored     {problem}; {later(tmp_path)}" in evaluated.stdout
     assert (directory.path / "evaluations" / "two" / "summary.json").exists()
 
     blocked.rmdir()
-    assert [problem for _, problem in sync_all(all_runs(tmp_path))] == [None]
+    assert sync_everything(tmp_path) == [None]
     assert directory.result().run_id == directory.run_id is not None
     assert_store_is_whole(tmp_path, 400)
     ours, theirs = store(tmp_path).get_run(directory.run_id), store(healthy_dir).get_run(healthy.run_id)
     assert {**ours.data.params, "output_dir": ""} == {**theirs.data.params, "output_dir": ""}
-    own = {"run_dir": "", "mlflow.runName": ""}
+    own = dict.fromkeys(("run_dir", "mlflow.runName", "mlflow.note.content"), "")
     assert {**ours.data.tags, **own} == {**theirs.data.tags, **own}
     ours_metrics, theirs_metrics = (
         {key: value for key, value in run.data.metrics.items() if not key.startswith("time/")} for run in (ours, theirs)
@@ -430,9 +570,9 @@ def test_a_server_that_comes_up_later_gets_everything_artifacts_too(tmp_path):
         directory = written_run(tmp_path, uri=uri)
         grow(directory, rows=400)
         finish(directory)
-        assert try_sync(directory) == "Connection refused"
+        assert try_sync(directory, directory.tracking_uri) == "Connection refused"
     with mlflow_server(port, tmp_path):
-        assert [problem for _, problem in sync_all(all_runs(tmp_path))] == [None]
+        assert sync_everything(tmp_path, uri) == [None]
         grow(directory, rows=5)
         grow(directory, rows=5)
         sync(directory)

@@ -3,9 +3,11 @@
 import errno
 import os
 import re
+import shutil
 import signal
 import subprocess
 import time
+from contextlib import suppress
 from pathlib import Path
 
 import imageio.v3 as iio
@@ -13,18 +15,30 @@ import pandas as pd
 import pytest
 import torch
 from conftest import artifacts, assert_store_is_whole, history, make_config, only_run, run_script, script, store
+from omegaconf import OmegaConf
 from PIL import Image, ImageSequence
+from sameness import parameters
 
-from parking_exp import __version__, checkpoints
+from parking_exp import __version__, checkpoints, session
 from parking_exp.algorithms import build_model, greedy_policy
+from parking_exp.composition import composed
 from parking_exp.envs.reward import GoalReward
 from parking_exp.envs.vector import make_training_envs
-from parking_exp.errors import ConfigError, FailedRunError, RunLockedError, RunNotFoundError
+from parking_exp.errors import (
+    ConfigError,
+    FailedRunError,
+    InterruptedRunError,
+    ModelError,
+    RunLockedError,
+    RunNotFoundError,
+)
+from parking_exp.evaluate_run import evaluate_run
 from parking_exp.evaluation import EPISODE_COLUMNS, evaluate
-from parking_exp.files import read_json, sha256
+from parking_exp.files import read_json, sha256, write_json
 from parking_exp.runs import RunDirectory, find_run
 from parking_exp.syncing import flatten
 from parking_exp.training import train
+from parking_exp.weights import load_weights
 
 EVALUATED = [
     "success_rate", "crash_rate", "timeout_rate", "parked_rate", "return_mean", "steps_mean", "distance_m_mean",
@@ -101,6 +115,7 @@ def test_the_stores_tags_say_what_was_run(smoke):
     for package in ("python", "torch", "stable-baselines3", "highway-env", "gymnasium"):
         assert re.match(r"\d+\.\d+", tags[f"version.{package}"])
     assert tags["cpu"]
+    assert tags["precision"] == read_json(directory.path / "status.json")["precision"] == "highest"
     assert "git_commit" not in tags or re.fullmatch(r"[0-9a-f]{40}", tags["git_commit"])
     assert ("git_commit" in tags) == ("git_dirty" in tags)
 
@@ -147,7 +162,7 @@ def test_the_final_evaluation_is_certified_on_highway_env(smoke):
     pd.testing.assert_frame_equal(table.loc["final"], table.loc["certified"].rename({"certified": "final"}))
     config = directory.config()
     model = build_model(config, make_training_envs(config.env, 1), seed=0, for_training=False)
-    checkpoints.load_weights(directory.models / "final.zip", model)
+    load_weights(directory.models / "final.zip", model)
     theirs = evaluate(greedy_policy(model), config.env, range(5), simulator="highway_env")
     assert table.loc["certified", "return"].tolist() == pytest.approx(theirs["return"].tolist(), abs=1e-9)
     metrics = store(output_dir).get_run(directory.run_id).data.metrics
@@ -235,8 +250,8 @@ def test_a_saved_model_is_a_plain_stable_baselines3_zip(smoke):
     from stable_baselines3 import SAC
 
     from parking_exp.algorithms import build_model, greedy_policy
-    from parking_exp.checkpoints import load_weights
     from parking_exp.envs.vector import make_training_envs
+    from parking_exp.weights import load_weights
 
     directory, _, _ = smoke
     config = directory.config()
@@ -279,6 +294,167 @@ def test_evaluate_takes_a_directory_another_env_and_the_best_model(smoke):
     assert done.returncode == 0, done.stderr
     assert "best model on 2 scenes of parking_parked" in done.stdout
     assert len(pd.read_csv(directory.path / "evaluations" / "parked" / "episodes.csv")) == 2
+
+
+@pytest.fixture
+def finished(smoke, tmp_path):
+    """A finished run of its own: its directory, and the arguments of its training."""
+    shutil.copytree(smoke[2], tmp_path / "outputs")
+    return only_run(tmp_path / "outputs"), ("experiment=smoke", f"output_dir={tmp_path / 'outputs'}")
+
+
+def evaluate_stored(directory, *arguments):
+    (config,) = composed("evaluate", [f"run='{directory.path}'", "episodes=1", "simulator=vectorized", *arguments])
+    return evaluate_run(config)
+
+
+def everything(directory):
+    """All files of a run by name, with their content and time, but for models."""
+    files = (file for file in directory.path.rglob("*") if file.is_file() and file.parent != directory.models)
+    return {str(file): (file.read_bytes(), file.stat().st_mtime_ns) for file in files if file.suffix != ".lock"}
+
+
+@pytest.mark.parametrize("gone", [["final.zip"], ["final.zip", "best.zip"], ["best.zip"]])
+def test_models_that_are_gone_are_made_again_by_the_same_command(finished, gone):
+    directory, arguments = finished
+    before, others = {name: parameters(directory.models / name) for name in gone}, everything(directory)
+    for name in gone:
+        (directory.models / name).unlink()
+    result = train(make_config(*arguments))
+    assert result == directory.result()
+    assert {name: parameters(directory.models / name) for name in gone} == before
+    assert everything(directory) == others
+    evaluate_stored(directory, f"model={gone[0].partition('.')[0]}", "tracking.mlflow=false")
+
+
+@pytest.mark.parametrize("better", [False, True])
+def test_the_best_model_is_made_again_as_it_was(finished, better):
+    """Of the last evaluation, which comes after the last checkpoint, or of an earlier one."""
+    directory, arguments = finished
+    stored = read_json(directory.path / "result.json")
+    stored["metrics"]["eval/success_rate"] = 1.0 if better else 0.0
+    stored["metrics"]["eval/crash_rate"] = 0.0 if better else 1.0
+    write_json(directory.path / "result.json", stored)
+    shutil.rmtree(directory.models)
+    train(make_config(*arguments))
+    checkpoint = directory.checkpoints / "step=0000000400"
+    (source, other) = ("model.zip", "best.zip") if better else ("best.zip", "model.zip")
+    assert parameters(directory.models / "best.zip") == parameters(checkpoint / source)
+    assert parameters(directory.models / "best.zip") != parameters(checkpoint / other)
+
+
+def test_a_model_that_was_made_again_is_a_plain_stable_baselines3_zip(finished):
+    from stable_baselines3 import SAC
+
+    directory, arguments = finished
+    before = SAC.load(directory.models / "final.zip")
+    (directory.models / "final.zip").unlink()
+    train(make_config(*arguments))
+    after = SAC.load(directory.models / "final.zip")
+    entries = ("num_timesteps", "buffer_size", "n_envs", "learning_starts", "gamma", "_n_updates")
+    assert {name: getattr(after, name) for name in entries} == {name: getattr(before, name) for name in entries}
+    assert after.num_timesteps == 400
+
+
+def test_a_sweep_makes_models_again_and_its_plan_says_so(finished):
+    directory, arguments = finished
+    run_id, before, others = directory.run_id, parameters(directory.models / "final.zip"), everything(directory)
+    (directory.models / "final.zip").unlink()
+    planned = run_script("train", *arguments, "dry_run=true")
+    assert (
+        "1 cell x 1 seed = 1 run: 0 done, 1 to run (1 of them only to make models again that are gone)"
+        in planned.stdout
+    )
+    done = run_script("train", *arguments, "hydra/launcher=local")
+    assert done.returncode == 0, done.stderr
+    assert f"models/final.zip: gone, and made again from {directory.checkpoints / 'step=0000000400'}\n" in done.stderr
+    assert parameters(directory.models / "final.zip") == before
+    changed = {Path(name).name for name, was in everything(directory).items() if was != others.get(name)}
+    assert changed <= {"synced.json"}  # the file was sent, which has another time
+    assert directory.run_id == run_id
+    assert_store_is_whole(directory.path.parents[2], 400)
+    assert "1 run: 1 done, 0 to run" in run_script("train", *arguments, "dry_run=true").stdout
+
+
+def test_without_a_checkpoint_a_run_stays_done_and_says_how_to_train_it_afresh(finished):
+    directory, arguments = finished
+    shutil.rmtree(directory.models), shutil.rmtree(directory.checkpoints)
+    again = run_script("train", *arguments)
+    assert again.returncode == 0
+    assert again.stdout.splitlines()[:2] == [
+        "already done; to train it afresh, change the seed or delete its directory",
+        "models/final.zip and models/best.zip: gone, and can't be made again, since no checkpoint of its end is left; "
+        f"delete {directory.path} to train it afresh",
+    ]
+    assert "1 run: 1 done, 0 to run" in run_script("train", *arguments, "dry_run=true").stdout
+    words = (
+        f"models/final.zip is gone; delete {directory.path} to train it afresh, since no checkpoint of its end is left"
+    )
+    with pytest.raises(RunNotFoundError, match=re.escape(words) + "$"):
+        evaluate_stored(directory)
+
+
+def test_from_a_damaged_checkpoint_no_model_is_made(finished, capsys):
+    directory, arguments = finished
+    shutil.rmtree(directory.models)
+    checkpoint = directory.checkpoints / "step=0000000400"
+    (checkpoint / "model.zip").write_bytes(b"")
+    train(make_config(*arguments))
+    assert f"can't be made again, since {checkpoint} is not whole (model.zip has changed)" in capsys.readouterr().out
+    assert not directory.models.exists()
+
+
+def test_evaluate_says_how_to_get_a_model_that_is_gone(finished):
+    directory, _ = finished
+    (directory.models / "final.zip").unlink()
+    again = "type its training command again, which makes it from the last checkpoint"
+    with pytest.raises(RunNotFoundError, match=rf"models/final.zip is gone; try model=best, or {again}$"):
+        evaluate_stored(directory)
+    with pytest.raises(
+        RunNotFoundError, match=r"none of the 1 runs .* yet; where a run is done and it is gone, its training command"
+    ):
+        find_run("latest", directory.path.parents[2], having="models/final.zip")
+    (directory.models / "best.zip").unlink()
+    with pytest.raises(RunNotFoundError, match=rf"models/final.zip is gone; {again}$"):
+        evaluate_stored(directory)
+    directory.update(status="interrupted")
+    with pytest.raises(RunNotFoundError, match=r"models/final.zip has not been made yet; let it train first$"):
+        evaluate_stored(directory)
+
+
+def test_evaluate_refuses_a_damaged_model_in_a_sentence(finished):
+    """As a command, since nothing else shows that there is no traceback."""
+    directory, _ = finished
+    path = directory.models / "final.zip"
+    os.truncate(path, 3000)
+    before = everything(directory)
+    done = run_script("evaluate", f"run={directory.path}", "episodes=1", "tracking.mlflow=false")
+    assert done.returncode == 2
+    assert done.stderr == (
+        f"error: {path} is damaged (File is not a zip file); try model=best, or delete it and type its training command "
+        "again, which makes it from the last checkpoint\n"
+    )
+    assert everything(directory) == before
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "problem"),
+    [
+        ("algorithm.net_arch", [8, 8], "policy.actor.latent_pi.0.weight is float32 of shape [16, 10], and not float32 of shape [8, 10]"),
+        ("algorithm.ent_coef", 0.5, "it lacks ent_coef_tensor and it has ent_coef_optimizer, log_ent_coef besides"),
+    ],
+)  # fmt: skip
+def test_evaluate_refuses_a_model_that_is_not_its_configs(finished, key, value, problem):
+    directory, _ = finished
+    config = OmegaConf.load(directory.path / "config.yaml")
+    OmegaConf.update(config, key, value)
+    OmegaConf.save(config, directory.path / "config.yaml")
+    words = (
+        f"models/final.zip does not fit parking_exp.lean.sac.SAC as its config.yaml describes it ({problem}); put back "
+        "the config.yaml that it was trained with, or try model=best, or delete it and type its training command again"
+    )
+    with pytest.raises(ModelError, match=re.escape(words)):
+        evaluate_stored(directory)
 
 
 @pytest.mark.parametrize(
@@ -474,6 +650,114 @@ def test_a_disk_that_fills_up_fails_the_run_and_keeps_what_was_there(tmp_path):
     done = run_script("train", *arguments)
     assert done.returncode == 0, done.stderr
     assert f"resuming at step {int(kept.name.removeprefix('step='))}" in done.stderr
+
+
+@pytest.fixture
+def small_disk(tmp_path):
+    """A function that makes a disk of so many KiB, to be filled."""
+    disk = tmp_path / "disk"
+    disk.mkdir()
+
+    def mount(kib):
+        command = ["mount", "-t", "tmpfs", "-o", f"size={kib}k", "tmpfs", str(disk)]
+        if not shutil.which("mount") or subprocess.run(command, check=False, capture_output=True).returncode:
+            pytest.skip("nothing can be mounted here")
+        return disk
+
+    yield mount
+    if disk.is_mount():
+        subprocess.run(["umount", "-l", str(disk)], check=True)
+
+
+def assert_failed_on_a_full_disk(path, reason="No space left on device"):
+    status = read_json(path / "status.json")
+    assert status["status"] == "failed"
+    assert reason in status["error"]
+    assert (path / "traceback.txt").read_text().startswith("Traceback")
+    assert reason in (path / "traceback.txt").read_text()
+    assert not (path / ".reserve").exists()
+    assert not [file for file in path.rglob(".*") if file.name.endswith((".tmp", ".zip"))]
+
+
+@pytest.mark.parametrize("kib", [100, 250])
+def test_on_a_full_disk_a_run_leaves_its_reason_and_its_traceback(small_disk, kib):
+    """What fills it first: the best model, and a checkpoint."""
+    disk = small_disk(kib)
+    failed = run_script("train", "experiment=smoke", f"output_dir={disk}", "tracking.mlflow=false")
+    assert failed.returncode == 2
+    assert "Traceback" not in failed.stderr
+    assert "error: the run failed: OSError: [Errno 28] No space left on device" in failed.stderr
+    assert_failed_on_a_full_disk(only_run(disk).path)
+    told = run_script("status", f"output_dir={disk}").stdout
+    assert re.search(
+        r"^failed   parking-sac-her_future-\w+ seed=0: OSError: \[Errno 28\] No space left", told, re.MULTILINE
+    )
+
+
+def test_a_sweep_on_a_disk_that_fills_up_meanwhile_says_why_its_runs_failed(small_disk):
+    """And goes on when there is room again."""
+    disk = small_disk(3000)
+    arguments = ("experiment=smoke", f"output_dir={disk}", "total_timesteps=400", "tracking.mlflow=false", "seeds=2",
+                 "evaluation.final_n_scenes=2", "evaluation.n_scenes=2", "evaluation.every_n_steps=null", "evaluation.video_episodes=0", "env.simulator=highway_env")  # fmt: skip
+    command, keywords = script("train", *arguments)
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, **keywords)
+    wait_for(lambda: len({path.parents[1] for path in disk.glob("*/*/*/checkpoints/step=*")}) == 2, process)
+    with suppress(OSError), (disk / "filler").open("wb", buffering=0) as filler:
+        while filler.write(bytes(4096)):
+            pass
+    output, errors = process.communicate(timeout=120)
+    assert process.returncode == 2
+    assert "Traceback" not in errors
+    for seed in (0, 1):
+        assert re.search(rf"^failed   \S+ seed={seed}: .*No space left on device", output, re.MULTILINE)
+    for path in disk.glob("*/*/seed=*"):
+        assert_failed_on_a_full_disk(path)
+    (disk / "filler").unlink()
+    again = run_script("train", *arguments, "retry=failed")
+    assert again.returncode == 0, again.stderr
+
+
+def test_a_full_disk_under_tensorboard_fails_the_run_without_a_traceback(tmp_path):
+    """A file-size limit stands in for it, that only the file of events outgrows."""
+    command, keywords = script(
+        "train", "experiment=smoke", f"output_dir={tmp_path}", "tracking.mlflow=false", "total_timesteps=4000",
+        "evaluation.every_n_steps=null", "checkpoint.every_n_steps=null", "tracking.csv=false",
+        "tracking.log_interval=1", "updates_per_step=0.1",
+    )  # fmt: skip
+    limited = ["bash", "-c", 'ulimit -f 65; exec "$@"', "_", *command]
+    failed = subprocess.run(limited, check=False, capture_output=True, timeout=180, **keywords)
+    assert failed.returncode == 2
+    assert "Traceback" not in failed.stderr
+    assert "error: the run failed: OSError: [Errno 27] File too large" in failed.stderr
+    directory = only_run(tmp_path)
+    assert_failed_on_a_full_disk(directory.path, "File too large")
+    assert (directory.path / "metrics.jsonl").stat().st_size < 65 * 1024
+    (events,) = (directory.path / "tensorboard").iterdir()
+    assert events.stat().st_size == 65 * 1024
+
+
+def test_a_run_has_room_for_its_end_until_that_is_written(tmp_path, monkeypatch):
+    """Real bytes, while it trains; none of them afterwards, however it ends."""
+    config = make_config("experiment=smoke", f"output_dir={tmp_path}", "tracking.mlflow=false", "total_timesteps=60",
+                         "tracking.progress_bar=false", "evaluation.video_episodes=0")  # fmt: skip
+    reserve, seen = RunDirectory(config.run_dir).path / ".reserve", []
+
+    def end(error):
+        def learn(self):
+            seen.append(reserve.stat().st_blocks * 512)
+            raise error
+
+        return learn
+
+    stopped = InterruptedRunError("stopped", signal.SIGINT)
+    for error, raised in ((RuntimeError(), FailedRunError), (stopped, InterruptedRunError)):
+        with monkeypatch.context() as patch, pytest.raises(raised):
+            patch.setattr(session.Session, "learn", end(error))
+            train(config)
+        assert not reserve.exists()
+    assert min(seen) >= 64 * 1024
+    train(config)
+    assert not reserve.exists()
 
 
 def test_without_mlflow_everything_else_is_there(tmp_path):

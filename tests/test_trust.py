@@ -59,6 +59,8 @@ def evaluate(directory, *arguments):
         "buffer._target_",
         "env.other_vehicles_type",
         "buffer.deep",
+        "algorithm.policy_kwargs.activation_fn",
+        "algorithm.policy_kwargs.optimizer_class",
     ],
 )
 def test_what_is_not_of_a_run_is_refused_and_not_even_imported(from_elsewhere, hostile, key, target):
@@ -73,6 +75,54 @@ def test_what_is_not_of_a_run_is_refused_and_not_even_imported(from_elsewhere, h
     assert "\n" not in str(refusal.value)
     assert not hostile.exists()
     assert "hostile" not in sys.modules
+
+
+@pytest.mark.parametrize(
+    ("value", "named"),
+    [
+        ("hostile.Made", ""),
+        ({"_target_": "hydra.utils.get_class", "path": "hostile.Made"}, "._target_"),
+        ({"_target_": "hydra.utils.get_object", "path": "hostile.make"}, "._target_"),
+        ({"_target_": "torch.nn.Tanh", "nested": {"_target_": "hostile.make"}}, ".nested._target_"),
+    ],
+)
+@pytest.mark.parametrize("name", ["activation_fn", "optimizer_class", "features_extractor_class"])
+def test_a_class_argument_is_refused_like_a_target(from_elsewhere, hostile, name, value, named):
+    directory = from_elsewhere(f"algorithm.policy_kwargs.{name}", value)
+    with pytest.raises(UntrustedError) as refusal:
+        evaluate(directory)
+    assert str(refusal.value).startswith(f"algorithm.policy_kwargs.{name}{named}=hostile.")
+    assert not hostile.exists()
+    assert "hostile" not in sys.modules
+
+
+@pytest.mark.parametrize(
+    "node",
+    [
+        {"_target_": "hydra.utils.get_class", "_args_": ["hostile.Made"]},
+        {"_target_": "hydra.utils.get_class", "path": "torch.nn.Tanh", "_args_": ["hostile.Made"]},
+        {"_target_": "hydra.utils.get_class", "path": {"_target_": "hostile.make"}},
+        {"_target_": "hydra.utils.get_method", "path": "hostile.make"},
+    ],
+)
+def test_a_lookup_is_trusted_for_a_trusted_path_alone(from_elsewhere, hostile, node):
+    with pytest.raises(UntrustedError):
+        evaluate(from_elsewhere("algorithm.policy_kwargs.activation_fn", node))
+    assert not hostile.exists()
+
+
+def test_a_module_that_has_imported_a_trusted_class_is_not_trusted(tmp_path, monkeypatch):
+    (tmp_path / "reexports.py").write_text("from stable_baselines3 import SAC\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    assert not is_trusted("reexports.SAC")
+
+
+@pytest.mark.parametrize(
+    "activation",
+    ["torch.nn.Tanh", {"_target_": "hydra.utils.get_class", "path": "torch.nn.Tanh"}, {"_target_": "torch.nn.LeakyReLU", "_partial_": True}],
+)  # fmt: skip
+def test_runs_with_classes_among_their_arguments_need_no_word(from_elsewhere, activation):
+    assert evaluate(from_elsewhere("algorithm.policy_kwargs", {"activation_fn": activation})).exists()
 
 
 def test_with_the_users_word_it_is_executed(from_elsewhere, hostile):

@@ -10,6 +10,7 @@ from omegaconf import OmegaConf
 
 from parking_exp.composition import composed, config_dir
 from parking_exp.errors import ConfigError
+from parking_exp.machine import total_memory
 from parking_exp.validation import validate
 
 ARTICLE = {
@@ -202,11 +203,141 @@ def test_stores_that_mlflow_knows_are_taken(uri):
             "algorithm.features=ego reads the observation features x, y, vx, vy, cos_h, sin_h in this order; "
             "the closest valid choice is algorithm.features=raw",
         ),
+        # Nested arguments.
+        ("algorithm.learning_rate.start=-7", "algorithm.learning_rate.start=-7 is out of range; it must be greater than 0.0"),
+        ("algorithm.learning_rate.end=-1", "algorithm.learning_rate.end=-1 is out of range; the closest valid choice is 0.0"),
+        ("algorithm.learning_rate.end_fraction=-1", "algorithm.learning_rate.end_fraction=-1 is out of range; it must be greater than 0.0"),
+        ("algorithm.learning_rate.end_fraction=2", "algorithm.learning_rate.end_fraction=2 is out of range; the closest valid choice is 1.0"),
+        (
+            "algorithm=td3 algorithm.action_noise.sigma=[-0.1,0.1]",
+            "algorithm.action_noise.sigma.0=-0.1 is out of range; the closest valid choice is 0.0",
+        ),
+        ("algorithm.learning_rate._target_=3", "algorithm.learning_rate._target_=3 is not a dotted path, PACKAGE.MODULE.CLASS"),
+        (
+            "+algorithm.policy_kwargs.n_critic=3",
+            "algorithm.policy_kwargs.n_critic: MultiInputPolicy has no such argument; did you mean 'n_critics'?",
+        ),
+        ("+algorithm.policy_kwargs.n_critics=0", "algorithm.policy_kwargs.n_critics=0 is out of range; the closest valid choice is 1"),
+        ("+algorithm.policy_kwargs.use_sde=true", "algorithm.policy_kwargs.use_sde is set by the run itself; use algorithm.use_sde"),
+        (
+            "+algorithm.policy_kwargs.optimizer_kwargs={weight_decy:0.1}",
+            "algorithm.policy_kwargs.optimizer_kwargs.weight_decy: torch.optim.Adam has no such argument; did you mean 'weight_decay'?",
+        ),
+        (
+            "+algorithm.policy_kwargs.optimizer_kwargs={lr:0.1}",
+            "algorithm.policy_kwargs.optimizer_kwargs.lr is set by the run itself; use algorithm.learning_rate",
+        ),
+        (
+            "+algorithm.policy_kwargs.features_extractor_class=parking_exp.features.EgoFrameExtractor",
+            "algorithm.policy_kwargs.features_extractor_class takes the place of algorithm.features=ego; set algorithm.features=raw",
+        ),
+        (
+            "+algorithm.policy_kwargs.activation_fn=torch.nn.Tan",
+            "algorithm.policy_kwargs.activation_fn=torch.nn.Tan: there is no 'Tan' in torch.nn; did you mean 'Tanh'?",
+        ),
+        ("+algorithm.policy_kwargs.activation_fn=tanh", "algorithm.policy_kwargs.activation_fn=tanh: is not a dotted path, PACKAGE.MODULE.CLASS"),
+        ("+algorithm.policy_kwargs.activation_fn=torch.optim.Adam", "algorithm.policy_kwargs.activation_fn=torch.optim.Adam is no Module"),
+        (
+            "+algorithm.policy_kwargs.activation_fn={_target_:hydra.utils.get_class,path:torch.nn.Tan}",
+            "algorithm.policy_kwargs.activation_fn=torch.nn.Tan: there is no 'Tan' in torch.nn; did you mean 'Tanh'?",
+        ),
+        (
+            "+algorithm.policy_kwargs.activation_fn={_target_:torch.nn.LeakyReLU,negative_slop:0.2}",
+            "algorithm.policy_kwargs.activation_fn.negative_slop: torch.nn.LeakyReLU has no such argument; did you mean 'negative_slope'?",
+        ),
+        ("algorithm.policy_kwargs=[1]", "algorithm.policy_kwargs=[1]: a value of another kind stands there; see it with --cfg job"),
+        ("env.duration=1e300", "env.duration=1e+300 is out of range; the closest valid choice is 100000.0"),
+        ("env.training_duration=1e12", "env.training_duration=1000000000000.0 is out of range; the closest valid choice is 100000.0"),
+        # Odd targets.
+        (
+            "algorithm._target_=__main__.X",
+            "algorithm._target_=__main__.X: __main__ is a script, not a module; put the class into a module of its own",
+        ),
+        (
+            "algorithm._target_=builtins.dict",
+            "algorithm._target_=builtins.dict: builtins has no Python source to read its signature from",
+        ),
+        (
+            "algorithm._target_=stable_baselines3.sacc.SAC",
+            "algorithm._target_=stable_baselines3.sacc.SAC: there is no module 'sacc' in stable_baselines3; "
+            "choose from a2c, common, ddpg, dqn, her, ppo, sac, td3",
+        ),
+        # What Hydra has no sentence for.
+        ("=3", "=3: there is no key before the equals sign; write KEY=VALUE"),
+        ("budget=null", "budget=null: leave it out, or choose from full, small"),
+        ("buffer=[replay,x]", "buffer=x: there is no such option; choose from her_episode, her_final, her_future, her_random, replay"),
+        ("algorithm=3", "algorithm=3: there is no such option; did you mean 'td3'?"),
+        ("env@foo=parking", "env@foo=parking: options have their place; write env=OPTION"),
+        ("seed=???", "seed is missing"),
     ],
 )  # fmt: skip
 def test_a_value_that_cannot_be_is_refused_with_the_closest_valid_choice(override, message):
     with pytest.raises(ConfigError, match=f"^{re.escape(message)}$"):
         make_config(*override.split())
+
+
+@pytest.mark.parametrize(
+    "override",
+    [
+        "algorithm.learning_rate.start=nan", "algorithm.learning_rate=inf", "algorithm.gamma=nan", "algorithm.target_entropy=nan",
+        "+algorithm.policy_kwargs.log_std_init=nan", "+algorithm.policy_kwargs.optimizer_kwargs.eps=inf", "env.collision_reward=nan",
+        "env.scaling=inf", "updates_per_step=nan", "timeout_s=inf",
+    ],
+)  # fmt: skip
+def test_a_number_is_finite_wherever_it_stands(override):
+    key, _, value = override.lstrip("+").partition("=")
+    with pytest.raises(ConfigError, match=f"^{re.escape(key)}={value}: input should be a finite number$"):
+        make_config(override)
+
+
+def test_numbers_in_lists_are_finite_too():
+    with pytest.raises(ConfigError, match=r"^env.reward_weights.0=inf: input should be a finite number$"):
+        make_config("env.reward_weights=[inf,1,1,1,1,1]")
+    with pytest.raises(ConfigError, match=r"^algorithm.action_noise.mean.1=nan: input should be a finite number$"):
+        make_config("algorithm=td3", "algorithm.action_noise.mean=[0,nan]")
+
+
+@pytest.mark.parametrize(
+    ("override", "sizes"),
+    [
+        ("buffer.buffer_size=99999999999", r"11,300.0 GB of memory or more \(99999999999 x 113 bytes\)"),
+        ("algorithm.batch_size=99999999999", r"11,300.0 GB of memory or more \(99999999999 x 113 bytes\)"),
+        ("algorithm.net_arch=[9999999,9999999]", r"400,000.0 GB of memory or more \(\d+ x 4 bytes\)"),
+        ("evaluation.final_n_scenes=2000000000", r"2,000.0 GB of memory or more \(2000000000 x 1000 bytes\)"),
+    ],
+)
+def test_what_never_fits_into_memory_is_refused_with_what_it_takes_and_what_there_is(override, sizes):
+    key, there = override.partition("=")[0], f"{total_memory() / 1e9:,.1f} GB"
+    with pytest.raises(
+        ConfigError, match=rf"^{key} takes {sizes}, and this machine has {there}; choose a smaller one$"
+    ):
+        make_config(override)
+
+
+@pytest.mark.parametrize(
+    "override",
+    [
+        "seed=[1",
+        "run name=3",
+        "seed",
+        "experiment_name=a b(",
+        "experiment_name='a",
+        "algorithm=sac,",
+        "algorithm.gamma=choice()",
+    ],
+)
+def test_what_hydras_grammar_cannot_read_is_said_without_its_words(override):
+    message = f"{override}: can't be read; write KEY=VALUE, where a list is [1,2], and text with spaces, quotes or brackets stands in quotes: \"KEY='a (b)'\""
+    with pytest.raises(ConfigError, match=f"^{re.escape(message)}$"):
+        make_config(override)
+
+
+@pytest.mark.parametrize("algorithm", options("algorithm"))
+def test_policy_kwargs_are_those_of_the_algorithms_own_policy(algorithm):
+    make_config(f"algorithm={algorithm}", "+algorithm.policy_kwargs={n_critics:3,net_arch:{pi:[8],qf:[9]}}")
+    message = "algorithm.policy_kwargs.n_critic: MultiInputPolicy has no such argument; did you mean 'n_critics'?"
+    with pytest.raises(ConfigError, match=f"^{re.escape(message)}$"):
+        make_config(f"algorithm={algorithm}", "+algorithm.policy_kwargs.n_critic=3")
 
 
 def test_the_suggested_choices_are_valid():

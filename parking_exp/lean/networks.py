@@ -6,15 +6,15 @@ the same to the last bit. Where torch's float32 matmul precision is not `highest
 """
 
 from itertools import pairwise
-from typing import cast
+from typing import Any, cast
 
 import torch
 from torch import nn
 
-# From this width on oneDNN is faster than MKL, by up to a factor of two (one core of an AMD EPYC with AVX-512). It adds
-# up in another order.
+# From this width on oneDNN can be faster than MKL, by up to a factor of two (one core of an AMD EPYC with AVX-512;
+# without AVX-512 it is slower). It adds up in another order.
 WIDE = 128
-_onednn = getattr(torch.ops.mkldnn, "_linear_pointwise", None) if torch.backends.mkldnn.is_available() else None
+_onednn: Any = getattr(torch.ops.mkldnn, "_linear_pointwise", None) if torch.backends.mkldnn.is_available() else None
 
 Layer = tuple[torch.Tensor, torch.Tensor]
 
@@ -90,25 +90,30 @@ def as_layers(tensors: list[torch.Tensor]) -> list[Layer]:
     return list(zip(tensors[::2], tensors[1::2], strict=True))
 
 
+def is_wide(weight: torch.Tensor) -> bool:
+    """Whether the precision makes a difference to a layer."""
+    return _onednn is not None and min(weight.shape) >= WIDE
+
+
 def _by_onednn(weight: torch.Tensor) -> bool:
-    return min(weight.shape) >= WIDE and torch.get_float32_matmul_precision() != "highest"
+    return is_wide(weight) and torch.get_float32_matmul_precision() != "highest"
 
 
 def _linear(x: torch.Tensor, weight: torch.Tensor, bias: torch.Tensor) -> torch.Tensor:
-    if _onednn is not None and _by_onednn(weight):
+    if _by_onednn(weight):
         return _onednn(x, weight, bias, "none", [], "")
     return torch.addmm(bias, x, weight.t())
 
 
 def _times(gradient: torch.Tensor, weight: torch.Tensor) -> torch.Tensor:
-    if _onednn is not None and _by_onednn(weight):
+    if _by_onednn(weight):
         return _onednn(gradient, weight.t(), None, "none", [], "")
     return gradient @ weight
 
 
 def _outer(gradient: torch.Tensor, value: torch.Tensor, out: torch.Tensor) -> None:
     """Write the gradient by a weight, summed over the batch."""
-    if _onednn is not None and _by_onednn(out):
+    if _by_onednn(out):
         out.copy_(_onednn(gradient.t(), value.t(), None, "none", [], ""))
     else:
         torch.mm(gradient.t(), value, out=out)

@@ -19,6 +19,7 @@ from parking_exp.composition import composed
 from parking_exp.config import RunConfig
 from parking_exp.envs import make_env
 from parking_exp.envs.vector import make_training_envs
+from parking_exp.locations import store_uri
 from parking_exp.measurements.rounds import interleave, rounded, spread
 from parking_exp.measurements.updates import theirs
 from parking_exp.policy import Policy
@@ -26,7 +27,6 @@ from parking_exp.progress import TrainingProgress
 from parking_exp.runs import RunDirectory
 from parking_exp.session import Schedule, Session
 from parking_exp.stopping import StopRequest
-from parking_exp.store import store_uri
 from parking_exp.tracking import open_tracker
 from parking_exp.validation import validate
 
@@ -59,13 +59,20 @@ def article(rounds: int, steps: int) -> dict[str, Any]:
     for model in (ours, peer):
         model.set_logger(Logger(None, []))
         model.learn(arguments["learning_starts"])
+    with torch_settings(config) as precision:
+        pass
 
     def mine() -> float:
-        with torch_settings(config):
+        with torch_settings(config, precision):
             return _learn(ours, steps // rounds)
 
     entry = interleave(mine, lambda: _learn(peer, steps // rounds), rounds)
-    return entry | {"peer": "plain stable-baselines3 + highway-env", "unit": "env steps", "steps": steps}
+    return entry | {
+        "peer": "plain stable-baselines3 + highway-env",
+        "unit": "env steps",
+        "steps": steps,
+        "precision": precision,
+    }
 
 
 def overhead(rounds: int, steps: int, slice_steps: int, *changes: str) -> tuple[dict[str, Any], Policy]:
@@ -107,6 +114,8 @@ def overhead(rounds: int, steps: int, slice_steps: int, *changes: str) -> tuple[
         end_s = _seconds(session.finish)
         session.directory.update(status="done")
         session.tracker.close()
+        if problem := session.directory.unsynced:  # then its checkpoints and its end have cost too little
+            raise RuntimeError(f"the store of the run that was to be timed has not got everything: {problem}")
     evaluations = full.total_timesteps // (full.evaluation.every_n_steps or full.total_timesteps)
     checkpoints = full.total_timesteps // (full.checkpoint.every_n_steps or full.total_timesteps)
     besides = start_s + (evaluations - 1) * evaluation_s + checkpoints * checkpoint_s + end_s
@@ -133,6 +142,7 @@ def _tracked_session(config: RunConfig) -> tuple[Session, float]:
     directory = RunDirectory(config.run_dir)
     start = time.perf_counter()
     directory.create(config)
+    directory.update(status="running")
     tracker = open_tracker(config, directory)
     session = Session(
         config=config,

@@ -17,14 +17,16 @@ PEER = "stable-baselines3"
 def updates(config: RunConfig, rounds: int, updates_a_slice: int, transitions: int = 10_000) -> dict[str, Any]:
     """Compare updates a second, in rounds of as many as the config does after each step of its envs.
 
-    Ours have the config's matmul precision, the peer has torch's default.
+    Ours have the config's matmul precision, of which `auto` is decided once; the peer has torch's default.
     """
     _, gradient_steps = config.update_rounds()
     ours, peer = filled(config, lean=True, transitions=transitions), filled(config, lean=False, transitions=transitions)
     calls = max(1, updates_a_slice // gradient_steps)
+    with torch_settings(config) as precision:
+        pass
 
     def mine() -> float:
-        with torch_settings(config):
+        with torch_settings(config, precision):
             return side(ours)
 
     def side(model: OffPolicyAlgorithm) -> float:
@@ -32,7 +34,7 @@ def updates(config: RunConfig, rounds: int, updates_a_slice: int, transitions: i
             model.train(gradient_steps=gradient_steps, batch_size=model.batch_size)
         return calls * gradient_steps
 
-    about = {"peer": PEER, "unit": "updates", "precision": config.precision, "peer_precision": "highest"}
+    about = {"peer": PEER, "unit": "updates", "precision": precision, "peer_precision": "highest"}
     return interleave(mine, lambda: side(peer), rounds) | about
 
 
