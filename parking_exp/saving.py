@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import torch
 from gymnasium import spaces
-from hydra.utils import get_class
+from hydra.utils import get_object
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from stable_baselines3.common.vec_env import VecEnv
 
@@ -37,7 +37,7 @@ def check_saving(config: RunConfig) -> None:
         ConfigError: they differ in a weight or in an action, or the model can't be saved at all.
     """
     target, own_networks = config.algorithm.target, config.algorithm.arguments.get("policy_kwargs")
-    algorithm = get_class(target)
+    algorithm = get_object(target)
     if f"{algorithm.__module__}.{algorithm.__qualname__}" in PROVEN and not own_networks:
         return
     env = make_training_envs(config.env, 1)

@@ -564,9 +564,7 @@ def test_a_corrupt_checkpoint_is_passed_over_with_a_warning(tmp_path):
 
 
 def test_a_run_that_fails_is_failed_in_the_store_with_its_traceback(tmp_path):
-    config = make_config(
-        "experiment=smoke", f"output_dir={tmp_path}", "+algorithm.policy_kwargs.optimizer_kwargs={lr: 1}"
-    )  # the policy gives its optimizer lr itself
+    config = make_config("experiment=smoke", f"output_dir={tmp_path}", "algorithm._target_=misbehaving.Raises")
     with pytest.raises(FailedRunError, match=r"the run failed: .*; its traceback is in .*traceback\.txt"):
         train(config)
     directory, client = RunDirectory(config.run_dir), store(tmp_path)
@@ -575,6 +573,16 @@ def test_a_run_that_fails_is_failed_in_the_store_with_its_traceback(tmp_path):
     assert (run.info.status, run.data.tags["status"]) == ("FAILED", "failed")
     assert "traceback.txt" in artifacts(client, directory.run_id)
     assert (directory.path / "traceback.txt").read_text().startswith("Traceback")
+
+
+def test_networks_that_the_library_refuses_are_refused_before_anything_is_made(tmp_path):
+    """The policy gives its optimizer lr itself."""
+    arguments = ("experiment=smoke", f"output_dir={tmp_path}", "+algorithm.policy_kwargs.optimizer_kwargs={lr: 1}")
+    with pytest.raises(
+        ConfigError, match=r"parking_exp.lean.SAC refuses its arguments: .* multiple values for .* 'lr'"
+    ):
+        train(make_config(*arguments))
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_a_run_that_broke_and_goes_on_has_one_trajectory_in_the_store(tmp_path, monkeypatch):
