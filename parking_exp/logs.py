@@ -7,12 +7,13 @@ import shutil
 import time
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any
-
-import pandas as pd
+from typing import TYPE_CHECKING, Any
 
 from parking_exp.errors import DamagedFileError
 from parking_exp.files import sha256
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 APPENDED = ("metrics.jsonl", "episodes.csv", "monitor.csv")
 """Files of a run directory that only ever grow. Each checkpoint has a copy of them."""
@@ -128,13 +129,15 @@ class MetricsLog:
         """Return the last value of every metric."""
         return {key: value for record in self.records() for key, value in record["metrics"].items()}
 
-    def frame(self) -> pd.DataFrame:
+    def frame(self) -> "pd.DataFrame":
         """Return one row per step, one column per metric; empty cells are NaN."""
+        import pandas as pd  # not where a store is only synced
+
         rows = [{"step": record["step"], **record["metrics"]} for record in self.records()]
         return pd.DataFrame(rows, columns=None if rows else ["step"]).groupby("step").first().reset_index()
 
 
-def append_episodes(path: Path, episodes: pd.DataFrame, phase: str, step: int) -> None:
+def append_episodes(path: Path, episodes: "pd.DataFrame", phase: str, step: int) -> None:
     """Append an evaluation's episodes to `episodes.csv`, with its phase (`eval` or `final`) and env step."""
     table = episodes.assign(phase=phase, step=step)
     table = table[["phase", "step", *episodes.columns]]
