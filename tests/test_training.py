@@ -411,7 +411,7 @@ def test_evaluate_says_how_to_get_a_model_that_is_gone(finished):
     with pytest.raises(RunNotFoundError, match=rf"models/final.zip is gone; try model=best, or {again}$"):
         evaluate_stored(directory)
     with pytest.raises(
-        RunNotFoundError, match=r"none of the 1 runs .* yet; where a run is done and it is gone, its training command"
+        RunNotFoundError, match=r"of 1 run in .*, none has models/final.zip yet; where a run is done and it is gone, its training command"
     ):
         find_run("latest", directory.path.parents[2], having="models/final.zip")
     (directory.models / "best.zip").unlink()
