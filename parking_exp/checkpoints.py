@@ -21,7 +21,7 @@ from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 
 from parking_exp import streams, trees
 from parking_exp.buffers import HerBuffer
-from parking_exp.errors import DamagedModelError, ModelError
+from parking_exp.errors import DamagedFileError, DamagedModelError, ModelError
 from parking_exp.files import read_json, sha256, sync, write_json
 from parking_exp.lean.training import LeanTraining
 from parking_exp.logs import copy_logs
@@ -118,8 +118,15 @@ def check(folder: Path) -> str | None:
 
 
 def read_progress(folder: Path) -> Progress:
-    """Read a checkpoint's progress."""
-    return Progress(**read_json(folder / STATE)["progress"])
+    """Read a checkpoint's progress.
+
+    Raises:
+        DamagedFileError: it has none.
+    """
+    try:
+        return Progress(**read_json(folder / STATE)["progress"])
+    except (ValueError, LookupError, TypeError) as error:
+        raise DamagedFileError(f"{folder / STATE} has no progress of a run; delete {folder}") from error
 
 
 def restore(folder: Path, model: OffPolicyAlgorithm, best: Path) -> dict[str, Any]:

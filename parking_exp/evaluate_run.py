@@ -20,10 +20,9 @@ from parking_exp.config import (
 )
 from parking_exp.errors import ConfigError, DamagedModelError, ModelError, RunNotFoundError
 from parking_exp.files import write_json
-from parking_exp.locations import default_uri, directory_path, is_same_store
+from parking_exp.locations import default_uri, directory_path, is_same_store, without_password
 from parking_exp.rules import check_env
 from parking_exp.runs import RunDirectory, find_run
-from parking_exp.store import without_password
 from parking_exp.terminal import say
 from parking_exp.trust import check_trust
 from parking_exp.validation import parse

@@ -4,7 +4,9 @@ import hashlib
 import json
 import os
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
+
+import yaml
 
 
 def write_atomically(path: Path, text: str, *, durable: bool = True) -> None:
@@ -30,8 +32,51 @@ def write_json(path: Path, value: Any, *, durable: bool = True) -> None:
 
 
 def read_json(path: Path) -> Any:
-    """Read a JSON file, or return None where there is none."""
-    return json.loads(path.read_text(encoding="utf-8")) if path.exists() else None
+    """Read a JSON file, or return None where there is none.
+
+    Raises:
+        ValueError: it is none, or nested too deeply.
+    """
+    try:
+        return json.loads(path.read_text(encoding="utf-8")) if path.exists() else None
+    except RecursionError as error:
+        raise ValueError(f"{path} is nested too deeply") from error
+
+
+def read_plain_yaml(path: Path) -> Any:
+    """Read a YAML file of dicts with text as keys, lists, texts, numbers, booleans and nulls: what JSON has.
+
+    Raises:
+        OSError: it can't be read.
+        ValueError: it holds anything else, such as a tag, a tuple, a date or an alias.
+    """
+    try:
+        found = yaml.load(path.read_text(encoding="utf-8"), _PlainLoader)
+        json.dumps(found, allow_nan=True)
+    except (yaml.YAMLError, RecursionError, LookupError, AttributeError, TypeError) as error:
+        raise ValueError(str(error).splitlines()[0] or type(error).__name__) from error
+    return found
+
+
+class _PlainLoader(yaml.SafeLoader):
+    """Constructs what JSON has, and nothing else."""
+
+    yaml_constructors: ClassVar = {
+        tag: construct
+        for tag, construct in yaml.SafeLoader.yaml_constructors.items()
+        if tag is None or tag.rpartition(":")[2] in {"null", "bool", "int", "float", "str", "seq", "map"}
+    }
+
+    def compose_node(self, parent: Any, index: Any) -> Any:
+        if self.check_event(yaml.AliasEvent):
+            raise yaml.YAMLError("it has an alias")
+        return super().compose_node(parent, index)
+
+    def construct_mapping(self, node: Any, deep: bool = False) -> dict[Any, Any]:
+        found = super().construct_mapping(node, deep=True)
+        if not all(isinstance(key, str) for key in found):
+            raise yaml.YAMLError("it has a key that is no text")
+        return found
 
 
 def read_object(path: Path) -> dict[str, Any]:

@@ -4,6 +4,7 @@ What lies below an output directory is written down relative to it, and found fr
 """
 
 import os
+import re
 from pathlib import Path
 from typing import TYPE_CHECKING
 from urllib.parse import unquote, urlparse
@@ -17,7 +18,8 @@ ARTIFACTS = "mlflow-artifacts"  # folder of an output directory
 
 def directory_path(text: str | Path) -> Path:
     """Return the absolute path of a directory as it is typed, `~` and `..` resolved."""
-    return Path(os.path.normpath(Path(text).expanduser().absolute()))  # not `resolve`: links stay as they are typed
+    # Not `Path.expanduser`, which raises for an unknown user; not `resolve`: links stay as they are typed.
+    return Path(os.path.normpath(Path(os.path.expanduser(text)).absolute()))  # noqa: PTH111
 
 
 def default_uri(output_dir: Path) -> str:
@@ -65,6 +67,11 @@ def is_same_store(one: str, other: str) -> bool:
     """Whether two URIs name the same store."""
     ours, theirs = database(one), database(other)
     return one == other if ours is None or theirs is None else ours.resolve() == theirs.resolve()
+
+
+def without_password(text: str) -> str:
+    """Return a text with the user and password of every URI in it starred out."""
+    return re.sub(r"//\S*@", "//***@", text)  # up to the last @ of a word: passwords may have one
 
 
 def lies_inside(path: Path, folder: Path) -> bool:

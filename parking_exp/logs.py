@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from parking_exp.errors import DamagedFileError
-from parking_exp.files import sha256
+from parking_exp.files import read_object, sha256
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -66,6 +66,13 @@ def damaged_logs(run_dir: Path, hashes: Mapping[str, str], checkpoint: Path | No
     return [copy.name for copy in copies if copy.exists() and not _begins_like(run_dir / copy.name, copy)]
 
 
+def has_whole_logs(checkpoint: Path) -> bool:
+    """Whether the logs of a checkpoint are as they were when it was made."""
+    digests = read_object(checkpoint / "manifest.json")
+    copies = [checkpoint / name for name in APPENDED if name in digests]
+    return bool(copies) and all(_has_hash(copy, digests[copy.name]) for copy in copies)
+
+
 def _begins_like(path: Path, copy: Path) -> bool:
     size = copy.stat().st_size
     if not path.exists() or path.stat().st_size < size:
@@ -79,7 +86,7 @@ def _has_hash(path: Path, digest: str) -> bool:
 
 
 def read_metrics(path: Path) -> Iterator[dict[str, Any]]:
-    """Yield the rows of a `metrics.jsonl`, none where there is no file.
+    """Yield the rows of a `metrics.jsonl`, none where there is no file. A last line without its end is still written.
 
     Raises:
         DamagedFileError: a line is not such a row.
@@ -88,6 +95,8 @@ def read_metrics(path: Path) -> Iterator[dict[str, Any]]:
         return
     with path.open("rb") as file:
         for number, line in enumerate(file, 1):
+            if not line.endswith(b"\n"):
+                return
             try:
                 record = json.loads(line)
                 record["step"], record["time_ms"], record["metrics"].items()

@@ -5,6 +5,7 @@ import zipfile
 from pathlib import Path
 
 from parking_exp import checkpoints
+from parking_exp.errors import DamagedFileError
 from parking_exp.evaluation import rank
 from parking_exp.runs import MODELS, RunDirectory
 from parking_exp.weights import BUFFER_ENTRIES, replacing
@@ -17,6 +18,7 @@ def make_models(directory: RunDirectory) -> str:
         What was done, or why it can't be, as a sentence.
 
     Raises:
+        DamagedFileError: the checkpoint is none.
         OSError: the disk is full.
     """
     gone = [name for name in MODELS if not (directory.models / name).exists()]
@@ -38,15 +40,22 @@ def _ends_with_best(directory: RunDirectory, checkpoint: Path) -> bool:
     before, result = checkpoints.read_progress(checkpoint).best, directory.result()
     assert result is not None
     last = {key.removeprefix("eval/"): value for key, value in result.metrics.items() if key.startswith("eval/")}
-    return before is None or list(rank(last)) > before
+    try:
+        return before is None or list(rank(last)) > before
+    except (KeyError, TypeError) as error:
+        raise DamagedFileError(f"{checkpoint} and {directory.path / 'result.json'} are of no evaluation") from error
 
 
 def _copy(checkpointed: Path, path: Path) -> None:
     """Write what `save_model` would have written, from the model of a checkpoint: the same weights to the last bit."""
-    with replacing(path) as temporary, zipfile.ZipFile(checkpointed) as whole, zipfile.ZipFile(temporary, "w") as copy:
-        for member in whole.infolist():
-            content = whole.read(member)
-            if member.filename == "data":
-                entries = {key: value for key, value in json.loads(content).items() if key not in BUFFER_ENTRIES}
-                content = json.dumps(entries, indent=4).encode()
+    try:
+        with zipfile.ZipFile(checkpointed) as whole:
+            members = {member: whole.read(member) for member in whole.infolist()}
+            (data,) = (member for member in members if member.filename == "data")
+            entries = json.loads(members[data])
+            members[data] = json.dumps({k: v for k, v in entries.items() if k not in BUFFER_ENTRIES}, indent=4).encode()
+    except (zipfile.BadZipFile, ValueError, AttributeError, NotImplementedError, RecursionError) as error:
+        raise DamagedFileError(f"{checkpointed} is no model; delete {checkpointed.parent}") from error
+    with replacing(path) as temporary, zipfile.ZipFile(temporary, "w") as copy:
+        for member, content in members.items():
             copy.writestr(member, content)

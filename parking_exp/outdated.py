@@ -2,9 +2,9 @@
 
 from collections.abc import Iterable, Iterator, Sequence
 
-from parking_exp.locations import absolute, database, is_same_store
+from parking_exp.locations import absolute, database, is_same_store, without_password
 from parking_exp.runs import RunDirectory
-from parking_exp.store import Store, is_store_failure, reason, without_password
+from parking_exp.store import Store, is_store_failure, reason
 from parking_exp.syncing import present_status, recorded_in_step, try_sync
 
 
@@ -47,7 +47,8 @@ def known_statuses(uri: str, directories: Iterable[RunDirectory]) -> dict[str, s
     path = database(uri)
     if path is not None and not path.exists():
         return {}
-    return Store(uri).statuses({directory.path.parents[1].name for directory in directories})
+    known = list(directories)
+    return Store(uri, known[0].output_dir).statuses({directory.path.parents[1].name for directory in known})
 
 
 def _sync_to(uri: str, directories: list[RunDirectory]) -> Iterator[tuple[RunDirectory, str | None]]:

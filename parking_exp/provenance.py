@@ -1,7 +1,6 @@
 """What exactly was run: versions, commit, machine."""
 
 import platform
-import re
 import shlex
 import subprocess
 import sys
@@ -9,8 +8,11 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 from parking_exp import __version__
+from parking_exp.files import read_object
+from parking_exp.locations import without_password
 
 PROVENANCE_FILE = "provenance.json"
+TAGS = {"git_commit", "git_dirty", "cpu", "precision"}  # and version.PACKAGE
 PACKAGES = ["torch", "stable-baselines3", "highway-env", "gymnasium", "numpy", "hydra-core", "mlflow-skinny"]
 
 
@@ -34,7 +36,19 @@ def typed_command() -> str | None:
         words = ["python", f"scripts/{name}"]
     else:  # called from Python
         return None
-    return re.sub(r"//[^/@\s]*@", "//***@", shlex.join([*words, *sys.argv[1:]]))
+    return without_password(shlex.join([*words, *sys.argv[1:]]))
+
+
+def read_provenance(path: Path) -> tuple[int | None, dict[str, str]]:
+    """Return when a run was started, in ms since 1970, and its tags; what is none of ours is left out."""
+    found = read_object(path)
+    started_ms, tags = found.get("started_ms"), found.get("tags")
+    known = {
+        name: value
+        for name, value in (tags.items() if isinstance(tags, dict) else ())
+        if isinstance(value, str) and (name in TAGS or name.startswith("version."))
+    }
+    return started_ms if type(started_ms) is int and 0 <= started_ms < 2**53 else None, known
 
 
 def _git() -> dict[str, str]:

@@ -17,8 +17,8 @@ from typing import Any
 
 from parking_exp.errors import ParkingError, ResultsError
 from parking_exp.garbage import no_garbage
-from parking_exp.locations import absolute, database, lies_inside, local_folder
-from parking_exp.store import connect, is_store_failure, reason, without_password
+from parking_exp.locations import absolute, database, lies_inside, local_folder, without_password
+from parking_exp.store import connect, is_store_failure, own_directory, reason
 
 Point = tuple[str, int, int, float]
 """Run id, step, time in ms, value."""
@@ -63,6 +63,8 @@ class Reader:
         if path is None and Path(uri).is_file():
             raise ResultsError(f"uri={uri} is a file and no URI; type sqlite:///{uri}")
         with self._asked():
+            if artifacts_in is not None:
+                own_directory(self.uri, artifacts_in)
             self._client = connect(self.uri)
             self._store = self._client._tracking_client.store
             self._database = self._store.ManagedSessionMaker if hasattr(self._store, "ManagedSessionMaker") else None

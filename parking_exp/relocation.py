@@ -1,34 +1,33 @@
-"""Artifact locations of an embedded store whose output directory was moved or copied."""
+"""Artifact locations of an output directory's own store, after the directory was moved or copied."""
 
 import sqlite3
 from contextlib import closing
 from pathlib import Path
 
-from parking_exp.locations import ARTIFACTS, local_folder
+OUTPUT_DIR_TAG = "parking_exp.output_dir"
+"""Tag of experiments in an output directory's own store: where the directory was when artifacts were located last."""
 
 
 def relocate(database: Path) -> None:
-    """Point experiments and runs of a database to the artifacts beside it, where these were moved along with it.
+    """Point experiments and runs of a database to artifacts below the output directory that it is in now.
 
     MLflow keeps absolute locations: a moved store would go on writing to the old place, a copied one to the original's.
+    Experiments without the tag, of runs in other output directories, stay as they are.
 
     Raises:
         sqlite3.Error: the database can't be changed.
     """
     with closing(sqlite3.connect(database)) as connection, connection:
-        found = connection.execute("SELECT experiment_id, name, artifact_location FROM experiments").fetchall()
-        for experiment_id, name, location in found:
-            here, there = database.parent / ARTIFACTS / name, local_folder(location or "")
-            if there is None or there.parts[-2:] != (ARTIFACTS, name) or not here.is_dir():
+        tagged = "SELECT experiment_id, value FROM experiment_tags WHERE key = ?"
+        for experiment_id, written in connection.execute(tagged, (OUTPUT_DIR_TAG,)).fetchall():
+            if written == str(database.parent) or not Path(written).is_absolute():
                 continue
-            if there.exists() and there.samefile(here):
-                continue
-            uri = here.absolute().as_uri()
-            connection.execute(
-                "UPDATE experiments SET artifact_location = ? WHERE experiment_id = ?", (uri, experiment_id)
-            )
-            connection.execute(
-                "UPDATE runs SET artifact_uri = ? || substr(artifact_uri, ?)"
-                " WHERE experiment_id = ? AND substr(artifact_uri, 1, ?) = ?",
-                (uri, len(location) + 1, experiment_id, len(location) + 1, f"{location}/"),
-            )
+            old, new = f"{Path(written).as_uri()}/", f"{database.parent.as_uri()}/"
+            for table, column in (("experiments", "artifact_location"), ("runs", "artifact_uri")):
+                connection.execute(
+                    f"UPDATE {table} SET {column} = ? || substr({column}, ?)"
+                    f" WHERE experiment_id = ? AND substr({column}, 1, ?) = ?",
+                    (new, len(old) + 1, experiment_id, len(old), old),
+                )
+            renamed = "UPDATE experiment_tags SET value = ? WHERE experiment_id = ? AND key = ?"
+            connection.execute(renamed, (str(database.parent), experiment_id, OUTPUT_DIR_TAG))

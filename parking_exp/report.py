@@ -15,9 +15,8 @@ from pydantic import Field
 from parking_exp.composition import composed
 from parking_exp.config import NAME, Section
 from parking_exp.errors import ConfigError, ResultsError
-from parking_exp.locations import directory_path
+from parking_exp.locations import directory_path, without_password
 from parking_exp.signatures import signature
-from parking_exp.store import without_password
 from parking_exp.terminal import say
 from parking_exp.validation import parse
 from parking_exp.wording import several, similar

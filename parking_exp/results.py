@@ -65,10 +65,10 @@ import pandas as pd
 from parking_exp.columns import TEXT, column, flags, integers, text, times, typed
 from parking_exp.errors import ResultsError
 from parking_exp.garbage import no_garbage
-from parking_exp.locations import default_uri, directory_path
+from parking_exp.locations import default_uri, directory_path, without_password
 from parking_exp.reading import Point, Reader, StoredRun
 from parking_exp.recordings import EPISODES, read_episodes, read_trajectories
-from parking_exp.store import is_store_failure, reason, without_password
+from parking_exp.store import is_store_failure, reason
 from parking_exp.trajectories import TRAJECTORIES_FILE
 from parking_exp.wording import closest, several
 

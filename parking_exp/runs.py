@@ -23,7 +23,7 @@ from pydantic import TypeAdapter, ValidationError
 
 from parking_exp.config import RunConfig
 from parking_exp.errors import ConfigError, OutputDirectoryError, RunLockedError, RunNotFoundError, UntrustedError
-from parking_exp.files import read_object, write_atomically, write_json
+from parking_exp.files import read_object, read_plain_yaml, write_atomically, write_json
 from parking_exp.locations import absolute, directory_path, lies_inside, relative
 from parking_exp.provenance import typed_command
 from parking_exp.status_file import Status, StatusEntries, read_entries
@@ -210,8 +210,8 @@ class RunDirectory:
         """
         path = self.path / "config.yaml"
         try:
-            stored = yaml.safe_load(path.read_text(encoding="utf-8"))
-        except (OSError, ValueError, yaml.YAMLError) as error:
+            stored = read_plain_yaml(path)
+        except (OSError, ValueError) as error:
             raise ConfigError(f"{path} can't be read: {str(error).splitlines()[0]}") from error
         if not isinstance(stored, dict):
             raise ConfigError(f"{path} can't be read: it is no config, but a {type(stored).__name__}")
@@ -243,6 +243,7 @@ class RunDirectory:
         Raises:
             RunLockedError: another process is.
             OutputDirectoryError: the directory cannot be made.
+            UntrustedError: a symbolic link leads out of it.
         """
         with self._held(CLAIM, LOCK_PATIENCE_S):
             yield
@@ -266,6 +267,7 @@ class RunDirectory:
         except Timeout:
             raise RunLockedError(f"another process is working on {self.path}; wait for it, or stop it first") from None
         try:
+            self.check_links()
             yield
         finally:
             lock.release()

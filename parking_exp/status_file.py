@@ -34,7 +34,7 @@ class StatusEntries(_Entries):
     pid: Count | None = None
     started: Seconds | None = None
     run_id: str | None = None
-    tracking_uri: str | None = None
+    tracking_uri: Annotated[str, Field(pattern=r"^[^\x00-\x1f]+$")] | None = None
     unsynced: str | None = None
     command: str | None = None
     precision: Literal["highest", "medium"] | None = None
@@ -61,6 +61,7 @@ def read_entries(path: Path, schema: type[BaseModel]) -> tuple[dict[str, Any], s
         found = None
     if not isinstance(found, dict):
         return {}, f"{path.name} can't be read"
+    found = {key: value for key, value in found.items() if value is not None}
     try:
         schema.model_validate(found)
     except ValidationError as error:

@@ -7,9 +7,10 @@ readers pass while a row is written, which takes milliseconds, but needs memory 
 network file systems do not have. Readers (`mlflow ui`) need no lock of ours.
 """
 
+import json
 import logging
 import os
-import re
+import shlex
 import sqlite3
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
@@ -22,8 +23,8 @@ from filelock import FileLock
 from parking_exp.config import RunConfig
 from parking_exp.descriptions import experiment_tags
 from parking_exp.errors import ParkingError, StoreError
-from parking_exp.locations import ARTIFACTS, database
-from parking_exp.relocation import relocate
+from parking_exp.locations import ARTIFACTS, database, lies_inside, local_folder, without_password
+from parking_exp.relocation import OUTPUT_DIR_TAG, relocate
 
 if TYPE_CHECKING:
     from mlflow import MlflowClient
@@ -111,16 +112,35 @@ def reason(error: BaseException) -> str:
     return words if len(words) <= LONGEST_REASON else f"{words[:LONGEST_REASON]}..."
 
 
-def without_password(text: str) -> str:
-    """Return a text with the user and password of every URI in it starred out."""
-    return re.sub(r"//[^/@\s]*@", "//***@", text)
+def own_directory(uri: str, output_dir: Path) -> Path | None:
+    """Return the output directory if a store is its own, and so may come from elsewhere with it.
+
+    Raises:
+        StoreError: the database is a link that leads out of the directory.
+    """
+    path = database(uri)
+    if path is None or not path.is_relative_to(output_dir):
+        return None
+    if not lies_inside(path, output_dir):
+        raise StoreError(f"{path} is a symbolic link that leads out of {output_dir}; name the store with tracking.uri=")
+    return output_dir
 
 
 class Store:
-    """A connection to a store. Only what writes takes its lock."""
+    """A connection to a store. Only what writes takes its lock.
 
-    def __init__(self, uri: str) -> None:
+    Args:
+        uri: the store.
+        output_dir: of the runs. Its own store may come from elsewhere with it, and reaches artifacts below it only.
+
+    Raises:
+        StoreError: a link leads out of the output directory.
+        Exception: what `connect` raises.
+    """
+
+    def __init__(self, uri: str, output_dir: Path) -> None:
         self.uri = uri
+        self._own_directory = own_directory(uri, output_dir)
         self.client = connect(uri)
         self._lock = _write_lock(uri)
 
@@ -141,7 +161,7 @@ class Store:
             else:
                 if run.info.lifecycle_stage == "active" and run.data.tags.get("run_key") == tags["run_key"]:
                     place = self._place(run.data.tags.get("run_dir", ""))
-                    if place == self._place(tags["run_dir"]) or not place.is_dir():
+                    if place is not None and (place == self._place(tags["run_dir"]) or not place.is_dir()):
                         return run
         found = self.client.get_experiment_by_name(experiment)
         if found is None:
@@ -211,25 +231,27 @@ class Store:
 
     def upload(self, run: "Run", file: Path, name: str) -> None:
         """Store a file as the artifact `name`, whose last part is the file's own name."""
-        self.client.log_artifact(run.info.run_id, str(file), name.rpartition("/")[0] or None)
+        self._artifacts(run).log_artifact(str(file), name.rpartition("/")[0] or None)
 
     def upload_json(self, run: "Run", value: Any, name: str) -> None:
         """Store a value as a JSON artifact."""
-        self.client.log_dict(run.info.run_id, value, name)
+        with TemporaryDirectory() as folder:
+            file = Path(folder) / name.rpartition("/")[2]
+            file.write_text(json.dumps(value, indent=2), encoding="utf-8")
+            self.upload(run, file, name)
 
     def download(self, run: "Run", name: str) -> bytes | None:
         """Return the content of an artifact, None where the run has none of that name."""
-        if not any(item.path == name for item in self.client.list_artifacts(run.info.run_id)):
+        artifacts = self._artifacts(run)
+        if not any(item.path == name for item in artifacts.list_artifacts()):
             return None
         with TemporaryDirectory() as folder:
-            return Path(self.client.download_artifacts(run.info.run_id, name, folder)).read_bytes()
+            return Path(artifacts.download_artifacts(name, folder)).read_bytes()
 
     def delete_artifact(self, run: "Run", name: str) -> None:
         """Delete an artifact or a folder of them, where the place of artifacts can do that and allows it."""
-        from mlflow.store.artifact.artifact_repository_registry import get_artifact_repository
-
         try:
-            get_artifact_repository(run.info.artifact_uri, tracking_uri=self.uri).delete_artifacts(name)
+            self._artifacts(run).delete_artifacts(name)
         except Exception as error:  # this is tidying up, and a place of artifacts may not allow it
             if not isinstance(error, NotImplementedError) and not is_store_failure(error):
                 raise
@@ -237,23 +259,33 @@ class Store:
 
     def folders(self, run: "Run", name: str) -> list[str]:
         """Return the names of what lies in an artifact folder."""
-        return [item.path.rpartition("/")[2] for item in self.client.list_artifacts(run.info.run_id, name)]
+        return [item.path.rpartition("/")[2] for item in self._artifacts(run).list_artifacts(name)]
+
+    def _artifacts(self, run: "Run") -> Any:
+        """Return MLflow's access to a run's artifacts. (Its client keeps one for each run id, whatever the store.)
+
+        Raises:
+            StoreError: they are outside of the output directory that the store is part of.
+        """
+        from mlflow.store.artifact.artifact_repository_registry import get_artifact_repository
+
+        self._refuse_elsewhere(run.info.artifact_uri)
+        return get_artifact_repository(run.info.artifact_uri, tracking_uri=self.uri)
 
     def _experiment(self, config: RunConfig) -> str:
         """Return the id of a run's experiment, made by one process of many."""
         from mlflow.exceptions import MlflowException
 
-        name, location = config.experiment_name, None
+        name, location, tags = config.experiment_name, None, experiment_tags(config.experiment_name)
         # A tracking server has its own place for artifacts; a database would put them into the current directory.
         if not self.uri.startswith(("http", "databricks")):
-            place = config.output_path / ARTIFACTS / name
-            place.mkdir(parents=True, exist_ok=True)
-            location = place.as_uri()
+            location = (config.output_path / ARTIFACTS / name).as_uri()
+        own = {OUTPUT_DIR_TAG: str(self._own_directory)} if self._own_directory else {}
         with self._lock:
             experiment = self.client.get_experiment_by_name(name)
             if experiment is None:
                 try:
-                    return self.client.create_experiment(name, location, experiment_tags(name))
+                    return self.client.create_experiment(name, location, {**tags, **own})
                 except MlflowException:  # without a lock of ours another process may have been first
                     experiment = self.client.get_experiment_by_name(name)
                     if experiment is None:
@@ -262,17 +294,31 @@ class Store:
                 restore = f"mlflow experiments restore --experiment-id {experiment.experiment_id}"
                 raise StoreError(
                     f"the experiment {name} was deleted in this store: restore it with"
-                    f" `MLFLOW_TRACKING_URI={without_password(self.uri)} {restore}`, or take another experiment_name"
+                    f" `MLFLOW_TRACKING_URI={shlex.quote(without_password(self.uri))} {restore}`,"
+                    " or take another experiment_name"
                 )
-            for key, value in experiment_tags(name).items():
+            self._refuse_elsewhere(experiment.artifact_location)
+            for key, value in tags.items():
                 if key not in experiment.tags:
                     self.client.set_experiment_tag(experiment.experiment_id, key, value)
         return experiment.experiment_id
 
-    def _place(self, run_dir: str) -> Path:
-        """Return the directory that the tag `run_dir` means."""
+    def _place(self, run_dir: str) -> Path | None:
+        """Return the directory that the tag `run_dir` means, None where it is none."""
         path = database(self.uri)
-        return ((path.parent if path else Path()) / run_dir).resolve()
+        return ((path.parent if path else Path()) / run_dir).resolve() if run_dir.isprintable() else None
+
+    def _refuse_elsewhere(self, place: str) -> None:
+        """Refuse artifacts of an output directory's own store that are elsewhere.
+
+        Raises:
+            StoreError: they are.
+        """
+        if (own := self._own_directory) is None:
+            return
+        folder = local_folder(place)
+        if folder is None or not lies_inside(folder, own):
+            raise StoreError(f"this store keeps artifacts outside of {own}, in {place}; take another experiment_name")
 
 
 def _write_lock(uri: str) -> AbstractContextManager[Any]:

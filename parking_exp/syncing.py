@@ -15,7 +15,7 @@ written after the fact, so that a kill makes a file be sent twice, never be forg
 
 import hashlib
 import traceback
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -25,11 +25,11 @@ from filelock import FileLock
 from parking_exp import artifacts
 from parking_exp.config import RunConfig
 from parking_exp.descriptions import NOTE, run_note
-from parking_exp.errors import DamagedFileError, StoreError
+from parking_exp.errors import DamagedFileError
 from parking_exp.files import fingerprint, read_object, write_json
-from parking_exp.locations import absolute, database, lies_inside, local_folder, relative, relative_path
-from parking_exp.logs import damaged_logs, read_metrics
-from parking_exp.provenance import PROVENANCE_FILE
+from parking_exp.locations import absolute, database, relative, relative_path
+from parking_exp.logs import damaged_logs, has_whole_logs, read_metrics
+from parking_exp.provenance import PROVENANCE_FILE, read_provenance
 from parking_exp.runs import RunDirectory, Status
 from parking_exp.store import Store, is_store_failure, reason
 
@@ -58,12 +58,17 @@ def sync(directory: RunDirectory, uri: str) -> None:
     config = directory.config()
     directory.check_links()
     with FileLock(directory.path / ".sync.lock", timeout=WAIT_S):
-        status, store, tags = present_status(directory), Store(uri), _tags(directory, config, uri)
+        status, tags = present_status(directory), _tags(directory, config, uri)
+        store = Store(uri, directory.output_dir)
         known = store.find(directory.run_id, config.experiment_name, tags)
         damaged = _restore_logs(store, known, directory, status)
+        lost = "metrics.jsonl" in damaged
+        points = [] if lost and status == "done" else _final_metrics(directory, status)
         # Fewer points than there were are no other past, and never take the place of the store's.
-        points = [] if "metrics.jsonl" in damaged else _final_metrics(directory, status)
-        run = _run(store, known, directory, config, tags, points)
+        if known is not None and not lost and _another_past(known, read_metrics(directory.path / "metrics.jsonl")):
+            store.delete(known)
+            known = None
+        run = _run(store, known, directory, config, tags)
         sent = _Sent(directory, uri, run.info.run_id)
         if sent.status != status:  # from here on a kill leaves a run that is not in step
             sent.status = None
@@ -84,10 +89,10 @@ def sync(directory: RunDirectory, uri: str) -> None:
         sent.status = status
         sent.write()
     if damaged:
-        raise DamagedFileError(
-            f"{', '.join(damaged)} in {directory.path} has lost something, and the store has no copy; "
-            "what the store has of it stays as it is"
-        )
+        what = f"{', '.join(damaged)} in {directory.path} has lost something"
+        if status == "done":
+            raise DamagedFileError(f"{what}, and the store has no copy; what the store has of it stays as it is")
+        raise DamagedFileError(f"{what}; it is taken from the last checkpoint when its training command is typed again")
 
 
 def try_sync(directory: RunDirectory, uri: str) -> str | None:
@@ -171,29 +176,10 @@ class _Sent:
             self._written = {**value, "files": dict(self.files)}
 
 
-def _run(
-    store: Store, run: "Run | None", directory: RunDirectory, config: RunConfig, tags: dict[str, str],
-    points: list["Metric"],
-) -> "Run":  # fmt: skip
-    """Return the store's run, the one that was found or a new one, and write its id down.
-
-    Raises:
-        StoreError: the embedded store of an output directory keeps the run's artifacts elsewhere.
-    """
-    if run is not None and _another_past(run, points):
-        store.delete(run)
-        run = None
+def _run(store: Store, run: "Run | None", directory: RunDirectory, config: RunConfig, tags: dict[str, str]) -> "Run":
+    """Return the store's run, the one that was found or a new one, and write its id down."""
     if run is None:
-        start_ms = read_object(directory.path / PROVENANCE_FILE).get("started_ms")
-        run = store.create(config, {**tags, "status": "running"}, start_ms)
-    path = database(store.uri)
-    if path is not None and lies_inside(path, directory.output_dir):
-        folder = local_folder(run.info.artifact_uri)
-        if folder is None or not lies_inside(folder, directory.output_dir):
-            raise StoreError(
-                f"the experiment {config.experiment_name} of this store keeps its artifacts outside of "
-                f"{directory.output_dir}, in {run.info.artifact_uri}; take another experiment_name"
-            )
+        run = store.create(config, {**tags, "status": "running"}, read_provenance(directory.path / PROVENANCE_FILE)[0])
     if directory.run_id != run.info.run_id or directory.tracking_uri != store.uri:
         directory.update(run_id=run.info.run_id, tracking_uri=store.uri)
     return run
@@ -203,13 +189,13 @@ def _tags(directory: RunDirectory, config: RunConfig, uri: str) -> dict[str, str
     path = database(uri)
     run_dir = relative_path(directory.path, path.parent) if path else str(directory.path.absolute())
     return {
+        **read_provenance(directory.path / PROVENANCE_FILE)[1],
         "experiment": config.experiment_name,
         "cell": config.cell,
         "seed": str(config.seed),
         "run_key": config.run_key,
         "run_dir": run_dir,
         "error": _error(directory),
-        **read_object(directory.path / PROVENANCE_FILE).get("tags", {}),
     }
 
 
@@ -248,9 +234,9 @@ def _final_metrics(directory: RunDirectory, status: Status) -> list["Metric"]:
 
 
 def _last_checkpoint(directory: RunDirectory) -> Path | None:
-    """Return the newest checkpoint that has logs."""
+    """Return the newest checkpoint whose logs are whole."""
     folders = artifacts.checkpoint_folders(directory)
-    return next((folder for folder in reversed(folders) if (folder / "metrics.jsonl").exists()), None)
+    return next((folder for folder in reversed(folders) if has_whole_logs(folder)), None)
 
 
 def _latest_points(run: "Run") -> dict[str, tuple[int, int]]:
@@ -258,11 +244,12 @@ def _latest_points(run: "Run") -> dict[str, tuple[int, int]]:
     return {metric.key: (metric.step, metric.timestamp) for metric in run.data.to_proto().metrics}
 
 
-def _another_past(run: "Run", points: list["Metric"]) -> bool:
+def _another_past(run: "Run", records: Iterable[dict[str, Any]]) -> bool:
     """Whether the store's latest point of a metric is none of the run directory's. Metrics of others don't count."""
     ours: dict[str, set[tuple[int, int]]] = {}
-    for point in points:
-        ours.setdefault(point.key, set()).add((point.step, point.timestamp))
+    for record in records:
+        for key in record["metrics"]:
+            ours.setdefault(key, set()).add((record["step"], record["time_ms"]))
     return any(key in ours and latest not in ours[key] for key, latest in _latest_points(run).items())
 
 
@@ -276,4 +263,4 @@ def _end_ms(directory: RunDirectory) -> int:
 def _keep_traceback(directory: RunDirectory, error: Exception) -> str:
     path = directory.path / TRACEBACK_FILE
     path.write_text("".join(traceback.format_exception(error)), encoding="utf-8")
-    return f"an error of parking_exp: {type(error).__name__}: {error}; its traceback is in {path}"
+    return f"an error of parking_exp: {type(error).__name__}: {error}; its traceback is in {path}; please report it"

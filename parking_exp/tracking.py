@@ -6,11 +6,10 @@ from collections.abc import Callable
 from pathlib import Path
 
 from parking_exp.config import RunConfig
-from parking_exp.files import read_object, write_json
-from parking_exp.locations import default_uri, store_uri
-from parking_exp.provenance import PROVENANCE_FILE, provenance
+from parking_exp.files import write_json
+from parking_exp.locations import default_uri, store_uri, without_password
+from parking_exp.provenance import PROVENANCE_FILE, provenance, read_provenance
 from parking_exp.runs import RunDirectory
-from parking_exp.store import without_password
 from parking_exp.syncing import try_sync
 
 # Between attempts at a store that fails: so that no more than a twentieth of a training's time goes there.
@@ -78,7 +77,7 @@ def open_tracker(config: RunConfig, directory: RunDirectory, say: Callable[[str]
         return Tracker()
     # Of the process that trains, not of one that syncs later.
     path = directory.path / PROVENANCE_FILE
-    started_ms = read_object(path).get("started_ms", time.time_ns() // 1_000_000)
+    started_ms = read_provenance(path)[0] or time.time_ns() // 1_000_000
     tags = provenance() | {"precision": directory.read_status().get("precision", config.precision)}
     write_json(path, {"started_ms": started_ms, "tags": tags})
     uri = store_uri(config)

@@ -65,7 +65,8 @@ def is_trusted(target: object) -> bool:
 
 def _targets(node: Any, key: str = "") -> Iterator[tuple[str, Any]]:
     """Yield everything in nested containers that is imported: each `_target_` and each class argument, with its key."""
-    children = node.items() if isinstance(node, Mapping) else enumerate(node) if isinstance(node, list) else ()
+    is_sequence = isinstance(node, list | tuple | set)
+    children = node.items() if isinstance(node, Mapping) else enumerate(node) if is_sequence else ()
     for name, value in children:
         path = f"{key}.{name}" if key else str(name)
         if name == "_target_":

@@ -98,6 +98,8 @@ def _make_models(directory: RunDirectory) -> None:
 
     try:
         say(make_models(directory), stderr=True)
+    except ParkingError as error:
+        say(f"error: {error}", stderr=True)
     except OSError as error:
         say(f"error: {directory.models} cannot be written: {error.strerror}", stderr=True)
 

@@ -275,7 +275,7 @@ def _send(directory: RunDirectory, look: Look, uri: str) -> None:
         sync(directory, uri)
     if not (look.params or look.tags):
         return
-    store = Store(uri)
+    store = Store(uri, directory.output_dir)
     assert directory.run_id is not None
     for key, value in look.tags.items():
         if value is None:
@@ -296,7 +296,7 @@ def _insert(
     from mlflow.store.tracking.dbmodels import models
     from sqlalchemy import create_engine, insert
 
-    store = Store(uri)
+    store = Store(uri, next(iter(runs.values())).output_dir)
     names = {"runs": models.SqlRun, "params": models.SqlParam, "tags": models.SqlTag, "metrics": models.SqlMetric}
     tables: dict[Any, list[dict[str, Any]]] = {model: [] for model in (*names.values(), models.SqlLatestMetric)}
     experiment_id, location = "", ""

@@ -14,16 +14,18 @@ from conftest import artifacts, make_config, run_script, store
 from syncing_processes import grow
 
 from parking_exp.composition import composed
-from parking_exp.errors import ConfigError, StoreError, UntrustedError
+from parking_exp.errors import ConfigError, ParkingError, StoreError, UntrustedError
 from parking_exp.evaluate_run import evaluate_run
 from parking_exp.files import read_json, write_json
 from parking_exp.locations import absolute, default_uri, directory_path, is_same_store, relative, store_uri
+from parking_exp.logs import log_hashes
 from parking_exp.outdated import sync_all
 from parking_exp.reading import Reader
 from parking_exp.results import load
 from parking_exp.runs import RunDirectory, RunResult
 from parking_exp.states import find
 from parking_exp.syncing import sync
+from parking_exp.training import train
 
 EVALUATE = ("episodes=1", "simulator=vectorized", "name=again")
 
@@ -81,6 +83,9 @@ def everything_moved(smoke, tmp_path):
             with closing(open_database(old / "mlflow.db")) as database, database:
                 database.execute(
                     f"UPDATE {table} SET {column} = replace({column}, ?, ?)", (smoke[2].as_uri(), old.as_uri())
+                )
+                database.execute(
+                    "UPDATE experiment_tags SET value = ? WHERE key = 'parking_exp.output_dir'", (str(old),)
                 )
         shutil.move(old, new) if how == "moved" else shutil.copytree(old, new)
         return old, new
@@ -161,7 +166,7 @@ def test_a_copy_of_a_run_that_is_tracked_elsewhere_gets_a_run_of_its_own(tmp_pat
     moved = RunDirectory(tmp_path / "three" / original.path.relative_to(tmp_path / "one"))
     sync(moved, uri)
     assert moved.run_id == run_id
-    assert client.get_run(moved.run_id).data.tags["run_dir"] == str(moved.path)
+    assert client.get_run(moved.run_id).data.tags["run_dir"] == str(moved.path.relative_to(tmp_path))
 
 
 def test_the_run_of_another_config_is_not_taken_for_ours(output_dir):
@@ -302,6 +307,16 @@ def test_an_interpolation_on_the_command_line_is_one_sentence_and_nothing_is_wri
         ("a: [", "while parsing a flow node"),
         ("a: !!python/object/apply:os.system [ls]", "could not determine a constructor"),
         ("\udcff", "can't be read"),
+        ("a: &a [*a]", "it has an alias"),
+        ("[" * 3000, "maximum recursion depth"),
+        ("a: !!timestamp 99999-99-99", "could not determine a constructor"),
+        ("a: 2026-11-22", "could not determine a constructor"),
+        ('a: !!int ""', "index out of range"),
+        ("a: !!pairs [b: {_target_: os.mkdir}]", "could not determine a constructor"),
+        ("a: !!omap [b: c]", "could not determine a constructor"),
+        ("a: !!set {b, c}", "could not determine a constructor"),
+        ("a: !!binary aGk=", "could not determine a constructor"),
+        ("1: 2", "it has a key that is no text"),
     ],
 )
 def test_a_config_that_is_none_is_one_sentence(foreign, content, words):
@@ -343,11 +358,115 @@ def test_artifacts_of_an_embedded_store_are_neither_sent_nor_read_elsewhere(outp
         database.execute("UPDATE experiments SET artifact_location = ? WHERE name = 'smoke'", (place,))
     with pytest.raises(StoreError) as refusal:
         sync(directory, default_uri(output_dir))
-    assert str(refusal.value).startswith(
-        f"the experiment smoke of this store keeps its artifacts outside of {output_dir}, in {place}/"
+    assert str(refusal.value) == (
+        f"this store keeps artifacts outside of {output_dir}, in {place}; take another experiment_name"
     )
-    found = load("smoke", output_dir=output_dir)
-    assert len(found.episodes) == 0
+    assert rows(output_dir, "SELECT count(*) FROM runs") == [(0,)]
+
+
+def test_no_order_of_calls_reaches_artifacts_elsewhere(output_dir, listener, monkeypatch):
+    """Also where a log is to be taken back from the store, before anything is sent."""
+    uri, heard = listener
+    monkeypatch.setenv("MLFLOW_TRACKING_TOKEN", "secret-token")
+    directory = run_in(output_dir)
+    directory.update(logs=log_hashes(directory.path))
+    sync(directory, default_uri(output_dir))
+    place = f"{uri}/api/2.0/mlflow-artifacts/artifacts/x"
+    with closing(open_database(output_dir / "mlflow.db")) as database, database:
+        database.execute("UPDATE runs SET artifact_uri = ?", (place,))
+    with (directory.path / "metrics.jsonl").open("a") as file:
+        file.write("x")
+    with pytest.raises(StoreError, match="keeps artifacts outside of"):
+        sync(directory, default_uri(output_dir))
+    assert len(load("smoke", output_dir=output_dir).problems) == 1
+    assert heard == []
+
+
+def test_a_store_that_is_a_link_out_of_its_output_directory_is_refused(output_dir, tmp_path):
+    directory = run_in(output_dir)
+    shutil.move(output_dir / "mlflow.db", tmp_path / "elsewhere.db")
+    (output_dir / "mlflow.db").symlink_to(tmp_path / "elsewhere.db")
+    before = (tmp_path / "elsewhere.db").read_bytes()
+    words = f"{output_dir / 'mlflow.db'} is a symbolic link that leads out of {output_dir}; name the store with tracking.uri="
+    ((_, problem),) = sync_all([directory], [default_uri(output_dir)])
+    assert problem == words
+    with pytest.raises(ParkingError) as refusal:
+        load("smoke", output_dir=output_dir)
+    assert str(refusal.value) == words
+    assert (tmp_path / "elsewhere.db").read_bytes() == before
+
+
+def test_provenance_from_elsewhere_can_not_name_another_run(output_dir):
+    victim, directory = run_in(output_dir, seed=1), run_in(output_dir, seed=2)
+    sync(victim, default_uri(output_dir))
+    tags = {
+        "run_key": victim.config().run_key,
+        "run_dir": str(victim.path.relative_to(output_dir)),
+        "version.torch": "9",
+    }
+    write_json(directory.path / "provenance.json", {"started_ms": "x", "tags": {**tags, "cpu": 5}})
+    sync(directory, default_uri(output_dir))
+    client = store(output_dir)
+    assert client.get_run(victim.run_id).info.lifecycle_stage == "active"
+    found = client.get_run(directory.run_id).data.tags
+    assert found["run_key"] == directory.config().run_key
+    assert found["version.torch"] == "9"
+    assert "cpu" not in found
+
+
+@pytest.mark.parametrize("content", ['{"tags": 5}', "[]", '{"tags": {"cpu": null}, "started_ms": -1}', "[" * 5000])
+def test_provenance_that_is_none_is_left_out(output_dir, content):
+    directory = run_in(output_dir)
+    (directory.path / "provenance.json").write_text(content)
+    (directory.path / "synced.json").write_text(content)
+    sync(directory, default_uri(output_dir))
+    assert store(output_dir).get_run(directory.run_id).data.tags["seed"] == "0"
+
+
+@pytest.mark.parametrize("name", ["metrics.jsonl", "models"])
+def test_a_training_does_not_write_through_links(tmp_path, name):
+    config = make_config("experiment=smoke", f"output_dir={tmp_path / 'outputs'}", "tracking.mlflow=false")
+    directory = RunDirectory(config.run_dir)
+    directory.create(config)
+    outside = tmp_path / "outside"
+    outside.mkdir()
+    (outside / "file").write_text("mine")
+    (directory.path / name).symlink_to(outside if name == "models" else outside / "file")
+    with pytest.raises(UntrustedError, match="is a symbolic link that leads out of the run directory"):
+        train(config)
+    assert snapshot(outside) == {"file": b"mine"}
+
+
+def test_runs_of_another_output_directory_keep_their_artifacts_where_they_are(tmp_path):
+    """One store, that of `home`, and an experiment that a run of `scratch` has begun."""
+    (tmp_path / "home").mkdir()
+    uri = f"sqlite:///{tmp_path / 'home' / 'mlflow.db'}"
+    other, own = run_in(tmp_path / "scratch", uri=uri), run_in(tmp_path / "home")
+    sync(other, uri)
+    with pytest.raises(StoreError, match="keeps artifacts outside of"):
+        sync(own, uri)
+    sync(other, uri)
+    places = rows(tmp_path / "home", "SELECT artifact_uri FROM runs")
+    assert places == [((tmp_path / "scratch" / "mlflow-artifacts" / "smoke" / other.run_id / "artifacts").as_uri(),)]
+
+
+def test_a_copy_without_artifacts_gets_new_ones(tmp_path):
+    directory = run_in(tmp_path / "old")
+    sync(directory, default_uri(tmp_path / "old"))
+    shutil.copytree(tmp_path / "old", tmp_path / "new", ignore=shutil.ignore_patterns("mlflow-artifacts"))
+    before = snapshot(tmp_path / "old")
+    copy = evaluated(RunDirectory(tmp_path / "new" / directory.path.relative_to(tmp_path / "old")))
+    sync(copy, default_uri(tmp_path / "new"))
+    assert snapshot(tmp_path / "old") == before
+    assert (tmp_path / "new" / "mlflow-artifacts" / "smoke" / copy.run_id / "artifacts" / "evaluations").is_dir()
+
+
+def test_one_damaged_status_does_not_keep_others_from_being_sent(output_dir):
+    broken, nulls, whole = (run_in(output_dir, seed) for seed in range(3))
+    stored_uri(broken, "sqlite:///a\0b.db")
+    write_json(nulls.path / "status.json", dict.fromkeys(nulls.read_status()) | {"tracking_uri": "sqlite:///mlflow.db"})
+    found = sync_all([broken, nulls, whole], [default_uri(output_dir)])
+    assert [(directory, problem) for directory, problem in found] == [(nulls, None), (whole, None)]
 
 
 def test_an_experiment_that_was_deleted_is_said_with_what_to_type(output_dir):

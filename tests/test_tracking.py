@@ -307,10 +307,36 @@ def test_a_run_that_was_cut_off_and_has_lost_its_metrics_keeps_those_of_the_stor
     run_id = directory.run_id
     LOST[kind](directory.path / "metrics.jsonl")
     (directory.path / "synced.json").unlink()
-    assert "metrics.jsonl in" in sync_everything(output_dir)[0]
+    assert sync_everything(output_dir) == [
+        f"metrics.jsonl in {directory.path} has lost something; "
+        "it is taken from the last checkpoint when its training command is typed again"
+    ]
     assert directory.run_id == run_id
     assert stored_points(output_dir, run_id) == points
     assert directory.status == "running"
+
+
+def test_a_run_that_has_lost_a_checkpoint_keeps_what_the_store_has(output_dir):
+    directory = written_run(output_dir)
+    grow(directory, rows=20)
+    grow(directory, rows=20)
+    points = local_points(directory)
+    sync(directory)
+    run_id = directory.run_id
+    shutil.rmtree(directory.checkpoints / "step=0000000040")
+    (directory.path / "synced.json").unlink()
+    assert sync_everything(output_dir) == [None]
+    assert directory.run_id == run_id
+    assert stored_points(output_dir, run_id) == points
+
+
+def test_a_damaged_copy_in_a_checkpoint_is_not_taken_for_the_log(output_dir):
+    directory = written_run(output_dir)
+    grow(directory, rows=20)
+    grow(directory, rows=20)
+    LOST["flipped"](directory.checkpoints / "step=0000000040" / "metrics.jsonl")
+    assert sync_everything(output_dir) == [None]
+    assert stored_points(output_dir, directory.run_id) == local_points(directory, up_to=20)
 
 
 def test_an_error_of_ours_is_not_called_the_stores_and_stops_nothing(output_dir, monkeypatch):
@@ -320,7 +346,7 @@ def test_an_error_of_ours_is_not_called_the_stores_and_stops_nothing(output_dir,
     problem = directory.unsynced
     path = directory.path / "sync_traceback.txt"
     assert problem.startswith("an error of parking_exp: ")
-    assert problem.endswith(f"; its traceback is in {path}")
+    assert problem.endswith(f"; its traceback is in {path}; please report it")
     assert "syncing.py" in path.read_text()
     assert path.read_text().startswith("Traceback (most recent call last)")
     assert len(said) == 1

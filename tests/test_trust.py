@@ -191,3 +191,13 @@ def test_asking_imports_nothing():
         "print(sorted({'torch', 'stable_baselines3', 'sb3_contrib', 'this'} & set(sys.modules)))"
     )
     assert subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True).stdout == "[]\n"
+
+
+@pytest.mark.parametrize("sequence", [list, tuple])
+def test_targets_are_found_in_whatever_holds_them(tmp_path, sequence):
+    nested = sequence([sequence(["a", {"_target_": "os.mkdir"}])])
+    config = make_config()
+    extra = {**config.algorithm.arguments, "policy_kwargs": {"optimizer_kwargs": {"betas": nested}}}
+    hostile = config.model_copy(update={"algorithm": config.algorithm.model_copy(update=extra)})
+    with pytest.raises(UntrustedError, match=r"betas\.0\.1\._target_=os\.mkdir"):
+        check_trust(hostile, tmp_path)

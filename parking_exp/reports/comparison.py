@@ -8,6 +8,7 @@ import pandas as pd
 
 from parking_exp import __version__
 from parking_exp.errors import RunNotFoundError
+from parking_exp.locations import without_password
 from parking_exp.lot import N_SLOTS
 from parking_exp.reports import cautions, words
 from parking_exp.reports.content import Cell, Content, Design, Factor, Importance, Interaction, MainEffect
@@ -22,7 +23,6 @@ from parking_exp.reports.summaries import real_share, shared_horizons, summarise
 from parking_exp.reports.validity import valid
 from parking_exp.results import Results
 from parking_exp.states import RunState
-from parking_exp.store import without_password
 from parking_exp.wording import several
 
 STATUS = {"running": "running", "failed": "failed", "pending": "interrupted", "done": "done"}
