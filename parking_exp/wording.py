@@ -55,6 +55,8 @@ def sentence(item: Any, model: type[BaseModel] | None = None, prefix: str = "") 
             return f"{key}={value} is out of range; the closest valid choice is {context['ge']}"
         case "less_than_equal":
             return f"{key}={value} is out of range; the closest valid choice is {context['le']}"
+        case "less_than" if isinstance(context["lt"], float):
+            return f"{key}={value} is out of range; it must be less than {context['lt']}"
         case "less_than":
             return f"{key}={value} is out of range; the closest valid choice is {context['lt'] - 1}"
         case "greater_than":
