@@ -20,10 +20,20 @@ from parking_exp.config import (
     Share,
     ThirdParty,
 )
-from parking_exp.signatures import Parameter, Signature, UnknownTarget, base_names, policy_signature, signature
+from parking_exp.signatures import (
+    Parameter,
+    Signature,
+    UnknownTarget,
+    base_names,
+    may_derive_from,
+    policy_signature,
+    signature,
+)
 from parking_exp.wording import closest, no_target, sentence
 
-# Ranges that third-party signatures don't state. Scalars only: a schedule or "auto" passes.
+Decay = Annotated[float, Field(ge=0, lt=1)]
+
+# Ranges that third-party signatures don't state. Scalars only, but for LISTS: a schedule or "auto" passes.
 RANGES: dict[str, Any] = {
     "learning_rate": PositiveFloat,
     "buffer_size": Positive,
@@ -48,17 +58,24 @@ RANGES: dict[str, Any] = {
     "relabel_terminated": Literal["sb3", "goal", "goal_and_crash"],
     "goal_velocity": Literal["achieved", "zero"],
     "policy": Literal["MultiInputPolicy"],
-    "n_critics": Positive,
-    "n_quantiles": Positive,
+    "n_critics": Annotated[int, Field(ge=1, le=100)],
+    "n_quantiles": Annotated[int, Field(ge=1, le=10_000)],
     "weight_decay": NonNegative,
     "eps": NonNegative,
+    "betas": Annotated[list[Decay], Field(min_length=2, max_length=2)],
 }
+LISTS = {"betas"}
 # Ranges of arguments whose names mean something else elsewhere, by the class that takes them. Of lists, each entry.
 RANGES_OF: dict[str, dict[str, Any]] = {
     "LinearSchedule": {"start": PositiveFloat, "end": NonNegative, "end_fraction": Share},
     "ConstantSchedule": {"val": PositiveFloat},
     "NormalActionNoise": {"mean": float, "sigma": NonNegative},
     "OrnsteinUhlenbeckActionNoise": {"mean": float, "sigma": NonNegative, "theta": NonNegative, "dt": PositiveFloat},
+}
+# What the classes of the sections derive from, and what that is called.
+BASES = {
+    "algorithm": ("OffPolicyAlgorithm", "off-policy algorithm"),
+    "buffer": ("ReplayBuffer", "replay buffer"),
 }
 # Arguments that are classes, and the base that these must have. In a config they are dotted paths, or `_target_` nodes.
 CLASS_ARGUMENTS = {
@@ -131,10 +148,13 @@ def _infinite(key: str, value: object) -> Iterator[str]:
 
 def _check_section(key: str, section: ThirdParty, fed: Fed, own: Set[str]) -> list[str]:
     """Check a section's constructor arguments; `own` are fields of ours that the run makes arguments of."""
+    base, words = BASES[key]
     try:
-        expected = signature(section.target)
+        expected, fits = signature(section.target), may_derive_from(section.target, base)
     except UnknownTarget as error:
         return [no_target(f"{key}._target_", section.target, error)]
+    if not fits:
+        return [f"{key}._target_={section.target} is no {words} of Stable-Baselines3"]
     siblings = set(section.arguments) | set(type(section).model_fields) - {"target"}
     given = section.arguments
     problems = _check_call(key, section.target, expected, given, fed, own=own, siblings=siblings)
@@ -148,6 +168,9 @@ def _check_policy(algorithm: AlgorithmConfig) -> list[str]:
     key, given = "algorithm.policy_kwargs", algorithm.arguments.get("policy_kwargs") or {}
     if not isinstance(given, Mapping):
         return [f"{key}={given!r} is not a group of keys"]
+    # A mapping, of `pi` and `qf`, says what algorithm.net_arch can't.
+    if "net_arch" in given and not isinstance(given["net_arch"], Mapping):
+        return [f"{key}.net_arch takes the place of algorithm.net_arch; use algorithm.net_arch"]
     own = [name for name in given if str(name).startswith("features_extractor")]
     if own and algorithm.features != "raw":
         return [
@@ -226,7 +249,8 @@ def _check_value(key: str, name: str, value: Any, target: str, parameter: Parame
         return [
             problem for index, one in enumerate(value) for problem in _check_range(f"{key}.{index}", one, ranges[name])
         ]
-    return _check_range(key, value, ranges[name]) if isinstance(value, int | float | str) else []
+    is_checked = isinstance(value, int | float | str) or name in LISTS
+    return _check_range(key, value, ranges[name]) if is_checked else []
 
 
 def _check_class(key: str, value: str | Mapping[str, Any], base: str) -> list[str]:
@@ -268,5 +292,5 @@ def _check_range(key: str, value: Any, valid: Any) -> list[str]:
     try:
         TypeAdapter(valid).validate_python(value, strict=True)
     except ValidationError as error:
-        return [sentence({**item, "loc": ()}, prefix=key) for item in error.errors()]
+        return [sentence(item, prefix=key) for item in error.errors()]
     return []

@@ -221,5 +221,7 @@ def _fail(error: ParkingError) -> NoReturn:
     if os.environ.get("HYDRA_FULL_ERROR") == "1":
         raise error
     prefix = "" if isinstance(error, InterruptedRunError) else "error: "
-    say(*(f"{prefix}{line}" for line in str(error).strip().split("\n")), stderr=True)
+    # Only a ConfigError has lines of its own; in others they stand in a name or a library's words.
+    lines = str(error).strip().split("\n") if isinstance(error, ConfigError) else [str(error).strip()]
+    say(*(f"{prefix}{line}" for line in lines), stderr=True)
     sys.exit(128 + error.signal_number if isinstance(error, InterruptedRunError) else 2)

@@ -42,6 +42,7 @@ Bounds = Annotated[list[float], Field(min_length=2, max_length=2)]
 Simulation = Literal["vectorized", "highway_env"]
 Precision = Literal["highest", "medium"]
 Scene = Annotated[int, Field(ge=0, lt=TRAINING_SCENES_START)]
+NumberOfScenes = Annotated[int, Field(ge=1, le=TRAINING_SCENES_START)]
 
 
 class Section(BaseModel):
@@ -197,8 +198,8 @@ class EvaluationConfig(Section):
     """Evaluation on fixed scenes, during training and at its end."""
 
     every_n_steps: Positive | None
-    n_scenes: Positive
-    final_n_scenes: Positive
+    n_scenes: NumberOfScenes
+    final_n_scenes: NumberOfScenes
     first_scene: Scene
     video_episodes: Count
 
@@ -208,6 +209,12 @@ class CheckpointConfig(Section):
 
     every_n_steps: Positive | None
     keep_last: Positive
+
+
+class StoreConfig(Section):
+    """Another store than that of the output directory."""
+
+    uri: str | None
 
 
 class TrackingConfig(Section):

@@ -20,10 +20,6 @@ class UntrustedError(ParkingError):
 class ModelError(ParkingError):
     """A model file that is not of the model it is loaded into, or a class whose files do not hold all weights."""
 
-    def __init__(self, message: str) -> None:
-        # Names in a file may come from anywhere: no control characters of theirs reach a terminal.
-        super().__init__("".join(character if character.isprintable() else "?" for character in message))
-
 
 class DamagedModelError(ModelError):
     """A model file that can't be read, or holds something else than weights."""

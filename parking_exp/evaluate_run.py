@@ -11,11 +11,12 @@ from parking_exp.config import (
     Count,
     EnvConfig,
     Name,
-    Positive,
+    NumberOfScenes,
     RunConfig,
     Scene,
     Section,
     Simulation,
+    StoreConfig,
     short_hash,
 )
 from parking_exp.errors import ConfigError, DamagedModelError, ModelError, RunNotFoundError
@@ -29,11 +30,10 @@ from parking_exp.validation import parse
 from parking_exp.wording import several
 
 
-class StoreConfig(Section):
+class ResultsTracking(StoreConfig):
     """Where results go besides the run directory."""
 
     mlflow: bool
-    uri: str | None
 
 
 class EvaluationRequest(Section):
@@ -42,14 +42,14 @@ class EvaluationRequest(Section):
     run: Annotated[str, Field(min_length=1)]
     output_dir: str
     model: Literal["final", "best"]
-    episodes: Positive
+    episodes: NumberOfScenes
     first_scene: Scene
     simulator: Simulation
     video: Count
     gif: bool
     name: Name | None
     trust: bool
-    tracking: StoreConfig
+    tracking: ResultsTracking
     env: EnvConfig | None = None
 
 

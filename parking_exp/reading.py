@@ -119,6 +119,8 @@ class Reader:
         Raises:
             Exception: it is there and can't be had; `store.reason` makes a sentence of it.
         """
+        if not folder_uri:
+            raise ResultsError("the store does not say where its artifacts are")
         folder = local_folder(folder_uri)
         within = self._artifacts_in
         if within is not None and (folder is None or not lies_inside(folder / name, within)):

@@ -13,7 +13,7 @@ from omegaconf import DictConfig
 from pydantic import Field
 
 from parking_exp.composition import composed
-from parking_exp.config import NAME, Section
+from parking_exp.config import NAME, Section, StoreConfig
 from parking_exp.errors import ConfigError, ResultsError
 from parking_exp.locations import directory_path, without_password
 from parking_exp.signatures import signature
@@ -36,12 +36,6 @@ class ReportOptions(Section):
 
     quick: bool
     formats: list[Format]
-
-
-class StoreConfig(Section):
-    """Where results come from."""
-
-    uri: str | None
 
 
 class ReportRequest(Section):

@@ -65,12 +65,13 @@ import pandas as pd
 from parking_exp.columns import TEXT, column, flags, integers, text, times, typed
 from parking_exp.errors import ResultsError
 from parking_exp.garbage import no_garbage
+from parking_exp.impossible import sound_points, sound_runs
 from parking_exp.locations import default_uri, directory_path, without_password
 from parking_exp.reading import Point, Reader, StoredRun
 from parking_exp.recordings import EPISODES, read_episodes, read_trajectories
 from parking_exp.store import is_store_failure, reason
 from parking_exp.trajectories import TRAJECTORIES_FILE
-from parking_exp.wording import closest, several
+from parking_exp.wording import closest, few, several
 
 STATUSES = ("done", "running", "failed", "interrupted")
 RATES = ("success_rate", "crash_rate", "timeout_rate", "parked_rate")
@@ -169,16 +170,21 @@ def load(
     reader = Reader(uri) if uri else Reader(default_uri(here), artifacts_in=here)
     ids = _chosen(reader, experiments)
     found = reader.runs(list(ids.values()))
-    kept = [run for run in found if _is_ours(run)]
+    sound, impossible = sound_runs(found)
+    kept = [run for run in sound if _is_ours(run)]
     if not kept:
         asked = reader.place if experiments is None else f"experiment={','.join(ids)}"
         raise ResultsError(f"{asked}: it has no runs of parking_exp{f', but {len(found)} by others' if found else ''}")
-    histories = reader.histories([run.run_id for run in kept], [*CURVE, *BESIDE_A_CURVE])
+    histories, points = sound_points(reader.histories([run.run_id for run in kept], [*CURVE, *BESIDE_A_CURVE]))
     with no_garbage():
         runs = _runs(kept, {experiment_id: name for name, experiment_id in ids.items()}, histories, reader.run_dir)
         curves = _curves(histories)
         episodes, problems = _episodes(reader, runs)
-    said = (*_twice(runs), *problems)
+    wrong = {
+        run_id: f"impossible values count as missing: {few([*impossible.get(run_id, []), *points.get(run_id, [])])}"
+        for run_id in {*impossible, *points}
+    }
+    said = (*_twice(runs), *_sentences(runs, wrong), *problems)
     return Results(runs, curves, episodes, reader.uri, said, len(found) - len(kept), None if uri else here)
 
 
@@ -274,13 +280,13 @@ def _episodes(reader: Reader, runs: pd.DataFrame) -> tuple[pd.DataFrame, Iterabl
             problems[run_id] = "is missing in the store"
     episodes, broken = read_episodes(texts, runs["run_id"].to_list())
     problems |= {run_id: f"can't be read: {what}" for run_id, what in broken.items()}
-    return episodes, _sentences(runs, problems)
+    return episodes, _sentences(runs, {run_id: f"episodes.csv {what}" for run_id, what in problems.items()})
 
 
 def _sentences(runs: pd.DataFrame, problems: Mapping[str, str]) -> Iterator[str]:
     for run_id, cell, seed in zip(runs["run_id"], runs["cell"], runs["seed"], strict=True):
         if run_id in problems:
-            yield f"run {run_id} ({cell}, seed {seed}): episodes.csv {problems[run_id]}"
+            yield f"run {run_id} ({cell}, seed {seed}): {problems[run_id]}"
 
 
 def _twice(runs: pd.DataFrame) -> Iterator[str]:

@@ -6,6 +6,7 @@ bases to the first `__init__`.
 """
 
 import ast
+import builtins
 import importlib.util
 import re
 from collections.abc import Iterator
@@ -25,6 +26,9 @@ SIMPLE_TYPES: dict[str, tuple[type, ...]] = {
 
 # Annotations of what a YAML scalar can't be.
 OBJECT_TYPES = re.compile(r"(tuple|list|dict|type|Sequence|Mapping|Callable)\b.*|Schedule|ActionNoise|np\.ndarray")
+
+# Bases without Python source that derive from no class of any library.
+PLAIN_BASES = {*vars(builtins), "ABC", "abc.ABC", "Generic", "typing.Generic", "Protocol", "typing.Protocol"}
 
 
 @dataclass(frozen=True)
@@ -97,6 +101,22 @@ def base_names(target: str) -> set[str]:
         UnknownTarget: it names nothing, or no class.
     """
     return {node.name for node, _ in _lineage(*_class(target), target)}
+
+
+def may_derive_from(target: str, base: str) -> bool:
+    """Whether the class at a dotted path has a base of some name. One that can't be read may be any.
+
+    Raises:
+        UnknownTarget: it names nothing, or no class.
+    """
+    lineage = list(_lineage(*_class(target), target))
+    unread = (
+        ast.unparse(written).partition("[")[0]
+        for node, path in lineage
+        for written in node.bases
+        if _parent(written, path, target) is None
+    )
+    return base in {node.name for node, _ in lineage} or not PLAIN_BASES.issuperset(unread)
 
 
 def policy_signature(target: str, alias: str) -> Signature | None:
@@ -272,12 +292,18 @@ def _lineage(
     yield node, path
     seen |= {(path, node.name)}
     for base in node.bases:
-        try:
-            parent, home = _resolve_base(ast.unparse(base), path, target)
-        except UnknownTarget:
-            continue  # a builtin, or made at run time
-        if isinstance(parent, ast.ClassDef) and (home, parent.name) not in seen:
-            yield from _lineage(parent, home, target, seen)
+        found = _parent(base, path, target)
+        if found is not None and (found[1], found[0].name) not in seen:
+            yield from _lineage(*found, target, seen)
+
+
+def _parent(base: ast.expr, path: Path, target: str) -> tuple[ast.ClassDef, Path] | None:
+    """Return the class that a base is, and its file; None for a builtin, or one that is made at run time."""
+    try:
+        parent, home = _resolve_base(ast.unparse(base), path, target)
+    except UnknownTarget:
+        return None
+    return (parent, home) if isinstance(parent, ast.ClassDef) else None
 
 
 def _resolve_base(name: str, path: Path, target: str) -> Home:

@@ -9,7 +9,7 @@ from pydantic import Field
 from rich.console import Group, RenderableType
 from rich.live import Live
 
-from parking_exp.config import Name, Section
+from parking_exp.config import Name, Section, StoreConfig
 from parking_exp.errors import ConfigError, RunNotFoundError, UnsyncedError
 from parking_exp.locations import default_uri, directory_path
 from parking_exp.outdated import sync_all
@@ -21,12 +21,6 @@ from parking_exp.validation import parse
 from parking_exp.wording import closest, several
 
 WATCH_S = 2.0
-
-
-class StoreConfig(Section):
-    """Where runs are tracked."""
-
-    uri: str | None
 
 
 class StatusRequest(Section):

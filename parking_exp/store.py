@@ -16,6 +16,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from traceback import walk_tb
 from typing import TYPE_CHECKING, Any
 
 from filelock import FileLock
@@ -36,7 +37,12 @@ LONGEST_REASON = 200
 # Whose exceptions are a store's failures: MLflow, what it reaches a database by, and what it reaches artifacts by.
 STORE_PACKAGES = {
     "mlflow", "sqlalchemy", "alembic", "psycopg2", "pymysql", "requests", "urllib3",
-    "boto3", "botocore", "google", "azure", "paramiko", "pysftp",
+    "boto3", "botocore", "google", "azure", "paramiko", "pysftp", "databricks",
+}  # fmt: skip
+# What provides a module that is not called as it is, where MLflow or SQLAlchemy need it.
+PROVIDERS = {
+    "psycopg2": "psycopg2-binary", "MySQLdb": "mysqlclient", "google": "google-cloud-storage",
+    "azure": "azure-storage-blob azure-identity", "databricks": "databricks-sdk",
 }  # fmt: skip
 ENVIRONMENT = {
     "MLFLOW_DISABLE_TELEMETRY": "true",  # nothing leaves the machine
@@ -90,17 +96,24 @@ def is_store_failure(error: BaseException) -> bool:
 
     Anything else is an error of this package.
     """
-    return isinstance(error, OSError | sqlite3.Error | ParkingError) or _package(error) in STORE_PACKAGES
+    if isinstance(error, ImportError):  # of a driver, which is imported when it is needed
+        modules = [frame.f_globals.get("__name__", "") for frame, _ in walk_tb(error.__traceback__)]
+    else:
+        modules = [type(error).__module__]
+    return isinstance(error, OSError | sqlite3.Error | ParkingError) or any(map(_is_stores, modules))
 
 
-def _package(error: BaseException) -> str:
-    return type(error).__module__.partition(".")[0]
+def _is_stores(module: str) -> bool:
+    return module.partition(".")[0] in STORE_PACKAGES
 
 
 def reason(error: BaseException) -> str:
     """Say in one sentence what a store's error came from, without passwords."""
     if isinstance(error, ParkingError):  # a sentence already
         return without_password(str(error))
+    if isinstance(error, ModuleNotFoundError) and error.name:
+        package = error.name.partition(".")[0]
+        return f"the package {package!r} is not installed: pip install {PROVIDERS.get(package, package)}"
     chain = list(_chain(error))
     causes = [getattr(link, "orig", link) for link in chain]  # SQLAlchemy wraps the driver's error
     known = [cause for cause in causes if isinstance(cause, OSError | sqlite3.Error) or "psycopg" in str(type(cause))]

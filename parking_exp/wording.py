@@ -1,7 +1,7 @@
 """Phrases that messages share."""
 
 import difflib
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 from pydantic import BaseModel
@@ -17,6 +17,11 @@ def several(number: int, noun: str) -> str:
 def enclosed(label: str) -> str:
     """Return a label as it stands in a sentence: in quotes if it has commas, so that it reads as one name."""
     return f"“{label}”" if "," in label or ";" in label else label
+
+
+def few(values: Sequence[str], limit: int = 3) -> str:
+    """Return the first of some values, and how many more there are."""
+    return ", ".join(values[:limit]) + (f" and {len(values) - limit} more" if len(values) > limit else "")
 
 
 def similar(word: str, choices: Iterable[str], cutoff: float = 0.5) -> str:
@@ -55,6 +60,8 @@ def sentence(item: Any, model: type[BaseModel] | None = None, prefix: str = "") 
             return f"{key}={value} is out of range; the closest valid choice is {context['ge']}"
         case "less_than_equal":
             return f"{key}={value} is out of range; the closest valid choice is {context['le']}"
+        case "less_than" if isinstance(context["lt"], float):
+            return f"{key}={value} is out of range; it must be less than {context['lt']}"
         case "less_than":
             return f"{key}={value} is out of range; the closest valid choice is {context['lt'] - 1}"
         case "greater_than":

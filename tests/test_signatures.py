@@ -9,7 +9,7 @@ import pytest
 from conftest import make_config, options
 from hydra.utils import get_class
 
-from parking_exp.signatures import Parameter, UnknownTarget, policy_signature, signature
+from parking_exp.signatures import Parameter, UnknownTarget, may_derive_from, policy_signature, signature
 
 TARGETS = [
     "stable_baselines3.SAC",
@@ -80,6 +80,26 @@ def test_classes_in_namespace_packages_and_of_bases_of_their_own_name_are_found(
     monkeypatch.syspath_prepend(tmp_path)
     assert list(signature("spread.out.mine.Mine").parameters) == ["a", "b"]
     assert signature("spread.out.mine.Warning").open
+
+
+MADE = {
+    "Plain": ("class Plain: pass", False),
+    "OfABuiltin": ("class OfABuiltin(dict): pass", False),
+    "OfAnotherLibrary": ("from json import JSONEncoder\nclass OfAnotherLibrary(JSONEncoder): pass", False),
+    "Abstract": ("import abc\nfrom typing import Generic, TypeVar\nT = TypeVar('T')\nclass Abstract(abc.ABC, Generic[T]): pass", False),
+    "Derived": ("from stable_baselines3 import SAC\nclass Own(SAC): pass\nclass Derived(Own): pass", True),
+    "OfAMadeClass": ("def make(): ...\nclass OfAMadeClass(make()): pass", True),
+    "OfAnUnknownClass": ("Base = type('Base', (), {})\nclass OfAnUnknownClass(Base): pass", True),
+    "OfANativeClass": ("from zipimport import zipimporter\nclass OfANativeClass(zipimporter): pass", True),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", MADE)
+def test_only_a_class_whose_bases_can_all_be_read_is_known_to_lack_one(name, tmp_path, monkeypatch):
+    source, may = MADE[name]
+    (tmp_path / f"made_{name}.py").write_text(source)
+    monkeypatch.syspath_prepend(tmp_path)
+    assert may_derive_from(f"made_{name}.{name}", "OffPolicyAlgorithm") is may
 
 
 @pytest.mark.parametrize("option", options("algorithm"))

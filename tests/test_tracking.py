@@ -1,5 +1,6 @@
 """The store agrees with the run directories: under load, after kills, and after it was down."""
 
+import importlib
 import json
 import os
 import shutil
@@ -36,7 +37,7 @@ from parking_exp.outdated import known_statuses, sync_all
 from parking_exp.provenance import provenance
 from parking_exp.runs import RunDirectory, RunResult
 from parking_exp.states import find
-from parking_exp.store import connect, reason
+from parking_exp.store import connect, is_store_failure, reason
 from parking_exp.syncing import flatten, try_sync
 from parking_exp.tracking import open_tracker
 from parking_exp.training import train
@@ -514,6 +515,29 @@ def test_a_store_that_is_no_database_is_told_at_once(fresh_dir):
 def test_reasons_have_no_password():
     error = ValueError("no server at postgresql://me:secret@db.example:5432/mlflow")
     assert reason(error) == "no server at postgresql://***@db.example:5432/mlflow"
+
+
+DRIVERS = {
+    "postgresql://me@host/db": ("psycopg2", "psycopg2-binary"),
+    "mysql://me@host/db": ("MySQLdb", "mysqlclient"),
+    "mysql+pymysql://me@host/db": ("pymysql", "pymysql"),
+}
+
+
+@pytest.mark.parametrize("uri", DRIVERS)
+def test_a_driver_that_is_not_installed_is_named_with_what_to_install(monkeypatch, uri):
+    module, package = DRIVERS[uri]
+    monkeypatch.setitem(sys.modules, module, None)
+    with pytest.raises(ImportError) as failure:
+        connect(uri)
+    assert is_store_failure(failure.value)
+    assert reason(failure.value) == f"the package {module!r} is not installed: pip install {package}"
+
+
+def test_an_import_of_ours_that_fails_is_no_failure_of_the_store():
+    with pytest.raises(ImportError) as failure:
+        importlib.import_module("parking_exp.nowhere")
+    assert not is_store_failure(failure.value)
 
 
 def test_names_in_a_checkpoint_are_those_that_training_writes():

@@ -248,7 +248,38 @@ def test_stores_that_mlflow_knows_are_taken(uri):
         ("algorithm.policy_kwargs=[1]", "algorithm.policy_kwargs=[1]: a value of another kind stands there; see it with --cfg job"),
         ("env.duration=1e300", "env.duration=1e+300 is out of range; the closest valid choice is 100000.0"),
         ("env.training_duration=1e12", "env.training_duration=1000000000000.0 is out of range; the closest valid choice is 100000.0"),
+        (
+            "+algorithm.policy_kwargs.net_arch=[5]",
+            "algorithm.policy_kwargs.net_arch takes the place of algorithm.net_arch; use algorithm.net_arch",
+        ),
+        ("+algorithm.policy_kwargs.n_critics=100000", "algorithm.policy_kwargs.n_critics=100000 is out of range; the closest valid choice is 100"),
+        (
+            "algorithm=tqc +algorithm.policy_kwargs.n_quantiles=100000",
+            "algorithm.policy_kwargs.n_quantiles=100000 is out of range; the closest valid choice is 10000",
+        ),
+        (
+            "+algorithm.policy_kwargs.optimizer_kwargs={betas:[0.9,1]}",
+            "algorithm.policy_kwargs.optimizer_kwargs.betas.1=1 is out of range; it must be less than 1.0",
+        ),
+        (
+            "+algorithm.policy_kwargs.optimizer_kwargs={betas:[-0.1,0.9]}",
+            "algorithm.policy_kwargs.optimizer_kwargs.betas.0=-0.1 is out of range; the closest valid choice is 0.0",
+        ),
+        (
+            "+algorithm.policy_kwargs.optimizer_kwargs={betas:0.9}",
+            "algorithm.policy_kwargs.optimizer_kwargs.betas=0.9: input should be a valid list",
+        ),
+        (
+            "+algorithm.policy_kwargs.optimizer_kwargs={betas:[0.9]}",
+            "algorithm.policy_kwargs.optimizer_kwargs.betas=[0.9]: list should have at least 2 items after validation, not 1",
+        ),
+        ("evaluation.final_n_scenes=10000000000", "evaluation.final_n_scenes=10000000000 is out of range; the closest valid choice is 2147483648"),
+        ("evaluation.n_scenes=10000000000", "evaluation.n_scenes=10000000000 is out of range; the closest valid choice is 2147483648"),
         # Odd targets.
+        ("algorithm._target_=json.JSONEncoder", "algorithm._target_=json.JSONEncoder is no off-policy algorithm of Stable-Baselines3"),
+        ("algorithm._target_=stable_baselines3.PPO", "algorithm._target_=stable_baselines3.PPO is no off-policy algorithm of Stable-Baselines3"),
+        ("algorithm._target_=json.dumps", "algorithm._target_=json.dumps: is not a class"),
+        ("buffer._target_=stable_baselines3.SAC", "buffer._target_=stable_baselines3.SAC is no replay buffer of Stable-Baselines3"),
         (
             "algorithm._target_=__main__.X",
             "algorithm._target_=__main__.X: __main__ is a script, not a module; put the class into a module of its own",

@@ -1,13 +1,13 @@
 """Values in a store that are impossible, such as a rate of 7.5: they count as missing, and are said."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
 import pandas as pd
 
 from parking_exp.results import RATES, Results
-from parking_exp.wording import enclosed
+from parking_exp.wording import enclosed, few
 
 Bounds = Mapping[str, tuple[float, float]]
 
@@ -28,7 +28,6 @@ CURVES: Bounds = {
     "cpu_s": SECONDS,
 }
 STEPS = (0, 1e12)
-FEW = 3
 
 
 def valid(results: Results) -> tuple[Results, list[str]]:
@@ -40,7 +39,7 @@ def valid(results: Results) -> tuple[Results, list[str]]:
     runs = _blanked(results.runs, RUNS, found)
     curves = _blanked(results.curves[known].reset_index(drop=True), CURVES, found)
     sentences = [
-        f"run {run_id} ({enclosed(cell)}, seed {seed}): impossible values count as missing: {_few(found[run_id])}."
+        f"run {run_id} ({enclosed(cell)}, seed {seed}): impossible values count as missing: {few(found[run_id])}."
         for run_id, cell, seed in runs[["run_id", "cell", "seed"]].itertuples(index=False)
         if run_id in found
     ]
@@ -58,7 +57,3 @@ def _blanked(table: pd.DataFrame, bounds: Bounds, found: dict[str, list[str]]) -
         for run_id, value in zip(table.loc[bad, "run_id"], values[bad], strict=True):
             found.setdefault(run_id, []).append(f"{name}={value:g}")
     return table.assign(**columns)
-
-
-def _few(values: Sequence[str]) -> str:
-    return ", ".join(values[:FEW]) + (f" and {len(values) - FEW} more" if len(values) > FEW else "")
