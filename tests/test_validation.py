@@ -10,6 +10,7 @@ from omegaconf import OmegaConf
 
 from parking_exp.composition import composed, config_dir
 from parking_exp.errors import ConfigError
+from parking_exp.evaluate_run import validate_request
 from parking_exp.machine import total_memory
 from parking_exp.validation import validate
 
@@ -369,6 +370,13 @@ def test_policy_kwargs_are_those_of_the_algorithms_own_policy(algorithm):
     message = "algorithm.policy_kwargs.n_critic: MultiInputPolicy has no such argument; did you mean 'n_critics'?"
     with pytest.raises(ConfigError, match=f"^{re.escape(message)}$"):
         make_config(f"algorithm={algorithm}", "+algorithm.policy_kwargs.n_critic=3")
+
+
+def test_an_evaluation_has_no_more_episodes_than_there_are_scenes():
+    (config,) = composed("evaluate", ["episodes=10000000000"])
+    message = "episodes=10000000000 is out of range; the closest valid choice is 2147483648"
+    with pytest.raises(ConfigError, match=f"^{message}$"):
+        validate_request(config)
 
 
 def test_the_suggested_choices_are_valid():
