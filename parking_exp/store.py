@@ -82,7 +82,7 @@ def connect(uri: str) -> "MlflowClient":
         path.parent.mkdir(parents=True, exist_ok=True)
     # Processes that open a fresh sqlite store at once collide in its migrations: one does it, the others wait.
     with _write_lock(uri):
-        if not uri.startswith("http"):
+        if not uri.startswith(("http", "databricks")):
             _open_database(uri)
         client = MlflowClient(uri)
         client.search_experiments(max_results=1)
@@ -321,7 +321,7 @@ class Store:
         path = database(self.uri)
         return ((path.parent if path else Path()) / run_dir).resolve() if run_dir.isprintable() else None
 
-    def _refuse_elsewhere(self, place: str) -> None:
+    def _refuse_elsewhere(self, place: str | None) -> None:
         """Refuse artifacts of an output directory's own store that are elsewhere.
 
         Raises:
@@ -329,7 +329,7 @@ class Store:
         """
         if (own := self._own_directory) is None:
             return
-        folder = local_folder(place)
+        folder = local_folder(place) if place else None
         if folder is None or not lies_inside(folder, own):
             raise StoreError(f"this store keeps artifacts outside of {own}, in {place}; take another experiment_name")
 
