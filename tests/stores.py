@@ -26,7 +26,7 @@ import pandas as pd
 from parking_exp.composition import composed
 from parking_exp.config import RunConfig
 from parking_exp.evaluation import summarise
-from parking_exp.files import write_json
+from parking_exp.files import sha256, write_json
 from parking_exp.locations import default_uri
 from parking_exp.logs import append_episodes, copy_logs
 from parking_exp.lot import SLOT_POSITIONS
@@ -250,6 +250,7 @@ def _write(directory: RunDirectory, config: RunConfig, look: Look, label: str, u
         folder = directory.checkpoints / f"step={lines[-1]['step']:010d}"
         folder.mkdir(parents=True)
         copy_logs(path, folder)
+        write_json(folder / "manifest.json", {"metrics.jsonl": sha256(folder / "metrics.jsonl")})
     if look.status == "failed":
         (path / "traceback.txt").write_text(f"Traceback (most recent call last):\n{look.error}\n")
 
