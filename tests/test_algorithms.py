@@ -179,8 +179,11 @@ def test_another_features_extractor_takes_the_place_of_ours():
 
 
 def test_what_the_library_refuses_is_a_config_error():
-    config = make_config(*SMALL, "+algorithm.policy_kwargs.optimizer_kwargs={eps:-1.0}")
-    with pytest.raises(ConfigError, match=r"parking_exp.lean.SAC refuses its arguments: Invalid epsilon"):
+    """Here what our own check of the config would have refused before."""
+    config = make_config(*SMALL)
+    algorithm = config.algorithm.model_copy(update={"policy_kwargs": {"optimizer_kwargs": {"betas": [2, 2]}}})
+    config = config.model_copy(update={"algorithm": algorithm})
+    with pytest.raises(ConfigError, match=r"parking_exp.lean.SAC refuses its arguments: Invalid beta"):
         build_model(config, make_training_envs(config.env, config.n_envs), seed=0)
 
 
