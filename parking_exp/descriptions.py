@@ -1,4 +1,4 @@
-"""What MLflow's UI shows of experiments and runs besides their numbers: kind, description, command, headline result."""
+"""MLflow tags that describe experiments and runs in its UI: kind, description, command, headline result."""
 
 from typing import Any
 

@@ -1,4 +1,4 @@
-"""Where stores and run directories are, written so that an output directory can be moved or copied.
+"""Paths and URIs of output directories, run directories and stores, relative so that a directory can be moved.
 
 What lies below an output directory is written down relative to it, and found from where the directory is now.
 """
