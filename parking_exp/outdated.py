@@ -1,4 +1,4 @@
-"""Bringing stores up to date: which runs they lack or have an older state of, found by asking them."""
+"""Find the runs that a store lacks or has an older state of, by asking it, and sync them."""
 
 from collections.abc import Iterable, Iterator, Sequence
 
@@ -57,7 +57,7 @@ def _sync_to(uri: str, directories: list[RunDirectory]) -> Iterator[tuple[RunDir
     except Exception as error:
         if not is_store_failure(error):
             raise
-        # The next thousand runs need not knock.
+        # Not asked again for each run: a server that is down takes seconds to say so.
         yield from ((directory, reason(error)) for directory in directories if not directory.under_way)
         return
     # All are looked at before any is sent: the first one makes a store that was lost again.

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 WAIT_S = 120  # for other writers
 METRICS_A_BATCH, PARAMS_A_BATCH, RUNS_A_PAGE = 1000, 100, 1000  # MLflow's own limits
 LONGEST_REASON = 200
-# Whose exceptions are a store's failures: MLflow, what it reaches a database by, and what it reaches artifacts by.
+# Packages whose exceptions are failures of a store: MLflow, its database drivers, its clients of artifact storage.
 STORE_PACKAGES = {
     "mlflow", "sqlalchemy", "alembic", "psycopg2", "pymysql", "requests", "urllib3",
     "boto3", "botocore", "google", "azure", "paramiko", "pysftp", "databricks",

@@ -1,4 +1,4 @@
-"""Making a store agree with a run directory: the directory is the truth, the store is its index.
+"""Sync of one run directory with an MLflow store: the directory is the truth, the store is its index.
 
 `sync` needs nothing but a run directory, in any state that a kill can leave it in, and does what is missing: after each
 checkpoint, at the end, and later for a run whose store was down or that was killed.
