@@ -1,60 +1,20 @@
-"""Shared by all tests: composed configs, and real runs in real processes."""
+"""Fixtures of all tests: output directories with a store, and a finished run."""
 
-import json
-import os
 import shutil
-import subprocess
-import sys
-import tempfile
 from pathlib import Path
 
 import pytest
 import torch
-
-from parking_exp.composition import composed
-from parking_exp.runs import RunDirectory
-from parking_exp.validation import validate
+from support.runs import in_memory, only_run, run_script
 
 torch.set_num_threads(1)  # networks this small gain nothing from more, and other processes do
-
-ROOT = Path(__file__).resolve().parents[1]
-GROUPS = ("env", "algorithm", "buffer", "experiment")
-
-
-def options(group):
-    """Names of a config group's options."""
-    return sorted(path.stem for path in (ROOT / "conf" / group).glob("*.yaml"))
-
-
-def make_config(*overrides):
-    """Compose and check one run's config."""
-    (config,) = composed("config", list(overrides))
-    return validate(config)
-
-
-def script(name, *arguments, cwd=None, env=None):
-    """Command and options of `python scripts/NAME.py ...` as a process of its own."""
-    command = [sys.executable, str(ROOT / "scripts" / f"{name}.py"), *arguments]
-    return command, {"cwd": cwd, "env": {**os.environ, **(env or {})}, "text": True}
-
-
-def run_script(name, *arguments, cwd=None, env=None, timeout=180):
-    """Run a script to its end."""
-    command, keywords = script(name, *arguments, cwd=cwd, env=env)
-    return subprocess.run(command, check=False, capture_output=True, timeout=timeout, **keywords)
-
-
-def in_memory():
-    """A temporary directory that does not wait for a disk, where there is such a place: a sqlite store does, often."""
-    place = Path("/dev/shm")
-    return tempfile.TemporaryDirectory(dir=place if os.access(place, os.W_OK) else None)
 
 
 @pytest.fixture(scope="session")
 def empty():
     """An output directory with an initialised store: to make one takes seconds."""
-    from parking_exp.locations import default_uri
-    from parking_exp.store import connect
+    from parking_exp.config.paths import default_uri
+    from parking_exp.tracking.store import connect
 
     with in_memory() as folder:
         connect(default_uri(Path(folder)))
@@ -67,56 +27,6 @@ def output_dir(empty):
     with in_memory() as folder:
         shutil.copy(empty / "mlflow.db", folder)
         yield Path(folder)
-
-
-def only_run(output_dir):
-    """The one run directory under an output directory."""
-    (path,) = output_dir.glob("*/*/seed=*")
-    return RunDirectory(path)
-
-
-def store(output_dir):
-    """A client of an output directory's own store."""
-    from parking_exp.locations import default_uri
-    from parking_exp.store import connect
-
-    return connect(default_uri(output_dir))
-
-
-def artifacts(client, run_id, folder=None):
-    """All artifact paths of a run."""
-    found = []
-    for item in client.list_artifacts(run_id, folder):
-        found += artifacts(client, run_id, item.path) if item.is_dir else [item.path]
-    return sorted(found)
-
-
-def history(client, run_id, key):
-    return [(point.step, point.value) for point in client.get_metric_history(run_id, key)]
-
-
-CLOCKED = {"time/fps", "time/time_elapsed", "time/cpu_s", "time/wall_s"}
-"""Metrics that a clock says: the only ones in which a run that was cut off may differ from one that was not."""
-
-
-def assert_store_is_whole(output_dir, total_timesteps):
-    """The run is finished in the store, has every step once, and the values of the run directory."""
-    directory, client = only_run(output_dir), store(output_dir)
-    run = client.get_run(directory.run_id)
-    assert run.info.status == "FINISHED"
-    assert run.data.tags["status"] == "done"
-    local = {}
-    for line in (directory.path / "metrics.jsonl").read_text().splitlines():
-        record = json.loads(line)
-        for key, value in record["metrics"].items():
-            local.setdefault(key, []).append((record["step"], value))
-    assert set(run.data.metrics) == set(local)
-    for key, points in local.items():
-        steps = [step for step, _ in points]
-        assert steps == sorted(set(steps)), key
-        assert history(client, directory.run_id, key) == points, key
-    assert history(client, directory.run_id, "final/success_rate")[-1][0] == total_timesteps
-    return local
 
 
 @pytest.fixture(scope="session")

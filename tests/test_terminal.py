@@ -4,8 +4,8 @@ import io
 import logging
 
 import pytest
-from conftest import run_script
 from rich.table import Table
+from support.runs import run_script
 
 from parking_exp.terminal import LogFormatter, Screen, console, printable, say
 

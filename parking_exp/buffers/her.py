@@ -14,8 +14,8 @@ from stable_baselines3.common.type_aliases import DictReplayBufferSamples
 from stable_baselines3.common.vec_env import VecEnv, VecNormalize
 from stable_baselines3.her import GoalSelectionStrategy
 
-from parking_exp.buffers.episodes import NONE, Episodes
-from parking_exp.buffers.rows import Observation, Rows, Transitions
+from parking_exp.buffers.episode_index import NONE, Episodes
+from parking_exp.buffers.storage import Observation, Rows, Transitions
 from parking_exp.buffers.strategies import STRATEGIES
 
 NO_GOALS = np.empty(0, np.int64)

@@ -4,7 +4,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from parking_exp.buffers.episodes import Episodes
+from parking_exp.buffers.episode_index import Episodes
 
 Strategy = Callable[[np.random.Generator, Episodes, np.ndarray, np.ndarray], np.ndarray]
 

@@ -1,49 +1,22 @@
-"""Many scenes stepped together, whatever simulates them."""
+"""Start a batch of scenes, in highway-env or in the simulator."""
 
-from typing import NamedTuple, Protocol
+from collections.abc import Sequence
 
-import numpy as np
+from parking_exp.config.schema import EnvConfig, Simulation
+from parking_exp.envs.highway import HighwayBatch
+from parking_exp.envs.interface import Batch
+from parking_exp.envs.scenes import Scenes
+from parking_exp.envs.simulator import Simulator
 
-from parking_exp.outcomes import Pose
-from parking_exp.policy import Observation
 
+def start(config: EnvConfig, scenes: Sequence[int], simulator: Simulation | None = None) -> Batch:
+    """Start scenes together; scene s is what `env.reset(seed=s)` of highway-env makes.
 
-class Step(NamedTuple):
-    """What a step of n scenes gives.
-
-    Attributes:
-        observation: Dict observation; each entry has shape (n, features).
-        reward: shape (n,).
-        terminated, truncated, crashed, is_success: booleans, shape (n,).
+    Args:
+        config: the `env` group; episodes last its `duration`.
+        scenes: seeds of `env.reset`.
+        simulator: what simulates them; None: the config's own.
     """
-
-    observation: Observation
-    reward: np.ndarray
-    terminated: np.ndarray
-    truncated: np.ndarray
-    crashed: np.ndarray
-    is_success: np.ndarray
-
-
-class Batch(Protocol):
-    """n scenes, none of which is ever reset by itself."""
-
-    def __len__(self) -> int: ...
-
-    def observe(self) -> Observation:
-        """Return the observation of all scenes."""
-
-    def step(self, actions: np.ndarray) -> Step:
-        """Step all scenes; actions have the shape (n, actions)."""
-
-    def keep(self, rows: np.ndarray) -> None:
-        """Go on with some of the scenes only, by mask."""
-
-    def pose(self, row: int) -> Pose:
-        """Return the pose of a car relative to its goal."""
-
-    def cars(self) -> np.ndarray:
-        """Return x [m], y [m], heading [rad] and signed speed [m/s] of all cars, shape (n, 4)."""
-
-    def close(self) -> None:
-        """Let go of what is held."""
+    if (simulator or config.simulator) == "highway_env":
+        return HighwayBatch(config, scenes)
+    return Simulator(config, Scenes.from_seeds(scenes, config.vehicles_count))

@@ -7,10 +7,9 @@ import gymnasium as gym
 import highway_env
 import numpy as np
 
-from parking_exp.config import EnvConfig
-from parking_exp.envs.batch import Step
-from parking_exp.outcomes import Pose, relative_pose
-from parking_exp.policy import Observation
+from parking_exp.config.schema import EnvConfig
+from parking_exp.envs.interface import Observation, Step
+from parking_exp.envs.outcomes import Pose, relative_pose
 
 gym.register_envs(highway_env)
 

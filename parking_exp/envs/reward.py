@@ -5,7 +5,7 @@ from typing import Self
 
 import numpy as np
 
-from parking_exp.config import DEFAULT_FEATURES, EnvConfig
+from parking_exp.config.schema import DEFAULT_FEATURES, EnvConfig
 
 
 @dataclass(frozen=True, eq=False)

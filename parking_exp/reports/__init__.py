@@ -1,1 +1,1 @@
-"""Reports: frames of results -> numbers, words, pictures and pages."""
+"""Reports that compare the cells of an experiment: numbers, findings, figures and pages from results."""

@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 
 from parking_exp import statistics
-from parking_exp.reports.content import (
+from parking_exp.reports.data import (
     Cell,
     Factor,
     Importance,

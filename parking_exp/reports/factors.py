@@ -8,8 +8,8 @@ import math
 from collections.abc import Hashable, Mapping, Sequence
 from typing import Any
 
-from parking_exp.config import WITHOUT_RESULT
-from parking_exp.reports.content import Design, Factor, Setting
+from parking_exp.config.schema import WITHOUT_RESULT
+from parking_exp.reports.data import Design, Factor, Setting
 from parking_exp.reports.formats import setting
 
 Config = Mapping[str, Setting]

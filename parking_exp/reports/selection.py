@@ -11,12 +11,12 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from parking_exp.columns import typed
+from parking_exp.config.messages import closest
 from parking_exp.errors import ConfigError
-from parking_exp.reports.content import Factor, Setting
+from parking_exp.reports.data import Factor, Setting
 from parking_exp.reports.factors import GROUPS, Config, can_matter, find_factors, label, unique
 from parking_exp.reports.formats import setting
-from parking_exp.wording import closest
+from parking_exp.results.columns import typed
 
 CONFIG = "config."
 

@@ -6,11 +6,11 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from parking_exp.outcomes import OUTCOMES
-from parking_exp.reports.content import Cell, Curve, Interval, Seed, Share, Survival
-from parking_exp.reports.courses import Course, Courses
+from parking_exp.envs.outcomes import OUTCOMES
+from parking_exp.reports.curves import Course, Courses
+from parking_exp.reports.data import Cell, Curve, Interval, Seed, Share, Survival
 from parking_exp.reports.formats import finite
-from parking_exp.reports.places import slot_rates
+from parking_exp.reports.scene_map import slot_rates
 from parking_exp.reports.selection import Group
 from parking_exp.statistics import (
     Estimate,

@@ -6,8 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 
-from parking_exp.results import RATES, Results
-from parking_exp.wording import enclosed, few
+from parking_exp.config.messages import enclosed, few
+from parking_exp.results.frames import RATES, Results
 
 Bounds = Mapping[str, tuple[float, float]]
 

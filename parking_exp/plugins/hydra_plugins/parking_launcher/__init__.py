@@ -18,7 +18,7 @@ class _RunLauncher(Launcher):
     """What both share: jobs are run directories, `run=PATH`, and results lie there; nothing is returned but a word."""
 
     def setup(self, *, hydra_context: HydraContext, task_function: TaskFunction, config: DictConfig) -> None:
-        """Take what Hydra gives; the task is always `parking_exp.worker`."""
+        """Take what Hydra gives; the task is always `parking_exp.sweeps.worker`."""
 
     def launch(self, job_overrides: Sequence[Sequence[str]], initial_job_idx: int) -> Sequence[JobReturn]:
         """Train the runs and return how each ended, in JobReturn.return_value."""
@@ -37,7 +37,7 @@ class _RunLauncher(Launcher):
 
 
 class LocalLauncher(_RunLauncher):
-    """Fresh processes side by side on this machine; see `parking_exp.pool.launch`."""
+    """Fresh processes side by side on this machine; see `parking_exp.sweeps.local.launch`."""
 
     def __init__(self, n_jobs: int | None, memory_gb: float | None) -> None:
         _check("n_jobs", n_jobs, int)
@@ -46,16 +46,16 @@ class LocalLauncher(_RunLauncher):
 
     def train(self, paths: Sequence[Path]) -> Mapping[Path, Any]:
         """Train the runs of these directories."""
-        from parking_exp.pool import launch
+        from parking_exp.sweeps.local import launch
 
         return launch(paths, self.n_jobs, self.memory_gb)
 
 
 class SlurmLauncher(_RunLauncher):
-    """Jobs of a Slurm cluster, or processes of this machine, through submitit; see `parking_exp.cluster.launch`."""
+    """Jobs of a Slurm cluster, or processes of this machine, by submitit; see `parking_exp.sweeps.slurm.launch`."""
 
     def __init__(self, executor: str, n_jobs: int | None, folder: str | None, parameters: Mapping[str, Any]) -> None:
-        from parking_exp.cluster import check
+        from parking_exp.sweeps.slurm import check
 
         check(executor)
         _check("n_jobs", n_jobs, int)
@@ -63,7 +63,7 @@ class SlurmLauncher(_RunLauncher):
 
     def train(self, paths: Sequence[Path]) -> Mapping[Path, Any]:
         """Train the runs of these directories."""
-        from parking_exp.cluster import launch
+        from parking_exp.sweeps.slurm import launch
 
         return launch(paths, self.executor, self.n_jobs, Path(self.folder) if self.folder else None, self.parameters)
 

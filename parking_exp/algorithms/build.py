@@ -1,0 +1,133 @@
+"""Config -> Stable-Baselines3 model: the one place where third-party classes are instantiated."""
+
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from typing import Any
+
+import numpy as np
+import torch
+from hydra.utils import get_class, get_object, instantiate
+from stable_baselines3.common.noise import ActionNoise
+from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
+from stable_baselines3.common.torch_layers import CombinedExtractor
+from stable_baselines3.common.vec_env import VecEnv
+
+from parking_exp.algorithms.fast.precision import faster_precision
+from parking_exp.algorithms.features import EgoFrameExtractor
+from parking_exp.algorithms.startup import spare_dynamo
+from parking_exp.buffers import HerBuffer
+from parking_exp.config.arguments import CLASS_ARGUMENTS
+from parking_exp.config.schema import Precision, RunConfig
+from parking_exp.envs.interface import Policy
+from parking_exp.envs.reward import GoalReward
+from parking_exp.envs.training_envs import is_parking, make_training_envs
+from parking_exp.errors import ConfigError
+
+
+def build_model(config: RunConfig, env: VecEnv, seed: int, *, for_training: bool = True) -> OffPolicyAlgorithm:
+    """Build the model that a config describes.
+
+    Args:
+        config: the run.
+        env: training envs, or one env of the same spaces.
+        seed: of weights, exploration and minibatches.
+        for_training: False skips the replay buffer, for a model that only predicts.
+
+    Raises:
+        ConfigError: the library refuses an argument.
+    """
+    arguments = config.algorithm.arguments
+    train_freq, gradient_steps = config.update_rounds()
+    node: dict[str, Any] = {
+        **arguments,
+        "_target_": config.algorithm.target,
+        "_convert_": "all",
+        "_partial_": True,
+        "gradient_steps": gradient_steps,
+        "buffer_size": config.buffer.buffer_size if for_training else env.num_envs,
+        "seed": seed,
+        "device": config.device,
+    }
+    for name in ("policy_kwargs", "train_freq", "action_noise"):
+        node.pop(name, None)
+    # Objects are given to the partial afterwards: Hydra would copy them into its config.
+    build = instantiate(node)
+    objects: dict[str, Any] = {"env": env, "train_freq": train_freq, "policy_kwargs": _policy_kwargs(config)}
+    if (noise := arguments.get("action_noise")) is not None:
+        objects["action_noise"] = _action_noise(noise)
+    if for_training:
+        objects["replay_buffer_class"] = get_class(config.buffer.target)
+        objects["replay_buffer_kwargs"] = config.buffer.arguments
+        if issubclass(objects["replay_buffer_class"], HerBuffer) and is_parking(env):
+            objects["replay_buffer_kwargs"]["reward"] = GoalReward.of(config.env)
+    spare_dynamo()
+    try:
+        return build(**objects)
+    except (TypeError, ValueError, KeyError, AssertionError) as error:
+        raise ConfigError(f"algorithm: {config.algorithm.target} refuses its arguments: {error}") from error
+
+
+def greedy_policy(model: OffPolicyAlgorithm) -> Policy:
+    """Return the model's policy without exploration."""
+    return lambda observation: model.predict(observation, deterministic=True)[0]
+
+
+def _policy_kwargs(config: RunConfig) -> dict[str, Any]:
+    policy_kwargs: dict[str, Any] = {"net_arch": list(config.algorithm.net_arch)}
+    if config.algorithm.features == "ego":
+        policy_kwargs["features_extractor_class"] = EgoFrameExtractor
+        policy_kwargs["features_extractor_kwargs"] = {"scales": list(config.env.observation.scales)}
+    else:
+        # What a MultiInputPolicy has by default, except CrossQ's.
+        policy_kwargs["features_extractor_class"] = CombinedExtractor
+    given = config.algorithm.arguments.get("policy_kwargs") or {}
+    classes = {name: _class(value) for name, value in given.items() if name in CLASS_ARGUMENTS}
+    rest = instantiate({name: value for name, value in given.items() if name not in classes} | {"_convert_": "all"})
+    return policy_kwargs | rest | classes
+
+
+def _class(value: Any) -> Any:
+    """Return the class that a dotted path or a `_target_` node names; with the node's arguments, if it has any."""
+    if isinstance(value, str):
+        return get_class(value)
+    if not isinstance(value, Mapping):
+        return value
+    found = get_object(value["_target_"])
+    is_class = isinstance(found, type)
+    if is_class and not set(value) - {"_target_", "_partial_"}:
+        return found
+    return instantiate({**value, "_convert_": "all", "_partial_": is_class})
+
+
+def _action_noise(node: Mapping[str, Any]) -> ActionNoise:
+    """Make action noise; it wants arrays where YAML has lists."""
+    arrays = {name: np.array(value, np.float64) for name, value in node.items() if isinstance(value, list)}
+    rest = {name: value for name, value in node.items() if name not in arrays}
+    return instantiate({**rest, "_partial_": True, "_convert_": "all"})(**arrays)
+
+
+@contextmanager
+def torch_settings(config: RunConfig, recorded: object = None) -> Iterator[Precision]:
+    """Give torch the threads and the precision of a run, for a while; yield the precision.
+
+    `precision: auto` means what is `recorded` of the run, if anything is, or else what is faster now.
+    """
+    threads, before = torch.get_num_threads(), torch.get_float32_matmul_precision()
+    if config.torch_threads is not None:
+        torch.set_num_threads(config.torch_threads)
+    try:
+        precision = _precision(config, recorded)
+        torch.set_float32_matmul_precision(precision)
+        yield precision
+    finally:
+        torch.set_num_threads(threads)
+        torch.set_float32_matmul_precision(before)
+
+
+def _precision(config: RunConfig, recorded: object) -> Precision:
+    if config.precision != "auto":
+        return config.precision
+    if recorded in ("highest", "medium"):
+        return recorded
+    model = build_model(config, make_training_envs(config.env, 1), seed=0, for_training=False)
+    return faster_precision(model)

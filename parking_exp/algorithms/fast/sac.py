@@ -1,0 +1,156 @@
+"""Soft Actor-Critic with a lean update."""
+
+import math
+from typing import Any
+
+import stable_baselines3
+import torch
+from stable_baselines3.sac.policies import LOG_STD_MAX, LOG_STD_MIN
+from torch import nn
+
+from parking_exp.algorithms.fast.adam import Adam, Flat
+from parking_exp.algorithms.fast.base import LeanTraining
+from parking_exp.algorithms.fast.critics import Critics
+from parking_exp.algorithms.fast.minibatches import sample_round
+from parking_exp.algorithms.fast.mlp import Perceptron, as_layers, parameters
+
+LOG_SQRT_2_PI = math.log(math.sqrt(2 * math.pi))
+EPSILON = 1e-6  # of Stable-Baselines3's SquashedDiagGaussianDistribution
+
+
+class _Update:
+    """The update of a model's networks and entropy coefficient."""
+
+    def __init__(self, model: Any) -> None:
+        self.critics = Critics(model)
+        body, mean, log_std = parameters(model.actor.latent_pi), model.actor.mu, model.actor.log_std
+        assert isinstance(mean, nn.Linear)
+        assert isinstance(log_std, nn.Linear)
+        self.actor = Perceptron(as_layers(body))
+        self.mean, self.log_std = (Perceptron([(head.weight, head.bias)]) for head in (mean, log_std))
+        self.flat = Flat([*body, mean.weight, mean.bias, log_std.weight, log_std.bias])
+        self.adam = Adam(model.actor.optimizer, self.flat)
+        self.ent_coef_adam: Adam | None = None
+        if model.ent_coef_optimizer is not None:
+            self.ent_coef_adam = Adam(model.ent_coef_optimizer, Flat([model.log_ent_coef]))
+
+    def is_bound(self, model: Any) -> bool:
+        """Whether the networks and optimizers are still the model's."""
+        pairs = [(self.adam, model.actor.optimizer), (self.ent_coef_adam, model.ent_coef_optimizer)]
+        mine = all(adam.optimizer is optimizer and adam.is_bound for adam, optimizer in pairs if adam is not None)
+        return mine and self.critics.is_bound(model)
+
+    def run(self, model: Any, gradient_steps: int, batch_size: int) -> dict[str, float]:
+        """Do the updates of a round and return the means of what Stable-Baselines3 logs."""
+        history: list[list[torch.Tensor]] = []
+        for step, batch in enumerate(sample_round(model, gradient_steps, batch_size)):
+            history.append(self._step(model, *batch))
+            if step % model.target_update_interval == 0:
+                self.critics.follow(model.tau)
+        model._n_updates += gradient_steps
+        names = ["ent_coef", "actor_loss", "critic_loss", "ent_coef_loss"]
+        means = [torch.stack(column).mean().item() for column in zip(*history, strict=True)]
+        return dict(zip(names, means, strict=False))
+
+    def _step(
+        self, model: Any, both: torch.Tensor, actions: torch.Tensor, rewards: torch.Tensor, discounts: torch.Tensor
+    ) -> list[torch.Tensor]:
+        """Do one update; return entropy coefficient, actor loss, critic loss and the coefficient's loss."""
+        batch = len(actions)
+        noise = torch.empty((2, *actions.shape), dtype=both.dtype)
+        noise[0].normal_()  # one after the other, as Stable-Baselines3 draws them
+        noise[1].normal_()
+        # The actor is the same for the states and the next ones: one pass for both.
+        values = self.actor.forward(both)
+        hidden = values[-1].relu_()
+        policy = _Squashed(self.mean.forward(hidden)[-1], self.log_std.forward(hidden)[-1], noise.flatten(0, 1))
+        log_prob, next_log_prob = policy.log_prob[:batch], policy.log_prob[batch:]
+        ent_coef, logged = self._update_ent_coef(model, log_prob)
+
+        next_value = self.critics.target_value(both[batch:], policy.actions[batch:]) - ent_coef * next_log_prob
+        target = rewards + discounts * next_value
+        critic_loss = self.critics.update(both[:batch], actions, target, weight=0.5)
+
+        value, by_action = self.critics.best_action(both[:batch], policy.actions[:batch], first=False)
+        by_mean, by_log_std = policy.backward(batch, by_action, ent_coef * (1 / batch))
+        self._update_actor([v[:batch] for v in values], by_mean, by_log_std)
+        return [ent_coef.reshape(()), (ent_coef * log_prob - value).mean(), critic_loss, *logged]
+
+    def _update_actor(self, values: list[torch.Tensor], by_mean: torch.Tensor, by_log_std: torch.Tensor) -> None:
+        """Pass the gradients by both heads' outputs back through them and the body, and take a step."""
+        *body, _, _, _, _ = out = self.adam.gradients
+        self.mean.backward(values[-1:], by_mean, out[-4:-2])
+        self.log_std.backward(values[-1:], by_log_std, out[-2:])
+        by_hidden = self.mean.input_gradient([], by_mean) + self.log_std.input_gradient([], by_log_std)
+        self.actor.backward(values, torch.ops.aten.threshold_backward(by_hidden, values[-1], 0), body)
+        self.adam.step()
+
+    def _update_ent_coef(self, model: Any, log_prob: torch.Tensor) -> tuple[torch.Tensor, list[torch.Tensor]]:
+        """Take a step on the entropy coefficient; return it as it was before, and its loss."""
+        if self.ent_coef_adam is None:
+            return model.ent_coef_tensor, []
+        ent_coef = model.log_ent_coef.exp()
+        surplus = (log_prob + model.target_entropy).mean()
+        loss = -(model.log_ent_coef * surplus).reshape(())
+        self.ent_coef_adam.gradients[0].copy_(-surplus)
+        self.ent_coef_adam.step()
+        return ent_coef, [loss]
+
+
+class _Squashed:
+    """Actions of a Gaussian policy squashed by tanh, their log probabilities, and the gradients through both.
+
+    The operations are those of Stable-Baselines3 and torch.distributions, in their order; terms that cancel but for
+    rounding are kept, since Adam's first steps magnify rounding.
+
+    Args:
+        mean, raw_log_std: outputs of the actor, shape (n, actions).
+        noise: standard normal, of the same shape.
+
+    Attributes:
+        actions: shape (n, actions).
+        log_prob: shape (n, 1).
+    """
+
+    def __init__(self, mean: torch.Tensor, raw_log_std: torch.Tensor, noise: torch.Tensor) -> None:
+        self.noise, self.raw_log_std = noise, raw_log_std
+        self.std = raw_log_std.clamp(LOG_STD_MIN, LOG_STD_MAX).exp_()
+        sample = mean + noise * self.std
+        self.actions = torch.tanh(sample)
+        self.offset = sample - mean
+        self.double_variance = 2 * self.std**2
+        density = 1 - self.actions**2 + EPSILON
+        log_prob = (-(self.offset**2) / self.double_variance - self.std.log() - LOG_SQRT_2_PI).sum(1)
+        self.log_prob = (log_prob - density.log().sum(1)).unsqueeze(1)
+
+    def backward(
+        self, rows: int, by_action: torch.Tensor, by_log_prob: torch.Tensor
+    ) -> tuple[torch.Tensor, torch.Tensor]:
+        """Return the gradients by mean and raw log standard deviation of the first rows, shape (rows, actions).
+
+        Args:
+            rows: how many.
+            by_action: gradient of the loss by the actions, besides through log_prob, shape (rows, actions).
+            by_log_prob: gradient of the loss by each log probability, one number.
+        """
+        noise, std, actions, offset, double_variance, raw_log_std = (
+            tensor[:rows]
+            for tensor in (self.noise, self.std, self.actions, self.offset, self.double_variance, self.raw_log_std)
+        )
+        density = 1 - actions**2 + EPSILON
+        by_square = -by_log_prob / double_variance
+        by_offset = by_square * 2 * offset
+        by_sample = torch.ops.aten.tanh_backward(by_log_prob / density * (2 * actions) + by_action, actions) + by_offset
+        by_double_variance = -by_log_prob * (-(offset**2) / double_variance / double_variance)
+        by_std = -by_log_prob / std + (by_double_variance * 2) * (2 * std) + by_sample * noise
+        inside = (raw_log_std >= LOG_STD_MIN) & (raw_log_std <= LOG_STD_MAX)
+        return by_sample - by_offset, by_std * std * inside
+
+
+class SAC(LeanTraining, stable_baselines3.SAC):
+    """Stable-Baselines3's SAC, whose `train` does the same arithmetic in a fraction of the time.
+
+    Same constructor, `save`, `load`, `predict` and logger keys.
+    """
+
+    update_class = _Update

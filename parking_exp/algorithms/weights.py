@@ -1,0 +1,220 @@
+"""Model files: saved whole, and loaded so that every weight comes from the file, or not at all.
+
+A file is a zip as Stable-Baselines3 saves it. Its pickled part is not read, and tensors are loaded as torch's
+`weights_only`: nothing in it is executed.
+"""
+
+import io
+import pickle
+import re
+import zipfile
+from collections import deque
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from itertools import chain
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import torch
+from stable_baselines3.common.buffers import BaseBuffer
+from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.distributions import Distribution
+from stable_baselines3.common.logger import Logger
+from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
+from stable_baselines3.common.save_util import recursive_getattr, recursive_setattr
+from stable_baselines3.common.vec_env import VecEnv
+
+from parking_exp.algorithms.fast.base import LeanTraining
+from parking_exp.errors import DamagedModelError, ModelError
+from parking_exp.runs.atomic import sync
+
+VARIABLES = "pytorch_variables"
+# Entries of the pickled part that a HER buffer wants an env for: without them `SAC.load(path)` is enough.
+BUFFER_ENTRIES = ("replay_buffer_class", "replay_buffer_kwargs")
+# What a model refers to and is not made of. Distributions hold the last sample, and gSDE's matrices (see `streams`).
+NOT_WEIGHTS = (gym.Env, VecEnv, BaseBuffer, BaseCallback, Logger, Distribution, torch.distributions.Distribution)
+PLUMBING = {"_modules", "_parameters", "_buffers"}  # of torch.nn.Module
+
+Weights = Mapping[str, Any]
+"""State dicts and single tensors of a model file, by the names that the model has for them."""
+
+
+def save_model(model: OffPolicyAlgorithm, path: Path) -> None:
+    """Save a model that Stable-Baselines3 loads anywhere.
+
+    Raises:
+        OSError: the disk is full; an earlier file is untouched.
+    """
+    with replacing(path) as temporary:
+        model.save(temporary, exclude=BUFFER_ENTRIES)
+
+
+def load_weights(path: Path, model: OffPolicyAlgorithm) -> None:
+    """Load parameters, optimizers and other tensors of a model: all of them, or none.
+
+    Raises:
+        DamagedModelError: the file can't be read, or holds something else than weights.
+        ModelError: it is the file of another model, or the model has weights that no file of its holds.
+        OSError: the disk fails.
+    """
+    weights = read_weights(path.read_bytes(), str(path), model.device)
+    if names := unsaved(model):
+        raise ModelError(f"{path} does not hold all of {_class(model)}: {missing(names)}")
+    apply_weights(weights, model, str(path))
+
+
+def read_weights(content: bytes, name: str, device: torch.device) -> Weights:
+    """Read all tensors of a model file.
+
+    Raises:
+        DamagedModelError: bytes are missing or changed, or there is something else than weights.
+    """
+    if not content:
+        raise DamagedModelError(f"{name} is empty")
+    member = None
+    try:
+        with zipfile.ZipFile(io.BytesIO(content)) as archive:
+            _check_sums(archive)
+            weights: dict[str, Any] = {}
+            for member in (name for name in archive.namelist() if name.endswith(".pth")):
+                file = io.BytesIO(archive.read(member))
+                with zipfile.ZipFile(file) as tensors:  # torch does not look at the checksums of its own format
+                    _check_sums(tensors)
+                file.seek(0)
+                weights[member.removesuffix(".pth")] = torch.load(file, map_location=device, weights_only=True)
+            variables = dict(weights.pop(VARIABLES, None) or {})
+            return weights | variables
+    except Exception as error:  # damaged bytes make zipfile and torch raise anything; no disk is read here
+        where = f"{name}, {member}," if member else name
+        if isinstance(error, pickle.UnpicklingError) and (refused := re.search(r"GLOBAL (\S+)", str(error))):
+            raise DamagedModelError(f"{where} names {refused[1]}, which is no weight, and is not loaded") from error
+        words = re.split(r"\.\s|\n", str(error))[0] or type(error).__name__
+        raise DamagedModelError(f"{where} is damaged ({words})") from error
+
+
+def apply_weights(weights: Weights, model: OffPolicyAlgorithm, name: str) -> None:
+    """Give a model all weights of a file. Nothing is changed where shapes or names do not fit.
+
+    Raises:
+        ModelError: they do not fit the model.
+    """
+    modules, variables = model._get_torch_save_params()
+    if problem := _misfit(weights, model):
+        raise ModelError(f"{name} does not fit {_class(model)} as its config.yaml describes it ({problem})")
+    try:
+        model.set_parameters({key: weights[key] for key in modules}, device=model.device)
+    except (LookupError, TypeError, ValueError, AttributeError, RuntimeError) as error:  # an optimizer's: torch checks
+        raise ModelError(f"{name} does not fit {_class(model)} ({str(error).splitlines()[0]})") from error
+    for key in variables:
+        if weights[key] is not None:
+            recursive_setattr(model, f"{key}.data", weights[key].data)
+
+
+def unsaved(model: OffPolicyAlgorithm) -> list[str]:
+    """Return the names of tensors and optimizers that a model keeps and its files do not hold."""
+    saved = set()
+    for _, one in _saved(model):
+        saved |= {_key(part) for part in (_state(one).values() if isinstance(one, torch.nn.Module) else [one])}
+    return [name for name, one in reachable(model) if _key(one) not in saved]
+
+
+def reachable(model: OffPolicyAlgorithm) -> Iterator[tuple[str, torch.Tensor | torch.optim.Optimizer]]:
+    """Yield every tensor and optimizer that a model's attributes lead to, with its name."""
+    # Of the lean classes: laid out anew over the weights whenever these are other ones.
+    own = {"_update"} if isinstance(model, LeanTraining) else set()
+    yield from _walk({name: value for name, value in vars(model).items() if name not in own}, "", set())
+
+
+def missing(names: list[str]) -> str:
+    """Say what a class has to do about tensors that its files do not hold."""
+    return f"{_some(names)} would be lost; its _get_torch_save_params() must name what holds them"
+
+
+def _walk(node: Any, name: str, seen: set[int]) -> Iterator[tuple[str, Any]]:
+    if id(node) in seen or isinstance(node, (*NOT_WEIGHTS, type)):
+        return
+    seen.add(id(node))
+    if isinstance(node, torch.optim.Optimizer) or (isinstance(node, torch.Tensor) and node.numel()):
+        yield name, node
+        return
+    children: list[tuple[Any, Any]] = list(vars(node).items()) if hasattr(node, "__dict__") else []
+    if isinstance(node, Mapping):
+        children += node.items()
+    elif isinstance(node, list | tuple | set | frozenset | deque):
+        children += enumerate(node)
+    for key, child in children:
+        part = "" if key in PLUMBING else f".{key}"
+        yield from _walk(child, f"{name}{part}".lstrip("."), seen)
+
+
+def _check_sums(archive: zipfile.ZipFile) -> None:
+    if (member := archive.testzip()) is not None:
+        raise zipfile.BadZipFile(f"the checksum of {member} is wrong")
+
+
+@contextmanager
+def replacing(path: Path) -> Iterator[Path]:
+    """Yield a name for a file that takes another one's place when it is whole."""
+    temporary = path.with_name(f".{path.name}")
+    try:
+        yield temporary
+        sync(temporary)
+        temporary.replace(path)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def _saved(model: OffPolicyAlgorithm) -> Iterator[tuple[str, Any]]:
+    """Yield what a model's files hold: modules, optimizers and tensors."""
+    for name in chain(*model._get_torch_save_params()):
+        try:
+            yield name, recursive_getattr(model, name)
+        except AttributeError as error:
+            raise ModelError(f"{_class(model)} has no {name}, which its _get_torch_save_params() names") from error
+
+
+def _misfit(weights: Weights, model: OffPolicyAlgorithm) -> str | None:
+    """Say in what a file's weights differ from a model's: names, shapes, types."""
+    saved = dict(_saved(model))
+    if not saved:
+        return "it has no weights that could be loaded"
+    lacks, odd = sorted(set(saved) - set(weights)), sorted(set(weights) - set(saved))
+    if lacks or odd:
+        return " and ".join([f"it lacks {_some(lacks)}"] * bool(lacks) + [f"it has {_some(odd)} besides"] * bool(odd))
+    for name, one in saved.items():
+        ours, found = {"": one}, {"": weights[name]}
+        if hasattr(one, "state_dict"):
+            ours, found = one.state_dict(), weights[name]
+        if not isinstance(found, Mapping):
+            return f"{name} is {_describe(found)}, and not a dict"
+        if different := set(ours) ^ set(found):
+            return f"{name} has other parameters ({_some(sorted(map(str, different)))})"
+        for key, value in ours.items():
+            if _describe(value) != _describe(found[key]):
+                return f"{name}.{key}".rstrip(".") + f" is {_describe(found[key])}, and not {_describe(value)}"
+    return None
+
+
+def _state(module: torch.nn.Module) -> dict[str, torch.Tensor]:
+    state = module.state_dict(keep_vars=True)
+    return {name: value for name, value in state.items() if isinstance(value, torch.Tensor)}
+
+
+def _key(one: Any) -> Any:
+    """Return what two names of the same memory have in common."""
+    return (one.data_ptr(), one.shape, one.stride()) if isinstance(one, torch.Tensor) else id(one)
+
+
+def _describe(value: Any) -> str:
+    if not isinstance(value, torch.Tensor):
+        return f"a {type(value).__name__}"
+    return f"{str(value.dtype).removeprefix('torch.')} of shape {list(value.shape)}"
+
+
+def _class(model: OffPolicyAlgorithm) -> str:
+    return f"{type(model).__module__}.{type(model).__qualname__}"
+
+
+def _some(names: list[str]) -> str:
+    return ", ".join(names[:4]) + (", ..." if len(names) > 4 else "")

@@ -1,0 +1,1 @@
+"""Speed benchmarks: ratios against named peers, measured in turn."""

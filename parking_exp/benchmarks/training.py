@@ -1,0 +1,173 @@
+"""Whole runs: the tutorial's recipe against plain Stable-Baselines3, and what a run costs besides training."""
+
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from contextlib import ExitStack
+from typing import Any
+
+from stable_baselines3 import SAC, HerReplayBuffer
+from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.logger import Logger
+from stable_baselines3.common.monitor import Monitor
+
+from parking_exp.algorithms.build import build_model, torch_settings
+from parking_exp.benchmarks.rounds import interleave, rounded, spread
+from parking_exp.benchmarks.updates import theirs
+from parking_exp.config.compose import composed
+from parking_exp.config.paths import store_uri
+from parking_exp.config.schema import RunConfig
+from parking_exp.config.validate import validate
+from parking_exp.envs.highway import make_env
+from parking_exp.envs.interface import Policy
+from parking_exp.envs.training_envs import make_training_envs
+from parking_exp.runs.directory import RunDirectory
+from parking_exp.tracking.tracker import open_tracker
+from parking_exp.training.checkpoints import Progress
+from parking_exp.training.progress import TrainingProgress
+from parking_exp.training.session import Schedule, Session
+from parking_exp.training.signals import StopRequest
+
+
+def run_config(*overrides: str) -> RunConfig:
+    """Compose and check a run's config."""
+    (config,) = composed("config", list(overrides))
+    return validate(config)
+
+
+def article(rounds: int, steps: int) -> dict[str, Any]:
+    """Compare training steps a second of the tutorial's recipe, `steps` in all on each side after the warm-up."""
+    config = run_config("experiment=article", "torch_threads=1")
+    arguments = config.algorithm.arguments
+    ours = build_model(config, make_training_envs(config.env, config.n_envs), seed=0)
+    peer = SAC(
+        "MultiInputPolicy",
+        Monitor(make_env(config.env)),
+        learning_rate=arguments["learning_rate"],
+        learning_starts=arguments["learning_starts"],
+        batch_size=arguments["batch_size"],
+        gamma=arguments["gamma"],
+        policy_kwargs={"net_arch": list(config.algorithm.net_arch)},
+        buffer_size=config.buffer.buffer_size,
+        replay_buffer_class=HerReplayBuffer,
+        replay_buffer_kwargs=theirs(config).buffer.arguments,
+        seed=0,
+        device="cpu",
+    )
+    for model in (ours, peer):
+        model.set_logger(Logger(None, []))
+        model.learn(arguments["learning_starts"])
+    with torch_settings(config) as precision:
+        pass
+
+    def mine() -> float:
+        with torch_settings(config, precision):
+            return _learn(ours, steps // rounds)
+
+    entry = interleave(mine, lambda: _learn(peer, steps // rounds), rounds)
+    return entry | {
+        "peer": "plain stable-baselines3 + highway-env",
+        "unit": "env steps",
+        "steps": steps,
+        "precision": precision,
+    }
+
+
+def overhead(rounds: int, steps: int, slice_steps: int, *changes: str) -> tuple[dict[str, Any], Policy]:
+    """Measure what the default run costs besides training, and return a policy trained on the way.
+
+    A tracked run is trained for `steps`; its parts are timed, and slices of it are measured in turn with slices of a
+    bare one. The ratio is that of the default run in full length, put together from them: start, training with its
+    rows of metrics, every evaluation and checkpoint, and the end with certification, figures, video and artifacts.
+    `changes` are overrides of the run that is timed.
+    """
+    full = run_config()
+    with tempfile.TemporaryDirectory() as folder, ExitStack() as stack:
+        overrides = [f"output_dir={folder}/out", "tracking.progress_bar=false", *changes]
+        config = run_config(*overrides, f"total_timesteps={steps}")
+        _make_store(config)
+        stack.enter_context(RunDirectory(config.run_dir).locked())
+        session, start_s = _tracked_session(config)
+        session.learn()
+        bare = build_model(config, make_training_envs(config.env, config.n_envs), seed=0)
+        bare.set_logger(Logger(None, []))
+        bare.learning_starts = steps  # its buffer is as full
+        bare.learn(steps)
+        bare.learning_starts = 0
+        session.config = run_config(
+            *overrides,
+            f"total_timesteps={100 * steps}",
+            "evaluation.every_n_steps=null",
+            "checkpoint.every_n_steps=null",
+        )
+        schedule = Schedule(session)
+        slices = []
+        for _ in range(rounds):
+            tracked_s = _seconds(lambda: _learn(session.model, slice_steps, schedule, config.tracking.log_interval))
+            slices.append((tracked_s / slice_steps, _seconds(lambda: _learn(bare, slice_steps)) / slice_steps))
+        session.config = config
+        evaluation_s = statistics.median(_seconds(session.evaluate) for _ in range(rounds))
+        checkpoint_s = statistics.median(_checkpoint_seconds(session) for _ in range(rounds))
+        policy = session.policy
+        end_s = _seconds(session.finish)
+        session.directory.update(status="done")
+        session.tracker.close()
+        if problem := session.directory.unsynced:  # then its checkpoints and its end have cost too little
+            raise RuntimeError(f"the store of the run that was to be timed has not got everything: {problem}")
+    evaluations = full.total_timesteps // (full.evaluation.every_n_steps or full.total_timesteps)
+    checkpoints = full.total_timesteps // (full.checkpoint.every_n_steps or full.total_timesteps)
+    besides = start_s + (evaluations - 1) * evaluation_s + checkpoints * checkpoint_s + end_s
+    ratios = [(full.total_timesteps * tracked + besides) / (full.total_timesteps * bare) for tracked, bare in slices]
+    parts = {
+        "training_s": full.total_timesteps * statistics.median(bare for _, bare in slices),
+        "rows_and_callbacks_s": full.total_timesteps * statistics.median(tracked - bare for tracked, bare in slices),
+        "start_s": start_s,
+        "evaluations_s": (evaluations - 1) * evaluation_s,
+        "checkpoints_s": checkpoints * checkpoint_s,
+        "end_s": end_s,
+    }
+    entry = spread(ratios, "ratio") | {"peer": "the same training, bare", "unit": "wall time of the default run"}
+    return entry | {"parts": {name: rounded(value) for name, value in parts.items()}}, policy
+
+
+def _make_store(config: RunConfig) -> None:
+    """Make the store: a user's has been there since the first run."""
+    code = f"from parking_exp.tracking.store import connect; connect({store_uri(config)!r})"
+    subprocess.run([sys.executable, "-c", code], check=True, capture_output=True)
+
+
+def _tracked_session(config: RunConfig) -> tuple[Session, float]:
+    directory = RunDirectory(config.run_dir)
+    start = time.perf_counter()
+    directory.create(config)
+    directory.update(status="running")
+    tracker = open_tracker(config, directory)
+    session = Session(
+        config=config,
+        directory=directory,
+        tracker=tracker,
+        progress=Progress(),
+        checkpoint=None,
+        stop=StopRequest(),
+        bar=TrainingProgress(config.total_timesteps, 0, False),
+    )
+    return session, time.perf_counter() - start
+
+
+def _checkpoint_seconds(session: Session) -> float:
+    session.progress.saved = -1  # as if training had gone on
+    return _seconds(session.save_checkpoint)
+
+
+def _learn(model: Any, steps: int, callback: BaseCallback | None = None, log_interval: int | None = None) -> float:
+    before = model.num_timesteps
+    model.learn(steps, callback, log_interval=log_interval or 10, reset_num_timesteps=False)
+    return model.num_timesteps - before
+
+
+def _seconds(task: Any) -> float:
+    start = time.perf_counter()
+    task()
+    return time.perf_counter() - start

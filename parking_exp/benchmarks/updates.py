@@ -1,0 +1,63 @@
+"""The lean update against Stable-Baselines3's own `train`, sampling included."""
+
+from typing import Any
+
+import stable_baselines3
+from stable_baselines3.common.logger import Logger
+from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
+
+from parking_exp.algorithms.build import build_model, torch_settings
+from parking_exp.benchmarks.rounds import interleave
+from parking_exp.config.schema import RunConfig
+from parking_exp.envs.training_envs import make_training_envs
+
+PEER = "stable-baselines3"
+
+
+def updates(config: RunConfig, rounds: int, updates_a_slice: int, transitions: int = 10_000) -> dict[str, Any]:
+    """Compare updates a second, in rounds of as many as the config does after each step of its envs.
+
+    Ours have the config's matmul precision, of which `auto` is decided once; the peer has torch's default.
+    """
+    _, gradient_steps = config.update_rounds()
+    ours, peer = filled(config, lean=True, transitions=transitions), filled(config, lean=False, transitions=transitions)
+    calls = max(1, updates_a_slice // gradient_steps)
+    with torch_settings(config) as precision:
+        pass
+
+    def mine() -> float:
+        with torch_settings(config, precision):
+            return side(ours)
+
+    def side(model: OffPolicyAlgorithm) -> float:
+        for _ in range(calls):
+            model.train(gradient_steps=gradient_steps, batch_size=model.batch_size)
+        return calls * gradient_steps
+
+    about = {"peer": PEER, "unit": "updates", "precision": precision, "peer_precision": "highest"}
+    return interleave(mine, lambda: side(peer), rounds) | about
+
+
+def filled(config: RunConfig, lean: bool, transitions: int = 10_000) -> Any:
+    """Return a model whose replay buffer holds random transitions, made with our classes or with theirs."""
+    if not lean:
+        config = theirs(config)
+    model = build_model(config, make_training_envs(config.env, config.n_envs), seed=0)
+    assert isinstance(model, getattr(stable_baselines3, config.algorithm.target.rpartition(".")[2]))
+    model.set_logger(Logger(None, []))
+    model.learning_starts = transitions
+    model.learn(transitions)
+    model.learning_starts = 0
+    return model
+
+
+def theirs(config: RunConfig) -> RunConfig:
+    """Return the config with Stable-Baselines3's own algorithm and HER buffer."""
+    algorithm = config.algorithm.model_copy(
+        update={"target": f"stable_baselines3.{config.algorithm.target.rpartition('.')[2]}"}
+    )
+    plain = config.buffer.model_dump(
+        by_alias=True, exclude={"relabel_collision", "relabel_terminated", "goal_velocity"}
+    )
+    buffer = type(config.buffer).model_validate(plain | {"_target_": "stable_baselines3.HerReplayBuffer"})
+    return config.model_copy(update={"algorithm": algorithm, "buffer": buffer})

@@ -1,0 +1,115 @@
+"""How far are the runs? A look at their directories; nothing is opened that is large, and no library that is slow."""
+
+import time
+from pathlib import Path
+from typing import Annotated
+
+from omegaconf import DictConfig
+from pydantic import Field
+from rich.console import Group, RenderableType
+from rich.live import Live
+
+from parking_exp.config.messages import closest, several
+from parking_exp.config.paths import default_uri, directory_path
+from parking_exp.config.schema import Name, Section, StoreConfig
+from parking_exp.config.validate import parse
+from parking_exp.errors import ConfigError, RunNotFoundError, UnsyncedError
+from parking_exp.runs.directory import RunDirectory
+from parking_exp.runs.state import RunState, as_json, find, read_state
+from parking_exp.runs.tables import cell_table, damaged_lines, failure_lines, running_lines, stopped_lines
+from parking_exp.terminal import console, say
+from parking_exp.tracking.outdated import sync_all
+
+WATCH_S = 2.0
+
+
+class StatusRequest(Section):
+    """The config of scripts/status.py."""
+
+    experiment_name: Name | None
+    output_dir: str
+    as_json: Annotated[bool, Field(alias="json")]
+    watch: bool
+    sync: bool
+    tracking: StoreConfig
+
+    @property
+    def output_path(self) -> Path:
+        """Absolute output directory."""
+        return directory_path(self.output_dir)
+
+
+def validate_status(config: DictConfig) -> StatusRequest:
+    """Check a composed config and return it typed.
+
+    Raises:
+        ConfigError: with a sentence for each thing that is wrong.
+    """
+    request = parse(StatusRequest, config)
+    if request.watch and request.as_json:
+        raise ConfigError("watch=true shows tables; ask for json=true again and again instead")
+    return request
+
+
+def show(config: DictConfig) -> None:
+    """Print how far the runs are, again and again with `watch`.
+
+    Raises:
+        RunNotFoundError: there are none.
+        UnsyncedError: with `sync`, a store still fails.
+    """
+    request = validate_status(config)
+    if request.sync:
+        _sync(request)
+    states = _look(request)
+    out = console()
+    if request.as_json:
+        say(*as_json(states).split("\n"))
+    elif request.watch and out.is_terminal:
+        with Live(_picture(states), console=out, auto_refresh=False) as live:
+            while True:
+                time.sleep(WATCH_S)
+                live.update(_picture(_look(request)), refresh=True)
+    else:
+        out.print(_picture(states))
+        while request.watch:
+            time.sleep(WATCH_S)
+            out.print(_picture(_look(request)))
+
+
+def _look(request: StatusRequest) -> list[RunState]:
+    found = [read_state(path) for path in find(request.output_path, request.experiment_name)]
+    if not found:
+        if request.experiment_name is None:
+            raise RunNotFoundError(f"there are no runs in {request.output_path}; train one first, or set output_dir")
+        there = {path.parents[1].name for path in find(request.output_path)}
+        hint = closest(request.experiment_name, there)
+        raise RunNotFoundError(f"experiment={request.experiment_name}: it has no runs in {request.output_path}{hint}")
+    return found
+
+
+def _sync(request: StatusRequest) -> None:
+    """Send what stores have not got.
+
+    Raises:
+        UnsyncedError: one of them still fails.
+    """
+    directories = [RunDirectory(path) for path in find(request.output_path, request.experiment_name)]
+    uris = [default_uri(request.output_path), *filter(None, [request.tracking.uri])]
+    problems: dict[str, list[RunDirectory]] = {}
+    for directory, problem in sync_all(directories, uris):
+        if problem is None:
+            say(f"{directory.path}: the store has everything", stderr=True)
+        else:
+            problems.setdefault(problem, []).append(directory)
+    for problem, runs in problems.items():
+        others = f" and {len(runs) - 1} more" if len(runs) > 1 else ""
+        say(f"{runs[0].path}{others}: {problem}", stderr=True)
+    if problems:
+        failed = sum(map(len, problems.values()))
+        raise UnsyncedError(f"the store has not got all of {several(failed, 'run')}; sync=true tries again")
+
+
+def _picture(states: list[RunState]) -> RenderableType:
+    lines = (running_lines, stopped_lines, failure_lines, damaged_lines)
+    return Group(cell_table(states), *(line for some in lines for line in some(states)))

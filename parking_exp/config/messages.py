@@ -1,0 +1,89 @@
+"""Phrases that messages share."""
+
+import difflib
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+from pydantic import BaseModel
+
+from parking_exp.config.signatures import UnknownTarget
+
+
+def several(number: int, noun: str) -> str:
+    """Return `1 run`, `2 runs`."""
+    return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
+
+
+def enclosed(label: str) -> str:
+    """Return a label as it stands in a sentence: in quotes if it has commas, so that it reads as one name."""
+    return f"“{label}”" if "," in label or ";" in label else label
+
+
+def few(values: Sequence[str], limit: int = 3) -> str:
+    """Return the first of some values, and how many more there are."""
+    return ", ".join(values[:limit]) + (f" and {len(values) - limit} more" if len(values) > limit else "")
+
+
+def similar(word: str, choices: Iterable[str], cutoff: float = 0.5) -> str:
+    """Return `; did you mean 'x'?` for the closest choice, or nothing when none is close."""
+    match = difflib.get_close_matches(word, sorted(set(choices)), n=1, cutoff=cutoff)
+    return f"; did you mean {match[0]!r}?" if match else ""
+
+
+def closest(word: str, choices: Iterable[str]) -> str:
+    """Return `; did you mean 'x'?`, or the choices when none is close and they are few, or nothing."""
+    names = sorted(set(choices))
+    if match := similar(word, names):
+        return match
+    if names and len(names) <= 30:
+        return "; choose from " + ", ".join(names)
+    return ""
+
+
+def no_target(key: str, target: str, error: UnknownTarget) -> str:
+    """Return what is wrong with a `_target_` that names nothing."""
+    extra = "; pip install 'parking-exp[contrib]'" if target.startswith("sb3_contrib.") and not error.known else ""
+    return f"{key}={target}: {error.reason}{closest(target.rpartition('.')[2], error.known)}{extra}"
+
+
+def sentence(item: Any, model: type[BaseModel] | None = None, prefix: str = "") -> str:
+    """Say what pydantic complains about: an item of `ValidationError.errors()`, of a section or of the key `prefix`."""
+    parts = [str(part) for part in item["loc"] if part != "nullable"]
+    key = ".".join([*([prefix] if prefix else []), *parts])
+    context, value = item.get("ctx", {}), item["input"]
+    match item["type"]:
+        case "extra_forbidden":
+            return f"{key}: there is no such key{closest(parts[-1], _keys(model, parts[:-1]))}"
+        case "missing":
+            return f"{key} is missing"
+        case "greater_than_equal":
+            return f"{key}={value} is out of range; the closest valid choice is {context['ge']}"
+        case "less_than_equal":
+            return f"{key}={value} is out of range; the closest valid choice is {context['le']}"
+        case "less_than" if isinstance(context["lt"], float):
+            return f"{key}={value} is out of range; it must be less than {context['lt']}"
+        case "less_than":
+            return f"{key}={value} is out of range; the closest valid choice is {context['lt'] - 1}"
+        case "greater_than":
+            return f"{key}={value} is out of range; it must be greater than {context['gt']}"
+        case "literal_error":
+            choices = [part.strip().strip("'") for part in context["expected"].replace(" or ", ", ").split(", ")]
+            hint = closest(str(value), choices) if len(choices) > 1 else f"; it can only be {choices[0]}"
+            return f"{key}={value} is not a valid choice{hint}"
+        case "model_type":
+            return f"{key}={value!r} is not a group of keys; it holds {', '.join(_keys(model, parts))}"
+        case "string_pattern_mismatch" if parts == ["device"]:
+            return f"device={value!r} is not a valid choice; choose from cpu, auto, cuda, cuda:N, mps"
+        case "string_pattern_mismatch":
+            return f"{key}={value!r} is not valid; it must match {context['pattern']}"
+    problem = item["msg"][0].lower() + item["msg"][1:]
+    return f"{key}={value!r}: {problem}"
+
+
+def _keys(model: type[BaseModel] | None, path: list[str]) -> list[str]:
+    """Keys of the (nested) section at a path."""
+    for part in path:
+        field = model.model_fields.get(part) if model else None
+        annotation = field.annotation if field else None
+        model = annotation if isinstance(annotation, type) and issubclass(annotation, BaseModel) else None
+    return list(model.model_fields) if model else []

@@ -1,0 +1,79 @@
+"""Paths and URIs of output directories, run directories and stores, relative so that a directory can be moved.
+
+What lies below an output directory is written down relative to it, and found from where the directory is now.
+"""
+
+import os
+import re
+from pathlib import Path
+from typing import TYPE_CHECKING
+from urllib.parse import unquote, urlparse
+
+if TYPE_CHECKING:
+    from parking_exp.config.schema import RunConfig
+
+SQLITE = "sqlite:///"
+ARTIFACTS = "mlflow-artifacts"  # folder of an output directory
+
+
+def directory_path(text: str | Path) -> Path:
+    """Return the absolute path of a directory as it is typed, `~` and `..` resolved."""
+    # Not `Path.expanduser`, which raises for an unknown user; not `resolve`: links stay as they are typed.
+    return Path(os.path.normpath(Path(os.path.expanduser(text)).absolute()))  # noqa: PTH111
+
+
+def default_uri(output_dir: Path) -> str:
+    """Return the URI of the embedded store of an output directory."""
+    return f"{SQLITE}{output_dir / 'mlflow.db'}"
+
+
+def store_uri(config: "RunConfig") -> str:
+    """Return the URI of a run's store."""
+    return absolute(config.tracking.uri or default_uri(config.output_path))
+
+
+def absolute(uri: str, base: Path | None = None) -> str:
+    """Return a URI with its sqlite path made absolute, from a base directory or the working directory."""
+    path = database(uri)
+    return uri if path is None else f"{SQLITE}{directory_path((base or Path()) / path)}"
+
+
+def relative(uri: str, base: Path) -> str:
+    """Return a URI with its sqlite path relative to a base directory, if it lies below that."""
+    path = database(absolute(uri))
+    return uri if path is None else f"{SQLITE}{relative_path(path, base)}"
+
+
+def relative_path(path: Path, base: Path) -> str:
+    """Return a path relative to a base directory if it lies below that, else the absolute path."""
+    path, base = directory_path(path), directory_path(base)
+    return str(path.relative_to(base) if path.is_relative_to(base) else path)
+
+
+def database(uri: str) -> Path | None:
+    """Return the file of an embedded store, None for any other."""
+    return Path(uri.removeprefix(SQLITE)) if uri.startswith(SQLITE) else None
+
+
+def local_folder(uri: str) -> Path | None:
+    """Return the folder that a URI of artifacts means on this machine, None where they lie elsewhere."""
+    parts = urlparse(uri)
+    if parts.scheme == "file" and parts.netloc in ("", "localhost"):
+        return Path(unquote(parts.path))
+    return None if parts.scheme else Path(uri)
+
+
+def is_same_store(one: str, other: str) -> bool:
+    """Whether two URIs name the same store."""
+    ours, theirs = database(one), database(other)
+    return one == other if ours is None or theirs is None else ours.resolve() == theirs.resolve()
+
+
+def without_password(text: str) -> str:
+    """Return a text with the user and password of every URI in it starred out."""
+    return re.sub(r"//\S*@", "//***@", text)  # up to the last @ of a word: passwords may have one
+
+
+def lies_inside(path: Path, folder: Path) -> bool:
+    """Whether a path is below a folder once all symbolic links are followed."""
+    return path.resolve().is_relative_to(folder.resolve())

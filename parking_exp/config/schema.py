@@ -1,0 +1,316 @@
+"""The schema: what a run's config may contain, in which types and ranges.
+
+Values and their comments stand in `conf/`; this module says which are valid. Our own knobs are typed fields;
+arguments of third-party classes stay under the library's own names (`validation` checks them).
+"""
+
+import hashlib
+import json
+import math
+import re
+from fractions import Fraction
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self
+
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from parking_exp.config.paths import directory_path
+
+DEFAULT_FEATURES = ["x", "y", "vx", "vy", "cos_h", "sin_h"]
+DEFAULT_SCALES = [100, 100, 5, 5, 1, 1]
+# Seeds of training scenes start here; evaluation scenes lie below, so the two never meet.
+TRAINING_SCENES_START = 2**31
+
+# Keys that change no result; besides them `evaluation.video_episodes`.
+WITHOUT_RESULT = frozenset({"experiment_name", "output_dir", "tracking", "checkpoint", "timeout_s"})
+
+# Names that our options have: they say what runs, and follow the keys that change it. Any other name is the user's own.
+ALGORITHM_NAMES = frozenset({"sac", "td3", "ddpg", "tqc", "crossq"})
+BUFFER_NAMES = frozenset({"her_future", "her_final", "her_episode", "her_random", "replay"})
+ENV_NAMES = frozenset({"parking", "parking_sparse", "parking_parked", "parking_action_repeat", "parking_2021"})
+REPLAY_CLASSES = ("HerBuffer", "HerReplayBuffer", "DictReplayBuffer")  # ours and Stable-Baselines3's
+
+NAME = r"^[A-Za-z0-9][A-Za-z0-9._-]*$"
+Name = Annotated[str, Field(pattern=NAME, max_length=80)]
+Positive = Annotated[int, Field(ge=1)]
+Count = Annotated[int, Field(ge=0)]
+NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+PositiveFloat = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+Duration = Annotated[float, Field(gt=0, le=100_000)]
+Share = Annotated[float, Field(gt=0, le=1)]
+Bounds = Annotated[list[float], Field(min_length=2, max_length=2)]
+Simulation = Literal["vectorized", "highway_env"]
+Precision = Literal["highest", "medium"]
+Scene = Annotated[int, Field(ge=0, lt=TRAINING_SCENES_START)]
+NumberOfScenes = Annotated[int, Field(ge=1, le=TRAINING_SCENES_START)]
+
+
+class Section(BaseModel):
+    """A strict, frozen part of the config: unknown keys and wrong types are errors."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
+
+
+class ObservationConfig(Section):
+    """highway-env's `observation` options."""
+
+    type: Literal["KinematicsGoal"]
+    features: Annotated[list[Literal["x", "y", "vx", "vy", "cos_h", "sin_h"]], Field(min_length=1)]
+    scales: list[PositiveFloat]
+    normalize: bool
+
+
+class ActionConfig(Section):
+    """highway-env's `action` options."""
+
+    type: Literal["ContinuousAction"]
+    acceleration_range: Bounds | None
+    steering_range: Bounds | None
+    speed_range: Bounds | None
+    longitudinal: bool
+    lateral: bool
+    dynamical: bool
+    clip: bool
+
+
+class EnvConfig(Section):
+    """The `env` group: highway-env's options under their own names, and four of ours."""
+
+    name: Name
+    id: Literal["parking-v0"]
+    simulator: Simulation
+    reward: Literal["dense", "sparse"]
+    training_duration: Duration | None
+
+    observation: ObservationConfig
+    action: ActionConfig
+    reward_weights: Annotated[list[Annotated[float, Field(ge=0)]], Field(min_length=6, max_length=6)]
+    success_goal_reward: PositiveFloat
+    collision_reward: float
+    steering_range: PositiveFloat
+    simulation_frequency: Positive
+    policy_frequency: Positive
+    duration: Duration
+    controlled_vehicles: Literal[1]
+    vehicles_count: Annotated[int, Field(ge=0, le=26)]
+    add_walls: bool
+    other_vehicles_type: str
+    neighbour_vehicles_connected_lanes: bool
+    screen_width: Positive
+    screen_height: Positive
+    centering_position: Bounds
+    scaling: PositiveFloat
+    show_trajectories: bool
+    render_agent: bool
+    offscreen_rendering: bool | None
+    manual_control: Literal[False]
+    real_time_rendering: bool
+
+    @model_validator(mode="after")
+    def _name_what_runs(self) -> Self:
+        """`sparse` and `parked` in an option's name follow the keys; what makes the other variants may be gone."""
+        if self.name not in ENV_NAMES:
+            return self
+        variants = {"parking_action_repeat": self.policy_frequency == 1, "parking_2021": not self.add_walls}
+        name = self.name if variants.get(self.name) else "parking"
+        name += "_parked" * (self.vehicles_count > 0) + "_sparse" * (self.reward == "sparse")
+        return self.model_copy(update={"name": name})
+
+    def highway_options(self, training: bool = False) -> dict[str, Any]:
+        """Return the `config` for `gym.make(self.id, config=...)`; `training` applies `training_duration`."""
+        options = self.model_dump(exclude={"name", "id", "simulator", "reward", "training_duration"})
+        options["action"] = {key: value for key, value in options["action"].items() if value is not None}
+        if training and self.training_duration is not None:
+            options["duration"] = self.training_duration
+        return options
+
+    @property
+    def uncovered(self) -> list[str]:
+        """Options that the vectorised simulator does not simulate."""
+        return ["action.dynamical"] if self.action.dynamical else []
+
+    def episode_steps(self, training: bool = False) -> int:
+        """Longest episode in policy steps, counted as highway-env counts time: by adding floats."""
+        duration = self.highway_options(training)["duration"]
+        time, steps = 0.0, 0
+        while time < duration:
+            time += 1 / self.policy_frequency
+            steps += 1
+        return steps
+
+
+class ThirdParty(BaseModel):
+    """A section with fields of ours and, besides them, constructor arguments of the class in `_target_`."""
+
+    model_config = ConfigDict(extra="allow", frozen=True, strict=True, allow_inf_nan=False)
+
+    name: Name
+    target: Annotated[str, Field(alias="_target_")]
+
+    @property
+    def arguments(self) -> dict[str, Any]:
+        """The constructor arguments, under the library's own names."""
+        return dict(self.model_extra or {})
+
+    @property
+    def class_name(self) -> str:
+        """The last part of `_target_`."""
+        return self.target.rpartition(".")[2]
+
+    def _named_after_class(self) -> Self:
+        name = re.sub(r"[^a-z0-9_]", "", self.class_name.lower()).strip("_")
+        return self.model_copy(update={"name": name[:80] or self.name})
+
+
+class AlgorithmConfig(ThirdParty):
+    """The `algorithm` group."""
+
+    features: Literal["raw", "ego"]
+    net_arch: Annotated[list[Positive], Field(min_length=1)]
+
+    @model_validator(mode="after")
+    def _name_what_runs(self) -> Self:
+        """`sac` with another class is named after that class, in lower case."""
+        if self.name not in ALGORITHM_NAMES:
+            return self
+        return self._named_after_class()
+
+
+class BufferConfig(ThirdParty):
+    """The `buffer` group."""
+
+    buffer_size: Positive
+    optimize_memory_usage: Literal[False]
+
+    @model_validator(mode="after")
+    def _name_what_runs(self) -> Self:
+        """`her_*` and `replay` follow the strategy, and other classes have their own name, in lower case."""
+        if self.name not in BUFFER_NAMES:
+            return self
+        if self.class_name not in REPLAY_CLASSES:
+            return self._named_after_class()
+        default = None if self.class_name == "DictReplayBuffer" else "future"
+        strategy = self.arguments.get("goal_selection_strategy", default)
+        return self.model_copy(update={"name": "replay" if strategy is None else f"her_{strategy}"})
+
+
+class EvaluationConfig(Section):
+    """Evaluation on fixed scenes, during training and at its end."""
+
+    every_n_steps: Positive | None
+    n_scenes: NumberOfScenes
+    final_n_scenes: NumberOfScenes
+    first_scene: Scene
+    video_episodes: Count
+
+
+class CheckpointConfig(Section):
+    """Checkpoints of the whole training state."""
+
+    every_n_steps: Positive | None
+    keep_last: Positive
+
+
+class StoreConfig(Section):
+    """Another store than that of the output directory."""
+
+    uri: str | None
+
+
+class TrackingConfig(Section):
+    """Where metrics go."""
+
+    mlflow: bool
+    uri: str | None
+    stdout: bool
+    csv: bool
+    tensorboard: bool
+    log_interval: Positive
+    progress_bar: bool
+
+
+class SweepOptions(Section):
+    """Keys beside a run's that say what a sweep does."""
+
+    retry: Literal["failed"] | None
+    dry_run: bool
+
+
+class RunConfig(Section):
+    """One run, seed included."""
+
+    experiment_name: Name
+    # A sqlite URL ends at a question mark.
+    output_dir: Annotated[str, Field(pattern=r"^[^?]+$")]
+    seed: Annotated[int, Field(ge=0, lt=2**32)]
+    total_timesteps: Positive
+    n_envs: Positive
+    # Below, a round would be longer than 1,000 steps of each env.
+    updates_per_step: Annotated[float, Field(ge=0.001, allow_inf_nan=False)]
+    device: Annotated[str, Field(pattern=r"^(cpu|auto|mps|cuda(:\d+)?)$")]
+    torch_threads: Positive | None
+    precision: Literal["auto"] | Precision
+    timeout_s: PositiveFloat | None = None
+    env: EnvConfig
+    algorithm: AlgorithmConfig
+    buffer: BufferConfig
+    evaluation: EvaluationConfig
+    checkpoint: CheckpointConfig
+    tracking: TrackingConfig
+
+    def plain(self) -> dict[str, Any]:
+        """Return the config as plain containers, as it would stand in YAML."""
+        return self.model_dump(by_alias=True)
+
+    @property
+    def output_path(self) -> Path:
+        """Absolute output directory."""
+        return directory_path(self.output_dir)
+
+    @property
+    def cell_key(self) -> str:
+        """Short hash of everything that can change a result, but the seed."""
+        return short_hash({key: value for key, value in self._result().items() if key != "seed"})
+
+    @property
+    def run_key(self) -> str:
+        """Short hash of everything that can change a result, the seed included."""
+        return short_hash(self._result())
+
+    @property
+    def cell(self) -> str:
+        """Readable and unique name of this config without its seed."""
+        return f"{self.env.name}-{self.algorithm.name}-{self.buffer.name}-{self.cell_key}"
+
+    @property
+    def run_dir(self) -> Path:
+        """Absolute run directory."""
+        return self.output_path / self.experiment_name / self.cell / f"seed={self.seed}"
+
+    def update_rounds(self) -> tuple[int | tuple[int, str], int]:
+        """Return (`train_freq`, `gradient_steps`): the shortest round that makes `updates_per_step` exact.
+
+        Where the algorithm sets them by hand, these count: `train_freq: [1, episode]` comes with as many updates as
+        steps (-1) unless `gradient_steps` says otherwise.
+        """
+        train_freq = self.algorithm.arguments.get("train_freq")
+        gradient_steps = self.algorithm.arguments.get("gradient_steps")
+        if isinstance(train_freq, list):
+            number, unit = train_freq
+            return (number, unit), -1 if gradient_steps is None else gradient_steps
+        per_vec_step = Fraction(self.updates_per_step).limit_denominator(1000) * self.n_envs
+        if train_freq is None:
+            train_freq = 1 if gradient_steps is not None else per_vec_step.denominator
+        if gradient_steps is None:
+            gradient_steps = math.ceil(per_vec_step * train_freq)
+        return train_freq, gradient_steps
+
+    def _result(self) -> dict[str, Any]:
+        plain = {key: value for key, value in self.plain().items() if key not in WITHOUT_RESULT}
+        plain["evaluation"] = {k: v for k, v in plain["evaluation"].items() if k != "video_episodes"}
+        return plain
+
+
+def short_hash(value: Any) -> str:
+    """Return a short hash of plain containers, whatever the order of their keys."""
+    return hashlib.sha256(json.dumps(value, sort_keys=True).encode()).hexdigest()[:10]

@@ -1,0 +1,72 @@
+"""Training envs side by side, as Stable-Baselines3 wants them."""
+
+import time
+from pathlib import Path
+from typing import Any
+
+from stable_baselines3.common.monitor import ResultsWriter
+from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv, VecMonitor
+
+from parking_exp.config.schema import EnvConfig
+from parking_exp.envs.highway import make_env
+from parking_exp.envs.replay import Retraced
+from parking_exp.envs.vec_env import VectorizedParking
+
+MONITORED = ("is_success", "crashed")
+MONITOR_STATE = ("episode_returns", "episode_lengths", "episode_count")
+
+
+def make_training_envs(
+    config: EnvConfig, n_envs: int, monitor: Path | None = None, elapsed_s: float = 0.0
+) -> VecMonitor:
+    """Make the training envs.
+
+    Args:
+        config: the `env` group; episodes last its `training_duration`.
+        n_envs: how many.
+        monitor: file of finished training episodes (Stable-Baselines3's Monitor CSV). Rows are appended.
+        elapsed_s: time that the run has taken before, so that the file's clock goes on.
+    """
+    simulated: VecEnv
+    if config.simulator == "vectorized":
+        simulated = VectorizedParking(config, n_envs, training=True)
+    else:
+        simulated = DummyVecEnv([lambda: Retraced(make_env(config, training=True))] * n_envs)
+    envs = VecMonitor(simulated, info_keywords=MONITORED)
+    envs.t_start = time.time() - elapsed_s
+    if monitor is not None:
+        header: dict[str, float | str] = {"t_start": envs.t_start, "env_id": config.id}
+        envs.results_writer = ResultsWriter(str(monitor), header, MONITORED, override_existing=not monitor.exists())
+    return envs
+
+
+def get_state(envs: VecEnv) -> dict[str, Any]:
+    """Return everything that the future of training envs depends on: nested dicts and lists of arrays and numbers."""
+    assert isinstance(envs, VecMonitor)
+    simulated = envs.venv
+    monitor = {name: getattr(envs, name) for name in MONITOR_STATE}
+    if isinstance(simulated, VectorizedParking):
+        return {"monitor": monitor, "envs": simulated.get_state()}
+    return {"monitor": monitor, "envs": simulated.env_method("get_state")}
+
+
+def set_state(envs: VecEnv, state: dict[str, Any]) -> None:
+    """Bring training envs of the same config to a saved state; what follows is identical."""
+    assert isinstance(envs, VecMonitor)
+    simulated = envs.venv
+    for name in MONITOR_STATE:
+        setattr(envs, name, state["monitor"][name])
+    if isinstance(simulated, VectorizedParking):
+        simulated.set_state(state["envs"])
+        return
+    simulated._reset_seeds()  # what waits for a first reset that has been long since
+    for index, one in enumerate(state["envs"]):
+        simulated.env_method("set_state", one, indices=[index])
+
+
+def is_parking(envs: VecEnv) -> bool:
+    """Whether envs are parking-v0, ours or highway-env's, and not of another kind."""
+    if isinstance(envs.unwrapped, VectorizedParking):
+        return True
+    (spec,) = envs.get_attr("spec", 0)
+    return spec is not None and spec.id == "parking-v0"

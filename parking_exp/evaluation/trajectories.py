@@ -1,0 +1,44 @@
+"""Where the car was, step by step: recorded by an evaluation, kept as `trajectories.npz`, which `results` reads."""
+
+from pathlib import Path
+
+import numpy as np
+
+from parking_exp.runs.atomic import sync
+
+TRAJECTORIES_FILE = "trajectories.npz"
+CAR_COLUMNS = ("x_m", "y_m", "heading_rad", "speed_mps")
+
+
+class Recorder:
+    """Collects the cars of many scenes while they are stepped together."""
+
+    def __init__(self) -> None:
+        self._scenes: list[np.ndarray] = []
+        self._cars: list[np.ndarray] = []
+
+    def add(self, scenes: np.ndarray, cars: np.ndarray) -> None:
+        """Add the start, or a step, of the scenes still under way.
+
+        Args:
+            scenes: their numbers, shape (n,).
+            cars: x [m], y [m], heading [rad] and signed speed [m/s], shape (n, 4).
+        """
+        self._scenes.append(scenes.copy())
+        self._cars.append(cars.astype(np.float32))
+
+    def save(self, path: Path) -> None:
+        """Write a file that is whole or not there, without pickles.
+
+        It has `scene`, sorted, and `length`, the rows of each, the start included, both of shape (n,), and an array for
+        each of CAR_COLUMNS with the rows of all scenes one after the other, float32.
+        """
+        rows, cars = np.concatenate(self._scenes), np.concatenate(self._cars)
+        order = np.argsort(rows, kind="stable")  # rows of a scene stay in the order of time
+        scene, length = np.unique(rows, return_counts=True)
+        columns = dict(zip(CAR_COLUMNS, cars[order].T, strict=True))
+        temporary = path.with_name(f".{path.name}.tmp")
+        with temporary.open("wb") as file:
+            np.savez_compressed(file, scene=scene, length=length, **columns)
+        sync(temporary)  # a run that is done has it, after a power cut, too
+        temporary.replace(path)

@@ -1,1 +1,0 @@
-"""What scripts/benchmark.py measures: speed, as ratios against named peers."""

@@ -1,0 +1,253 @@
+"""Frames of results -> a whole report's numbers and words."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+
+import pandas as pd
+
+from parking_exp import __version__
+from parking_exp.config.messages import several
+from parking_exp.config.paths import without_password
+from parking_exp.envs.geometry import N_SLOTS
+from parking_exp.errors import RunNotFoundError
+from parking_exp.reports import findings, warnings
+from parking_exp.reports.curves import Courses
+from parking_exp.reports.data import Cell, Content, Design, Factor, Importance, Interaction, MainEffect
+from parking_exp.reports.effects import importance, interactions, main_effects
+from parking_exp.reports.factors import design
+from parking_exp.reports.pairs import compare_pairs
+from parking_exp.reports.provenance import not_in_store, provenance
+from parking_exp.reports.scene_map import sample
+from parking_exp.reports.selection import Group, choose, group, one_cell, relabelled
+from parking_exp.reports.summaries import real_share, shared_horizons, summarise
+from parking_exp.reports.validity import valid
+from parking_exp.results.frames import Results
+from parking_exp.runs.state import RunState
+
+STATUS = {"running": "running", "failed": "failed", "pending": "interrupted", "done": "done"}
+MOST_PROBLEMS = 5
+SHOWN_WHOLE, SHOWN = 16, 12  # cells in pictures: all of up to 16, else the 12 best
+
+
+@dataclass(frozen=True)
+class Question:
+    """What is asked of the results.
+
+    Attributes:
+        experiments: their names.
+        cells: labels, names, patterns and conditions, see `selection.choose`; none: all.
+        baseline: of one cell that the others are compared with.
+        quick: whether unfinished runs count, as far as they are.
+        command: how it was typed.
+    """
+
+    experiments: Sequence[str]
+    cells: Sequence[str] = ()
+    baseline: str | None = None
+    quick: bool = False
+    command: str = ""
+
+
+def compare(results: Results, question: Question, states: Mapping[str, RunState]) -> Content:
+    """Return everything that a report says.
+
+    Args:
+        results: of the experiments.
+        question: which of them.
+        states: how far runs are that lie on this machine, by run directory.
+
+    Raises:
+        ConfigError: a cell or baseline that there is not.
+        RunNotFoundError: none of the runs is done, and `quick` is not asked for.
+    """
+    results, impossible = valid(results)
+    chosen = _choose(_up_to_date(results.runs, states), question)
+    groups, factors, baseline = chosen.groups, chosen.factors, chosen.baseline
+    courses = Courses.of(results)
+    horizons = shared_horizons(groups, courses)
+    cells = [summarise(one, number, courses, horizons, question.quick) for number, one in enumerate(groups)]
+    shown = _shown(cells, baseline)
+    cells, problems = _with_places(cells, shown, groups, results, courses)
+    kind = design(factors, [one.settings for one in groups])
+    parts = _factor_parts(kind, cells, groups, factors, courses)
+    family = compare_pairs(cells, baseline)
+    unheard = [] if question.cells else not_in_store(results.runs, states)
+    origin = provenance(groups, chosen.left_out, without_password(results.uri), unheard)
+    return Content(
+        title=" and ".join(question.experiments),
+        experiments=list(question.experiments),
+        made=datetime.now(UTC).isoformat(timespec="seconds"),
+        version=__version__,
+        quick=question.quick,
+        command=question.command,
+        design=kind,
+        factors=factors,
+        cells=cells,
+        shown=shown,
+        baseline=baseline,
+        family=family.words,
+        pairs=family.pairs,
+        effects=parts.effects,
+        interactions=parts.interactions,
+        importance=parts.importance,
+        exploratory=any(cell.success.n < warnings.ENOUGH_SEEDS for cell in cells),
+        claims=warnings.together(
+            findings.claims(cells, family),
+            findings.about_factors(kind, factors, parts.effects, parts.interactions, parts.importance),
+        ),
+        warnings=warnings.together(
+            warnings.warnings(groups, cells, origin),
+            warnings.same_runs(groups),
+            warnings.narrow_pairs(cells, family.pairs),
+            _few([*impossible, *results.problems, *problems]),
+        ),
+        missing=warnings.together(
+            warnings.missing(cells, unheard), warnings.without_runs(question.experiments, results.runs["experiment"])
+        ),
+        provenance=origin,
+        notes=_notes(results, chosen, cells, shown, crossed=bool(parts.effects)),
+        reference=family.reference,
+    )
+
+
+@dataclass(frozen=True)
+class _Chosen:
+    """The cells of a report, what sets them apart, the id of the baseline, and labels of the cells left out."""
+
+    groups: list[Group]
+    factors: list[Factor]
+    baseline: str | None
+    left_out: list[str]
+
+
+def _choose(runs: pd.DataFrame, question: Question) -> _Chosen:
+    everything, _ = group(runs)
+    asked = choose(everything, question.cells) if question.cells else everything
+    reference = one_cell(everything, question.baseline) if question.baseline else None
+    if reference is not None and not any(one is reference for one in asked):
+        asked = [reference, *asked]
+    if not question.quick:
+        _refuse_nothing_done(asked, question)
+        if reference is not None and not len(reference.done):
+            raise RunNotFoundError(
+                f"baseline={question.baseline}: of its {several(len(reference.runs), 'run')}, none is done"
+            )
+    groups, factors = relabelled(asked)
+    place = next((number for number, one in enumerate(asked) if one is reference), None)
+    left_out = [one.label for one in everything if not any(one is chosen for chosen in asked)]
+    return _Chosen(groups, factors, None if place is None else f"c{place}", left_out)
+
+
+def _up_to_date(runs: pd.DataFrame, states: Mapping[str, RunState]) -> pd.DataFrame:
+    """Return runs with the status and reason that their directories have, where these lie on this machine.
+
+    Runs that the store has not heard of are added to cells that it knows.
+    """
+    rows = runs[["run_dir", "status", "error"]].astype(object).itertuples(index=False)
+    found = []
+    for run_dir, status, error in rows:
+        state = None if status == "done" else states.get(str(run_dir))
+        found.append((STATUS[state.stage], state.reason or error) if state else (status, error))
+    runs = runs.assign(status=[status for status, _ in found], error=[error for _, error in found])
+    known, added = set(runs["run_dir"]), []
+    for path, state in states.items():
+        if path in known or state.stage == "done":
+            continue
+        cell = runs[(runs["experiment"] == state.experiment) & (runs["cell"] == state.cell)]
+        if len(cell):
+            added.append(_planned(cell.iloc[:1], path, state))
+    return pd.concat([runs, *added], ignore_index=True)
+
+
+def _planned(like: pd.DataFrame, path: str, state: RunState) -> pd.DataFrame:
+    """Return the row of a run that the store has not heard of, with the config of another one of its cell."""
+    config = [str(column) for column in like if str(column).startswith("config.")]
+    row = like[["experiment", "cell", "name", *config]].assign(
+        run_id="", run_dir=path, seed=state.seed, status=state.stage, error=state.reason, steps=0
+    )
+    return row.reindex(columns=like.columns).astype(like.dtypes.to_dict())
+
+
+@dataclass(frozen=True)
+class _FactorParts:
+    effects: Sequence[MainEffect] = ()
+    interactions: Sequence[Interaction] = ()
+    importance: Sequence[Importance] = ()
+
+
+def _factor_parts(
+    kind: Design, cells: Sequence[Cell], groups: Sequence[Group], factors: Sequence[Factor], courses: Courses
+) -> _FactorParts:
+    if kind == "search":
+        return _FactorParts(importance=importance(cells, factors))
+    if kind != "factorial":
+        return _FactorParts()
+    shares = {cell.id: real_share(one, courses) for cell, one in zip(cells, groups, strict=True)}
+    return _FactorParts(main_effects(cells, factors), interactions(cells, factors, shares))
+
+
+def _with_places(
+    cells: Sequence[Cell], shown: Sequence[str], groups: Sequence[Group], results: Results, courses: Courses
+) -> tuple[list[Cell], list[str]]:
+    """Return the cells, those that are shown with trajectories, and what is wrong with some recordings."""
+    found, problems = [], []
+    for cell, one in zip(cells, groups, strict=True):
+        if cell.id not in shown:
+            found.append(cell)
+            continue
+        runs = [(seed.seed, seed.run_id) for seed in cell.seeds]
+        vehicles = one.config.get("env.vehicles_count")
+        parked = vehicles if type(vehicles) is int and 0 < vehicles < N_SLOTS else 0
+        places = sample(runs, results, courses.certified, parked)
+        found.append(replace(cell, paths=places.paths, failures=places.failures))
+        problems += places.problems
+    return found, problems
+
+
+def _shown(cells: Sequence[Cell], baseline: str | None) -> list[str]:
+    """Return the cells that pictures show, in the order of the report."""
+    if len(cells) <= SHOWN_WHOLE:
+        return [cell.id for cell in cells]
+    ranked = sorted(cells, key=lambda cell: (cell.id != baseline, -(cell.success.value or -1.0)))
+    best = {cell.id for cell in ranked[:SHOWN]}
+    return [cell.id for cell in cells if cell.id in best]
+
+
+def _refuse_nothing_done(groups: Sequence[Group], question: Question) -> None:
+    if any(len(one.done) for one in groups):
+        return
+    runs = sum(len(one.runs) for one in groups)
+    raise RunNotFoundError(
+        f"experiment={','.join(question.experiments)}: of its {several(runs, 'run')}, none is done; "
+        "report=quick shows what there is so far"
+    )
+
+
+def _few(problems: Sequence[str]) -> list[str]:
+    """Return problems with single runs, the first of many."""
+    more = len(problems) - MOST_PROBLEMS
+    rest = [f"Runs with such problems besides: {more}."] if more > 0 else []
+    return [*problems[:MOST_PROBLEMS], *rest]
+
+
+def _notes(
+    results: Results, chosen: _Chosen, cells: Sequence[Cell], shown: Sequence[str], *, crossed: bool
+) -> list[str]:
+    notes = []
+    if len(shown) < len(cells):
+        best = f"the {len(shown)} with the highest success"
+        notes.append(f"Pictures show {best} of {len(cells)} cells; tables have all.")
+    if chosen.left_out:
+        notes.append(
+            f"By what was asked for, {several(len(chosen.left_out), 'more cell')} of the experiments "
+            f"{'was' if len(chosen.left_out) == 1 else 'were'} left out; fewer pairs make smaller p."
+        )
+    if any(cell.seeds and not cell.paths for cell in cells if cell.id in shown):
+        notes.append("Some cells have no trajectories to be drawn: their runs are older than these, or lost them.")
+    if outside := [cell.label for cell in cells if None in cell.settings.values()] if crossed else []:
+        notes.append(f"Not part of the main effects, without a value of every factor: {warnings.named(outside)}.")
+    if results.ignored:
+        others = several(results.ignored, "more run")
+        notes.append(f"The store has {others} that this package did not make, and that the report leaves out.")
+    return notes

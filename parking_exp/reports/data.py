@@ -1,0 +1,445 @@
+"""What a report says, as plain data: computed by `comparison`; the others make words, pictures, tables and pages of it.
+
+Rates are shares in 0 ... 1, differences are differences of shares. What is not known is None. Every field can go into
+`report.json` as it is.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from typing import Any, Literal, cast
+
+from parking_exp.envs.outcomes import Outcome
+
+Verdict = Literal["a", "b", "same", "unknown"]
+Setting = str | int | float | bool | None
+Design = Literal["single", "list", "factorial", "search"]
+"""How cells differ: one cell; a few without a plan; crossed factors; many points drawn from ranges."""
+
+
+@dataclass(frozen=True)
+class Interval:
+    """A number with its 95 % interval.
+
+    Attributes:
+        value: e.g. the mean over seeds; None without data.
+        low, high: None where there is no interval, e.g. over one seed.
+        n: seeds behind it.
+        method: how the interval was made, as `parking_exp.statistics` names it.
+    """
+
+    value: float | None
+    low: float | None = None
+    high: float | None = None
+    n: int = 0
+    method: str = "none"
+
+
+@dataclass(frozen=True)
+class Share:
+    """k of n, with Wilson's interval."""
+
+    k: int
+    n: int
+    low: float | None
+    high: float | None
+
+
+@dataclass(frozen=True)
+class Seed:
+    """One finished run.
+
+    Attributes:
+        seed: its seed.
+        run_id, run_dir: where it is.
+        success, crash, timeout, parked: final rates over the certified scenes.
+        n_scenes: how many those were.
+        low, high: Wilson interval of `success`.
+        episode_steps: mean length of its final episodes [policy steps].
+        cpu_s: CPU seconds of the whole run.
+        steps_to_90, reached_90: first step from which three evaluations in a row had 90 %, and True; else the last from
+            which that could have been seen, and False.
+        cpu_s_to_90: CPU seconds at that step.
+        area: normalised area under its curve.
+    """
+
+    seed: int
+    run_id: str
+    run_dir: str | None
+    success: float | None
+    crash: float | None
+    timeout: float | None
+    parked: float | None
+    n_scenes: int | None
+    low: float | None
+    high: float | None
+    episode_steps: float | None
+    cpu_s: float | None
+    steps_to_90: float | None
+    reached_90: bool
+    cpu_s_to_90: float | None
+    area: float | None
+
+
+@dataclass(frozen=True)
+class Curve:
+    """Evaluations during training, over a cell's seeds.
+
+    Attributes:
+        step: env steps of the evaluations, shape (n,).
+        mean, low, high: success and its interval, shape (n,); intervals may hold None.
+        n: seeds at each step, shape (n,): runs of different lengths end at different ones.
+        crash: mean crash rate, shape (n,).
+        seeds: (seed, steps, rates) of each run, unfinished ones included where they are asked for.
+    """
+
+    step: Sequence[int]
+    mean: Sequence[float | None]
+    low: Sequence[float | None]
+    high: Sequence[float | None]
+    n: Sequence[int]
+    crash: Sequence[float | None]
+    seeds: Sequence[tuple[int, Sequence[int], Sequence[float | None]]]
+
+
+@dataclass(frozen=True)
+class Survival:
+    """Time until 90 % of the scenes succeed in three evaluations in a row, over seeds: Kaplan and Meier's estimate.
+
+    Attributes:
+        unit: `env steps` or `CPU-seconds`.
+        time: where the share changes, starting at 0; shape (n,).
+        reached, low, high: share of seeds that have reached it by then, and its interval, shape (n,).
+        censored: times at which the observation of a seed that has not reached it ended.
+        n: seeds.
+        k: seeds that have reached it.
+        median: None where fewer than half have.
+        restricted_mean: mean time up to `horizon`.
+        horizon: shortest observation of all cells, so that restricted means can be compared.
+    """
+
+    unit: str
+    time: Sequence[float]
+    reached: Sequence[float]
+    low: Sequence[float | None]
+    high: Sequence[float | None]
+    censored: Sequence[float]
+    n: int
+    k: int
+    median: float | None
+    restricted_mean: Interval
+    horizon: float | None
+
+
+@dataclass(frozen=True)
+class SlotRate:
+    """What happened in the scenes with one goal slot.
+
+    Attributes:
+        slot: 0 ... 27, as in `lot.SLOT_POSITIONS`.
+        n: episodes, all seeds together (they say where, not how sure).
+        success, crash, timeout: shares of them; None without episodes.
+    """
+
+    slot: int
+    n: int
+    success: float | None
+    crash: float | None
+    timeout: float | None
+
+
+@dataclass(frozen=True)
+class Path:
+    """One episode seen from above.
+
+    Attributes:
+        seed, scene, outcome: which episode.
+        slot: its goal.
+        x_m, y_m, heading_rad: pose of the car after each step, the start included.
+        parked_slots: where other cars stand.
+    """
+
+    seed: int
+    scene: int
+    outcome: Outcome
+    slot: int
+    x_m: Sequence[float]
+    y_m: Sequence[float]
+    heading_rad: Sequence[float]
+    parked_slots: Sequence[int] = ()
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One cell of the comparison.
+
+    Attributes:
+        id: unique and harmless: `c0`, `c1`, ... in the order of the report; also what its colour follows from.
+        label: what sets it apart from the others, e.g. `her_final, n_sampled_goal=8`. From the store: hostile.
+        experiment, name: as in the store; `name` is the folder of its runs.
+        settings: the value of each factor.
+        counts: how many runs are done, running, failed, pending.
+        total_timesteps: env steps of a run.
+        success, crash, timeout, parked, episode_steps, cpu_s, area: means over seeds.
+        reaching_90: seeds whose final success is at least 90 %.
+        seeds: finished runs, by seed.
+        curve, survival, survival_cpu: None without evaluations during training.
+        slots: the scene map; empty without episodes.
+        failures: (x_m, y_m, outcome) where crashes and timeouts ended, of runs that keep trajectories.
+        paths: sampled trajectories.
+        note: a sentence about an interval that is known to be too narrow or missing; None if all is well.
+    """
+
+    id: str
+    label: str
+    experiment: str
+    name: str
+    settings: Mapping[str, Setting]
+    counts: Mapping[str, int]
+    total_timesteps: int | None
+    success: Interval
+    crash: Interval
+    timeout: Interval
+    parked: Interval
+    episode_steps: Interval
+    cpu_s: Interval
+    area: Interval
+    reaching_90: Share
+    seeds: Sequence[Seed] = ()
+    curve: Curve | None = None
+    survival: Survival | None = None
+    survival_cpu: Survival | None = None
+    slots: Sequence[SlotRate] = ()
+    failures: Sequence[tuple[float, float, str]] = ()
+    paths: Sequence[Path] = ()
+    note: str | None = None
+
+
+@dataclass(frozen=True)
+class Pair:
+    """Two cells compared on final success.
+
+    Attributes:
+        a, b: ids of the cells.
+        difference: mean of a less mean of b, with Welch's interval.
+        p: of Welch's test; None where it can't be made.
+        p_holm: corrected for all pairs of the report's family.
+        improvement: probability that a seed of a is better than one of b, ties counted half, with its interval.
+        log_rank_p, log_rank_p_holm: of the times to 90 %; None where none was reached.
+        verdict: `a` or `b` is better (p_holm below 0.05), `same`: they can't be told apart, `unknown`: too few seeds.
+        note: a sentence about an interval that is known to be too narrow; None if all is well.
+    """
+
+    a: str
+    b: str
+    difference: Interval
+    p: float | None
+    p_holm: float | None
+    improvement: Interval
+    log_rank_p: float | None
+    log_rank_p_holm: float | None
+    verdict: Verdict
+    note: str | None = None
+
+    def turned(self) -> "Pair":
+        """Return the same pair the other way round."""
+        old, better = self.difference, self.improvement
+        low, high = (None if bound is None else -bound for bound in (old.high, old.low))
+        difference = replace(old, value=None if old.value is None else 0.0 - old.value, low=low, high=high)
+        low, high, value = (None if bound is None else 1 - bound for bound in (better.high, better.low, better.value))
+        improvement = replace(better, value=value, low=low, high=high)
+        verdict = {"a": "b", "b": "a", "same": "same", "unknown": "unknown"}[self.verdict]
+        return replace(
+            self, a=self.b, b=self.a, difference=difference, improvement=improvement, verdict=cast(Verdict, verdict)
+        )
+
+
+@dataclass(frozen=True)
+class Factor:
+    """A key that differs between cells.
+
+    Attributes:
+        key: e.g. `buffer.n_sampled_goal`, or a group such as `buffer`.
+        name: short, for axes: `n_sampled_goal`.
+        levels: its values, numbers in order.
+        numeric: whether all levels are numbers.
+        log: whether its levels are better shown on a logarithmic axis.
+    """
+
+    key: str
+    name: str
+    levels: Sequence[Setting]
+    numeric: bool
+    log: bool = False
+
+
+@dataclass(frozen=True)
+class Level:
+    """A level's mean over the levels of the other factors, all cells with equal weight."""
+
+    level: Setting
+    effect: Interval
+    cells: int
+
+
+@dataclass(frozen=True)
+class MainEffect:
+    """What one factor does on average over the others.
+
+    Attributes:
+        factor: its key.
+        levels: the mean of each.
+        complete: whether all combinations are there; else levels are averaged over different cells.
+        largest: the highest mean less the lowest.
+        p: of that difference, corrected (Bonferroni) for the choice among all pairs of levels.
+    """
+
+    factor: str
+    levels: Sequence[Level]
+    complete: bool
+    largest: Interval | None = None
+    p: float | None = None
+
+
+@dataclass(frozen=True)
+class Interaction:
+    """Two factors crossed.
+
+    Attributes:
+        row, column: keys of the factors.
+        given: setting of a third factor that this table is for, e.g. `env=parking_sparse`; None for all.
+        rows, columns: their levels.
+        mean: success; shape (rows, columns); None without runs.
+        low, high: its interval.
+        n: seeds.
+        residual: what the two main effects do not explain.
+        real_share: measured share of real transitions in batches, shape (columns,), where a factor is n_sampled_goal.
+        p: of the F test of interaction, whether both effects just add up, with Holm's correction for the tables;
+            None where seeds do not scatter or nothing is left to test.
+    """
+
+    row: str
+    column: str
+    given: str | None
+    rows: Sequence[Setting]
+    columns: Sequence[Setting]
+    mean: Sequence[Sequence[float | None]]
+    low: Sequence[Sequence[float | None]]
+    high: Sequence[Sequence[float | None]]
+    n: Sequence[Sequence[int]]
+    residual: Sequence[Sequence[float | None]]
+    real_share: Sequence[float | None] | None = None
+    p: float | None = None
+
+
+@dataclass(frozen=True)
+class Importance:
+    """How much of the variance of success a hyperparameter explains alone.
+
+    Attributes:
+        factor: its key.
+        share: in 0 ... 1.
+        p: of a permutation test.
+        direction: Spearman's rank correlation; None where it is no number.
+    """
+
+    factor: str
+    share: float
+    p: float | None
+    direction: float | None
+
+
+@dataclass(frozen=True)
+class FailedRun:
+    """A run without a result, and why."""
+
+    label: str
+    seed: int
+    status: str
+    reason: str
+    run_dir: str | None
+
+
+@dataclass(frozen=True)
+class Provenance:
+    """What exactly was run.
+
+    Attributes:
+        versions: package -> version -> number of runs.
+        commits: commit (with `+` where files differed from it) -> number of runs.
+        machines: CPU -> number of runs.
+        difference: config key -> value in each cell, in the order of the cells; only keys that are not the same in all.
+        common: the rest of the config, dotted key -> value.
+        unfinished: runs that failed, are under way, or were cut off.
+        uri: of the store, without passwords.
+        left_out: labels of cells of the experiments that were not asked for.
+        first, last: when the first run began and the last one ended, as ISO 8601 in UTC.
+    """
+
+    versions: Mapping[str, Mapping[str, int]]
+    commits: Mapping[str, int]
+    machines: Mapping[str, int]
+    difference: Mapping[str, Sequence[Setting]]
+    common: Mapping[str, Setting]
+    unfinished: Sequence[FailedRun]
+    uri: str
+    left_out: Sequence[str] = ()
+    first: str | None = None
+    last: str | None = None
+
+
+@dataclass(frozen=True)
+class Content:
+    """A whole report.
+
+    Attributes:
+        title: names of the experiments.
+        experiments: the same, one by one.
+        made: when, as ISO 8601 in UTC; version of this package.
+        quick: whether it was made while a sweep may be under way.
+        command: how to make it again.
+        design, factors: how cells differ.
+        cells: in the order of the sweep.
+        shown: ids of the cells that figures show; all of them, or the first ones by success where there are too many.
+        baseline: id of the cell that others are to be compared with.
+        reference: id of the cell that all others are compared with: the baseline or, where cells are many, the one with
+            the highest mean; None: all pairs.
+        family: a sentence: which pairs were compared, and how p was corrected.
+        pairs, effects, interactions, importance: see there; empty where they make no sense.
+        exploratory: fewer than 10 seeds somewhere.
+        claims: plain sentences, the most important first.
+        warnings: sentences about what makes numbers hard to compare, e.g. mixed versions.
+        missing: sentences about what is not there (yet).
+        provenance: what exactly was run.
+    """
+
+    title: str
+    experiments: Sequence[str]
+    made: str
+    version: str
+    quick: bool
+    command: str
+    design: Design
+    factors: Sequence[Factor]
+    cells: Sequence[Cell]
+    shown: Sequence[str]
+    baseline: str | None
+    family: str
+    pairs: Sequence[Pair]
+    effects: Sequence[MainEffect]
+    interactions: Sequence[Interaction]
+    importance: Sequence[Importance]
+    exploratory: bool
+    claims: Sequence[str]
+    warnings: Sequence[str]
+    missing: Sequence[str]
+    provenance: Provenance
+    notes: Sequence[str] = field(default_factory=tuple)
+    reference: str | None = None
+
+    def cell(self, cell_id: str) -> Cell:
+        """Return a cell by its id."""
+        return next(cell for cell in self.cells if cell.id == cell_id)
+
+    def plain(self) -> dict[str, Any]:
+        """Return everything as JSON can hold it."""
+        return asdict(self)

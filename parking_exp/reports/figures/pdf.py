@@ -1,0 +1,71 @@
+"""PDFs, drawn by a second process: to embed their fonts takes as long as all other formats together."""
+
+import os
+import pickle
+import subprocess
+import sys
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+from parking_exp.garbage import no_garbage
+from parking_exp.reports.data import Content
+
+PACKAGE_PARENT = Path(__file__).resolve().parents[3]
+
+
+class Printer:
+    """The process, started before there is anything to draw, since its imports take a second.
+
+    It ends with the `with` block at the latest.
+    """
+
+    def __init__(self) -> None:
+        path = os.pathsep.join(filter(None, (str(PACKAGE_PARENT), os.environ.get("PYTHONPATH"))))
+        self._process = subprocess.Popen(
+            [sys.executable, "-m", "parking_exp.reports.figures.pdf"],
+            stdin=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            env={**os.environ, "PYTHONPATH": path},
+        )
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        self._process.kill()
+        self._process.communicate()
+
+    def draw(self, content: Content, folder: Path) -> None:
+        """Begin to draw all pictures into a folder."""
+        assert self._process.stdin is not None
+        pickle.dump((content, folder), self._process.stdin, protocol=pickle.HIGHEST_PROTOCOL)
+        self._process.stdin.flush()
+
+    def wait(self) -> None:
+        """Wait until they are drawn.
+
+        Raises:
+            RuntimeError: they are not; what the process has said goes with it.
+        """
+        _, said = self._process.communicate()
+        if self._process.returncode:
+            raise RuntimeError(f"the PDFs could not be drawn: {said.decode(errors='replace').strip()}")
+
+
+def main() -> None:
+    """Draw what comes in as a pickle from the process that started this one."""
+    from parking_exp.reports.figures.draw import draw
+
+    with no_garbage(freeze=True):
+        try:
+            content, folder = pickle.load(sys.stdin.buffer)
+        except EOFError:  # it has come to nothing
+            return
+        draw(content, folder, ["pdf"])
+
+
+if __name__ == "__main__":
+    main()

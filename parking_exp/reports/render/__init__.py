@@ -1,0 +1,1 @@
+"""Rendering a report: HTML page, Markdown, LaTeX, CSV."""

@@ -1,0 +1,76 @@
+"""How a report's numbers were made, in sentences: only what it uses."""
+
+from collections.abc import Iterator
+
+from parking_exp.reports.data import Content, Interval
+from parking_exp.statistics import unseen_share
+from parking_exp.statistics.intervals import BOOTSTRAP, EXACT, NONE, SCORE, T
+
+INTERVALS = {
+    BOOTSTRAP: "Intervals of means over 5 seeds and more are studentised bootstrap intervals: where rates pile up "
+    "below 100 %, Student's and BCa's cover less than they say.",
+    SCORE: "Intervals of means over 2 to 4 seeds are Wilson's, with Student's quantile and as many trials as the "
+    "variance between seeds amounts to.",
+    EXACT: "Where all seeds ended alike, as with 0 % or 100 %, the interval is a bound that holds whatever "
+    "the distribution.",
+    T: "Intervals of CPU-seconds and of the length of episodes are Student's below 20 seeds.",
+    NONE: "A single seed has no interval.",
+}
+REFERENCES = (
+    "Wilson, J. Am. Stat. Assoc. 22 (1927). Welch, Biometrika 34 (1947). Kaplan & Meier, J. Am. Stat. Assoc. 53 "
+    "(1958). Holm, Scand. J. Stat. 6 (1979). Efron & Tibshirani, An Introduction to the Bootstrap, 12.5 (1993). Korn & "
+    "Graubard, Survey Methodology 24 (1998). Newcombe, Stat. Med. 25 (2006). Agarwal et al., NeurIPS (2021), on the "
+    "probability of improvement."
+)
+
+
+def methods(content: Content) -> Iterator[str]:
+    """Yield what a reader has to know of each kind of number that the report has."""
+    yield (
+        "The replicate is the training seed. Each run's last policy, deterministic, is evaluated on fixed scenes of "
+        "highway-env; episodes are never pooled as if they were independent of their run."
+    )
+    yield (
+        "Success is highway-env's: close to the goal slot, at any speed. Parked is stricter: all corners inside the "
+        "slot's lines, heading within 10°, slower than 0.5 m/s. Crash and timeout are the other ways to end."
+    )
+    used = {
+        interval.method
+        for cell in content.cells
+        for interval in vars(cell).values()
+        if isinstance(interval, Interval) and interval.n
+    }
+    yield from (sentence for method, sentence in INTERVALS.items() if method in used)
+    yield (
+        "CPU-seconds of a run count everything, its final evaluation and its certification on highway-env included; "
+        "times to 90 % count what came before."
+    )
+    yield "All intervals are at 95 %. Shares of scenes and of seeds have Wilson's."
+    fewest = min((cell.success.n for cell in content.cells if cell.success.n), default=0)
+    if fewest > 1:
+        yield (
+            f"Recipes that collapse now and then can hide it: {fewest} seeds without a collapse leave room for "
+            f"{100 * unseen_share(fewest):.0f} % of seeds that do."
+        )
+    if content.pairs:
+        yield (
+            f"{content.family} The probability of improvement is that a seed of A does better than one of B, ties "
+            "counted half; its interval is Newcombe's."
+        )
+    if any(cell.survival for cell in content.cells):
+        yield (
+            "Time to 90 %: the first step from which three evaluations in a row had 90 % success. Seeds that have not "
+            "got there are right-censored: shares by Kaplan and Meier with Greenwood's interval on the log-log scale, "
+            "comparisons by the log-rank test, with Holm's correction, means up to the time that all were watched."
+        )
+    if content.effects:
+        yield (
+            "Main effects are means of cell means; their intervals, and the difference of the best and the worst "
+            "level, are those of linear contrasts (Welch), p is Bonferroni's over the pairs of levels. Interactions: "
+            "F test, p is Holm's over the tables."
+        )
+    if content.importance:
+        yield (
+            "Importance is the share of the variance between cells that a quadratic in the ranks of one parameter, or "
+            "its groups, explains alone, adjusted for chance; p by permutation."
+        )

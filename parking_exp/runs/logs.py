@@ -1,0 +1,153 @@
+"""Append-only files of a run: metrics and episodes, written here first and sent to MLflow from here."""
+
+import json
+import numbers
+import os
+import shutil
+import time
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from parking_exp.errors import DamagedFileError
+from parking_exp.runs.atomic import read_object, sha256
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+APPENDED = ("metrics.jsonl", "episodes.csv", "monitor.csv")
+"""Files of a run directory that only ever grow. Each checkpoint has a copy of them."""
+
+
+def copy_logs(run_dir: Path, checkpoint: Path) -> None:
+    """Copy the logs into a checkpoint; metrics that there are none of yet become an empty file."""
+    for name in APPENDED:
+        if (run_dir / name).exists():
+            shutil.copyfile(run_dir / name, checkpoint / name)
+    (checkpoint / "metrics.jsonl").touch()
+
+
+def restore_logs(run_dir: Path, checkpoint: Path | None) -> list[str]:
+    """Bring the logs back to a checkpoint: what was written after it is going to be done again.
+
+    Returns:
+        The names of those that had lost something that they had at the checkpoint.
+    """
+    damaged = []
+    for name in APPENDED:
+        path, copy = run_dir / name, checkpoint / name if checkpoint else None
+        if copy is None or not copy.exists():
+            path.unlink(missing_ok=True)
+        elif _begins_like(path, copy):
+            os.truncate(path, copy.stat().st_size)
+        else:
+            damaged.append(name)
+            shutil.copyfile(copy, path)
+    return damaged
+
+
+def log_hashes(run_dir: Path) -> dict[str, str]:
+    """Return the SHA-256 of each log, for `damaged_logs` of a run that is done."""
+    return {name: sha256(run_dir / name) for name in APPENDED if (run_dir / name).exists()}
+
+
+def damaged_logs(run_dir: Path, hashes: Mapping[str, str], checkpoint: Path | None) -> list[str]:
+    """Return the names of the logs that have lost something.
+
+    Args:
+        run_dir: of a run that no process is working on.
+        hashes: of whole logs; none for a run that is not done.
+        checkpoint: the last one; without hashes, logs have to begin like its copies.
+    """
+    if hashes:
+        known = [name for name in APPENDED if name in hashes]
+        return [name for name in known if not _has_hash(run_dir / name, hashes[name])]
+    copies = [checkpoint / name for name in APPENDED] if checkpoint else []
+    return [copy.name for copy in copies if copy.exists() and not _begins_like(run_dir / copy.name, copy)]
+
+
+def has_whole_logs(checkpoint: Path) -> bool:
+    """Whether the logs of a checkpoint are as they were when it was made."""
+    digests = read_object(checkpoint / "manifest.json")
+    copies = [checkpoint / name for name in APPENDED if name in digests]
+    return bool(copies) and all(_has_hash(copy, digests[copy.name]) for copy in copies)
+
+
+def _begins_like(path: Path, copy: Path) -> bool:
+    size = copy.stat().st_size
+    if not path.exists() or path.stat().st_size < size:
+        return False
+    with path.open("rb") as file:
+        return file.read(size) == copy.read_bytes()
+
+
+def _has_hash(path: Path, digest: str) -> bool:
+    return path.exists() and sha256(path) == digest
+
+
+def read_metrics(path: Path) -> Iterator[dict[str, Any]]:
+    """Yield the rows of a `metrics.jsonl`, none where there is no file. A last line without its end is still written.
+
+    Raises:
+        DamagedFileError: a line is not such a row.
+    """
+    if not path.exists():
+        return
+    with path.open("rb") as file:
+        for number, line in enumerate(file, 1):
+            if not line.endswith(b"\n"):
+                return
+            try:
+                record = json.loads(line)
+                record["step"], record["time_ms"], record["metrics"].items()
+            except (ValueError, KeyError, TypeError, AttributeError) as error:
+                raise DamagedFileError(f"{path} is damaged: line {number} is no row of metrics") from error
+            yield record
+
+
+class MetricsLog:
+    """`metrics.jsonl`: one line {"step", "time_ms", "metrics"} for each row of metrics.
+
+    A key has one value per step, the first: several training episodes that end in the same step make
+    Stable-Baselines3's logger write twice.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self._last_step = {key: record["step"] for record in self.records() for key in record["metrics"]}
+
+    def append(self, step: int, values: Mapping[str, Any]) -> dict[str, float]:
+        """Append a row of the numbers among `values`, and return it; it may be empty, and then nothing is written."""
+        metrics = {
+            key: float(value)
+            for key, value in values.items()
+            if isinstance(value, numbers.Real) and self._last_step.get(key, -1) < step
+        }
+        if metrics:
+            self._last_step |= dict.fromkeys(metrics, step)
+            line = json.dumps({"step": step, "time_ms": time.time_ns() // 1_000_000, "metrics": metrics})
+            with self.path.open("a", encoding="utf-8") as file:
+                file.write(line + "\n")
+        return metrics
+
+    def records(self) -> Iterator[dict[str, Any]]:
+        """Yield the rows so far."""
+        return read_metrics(self.path)
+
+    def latest(self) -> dict[str, float]:
+        """Return the last value of every metric."""
+        return {key: value for record in self.records() for key, value in record["metrics"].items()}
+
+    def frame(self) -> "pd.DataFrame":
+        """Return one row per step, one column per metric; empty cells are NaN."""
+        import pandas as pd  # not where a store is only synced
+
+        rows = [{"step": record["step"], **record["metrics"]} for record in self.records()]
+        return pd.DataFrame(rows, columns=None if rows else ["step"]).groupby("step").first().reset_index()
+
+
+def append_episodes(path: Path, episodes: "pd.DataFrame", phase: str, step: int) -> None:
+    """Append an evaluation's episodes to `episodes.csv`, with its phase (`eval` or `final`) and env step."""
+    table = episodes.assign(phase=phase, step=step)
+    table = table[["phase", "step", *episodes.columns]]
+    table.to_csv(path, mode="a", header=not path.exists(), index=False)

@@ -1,0 +1,142 @@
+"""How far runs are, read from their directories without opening anything large."""
+
+import json
+import time
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+from parking_exp.runs.directory import BEAT_FILE, STATUS_FILE, RunDirectory
+from parking_exp.runs.status_file import BeatEntries, StatusEntries, read_entries
+
+Stage = Literal["done", "running", "failed", "pending"]
+STAGES: tuple[Stage, ...] = ("done", "running", "failed", "pending")
+
+
+@dataclass(frozen=True)
+class RunState:
+    """One run, as it is now.
+
+    Attributes:
+        run_dir: absolute run directory.
+        experiment, cell, seed: what it belongs to.
+        label: what sets its cell apart from others of its sweep; the cell's name where it was not part of one.
+        stage: done, running (a process has claimed it), failed, or pending, which a run that was cut off is again.
+        step, total_timesteps: env steps done (pending: saved), and in all.
+        steps_per_s: while training.
+        left_s: until the training is over, at that rate.
+        doing: what a running one is at, e.g. `train`, `certification on highway-env`.
+        host, pid: where it runs, or ran last.
+        reason: why it failed.
+        killed: it failed because its process was killed or lost, which says nothing about the run itself.
+        success_rate, wall_s, cpu_s, memory_bytes: of a finished run.
+        started: when its last process began, in seconds since 1970.
+        unsynced: why the store does not have all of it; None where it has.
+        damaged: what is wrong with its status.json; None if nothing is.
+    """
+
+    run_dir: str
+    experiment: str
+    cell: str
+    seed: int
+    label: str
+    stage: Stage
+    step: int
+    total_timesteps: int | None
+    steps_per_s: float | None = None
+    left_s: float | None = None
+    doing: str | None = None
+    host: str | None = None
+    pid: int | None = None
+    reason: str | None = None
+    killed: bool = False
+    success_rate: float | None = None
+    wall_s: float | None = None
+    cpu_s: float | None = None
+    memory_bytes: int | None = None
+    unsynced: str | None = None
+    started: float | None = None
+    damaged: str | None = None
+
+    def plain(self) -> dict[str, Any]:
+        """Return everything as JSON can hold it."""
+        return asdict(self)
+
+
+def read_state(path: Path) -> RunState:
+    """Read one run directory; one that is not there yet is pending, and so is one whose status.json can't be read."""
+    status, damaged = read_entries(path / STATUS_FILE, StatusEntries)
+    seed = path.name.removeprefix("seed=")
+    known: dict[str, Any] = {
+        "run_dir": str(path),
+        "experiment": path.parent.parent.name,
+        "cell": path.parent.name,
+        "seed": int(seed) if seed.isdecimal() else -1,
+        "label": status.get("label") or path.parent.name,
+        "total_timesteps": status.get("total_timesteps"),
+        "unsynced": status.get("unsynced"),
+        "started": status.get("started"),
+        "damaged": damaged,
+    }
+    written = status.get("status", "pending")
+    if written == "done":
+        cost = {name: status.get(name) for name in ("success_rate", "wall_s", "cpu_s", "memory_bytes", "host")}
+        return RunState(**known, stage="done", step=status.get("steps", 0), **cost)  # type: ignore[arg-type]
+    where: dict[str, Any] = {"host": status.get("host"), "pid": status.get("pid")}
+    if RunDirectory(path).under_way:
+        return RunState(**known, stage="running", **where, **_under_way(path, known["total_timesteps"], status))
+    if written == "failed":
+        killed = bool(status.get("killed"))
+        reason = status.get("error")
+        return RunState(**known, stage="failed", step=_saved_step(path), **where, reason=reason, killed=killed)
+    return RunState(**known, stage="pending", step=_saved_step(path))
+
+
+def find(output_dir: Path, experiment: str | None = None) -> list[Path]:
+    """Return the run directories under an output directory, of one experiment or of all, sorted."""
+    return sorted(file.parent for file in output_dir.glob(f"{experiment or '*'}/*/seed=*/{STATUS_FILE}"))
+
+
+def counts(states: Iterable[RunState]) -> dict[Stage, int]:
+    """Return how many runs are at which stage."""
+    found = [state.stage for state in states]
+    return {stage: found.count(stage) for stage in STAGES}
+
+
+def by_cell(states: Iterable[RunState]) -> Iterator[tuple[tuple[str, str], list[RunState]]]:
+    """Yield ((experiment, cell), its runs), in the order of their first runs."""
+    cells: dict[tuple[str, str], list[RunState]] = {}
+    for state in states:
+        cells.setdefault((state.experiment, state.cell), []).append(state)
+    yield from cells.items()
+
+
+def _under_way(path: Path, total: int | None, status: dict[str, Any]) -> dict[str, Any]:
+    beat, _ = read_entries(path / BEAT_FILE, BeatEntries)
+    if beat.get("time", 0.0) < status.get("started", time.time()):  # of an earlier process, or none yet
+        return {"step": _saved_step(path), "doing": "starting"}
+    step, rate = beat.get("step", 0), beat.get("steps_per_s") or None
+    left = (total - step) / rate if rate and total is not None else None
+    return {"step": step, "steps_per_s": rate, "left_s": left, "doing": beat.get("doing")}
+
+
+def _saved_step(path: Path) -> int:
+    """Env step of the newest checkpoint; 0 without one."""
+    names = [folder.name.removeprefix("step=") for folder in (path / "checkpoints").glob("step=*")]
+    return max((int(name) for name in names if name.isdecimal()), default=0)
+
+
+def as_json(states: Sequence[RunState]) -> str:
+    """Return runs as JSON: how many are at which stage, in all and in each cell, and each run."""
+    cells = [
+        {
+            "experiment": experiment,
+            "cell": cell,
+            "label": runs[0].label,
+            **counts(runs),
+            "runs": [r.plain() for r in runs],
+        }
+        for (experiment, cell), runs in by_cell(states)
+    ]
+    return json.dumps({**counts(states), "cells": cells}, indent=2)

@@ -1,0 +1,85 @@
+"""Runs as tables and lines for a terminal."""
+
+from collections.abc import Iterator, Sequence
+
+from rich.table import Table
+
+from parking_exp.config.messages import enclosed
+from parking_exp.runs.state import STAGES, RunState, by_cell, counts
+
+
+def cell_table(states: Sequence[RunState], labels: Sequence[str] | None = None) -> Table:
+    """Return one row a cell: how many of its runs are at each stage, and the mean success of those that are done.
+
+    `labels` are other names than the ones that the runs have, one for each run.
+    """
+    names = dict(zip((state.run_dir for state in states), labels or [state.label for state in states], strict=True))
+    table = Table(box=None, pad_edge=False)
+    table.add_column("cell", overflow="fold")
+    for stage in STAGES:
+        table.add_column(stage, justify="right")
+    table.add_column("success", justify="right")
+    several = len({state.experiment for state in states}) > 1
+    for (experiment, _), runs in by_cell(states):
+        rates = [run.success_rate for run in runs if run.stage == "done" and run.success_rate is not None]
+        mean = f"{sum(rates) / len(rates):.0%}" if rates else ""
+        name = names[runs[0].run_dir]
+        table.add_row(
+            f"{experiment}: {name}" if several else name, *(str(n or "") for n in counts(runs).values()), mean
+        )
+    if len(list(by_cell(states))) > 1:
+        table.add_row("all", *(str(n or "") for n in counts(states).values()), "", style="bold")
+    return table
+
+
+def failure_lines(states: Sequence[RunState]) -> Iterator[str]:
+    """Yield a line for every run that failed, with the reason and where to look."""
+    for state in states:
+        if state.stage == "failed":
+            yield f"failed   {name(state)}: {state.reason or 'no reason is known'}   {state.run_dir}"
+
+
+def damaged_lines(states: Sequence[RunState]) -> Iterator[str]:
+    """Yield a line for every run whose status.json is damaged; what is not readable there counts as missing."""
+    for state in states:
+        if state.damaged:
+            yield f"damaged  {name(state)}: {state.damaged}; it counts as {state.stage}   {state.run_dir}"
+
+
+def stopped_lines(states: Sequence[RunState]) -> Iterator[str]:
+    """Yield a line for every run that was cut off, with the step that it goes on from."""
+    for state in states:
+        if state.stage == "pending" and state.step:
+            yield f"stopped  {name(state)}: goes on from step {state.step} of {state.total_timesteps}"
+
+
+def running_lines(states: Sequence[RunState]) -> Iterator[str]:
+    """Yield a line for every run that is under way: step, rate, time left, host."""
+    for state in states:
+        if state.stage == "running":
+            yield f"running  {name(state)}: {under_way(state)}   {state.host}"
+
+
+def under_way(state: RunState) -> str:
+    """Say how far a running run is."""
+    parts = [f"{state.step} of {state.total_timesteps} steps"]
+    if state.doing == "train" and state.steps_per_s:
+        parts.append(f"{state.steps_per_s:.0f} steps/s")
+        if state.left_s is not None:
+            parts.append(f"{duration(state.left_s)} left")
+    elif state.doing:
+        parts.append(state.doing)
+    return ", ".join(parts)
+
+
+def name(state: RunState) -> str:
+    """Name a run: its cell's label and its seed."""
+    return f"{enclosed(state.label)} seed={state.seed}"
+
+
+def duration(seconds: float) -> str:
+    """Write a duration as `3 s`, `12 min` or `5 h 20 min`."""
+    if seconds < 99.5:
+        return f"{seconds:.0f} s"
+    minutes = round(seconds / 60)
+    return f"{minutes} min" if minutes < 100 else f"{minutes // 60} h {minutes % 60} min"

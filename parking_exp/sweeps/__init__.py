@@ -1,0 +1,1 @@
+"""Sweeps of many runs: plan, launchers, worker processes, live view."""

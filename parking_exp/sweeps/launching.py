@@ -1,0 +1,103 @@
+"""From a command line's Hydra overrides to a launcher that trains run directories."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import get_args
+
+from hydra._internal.callbacks import Callbacks
+from hydra.core.global_hydra import GlobalHydra
+from hydra.core.plugins import Plugins
+from hydra.types import HydraContext, RunMode
+from omegaconf import DictConfig
+
+from parking_exp.config.compose import hydra_overrides, hydra_ready, in_quotes
+from parking_exp.config.messages import closest
+from parking_exp.errors import ConfigError, ParkingError
+from parking_exp.sweeps.worker import Ending, work
+
+EXTRAS = {"slurm", "ray"}
+
+
+class Launch:
+    """A launcher of Hydra's, set up as the command line says.
+
+    Any launcher will do: it is given one override a job, `run=PATH`, and a task that trains what lies there.
+
+    Raises:
+        ConfigError: the launcher is not installed, or its config is wrong.
+
+    Attributes:
+        name: the launcher's, `hydra/launcher`.
+        config: its own config, `hydra.launcher`.
+    """
+
+    def __init__(self, overrides: list[str], extra_config_dir: str | None = None) -> None:
+        self._overrides, self._extra = hydra_overrides(overrides), extra_config_dir
+        with hydra_ready(self._extra):
+            loader = GlobalHydra.instance().config_loader()
+            _refuse_unknown_keys(self._overrides)
+            whole = loader.load_configuration("worker", ["run=none", *self._overrides], RunMode.MULTIRUN)
+            self.config: DictConfig = whole.hydra.launcher
+            self.name: str = whole.hydra.runtime.choices["hydra/launcher"]
+            context = HydraContext(config_loader=loader, callbacks=Callbacks(whole))
+            try:
+                self._launcher = Plugins.instance().instantiate_launcher(context, train_run, whole)
+            except (ImportError, RuntimeError) as error:
+                words = str(error).splitlines()[0]
+                raise ConfigError(f"hydra/launcher={self.name}: {words}{_extra_of(self.name)}") from error
+
+    def __call__(self, paths: Sequence[Path]) -> tuple[dict[Path, Ending], str | None]:
+        """Train the runs of these directories.
+
+        Returns:
+            How each ended that the launcher tells of, and what the launcher itself complains about, if anything.
+
+        Raises:
+            ConfigError: a package is missing.
+            InterruptedRunError: a signal stopped it.
+        """
+        with hydra_ready(self._extra):
+            try:
+                returns = self._launcher.launch([[f"run={in_quotes(str(path))}"] for path in paths], 0)
+            except ImportError as error:
+                raise ConfigError(f"hydra/launcher={self.name}: {error}{_extra_of(self.name)}") from error
+            except ParkingError:
+                raise
+            except Exception as error:  # a launcher may break in any way; run directories tell what became of the runs
+                words = (str(error) or type(error).__name__).splitlines()[0]
+                hint = "; `ray start --head` starts one here" if "running Ray instance" in words else ""
+                return {}, f"hydra/launcher={self.name} broke: {words.rstrip('.')}{hint}"
+        # Not `return_value`: that raises what a job has raised.
+        values = {path: one._return_value for path, one in zip(paths, returns, strict=True)}
+        broken = [value for value in values.values() if isinstance(value, BaseException)]
+        problem = f"{len(broken)} jobs broke; the first: {broken[0]}" if broken else None
+        return {path: value for path, value in values.items() if value in get_args(Ending)}, problem
+
+
+def _refuse_unknown_keys(overrides: list[str]) -> None:
+    """Refuse a key that the chosen launcher does not have.
+
+    Raises:
+        ConfigError: with the closest one.
+    """
+    chosen = [override for override in overrides if override.lstrip("+~").startswith("hydra/launcher")]
+    loader = GlobalHydra.instance().config_loader()
+    whole = loader.load_configuration("worker", ["run=none", *chosen], RunMode.MULTIRUN)
+    for override in overrides:
+        key = override.partition("=")[0]
+        node: object = whole.hydra.launcher
+        for part in key.split(".")[2:] if key.startswith("hydra.launcher.") else []:
+            if isinstance(node, DictConfig) and part not in node:
+                name = whole.hydra.runtime.choices["hydra/launcher"]
+                known = [str(one) for one in node if one != "_target_"]
+                raise ConfigError(f"{key}: hydra/launcher={name} has no such key{closest(part, known)}")
+            node = node[part] if isinstance(node, DictConfig) else None
+
+
+def train_run(config: DictConfig) -> Ending:
+    """Hydra's task function: train the run of a directory."""
+    return work(config.run)
+
+
+def _extra_of(launcher: str) -> str:
+    return f"; pip install 'parking-exp[{launcher}]'" if launcher in EXTRAS else ""

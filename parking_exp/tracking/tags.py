@@ -1,0 +1,38 @@
+"""MLflow tags that describe experiments and runs in its UI: kind, description, command, headline result."""
+
+from typing import Any
+
+from parking_exp.config.schema import RunConfig
+from parking_exp.runs.directory import RunDirectory
+
+NOTE = "mlflow.note.content"
+KIND = "mlflow.experimentKind"
+MODEL_TRAINING = "custom_model_development"  # without it, the UI opens an experiment as one of GenAI: traces, prompts
+
+
+def experiment_tags(name: str) -> dict[str, str]:
+    """Return MLflow's own tags of an experiment: its kind, and a description."""
+    report = f"`python scripts/report.py experiment={name}` compares its cells."
+    return {
+        KIND: MODEL_TRAINING,
+        NOTE: f"Parking agents, trained and evaluated on highway-env's `parking-v0`: one run a cell and seed. {report}",
+    }
+
+
+def run_note(directory: RunDirectory, config: RunConfig) -> str:
+    """Return the description of a run: what it is, how it went, the command that was typed."""
+    status = directory.read_status()
+    what = f"{config.algorithm.name}, {config.buffer.name} on {config.env.name}, seed {config.seed}"
+    lines = [f"{what}: {_headline(status, directory, config)}."]
+    if command := status.get("command"):
+        lines.append(f"Typed: `{command}`")
+    return "\n\n".join(lines)
+
+
+def _headline(status: dict[str, Any], directory: RunDirectory, config: RunConfig) -> str:
+    result = directory.result()
+    if result is None:
+        return str(status.get("status", "pending"))
+    rates = {name: result.metrics.get(f"certified/{name}_rate") for name in ("success", "crash", "parked")}
+    words = ", ".join(f"{name} {rate:.1%}" for name, rate in rates.items() if rate is not None)
+    return f"{words} on {config.evaluation.final_n_scenes} scenes of highway-env after {result.steps:,} env steps"

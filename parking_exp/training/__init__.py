@@ -1,0 +1,1 @@
+"""Training one run: loop, callbacks, checkpoints, exact resume."""

@@ -1,0 +1,103 @@
+"""What goes on from one rollout to the next besides weights, counters and buffer.
+
+Envs in the middle of their episodes, random numbers, exploration noise, and metrics that wait for the next row of the
+log. Saved and restored at the same point, the beginning of a rollout, a training goes on as if it had not been cut.
+Restoring comes last there: `learn` resets action noise, and gSDE draws its matrices just before.
+"""
+
+import random
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import torch
+from stable_baselines3.common.distributions import StateDependentNoiseDistribution
+from stable_baselines3.common.noise import ActionNoise, VectorizedActionNoise
+from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
+
+from parking_exp.envs import training_envs
+
+MATRICES = ("exploration_mat", "exploration_matrices")
+PENDING = ("name_to_value", "name_to_count", "name_to_excluded")
+
+
+def gather(model: OffPolicyAlgorithm) -> dict[str, Any]:
+    """Return all streams of a model as nested dicts and lists of arrays, numbers and words."""
+    assert model.env is not None
+    sde = _sde(model)
+    return {
+        "envs": training_envs.get_state(model.env),
+        "rng": _random_states(model),
+        "noise": [_noise_state(noise) for noise in _noises(model.action_noise)],
+        "sde": {name: getattr(sde, name).detach().cpu().numpy() for name in MATRICES} if sde else None,
+        "metrics": {name: dict(getattr(model.logger, name)) for name in PENDING},
+    }
+
+
+def restore(model: OffPolicyAlgorithm, state: Mapping[str, Any]) -> None:
+    """Bring the streams of a model of the same config to a saved state; what follows is identical."""
+    assert model.env is not None
+    training_envs.set_state(model.env, state["envs"])
+    noise, n_envs = model.action_noise, model.env.num_envs
+    if noise is not None and n_envs > 1 and not isinstance(noise, VectorizedActionNoise):
+        # `learn` does the same; where nothing is left to be learned, it is not called.
+        model.action_noise = VectorizedActionNoise(noise, n_envs)
+    for one, saved in zip(_noises(model.action_noise), state["noise"], strict=True):
+        vars(one).update(saved)
+    if sde := _sde(model):
+        for name in MATRICES:
+            setattr(sde, name, torch.as_tensor(state["sde"][name], device=model.device))
+    for name in PENDING:
+        pending = getattr(model.logger, name)
+        pending.clear()
+        pending.update(state["metrics"][name])
+    excluded = model.logger.name_to_excluded
+    excluded.update({name: tuple(formats) for name, formats in excluded.items()})
+    _set_random_states(model, state["rng"])  # last: nothing above may leave a trace in them
+
+
+def _random_states(model: OffPolicyAlgorithm) -> dict[str, Any]:
+    version, numbers, gauss = random.getstate()
+    device = _accelerator(model)
+    return {
+        "python": {"version": version, "numbers": np.array(numbers, np.uint32), "gauss": gauss},
+        "numpy": np.random.get_state(legacy=False),
+        "torch": torch.get_rng_state().numpy(),
+        "accelerator": device[0].get_rng_state(*device[1]).cpu().numpy() if device else None,
+        "action_space": model.action_space.np_random.bit_generator.state,
+    }
+
+
+def _set_random_states(model: OffPolicyAlgorithm, state: Mapping[str, Any]) -> None:
+    python = state["python"]
+    random.setstate((python["version"], tuple(python["numbers"].tolist()), python["gauss"]))
+    np.random.set_state(state["numpy"])
+    torch.set_rng_state(torch.from_numpy(state["torch"]))
+    if device := _accelerator(model):
+        device[0].set_rng_state(torch.from_numpy(state["accelerator"]), *device[1])
+    model.action_space.np_random.bit_generator.state = state["action_space"]
+
+
+def _accelerator(model: OffPolicyAlgorithm) -> tuple[Any, tuple[torch.device, ...]] | None:
+    """Return torch's module for the model's device, with what it wants to know of it; None for the CPU."""
+    if model.device.type == "cuda":
+        return torch.cuda, (model.device,)
+    return (torch.mps, ()) if model.device.type == "mps" else None
+
+
+def _sde(model: Any) -> StateDependentNoiseDistribution | None:
+    distribution = getattr(model.actor, "action_dist", None)
+    return distribution if isinstance(distribution, StateDependentNoiseDistribution) else None
+
+
+def _noises(noise: ActionNoise | None) -> list[ActionNoise]:
+    """Return the noise of each env, or the one that all share."""
+    if isinstance(noise, VectorizedActionNoise):
+        return noise.noises
+    return [] if noise is None else [noise]
+
+
+def _noise_state(noise: ActionNoise) -> dict[str, Any]:
+    """Return what is a number in a noise, its last value among them (Ornstein-Uhlenbeck's `noise_prev`)."""
+    numbers = (bool, int, float, np.ndarray, np.generic)
+    return {name: value for name, value in vars(noise).items() if isinstance(value, numbers)}

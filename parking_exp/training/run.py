@@ -1,0 +1,160 @@
+"""One run, from its config to its result."""
+
+import os
+import resource
+import signal
+import socket
+import sys
+import time
+import traceback
+from collections.abc import Mapping
+from contextlib import nullcontext
+from typing import Any
+
+import torch
+from omegaconf import DictConfig
+
+from parking_exp.algorithms.build import torch_settings
+from parking_exp.algorithms.save_check import check_saving
+from parking_exp.config.schema import RunConfig
+from parking_exp.config.validate import validate
+from parking_exp.errors import ConfigError, FailedRunError, InterruptedRunError
+from parking_exp.evaluation.summary import describe
+from parking_exp.runs.atomic import write_atomically
+from parking_exp.runs.directory import RunDirectory, RunResult
+from parking_exp.runs.logs import log_hashes, restore_logs
+from parking_exp.runs.provenance import typed_command
+from parking_exp.terminal import say
+from parking_exp.tracking.tracker import Tracker, later, open_tracker
+from parking_exp.training import checkpoints
+from parking_exp.training.checkpoints import Progress
+from parking_exp.training.progress import TrainingProgress
+from parking_exp.training.recovery import make_models
+from parking_exp.training.session import Session
+from parking_exp.training.signals import StopRequest, stop_on_signal
+
+
+def train(config: DictConfig | Mapping[str, Any] | RunConfig, *, supervised: bool = False) -> RunResult:
+    """Train, evaluate and track one run, or finish what is left of it.
+
+    A run that is done returns its stored result, and its models are made again if they are gone. One that was cut off
+    goes on from its latest whole checkpoint.
+    `supervised`: another process has claimed the run, and started this one for it.
+
+    Raises:
+        ConfigError: the config cannot run; nothing was made on disk.
+        RunLockedError: another process is working on the same run.
+        InterruptedRunError: SIGINT or SIGTERM; the state is saved.
+        FailedRunError: anything else; the run is marked failed, its traceback kept.
+    """
+    config = validate(config)
+    directory = RunDirectory(config.run_dir)
+    if directory.result() is None:
+        if config.device.startswith("cuda") and not torch.cuda.is_available():
+            raise ConfigError(f"device={config.device}: torch finds no CUDA device; the closest valid choice is cpu")
+        check_saving(config)
+    with nullcontext() if supervised else directory.claimed(), directory.locked():
+        if (result := directory.result()) is not None:
+            say("already done; to train it afresh, change the seed or delete its directory")
+            if directory.lacks_model:
+                say(make_models(directory))
+            say(*_closing_words(result, directory))
+            return result
+        directory.create(config)
+        # A run goes on as it began, on whatever machine.
+        recorded = directory.read_status().get("precision")
+        with stop_on_signal() as stop, torch_settings(config, recorded) as precision:
+            directory.update(precision=precision)
+            return _train(config, directory, stop)
+
+
+def _train(config: RunConfig, directory: RunDirectory, stop: StopRequest) -> RunResult:
+    (directory.path / "traceback.txt").unlink(missing_ok=True)
+    process: dict[str, Any] = {"pid": os.getpid(), "host": socket.gethostname(), "started": time.time()}
+    if command := typed_command():  # a supervised run has the sweep's
+        process["command"] = command
+    directory.update(status="running", error=None, killed=None, total_timesteps=config.total_timesteps, **process)
+    tracker = Tracker()
+    try:
+        checkpoint = checkpoints.latest(directory.checkpoints)
+        progress = checkpoints.read_progress(checkpoint) if checkpoint else Progress()
+        damaged = restore_logs(directory.path, checkpoint)
+        shown = config.tracking.progress_bar
+        with TrainingProgress(config.total_timesteps, progress.step, shown, beat=directory.beat) as bar:
+            bar.say(f"{config.cell}, seed {config.seed}: {config.total_timesteps} env steps, in {directory.path}")
+            for name in damaged:
+                bar.say(f"{name} was damaged; it is taken from the checkpoint")
+            tracker = open_tracker(config, directory, bar.say)
+            session = Session(
+                config=config,
+                directory=directory,
+                tracker=tracker,
+                progress=progress,
+                checkpoint=checkpoint,
+                stop=stop,
+                bar=bar,
+            )
+            session.learn()
+            episodes = session.finish()
+        metrics = session.metrics.latest()
+        finished = RunResult(str(directory.path), directory.run_id, session.model.num_timesteps, metrics)
+        directory.finish(finished, logs=log_hashes(directory.path), **_cost(finished))
+    except (InterruptedRunError, KeyboardInterrupt) as error:
+        directory.update(status="interrupted")
+        tracker.close()
+        if isinstance(error, InterruptedRunError):
+            raise
+        raise InterruptedRunError("left at once; the last checkpoint stands", signal.SIGINT) from None
+    except BaseException as error:
+        _record_failure(error, directory, tracker)
+        raise FailedRunError(
+            f"the run failed: {type(error).__name__}: {error}; its traceback is in {directory.path / 'traceback.txt'}"
+        ) from error
+    try:
+        tracker.close()
+    except KeyboardInterrupt:
+        words = f"the run is done, its store is not up to date; {later(config.output_path, directory.tracking_uri)}"
+        raise InterruptedRunError(words, signal.SIGINT) from None
+    result = directory.result()
+    assert result is not None
+    say(*describe(episodes).split("\n"), *_closing_words(result, directory))
+    return result
+
+
+def _record_failure(error: BaseException, directory: RunDirectory, tracker: Tracker) -> None:
+    """Leave a status and a traceback behind, as far as a full disk or a lost store allows."""
+    steps = (
+        lambda: directory.update(status="failed", error=f"{type(error).__name__}: {error}"),
+        lambda: write_atomically(directory.path / "traceback.txt", "".join(traceback.format_exception(error))),
+        tracker.close,
+    )
+    for step in steps:
+        try:
+            step()
+        except Exception as another:  # the first error is the one to report; this one rides along
+            error.add_note(f"while recording the failure: {type(another).__name__}: {another}")
+
+
+def _cost(result: RunResult) -> dict[str, float | None]:
+    """Return what tables of many runs show without opening any: success, and what the run took."""
+    used = resource.getrusage(resource.RUSAGE_SELF)
+    return {
+        "success_rate": result.metrics.get("certified/success_rate"),
+        "wall_s": result.metrics.get("time/wall_s"),
+        "cpu_s": result.metrics.get("time/cpu_s"),
+        "memory_bytes": used.ru_maxrss * (1 if sys.platform == "darwin" else 1024),
+    }
+
+
+def _closing_words(result: RunResult, directory: RunDirectory) -> list[str]:
+    rate = result.metrics.get("certified/success_rate")
+    lines = (
+        [f"final success rate {rate:.1%} on highway-env, after {result.steps} env steps"] if rate is not None else []
+    )
+    lines.append(f"run directory  {result.run_dir}")
+    if result.run_id:
+        lines.append(f"MLflow run     {result.run_id}   (make ui)")
+    if directory.unsynced:
+        what_to_do = later(directory.output_dir, directory.tracking_uri)
+        lines.append(f"not all of it is in the store ({directory.unsynced}); {what_to_do}")
+    return lines

@@ -1,0 +1,367 @@
+"""The lean update is Stable-Baselines3's: the same weights, batches and noise give the same parameters."""
+
+import copy
+
+import numpy as np
+import pytest
+import stable_baselines3 as sb3
+import torch
+from stable_baselines3.common.logger import Logger
+from stable_baselines3.common.torch_layers import CombinedExtractor
+from stable_baselines3.common.type_aliases import DictReplayBufferSamples
+from support.runs import make_config
+
+from parking_exp.algorithms import build, fast
+from parking_exp.algorithms.build import build_model, torch_settings
+from parking_exp.algorithms.fast import precision
+from parking_exp.algorithms.fast.minibatches import sample_round
+from parking_exp.algorithms.fast.support import is_lean
+from parking_exp.envs.training_envs import make_training_envs
+
+ALGORITHMS = ("SAC", "TD3", "DDPG")
+
+
+def make_model(name, *overrides, module=fast, seed=0):
+    target = f"algorithm._target_={'parking_exp.algorithms.fast' if module is fast else 'stable_baselines3'}.{name}"
+    config = make_config(f"algorithm={name.lower()}", target, "algorithm.batch_size=64", *overrides)
+    model = build_model(config, make_training_envs(config.env, config.n_envs), seed=seed)
+    model.set_logger(Logger(None, []))
+    return model
+
+
+def pair(name, *overrides, seed=0):
+    """Stable-Baselines3's model and ours, with the same weights."""
+    theirs, ours = (make_model(name, *overrides, module=module, seed=seed) for module in (sb3, fast))
+    ours.set_parameters(theirs.get_parameters())
+    return theirs, ours
+
+
+def batches(number, batch_size, seed):
+    """Batches like those of a buffer: observations of parking's size, some episodes over, rewards below zero."""
+    generator = torch.Generator().manual_seed(seed)
+
+    def observation():
+        keys = ("observation", "achieved_goal", "desired_goal")
+        return {key: torch.randn(batch_size, 6, generator=generator) for key in keys}
+
+    return [
+        DictReplayBufferSamples(
+            observations=observation(),
+            actions=torch.rand(batch_size, 2, generator=generator) * 2 - 1,
+            next_observations=observation(),
+            dones=(torch.rand(batch_size, 1, generator=generator) < 0.1).float(),
+            rewards=-torch.rand(batch_size, 1, generator=generator),
+        )
+        for _ in range(number)
+    ]
+
+
+def feed(model, samples):
+    """Let a model's buffer return these batches, one after the other."""
+    iterator = iter(samples)
+    model.replay_buffer.sample = lambda batch_size, env=None: next(iterator)
+
+
+def furthest(ours, theirs):
+    """Largest difference between two models' parameters, targets included."""
+    mine, other = dict(ours.policy.named_parameters()), dict(theirs.policy.named_parameters())
+    return max((mine[name] - other[name]).abs().max().item() for name in other)
+
+
+def update(model, samples, rounds=100, seed=0):
+    feed(model, samples)
+    torch.manual_seed(seed)
+    for _ in range(rounds):
+        model.train(gradient_steps=len(samples) // rounds, batch_size=len(samples[0].rewards))
+
+
+@pytest.mark.parametrize("features", ["ego", "raw"])
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("name", ALGORITHMS)
+def test_100_updates_give_the_parameters_of_stable_baselines3(name, seed, features):
+    theirs, ours = pair(name, f"algorithm.features={features}", seed=seed)
+    samples = batches(100, 256, seed)
+    for model in (theirs, ours):
+        update(model, samples)
+    assert furthest(ours, theirs) < 1e-5
+    assert ours._n_updates == theirs._n_updates == 100
+    if name == "SAC":
+        assert ours.log_ent_coef.item() == pytest.approx(theirs.log_ent_coef.item(), abs=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("name", "override"),
+    [
+        ("SAC", "algorithm.ent_coef=0.2"),
+        ("SAC", "algorithm.target_update_interval=2"),
+        ("SAC", "+algorithm.policy_kwargs.n_critics=3"),
+        ("SAC", "+algorithm.policy_kwargs.optimizer_kwargs.weight_decay=0.01"),
+        ("TD3", "algorithm.policy_delay=3"),
+        ("TD3", "algorithm.net_arch=[32]"),
+        ("DDPG", "algorithm.batch_size=50"),
+        ("DDPG", "env.action.lateral=false"),
+    ],
+)
+def test_options_change_both_alike(name, override):
+    overrides = [override]
+    if "lateral" in override:
+        overrides.append("algorithm.action_noise=null")
+    theirs, ours = pair(name, *overrides)
+    assert is_lean(ours)
+    samples = batches(100, theirs.batch_size, 0)
+    if "lateral" in override:
+        samples = [sample._replace(actions=sample.actions[:, :1]) for sample in samples]
+    for model in (theirs, ours):
+        update(model, samples, rounds=25)  # four updates a round
+    assert furthest(ours, theirs) < 1e-5
+
+
+@pytest.mark.parametrize("name", ALGORITHMS)
+def test_wide_networks_are_the_same_too(name):
+    theirs, ours = pair(name, "algorithm.net_arch=[256,256,256]", "algorithm.features=raw")
+    samples = batches(100, 256, 0)
+    for model in (theirs, ours):
+        update(model, samples)
+    assert furthest(ours, theirs) < 1e-5
+
+
+@pytest.fixture
+def matmul_precision():
+    before = torch.get_float32_matmul_precision()
+    yield torch.set_float32_matmul_precision
+    torch.set_float32_matmul_precision(before)
+
+
+@pytest.mark.parametrize("name", ALGORITHMS)
+def test_medium_precision_is_the_same_update_but_for_rounding(name, matmul_precision):
+    """After one update, which Adam's first step magnifies; after 100, roundings would have grown beyond comparing.
+
+    Adam's first step is as long for a gradient that is almost zero, whose sign is a matter of rounding. On CPUs with AMX
+    torch rounds to bfloat16, to 8 bits instead of 24, and more of them turn.
+    """
+    samples = batches(1, 256, 0)
+    theirs, ours = pair(name, "algorithm.net_arch=[256,256,256]", "algorithm.features=raw")
+    matmul_precision("highest")
+    update(theirs, samples, rounds=1)
+    matmul_precision("medium")
+    update(ours, samples, rounds=1)
+    pairs = zip(ours.policy.parameters(), theirs.policy.parameters(), strict=True)
+    close = [(mine - other).abs() < 1e-5 for mine, other in pairs]
+    same = 0.95 if rounds_to_bfloat16() else 0.99
+    assert sum(part.sum().item() for part in close) > same * sum(part.numel() for part in close)
+
+
+def rounds_to_bfloat16():
+    """Whether float32 products are made in bfloat16 on this machine, with the precision that is set."""
+    one = torch.ones(256, 256) + 2**-10  # 1 in bfloat16
+    return (one @ one)[0, 0].item() < 256.25
+
+
+def test_a_runs_threads_and_precision_hold_while_it_runs():
+    before = torch.get_num_threads(), torch.get_float32_matmul_precision()
+    with torch_settings(make_config("torch_threads=2", "precision=medium")):
+        assert (torch.get_num_threads(), torch.get_float32_matmul_precision()) == (2, "medium")
+    assert (torch.get_num_threads(), torch.get_float32_matmul_precision()) == before
+
+
+@pytest.mark.parametrize(
+    ("highest", "medium", "expected"),
+    [
+        ([22, 22, 22], [27, 27, 27], "highest"),  # a CPU without AVX-512
+        ([22, 22, 22], [12, 12, 12], "medium"),
+        ([22, 22, 22], [20, 20, 20], "highest"),  # noise
+        ([22, 22, 22], [19.8, 19.8, 19.8], "medium"),  # a tenth
+        ([22, 22, 90], [12, 90, 12], "medium"),  # something else ran meanwhile
+        ([22, 22, 22], [1, 22, 22], "highest"),
+    ],
+)
+def test_medium_is_chosen_where_it_is_a_tenth_faster(highest, medium, expected):
+    assert precision.decide(highest, medium) == expected
+
+
+WIDE = ("algorithm.net_arch=[256,256,256]", "algorithm.features=raw")
+
+
+@pytest.mark.parametrize(
+    ("overrides", "medium_s", "expected"),
+    [
+        (WIDE, 0.1, "medium"),
+        (WIDE, 10.0, "highest"),
+        (("algorithm=td3", *WIDE), 0.1, "medium"),
+        ((), 0.1, "highest"),  # too narrow for the precision to make a difference
+        (("algorithm.net_arch=[256]",), 0.1, "highest"),  # layers from 10 to 256 and from 256 to 1
+        (("algorithm._target_=stable_baselines3.SAC", *WIDE), 0.1, "highest"),  # other code does the update
+        (("algorithm.use_sde=true", *WIDE), 0.1, "highest"),
+        (("algorithm=tqc", *WIDE), 0.1, "highest"),
+    ],
+)
+def test_auto_asks_the_clock_where_our_update_has_wide_layers(monkeypatch, overrides, medium_s, expected):
+    asked = []
+
+    def seconds(mode, layers, batch):
+        asked.append(([tuple(weight.shape) for weight, _ in layers], batch))
+        return medium_s if mode == "medium" else 1.0
+
+    monkeypatch.setattr(precision, "_seconds", seconds)
+    config = make_config("precision=auto", "algorithm.batch_size=128", *overrides)
+    threads, before = torch.get_num_threads(), torch.get_float32_matmul_precision()
+    with torch_settings(config) as chosen:
+        assert chosen == expected == torch.get_float32_matmul_precision()
+    assert (torch.get_num_threads(), torch.get_float32_matmul_precision()) == (threads, before)
+    if asked:
+        assert asked[0] == ([(256, 20), (256, 256), (256, 256), (1, 256)], 128)
+    assert bool(asked) == ((set(WIDE) <= set(overrides) and len(overrides) == 2) or "algorithm=td3" in overrides)
+
+
+def test_auto_measures_real_passes_and_leaves_torch_as_it_was():
+    model = make_model("SAC", *WIDE)
+    weights = [tensor.clone() for tensor in model.policy.parameters()]
+    generator, before = torch.get_rng_state(), torch.get_float32_matmul_precision()
+    assert precision.faster_precision(model) in ("highest", "medium")
+    assert torch.equal(torch.get_rng_state(), generator)
+    assert torch.get_float32_matmul_precision() == before
+    assert all(torch.equal(one, other) for one, other in zip(model.policy.parameters(), weights, strict=True))
+
+
+def test_auto_is_what_was_recorded(monkeypatch):
+    monkeypatch.setattr(build, "faster_precision", lambda model: "highest")
+    config = make_config("precision=auto", *WIDE)
+    for recorded, expected in (
+        ("medium", "medium"),
+        ("highest", "highest"),
+        (None, "highest"),
+        (["medium"], "highest"),
+    ):
+        with torch_settings(config, recorded) as chosen:
+            assert chosen == expected
+    with torch_settings(make_config("precision=highest"), "medium") as chosen:
+        assert chosen == "highest"
+
+
+@pytest.mark.parametrize("name", ALGORITHMS)
+def test_what_is_logged_is_what_stable_baselines3_logs(name):
+    theirs, ours = pair(name)
+    samples = batches(6, 64, 0)
+    for model in (theirs, ours):
+        update(model, samples, rounds=1)
+    mine, other = ours.logger.name_to_value, theirs.logger.name_to_value
+    assert set(mine) == set(other)
+    assert mine == {key: pytest.approx(value, abs=1e-5) for key, value in other.items()}
+
+
+@pytest.mark.parametrize("name", ALGORITHMS)
+def test_saved_and_loaded_it_goes_on_as_if_nothing_had_been(name, tmp_path):
+    model = make_model(name, "buffer=replay")
+    samples = batches(40, 64, 0)
+    update(model, samples[:20], rounds=20)
+    model.save(tmp_path / "model.zip")
+    loaded = getattr(fast, name).load(tmp_path / "model.zip", env=model.env)
+    loaded.set_logger(Logger(None, []))
+    theirs = getattr(sb3, name).load(tmp_path / "model.zip", env=model.env)  # and theirs can go on with it
+    theirs.set_logger(Logger(None, []))
+    observation = model.env.reset()
+    np.testing.assert_array_equal(
+        model.predict(observation, deterministic=True)[0], loaded.predict(observation, deterministic=True)[0]
+    )
+    for one in (model, loaded, theirs):
+        update(one, samples[20:], rounds=20)
+    assert furthest(loaded, model) == 0
+    assert furthest(theirs, model) < 1e-5
+
+
+def test_what_is_replaced_meanwhile_is_noticed():
+    """Weights and optimizer state that are loaded, and a parameter that is moved elsewhere."""
+    theirs, ours = pair("SAC", seed=0)
+    donor = make_model("SAC", seed=1)
+    samples = batches(30, 64, 0)
+    update(donor, samples[:10], rounds=10)
+    for model in (theirs, ours):
+        update(model, samples[:10], rounds=10)
+        model.set_parameters(copy.deepcopy(donor.get_parameters()))  # torch would take the state itself, not a copy
+        model.actor.mu.weight.data = model.actor.mu.weight.data.clone()
+        update(model, samples[10:], rounds=20)
+    assert furthest(ours, theirs) < 1e-5
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        {"use_sde": True},
+        {"policy_kwargs": {"activation_fn": torch.nn.Tanh}},
+        {"policy_kwargs": {"optimizer_class": torch.optim.AdamW}},
+        {"policy_kwargs": {"optimizer_kwargs": {"amsgrad": True}}},
+        {"policy_kwargs": {"net_arch": []}},
+    ],
+)
+def test_what_it_does_not_know_is_trained_by_stable_baselines3(arguments):
+    env = make_training_envs(make_config().env, 2)
+    theirs, ours = (module.SAC("MultiInputPolicy", env, seed=0, buffer_size=10, **arguments) for module in (sb3, fast))
+    assert not is_lean(ours)
+    samples = batches(5, 64, 0)
+    for model in (theirs, ours):
+        model.set_logger(Logger(None, []))
+        update(model, samples, rounds=5)
+    assert furthest(ours, theirs) == 0
+
+
+class DroppedOut(CombinedExtractor):
+    """Features with a mode: dropout in training."""
+
+    def forward(self, observations):
+        return torch.nn.functional.dropout(super().forward(observations), training=self.training)
+
+
+class TimidActor(sb3.sac.policies.Actor):
+    """An actor with a mind of its own."""
+
+    def get_action_dist_params(self, obs):
+        mean, log_std, more = super().get_action_dist_params(obs)
+        return 0.1 * mean, log_std, more
+
+
+class TimidPolicy(sb3.sac.policies.MultiInputPolicy):
+    def make_actor(self, features_extractor=None):
+        return TimidActor(**self._update_features_extractor(self.actor_kwargs, features_extractor))
+
+
+def test_policies_of_other_peoples_are_not_mistaken_for_known_ones():
+    env = make_training_envs(make_config().env, 2)
+    assert not is_lean(fast.SAC(TimidPolicy, env, buffer_size=10))
+    dropped_out = {"features_extractor_class": DroppedOut}
+    assert not is_lean(fast.SAC("MultiInputPolicy", env, buffer_size=10, policy_kwargs=dropped_out))
+    half_trained = fast.SAC("MultiInputPolicy", env, buffer_size=10)
+    assert is_lean(half_trained)
+    half_trained.actor.optimizer = torch.optim.Adam(half_trained.actor.mu.parameters())
+    assert not is_lean(half_trained)
+
+
+def test_a_round_is_dealt_out_with_each_minibatchs_share_of_virtual_goals():
+    """8 x 64 transitions of HER with n_sampled_goal=4: int(.8 x 512) = 409 virtual ones, 51 or 52 in each minibatch."""
+    model = make_model("SAC")
+    model.learning_starts = 4000
+    model.learn(4000)
+    real = {tuple(goal) for goal in np.float32(model.replay_buffer.rows.goals).tolist()}
+    model.actor.extract_features = lambda observation, extractor: observation["desired_goal"].float()
+    virtual = []
+    for minibatch in sample_round(model, 8, 64):
+        assert minibatch.features.shape == (128, 6)
+        assert minibatch.actions.shape == (64, 2)
+        assert torch.equal(minibatch.features[:64], minibatch.features[64:])
+        virtual.append(sum(tuple(goal) not in real for goal in minibatch.features[:64].tolist()))
+    assert sum(virtual) == 409
+    assert set(virtual) == {51, 52}
+
+
+def test_a_very_long_round_is_sampled_in_parts():
+    model = make_model("SAC", "buffer=replay")
+    model.learning_starts = 2000
+    model.learn(2000)
+    assert [len(minibatch.actions) for minibatch in sample_round(model, 130, 16)] == [16] * 130
+    model.train(gradient_steps=130, batch_size=16)
+    assert model._n_updates == 130
+
+
+def test_a_short_learning_run_works_on_highway_env_too():
+    model = make_model("TD3", "env.simulator=highway_env", "env.training_duration=2", "algorithm.learning_starts=200")
+    model.learn(400)
+    assert model._n_updates == 200

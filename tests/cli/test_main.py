@@ -1,0 +1,224 @@
+"""The command line, as a process of its own."""
+
+import json
+import re
+import subprocess
+import sys
+
+import pytest
+from support.runs import ROOT, options, run_script
+
+from parking_exp.config.compose import composed, quoted
+
+IMPORTS = """
+import sys
+sys.argv = {argv!r}
+sys.path.insert(0, {root!r})
+from parking_exp import cli
+try:
+    cli.{name}()
+finally:
+    print("heavy:", sorted({{"torch", "mlflow", "stable_baselines3", "pandas"}} & set(sys.modules)), file=sys.stderr)
+"""
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["sead=1"], "error: sead: there is no such key; did you mean 'seed'?\n"),
+        (["env=parkin"], "error: env=parkin: there is no such option; did you mean 'parking'?\n"),
+        (["algorithm.gamma=2"], "error: algorithm.gamma=2 is out of range; the closest valid choice is 1.0\n"),
+        (["-m", "seed=0,1", "n_envs=0"], "error: n_envs=0 is out of range; the closest valid choice is 1\n"),
+        (["seed=[1"], "error: seed=[1: can't be read; write KEY=VALUE, "),
+        (
+            ["algorithm._target_=__main__.X"],
+            "error: algorithm._target_=__main__.X: __main__ is a script, not a module; ",
+        ),
+        (["seeds=4294967296"], "error: seeds=4294967296 makes 4294967296 runs; a sweep has 100000 at most\n"),
+        (["env=null"], "error: env=null: leave it out, or choose from parking, "),
+        (["experiment=smoke", "+nonsense=1"], "error: nonsense: there is no such key"),
+    ],
+)
+def test_a_bad_command_line_gets_a_sentence_and_leaves_nothing_behind(tmp_path, arguments, message):
+    done = run_script("train", *arguments, cwd=tmp_path)
+    assert done.returncode == 2
+    assert done.stderr.startswith(message)
+    assert "Traceback" not in done.stderr
+    assert done.stdout == ""
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("name", "argument"),
+    [
+        ("train", "--help"), ("train", "sead=1"), ("train", "algorithm.gamma=2"),
+        ("evaluate", "--help"), ("evaluate", "episodes=0"), ("evaluate", "run=nowhere"),
+        ("benchmark", "--help"), ("benchmark", "rounds=0"),
+    ],
+)  # fmt: skip
+def test_help_and_refusals_import_nothing_heavy(tmp_path, name, argument):
+    code = IMPORTS.format(argv=[name, argument], root=str(ROOT), name=name)
+    done = subprocess.run([sys.executable, "-c", code], check=False, capture_output=True, text=True, cwd=tmp_path)
+    assert done.stderr.endswith("heavy: []\n")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_help_lists_the_groups_that_the_command_has_with_their_options():
+    lines = run_script("train", "--help").stdout.splitlines()
+    start = lines.index("Groups (group=option)") + 1
+    listed = {line.partition(": ")[0]: line.partition(": ")[2] for line in lines[start : lines.index("", start)]}
+    launchers = listed.pop("hydra/launcher")
+    groups = ("env", "algorithm", "buffer", "budget", "experiment")
+    assert listed == {group: ", ".join(options(group)) for group in groups}
+    assert launchers.startswith("basic, local, ray, slurm ")
+
+
+def test_help_names_groups_keys_and_examples():
+    for name, words in {
+        "train": [
+            "algorithm: ",
+            "env: parking, parking_2021",
+            "total_timesteps: ",
+            "python scripts/train.py experiment=article",
+        ],
+        "evaluate": ["run: latest", "episodes: 100", "python scripts/evaluate.py run=latest video=5 gif=true"],
+    }.items():
+        done = run_script(name, "--help")
+        assert done.returncode == 0
+        assert [word for word in words if word not in done.stdout] == []
+
+
+def test_an_output_directory_that_cannot_be_made_gets_a_sentence(tmp_path):
+    (tmp_path / "file").touch()
+    done = run_script("train", "experiment=smoke", f"output_dir={tmp_path / 'file' / 'outputs'}")
+    assert done.returncode == 2
+    assert re.match(r"error: output_dir: .* cannot be made: Not a directory$", done.stderr)
+    assert done.stderr.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("argument", "expected"),
+    [
+        ("seed=1", "seed=1"),
+        ("run=outputs/a/seed=0", "run='outputs/a/seed=0'"),
+        ("output_dir=/my runs/it's", r"output_dir='/my runs/it\'s'"),
+        ("output_dir='/my runs'", "output_dir='/my runs'"),
+        ("output_dir=/plain", "output_dir=/plain"),
+    ],
+)
+def test_paths_that_hydras_grammar_cannot_read_are_quoted(argument, expected):
+    assert quoted(argument) == expected
+    assert composed("evaluate", [quoted("run=outputs/a/seed=0")])[0].run == "outputs/a/seed=0"
+
+
+def test_showing_the_config_runs_nothing(tmp_path):
+    done = run_script("train", "--cfg", "job", "experiment=article", cwd=tmp_path)
+    assert done.returncode == 0
+    assert "total_timesteps: 10000" in done.stdout
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_hydras_own_config_dir_adds_options(tmp_path):
+    (tmp_path / "mine" / "env").mkdir(parents=True)
+    (tmp_path / "mine" / "env" / "short.yaml").write_text("defaults: [parking]\nname: short\nduration: 0.2\n")
+    arguments = ("--config-dir", str(tmp_path / "mine"), "env=short")
+    done = run_script("train", *arguments, "--cfg", "job", cwd=tmp_path)
+    assert "name: short" in done.stdout
+    joined = run_script("train", f"--config-dir={tmp_path / 'mine'}", "env=short", "--cfg", "job", cwd=tmp_path)
+    assert joined.stdout == done.stdout
+    refused = run_script("train", *arguments, "n_envs=0", cwd=tmp_path)
+    assert refused.stderr == "error: n_envs=0 is out of range; the closest valid choice is 1\n"
+
+
+def test_the_benchmark_measures_and_writes(tmp_path):
+    done = run_script(
+        "benchmark",
+        "--quick",
+        "only=[simulator,update.ddpg.2x64,run.article,her,sweep.overhead,sweep.resume]",
+        f"output_dir={tmp_path}",
+    )
+    assert done.returncode == 0, done.stderr
+    written = json.loads((tmp_path / "benchmark.json").read_text())
+    assert sorted(written) == sorted([
+        "simulator.n512.ratio", "simulator.n8.ratio", "simulator.parked.n512.ratio", "update.ddpg.2x64.ratio",
+        "run.article.ratio", "her.sample.capacity_ratio", "her.sample.ratio", "her.bytes_per_transition", "her.save.bytes_per_transition",
+        "sweep.overhead_s_per_run", "sweep.resume_scan_s.1000_runs",
+    ])  # fmt: skip
+    for key, entry in written.items():
+        unit = "bytes" if "bytes" in key else "seconds" if "_s" in key.split(".")[1] else "ratio"
+        assert entry["about"]["quick"] is True
+        assert entry["rounds"] == (1 if unit == "bytes" or key == "sweep.overhead_s_per_run" else 2)
+        assert entry["lowest"] <= entry[unit] <= entry["highest"]
+        (line,) = [line for line in done.stdout.splitlines() if line.startswith(key)]
+        assert f"{entry[unit]:.4g}" in line
+    assert 112 < written["her.bytes_per_transition"]["bytes"] < 120
+    assert 112 < written["her.save.bytes_per_transition"]["bytes"] < 120
+
+
+@pytest.mark.parametrize(
+    ("argument", "message"),
+    [
+        ("only=[simulater]", "error: only=simulater: no figure begins so; did you mean 'simulator.n8.ratio'?\n"),
+        ("core=999", "error: core=999: this process may not run there; the closest is "),
+        ("only=[]", "error: only=[]"),
+        ("rounds=0", "error: rounds=0 is out of range; the closest valid choice is 1\n"),
+    ],
+)
+def test_a_benchmark_that_cannot_be_is_refused(argument, message, tmp_path):
+    done = run_script("benchmark", argument, cwd=tmp_path)
+    assert done.returncode == 2
+    assert done.stderr.startswith(message)
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_multirun_runs_every_point(tmp_path):
+    done = run_script(
+        "train", "-m", "experiment=smoke", "seed=0,1", "total_timesteps=60", "tracking.mlflow=false",
+        "evaluation.video_episodes=0", "evaluation.final_n_scenes=3", f"output_dir={tmp_path / 'outputs'}",
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    found = sorted(path.parent.name for path in tmp_path.glob("outputs/*/*/*/result.json"))
+    assert found == ["seed=0", "seed=1"]
+
+
+def test_a_built_wheel_works_from_any_directory(tmp_path):
+    """The wheel carries conf/ inside the package; what it prints shows that it is the wheel's."""
+    build = [sys.executable, "-m", "pip", "wheel", "--quiet", "--no-deps", "--no-build-isolation",
+             "--wheel-dir", str(tmp_path), str(ROOT)]  # fmt: skip
+    subprocess.run(build, check=True, capture_output=True, timeout=300)
+    (wheel,) = tmp_path.glob("*.whl")
+    site = tmp_path / "site"
+    unpack = [sys.executable, "-m", "pip", "install", "--quiet", "--no-deps", "--target", str(site), str(wheel)]
+    subprocess.run(unpack, check=True, capture_output=True, timeout=300)
+    elsewhere = tmp_path / "elsewhere"
+    elsewhere.mkdir()
+    code = f"import sys; sys.path.insert(0, {str(site)!r}); from parking_exp import cli, composition; print(composition.config_dir()); cli.train()"
+    done = subprocess.run(
+        [sys.executable, "-c", code, "experiment=smoke", "total_timesteps=60", "evaluation.video_episodes=0", "hydra/launcher=local"],
+        check=False, capture_output=True, text=True, cwd=elsewhere, timeout=180,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.startswith(str(site / "parking_exp" / "conf"))
+    assert (elsewhere / "outputs" / "mlflow.db").exists()
+    assert (site / "hydra_plugins" / "parking_launcher" / "__init__.py").exists()
+    assert not (site / "parking_exp" / "plugins").exists()
+    assert sorted(path.name for path in (site / "bin").iterdir()) == [
+        "parking-benchmark",
+        "parking-evaluate",
+        "parking-report",
+        "parking-status",
+        "parking-train",
+    ]
+
+
+def test_an_editable_install_has_the_console_scripts(tmp_path):
+    from pathlib import Path
+
+    done = subprocess.run(
+        [Path(sys.executable).parent / "parking-train", "sead=1"],
+        check=False,
+        capture_output=True,
+        text=True,
+        cwd=tmp_path,
+    )
+    assert done.stderr == "error: sead: there is no such key; did you mean 'seed'?\n"

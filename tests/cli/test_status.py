@@ -1,0 +1,187 @@
+"""How far runs are, from their directories alone."""
+
+import json
+import time
+
+import pytest
+from support.runs import run_script
+from support.sweep_processes import SLOW, begin, statuses, wait_until
+
+from parking_exp.errors import RunNotFoundError
+from parking_exp.runs.atomic import read_json
+from parking_exp.runs.directory import RunDirectory, find_run
+from parking_exp.runs.state import read_state
+from parking_exp.runs.tables import duration
+
+
+def run_dir(output_dir, cell="cell-a", seed=0, **status):
+    path = output_dir / "mine" / cell / f"seed={seed}"
+    path.mkdir(parents=True)
+    (path / "status.json").write_text(json.dumps({"total_timesteps": 1000, "label": cell[-1], **status}))
+    return path
+
+
+def test_stages_are_told_from_status_claim_and_beat(tmp_path):
+    now = time.time()
+    done = run_dir(tmp_path, seed=0, status="done", steps=1000, success_rate=0.9, wall_s=12.0)
+    failed = run_dir(tmp_path, seed=1, status="failed", error="ValueError: x", host="there")
+    cut_off = run_dir(tmp_path, seed=2, status="running", host="there", started=now)
+    running = run_dir(tmp_path, seed=3, status="running", host="here", started=now)
+    (cut_off / "checkpoints" / "step=0000000300").mkdir(parents=True)
+    RunDirectory(running).beat(step=400, steps_per_s=20.0, doing="train")
+    assert (read_state(done).stage, read_state(done).success_rate, read_state(done).wall_s) == ("done", 0.9, 12.0)
+    assert (read_state(failed).stage, read_state(failed).reason) == ("failed", "ValueError: x")
+    assert (read_state(cut_off).stage, read_state(cut_off).step) == ("pending", 300)
+    assert read_state(running).stage == "pending"  # nobody is at it
+    with RunDirectory(running).claimed():
+        state = read_state(running)
+    assert (state.stage, state.step, state.steps_per_s, state.left_s, state.host) == (
+        "running",
+        400,
+        20.0,
+        30.0,
+        "here",
+    )
+    assert read_state(tmp_path / "mine" / "cell-b" / "seed=7").stage == "pending"
+
+
+@pytest.mark.parametrize("content", ["", "{", "[]", "null"])
+def test_a_status_that_a_power_cut_has_emptied_is_pending(tmp_path, content):
+    path = run_dir(tmp_path, status="done")
+    (path / "status.json").write_text(content)
+    assert read_state(path).stage == "pending"
+
+
+WRONG = {
+    "status": ["done"], "label": 7, "error": {}, "killed": "no", "total_timesteps": -1, "steps": "x", "success_rate": 7.5,
+    "wall_s": 1e300, "cpu_s": True, "memory_bytes": 0.5, "host": [], "pid": "1", "started": "now", "run_id": 3,
+    "tracking_uri": ["a"], "unsynced": 1,
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", WRONG)
+def test_an_entry_of_the_wrong_type_reads_as_absent_and_is_told(tmp_path, name):
+    path = run_dir(tmp_path, **{"status": "done", "steps": 5, name: WRONG[name]})
+    state = read_state(path)
+    assert state.damaged == f"status.json has no valid {name}"
+    assert state.stage == ("pending" if name == "status" else "done")
+    assert state.step == (0 if name in {"status", "steps"} else 5)
+    assert name not in RunDirectory(path).read_status()
+    RunDirectory(path).update(host="here")
+    assert read_state(path).damaged is None
+
+
+def test_a_status_that_is_damaged_is_one_runs_alone(tmp_path):
+    whole = run_dir(tmp_path, "cell-a", 0, status="done", steps=1000, success_rate=0.5, run_id="abc")
+    contents = [json.dumps(WRONG), "{", "[]", '"x"', "[" * 100_000, '{"status": "done", "success_rate": NaN}', "\xff"]
+    for number, content in enumerate(contents):
+        path = run_dir(tmp_path, "cell-b", number)
+        (path / "status.json").write_bytes(content.encode("latin-1"))
+        (path / "beat.json").write_text(json.dumps({"time": "x", "step": [], "steps_per_s": {}, "doing": 1}))
+    told = run_script("status", f"output_dir={tmp_path}")
+    assert told.returncode == 0, told.stderr
+    lines = told.stdout.splitlines()
+    assert [line.split() for line in lines[1:4]] == [["a", "1", "50%"], ["cell-b", "1", "6"], ["all", "2", "6"]]
+    assert lines[4:] == [
+        *[f"damaged  cell-b seed={n}: status.json {what}; it counts as {stage}   {tmp_path}/mine/cell-b/seed={n}"
+          for n, what, stage in [(0, f"has no valid {' and no valid '.join(sorted(WRONG))}", "pending"), *[
+              (n, "can't be read", "pending") for n in (1, 2, 3, 4)], (5, "has no valid success_rate", "done"), (6, "can't be read", "pending")]]
+    ]  # fmt: skip
+    assert find_run("abc", tmp_path, "x").path == whole
+    with pytest.raises(
+        RunNotFoundError, match=r"^run=abx: no run directory, .* of 8 runs in .*; did you mean 'abc'\?$"
+    ):
+        find_run("abx", tmp_path, "x")
+    with pytest.raises(RunNotFoundError, match=r"did you mean 'latest'\?$"):
+        find_run("lates", tmp_path, "x")
+    with pytest.raises(RunNotFoundError, match=r"; the latest is /"):
+        find_run("None", tmp_path, "x")
+    found = json.loads(run_script("status", f"output_dir={tmp_path}", "--json").stdout)
+    assert [run["damaged"] for run in found["cells"][1]["runs"]][5] == "status.json has no valid success_rate"
+    process = RunDirectory(tmp_path / "mine" / "cell-b" / "seed=0")
+    with process.claimed():
+        assert (read_state(process.path).stage, read_state(process.path).step) == ("running", 0)
+
+
+def test_text_of_a_foreign_run_does_nothing_to_the_terminal(tmp_path):
+    evil = "x\x1b]0;t\x07\x9b31m\r\x7f\u202e\nfailed   other"
+    run_dir(tmp_path, "cell-\x1b[2J", 0, status="failed", error=evil, label=evil, host=evil)
+    held = RunDirectory(run_dir(tmp_path, "cell-b", 1, status="running", host=evil, started=time.time() - 1))
+    with held.claimed():
+        held.beat(step=1, steps_per_s=0.0, doing=evil)
+        told = run_script("status", f"output_dir={tmp_path}")
+        plain = run_script("status", f"output_dir={tmp_path}", "--json")
+    assert told.returncode == plain.returncode == 0
+    shown = r"x\x1b]0;t\x07\x9b31m\r\x7f\u202e\nfailed   other"
+    assert all(line.isprintable() for line in told.stdout.split("\n"))
+    assert f"failed   “{shown}” seed=0: {shown}   {tmp_path}/mine/cell-\\x1b[2J/seed=0\n" in told.stdout
+    assert f"running  b seed=1: 1 of 1000 steps, {shown}   {shown}\n" in told.stdout
+    assert plain.stdout.isascii()
+    assert "\x7f" not in plain.stdout
+    found = json.loads(plain.stdout)["cells"]
+    assert {cell["runs"][0]["host"] for cell in found} == {evil}
+
+
+def test_a_beat_of_an_earlier_process_does_not_count(tmp_path):
+    path = run_dir(tmp_path, status="running")
+    RunDirectory(path).beat(step=400, steps_per_s=20.0, doing="train")
+    RunDirectory(path).update(started=time.time() + 1)
+    with RunDirectory(path).claimed():
+        assert (read_state(path).step, read_state(path).doing) == (0, "starting")
+
+
+def test_status_tells_every_cell_in_a_table_and_as_json(tmp_path):
+    run_dir(tmp_path, "cell-a", 0, status="done", success_rate=1.0)
+    run_dir(tmp_path, "cell-a", 1, status="done", success_rate=0.5)
+    failed = run_dir(tmp_path, "cell-b", 0, status="failed", error="killed by SIGKILL", killed=True)
+    run_dir(tmp_path, "cell-b", 1, status="pending")
+    told = run_script("status", f"output_dir={tmp_path}", "experiment=mine")
+    assert [line.split() for line in told.stdout.splitlines()] == [
+        ["cell", "done", "running", "failed", "pending", "success"],
+        ["a", "2", "75%"],
+        ["b", "1", "1"],
+        ["all", "2", "1", "1"],
+        ["failed", "b", "seed=0:", "killed", "by", "SIGKILL", str(failed)],
+    ]
+    found = json.loads(run_script("status", f"output_dir={tmp_path}", "--json").stdout)
+    assert [found[stage] for stage in ("done", "running", "failed", "pending")] == [2, 0, 1, 1]
+    assert [(cell["cell"], cell["done"], cell["failed"]) for cell in found["cells"]] == [
+        ("cell-a", 2, 0),
+        ("cell-b", 0, 1),
+    ]
+    assert found["cells"][1]["runs"][0]["reason"] == "killed by SIGKILL"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ((), "error: there are no runs in "),
+        (("experiment=mini",), "error: experiment=mini: it has no runs in "),
+        (("experment=mine",), "error: experment: there is no such key; did you mean 'experiment_name'?"),
+    ],
+)
+def test_status_refuses_in_a_sentence(tmp_path, arguments, message):
+    if arguments:
+        run_dir(tmp_path, status="done")
+    done = run_script("status", f"output_dir={tmp_path}", *arguments)
+    assert done.returncode == 2
+    assert done.stderr.startswith(message)
+    assert done.stderr.count("\n") == 1
+
+
+def test_a_running_run_is_told_with_step_rate_time_left_and_host(tmp_path):
+    process = begin(tmp_path, "seeds=1", "hydra/launcher=local", *SLOW)
+    wait_until(lambda: any(read_json(path).get("step", 0) > 60 for path in tmp_path.glob("*/*/*/beat.json")))
+    told = run_script("status", f"output_dir={tmp_path}").stdout
+    (status,) = statuses(tmp_path).values()
+    process.kill()
+    process.communicate()
+    (line,) = [line for line in told.splitlines() if line.startswith("running ")]
+    assert "of 200 steps, " in line
+    assert " steps/s, " in line
+    assert line.endswith(f" left   {status['host']}")
+
+
+@pytest.mark.parametrize(("seconds", "words"), [(3.4, "3 s"), (99.6, "2 min"), (720, "12 min"), (19_200, "5 h 20 min")])
+def test_durations_in_words(seconds, words):
+    assert duration(seconds) == words

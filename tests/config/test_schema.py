@@ -1,0 +1,120 @@
+"""Names, keys and derived values of a run's config."""
+
+import pytest
+from highway_env.envs.parking_env import ParkingEnv
+from support.runs import make_config
+
+from parking_exp.config.schema import RunConfig
+from parking_exp.config.validate import validate
+
+
+def test_parking_has_highway_envs_own_options_and_values():
+    ours = make_config("env=parking").env.highway_options()
+    theirs = ParkingEnv.default_config()
+    extra = {"longitudinal": True, "lateral": True, "dynamical": False, "clip": True}
+    assert ours.pop("action") == {**theirs.pop("action"), **extra}
+    assert ours == theirs
+
+
+def test_training_duration_changes_training_envs_only():
+    env = make_config("env=parking", "env.training_duration=20").env
+    assert env.highway_options()["duration"] == 100
+    assert env.highway_options(training=True)["duration"] == 20
+
+
+@pytest.mark.parametrize(
+    ("option", "steps"),
+    [("parking", 500), ("parking_sparse", 500), ("parking_action_repeat", 20), ("parking_2021", 100)],
+)
+def test_longest_episode_counts_time_as_highway_env_does(option, steps):
+    assert make_config(f"env={option}").env.episode_steps() == steps
+
+
+@pytest.mark.parametrize(
+    ("updates_per_step", "n_envs", "expected"),
+    [(1.0, 1, (1, 1)), (1.0, 8, (1, 8)), (0.5, 8, (1, 4)), (0.125, 8, (1, 1)), (0.125, 1, (8, 1)), (0.3, 1, (10, 3))],
+)
+def test_update_rounds_keep_updates_per_step_whatever_n_envs_is(updates_per_step, n_envs, expected):
+    config = make_config(f"updates_per_step={updates_per_step}", f"n_envs={n_envs}")
+    assert config.update_rounds() == expected
+    train_freq, gradient_steps = expected
+    assert gradient_steps / (train_freq * n_envs) == pytest.approx(updates_per_step)
+
+
+def test_a_round_can_last_an_episode():
+    config = make_config("algorithm.train_freq=[1,episode]", "n_envs=1")
+    assert config.update_rounds() == ((1, "episode"), -1)
+
+
+def test_train_freq_and_gradient_steps_can_be_set_by_hand():
+    assert make_config("algorithm.train_freq=4").update_rounds() == (4, 32)
+    assert make_config("algorithm.gradient_steps=2").update_rounds() == (1, 2)
+
+
+def test_the_cell_is_the_config_without_its_seed():
+    one, two = make_config("seed=1"), make_config("seed=2")
+    assert one.cell == two.cell
+    assert one.run_key != two.run_key
+    assert one.run_dir.name == "seed=1"
+    assert one.run_dir.parent == two.run_dir.parent
+
+
+@pytest.mark.parametrize(
+    "override",
+    ["output_dir=elsewhere", "tracking.mlflow=false", "checkpoint.keep_last=9", "evaluation.video_episodes=0"],
+)
+def test_the_run_key_ignores_what_cannot_change_results(override):
+    assert make_config(override).run_key == make_config().run_key
+
+
+@pytest.mark.parametrize("override", ["algorithm.gamma=0.9", "total_timesteps=10", "env.duration=50", "n_envs=4"])
+def test_the_run_key_changes_with_what_can_change_results(override):
+    assert make_config(override).run_key != make_config().run_key
+
+
+def test_run_directories_are_absolute_and_readable(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    config = make_config("experiment=smoke", "seed=3")
+    assert config.run_dir == tmp_path / "outputs" / "smoke" / f"parking-sac-her_future-{config.cell_key}" / "seed=3"
+
+
+@pytest.mark.parametrize(
+    ("overrides", "expected"),
+    [
+        ("algorithm._target_=sb3_contrib.TQC", "parking-tqc-her_future"),
+        ("algorithm._target_=misbehaving.Lingers", "parking-lingers-her_future"),
+        ("algorithm._target_=stable_baselines3.SAC", "parking-sac-her_future"),
+        ("algorithm=td3 algorithm._target_=stable_baselines3.TD3", "parking-td3-her_future"),
+        ("algorithm.name=td3", "parking-sac-her_future"),
+        ("algorithm.name=my_variant algorithm._target_=sb3_contrib.TQC", "parking-my_variant-her_future"),
+        ("buffer.goal_selection_strategy=final", "parking-sac-her_final"),
+        ("buffer=replay buffer.goal_selection_strategy=random", "parking-sac-her_random"),
+        ("~buffer.goal_selection_strategy", "parking-sac-her_future"),
+        ("buffer.goal_selection_strategy=null ~buffer.n_sampled_goal ~buffer.relabel_collision "
+         "~buffer.relabel_terminated ~buffer.goal_velocity", "parking-sac-replay"),
+        ("buffer._target_=stable_baselines3.common.buffers.DictReplayBuffer ~buffer.n_sampled_goal "
+         "~buffer.relabel_collision ~buffer.relabel_terminated ~buffer.goal_velocity ~buffer.goal_selection_strategy",
+         "parking-sac-replay"),
+        ("buffer.name=mine buffer.goal_selection_strategy=final", "parking-sac-mine"),
+        ("env.reward=sparse", "parking_sparse-sac-her_future"),
+        ("env=parking_sparse env.reward=dense", "parking-sac-her_future"),
+        ("env.vehicles_count=3", "parking_parked-sac-her_future"),
+        ("env=parking_parked env.vehicles_count=0", "parking-sac-her_future"),
+        ("env=parking_parked env.reward=sparse", "parking_parked_sparse-sac-her_future"),
+        ("env=parking_2021 env.reward=sparse", "parking_2021_sparse-sac-her_future"),
+        ("env=parking_2021 env.add_walls=true", "parking-sac-her_future"),
+        ("env=parking_action_repeat env.policy_frequency=5", "parking-sac-her_future"),
+        ("env.name=mine env.reward=sparse", "mine-sac-her_future"),
+        ("env.collision_reward=-1", "parking-sac-her_future"),
+    ],
+)  # fmt: skip
+def test_a_name_never_contradicts_what_runs(overrides, expected):
+    config = make_config(*overrides.split())
+    assert config.cell == f"{expected}-{config.cell_key}"
+    assert validate(config.plain()) == config
+
+
+def test_a_class_whose_name_is_no_name_leaves_a_valid_one():
+    plain = make_config().plain()
+    plain["algorithm"]["_target_"] = "mine._MySÄC"
+    assert RunConfig.model_validate(plain).algorithm.name == "mysc"

@@ -1,0 +1,88 @@
+"""Collisions of rectangles, against highway-env's own polygon test."""
+
+import numpy as np
+import pytest
+from highway_env.utils import are_polygons_intersecting
+from highway_env.vehicle.kinematics import Vehicle
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from parking_exp.envs.simulator.collisions import corners, out_of_reach, separating_axis
+from parking_exp.envs.simulator.dynamics import advance, limited_acceleration, slip_angle
+
+coordinate = st.floats(-6, 6)
+angle = st.one_of(st.floats(-7, 7), st.sampled_from([0.0, np.pi / 2, -np.pi / 2]))
+length = st.sampled_from([1.0, 2.0, 5.0, 42.0, 70.0])
+rectangle = st.tuples(coordinate, coordinate, angle, length, length)
+
+
+def polygon(x, y, heading, long, wide):
+    direction = np.array([[np.cos(heading), np.sin(heading)]])
+    return corners(np.array([[x, y]]), direction, np.array([long]), np.array([wide]))[0]
+
+
+@settings(max_examples=500, deadline=None)
+@given(rectangle, rectangle, st.tuples(coordinate, coordinate))
+def test_separating_axis_is_highway_envs(first, second, displacement):
+    a, b = polygon(*first), polygon(*second)
+    now, soon, push = separating_axis(np.stack([a, b])[None], np.array([displacement]))
+    closed = [np.vstack([points, points[:1]]) for points in (a, b)]
+    their_now, their_soon, their_push = are_polygons_intersecting(*closed, np.array(displacement), np.zeros(2))
+    assert (bool(now[0]), bool(soon[0])) == (their_now, their_soon)
+    if their_soon:
+        np.testing.assert_array_equal(push[0], their_push)
+
+
+@settings(max_examples=200, deadline=None)
+@given(st.tuples(coordinate, coordinate), angle, st.floats(-40, 40))
+def test_corners_are_highway_envs(position, heading, speed):
+    car = Vehicle(None, list(position), heading, speed)
+    np.testing.assert_array_equal(polygon(*position, heading, 5.0, 2.0), car.polygon()[:4])
+
+
+@settings(max_examples=300, deadline=None)
+@given(coordinate, coordinate, angle, st.floats(-40, 40), st.floats(-9, 9), st.floats(-1.5, 1.5))
+def test_a_frame_is_highway_envs(x, y, heading, speed, acceleration, steering):
+    car = Vehicle(None, [x, y], heading, speed)
+    car.act({"steering": steering, "acceleration": acceleration})
+    car.step(1 / 15)
+    slip = slip_angle(np.array([steering]))
+    position, turned, faster = advance(
+        np.array([[x], [y]]),
+        np.array([heading]),
+        np.array([speed]),
+        np.array([acceleration]) * (1 / 15),
+        slip,
+        np.sin(slip),
+        1 / 15,
+    )
+    assert (*position[:, 0], turned[0], faster[0]) == (*car.position, car.heading, car.speed)
+
+
+def test_pushed_apart_rectangles_just_touch():
+    """A car 0.4 m inside a wall is pushed out along the wall's normal, by 0.4 m."""
+    car, wall = polygon(0, 18.4, np.pi / 2, 5, 2), polygon(0, 21, 0, 70, 1)
+    now, soon, push = separating_axis(np.stack([car, wall])[None], np.zeros((1, 2)))
+    assert now[0]
+    assert soon[0]
+    np.testing.assert_allclose(push[0], [0, -0.4], atol=1e-12)
+
+
+def test_a_collision_is_predicted_one_frame_ahead():
+    """A car 0.1 m before a wall, at 3 m/s: it does not touch yet, and will in 1/15 s; 0.1 m too far by then."""
+    car, wall = polygon(0, 17.9, np.pi / 2, 5, 2), polygon(0, 21, 0, 70, 1)
+    now, soon, push = separating_axis(np.stack([car, wall])[None], np.array([[0, 0.2]]))
+    assert not now[0]
+    assert soon[0]
+    np.testing.assert_allclose(push[0], [0, -0.1], atol=1e-12)
+
+
+def test_circles_shrink_in_reverse():
+    offset = np.array([[5.0, 0.0], [5.0, 0.0]])
+    assert out_of_reach(offset, 5.0, 5.0, np.array([0.1, -0.1])).tolist() == [False, True]
+
+
+@pytest.mark.parametrize(("speed", "expected"), [(3.0, 1.0), (6.0, -1.0), (5.0, 1.0), (-4.0, 2.0)])
+def test_a_car_beyond_its_limits_is_brought_back(speed, expected):
+    limited = limited_acceleration(np.array([1.0]), np.array([speed]), (-2.0, 5.0))
+    assert limited.tolist() == [expected]

@@ -1,0 +1,153 @@
+"""The simulator is highway-env: the same scenes and actions give the same trajectory."""
+
+import numpy as np
+import pytest
+from support.runs import make_config, options
+from support.simulator_equality import KINDS, actions_of, compare, different_scenes
+
+from parking_exp.config.schema import EnvConfig
+from parking_exp.envs.batch import start
+from parking_exp.envs.highway import HighwayBatch, make_env
+from parking_exp.envs.scenes import Scenes, start_slot
+from parking_exp.envs.simulator import Simulator
+from parking_exp.errors import ConfigError
+
+# Every scalar option of the env group that the physics, the observation or the reward depends on.
+VARIANTS = {
+    "many parked cars, pushed about": [
+        "env=parking_action_repeat", "env.vehicles_count=26", "env.action.acceleration_range=[-12,12]",
+    ],
+    "no walls": ["env.add_walls=false", "env.duration=10"],
+    "speed limits": ["env.action.speed_range=[-2,3]", "env.duration=10"],
+    "a lowest speed, no clipping": ["env.action.speed_range=[1,6]", "env.action.clip=false", "env.duration=10"],
+    "steering only": ["env.action.longitudinal=false", "env.action.speed_range=[2,5]", "env.duration=10"],
+    "throttle only": ["env.action.lateral=false", "env.duration=10"],
+    "other ranges": ["env.action.acceleration_range=[-3,6]", "env.action.steering_range=[-0.3,1]", "env.duration=10"],
+    "other reward": [
+        "env.reward_weights=[1,1,0,0.1,0,0]", "env.success_goal_reward=0.3", "env.collision_reward=-1", "env.duration=10",
+    ],
+    "other frequencies": ["env.simulation_frequency=20", "env.policy_frequency=3", "env.duration=10"],
+    "other observation": [
+        "env.observation.features=[y,x,cos_h]", "env.observation.scales=[1,2,3]", "env.duration=10",
+        "algorithm.features=raw", "buffer=replay",
+    ],
+    "sparse reward, other observation": [
+        "env=parking_sparse", "env.observation.features=[cos_h,x]", "env.observation.scales=[2,50]", "env.duration=10",
+        "algorithm.features=raw", "buffer=replay",
+    ],
+    "no effect": ["env.show_trajectories=true", "env.steering_range=0.1", "env.duration=4"],
+}  # fmt: skip
+
+
+def env_config(*overrides) -> EnvConfig:
+    return make_config(*overrides, "algorithm.learning_starts=100000").env
+
+
+@pytest.mark.parametrize("kind", [kind for kind in KINDS if kind != "trained"])
+@pytest.mark.parametrize("option", options("env"))
+def test_trajectories_are_highway_envs(option, kind):
+    config = env_config(f"env={option}", *([] if "repeat" in option else ["env.duration=10"]))
+    rng = np.random.default_rng(0)
+    steps, mismatches = compare(config, range(6), actions_of(kind, rng, (6, 2)))
+    assert steps > 40
+    assert mismatches == []
+
+
+@pytest.mark.parametrize("name", VARIANTS)
+def test_every_option_is_simulated(name):
+    config = env_config(*VARIANTS[name])
+    size = config.action.longitudinal + config.action.lateral
+    for kind in ("biased", "random"):
+        steps, mismatches = compare(config, range(8), actions_of(kind, np.random.default_rng(1), (8, size)))
+        assert steps > 15
+        assert mismatches == []
+
+
+def test_what_is_not_simulated_is_refused_by_name():
+    config = env_config("env.simulator=highway_env", "env.action.dynamical=true")
+    with pytest.raises(ConfigError, match=r"env\.action\.dynamical .* use env\.simulator=highway_env"):
+        Simulator(config, Scenes.from_seeds([0]))
+    with pytest.raises(ConfigError, match=r"env\.action\.dynamical .* use env\.simulator=highway_env"):
+        make_config("env.action.dynamical=true")
+
+
+@pytest.mark.parametrize("parked", [0, 10, 26])
+def test_scenes_are_highway_envs_bit_for_bit(parked):
+    assert different_scenes(range(200), parked) == []
+
+
+def test_random_scenes_have_the_distribution_of_highway_envs():
+    """Two samples of 20,000: goals and parked slots uniform over what is free, headings uniform."""
+    n = 20_000
+    drawn = Scenes.random(np.random.default_rng(0), n, 3)
+    seeded = Scenes.from_seeds(range(n), 3)
+    for scenes in (drawn, seeded):
+        assert abs(scenes.heading.mean() - np.pi) < 5 * (2 * np.pi / np.sqrt(12 * n))
+        taken = np.concatenate([start_slot(scenes.heading)[:, None], scenes.goal[:, None], scenes.parked], axis=1)
+        assert all(len(set(row)) == 5 for row in taken.tolist())
+    for ours, theirs in zip((drawn.goal, *drawn.parked.T), (seeded.goal, *seeded.parked.T), strict=True):
+        counts, expected = np.bincount(ours, minlength=28), np.bincount(theirs, minlength=28)
+        assert (np.abs(counts - expected) < 5 * np.sqrt(2 * expected.mean())).all()
+
+
+def test_state_is_saved_restored_and_continued_identically():
+    config = env_config("env=parking_parked", "env.vehicles_count=26")
+    rng = np.random.default_rng(0)
+    simulator = Simulator(config, Scenes.from_seeds(range(64), 26))
+    actions = np.clip(rng.normal(0.7, 0.5, (40, 64, 2)), -1, 1)
+    for step in range(20):
+        simulator.step(actions[step])
+    saved = {name: array.copy() for name, array in simulator.get_state().items()}
+    assert saved["crashed"].any()
+    first = [simulator.step(actions[step]) for step in range(20, 40)]
+    other = Simulator(config, Scenes.from_seeds(range(100, 164), 26))
+    other.set_state(saved)
+    second = [other.step(actions[step]) for step in range(20, 40)]
+    for one, two in zip(first, second, strict=True):
+        for key in one.observation:
+            np.testing.assert_array_equal(one.observation[key], two.observation[key])
+        for name in ("reward", "terminated", "truncated", "crashed", "is_success"):
+            np.testing.assert_array_equal(getattr(one, name), getattr(two, name))
+    for name, array in simulator.get_state().items():
+        np.testing.assert_array_equal(array, other.get_state()[name])
+
+
+def test_a_scene_does_not_depend_on_its_neighbours():
+    config = env_config("env=parking_parked")
+    actions = np.random.default_rng(0).uniform(-1, 1, (60, 50, 2))
+    together = Simulator(config, Scenes.from_seeds(range(50), 10))
+    alone = Simulator(config, Scenes.from_seeds([37], 10))
+    for step in range(60):
+        many, one = together.step(actions[step]), alone.step(actions[step, 37:38])
+        np.testing.assert_array_equal(many.observation["observation"][37], one.observation["observation"][0])
+        assert many.reward[37] == one.reward[0]
+
+
+def test_actions_of_another_shape_are_refused():
+    simulator = Simulator(env_config(), Scenes.from_seeds(range(3)))
+    with pytest.raises(ValueError, match=r"shape \(3, 1\), not \(3, 2\)"):
+        simulator.step(np.zeros((3, 1)))
+
+
+def test_reward_of_a_batch_of_goals_is_highway_envs():
+    rng = np.random.default_rng(0)
+    achieved, desired = rng.normal(size=(2, 100, 6))
+    for option in ("parking", "parking_sparse"):
+        config = env_config(f"env={option}")
+        ours = Simulator(config, Scenes.from_seeds([0])).compute_reward(achieved, desired)
+        np.testing.assert_allclose(ours, make_env(config).unwrapped.compute_reward(achieved, desired, {})
+                                   if option == "parking" else make_env(config).compute_reward(achieved, desired, {}),
+                                   rtol=0, atol=1e-12)  # fmt: skip
+
+
+def test_both_simulators_start_and_end_alike():
+    config = env_config("env.duration=2")
+    for name in ("vectorized", "highway_env"):
+        batch = start(config, [4, 9], name)
+        assert isinstance(batch, HighwayBatch if name == "highway_env" else Simulator)
+        for number in range(1, 12):
+            step = batch.step(np.zeros((2, 2), np.float32))
+            assert step.truncated.tolist() == [number == 11] * 2
+        batch.keep(np.array([False, True]))
+        assert len(batch) == 1
+        batch.close()

@@ -1,0 +1,103 @@
+"""The env variants are highway-env's, and differ in what they say."""
+
+import gymnasium as gym
+import highway_env
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+from support.runs import make_config, options
+
+from parking_exp.config.schema import TRAINING_SCENES_START
+from parking_exp.envs.highway import make_env
+from parking_exp.envs.training_envs import make_training_envs
+from parking_exp.training.seeding import derive_seeds
+
+gym.register_envs(highway_env)
+ACTIONS = np.random.default_rng(0).uniform(-1, 1, (60, 2))
+
+
+def trajectory(env, scene):
+    env.reset(seed=scene)
+    steps = []
+    for action in ACTIONS:
+        observation, reward, terminated, truncated, info = env.step(action)
+        steps.append((observation["observation"].tolist(), reward, terminated, truncated, info["is_success"]))
+        if terminated or truncated:
+            break
+    return steps
+
+
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize("option", options("env"))
+def test_every_env_passes_gymnasiums_checker(option):
+    env = make_env(make_config(f"env={option}", "n_envs=1").env)
+    check_env(env, skip_render_check=True)  # raises where something is wrong
+    observation, _ = env.reset(seed=0)
+    assert env.observation_space.contains(observation)
+
+
+@pytest.mark.parametrize("scene", [0, 1, 2])
+def test_parking_is_unmodified_parking_v0(scene):
+    assert trajectory(make_env(make_config().env), scene) == trajectory(gym.make("parking-v0"), scene)
+
+
+@pytest.mark.parametrize(
+    ("option", "their_id"),
+    [("parking_parked", "parking-parked-v0"), ("parking_action_repeat", "parking-ActionRepeat-v0")],
+)
+def test_variants_equal_highway_envs_own(option, their_id):
+    config = make_config(f"env={option}", "n_envs=1").env
+    assert trajectory(make_env(config), 3) == trajectory(gym.make(their_id), 3)
+
+
+def test_parking_2021_has_no_walls_and_ends_after_100_steps():
+    env = make_env(make_config("env=parking_2021").env)
+    env.reset(seed=0)
+    assert len(env.unwrapped.road.objects) == 1  # the goal
+    steps, truncated = 0, False
+    while not truncated:
+        *_, truncated, _ = env.step(np.zeros(2))
+        steps += 1
+    assert steps == 100
+
+
+def test_sparse_reward_is_0_on_success_and_minus_1_elsewhere():
+    env = make_env(make_config("env=parking_sparse").env)
+    goal = np.array([0.1, 0.14, 0.0, 0.0, 0.0, 1.0])
+    near, far = goal + np.array([0.005, 0, 0, 0, 0, 0]), goal + np.array([0.02, 0, 0, 0, 0, 0])
+    assert env.compute_reward(near, goal, {}) == 0
+    assert env.compute_reward(far, goal, {}) == -1
+    assert env.compute_reward(np.stack([near, far]), np.stack([goal, goal]), [{}, {}]).tolist() == [0, -1]
+    _, _info = env.reset(seed=0)
+    _, reward, *_ = env.step(np.zeros(2))
+    assert reward == -1
+
+
+def test_a_sparse_crash_costs_the_collision_penalty_besides():
+    env = make_env(make_config("env=parking_sparse").env)
+    env.reset(seed=0)
+    terminated = False
+    while not terminated:
+        _, reward, terminated, _, info = env.step(np.array([1.0, 0.0]))
+    assert info["crashed"]
+    assert reward == -6
+
+
+def test_training_envs_end_after_training_duration_and_evaluation_envs_do_not():
+    config = make_config("env.training_duration=2").env
+    env = make_training_envs(config, n_envs=1)
+    env.reset()
+    for step in range(1, 12):
+        _, _, dones, infos = env.step(np.zeros((1, 2)))
+        assert bool(dones[0]) == (step == 11)
+    assert infos[0]["TimeLimit.truncated"]
+    assert make_env(config).unwrapped.config["duration"] == 100
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2**32 - 1])
+def test_training_and_evaluation_scenes_never_meet(seed):
+    seeds = derive_seeds(seed)
+    assert seeds.training_scenes >= TRAINING_SCENES_START
+    assert 0 <= seeds.policy < 2**31
+    assert derive_seeds(seed) == seeds
+    assert derive_seeds(seed + 1).training_scenes != seeds.training_scenes

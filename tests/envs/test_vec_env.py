@@ -1,0 +1,152 @@
+"""The simulator as a VecEnv: what Stable-Baselines3 gets from it is what it gets from highway-env."""
+
+import numpy as np
+import pytest
+from stable_baselines3.common.vec_env import DummyVecEnv
+from support.runs import make_config
+
+from parking_exp.envs.highway import make_env
+from parking_exp.envs.training_envs import make_training_envs
+from parking_exp.envs.vec_env import VectorizedParking
+from parking_exp.training.seeding import derive_seeds
+
+
+@pytest.fixture
+def config():
+    return make_config("env.training_duration=2").env
+
+
+def test_spaces_are_highway_envs(config):
+    ours, theirs = VectorizedParking(config, 2), make_env(config)
+    assert ours.observation_space == theirs.observation_space
+    assert ours.action_space == theirs.action_space
+    throttle = make_config("env.action.lateral=false").env
+    assert VectorizedParking(throttle, 2).action_space == make_env(throttle).action_space
+
+
+def test_until_the_first_reset_it_equals_highway_env_in_a_dummy_vec_env(config):
+    """The same seeds, the same actions: observations, rewards, dones and infos, the last step of an episode included."""
+    ours = VectorizedParking(config, 4, training=True)
+    theirs = DummyVecEnv([lambda: make_env(config, training=True)] * 4)
+    ours.seed(7), theirs.seed(7)
+    start, their_start = ours.reset(), theirs.reset()
+    rng = np.random.default_rng(0)
+    for step in range(11):
+        for key in start:
+            np.testing.assert_array_equal(start[key], their_start[key])
+        actions = rng.uniform(-1, 1, (4, 2)).astype(np.float32)
+        start, rewards, dones, infos = ours.step(actions)
+        their_start, their_rewards, their_dones, their_infos = theirs.step(actions)
+        np.testing.assert_array_equal(rewards, their_rewards)
+        assert rewards.dtype == their_rewards.dtype
+        np.testing.assert_array_equal(dones, their_dones)
+        assert dones.all() == (step == 10)
+        for mine, their in zip(infos, their_infos, strict=True):
+            assert (mine["is_success"], mine["crashed"]) == (their["is_success"], their["crashed"])
+    for mine, their in zip(infos, their_infos, strict=True):
+        assert mine["TimeLimit.truncated"] is True
+        assert their["TimeLimit.truncated"] is True
+        for key, value in their["terminal_observation"].items():
+            np.testing.assert_array_equal(mine["terminal_observation"][key], value)
+
+
+def test_crashes_and_their_terminal_observations_equal_those_of_a_dummy_vec_env():
+    """Full throttle until each env has crashed once, at different times; what comes after is another scene."""
+    config = make_config("env=parking_parked", "env.training_duration=20").env
+    ours = VectorizedParking(config, 6, training=True)
+    theirs = DummyVecEnv([lambda: make_env(config, training=True)] * 6)
+    ours.seed(0), theirs.seed(0)
+    ours.reset(), theirs.reset()
+    waiting, ends = set(range(6)), []
+    for step in range(101):
+        mine, their = (env.step(np.tile([1.0, 0.1], (6, 1)).astype(np.float32)) for env in (ours, theirs))
+        for row in list(waiting):
+            assert mine[1][row] == their[1][row]
+            assert mine[2][row] == their[2][row]
+            if not mine[2][row]:
+                np.testing.assert_array_equal(mine[0]["observation"][row], their[0]["observation"][row])
+                continue
+            waiting.remove(row)
+            ends.append(step)
+            last, their_last = (side[3][row]["terminal_observation"] for side in (mine, their))
+            np.testing.assert_array_equal(last["achieved_goal"], their_last["achieved_goal"])
+            for name in ("crashed", "is_success", "TimeLimit.truncated"):
+                assert mine[3][row][name] == their[3][row][name]
+            assert mine[3][row]["crashed"]
+        if not waiting:
+            break
+    assert not waiting
+    assert len(set(ends)) > 1
+
+
+def test_a_seed_that_waits_for_its_reset_is_part_of_the_state(config):
+    env, other = VectorizedParking(config, 2), VectorizedParking(config, 2)
+    env.seed(3)
+    other.set_state(env.get_state())
+    np.testing.assert_array_equal(env.reset()["observation"], other.reset()["observation"])
+
+
+def test_an_ended_episode_is_followed_by_a_new_scene(config):
+    env = VectorizedParking(config, 3, training=True)
+    env.seed(0)
+    headings = env.reset()["observation"][:, 4:]
+    for _ in range(11):
+        after, _, dones, _ = env.step(np.zeros((3, 2)))
+    assert dones.all()
+    assert (env.simulator.state.steps == 0).all()
+    assert (after["observation"][:, :4] == 0).all()
+    assert (after["observation"][:, 4:] != headings).all()
+    np.testing.assert_array_equal(after["desired_goal"], env.simulator.observe()["desired_goal"])
+
+
+def test_a_crash_is_no_timeout():
+    env = VectorizedParking(make_config().env, 8, training=True)
+    env.seed(0)
+    env.reset()
+    for _ in range(100):
+        _, rewards, dones, infos = env.step(np.tile([1.0, 0.0], (8, 1)))
+        for reward, done, info in zip(rewards, dones, infos, strict=True):
+            if done and info["crashed"]:
+                assert info["TimeLimit.truncated"] is False
+                assert reward < -5
+                return
+    raise AssertionError("driving straight on never ended at a wall")
+
+
+def test_state_is_saved_restored_and_continued_identically(config):
+    env = VectorizedParking(config, 5, training=True)
+    env.seed(3)
+    env.reset()
+    rng = np.random.default_rng(0)
+    actions = rng.uniform(-1, 1, (40, 5, 2))
+    for step in range(7):
+        env.step(actions[step])
+    saved = env.get_state()
+    first = [env.step(actions[step]) for step in range(7, 40)]  # three new scenes on the way
+    other = VectorizedParking(config, 5, training=True)
+    other.set_state(saved)
+    for step, (observation, rewards, dones, _) in zip(range(7, 40), first, strict=True):
+        again = other.step(actions[step])
+        for key in observation:
+            np.testing.assert_array_equal(observation[key], again[0][key])
+        np.testing.assert_array_equal(rewards, again[1])
+        np.testing.assert_array_equal(dones, again[2])
+
+
+def test_the_same_seed_gives_the_same_envs(config):
+    def episode_starts():
+        env = make_training_envs(config, n_envs=2)
+        env.seed(derive_seeds(5).training_scenes)
+        env.reset()
+        return [env.step(np.zeros((2, 2)))[0]["desired_goal"].tolist() for _ in range(40)]
+
+    assert episode_starts() == episode_starts()
+
+
+def test_what_an_env_does_not_have_is_named(config):
+    env = VectorizedParking(config, 2)
+    assert env.get_attr("render_mode") == [None, None]
+    with pytest.raises(AttributeError, match="no road"):
+        env.get_attr("road")
+    with pytest.raises(AttributeError, match="no method steer"):
+        env.env_method("steer")

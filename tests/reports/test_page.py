@@ -1,0 +1,286 @@
+"""The report's page in a real browser, from a file, with the network watched."""
+
+import os
+import shutil
+from typing import NamedTuple
+
+import pytest
+from support import report_factory
+
+from parking_exp.reports.render.page import page
+
+ARGUMENTS = [
+    "--no-sandbox",
+    "--disable-gpu",
+    "--disable-quic",
+    "--no-first-run",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+]
+TIP = "SAC seed 3: 98.6 % <b>not bold</b>"
+
+
+class Picture(NamedTuple):
+    name: str
+    title: str
+    caption: str
+    svg: str
+
+
+class Style(NamedTuple):
+    colour: str
+    marker: str
+
+
+NAMES = ("final_success", "learning_curves", "time_to_90", "pairwise", "scene_map", "trajectories")
+SVG = (
+    '<svg viewBox="0 0 490 200" width="100%"><path d="M10 190H480" stroke="var(--ink)"/>'
+    '<circle cx="90" cy="80" r="20" fill="#0072B2" data-tip="SAC seed 3: 98.6 % &lt;b&gt;not bold&lt;/b&gt;"/></svg>'
+)
+PICTURES = [Picture(name, name.replace("_", " ").capitalize(), "Each point is a seed.", SVG) for name in NAMES]
+
+
+@pytest.fixture(scope="session")
+def browser():
+    playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+    found = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+    if found is None:
+        reason = "no browser found: apt-get install chromium"
+        if os.environ.get("CI", "").lower() not in ("", "0", "false"):
+            pytest.fail(reason)
+        pytest.skip(reason)
+    with playwright.sync_playwright() as driver:
+        started = driver.chromium.launch(executable_path=found, args=ARGUMENTS)
+        yield started
+        started.close()
+
+
+@pytest.fixture(scope="session")
+def files(tmp_path_factory):
+    """The page of an example as a file; written once."""
+    folder = tmp_path_factory.mktemp("pages")
+
+    def written(name, *arguments):
+        path = folder / f"{name}.html"
+        if not path.exists():
+            content = getattr(report_factory, name)(*arguments)
+            styles = {cell: Style("#0072B2", "s") for cell in content.shown}
+            path.write_text(page(content, PICTURES, styles), encoding="utf-8")
+        return path
+
+    return written
+
+
+@pytest.fixture
+def show(browser, files):
+    """Open an example's page; at the end nothing may have gone wrong or asked for a second file."""
+    seen, opened = [], []
+
+    def shown(name, width=1280, **options):
+        path = files(name)
+        context = browser.new_context(viewport={"width": width, "height": 900}, **options)
+        opened.append(context)
+        tab = context.new_page()
+        tab.on("console", lambda message: seen.append(f"console: {message.text}"))
+        tab.on("pageerror", lambda error: seen.append(f"error: {error}"))
+        tab.on("dialog", lambda dialog: (seen.append(f"dialog: {dialog.message}"), dialog.dismiss()))
+        tab.on("request", lambda request: request.url != path.as_uri() and seen.append(f"request: {request.url}"))
+        tab.goto(path.as_uri())
+        return tab
+
+    yield shown
+    for context in opened:
+        context.close()
+    assert seen == []
+
+
+def column(tab, table, index):
+    """Texts of a table's column, as they stand."""
+    rows = tab.locator(f"#table-{table} tbody tr")
+    return rows.evaluate_all(f"rows => rows.filter(row => !row.hidden).map(row => row.cells[{index}].innerText.trim())")
+
+
+def heading(tab, table, text):
+    return tab.locator(f"#table-{table} thead th", has_text=text).first
+
+
+def contrast(tab, selector):
+    """WCAG's contrast between an element's text and the page's background."""
+    return tab.evaluate(
+        """selector => {
+            const light = colour => {
+                const parts = colour.match(/[\\d.]+/g).slice(0, 3).map(Number).map(v => v / 255)
+                    .map(v => v <= 0.03928 ? v / 12.92 : ((v + 0.055) / 1.055) ** 2.4);
+                return 0.2126 * parts[0] + 0.7152 * parts[1] + 0.0722 * parts[2];
+            };
+            const of = (element, name) => getComputedStyle(element)[name];
+            const [a, b] = [light(of(document.querySelector(selector), "color")), light(of(document.body, "backgroundColor"))];
+            return (Math.max(a, b) + 0.05) / (Math.min(a, b) + 0.05);
+        }""",
+        selector,
+    )
+
+
+@pytest.mark.parametrize("name", ["one_seed", "all_succeed", "with_failed_cell", "her_ablation", "search", "non_ascii"])
+def test_page_is_no_wider_than_the_window(show, name):
+    content = getattr(report_factory, name)()
+    tab = show(name, 360)
+    assert tab.locator("h1").inner_text() == content.title
+    assert tab.locator("#table-headline tbody tr").count() == len(content.cells)
+    assert tab.evaluate("document.scrollingElement.scrollWidth") <= 360
+    tab.set_viewport_size({"width": 1280, "height": 900})
+    assert tab.evaluate("document.scrollingElement.scrollWidth") <= 1280
+
+
+def test_success_sorts_best_first_then_worst_first_and_missing_last(show):
+    tab = show("with_failed_cell")
+    assert column(tab, "headline", 0) == ["sac", "td3", "ddpg"]
+    success = heading(tab, "headline", "Success")
+    success.locator("button").click()
+    assert success.get_attribute("aria-sort") == "descending"
+    assert column(tab, "headline", 0) == ["sac", "td3", "ddpg"]
+    success.locator("button").click()
+    assert success.get_attribute("aria-sort") == "ascending"
+    assert column(tab, "headline", 0) == ["td3", "sac", "ddpg"]
+
+
+@pytest.mark.parametrize("key", ["Enter", " "])
+def test_headings_sort_by_key_and_text_sorts_by_the_numbers_in_it(show, key):
+    tab = show("her_ablation")
+    before = column(tab, "headline", 0)
+    heading(tab, "headline", "Cell").locator("button").press(key)
+    after = column(tab, "headline", 0)
+    assert after != before
+    assert after[:5] == [f"her_episode, n_sampled_goal={n}" for n in (1, 2, 4, 8, 16)]
+
+
+def test_filter_leaves_rows_with_all_words(show):
+    tab = show("her_ablation")
+    listing = tab.locator(".listing", has=tab.locator("#table-headline"))
+    listing.locator("input").fill("FINAL goal=4")
+    assert column(tab, "headline", 0) == ["her_final, n_sampled_goal=4"]
+    assert listing.locator("output").inner_text() == "1 of 20"
+    listing.locator("input").fill("")
+    assert len(column(tab, "headline", 0)) == 20
+
+
+def test_hostile_names_are_text(show):
+    tab = show("hostile", 360)
+    assert tab.evaluate("window.pwned") is None
+    assert tab.locator("h1").inner_text() == report_factory.HOSTILE[0]
+    assert tab.title().startswith(report_factory.HOSTILE[0])
+    names = tab.locator("#table-headline tbody th bdi").all_text_contents()
+    assert names == list(report_factory.HOSTILE)
+    assert tab.locator("img").count() == 0
+    assert tab.locator("script").count() == 1
+    assert tab.evaluate("document.scrollingElement.scrollWidth") <= 360
+
+
+def test_inline_script_that_got_in_would_not_run(browser, files):
+    tab = browser.new_page()
+    tab.goto(files("content").as_uri())
+    tab.evaluate("document.body.append(Object.assign(document.createElement('script'), {text: 'window.pwned = 1'}))")
+    assert tab.evaluate("window.pwned") is None
+    tab.close()
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_text_stands_out_in_both_themes(show, scheme):
+    tab = show("hostile", color_scheme=scheme)
+    background = tab.evaluate("getComputedStyle(document.body).backgroundColor")
+    dark = sum(map(int, background[4:-1].split(","))) < 3 * 64
+    assert dark == (scheme == "dark")
+    for selector in ("h1", ".meta", "nav a", "caption", "figcaption", ".badge", ".callout.warning li", "tbody td"):
+        assert contrast(tab, selector) >= 4.5, selector
+
+
+def test_toggle_changes_the_theme_and_is_remembered(show):
+    tab = show("content", color_scheme="light")
+    light = tab.evaluate("getComputedStyle(document.body).backgroundColor")
+    tab.locator("#theme").click()
+    assert tab.evaluate("getComputedStyle(document.body).backgroundColor") != light
+    assert tab.locator("#theme").inner_text() == "Light"
+    tab.reload()
+    assert tab.evaluate("getComputedStyle(document.body).backgroundColor") != light
+
+
+def test_values_show_under_the_pointer(show):
+    tab = show("content")
+    point = tab.locator("#figure-final_success [data-tip]")
+    tip = tab.locator("#tip")
+    assert tip.is_hidden()
+    point.hover()
+    assert tip.inner_text() == TIP
+    tab.mouse.move(2, 2)
+    assert tip.is_hidden()
+
+
+def test_values_show_on_a_tap(show):
+    tab = show("content", 360, has_touch=True, is_mobile=True)
+    tab.locator("#figure-final_success [data-tip]").tap()
+    assert tab.locator("#tip").inner_text() == TIP
+    box = tab.locator("#tip").bounding_box()
+    assert box["x"] >= 0
+    assert box["x"] + box["width"] <= 360
+
+
+def test_print_opens_what_is_folded(show, tmp_path):
+    tab = show("content")
+    assert not tab.locator("#table-seeds").is_visible()
+    tab.pdf(path=tmp_path / "folded.pdf")
+    tab.evaluate("dispatchEvent(new Event('beforeprint'))")
+    assert tab.locator("#table-seeds").is_visible()
+    tab.evaluate("dispatchEvent(new Event('afterprint'))")
+    assert not tab.locator("#table-seeds").is_visible()
+    tab.evaluate("document.querySelectorAll('details').forEach(one => one.remove())")
+    tab.pdf(path=tmp_path / "without.pdf")
+    pages = [(tmp_path / name).read_bytes().count(b"/Type /Page\n") for name in ("folded.pdf", "without.pdf")]
+    assert pages[0] > pages[1] > 0
+
+
+def test_print_is_light_and_without_controls(show):
+    tab = show("her_ablation", color_scheme="dark")
+    tab.emulate_media(media="print", color_scheme="dark")
+    assert tab.evaluate("getComputedStyle(document.body).backgroundColor") == "rgb(255, 255, 255)"
+    for selector in ("#theme", ".filter", "nav"):
+        assert tab.locator(selector).first.is_hidden()
+
+
+def test_everything_is_there_without_javascript(show):
+    tab = show("her_ablation", java_script_enabled=False)
+    assert tab.locator("#table-headline tbody tr").count() == 20
+    assert tab.locator("#theme").count() == 0
+    assert tab.locator("figure").count() == len(PICTURES)
+    tab.locator("#seeds summary").click()
+    assert tab.locator("#table-seeds").is_visible()
+
+
+def test_five_hundred_cells(show, files):
+    tab = show("many")
+    assert files("many").stat().st_size < 5e6
+    assert tab.locator("#table-headline tbody tr").count() == 500
+    tab.locator("#results input").fill("td3, learning_rate=0.1 ")
+    assert column(tab, "headline", 0) == ["td3, learning_rate=0.1"]
+    heading(tab, "headline", "Success").locator("button").click()
+    assert tab.evaluate("document.scrollingElement.scrollWidth") <= 1280
+
+
+def test_sections_without_data_are_left_out(show):
+    tab = show("one_seed")
+    assert tab.locator("#factors, #search, #config, #unfinished, #table-pairs").count() == 0
+    targets = tab.locator("nav a").evaluate_all("links => links.map(link => link.hash)")
+    assert all(tab.locator(target).count() == 1 for target in targets)
+    ids = tab.locator("[id]").evaluate_all("found => found.map(one => one.id)")
+    assert len(ids) == len(set(ids))
+
+
+def test_values_of_tables_reach_the_script(files):
+    text = files("with_failed_cell").read_text(encoding="utf-8")
+    assert 'data-value="0.97' in text
+    assert 'data-value="None"' not in text
+    assert "http" not in text.replace("http-equiv", "")
+
+
+def test_same_content_makes_the_same_page():
+    assert page(report_factory.hostile(), PICTURES) == page(report_factory.hostile(), PICTURES)

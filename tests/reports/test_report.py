@@ -1,0 +1,297 @@
+"""`scripts/report.py`, as it is typed."""
+
+import io
+import json
+import os
+import re
+import subprocess
+import sys
+from contextlib import redirect_stderr, redirect_stdout
+from pathlib import Path
+from typing import NamedTuple
+
+import pandas as pd
+import pytest
+from support.runs import run_script
+from support.store_factory import Look, make_store
+
+from parking_exp.cli import main
+from parking_exp.cli.main import report_arguments
+from parking_exp.errors import ConfigError
+
+ROOT = Path(__file__).resolve().parents[2]
+ALGORITHMS = {"sac": [], "td3": ["algorithm=td3"]}
+
+
+class Done(NamedTuple):
+    stdout: str
+    stderr: str
+
+
+def report(output_dir, *arguments, code=0):
+    """Run the command, and return what it printed."""
+    out, err, status = io.StringIO(), io.StringIO(), 0
+    with pytest.MonkeyPatch.context() as patch, redirect_stdout(out), redirect_stderr(err):
+        patch.chdir(output_dir)
+        patch.setattr(sys, "argv", ["report.py", *arguments, f"output_dir={output_dir}"])
+        try:
+            main.report()
+        except SystemExit as end:
+            status = end.code
+    assert status == code, err.getvalue()
+    return Done(out.getvalue(), err.getvalue())
+
+
+@pytest.fixture
+def made(output_dir):
+    """An experiment of two cells with three seeds each."""
+    make_store(
+        output_dir,
+        "one",
+        ALGORITHMS,
+        range(3),
+        lambda label, seed: Look(success=0.8 if label == "sac" else 0.2),
+        bulk=True,
+    )
+    return output_dir
+
+
+def test_a_report_has_a_page_markdown_tables_figures_and_every_number(made):
+    done = report(made, "experiment=one")
+    folder = made / "reports" / "one"
+    assert done.stdout.splitlines()[-1] == f"report         {folder / 'index.html'}"
+    assert done.stdout.startswith("sac has the highest final success: 80.0 % [")
+    assert sorted(path.name for path in folder.iterdir() if not path.name.startswith(".")) == [
+        "figures",
+        "index.html",
+        "report.json",
+        "report.md",
+        "tables",
+    ]
+    names = {path.stem for path in (folder / "figures").iterdir()}
+    assert names == {
+        "final_success", "learning_curves", "time_to_90", "pairwise", "scene_map", "trajectories",
+    }  # fmt: skip
+    assert {path.name for path in (folder / "figures").iterdir()} == {
+        f"{name}.{ending}" for name in names for ending in ("svg", "pdf", "png")
+    }
+    assert {"headline.csv", "headline.tex", "seeds.csv", "pairs.csv", "pairs.tex"} <= {
+        path.name for path in (folder / "tables").iterdir()
+    }
+    headline = pd.read_csv(folder / "tables" / "headline.csv").set_index("label")
+    stored = json.loads((folder / "report.json").read_text())
+    assert headline["success"].to_dict() == {"sac": pytest.approx(0.8), "td3": pytest.approx(0.2)}
+    assert [cell["success"]["value"] for cell in stored["cells"]] == [pytest.approx(0.8), pytest.approx(0.2)]
+    assert stored["command"] == f"python scripts/report.py experiment=one output_dir={made}"
+
+
+def test_neither_torch_nor_the_simulators_are_imported(made):
+    code = (
+        "import sys; sys.argv = ['report.py', 'experiment=one', sys.argv[1]]\n"
+        "from parking_exp.cli.main import report; report()\n"
+        "print([name for name in ('torch', 'gymnasium', 'highway_env', 'stable_baselines3') if name in sys.modules])"
+    )
+    command = [sys.executable, "-c", code, f"output_dir={made}"]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True, timeout=120)
+    assert done.stdout.splitlines()[-1] == "[]"
+
+
+def test_a_report_made_again_leaves_nothing_of_the_last_one_and_keeps_other_files(made):
+    report(made, "experiment=one")
+    folder = made / "reports" / "one"
+    (folder / "notes.txt").write_text("mine")
+    done = report(made, "experiment=one", "td3")
+    assert done.stdout.startswith("td3 succeeds in 20.0 % [")
+    assert (folder / "notes.txt").read_text() == "mine"
+    assert not list((folder / "figures").glob("pairwise.*"))
+    assert not list((folder / "tables").glob("pairs.*"))
+    assert json.loads((folder / "report.json").read_text())["provenance"]["left_out"] == ["sac"]
+
+
+def test_a_quick_report_shows_what_there_is_and_says_what_is_missing(output_dir):
+    def look(label, seed):
+        return Look(status="done" if (label, seed) == ("sac", 0) else "interrupted")
+
+    make_store(output_dir, "one", ALGORITHMS, range(2), look, bulk=True)
+    done = report(output_dir, "experiment=one", "report=quick")
+    assert "1 of 4 runs are done: 3 cut off or not begun." in done.stdout
+    assert "No run is done of td3." in done.stdout
+    folder = output_dir / "reports" / "one"
+    assert {path.suffix for path in (folder / "figures").iterdir()} == {".png"}
+    page = (folder / "index.html").read_text()
+    assert "learning_curves" in page
+    assert "1 of 4 runs are done" in page
+
+
+def test_several_experiments_make_one_report(made):
+    make_store(made, "two", {"sac": []}, range(2), bulk=True)
+    report(made, "experiment=one,two")
+    stored = json.loads((made / "reports" / "one+two" / "report.json").read_text())
+    assert [cell["label"] for cell in stored["cells"]] == ["one, sac", "one, td3", "two, sac"]
+
+
+def test_any_store_can_be_reported_on(made, tmp_path):
+    report(tmp_path, "experiment=one", f"tracking.uri=sqlite:///{made}/mlflow.db", "name=theirs")
+    assert (tmp_path / "reports" / "theirs" / "index.html").exists()
+
+
+def test_a_label_with_commas_and_equal_signs_is_a_baseline(output_dir):
+    cells = {f"{s}{n}": [f"buffer=her_{s}", f"buffer.n_sampled_goal={n}"] for s in ("future", "final") for n in (1, 4)}
+    make_store(output_dir, "one", cells, range(2), bulk=True)
+    report(output_dir, "experiment=one", "baseline=her_future, n_sampled_goal=1", "report=quick")
+    stored = json.loads((output_dir / "reports" / "one" / "report.json").read_text())
+    labels = {cell["id"]: cell["label"] for cell in stored["cells"]}
+    assert labels[stored["baseline"]] == "her_future, n_sampled_goal=1"
+    assert {pair["b"] for pair in stored["pairs"]} == {stored["baseline"]}
+    command = "python scripts/report.py experiment=one 'baseline=her_future, n_sampled_goal=1' report=quick"
+    assert stored["command"] == f"{command} output_dir={output_dir}"
+
+
+def test_hostile_names_are_text_everywhere(output_dir):
+    hostile = "<script>window.pwned=1</script>"
+    make_store(
+        output_dir, "one", {"a": []}, range(2),
+        lambda label, seed: Look(tags={"cpu": hostile, "mlflow.runName": hostile, "cell": f"x{hostile}-{label}"},
+                                 params={"algorithm.name": "\x1b[2J\x9b31m\u202e\nerror: x"}), bulk=True,
+    )  # fmt: skip
+    done = report(output_dir, "experiment=one")
+    assert all(line.isprintable() for line in (done.stdout + done.stderr).split("\n"))
+    assert done.stdout.startswith(r"“\x1b[2J\x9b31m\u202e\nerror: x, her_future” succeeds in 80.0 % [")
+    folder = output_dir / "reports" / "one"
+    page = (folder / "index.html").read_text()
+    assert hostile not in page
+    assert "&lt;script&gt;window.pwned=1&lt;/script&gt;" in page
+    assert hostile not in (folder / "report.md").read_text()
+
+
+def test_non_ascii_names_stay_what_they_are(output_dir):
+    tags = {"cell": "größe-学習-λ", "cpu": "Prozessor für ∑"}
+    make_store(output_dir, "one", {"a": []}, range(2), lambda *_: Look(tags=tags), bulk=True)
+    report(output_dir, "experiment=one")
+    assert "Prozessor für ∑" in (output_dir / "reports" / "one" / "index.html").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["experiment=on"], r"experiment=on: sqlite:///.* has none of that name; did you mean 'one'\?"),
+        (["experiment=one", "td4"], "cells: no cell is called 'td4'; did you mean 'td3'?"),
+        (["experiment=one", "baseline=td4"], "baseline: no cell is called 'td4'; did you mean 'td3'?"),
+        (["experiment=one", "nmae=x"], "nmae: neither a key of this command nor of these runs' configs; did you mean 'name'?"),
+        (["experiment=one", "report=quik"], "report=quik: there is no such option; did you mean 'quick'?"),
+        (["experiment=one", "report.formats=[gif]"], "report.formats"),
+        (["experiment=one", "tracking.uri=sqlite:///nowhere.db"], "there is no store .*nowhere.db"),
+    ],
+)  # fmt: skip
+def test_a_mistake_is_a_sentence_and_nothing_is_written(made, arguments, words):
+    done = report(made, *arguments, code=2)
+    assert re.search(words if "\\" in words or ".*" in words else re.escape(words), done.stderr), done.stderr
+    assert not (made / "reports").exists()
+    assert not (made / "nowhere.db").exists()
+
+
+@pytest.mark.parametrize(
+    ("typed", "meant"),
+    [
+        ("basline=td3", "baseline"), ("ouput_dir=x", "output_dir"), ("experment=one", "experiment"), ("cels=td3", "cells"),
+        ("trackng.uri=x", "tracking.uri"), ("n_sampled_gaol=4", "n_sampled_goal"), ("buffr.n_sampled_goal=4", "buffer.n_sampled_goal"),
+        ("target_entropi=1", "target_entropy"), ("reprot=quick", "report"),
+    ],
+)  # fmt: skip
+def test_a_misspelt_key_is_refused_before_the_store_is_read(tmp_path, typed, meant):
+    done = report(tmp_path, typed, code=2)
+    assert done.stderr == f"error: {typed.partition('=')[0]}: there is no such key; did you mean {meant!r}?\n"
+
+
+@pytest.mark.parametrize(
+    "typed", ["n_sampled_goal=4", "_target_=mine.Mine", "my_own=3", "algorithm.gama=1", "her_final, gamma=1"]
+)
+def test_what_may_be_an_argument_of_a_runs_own_class_is_left_to_the_store(tmp_path, typed):
+    assert re.match(r"error: there is no store .*mlflow.db", report(tmp_path, typed, code=2).stderr)
+
+
+def test_an_experiment_without_runs_is_a_sentence(output_dir):
+    from mlflow import MlflowClient
+
+    MlflowClient(f"sqlite:///{output_dir}/mlflow.db").create_experiment("empty")
+    done = report(output_dir, "experiment=empty", code=2)
+    assert done.stderr == "error: experiment=empty: it has no runs of parking_exp\n"
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may write everywhere")
+def test_a_folder_that_can_not_be_written_is_a_sentence(made):
+    (made / "reports").mkdir(mode=0o500)
+    assert "Permission denied" in report(made, "experiment=one", code=2).stderr
+
+
+def test_a_file_in_the_way_is_a_sentence(made):
+    (made / "reports").write_text("no folder")
+    assert report(made, "experiment=one", code=2).stderr.startswith("error: ")
+
+
+def test_words_without_a_key_of_the_command_name_cells():
+    typed = [
+        "experiment=a,b",
+        "her_*",
+        "buffer.n_sampled_goal=1,4",
+        "baseline=x, y=1",
+        "report=quick",
+        "--config-dir",
+        "d",
+    ]
+    assert report_arguments(typed) == [
+        "experiment_name=['a','b']",
+        "baseline='x, y=1'",
+        "report=quick",
+        "--config-dir",
+        "d",
+        "cells=['her_*','buffer.n_sampled_goal=1,4']",
+    ]
+    with pytest.raises(ConfigError, match=r"name cells either as words or as cells=\[...\]"):
+        report_arguments(["her", "cells=[x]"])
+
+
+@pytest.mark.parametrize("name", ["../../elsewhere", "/elsewhere", "größe <b>"])
+def test_experiments_that_were_renamed_in_the_store_stay_in_their_folder(made, name):
+    from mlflow import MlflowClient
+
+    client = MlflowClient(f"sqlite:///{made}/mlflow.db")
+    client.rename_experiment(client.get_experiment_by_name("one").experiment_id, name)
+    report(made, f"experiment={name}", "report=quick")
+    (folder,) = (made / "reports").iterdir()
+    assert (folder / "index.html").exists()
+    assert "/" not in folder.name
+    assert not (made.parent / "elsewhere").exists()
+
+
+def test_without_a_name_it_is_the_only_experiment_or_a_sentence(made):
+    assert report(made, "report=quick").stdout
+    make_store(made, "two", {"sac": []}, [0], bulk=True)
+    said = report(made, code=2).stderr
+    assert said == "error: experiment: the store has several; name one or more of one, two\n"
+
+
+def test_an_experiment_without_runs_beside_others_is_missing(made):
+    from mlflow import MlflowClient
+
+    MlflowClient(f"sqlite:///{made}/mlflow.db").create_experiment("empty")
+    assert "Experiment empty has no runs." in report(made, "experiment=one,empty", "report=quick").stdout
+
+
+def test_markdown_shows_figures_that_are_there(made):
+    report(made, "experiment=one", "report.formats=[svg]")
+    text = (made / "reports" / "one" / "report.md").read_text()
+    assert "figures/final_success.svg" in text
+    report(made, "experiment=one", "report.formats=[]")
+    assert "figures/" not in (made / "reports" / "one" / "report.md").read_text()
+
+
+def test_a_run_that_fails_before_it_trains_is_told_with_its_reason(tmp_path):
+    run_script("train", "experiment=smoke", "timeout_s=100", "device=cuda", f"output_dir={tmp_path}")
+    assert "of its 1 run, none is done" in report(tmp_path, "experiment=smoke", code=2).stderr
+    report(tmp_path, "experiment=smoke", "report=quick")
+    stored = json.loads((tmp_path / "reports" / "smoke" / "report.json").read_text())
+    (run,) = stored["provenance"]["unfinished"]
+    assert run["status"] == "failed"
+    assert "torch finds no CUDA device" in run["reason"]
+    assert stored["missing"][0] == "0 of 1 run is done: 1 failed."

@@ -1,0 +1,583 @@
+"""Frames have what the store has, and say what it lacks."""
+
+import json
+import math
+import re
+import shutil
+import sqlite3
+import subprocess
+import sys
+from contextlib import closing
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from support.mlflow_servers import closed_port, mlflow_server, needs_server
+from support.runs import ROOT, in_memory, run_script, store
+from support.store_factory import STARTED_MS, Look, compose, made_episodes, made_trajectories, make_store
+
+from parking_exp.config.paths import default_uri
+from parking_exp.errors import ResultsError
+from parking_exp.evaluation import evaluate
+from parking_exp.results import frames, load
+from parking_exp.results.columns import column, times, typed
+from parking_exp.results.recordings import EPISODES
+from parking_exp.tracking.reader import Reader
+
+HER = {"four": ["buffer.n_sampled_goal=4"], "none": ["buffer=replay"]}
+LOOKS = {
+    ("four", 0): Look(success=0.8, crash=0.2, parked=0.4, curve=(0.0, 1 / 3, 1.0), steps=12, cpu_s=90.0),
+    ("four", 1): Look(success=0.4, crash=0.2, parked=0.0, curve=(0.0, 0.0, 2 / 3, 1.0)),
+    ("four", 2): Look(status="failed", error="ValueError: <b>\n  no", progress=0.5, curve=(0, 0.5, 1, 1)),
+    ("none", 0): Look(success=1.0, crash=0.0, started_ms=STARTED_MS + 5000, tags={"cpu": "Zürich <script>alert(1)</script>"}),
+    ("none", 1): Look(status="running", progress=0.5),
+    ("none", 2): Look(status="interrupted", progress=0.0),
+}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def ablation(empty):
+    """(output directory, run directories) of two cells with three seeds."""
+    with in_memory() as folder:
+        shutil.copy(empty / "mlflow.db", folder)
+        yield Path(folder), make_store(Path(folder), "her", HER, range(3), lambda *key: LOOKS[key])
+
+
+def row(runs, directory):
+    """The row of a run directory."""
+    (found,) = runs[runs["run_id"] == directory.run_id].to_dict("records")
+    return found
+
+
+def test_a_finished_run_has_the_numbers_of_its_certified_evaluation(ablation):
+    output_dir, made = ablation
+    directory = made["four", 0]
+    table = made_episodes(LOOKS["four", 0], 0.8, range(5), 0)
+    found = row(load("her", output_dir=output_dir).runs, directory)
+    config = directory.config()
+    expected = {
+        "run_id": directory.run_id, "name": f"{config.cell}-seed=0", "experiment": "her", "cell": config.cell, "seed": 0,
+        "run_key": config.run_key, "status": "done", "total_timesteps": 400, "n_scenes": 5, "first_scene": 0,
+        "eval_n_scenes": 3, "steps": 400, "success_rate": 0.8, "crash_rate": 0.2, "timeout_rate": 0.0, "parked_rate": 0.4,
+        "episode_steps": table["steps"].mean(), "episode_return": table["return"].mean(),
+        "distance_m": table["distance_m"].mean(), "heading_error_rad": table["heading_error_rad"].mean(),
+        "speed_mps": table["speed_mps"].mean(), "cpu_s": 90.0, "wall_s": 600.0,
+        "started": pd.Timestamp(STARTED_MS, unit="ms", tz="UTC"), "run_dir": str(directory.path), "config.seed": 0,
+    }  # fmt: skip
+    assert {name: found[name] for name in expected} == expected
+    assert pd.isna(found["error"])
+    assert found["artifact_uri"].endswith(f"/mlflow-artifacts/her/{directory.run_id}/artifacts")
+    assert found["started"] < found["ended"]
+
+
+def test_frames_have_the_columns_and_types_of_the_schema(ablation):
+    found = load("her", output_dir=ablation[0])
+    assert tuple(found.runs.columns[: len(frames.RUN_COLUMNS)]) == frames.RUN_COLUMNS
+    others = [name for name in found.runs.columns if name not in frames.RUN_COLUMNS]
+    assert all(name.startswith(("version.", "config.")) for name in others)
+    assert tuple(found.curves.columns) == frames.CURVE_COLUMNS
+    assert tuple(found.episodes.columns) == frames.EPISODE_COLUMNS
+    assert ["phase", "step", *evaluate.EPISODE_COLUMNS] == list(EPISODES)
+    types = {name: str(dtype) for name, dtype in found.runs.dtypes.items()}
+    integers = ("total_timesteps", "n_scenes", "first_scene", "eval_n_scenes")
+    numbers = ("success_rate", "episode_steps", "cpu_s", "wall_s", "speed_mps")
+    assert {types[name] for name in integers} == {"Int64"}
+    assert {types[name] for name in numbers} == {"float64"}
+    assert (types["seed"], types["steps"], types["status"], types["git_dirty"]) == (
+        "int64",
+        "int64",
+        "category",
+        "boolean",
+    )
+    assert types["started"] == types["ended"] == "datetime64[ms, UTC]"
+    assert {types[name] for name in ("run_id", "error", "cell", "run_dir", "version.torch")} == {"str"}
+    assert [str(dtype) for dtype in found.curves.dtypes] == ["str", "int64"] + 8 * ["float64"]
+    assert [str(found.episodes[name].dtype) for name in ("run_id", "phase", "outcome", "parked", "steps", "return")] == [
+        "category", "category", "category", "bool", "int64", "float64"]  # fmt: skip
+    documented = frames.__doc__
+    for name in (*frames.RUN_COLUMNS, *frames.CURVE_COLUMNS, *frames.EPISODE_COLUMNS):
+        assert re.search(rf"\b{name}\b", documented), name
+
+
+def test_runs_are_sorted_by_experiment_cell_and_seed(ablation):
+    runs = load("her", output_dir=ablation[0]).runs
+    keys = list(zip(runs["experiment"], runs["cell"], runs["seed"], strict=True))
+    assert keys == sorted(keys)
+    assert len(keys) == 6
+
+
+def test_config_columns_are_typed_and_what_a_cell_does_not_have_is_missing(ablation):
+    output_dir, made = ablation
+    runs = load("her", output_dir=output_dir).runs.set_index("run_id")
+    four, none = made["four", 0].run_id, made["none", 0].run_id
+    assert str(runs["config.buffer.n_sampled_goal"].dtype) == "Int64"
+    assert runs.at[four, "config.buffer.n_sampled_goal"] == 4
+    assert runs.at[none, "config.buffer.n_sampled_goal"] is pd.NA
+    assert str(runs["config.algorithm.tau"].dtype) == "float64"
+    assert runs.at[four, "config.algorithm.tau"] == 0.01
+    assert str(runs["config.env.add_walls"].dtype) == "bool"
+    assert runs.at[four, "config.algorithm.net_arch"] == "[16, 16]"
+    assert runs["config.timeout_s"].isna().all()
+
+
+@pytest.mark.parametrize(
+    ("word", "value"),
+    [("3", 3), ("-3", -3), ("2.0", 2.0), ("5e-05", 5e-05), ("1e-05", 1e-05), (".5", 0.5), ("inf", math.inf), ("True", True),
+     ("False", False), ("None", None), (None, None), ("auto", "auto"), ("[1, 2]", "[1, 2]"), ("", ""), ("1_000", "1_000"),
+     ("1.2.3", "1.2.3"), ("infinite", "infinite"), ("{}", "{}"), ("<script>", "<script>"), ("x" * 6000, "x" * 6000)],
+)  # fmt: skip
+def test_a_parameter_is_what_its_text_says(word, value):
+    assert typed(word) == value
+    assert type(typed(word)) is type(value)
+
+
+@pytest.mark.parametrize(
+    ("values", "dtype"),
+    [([1, 2], "int64"), ([1, None], "Int64"), ([1, 0.5], "float64"), ([0.5, None], "float64"), ([True, False], "bool"),
+     ([True, None], "boolean"), (["a", None], "str"), (["auto", 0.1], "object"), ([True, 1], "object"),
+     ([None, None], "object"), ([2**70, 1], "float64")],
+)  # fmt: skip
+def test_a_column_has_the_one_type_of_its_values(values, dtype):
+    assert str(pd.Series(column(values)).dtype) == dtype
+
+
+def test_times_that_no_calendar_has_are_missing():
+    found = times([0, None, -1, 10**18, 1_700_000_000_000])
+    assert found.isna().tolist() == [False, True, True, True, False]
+    assert found.dropna().astype("int64").tolist() == [0, 1_700_000_000_000]
+
+
+def test_a_curve_has_a_row_for_each_evaluation(ablation):
+    output_dir, made = ablation
+    curves = load("her", output_dir=output_dir).curves
+    assert list(curves["run_id"]) == sorted(curves["run_id"])
+    first = curves[curves["run_id"] == made["four", 0].run_id]
+    assert list(first["step"]) == [133, 267, 400]
+    assert list(first["success_rate"]) == pytest.approx([0, 1 / 3, 1])
+    assert list(first["crash_rate"]) == pytest.approx([1 / 3, 1 / 3, 0])
+    assert list(first["timeout_rate"]) == pytest.approx([2 / 3, 1 / 3, 0])
+    assert list(first["cpu_s"]) == pytest.approx([90 * 133 / 400, 90 * 267 / 400, 90])
+    assert list(first["real_share"]) == [0.5, 0.5, 0.5]
+    assert list(curves[curves["run_id"] == made["four", 1].run_id]["step"]) == [100, 200, 300, 400]
+    assert made["none", 2].run_id not in set(curves["run_id"])
+
+
+def test_runs_that_are_not_done_have_what_they_came_to_and_no_final_numbers(ablation):
+    output_dir, made = ablation
+    found = load("her", output_dir=output_dir)
+    unfinished = [row(found.runs, made[key]) for key in (("four", 2), ("none", 1), ("none", 2))]
+    assert [run["status"] for run in unfinished] == ["failed", "running", "interrupted"]
+    assert [run["steps"] for run in unfinished] == [200, 200, 0]
+    assert [run["cpu_s"] for run in unfinished][:2] == [150.0, 150.0]
+    assert all(math.isnan(run[name]) for run in unfinished for name in frames.FINAL.values())
+    assert unfinished[0]["error"] == "ValueError: <b> no"
+    assert [pd.isna(run["error"]) for run in unfinished] == [False, True, True]
+    assert [pd.isna(run["ended"]) for run in unfinished] == [False, True, False]
+    counts = found.episodes["run_id"].value_counts()
+    assert [counts[made[key].run_id] for key in (("four", 2), ("none", 1), ("none", 2))] == [2 * 3, 0, 0]
+    assert found.problems == ()
+
+
+def test_episodes_are_those_of_the_run_directory(ablation):
+    output_dir, made = ablation
+    episodes = load("her", output_dir=output_dir).episodes
+    for directory in made.values():
+        stored = episodes[episodes["run_id"] == directory.run_id].drop(columns="run_id").reset_index(drop=True)
+        path = directory.path / "episodes.csv"
+        if directory.status == "running" or not path.exists():
+            assert stored.empty
+        else:
+            pd.testing.assert_frame_equal(stored, pd.read_csv(path).astype(EPISODES))
+    certified = episodes[(episodes["run_id"] == made["four", 0].run_id) & (episodes["phase"] == "certified")]
+    assert list(certified["outcome"].cat.categories) == ["success", "crash", "timeout"]
+    assert certified["outcome"].value_counts().to_dict() == {"success": 4, "crash": 1, "timeout": 0}
+    assert certified["parked"].sum() == 2
+
+
+def test_names_come_as_they_are(ablation, output_dir):
+    output_dir_, made = ablation
+    assert row(load("her", output_dir=output_dir_).runs, made["none", 0])["cpu"] == "Zürich <script>alert(1)</script>"
+    evil = "<img src=x onerror=alert(1)> 東京"
+    look = Look(tags={"cell": evil, "mlflow.runName": evil}, params={"note": evil, "env.other": "1e400"})
+    (directory,) = make_store(output_dir, "e", {"": []}, [0], lambda *_: look).values()
+    found = row(load("e", output_dir=output_dir).runs, directory)
+    assert (found["cell"], found["name"], found["config.note"]) == (evil, evil, evil)
+    assert found["config.env.other"] == math.inf
+
+
+def test_nan_metrics_stay_nan_and_their_evaluations_are_there(output_dir):
+    look = Look(nan=["eval/success_rate", "certified/success_rate", "time/cpu_s"])
+    (directory,) = make_store(output_dir, "e", {"": []}, [0], lambda *_: look).values()
+    found = load("e", output_dir=output_dir)
+    assert list(found.curves["step"]) == [100, 200, 300, 400]
+    assert found.curves["success_rate"].isna().all()
+    assert found.curves["cpu_s"].isna().all()
+    assert found.curves["crash_rate"].notna().all()
+    run = row(found.runs, directory)
+    assert (run["steps"], run["crash_rate"]) == (400, 0.0)
+    assert math.isnan(run["success_rate"])
+
+
+def test_values_of_another_type_than_their_columns_count_as_missing_and_are_said(output_dir):
+    look = Look(curve=(0.5, 1.0), success=0.8)
+    made = make_store(output_dir, "e", {"": []}, range(6), lambda *_: look)
+    ids = [made["", seed].run_id for seed in range(6)]
+    with closing(sqlite3.connect(output_dir / "mlflow.db")) as database:
+        for statement, run_id in [
+            ("UPDATE runs SET start_time = 'abc', end_time = x'ff', name = x'00'", ids[0]),
+            ("UPDATE latest_metrics SET value = 'abc' WHERE key = 'certified/success_rate'", ids[1]),
+            ("UPDATE metrics SET value = 'abc' WHERE key = 'eval/success_rate' AND step = 200", ids[2]),
+            (
+                "UPDATE metrics SET step = 1.5, timestamp = 'x', value = 0.5 WHERE key = 'eval/success_rate' AND step = 200",
+                ids[3],
+            ),
+            ("UPDATE runs SET artifact_uri = NULL", ids[4]),
+            ("UPDATE tags SET value = NULL WHERE key = 'cpu'", ids[5]),
+        ]:
+            joint = "AND" if "WHERE" in statement else "WHERE"
+            assert database.execute(f"{statement} {joint} run_uuid = ?", (run_id,)).rowcount == 1
+        database.commit()
+    found = load("e", output_dir=output_dir)
+    runs, cell = found.runs.set_index("run_id").loc[ids], made["", 0].config().cell
+    assert list(runs["started"].isna()) == list(runs["ended"].isna()) == [True, *[False] * 5]
+    assert list(runs["success_rate"].isna()) == [False, True, *[False] * 4]
+    assert (runs["name"].iloc[0], runs["artifact_uri"].iloc[4], runs["cpu"].isna().iloc[5]) == ("", "", True)
+    rates = [list(found.curves.loc[found.curves["run_id"] == run_id, "success_rate"]) for run_id in ids]
+    assert [rate[-1] for rate in rates] == [1.0] * 6
+    assert [math.isnan(rate[0]) for rate in rates] == [False, False, True, True, False, False]
+    assert set(found.episodes["run_id"]) == set(ids) - {ids[4]}
+    said = {
+        0: "name=b'\\x00', start_time='abc', end_time=b'\\xff'",
+        1: "certified/success_rate='abc'",
+        2: f"eval/success_rate='abc' (step=200, time={STARTED_MS + 200})",
+        3: "eval/success_rate=0.5 (step=1.5, time='x')",
+        4: "artifact_uri=None",
+        5: "cpu=None",
+    }
+    assert found.problems == (
+        *(f"run {ids[n]} ({cell}, seed {n}): impossible values count as missing: {what}" for n, what in said.items()),
+        f"run {ids[4]} ({cell}, seed 4): episodes.csv can't be read: the store does not say where its artifacts are",
+    )
+    with pytest.raises(ResultsError, match=r"can't be read: the store does not say where its artifacts are$"):
+        found.trajectories(ids[4])
+
+
+def test_a_step_that_was_logged_twice_counts_once_as_it_was_logged_last(output_dir):
+    (directory,) = make_store(output_dir, "e", {"": []}, [0], lambda *_: Look(curve=(1.0, 1.0))).values()
+    client = store(output_dir)
+    client.log_metric(directory.run_id, "eval/success_rate", 0.25, timestamp=STARTED_MS + 10**6, step=200)
+    client.log_metric(directory.run_id, "eval/success_rate", 0.75, timestamp=STARTED_MS - 10**6, step=400)
+    client.log_metric(directory.run_id, "time/cpu_s", 7.0, timestamp=STARTED_MS, step=350)  # beside an evaluation
+    curves = load("e", output_dir=output_dir).curves
+    assert list(zip(curves["step"], curves["success_rate"], strict=True)) == [(200, 0.25), (400, 1.0)]
+
+
+def test_lost_and_damaged_artifacts_are_said_and_spoil_nothing_else(output_dir):
+    header = "phase,step,scene,outcome,parked,steps,return,distance_m,heading_error_rad,speed_mps\n"
+    line = "certified,400,0,success,True,9,-1.5,0.1,0.01,0.2\n"
+    contents = {1: "no table", 2: "", 3: header + line[:20], 4: header + line.replace("success", "glory"),
+                5: header + line.replace("9", "nine"), 6: header.replace("scene", "start") + line,
+                7: header + "a,b\n", 8: header + line + "\n"}  # fmt: skip
+    looks = {
+        **{seed: Look(contents={"episodes.csv": text.encode()}) for seed, text in contents.items()},
+        0: Look(),
+        9: Look(missing=["episodes.csv"]),
+        10: Look(contents={"episodes.csv": b"\xff\xfe\n"}),
+        11: Look(contents={"episodes.csv": f"note,{header}x,{line}".encode()}),  # another version's
+        12: Look(status="failed", error="e", progress=0.0),
+    }
+    made = make_store(output_dir, "e", {"": []}, sorted(looks), lambda _, seed: looks[seed])
+    found = load("e", output_dir=output_dir)
+    assert len(found.runs) == 13
+    assert sorted(found.episodes["run_id"].unique()) == sorted([made["", 0].run_id, made["", 11].run_id])
+    (odd,) = found.episodes[found.episodes["run_id"] == made["", 11].run_id].to_dict("records")
+    assert (odd["phase"], odd["outcome"], odd["steps"], odd["return"]) == ("certified", "success", 9, -1.5)
+    cell = found.runs["cell"][0]
+    said = dict(
+        re.fullmatch(rf"run \w+ \({cell}, seed (\d+)\): episodes\.csv (.+)", each).groups() for each in found.problems
+    )
+    assert list(map(int, said)) == list(range(1, 11))
+    assert said["9"] == "is missing in the store"
+    assert {said[seed] for seed in "123"} == {"can't be read: it is cut off"}
+    assert said["4"] == "can't be read: it has rows that are no episodes"
+    assert said["6"] == "can't be read: it has no column scene"
+    assert all("\n" not in words for words in said.values())
+
+
+def test_columns_that_a_run_of_an_earlier_version_lacks_are_missing_and_the_others_stay(output_dir):
+    older = "note,phase,step,scene,outcome,return\nx,certified,400,0,success,-1.5\n,certified,400,1,crash,-7\n"
+    contents = {0: {}, 1: {"episodes.csv": older.encode()}}
+    made = make_store(output_dir, "e", {"": []}, contents, lambda _, seed: Look(contents=contents[seed]))
+    found = load("e", output_dir=output_dir)
+    assert found.problems == ()
+    old = found.episodes[found.episodes["run_id"] == made["", 1].run_id]
+    assert old[["phase", "step", "scene", "outcome", "return"]].values.tolist() == [
+        ["certified", 400, 0, "success", -1.5], ["certified", 400, 1, "crash", -7.0]
+    ]  # fmt: skip
+    assert old[["parked", "steps", "distance_m", "heading_error_rad", "speed_mps"]].isna().all(axis=None)
+    new = found.episodes[found.episodes["run_id"] == made["", 0].run_id]
+    table = pd.read_csv(made["", 0].path / "episodes.csv")
+    assert (
+        new[["parked", "steps", "distance_m"]].values.tolist()
+        == table[["parked", "steps", "distance_m"]].values.tolist()
+    )
+    types = {name: str(dtype) for name, dtype in found.episodes.dtypes.items()}
+    assert types == {
+        "run_id": "category", "phase": "category", "outcome": "category", "step": "int64", "scene": "int64",
+        "parked": "boolean", "steps": "Int64",
+        **dict.fromkeys(["return", "distance_m", "heading_error_rad", "speed_mps"], "float64"),
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize("name", ["phase", "step", "scene", "outcome"])
+def test_a_table_of_episodes_without_a_column_that_it_needs_is_said_with_its_name(output_dir, name):
+    text = "phase,step,scene,outcome\ncertified,400,0,success\n".replace(name, f"not_{name}")
+    make_store(output_dir, "e", {"": []}, [0], lambda *_: Look(contents={"episodes.csv": text.encode()}))
+    found = load("e", output_dir=output_dir)
+    assert found.problems[0].endswith(f"episodes.csv can't be read: it has no column {name}")
+    assert len(found.episodes) == 0
+
+
+def test_scenes_that_there_are_not_are_said(output_dir):
+    text = "phase,step,scene,outcome\ncertified,400,-1,success\n"
+    make_store(output_dir, "e", {"": []}, [0], lambda *_: Look(contents={"episodes.csv": text.encode()}))
+    (problem,) = load("e", output_dir=output_dir).problems
+    assert problem.endswith("episodes.csv can't be read: it has scenes that there are not")
+
+
+def test_runs_of_others_and_deleted_ones_are_left_out(output_dir):
+    made = make_store(output_dir, "e", {"": []}, range(3))
+    client = store(output_dir)
+    experiment_id = client.get_experiment_by_name("e").experiment_id
+    client.create_run(experiment_id, run_name="by hand")
+    odd = client.create_run(
+        experiment_id, tags={"cell": "c", "seed": "one", "run_key": "k", "run_dir": "d", "status": "done"}
+    )
+    client.log_metric(odd.info.run_id, "eval/success_rate", 1.0)
+    client.delete_run(made["", 1].run_id)
+    found = load("e", output_dir=output_dir)
+    assert list(found.runs["run_id"]) == [made["", 0].run_id, made["", 2].run_id]
+    assert set(found.curves["run_id"]) == set(found.runs["run_id"]) == set(found.episodes["run_id"])
+    assert found.ignored == 2
+
+
+def test_a_run_that_is_there_twice_is_said(output_dir, tmp_path):
+    make_store(output_dir, "e", {"": []}, [0])
+    (twin,) = make_store(tmp_path, "e", {"": []}, [0], uri=default_uri(output_dir)).values()
+    found = load("e", output_dir=output_dir)
+    assert len(found.runs) == 2
+    assert found.problems == (f"e, {twin.config().cell}, seed 0: 2 runs have it",)
+
+
+def test_several_experiments_or_all_are_one_frame(output_dir):
+    for name in ("a", "b", "c"):
+        make_store(output_dir, name, {"": []}, [0], bulk=True)
+    assert list(load(["c", "a"], output_dir=output_dir).runs["experiment"]) == ["a", "c"]
+    assert list(load(output_dir=output_dir).runs["experiment"]) == ["a", "b", "c"]
+
+
+def test_rows_written_in_bulk_are_those_that_a_sync_writes(output_dir, ablation):
+    config = compose("buffer.n_sampled_goal=4")
+    looks = {("four", seed): look for (label, seed), look in LOOKS.items() if label == "four"}
+    make_store(output_dir, "her", {"four": config}, range(3), lambda *key: looks[key], bulk=True)
+    bulk, synced = load("her", output_dir=output_dir), load("her", output_dir=ablation[0])
+    theirs = synced.runs[synced.runs["cell"] == config.cell].reset_index(drop=True)
+    own = ["run_id", "run_dir", "artifact_uri", "ended", "config.output_dir"]
+    shared = [name for name in bulk.runs if name not in own]
+    pd.testing.assert_frame_equal(bulk.runs[shared], theirs[shared], check_dtype=False)
+    for frame in ("curves", "episodes"):
+        for mine, other in zip(bulk.runs["run_id"], theirs["run_id"], strict=True):
+            pd.testing.assert_frame_equal(
+                *(
+                    table[table["run_id"] == run_id].drop(columns="run_id").reset_index(drop=True)
+                    for table, run_id in ((getattr(bulk, frame), mine), (getattr(synced, frame), other))
+                )
+            )
+
+
+def test_a_store_is_asked_as_often_for_forty_runs_as_for_two(output_dir, monkeypatch):
+    from sqlalchemy import event
+    from sqlalchemy.engine import Engine
+
+    asked = []
+    event.listen(Engine, "before_cursor_execute", lambda *arguments: asked.append(arguments[2]))
+    counts = []
+    for name, seeds in (("two", 2), ("forty", 40)):
+        make_store(output_dir, name, {"": compose()}, range(seeds), bulk=True)
+        asked.clear()
+        assert len(load(name, output_dir=output_dir).runs) == seeds
+        counts.append(len(asked))
+    assert counts[0] == counts[1] > 0
+
+
+def test_trajectories_are_those_that_were_recorded(ablation):
+    output_dir, made = ablation
+    found = load("her", output_dir=output_dir)
+    ways = found.trajectories(made["four", 0].run_id)
+    recorded = made_trajectories(made_episodes(LOOKS["four", 0], 0.8, range(5), 0))
+    assert [str(dtype) for dtype in ways.dtypes] == ["int64", "int64"] + 4 * ["float32"]
+    assert list(ways.columns) == ["scene", "step", "x_m", "y_m", "heading_rad", "speed_mps"]
+    assert list(ways.groupby("scene").size()) == list(recorded["length"])
+    second = ways[ways["scene"] == 1]
+    assert list(second["step"]) == list(range(recorded["length"][1]))
+    for name in ("x_m", "y_m", "heading_rad", "speed_mps"):
+        np.testing.assert_array_equal(ways[name], recorded[name])
+    for key in (("none", 1), ("four", 2)):
+        empty = found.trajectories(made[key].run_id)
+        assert (len(empty), list(empty.dtypes)) == (0, list(ways.dtypes))
+
+
+def test_trajectories_that_cannot_be_had_are_said(output_dir, tmp_path):
+    short, hidden = tmp_path / "short.npz", tmp_path / "hidden.npz"
+    arrays = {
+        "scene": np.arange(2),
+        "length": np.array([2, 3]),
+        **dict.fromkeys(("x_m", "y_m", "heading_rad", "speed_mps"), np.zeros(5)),
+    }
+    np.savez(short, **{**arrays, "x_m": np.zeros(4)})
+    np.savez(hidden, **{**arrays, "x_m": np.array([print] * 5, dtype=object)})
+    contents = [b"no zip", b"", short.read_bytes(), hidden.read_bytes(), short.read_bytes()[:300]]
+    looks = [Look(contents={"trajectories.npz": content}, trajectories=0) for content in contents]
+    make_store(output_dir, "e", {"": []}, range(5), lambda _, seed: looks[seed], bulk=True)
+    found = load("e", output_dir=output_dir)
+    for run_id in found.runs["run_id"]:
+        with pytest.raises(ResultsError, match=rf"^run {run_id}: trajectories.npz can't be read: "):
+            found.trajectories(run_id)
+    with pytest.raises(ResultsError, match=r"^run_id=x: it is none of 5 runs; choose from "):
+        found.trajectories("x")
+
+
+def test_a_store_that_is_not_there_is_not_made(tmp_path):
+    path = tmp_path / "outputs" / "mlflow.db"
+    with pytest.raises(ResultsError) as raised:
+        load("her", output_dir=tmp_path / "outputs")
+    assert str(raised.value) == f"there is no store {path}; train something first, or name another output_dir or store"
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_what_is_no_store_is_said_in_a_sentence(tmp_path):
+    file = tmp_path / "mlflow.db"
+    file.write_text("this is not a database, and it is long enough to be looked at " * 20)
+    with pytest.raises(ResultsError) as raised:
+        load("her", output_dir=tmp_path)
+    assert str(raised.value) == f"the store sqlite:///{file} can't be read: file is not a database"
+    with pytest.raises(ResultsError) as raised:
+        load("her", uri=str(file))
+    assert str(raised.value) == f"uri={file} is a file and no URI; type sqlite:///{file}"
+    with closed_port() as port, pytest.raises(ResultsError) as raised:
+        load("her", uri=f"http://me:secret@127.0.0.1:{port}")
+    assert str(raised.value) == f"the store http://***@127.0.0.1:{port} can't be read: Connection refused"
+
+
+def test_an_unknown_experiment_is_said_with_what_there_is(ablation):
+    uri = default_uri(ablation[0])
+    with pytest.raises(ResultsError) as raised:
+        load("hers", uri=uri)
+    assert str(raised.value) == f"experiment=hers: {uri} has none of that name; did you mean 'her'?"
+    with pytest.raises(ResultsError, match=r"experiment=zzz: .* has none of that name; choose from her$"):
+        load(["her", "zzz"], uri=uri)
+
+
+def test_an_experiment_without_runs_is_said(output_dir):
+    client = store(output_dir)
+    experiment_id = client.create_experiment("void")
+    with pytest.raises(ResultsError, match=r"^experiment=void: it has no runs of parking_exp$"):
+        load("void", output_dir=output_dir)
+    with pytest.raises(ResultsError, match=rf"^{default_uri(output_dir)}: it has no runs of parking_exp$"):
+        load(output_dir=output_dir)
+    client.create_run(experiment_id)
+    with pytest.raises(ResultsError, match=r"^experiment=void: it has no runs of parking_exp, but 1 by others$"):
+        load("void", output_dir=output_dir)
+
+
+def test_reading_changes_nothing_in_the_store(ablation):
+    def content():
+        with closing(sqlite3.connect(ablation[0] / "mlflow.db")) as database:
+            return list(database.iterdump())
+
+    before = content()
+    found = load("her", output_dir=ablation[0])
+    found.trajectories(found.runs["run_id"][0])
+    assert content() == before
+
+
+def test_results_are_read_without_torch_and_simulators(ablation):
+    code = (
+        "import sys; from parking_exp.results import load; found = load('her', output_dir=sys.argv[1]); "
+        "found.trajectories(found.runs['run_id'][0]); "
+        "print(sorted({'torch', 'gymnasium', 'highway_env', 'stable_baselines3', 'matplotlib'} & set(sys.modules)))"
+    )
+    command = [sys.executable, "-c", code, str(ablation[0])]
+    done = subprocess.run(command, check=False, capture_output=True, text=True, timeout=120, cwd=ROOT)
+    assert (done.stdout, done.returncode) == ("[]\n", 0), done.stderr
+
+
+def test_a_real_run_is_loaded_as_it_was_trained(smoke):
+    directory, _, output_dir = smoke
+    found = load("smoke", output_dir=output_dir)
+    metrics = {}
+    for line in (directory.path / "metrics.jsonl").read_text().splitlines():
+        record = json.loads(line)
+        for key, value in record["metrics"].items():
+            metrics.setdefault(key, {})[record["step"]] = value
+    run, config = row(found.runs, directory), directory.config()
+    assert (run["status"], run["seed"], run["cell"], run["steps"]) == ("done", config.seed, config.cell, 400)
+    for key, name in {**frames.FINAL, **frames.COST}.items():
+        assert run[name] == metrics[key][400]
+    for key, name in {**frames.CURVE, "time/cpu_s": "cpu_s"}.items():
+        assert dict(zip(found.curves["step"], found.curves[name], strict=True)) == {
+            step: metrics[key][step] for step in metrics["eval/success_rate"]
+        }
+    stored = found.episodes.drop(columns="run_id")
+    pd.testing.assert_frame_equal(stored, pd.read_csv(directory.path / "episodes.csv").astype(EPISODES))
+    assert run["config.total_timesteps"] == 400
+    assert (found.problems, found.ignored) == ((), 0)
+
+
+@needs_server
+def test_a_server_gives_the_same_frames_as_a_database(tmp_path, ablation, monkeypatch):
+    with closed_port() as port:
+        pass
+    with mlflow_server(port, tmp_path) as uri:
+        looks = {**LOOKS, ("four", 1): Look(missing=["episodes.csv"]), ("none", 0): Look(nan=["eval/return_mean"])}
+        made = make_store(tmp_path, "her", HER, range(3), lambda *key: looks[key], uri=uri)
+        found, local = (
+            load("her", uri=uri),
+            load("her", uri=f"sqlite:///{tmp_path}/server.db"),
+        )
+        places = found.runs.pop("artifact_uri")
+        assert places.str.startswith("mlflow-artifacts:").all()
+        pd.testing.assert_frame_equal(found.runs, local.runs.drop(columns="artifact_uri"))
+        pd.testing.assert_frame_equal(found.curves, local.curves)
+        directory = made["four", 0]
+        stored = (
+            found.episodes[found.episodes["run_id"] == directory.run_id].drop(columns="run_id").reset_index(drop=True)
+        )
+        pd.testing.assert_frame_equal(stored, pd.read_csv(directory.path / "episodes.csv").astype(EPISODES))
+        assert [problem.partition("episodes.csv ")[2] for problem in found.problems] == ["is missing in the store"]
+        whole = load("her", uri=uri)
+        assert len(whole.trajectories(directory.run_id)) == len(
+            load("her", output_dir=ablation[0]).trajectories(ablation[1]["four", 0].run_id)
+        )
+        assert whole.trajectories(made["four", 2].run_id).empty
+        monkeypatch.setattr("parking_exp.tracking.reader.HISTORIES", "/nowhere")  # a server without that route
+        pd.testing.assert_frame_equal(load("her", uri=uri).curves, local.curves)
+        monkeypatch.setattr("parking_exp.tracking.reader.POINTS_A_REQUEST", 2)
+        assert len(Reader(uri).histories([directory.run_id], ["eval/success_rate"])["eval/success_rate"]) == 3
+
+
+def test_a_store_that_was_lost_is_made_again_from_all_run_directories(output_dir):
+    make_store(output_dir, "her", HER, range(2))
+    before = load("her", output_dir=output_dir).runs
+    (output_dir / "mlflow.db").unlink()
+    done = run_script("status", "sync=true", f"output_dir={output_dir}")  # MLflow opens a store once a process
+    assert done.stderr.count("the store has everything") == 4
+    after = load("her", output_dir=output_dir).runs
+    same = ["cell", "seed", "status", "success_rate", "run_dir"]
+    pd.testing.assert_frame_equal(before[same], after[same])
+
+
+def test_results_say_in_a_line_what_they_are(output_dir):
+    make_store(output_dir, "her", HER, [0])
+    assert repr(load("her", output_dir=output_dir)).startswith("<Results of sqlite:///")

@@ -1,0 +1,661 @@
+"""Numbers of the report: exact values, published tables, and how often intervals cover."""
+
+import json
+import math
+import subprocess
+import sys
+from dataclasses import asdict
+from itertools import pairwise
+
+import numpy as np
+import pandas as pd
+import pytest
+from scipy import optimize, stats
+from support import coverage_simulation
+
+from parking_exp.statistics import (
+    contrast,
+    coverage_note,
+    holm,
+    importance,
+    interaction,
+    kaplan_meier,
+    log_rank,
+    main_effects,
+    mean_band,
+    mean_interval,
+    normalised_area,
+    probability_of_improvement,
+    restricted_mean,
+    share_reaching,
+    steps_to,
+    unseen_share,
+    welch,
+    wilson_interval,
+)
+from parking_exp.statistics.intervals import score_interval
+
+# Freireich et al. 1963, weeks of remission, as in Klein & Moeschberger: 6-MP (with censoring) and placebo.
+MERCAPTOPURINE = (
+    [6, 6, 6, 6, 7, 9, 10, 10, 11, 13, 16, 17, 19, 20, 22, 23, 25, 32, 32, 34, 35],
+    [1, 1, 1, 0, 1, 0, 1, 0, 0, 1, 1, 0, 0, 0, 1, 1, 0, 0, 0, 0, 0],
+)
+PLACEBO = ([1, 1, 2, 2, 3, 4, 4, 5, 5, 8, 8, 8, 8, 11, 11, 12, 12, 15, 17, 22, 23], [1] * 21)
+
+# Welch's test on Wikipedia, "Student's t-test", example 1: t = -2.46, df = 25.0, p = 0.021.
+FIRST = [27.5, 21.0, 19.0, 23.6, 17.0, 17.9, 16.9, 20.1, 21.9, 22.6, 23.1, 19.6, 19.0, 21.7, 21.4]
+SECOND = [27.1, 22.0, 20.8, 23.4, 23.4, 23.5, 25.8, 22.0, 24.8, 20.2, 21.9, 22.1, 22.9, 20.5, 24.4]
+
+TEN = [0.93, 0.97, 0.88, 1.0, 0.95, 0.91, 0.99, 0.96, 0.72, 0.94]
+
+
+def test_importing_statistics_imports_neither_scipy_stats_nor_pandas():
+    code = "import sys, parking_exp.statistics; print(sorted({'scipy.stats', 'pandas', 'torch'} & set(sys.modules)))"
+    assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout == "[]\n"
+
+
+# One rate
+
+
+@pytest.mark.parametrize(("k", "n", "low", "high"), [(95, 100, 0.89, 0.98), (475, 500, 0.93, 0.97)])
+def test_wilson_interval_of_95_percent(k, n, low, high):
+    assert [round(bound, 2) for bound in wilson_interval(k, n)] == [low, high]
+
+
+def test_share_of_seeds_that_reach_the_threshold_counts_those_at_it():
+    share = share_reaching([0.9, 0.89, 1.0, 0.95])
+    assert (share.k, share.n) == (3, 4)
+    assert (share.low, share.high) == wilson_interval(3, 4)
+
+
+def test_ten_good_seeds_leave_room_for_one_failure_in_four():
+    assert unseen_share(10) == pytest.approx(0.2589, abs=1e-4)  # 0.7411 ** 10 = 0.05
+
+
+# Means
+
+
+def test_one_seed_has_a_mean_and_no_interval():
+    estimate = mean_interval([0.7])
+    assert (estimate.mean, estimate.n, estimate.method) == (0.7, 1, "none")
+    assert math.isnan(estimate.low)
+    assert math.isnan(estimate.high)
+
+
+def test_ten_seeds_at_100_percent_get_the_exact_bound_and_not_a_width_of_zero():
+    estimate = mean_interval([1.0] * 10)
+    assert estimate.low == pytest.approx(0.6915, abs=1e-4)  # a coin that gives 10 of 10 with probability 0.025
+    assert estimate.low == pytest.approx(stats.binomtest(10, 10).proportion_ci().low)
+    assert (estimate.high, estimate.method) == (1.0, "exact bound, no scatter")
+
+
+def test_equal_seeds_in_the_middle_get_a_bound_on_both_sides():
+    estimate = mean_interval([0.8] * 5)
+    # 0.025 ** (1 / 5) = 0.47818; 0.8 of it, and 1 - 0.2 of it
+    assert [estimate.low, estimate.high] == pytest.approx([0.38254, 0.90436], abs=1e-5)
+
+
+def test_equal_values_without_bounds_have_no_interval():
+    estimate = mean_interval([12.0, 12.0, 12.0], bounds=None)
+    assert (estimate.mean, estimate.method) == (12.0, "none")
+    assert math.isnan(estimate.low)
+
+
+def test_interval_without_bounds_is_that_of_t_below_twenty_seeds():
+    estimate = mean_interval(FIRST, bounds=None)
+    expected = stats.ttest_1samp(FIRST, 0).confidence_interval()
+    assert [estimate.low, estimate.high] == pytest.approx([expected.low, expected.high])
+    assert estimate.method == "t"
+    assert mean_interval([*FIRST, *SECOND], bounds=None).method == "bootstrap-t"
+
+
+def test_score_interval_with_a_coins_variance_is_wilsons():
+    low, high = score_interval(np.array(0.9), np.array(0.9 * 0.1 / 10), 1e12, 0.95)
+    assert (float(low), float(high)) == pytest.approx(wilson_interval(9, 10))
+
+
+def test_interval_of_two_seeds_by_hand():
+    # mean 0.9, variance of the mean 0.02 / 2 = 0.01, so 0.09 / 0.01 = 9 trials; t = 12.70620, t^2 = 161.4476
+    # scale 1 / (1 + 161.4476 / 9) = 0.0528021; centre 0.0528021 (0.9 + 161.4476 / 18) = 0.521121
+    # half 0.0528021 * 12.70620 * sqrt(0.01 + 161.4476 / 324) = 0.478327
+    estimate = mean_interval([0.8, 1.0])
+    assert [estimate.low, estimate.high] == pytest.approx([0.042794, 0.999448], abs=2e-6)
+    assert estimate.method == "score, effective sample size"
+
+
+def test_bootstrap_t_agrees_with_drawing_indices():
+    values, rng = np.array(TEN), np.random.default_rng(11)
+    drawn = values[rng.integers(0, 10, (100_000, 10))]
+    deviations = (drawn.mean(axis=1) - values.mean()) / (drawn.std(axis=1, ddof=1) / math.sqrt(10))
+    below, above = np.quantile(deviations, [0.025, 0.975])
+    error = values.std(ddof=1) / math.sqrt(10)
+    estimate = mean_interval(TEN, resamples=100_000)
+    assert estimate.method == "bootstrap-t"
+    assert estimate.low == pytest.approx(values.mean() - above * error, abs=0.004)
+    assert estimate.high == pytest.approx(values.mean() - below * error, abs=0.004)
+
+
+def test_same_seed_gives_the_same_interval_whatever_the_global_state_is():
+    np.random.seed(1)
+    first = mean_interval(TEN, seed=3)
+    np.random.seed(2)
+    assert mean_interval(TEN, seed=3) == first
+    assert mean_interval(TEN, seed=4) != first
+
+
+def test_interval_follows_the_scale_of_its_bounds():
+    share, percent = mean_interval(TEN), mean_interval([100 * v for v in TEN], bounds=(0, 100))
+    assert [percent.low, percent.high] == pytest.approx([100 * share.low, 100 * share.high])
+
+
+@pytest.mark.parametrize(
+    ("values", "words"),
+    [([], "at least one value"), ([0.5, math.nan], "1 of 2 are NaN"), ([0.5, 1.5], "outside their bounds")],
+)
+def test_mean_interval_refuses_in_a_sentence(values, words):
+    with pytest.raises(ValueError, match=words):
+        mean_interval(values)
+
+
+def test_band_is_the_interval_of_every_point_and_counts_the_seeds_that_it_has():
+    curves = np.array([TEN, TEN[::-1], [0.5] * 10, [0.6] * 9 + [math.nan], [0.7] * 9 + [math.nan]])
+    band = mean_band(curves, resamples=500)
+    for point, column in ((band[0], curves[:, 0]), (band[9], curves[:3, 9])):
+        alone = mean_interval(column, resamples=500)
+        assert (point.mean, point.low, point.high) == pytest.approx((alone.mean, alone.low, alone.high))
+    assert [estimate.n for estimate in band] == [5] * 9 + [3]
+    assert mean_band(np.full((2, 1), math.nan))[0].n == 0
+
+
+# Pairs
+
+
+def test_welch_agrees_with_the_published_example():
+    result = welch(FIRST, SECOND)
+    assert round(result.df, 1) == 25.0
+    assert round(result.p, 3) == 0.021
+    expected = stats.ttest_ind(FIRST, SECOND, equal_var=False)
+    assert result.p == pytest.approx(expected.pvalue)
+    interval = expected.confidence_interval()
+    assert [result.low, result.high] == pytest.approx([interval.low, interval.high])
+
+
+def test_welch_with_one_seed_on_a_side_has_a_difference_and_nothing_else():
+    result = welch([0.9], [0.5, 0.7])
+    assert result.difference == pytest.approx(0.3)
+    assert all(math.isnan(number) for number in (result.low, result.high, result.p))
+
+
+def test_equal_cells_without_scatter_cannot_be_told_apart():
+    result = welch([1.0] * 3, [1.0] * 4)
+    assert (result.difference, result.p) == (0.0, 1.0)
+    assert math.isnan(result.low)
+
+
+def test_different_cells_without_scatter_get_the_permutation_tests_p():
+    assert welch([1.0] * 3, [0.5] * 3).p == pytest.approx(2 / 20)  # 6! / (3! 3!) = 20 ways to split
+    assert welch([1.0] * 10, [0.5] * 10).p < 0.0001
+
+
+def test_ties_count_one_half():
+    # 1 beats 0; each 2 beats 0 and ties with 2: 1 + 2 * 1.5 = 4 of 9
+    assert probability_of_improvement([1, 2, 2], [0, 2, 3]).probability == pytest.approx(4 / 9)
+    assert probability_of_improvement([0, 2, 3], [1, 2, 2]).probability == pytest.approx(5 / 9)
+
+
+def test_improvement_interval_solves_newcombes_equation():
+    result = probability_of_improvement([1, 2, 2, 5], [0, 2, 3])
+    theta, size, z = result.probability, 3.5, stats.norm.ppf(0.975)
+
+    def distance(x):
+        variance = x * (1 - x) / 12 * (1 + (size - 1) * ((1 - x) / (2 - x) + x / (1 + x)))
+        return (theta - x) ** 2 - z**2 * variance
+
+    assert result.low == pytest.approx(optimize.brentq(distance, 1e-9, theta))
+    assert result.high == pytest.approx(optimize.brentq(distance, theta, 1 - 1e-9))
+
+
+def test_certain_improvement_has_an_interval_with_width_and_mirrors():
+    better, worse = probability_of_improvement([1] * 5, [0] * 5), probability_of_improvement([0] * 5, [1] * 5)
+    assert (better.probability, better.high) == (1.0, 1.0)
+    assert 0.5 < better.low < 0.8
+    assert worse.high == pytest.approx(1 - better.low)
+
+
+def test_holm_by_hand_and_without_nan_in_the_family():
+    # sorted 0.005 * 4, 0.01 * 3, 0.03 * 2, max(0.06, 0.04 * 1)
+    assert holm([0.01, 0.04, 0.03, 0.005]).tolist() == pytest.approx([0.03, 0.06, 0.06, 0.02])
+    adjusted = holm([0.01, math.nan, 0.6, 0.7])
+    assert math.isnan(adjusted[1])
+    assert adjusted[[0, 2, 3]].tolist() == pytest.approx([0.03, 1.0, 1.0])
+    assert holm([]).tolist() == []
+    with pytest.raises(ValueError, match="between 0 and 1"):
+        holm([1.2])
+
+
+# Time to a threshold
+
+
+def test_steps_to_is_the_first_of_three_evaluations_that_hold():
+    steps = [0, 10, 20, 30, 40, 50, 60]
+    assert steps_to(steps, [0, 0.9, 0.95, 0.8, 0.9, 0.9, 1.0]) == (40.0, True)
+    assert steps_to(steps, [0, 0.9, 0.95, math.nan, 0.9, 0.9, 0.1]) == (40.0, False)
+    assert steps_to(steps[:2], [1.0, 1.0]) == (0.0, False)
+    assert steps_to(steps[:2], [0.0, 1.0], hold=1) == (10.0, True)
+
+
+def test_kaplan_meier_agrees_with_the_leukaemia_table():
+    curve = kaplan_meier(*MERCAPTOPURINE)
+    survival = {time: round(1 - reached, 3) for time, reached in zip(curve.times, curve.reached, strict=True)}
+    published = {6: 0.857, 7: 0.807, 10: 0.753, 13: 0.690, 16: 0.627, 22: 0.538, 23: 0.448, 35: 0.448}
+    assert {time: survival[time] for time in published} == published
+    assert (curve.median, curve.n, curve.at_risk[0]) == (23.0, 21, 21)
+    assert kaplan_meier(*PLACEBO).median == 8.0
+
+
+def test_kaplan_meier_and_its_interval_agree_with_scipy():
+    times, seen = np.array(MERCAPTOPURINE[0]), np.array(MERCAPTOPURINE[1], dtype=bool)
+    curve = kaplan_meier(times, seen)
+    fit = stats.ecdf(stats.CensoredData(uncensored=times[seen], right=times[~seen])).sf
+    interval = fit.confidence_interval(method="log-log")
+    assert list(curve.reached) == pytest.approx(1 - fit.probabilities)
+    assert list(curve.low) == pytest.approx(1 - interval.high.probabilities)
+    assert list(curve.high) == pytest.approx(1 - interval.low.probabilities)
+
+
+def test_kaplan_meier_without_events_and_with_nothing_else():
+    never = kaplan_meier([50, 50, 50], [False] * 3)
+    assert (never.reached, never.median, never.low) == ((0.0,), None, (0.0,))
+    assert never.high == (wilson_interval(0, 3)[1],)
+    always = kaplan_meier([10, 10], [True, True])
+    assert (always.reached, always.median, always.high) == ((1.0,), 10.0, (1.0,))
+    assert always.low == (wilson_interval(2, 2)[0],)
+    curve = kaplan_meier([10, 20, 30], [True] * 3)
+    assert all(a <= b for a, b in pairwise(curve.low))
+    assert not any(math.isnan(number) for number in (*curve.low, *curve.high))
+
+
+def test_log_rank_agrees_with_the_published_leukaemia_trial():
+    assert log_rank(MERCAPTOPURINE, PLACEBO) == pytest.approx(stats.chi2.sf(16.79, 1), rel=0.01)  # chi-square 16.79
+
+
+def test_log_rank_without_any_event_is_nan():
+    assert math.isnan(log_rank(([5, 5], [0, 0]), ([5], [0])))
+
+
+def test_restricted_mean_by_hand():
+    # S is 1 to 2, 1/2 to 4, then 0: 2 + 1 = 3. Greenwood: area right of 2 is 1, 1 / (2 * 1): 0.5, times 2 / 1
+    both = restricted_mean([2, 4], [True, True], horizon=5)
+    assert (both.mean, both.error) == pytest.approx((3.0, 1.0))
+    # S is 1 to 1, 2/3 to 3: 1 + 4/3. Greenwood: (4/3)^2 / (3 * 2) = 8/27, times 3 / 2 = 4/9
+    censored = restricted_mean([1, 2, 3], [True, False, True], horizon=3)
+    assert (censored.mean, censored.error) == pytest.approx((7 / 3, 2 / 3))
+
+
+def test_restricted_mean_is_a_mean_with_its_interval_where_only_the_horizon_censors():
+    times = np.array([12.0, 20.0, 30.0, 50.0])
+    result = restricted_mean(times, times < 50, horizon=50)
+    expected = mean_interval(times / 50)
+    assert result.mean == pytest.approx(28.0)
+    assert result.error == pytest.approx(times.std(ddof=1) / 2)
+    assert [result.low / 50, result.high / 50] == pytest.approx([expected.low, expected.high])
+
+
+def test_restricted_mean_without_scatter_one_run_and_beyond_what_was_seen():
+    assert restricted_mean([50, 50], [False, False], 50).high == 50
+    assert restricted_mean([50, 50], [False, False], 50).low == pytest.approx(50 * math.sqrt(0.025))
+    assert math.isnan(restricted_mean([10], [True], 50).low)
+    with pytest.raises(ValueError, match="beyond the last step that was seen, 40"):
+        restricted_mean([10, 40], [True, False], 50)
+
+
+# Curves
+
+
+def test_normalised_area_is_trapezoids_over_the_covered_range():
+    assert normalised_area([10, 20, 40], [1, 1, 1]) == 1.0
+    # (0 + 1) / 2 * 10 + 1 * 20 = 25 of 30
+    assert normalised_area([10, 20, 40], [0, 1, 1]) == pytest.approx(25 / 30)
+    assert normalised_area([10, 20, 30, 40], [0, 1, math.nan, 1]) == pytest.approx(25 / 30)
+    # to 15: (0 + 0.5) / 2 * 5 of 5
+    assert normalised_area([10, 20], [0, 1], horizon=15) == pytest.approx(0.25)
+    assert normalised_area([10], [0.3]) == 0.3
+    with pytest.raises(ValueError, match="at least one evaluation"):
+        normalised_area([10], [math.nan])
+
+
+# Factor sweeps
+
+CELLS = {("future", 2): [0.2, 0.4], ("future", 4): [0.6, 0.8, 0.7], ("final", 2): [0.1, 0.1], ("final", 4): [0.3, 0.5]}
+
+
+def frame(cells=CELLS):
+    rows = [
+        {"strategy": strategy, "goals": goals, "success": value}
+        for (strategy, goals), values in cells.items()
+        for value in values
+    ]
+    return pd.DataFrame(rows)
+
+
+def test_main_effects_weigh_cells_and_not_seeds():
+    effects = main_effects(frame(), ["strategy", "goals"], "success")
+    means = {(level.factor, level.level): level.mean for level in effects.levels}
+    # cells: future 0.3, 0.7; final 0.1, 0.4
+    assert means == pytest.approx(
+        {("strategy", "final"): 0.25, ("strategy", "future"): 0.5, ("goals", 2): 0.2, ("goals", 4): 0.55}
+    )
+    assert effects.mean == pytest.approx(0.375)
+    assert effects.complete
+
+
+def test_main_effect_interval_by_hand():
+    future = next(v for v in main_effects(frame(), ["strategy", "goals"], "success").levels if v.level == "future")
+    # variances 0.02 / 2 and 0.01 / 3, each / 4: 0.0025 + 0.00083333; df = 0.0033333^2 / (0.0025^2 / 1 + 0.00083333^2 / 2)
+    df = 0.00333333**2 / (0.0025**2 + 0.00083333**2 / 2)
+    half = stats.t.ppf(0.975, df) * math.sqrt(0.00333333)
+    assert (future.low, future.high) == pytest.approx((0.5 - half, 0.5 + half), rel=1e-4)
+    assert (future.cells, future.seeds) == (2, 5)
+
+
+def test_missing_combination_is_flagged_and_single_seeds_take_the_pooled_variance():
+    cells = {key: values for key, values in CELLS.items() if key != ("final", 4)} | {("future", 2): [0.3]}
+    effects = main_effects(frame(cells), ["strategy", "goals"], "success")
+    future = next(level for level in effects.levels if level.level == "future")
+    assert not effects.complete
+    assert future.method == "pooled variance"
+    # pooled: (2 * 0.01 + 1 * 0) / 3 = 1/150; of the mean of two cells: (1 + 1/3) / 4 of it
+    assert future.high - future.mean == pytest.approx(stats.t.ppf(0.975, 3) * math.sqrt(1 / 450))
+
+
+def test_a_level_with_one_seed_in_all_has_no_interval():
+    effects = main_effects(frame({("future", 2): [0.3], ("final", 2): [0.1]}), ["strategy"], "success")
+    assert all(math.isnan(level.low) for level in effects.levels)
+
+
+def test_interaction_residuals_by_hand():
+    table = interaction(frame(), "strategy", "goals", "success")
+    residuals = {(cell.row, cell.column): cell.residual for cell in table.cells}
+    # future, 2: 0.3 - 0.5 - 0.2 + 0.375 = -0.025
+    assert residuals == pytest.approx(
+        {("final", 2): 0.025, ("final", 4): -0.025, ("future", 2): -0.025, ("future", 4): 0.025}
+    )
+    cell = next(cell for cell in table.cells if (cell.row, cell.column) == ("future", 4))
+    assert (cell.low, cell.high) == (mean_interval([0.6, 0.8, 0.7]).low, mean_interval([0.6, 0.8, 0.7]).high)
+
+
+def test_interaction_of_an_incomplete_design_leaves_the_hole():
+    table = interaction(frame({k: v for k, v in CELLS.items() if k != ("final", 4)}), "strategy", "goals", "success")
+    hole = next(cell for cell in table.cells if cell.n == 0)
+    assert (hole.row, hole.column, table.complete) == ("final", 4, False)
+    assert math.isnan(hole.mean)
+    # three cells, three free effects: nothing is left over
+    assert [cell.residual for cell in table.cells if cell.n] == pytest.approx([0, 0, 0])
+
+
+def test_effects_refuse_nan_and_unknown_columns():
+    with pytest.raises(ValueError, match="'success' holds NaN"):
+        main_effects(frame({("a", 1): [math.nan, 0.5]}), ["strategy"], "success")
+    with pytest.raises(ValueError, match="no column 'speed'"):
+        main_effects(frame(), ["speed"], "success")
+
+
+# Hyperparameters
+
+
+def sweep():
+    rng = np.random.default_rng(0)
+    rate, width = 10 ** rng.uniform(-5, -2, 40), rng.choice([64, 256], 40)
+    relabel = rng.random(40) < 0.5
+    return pd.DataFrame(
+        {
+            "lr": rate,
+            "width": width,
+            "her": relabel,
+            "seed": 1,
+            "success": 0.2 * np.log10(rate) + 0.3 * relabel + 0.02 * rng.normal(size=40) + 1,
+        }
+    )
+
+
+def test_importance_finds_what_matters_and_its_direction():
+    shares = {row.parameter: row for row in importance(sweep(), ["lr", "width", "her", "seed"], "success")}
+    assert shares["lr"].share > 0.3
+    assert (shares["lr"].direction, shares["lr"].p) == (1, 0.001)
+    assert shares["her"].share > 0.1
+    assert shares["her"].direction is None
+    assert shares["width"].share < 0.1
+    assert shares["width"].p > 0.05
+    assert (shares["seed"].share, shares["seed"].p, shares["seed"].direction) == (0.0, 1.0, None)
+    expected = stats.spearmanr(sweep()["lr"], sweep()["success"]).statistic
+    assert shares["lr"].spearman == pytest.approx(expected)
+
+
+def test_importance_of_a_category_is_the_adjusted_correlation_ratio():
+    table = pd.DataFrame({"kind": list("aaabbb"), "success": [1.0, 2, 3, 4, 5, 6]})
+    # total 17.5, between 2 * 3 * 1.5^2 = 13.5; adjusted 1 - 4 / 17.5 * 5 / 4 = 0.7142857
+    assert importance(table, ["kind"], "success")[0].share == pytest.approx(1 - 4 / 17.5 * 5 / 4)
+
+
+def test_importance_does_not_depend_on_the_scale_of_a_number_and_repeats():
+    table = sweep()
+    table["log_lr"] = np.log(table["lr"])
+    plain, logarithmic = importance(table, ["lr", "log_lr"], "success", seed=5)
+    assert (plain.share, plain.p) == pytest.approx((logarithmic.share, logarithmic.p))
+    assert importance(table, ["lr"], "success", seed=5) == [plain]
+
+
+def test_importance_refuses_four_runs_and_nan():
+    with pytest.raises(ValueError, match="at least 5 runs, not 4"):
+        importance(sweep().head(4), ["lr"], "success")
+    with pytest.raises(ValueError, match="'lr' holds NaN"):
+        importance(sweep().replace({"lr": {sweep()["lr"][0]: math.nan}}), ["lr"], "success")
+
+
+def test_results_go_into_json_as_they_are():
+    results = [mean_interval(TEN), welch(FIRST, SECOND), probability_of_improvement(TEN, TEN), share_reaching(TEN)]
+    results += [kaplan_meier(*PLACEBO), restricted_mean(*PLACEBO, 20), main_effects(frame(), ["goals"], "success")]
+    results += [interaction(frame(), "goals", "strategy", "success"), importance(sweep(), ["lr"], "success")[0]]
+    for result in results:
+        assert json.loads(json.dumps(asdict(result), allow_nan=False))
+
+
+# Coverage
+
+
+@pytest.mark.parametrize("n", [5, 10, 20])
+@pytest.mark.parametrize(
+    "rates",
+    [
+        coverage_simulation.Rates(0.5, 0.15),
+        coverage_simulation.Rates(0.75, 0.05),
+        coverage_simulation.Rates(0.9, 0.15),
+        coverage_simulation.Rates(0.95, 0.06),
+    ],
+    ids=str,
+)
+def test_interval_of_a_mean_covers_in_93_to_97_of_100_draws(rates, n):
+    assert 0.93 <= coverage_simulation.of_mean(rates, n).mean() <= 0.97
+
+
+def test_interval_of_a_difference_covers_in_93_to_97_of_100_draws():
+    assert (
+        0.93
+        <= coverage_simulation.of_difference(
+            coverage_simulation.Rates(0.75, 0.05), coverage_simulation.Rates(0.9, 0.03), 10
+        ).mean()
+        <= 0.97
+    )
+
+
+def test_interval_of_an_improvement_covers_in_93_to_97_of_100_draws():
+    assert (
+        0.93
+        <= coverage_simulation.of_improvement(
+            coverage_simulation.Rates(0.95, 0.06), coverage_simulation.Rates(0.95, 0.06), 10
+        ).mean()
+        <= 0.97
+    )
+
+
+def test_interval_of_a_restricted_mean_covers_in_93_to_97_of_100_draws():
+    assert 0.93 <= coverage_simulation.of_restricted_mean(30, 0.3, 0.1, 10).mean() <= 0.97
+
+
+@pytest.mark.parametrize(("rate", "trials"), [(0.5, 100), (0.95, 100), (0.95, 500), (0.99, 500)])
+def test_wilsons_interval_of_one_run_covers_in_93_to_97_of_100_draws(rate, trials):
+    assert 0.93 <= coverage_simulation.of_rate(rate, trials).mean() <= 0.97
+
+
+@pytest.mark.parametrize("n", [5, 10, 20])
+def test_mean_of_collapsing_seeds_is_missed_nearly_only_where_no_collapse_shows(n):
+    rates = coverage_simulation.Rates(0.95, 0.03, failing=0.1)
+    shows = (rates.measured(n) == 0).any(axis=1)
+    covered = coverage_simulation.of_mean(rates, n)
+    assert covered.mean() < 0.93
+    assert not covered[~shows].all()
+    assert np.array_equal(coverage_simulation.speaks(rates, n), (rates.measured(n, 400, seed=2) == 0).any(axis=1))
+
+
+def test_welch_falls_below_93_percent_where_the_noisier_cell_has_a_tail_and_the_note_says_so():
+    first, second = coverage_simulation.Rates(0.95, 0.1), coverage_simulation.Rates(0.99, 0.01)
+    assert 0.79 <= coverage_simulation.of_difference(first, second, 10).mean() < 0.84
+    assert coverage_simulation.speaks(first, 10, second).mean() > 0.85
+
+
+def test_students_interval_and_bca_cover_too_little_where_rates_pile_up_below_one():
+    # Why `mean_interval` takes neither.
+    assert coverage_simulation.of_mean_by_student(coverage_simulation.Rates(0.9, 0.15), 5).mean() < 0.85
+    assert coverage_simulation.of_mean_by_student(coverage_simulation.Rates(0.99, 0.03), 10).mean() < 0.85
+    assert coverage_simulation.of_mean_by_bca(coverage_simulation.Rates(0.95, 0.1), 20, draws=1000).mean() < 0.93
+
+
+def test_note_is_silent_on_healthy_seeds_and_names_the_coverage_on_others():
+    assert coverage_note(TEN) is None
+    assert coverage_note(TEN, TEN) is None
+    assert "fewer than 5" in coverage_note([0.9, 0.95])
+    assert "95 points apart" in coverage_note([0.0, 0.95, 0.96, 0.97, 0.98, 0.95])
+    assert "covered 62 %" in coverage_note([0.0, 0.95, 0.96, 0.97, 0.98, 0.95])
+    assert "81 % with 10" in coverage_note(TEN, [0.99, 1.0] * 5)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("n", coverage_simulation.SEEDS)
+@pytest.mark.parametrize("rates", coverage_simulation.HEALTHY, ids=str)
+def test_mean_never_covers_less_than_93_of_100_draws_and_more_than_97_only_at_the_ceiling_or_with_three(rates, n):
+    covered = coverage_simulation.of_mean(rates, n).mean()
+    assert covered >= 0.93
+    assert covered <= 0.9705 or rates.mean == 0.99 or n == 3
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("n", coverage_simulation.SEEDS)
+@pytest.mark.parametrize("rates", coverage_simulation.COLLAPSING, ids=str)
+def test_note_speaks_wherever_a_collapse_shows_below_thirty_seeds(rates, n):
+    if n == 30:
+        assert coverage_simulation.of_mean(rates, n).mean() >= 0.93
+    else:
+        shows = (rates.measured(n, 400, seed=2) == 0).any(axis=1)
+        assert coverage_simulation.speaks(rates, n)[shows].all()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("n", coverage_simulation.SEEDS)
+@pytest.mark.parametrize("pair", coverage_simulation.PAIRS, ids=str)
+def test_differences_and_improvements_cover_in_92_of_100_draws_or_have_three_seeds_and_a_note(pair, n):
+    if n == 3:
+        assert coverage_simulation.speaks(pair[0], n, pair[1]).all()
+    else:
+        assert coverage_simulation.of_difference(*pair, n).mean() >= 0.93
+        assert (
+            coverage_simulation.of_improvement(*pair, n).mean() >= 0.925
+        )  # 92.8 % where the deviations are 0.05 and 0.15
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("n", [5, 10, 20])
+@pytest.mark.parametrize("pair", coverage_simulation.SKEWED_PAIRS, ids=str)
+def test_note_speaks_in_at_least_two_of_five_draws_of_pairs_with_a_tail(pair, n):
+    assert coverage_simulation.of_difference(*pair, n).mean() >= 0.73
+    assert coverage_simulation.of_improvement(*pair, n).mean() >= 0.88
+    assert coverage_simulation.speaks(pair[0], n, pair[1]).mean() >= 0.4
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("n", coverage_simulation.SEEDS)
+def test_restricted_mean_covers_unless_runs_are_fast_or_never_arrive(n):
+    for times in coverage_simulation.RESTRICTED:
+        assert 0.93 <= coverage_simulation.of_restricted_mean(*times, n).mean() <= 0.985
+    if n < 20:
+        assert all(
+            coverage_simulation.of_restricted_mean(*times, n).mean() < 0.93
+            for times in coverage_simulation.FAST_OR_NEVER
+        )
+
+
+@pytest.mark.slow
+def test_wilson_misses_more_than_it_says_only_for_few_trials_close_to_the_end():
+    for rate in (0.25, 0.5, 0.75, 0.9, 0.95, 0.99):
+        assert coverage_simulation.of_rate(rate, 500).mean() >= 0.93
+        assert coverage_simulation.of_rate(rate, 100).mean() >= 0.92  # 92.2 % at 0.99
+        assert all(
+            coverage_simulation.of_rate(rate, n).mean() >= 0.85 for n in coverage_simulation.SEEDS
+        )  # 85 % for 3 seeds at 0.95
+
+
+def test_a_contrast_of_one_factor_is_welchs_test():
+    table = pd.DataFrame(
+        {"strategy": ["a"] * 4 + ["b"] * 5, "success": [0.9, 0.8, 0.95, 0.7, 0.5, 0.6, 0.2, 0.4, 0.55]}
+    )
+    found = contrast(table, ["strategy"], "success", ("strategy", "a", "b"))
+    a, b = (table.loc[table["strategy"] == name, "success"] for name in "ab")
+    known = stats.ttest_ind(a, b, equal_var=False)
+    interval = known.confidence_interval()
+    assert (found.difference, found.p) == pytest.approx((a.mean() - b.mean(), known.pvalue))
+    assert (found.low, found.high) == pytest.approx((interval.low, interval.high))
+
+
+def test_a_contrast_over_another_factor_weighs_cells_the_same():
+    cells = {("a", 1): [0.9, 0.7], ("a", 2): [0.5, 0.3], ("b", 1): [0.4, 0.2], ("b", 2): [0.2, 0.0]}
+    found = contrast(frame(cells), ["strategy", "goals"], "success", ("strategy", "a", "b"))
+    # (.8 + .4) / 2 - (.3 + .1) / 2; each mean has the variance .02 / 2, a quarter of which counts, four times: .01,
+    # on 4 degrees of freedom, as all are the same: t = .4 / .1
+    assert found.difference == pytest.approx(0.4)
+    assert found.df == pytest.approx(4)
+    assert found.p == pytest.approx(2 * stats.t.sf(4, 4))
+    assert found.high - found.difference == pytest.approx(stats.t.ppf(0.975, 4) * 0.1)
+
+
+def test_a_contrast_of_single_seeds_takes_the_pooled_variance_and_has_none_without_scatter():
+    cells = {("a", 1): [0.9, 0.7], ("a", 2): [0.5], ("b", 1): [0.4], ("b", 2): [0.2]}
+    found = contrast(frame(cells), ["strategy", "goals"], "success", ("strategy", "a", "b"))
+    # pooled variance .02 on 1 degree of freedom; .02 * (1/2 + 1 + 1 + 1) / 4 = .0175
+    assert found.p == pytest.approx(2 * stats.t.sf(0.35 / math.sqrt(0.0175), 1))
+    alone = contrast(
+        frame({key: values[:1] for key, values in cells.items()}), ["strategy"], "success", ("strategy", "a", "b")
+    )
+    assert math.isfinite(alone.p)  # two goals are two seeds of a strategy
+    single = contrast(frame({("a", 1): [0.9], ("b", 1): [0.4]}), ["strategy"], "success", ("strategy", "a", "b"))
+    assert (single.difference, math.isnan(single.p)) == (0.5, True)
+    with pytest.raises(ValueError, match="strategy has no level 'c'"):
+        contrast(frame(cells), ["strategy"], "success", ("strategy", "a", "c"))
+
+
+def test_the_f_test_of_interaction_is_that_of_a_two_way_table():
+    # Means .8 .4 / .3 .1: residuals +-.05, so that 2 seeds each give 8 * .0025 = .02 on 1 degree of freedom, against
+    # .08 within cells on 4.
+    cells = {("a", 1): [0.9, 0.7], ("a", 2): [0.5, 0.3], ("b", 1): [0.4, 0.2], ("b", 2): [0.2, 0.0]}
+    assert interaction(frame(cells), "strategy", "goals", "success").p == pytest.approx(stats.f.sf(1.0, 1, 4))
+    del cells["b", 2]
+    assert math.isnan(interaction(frame(cells), "strategy", "goals", "success").p)  # a sum fits three cells
+    once = {key: values[:1] for key, values in cells.items()}
+    assert math.isnan(interaction(frame(once), "strategy", "goals", "success").p)
+
+
+def test_seeds_that_are_all_the_same_have_no_interval_of_their_main_effect():
+    # Three times 0.8 has a variance of 1e-32 in floats.
+    effects = main_effects(frame({("a", 1): [0.8] * 3, ("b", 1): [0.4] * 3}), ["strategy"], "success")
+    assert all(math.isnan(level.low) for level in effects.levels)
+    assert math.isnan(
+        contrast(frame({("a", 1): [0.8] * 3, ("b", 1): [0.4] * 3}), ["strategy"], "success", ("strategy", "a", "b")).p
+    )

@@ -1,0 +1,181 @@
+"""How often intervals cover what they should, by simulation.
+
+A seed's true rate is drawn from a Beta distribution, or is 0 if the seed collapses; what is measured of it is the share of 100 scenes.
+`python tests/support/coverage_simulation.py` prints the whole table.
+"""
+
+import warnings
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import stats
+
+from parking_exp.statistics import coverage_note, restricted_mean, wilson_interval
+from parking_exp.statistics.intervals import interval_rows
+from parking_exp.statistics.pairs import newcombe, welch_half
+
+DRAWS = 2000
+SCENES = 100
+SEEDS = (3, 5, 10, 20, 30)
+
+
+@dataclass(frozen=True)
+class Rates:
+    """Seeds whose true rates have this mean and deviation; the share `failing` of them is at 0 instead."""
+
+    mean: float
+    deviation: float
+    failing: float = 0.0
+
+    @property
+    def truth(self):
+        return self.mean * (1 - self.failing)
+
+    def measured(self, n, draws=DRAWS, seed=1):
+        rng = np.random.default_rng(seed)
+        size = self.mean * (1 - self.mean) / self.deviation**2 - 1
+        rates = rng.beta(self.mean * size, (1 - self.mean) * size, (draws, n))
+        if self.failing:
+            rates = np.where(rng.random((draws, n)) < self.failing, 0.0, rates)
+        return rng.binomial(SCENES, rates) / SCENES
+
+
+HEALTHY = tuple(
+    Rates(mean, deviation)
+    for mean, deviations in {
+        0.25: (0.05, 0.15),
+        0.5: (0.05, 0.15),
+        0.75: (0.05, 0.15),
+        0.9: (0.03, 0.08, 0.15),
+        0.95: (0.03, 0.06, 0.1),
+        0.99: (0.01, 0.03),
+    }.items()
+    for deviation in deviations
+)
+COLLAPSING = tuple(Rates(*rates, failing) for rates in ((0.95, 0.03), (0.8, 0.08)) for failing in (0.1, 0.2))
+PAIRS = (
+    (Rates(0.5, 0.15), Rates(0.5, 0.15)),
+    (Rates(0.5, 0.05), Rates(0.5, 0.15)),
+    (Rates(0.75, 0.05), Rates(0.9, 0.03)),
+    (Rates(0.9, 0.08), Rates(0.75, 0.05)),
+    (Rates(0.95, 0.06), Rates(0.25, 0.05)),
+    (Rates(0.95, 0.06), Rates(0.95, 0.06)),
+    (Rates(0.99, 0.03), Rates(0.75, 0.15)),
+    (Rates(0.99, 0.03), Rates(0.99, 0.03)),
+)
+SKEWED_PAIRS = (
+    (Rates(0.9, 0.15), Rates(0.5, 0.05)),
+    (Rates(0.99, 0.03), Rates(0.95, 0.06)),
+    (Rates(0.95, 0.1), Rates(0.99, 0.01)),
+)
+RESTRICTED = ((20, 0.2, 0.0), (20, 0.5, 0.0), (40, 0.5, 0.0), (30, 0.3, 0.1), (30, 0.3, 0.2))
+FAST_OR_NEVER = ((10, 0.2, 0.1), (10, 0.2, 0.2))  # median, deviation of the logarithm, share that never reaches
+
+
+def of_mean(rates, n, draws=DRAWS):
+    """Return in which of the draws `mean_interval` holds the mean of all seeds."""
+    low, high, _ = interval_rows(rates.measured(n, draws), 0.95, 0, (0.0, 1.0), 1999)
+    return (low <= rates.truth) & (rates.truth <= high)
+
+
+def of_mean_by_student(rates, n, draws=DRAWS):
+    """Return in which of the draws Student's interval holds the mean: what `mean_interval` would be without skew."""
+    values = rates.measured(n, draws)
+    half = stats.t.ppf(0.975, n - 1) * values.std(axis=1, ddof=1) / np.sqrt(n)
+    return np.abs(values.mean(axis=1) - rates.truth) <= half
+
+
+def of_mean_by_bca(rates, n, draws=DRAWS):
+    """Return in which of the draws the bias-corrected and accelerated bootstrap holds the mean; NaN holds nothing."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # draws without scatter
+        found = stats.bootstrap(
+            (rates.measured(n, draws),),
+            np.mean,
+            axis=1,
+            vectorized=True,
+            n_resamples=999,
+            batch=50,
+            rng=9,
+            method="BCa",
+        ).confidence_interval
+    return (found.low <= rates.truth) & (rates.truth <= found.high)
+
+
+def of_difference(a, b, n, draws=DRAWS):
+    """Return in which of the draws Welch's interval holds the difference."""
+    first, second = a.measured(n, draws, seed=2), b.measured(n, draws, seed=3)
+    squares = [side.var(axis=1, ddof=1) / n for side in (first, second)]
+    with np.errstate(invalid="ignore"):
+        half = np.nan_to_num(welch_half(*squares, n, n, 0.95)[0])
+    return np.abs(first.mean(axis=1) - second.mean(axis=1) - (a.truth - b.truth)) <= half + 1e-12
+
+
+def of_improvement(a, b, n, draws=DRAWS):
+    """Return in which of the draws Newcombe's interval holds the probability that a measured seed of a beats one of b."""
+    counts = [
+        np.bincount(np.rint(SCENES * side.measured(1, 400_000, seed)[:, 0]).astype(int), minlength=SCENES + 1) / 400_000
+        for side, seed in ((a, 4), (b, 5))
+    ]
+    truth = (counts[0] * (np.cumsum(counts[1]) - counts[1] / 2)).sum()
+    first, second = a.measured(n, draws, seed=2), b.measured(n, draws, seed=3)
+    theta = (1 + np.sign(first[:, :, None] - second[:, None])).mean(axis=(1, 2)) / 2
+    low, high = newcombe(theta, n, n, 0.95)
+    return (low <= truth) & (truth <= high)
+
+
+def of_rate(rate, trials, draws=DRAWS):
+    """Return in which of the draws Wilson's interval holds the rate."""
+    table = np.array([wilson_interval(k, trials) for k in range(trials + 1)])
+    drawn = table[np.random.default_rng(6).binomial(trials, rate, draws)]
+    return (drawn[:, 0] <= rate) & (rate <= drawn[:, 1])
+
+
+def of_restricted_mean(median, deviation, failing, n, draws=DRAWS):
+    """Return in which of the draws the restricted mean's interval holds: log-normal times in thousands of steps, horizon 50.
+
+    Times are seen on a grid of 2.5; the share `failing` never reaches.
+    """
+    horizon = 50.0
+
+    def times(rng, shape):
+        drawn = np.ceil(np.exp(rng.normal(np.log(median), deviation, shape)) / 2.5) * 2.5
+        return np.where(rng.random(shape) < failing, 1000.0, drawn)
+
+    truth = np.minimum(times(np.random.default_rng(7), 400_000), horizon).mean()
+    hits = []
+    for time in times(np.random.default_rng(8), (draws, n)):
+        estimate = restricted_mean(np.minimum(time, horizon), time <= horizon, horizon)
+        hits.append(estimate.low <= truth <= estimate.high)
+    return np.array(hits)
+
+
+def speaks(a, n, b=None, draws=400):
+    """Return in which of the draws `coverage_note` says something."""
+    sides = [a.measured(n, draws, seed=2)] + ([b.measured(n, draws, seed=3)] if b else [])
+    return np.array([coverage_note(*rows) is not None for rows in zip(*sides, strict=True)])
+
+
+def main():
+    """Print the coverage of everything, in percent, by number of seeds."""
+    print("seeds", *SEEDS)
+    for rates in HEALTHY + COLLAPSING:
+        print("mean", rates, *(f"{100 * of_mean(rates, n).mean():.1f}" for n in SEEDS))
+        print("  by Student", *(f"{100 * of_mean_by_student(rates, n).mean():.1f}" for n in SEEDS))
+        print("  by BCa, from 20", *(f"{100 * of_mean_by_bca(rates, n).mean():.1f}" for n in SEEDS[3:]))
+    for pair in PAIRS + SKEWED_PAIRS:
+        print("difference", *pair, *(f"{100 * of_difference(*pair, n).mean():.1f}" for n in SEEDS))
+        print("improvement", *pair, *(f"{100 * of_improvement(*pair, n).mean():.1f}" for n in SEEDS))
+        print("note speaks", *pair, *(f"{100 * speaks(pair[0], n, pair[1]).mean():.0f}" for n in SEEDS))
+    for time in RESTRICTED + FAST_OR_NEVER:
+        print("restricted mean", time, *(f"{100 * of_restricted_mean(*time, n).mean():.1f}" for n in SEEDS))
+    for trials in (*SEEDS, 100, 500):
+        print(
+            "wilson",
+            trials,
+            *(f"{p}: {100 * of_rate(p, trials).mean():.1f}" for p in (0.25, 0.5, 0.75, 0.9, 0.95, 0.99)),
+        )
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,103 @@
+"""Compose configs, run scripts in processes, and read what their runs left."""
+
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+from parking_exp.config.compose import composed
+from parking_exp.config.validate import validate
+from parking_exp.runs.directory import RunDirectory
+
+ROOT = Path(__file__).resolve().parents[2]
+GROUPS = ("env", "algorithm", "buffer", "experiment")
+
+
+def options(group):
+    """Names of a config group's options."""
+    return sorted(path.stem for path in (ROOT / "conf" / group).glob("*.yaml"))
+
+
+def make_config(*overrides):
+    """Compose and check one run's config."""
+    (config,) = composed("config", list(overrides))
+    return validate(config)
+
+
+def script(name, *arguments, cwd=None, env=None):
+    """Command and options of `python scripts/NAME.py ...` as a process of its own."""
+    command = [sys.executable, str(ROOT / "scripts" / f"{name}.py"), *arguments]
+    return command, {"cwd": cwd, "env": {**os.environ, **(env or {})}, "text": True}
+
+
+def run_script(name, *arguments, cwd=None, env=None, timeout=180):
+    """Run a script to its end."""
+    command, keywords = script(name, *arguments, cwd=cwd, env=env)
+    return subprocess.run(command, check=False, capture_output=True, timeout=timeout, **keywords)
+
+
+def in_memory():
+    """A temporary directory that does not wait for a disk, where there is such a place: a sqlite store does, often."""
+    place = Path("/dev/shm")
+    return tempfile.TemporaryDirectory(dir=place if os.access(place, os.W_OK) else None)
+
+
+def only_run(output_dir):
+    """The one run directory under an output directory."""
+    (path,) = output_dir.glob("*/*/seed=*")
+    return RunDirectory(path)
+
+
+def store(output_dir):
+    """A client of an output directory's own store."""
+    from parking_exp.config.paths import default_uri
+    from parking_exp.tracking.store import connect
+
+    return connect(default_uri(output_dir))
+
+
+def artifacts(client, run_id, folder=None):
+    """All artifact paths of a run."""
+    found = []
+    for item in client.list_artifacts(run_id, folder):
+        found += artifacts(client, run_id, item.path) if item.is_dir else [item.path]
+    return sorted(found)
+
+
+def history(client, run_id, key):
+    return [(point.step, point.value) for point in client.get_metric_history(run_id, key)]
+
+
+CLOCKED = {"time/fps", "time/time_elapsed", "time/cpu_s", "time/wall_s"}
+"""Metrics that a clock says: the only ones in which a run that was cut off may differ from one that was not."""
+
+
+def assert_store_is_whole(output_dir, total_timesteps):
+    """The run is finished in the store, has every step once, and the values of the run directory."""
+    directory, client = only_run(output_dir), store(output_dir)
+    run = client.get_run(directory.run_id)
+    assert run.info.status == "FINISHED"
+    assert run.data.tags["status"] == "done"
+    local = {}
+    for line in (directory.path / "metrics.jsonl").read_text().splitlines():
+        record = json.loads(line)
+        for key, value in record["metrics"].items():
+            local.setdefault(key, []).append((record["step"], value))
+    assert set(run.data.metrics) == set(local)
+    for key, points in local.items():
+        steps = [step for step, _ in points]
+        assert steps == sorted(set(steps)), key
+        assert history(client, directory.run_id, key) == points, key
+    assert history(client, directory.run_id, "final/success_rate")[-1][0] == total_timesteps
+    return local
+
+
+def wait_for(condition, process, timeout=120):
+    deadline = time.monotonic() + timeout
+    while not condition():
+        assert process.poll() is None, process.communicate()
+        assert time.monotonic() < deadline
+        time.sleep(0.02)

@@ -1,0 +1,92 @@
+"""Simulator and highway-env, side by side: the same scenes, the same actions, every step compared."""
+
+import numpy as np
+
+from parking_exp.envs.geometry import SLOT_HEADINGS, SLOT_POSITIONS
+from parking_exp.envs.highway import make_env
+from parking_exp.envs.scenes import Scenes
+from parking_exp.envs.simulator import Simulator
+from support.runs import make_config
+
+TOLERANCE = 1e-9
+KINDS = ("random", "biased", "gentle", "trained")
+
+
+def actions_of(kind, rng, shape, policy=None):
+    """A function of the step's observations and rows -> actions, of one kind for all scenes."""
+    bias = rng.uniform(-1, 1, shape)
+    bias[:, 0] = np.sign(bias[:, 0]) * np.abs(bias[:, 0]) ** 0.3  # mostly full throttle or full brake: early crashes
+
+    def act(observation, rows):
+        n = len(rows)
+        if kind == "random":
+            actions = rng.uniform(-1, 1, (n, shape[1]))
+        elif kind == "biased":
+            actions = bias[rows] + rng.normal(0, 0.3, (n, shape[1]))  # beyond [-1, 1] now and then, to be clipped
+        elif kind == "gentle":
+            actions = rng.uniform(-0.2, 0.2, (n, shape[1]))
+        else:
+            actions = policy(observation) + rng.normal(0, 0.05, (n, shape[1]))
+        return actions.astype(np.float32)
+
+    return act
+
+
+def compare(config, scenes, act):
+    """Run whole episodes in the simulator, repeat them in highway-env; return the number of steps and what differed."""
+    starts, records = record(config, scenes, act)
+    return sum(len(steps) for steps in records), repeat(config, scenes, starts, records)
+
+
+def record(config, scenes, act):
+    """Run whole episodes in the simulator; return first observations, and (action, observation, reward, flags) of steps."""
+    simulator = Simulator(config, Scenes.from_seeds(scenes, config.vehicles_count))
+    records = [[] for _ in scenes]
+    rows, observation = np.arange(len(scenes)), simulator.observe()
+    starts = {key: value.copy() for key, value in observation.items()}
+    while len(rows):
+        actions = act(observation, rows)
+        step = simulator.step(actions)
+        for number, row in enumerate(rows):
+            observed = {key: value[number] for key, value in step.observation.items()}
+            flags = step.terminated[number], step.truncated[number], step.crashed[number], step.is_success[number]
+            records[row].append((actions[number], observed, step.reward[number], flags))
+        done = step.terminated | step.truncated
+        simulator.keep(~done)
+        rows = rows[~done]
+        observation = {key: value[~done] for key, value in step.observation.items()}
+    return starts, records
+
+
+def repeat(config, scenes, starts, records):
+    """Repeat recorded episodes in highway-env; return what differed, at most one entry for each scene."""
+    env, mismatches = make_env(config), []
+    for row, scene in enumerate(scenes):
+        first, _ = env.reset(seed=int(scene))
+        if any((first[key] != starts[key][row]).any() for key in first):
+            mismatches.append((scene, 0, "start"))
+        for number, (action, observed, reward, flags) in enumerate(records[row], start=1):
+            theirs, their_reward, terminated, truncated, info = env.step(action)
+            far = max(np.abs(theirs[key] - observed[key]).max() for key in theirs)
+            same_flags = flags == (terminated, truncated, info["crashed"], info["is_success"])
+            if not (far <= TOLERANCE and abs(their_reward - reward) <= TOLERANCE and same_flags):
+                mismatches.append((scene, number, far, reward, their_reward, flags))
+                break
+    return mismatches
+
+
+def different_scenes(seeds, parked):
+    """Seeds whose scenes are not what highway-env makes of them."""
+    found = []
+    env = make_env(make_config(f"env.vehicles_count={parked}").env).unwrapped
+    scenes = Scenes.from_seeds(seeds, parked)
+    for row, seed in enumerate(seeds):
+        env.reset(seed=seed)
+        things = [env.vehicle.goal, *env.road.vehicles[1:]]
+        slots = [scenes.goal[row], *scenes.parked[row]]
+        same_slots = [(*thing.position, thing.heading) for thing in things] == [
+            (*SLOT_POSITIONS[slot], SLOT_HEADINGS[slot]) for slot in slots
+        ]
+        if not (env.vehicle.heading == scenes.heading[row] and same_slots):
+            found.append(seed)
+    return found

@@ -1,0 +1,394 @@
+"""Stores with made-up runs, for tests of what reads a store, and for its benchmarks.
+
+    runs = make_store(output_dir, "ablation", {"four": ["buffer.n_sampled_goal=4"], "one": ["buffer.n_sampled_goal=1"]},
+                      seeds=range(3), look=lambda label, seed: Look(success=0.9 if label == "four" else 0.5))
+    runs["four", 0].run_id
+
+Configs are really composed, run directories have the files that a training leaves, and the store gets them by `sync`.
+With `bulk` the rows are inserted into MLflow's tables instead, which takes a hundredth of the time; a test holds
+that both give the same frames. `python tests/support/store_factory.py OUTPUT_DIR [RUNS]` makes a store for benchmarks.
+"""
+
+import json
+import math
+import sys
+import time
+import uuid
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from parking_exp.config.compose import composed
+from parking_exp.config.paths import default_uri
+from parking_exp.config.schema import RunConfig
+from parking_exp.envs.geometry import SLOT_POSITIONS
+from parking_exp.evaluation.evaluate import summarise
+from parking_exp.runs.atomic import sha256, write_json
+from parking_exp.runs.directory import RunDirectory, RunResult
+from parking_exp.runs.logs import append_episodes, copy_logs
+from parking_exp.runs.provenance import provenance
+from parking_exp.tracking.store import Store
+from parking_exp.tracking.sync import LONGEST_PARAM, MLFLOW_STATUS, flatten, sync
+
+STARTED_MS = 1_700_000_000_000
+WALL_S = 600.0
+
+
+@dataclass(frozen=True)
+class Look:
+    """What a made-up run looks like.
+
+    Attributes:
+        success, crash, parked: shares of the episodes of its final evaluation; the others are timeouts. They become
+            whole numbers of episodes.
+        curve: success rate of each evaluation, evenly spaced up to `total_timesteps`; None: a rise to `success` in
+            every_n_steps.
+        steps: mean length of an episode.
+        cpu_s: of the whole run.
+        status: done, running, failed or interrupted. All but done stop after `progress` of the evaluations.
+        progress: share of the evaluations that a run that is not done has behind it.
+        error: of a failed one.
+        missing: artifacts that the store has lost, e.g. `episodes.csv`.
+        contents: other contents of artifacts, e.g. {"episodes.csv": b"no table"}.
+        nan: metrics that are NaN wherever they are logged.
+        tags: that the store has otherwise than a training writes them, e.g. {"cpu": "<script>"}; None: not at all.
+            `mlflow.runName` is the run's name.
+        params: that the store has besides.
+        trajectories: of how many episodes.
+        rows: of training metrics between two evaluations.
+        started_ms: when it began.
+    """
+
+    success: float = 0.8
+    crash: float = 0.1
+    parked: float = 0.2
+    curve: Sequence[float] | None = None
+    steps: float = 40.0
+    cpu_s: float = 300.0
+    status: str = "done"
+    progress: float = 0.5
+    error: str | None = None
+    missing: Sequence[str] = ()
+    contents: Mapping[str, bytes] = field(default_factory=dict)
+    nan: Sequence[str] = ()
+    tags: Mapping[str, str | None] = field(default_factory=dict)
+    params: Mapping[str, str] = field(default_factory=dict)
+    trajectories: int = 6
+    rows: int = 2
+    started_ms: int = STARTED_MS
+
+
+def make_store(
+    output_dir: Path,
+    experiment: str,
+    cells: Mapping[str, Sequence[str] | RunConfig],
+    seeds: Iterable[int] = range(2),
+    look: Callable[[str, int], Look] = lambda label, seed: Look(),
+    *,
+    bulk: bool = False,
+    uri: str | None = None,
+) -> dict[tuple[str, int], RunDirectory]:
+    """Make the runs of an experiment, and the store that has them.
+
+    Args:
+        output_dir: where run directories go; with `bulk`, only artifacts are made.
+        experiment: name.
+        cells: overrides of each, or its config; `experiment=smoke` is what they start from.
+        seeds: of each cell.
+        look: of a run, from its cell's label and seed.
+        bulk: write MLflow's tables directly.
+        uri: of the store; None: `mlflow.db` in the output directory.
+
+    Returns:
+        The run directories by (label, seed).
+    """
+    runs, looks, configs = {}, {}, {}
+    for label, cell in cells.items():
+        whole = cell if isinstance(cell, RunConfig) else compose(*cell)
+        tracking = whole.tracking.model_copy(update={"uri": uri})
+        for seed in seeds:
+            update = {"experiment_name": experiment, "output_dir": str(output_dir), "seed": seed, "tracking": tracking}
+            config = whole.model_copy(update=update)
+            runs[label, seed] = RunDirectory(config.run_dir)
+            looks[label, seed], configs[label, seed] = look(label, seed), config
+    where = uri or default_uri(Path(output_dir).absolute())
+    if bulk:
+        _insert(where, runs, looks, configs)
+    else:
+        for key, directory in runs.items():
+            _write(directory, configs[key], looks[key], key[0], where)
+            _send(directory, looks[key], where)
+    return runs
+
+
+@cache
+def compose(*overrides: str) -> RunConfig:
+    """Compose one cell of the smoke experiment."""
+    from parking_exp.config.validate import validate
+
+    (config,) = composed("config", ["experiment=smoke", *overrides])
+    return validate(config)
+
+
+def made_episodes(look: Look, success: float, scenes: range, seed: int) -> pd.DataFrame:
+    """Return a table of episodes in which rates are as asked for; which scenes fail depends on the seed."""
+    rng, n = np.random.default_rng([seed, len(scenes)]), len(scenes)
+    succeed = round(success * n)
+    crash = min(round(look.crash * n), n - succeed)
+    outcome = np.array(["success"] * succeed + ["crash"] * crash + ["timeout"] * (n - succeed - crash))
+    parked = np.arange(n) < min(round(look.parked * n), succeed)
+    order = rng.permutation(n)
+    return pd.DataFrame(
+        {
+            "scene": list(scenes),
+            "outcome": outcome[order],
+            "parked": parked[order],
+            "steps": np.maximum(1, np.round(look.steps + rng.integers(-5, 6, n))).astype(int),
+            "return": np.round(rng.normal(-10, 2, n), 6),
+            "distance_m": np.round(rng.gamma(2, 0.5, n), 6),
+            "heading_error_rad": np.round(rng.uniform(0, 0.5, n), 6),
+            "speed_mps": np.round(rng.uniform(0, 2, n), 6),
+        }
+    )
+
+
+def made_trajectories(episodes: pd.DataFrame) -> dict[str, np.ndarray]:
+    """Return the arrays of `trajectories.npz`: from the middle of the lot to a slot, one row per step and the start."""
+    lengths = episodes["steps"].to_numpy() + 1
+    x, y, heading, speed = [], [], [], []
+    for scene, length in zip(episodes["scene"], lengths, strict=True):
+        way, goal = np.linspace(0, 1, length), SLOT_POSITIONS[scene % len(SLOT_POSITIONS)]
+        x.append(way * goal[0])
+        y.append(way**2 * goal[1])
+        heading.append(way * math.copysign(math.pi / 2, goal[1]))
+        speed.append(4 * (1 - way))
+    arrays = {"x_m": x, "y_m": y, "heading_rad": heading, "speed_mps": speed}
+    joined = {name: np.concatenate([*parts, []]).astype(np.float32) for name, parts in arrays.items()}
+    return {"scene": episodes["scene"].to_numpy(), "length": lengths, **joined}
+
+
+def _evaluated(config: RunConfig, look: Look) -> list[tuple[int, float]]:
+    """Return (step, success rate) of the evaluations that a run has behind it."""
+    total = config.total_timesteps
+    if look.curve is None:
+        every = config.evaluation.every_n_steps or total
+        number = max(1, total // every)
+        points = [(round(total * (k + 1) / number), look.success * min(1, (k + 1) / number)) for k in range(number)]
+    else:
+        points = [(round(total * (k + 1) / len(look.curve)), rate) for k, rate in enumerate(look.curve)]
+    return points if look.status == "done" else points[: math.floor(len(points) * look.progress)]
+
+
+def _content(config: RunConfig, look: Look) -> tuple[list[dict[str, Any]], pd.DataFrame, pd.DataFrame]:
+    """Return the rows of metrics, the table of all episodes, and those of the certified ones."""
+    evaluation, done = config.evaluation, look.status == "done"
+    scenes = range(evaluation.first_scene, evaluation.first_scene + evaluation.n_scenes)
+    final_scenes = range(evaluation.first_scene, evaluation.first_scene + evaluation.final_n_scenes)
+    certified = made_episodes(look, look.success, final_scenes, config.seed)
+    rows, tables, before = [], [], 0
+    for step, rate in _evaluated(config, look):
+        for k in range(look.rows):
+            between = before + round((step - before) * (k + 1) / (look.rows + 1))
+            noise = (config.seed + between) % 7
+            values = dict.fromkeys(("rollout/ep_rew_mean", "rollout/ep_len_mean", "train/actor_loss", "train/critic_loss", "train/ent_coef", "time/fps"), noise / 7)  # fmt: skip
+            rows.append((between, values))
+        table = made_episodes(look, rate, scenes, config.seed + step)
+        tables.append(table.assign(phase="eval", step=step))
+        share = step / config.total_timesteps
+        cost = {"time/cpu_s": look.cpu_s * share, "time/wall_s": WALL_S * share, "buffer/real_share": 0.5}
+        rows.append((step, {**_prefixed("eval", summarise(table)), **cost}))
+        before = step
+    if done:
+        for phase in ("final", "certified"):
+            tables.append(certified.assign(phase=phase, step=before))
+            rows[-1][1].update(_prefixed(phase, summarise(certified)))
+    lines = [
+        {
+            "step": step,
+            "time_ms": look.started_ms + step,
+            "metrics": {key: math.nan if key in look.nan else float(value) for key, value in values.items()},
+        }
+        for step, values in rows
+    ]
+    return lines, pd.concat([*tables, certified.iloc[:0].assign(phase="", step=0)]), certified
+
+
+def _prefixed(phase: str, summary: Mapping[str, float]) -> dict[str, float]:
+    return {f"{phase}/{name}": value for name, value in summary.items()}
+
+
+def _provenance() -> dict[str, str]:
+    if not _known:
+        _known.update(provenance())  # it asks git
+    return _known
+
+
+_known: dict[str, str] = {}
+
+
+def _write(directory: RunDirectory, config: RunConfig, look: Look, label: str, uri: str) -> None:
+    """Write a run directory."""
+    path = directory.path
+    lines, episodes, certified = _content(config, look)
+    directory.create(config)
+    directory.models.mkdir(exist_ok=True)
+    write_json(path / "provenance.json", {"started_ms": look.started_ms, "tags": _provenance()})
+    (path / "metrics.jsonl").write_text("".join(json.dumps(line) + "\n" for line in lines))
+    _write_artifacts(path, episodes, certified, look)
+    entries = {"label": label, "total_timesteps": config.total_timesteps, "tracking_uri": uri}
+    if look.status == "done":
+        latest = {key: value for line in lines for key, value in line["metrics"].items()}
+        directory.finish(RunResult(str(path), None, config.total_timesteps, latest), **entries)
+        return
+    directory.update(status=look.status, error=look.error, **entries)
+    if lines:  # a checkpoint, without which the store gets no metrics yet
+        folder = directory.checkpoints / f"step={lines[-1]['step']:010d}"
+        folder.mkdir(parents=True)
+        copy_logs(path, folder)
+        write_json(folder / "manifest.json", {"metrics.jsonl": sha256(folder / "metrics.jsonl")})
+    if look.status == "failed":
+        (path / "traceback.txt").write_text(f"Traceback (most recent call last):\n{look.error}\n")
+
+
+def _write_artifacts(path: Path, episodes: pd.DataFrame, certified: pd.DataFrame, look: Look) -> None:
+    if len(episodes):
+        for (phase, step), table in episodes.groupby(["phase", "step"], sort=False):
+            append_episodes(path / "episodes.csv", table.drop(columns=["phase", "step"]), str(phase), int(step))
+    if look.status == "done" and look.trajectories:
+        np.savez_compressed(path / "trajectories.npz", **made_trajectories(certified.head(look.trajectories)))
+    for name, content in look.contents.items():
+        (path / name).write_bytes(content)
+    for name in look.missing:
+        (path / name).unlink(missing_ok=True)
+
+
+def _send(directory: RunDirectory, look: Look, uri: str) -> None:
+    """Send a run directory to the store, then give it there what a training would not."""
+    if look.status == "running":
+        with directory.locked():
+            sync(directory, uri)
+    else:
+        sync(directory, uri)
+    if not (look.params or look.tags):
+        return
+    store = Store(uri, directory.output_dir)
+    assert directory.run_id is not None
+    for key, value in look.tags.items():
+        if value is None:
+            store.client.delete_tag(directory.run_id, key)
+        else:
+            store.client.set_tag(directory.run_id, key, value)
+    for key, value in look.params.items():
+        store.client.log_param(directory.run_id, key, value)
+
+
+def _insert(
+    uri: str,
+    runs: Mapping[tuple[str, int], RunDirectory],
+    looks: Mapping[tuple[str, int], Look],
+    configs: Mapping[tuple[str, int], RunConfig],
+) -> None:
+    """Write what `sync` would send into MLflow's tables, and artifacts into their places."""
+    from mlflow.store.tracking.dbmodels import models
+    from sqlalchemy import create_engine, insert
+
+    store = Store(uri, next(iter(runs.values())).output_dir)
+    names = {"runs": models.SqlRun, "params": models.SqlParam, "tags": models.SqlTag, "metrics": models.SqlMetric}
+    tables: dict[Any, list[dict[str, Any]]] = {model: [] for model in (*names.values(), models.SqlLatestMetric)}
+    experiment_id, location = "", ""
+    for key, directory in runs.items():
+        config, look = configs[key], looks[key]
+        if not location:
+            experiment_id = store._experiment(config)
+            location = store.client.get_experiment(experiment_id).artifact_location
+        run_id = uuid.uuid4().hex
+        artifact_uri = f"{location}/{run_id}/artifacts"
+        lines, episodes, certified = _content(config, look)
+        if look.status != "running":
+            place = Path(artifact_uri.removeprefix("file://"))
+            place.mkdir(parents=True)
+            _write_artifacts(place, episodes, certified, look)
+        directory.path.mkdir(parents=True, exist_ok=True)
+        write_json(directory.path / "status.json", {"status": look.status, "run_id": run_id, "tracking_uri": uri})
+        place_in_store = {"run_uuid": run_id, "artifact_uri": artifact_uri, "experiment_id": int(experiment_id)}
+        for name, rows in _rows(place_in_store, directory, config, look, lines).items():
+            tables[names[name]] += rows
+            if name == "metrics":
+                tables[models.SqlLatestMetric] += {point["key"]: point for point in rows}.values()
+    engine = create_engine(uri)
+    with engine.begin() as connection:
+        for model, rows in tables.items():
+            if rows:
+                connection.execute(insert(model.__table__), rows)
+    engine.dispose()
+
+
+def _rows(
+    place: Mapping[str, Any], directory: RunDirectory, config: RunConfig, look: Look, lines: Sequence[Mapping[str, Any]]
+) -> dict[str, list[dict[str, Any]]]:
+    """Return a run's rows of MLflow's tables."""
+    run, name = {"run_uuid": place["run_uuid"]}, f"{config.cell}-seed={config.seed}"
+    tags = {
+        "experiment": config.experiment_name,
+        "cell": config.cell,
+        "seed": str(config.seed),
+        "run_key": config.run_key,
+        "run_dir": str(directory.path.absolute()),
+        "error": " ".join((look.error or "").split()),
+        "status": look.status,
+        "mlflow.runName": name,
+        **_provenance(),
+        **look.tags,
+    }
+    about = {
+        "name": look.tags.get("mlflow.runName", name),
+        "status": MLFLOW_STATUS[look.status],
+        "start_time": look.started_ms,
+        "end_time": None if look.status == "running" else look.started_ms + 1000 * int(WALL_S),
+        "source_type": "UNKNOWN",
+        "lifecycle_stage": "active",
+        **dict.fromkeys(("source_name", "entry_point_name", "user_id", "source_version"), ""),
+    }
+    params = {**flatten(config.plain()), **look.params}
+    points = [(key, value, line) for line in lines for key, value in line["metrics"].items()]
+    return {
+        "runs": [{**place, **about}],
+        "tags": [{**run, "key": key, "value": value} for key, value in tags.items() if value is not None],
+        "params": [{**run, "key": key, "value": value[:LONGEST_PARAM]} for key, value in params.items()],
+        "metrics": [
+            {
+                **run,
+                "key": key,
+                "value": 0.0 if math.isnan(value) else value,
+                "is_nan": math.isnan(value),
+                "step": line["step"],
+                "timestamp": line["time_ms"],
+            }
+            for key, value, line in points
+        ],
+    }
+
+
+def benchmark_store(output_dir: Path, n_runs: int = 1000, n_cells: int = 100) -> None:
+    """Make a store as large as reports have to be fast for: 12 evaluations of 20 scenes, 100 final ones a run."""
+    base = compose()
+    evaluation = base.evaluation.model_copy(update={"n_scenes": 20, "final_n_scenes": 100, "every_n_steps": 5000})
+    base = base.model_copy(update={"total_timesteps": 60000, "evaluation": evaluation})
+    cells = {
+        f"collision {k}": base.model_copy(update={"env": base.env.model_copy(update={"collision_reward": -float(k)})})
+        for k in range(n_cells)
+    }
+    looks = {(label, seed): Look(success=min(1.0, 0.5 + k / n_cells / 2), rows=20)
+             for k, label in enumerate(cells) for seed in range(n_runs // n_cells)}  # fmt: skip
+    make_store(output_dir, "bench", cells, range(n_runs // n_cells), lambda *key: looks[key], bulk=True)
+
+
+if __name__ == "__main__":
+    begin = time.perf_counter()
+    benchmark_store(Path(sys.argv[1]), *map(int, sys.argv[2:]))
+    print(f"{time.perf_counter() - begin:.1f} s")

@@ -1,0 +1,59 @@
+"""Sweeps in real processes, and what they leave."""
+
+import subprocess
+import time
+
+import psutil
+
+from parking_exp.runs.atomic import read_json
+from support.runs import ROOT, run_script, script
+
+QUICK = (
+    "experiment=smoke", "total_timesteps=60", "evaluation.final_n_scenes=3", "evaluation.every_n_steps=null",
+    "evaluation.video_episodes=0", "tracking.mlflow=false", "tracking.tensorboard=false",
+)  # fmt: skip
+SLOW = ("algorithm._target_=misbehaving.Lingers", "total_timesteps=200", "checkpoint.every_n_steps=50")
+MISBEHAVING = {"PYTHONPATH": str(ROOT / "tests")}
+
+
+def sweep(output_dir, *arguments, **keywords):
+    return run_script("train", *QUICK, f"output_dir={output_dir}", *arguments, env=MISBEHAVING, **keywords)
+
+
+def begin(output_dir, *arguments):
+    """Start a sweep in a session of its own, as a terminal would."""
+    command, keywords = script("train", *QUICK, f"output_dir={output_dir}", *arguments, env=MISBEHAVING)
+    return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, start_new_session=True, **keywords)
+
+
+def statuses(output_dir):
+    """{(cell, seed): status.json} of all runs."""
+    files = output_dir.glob("*/*/seed=*/status.json")
+    return {(file.parents[1].name, file.parent.name): read_json(file) for file in files}
+
+
+def stages(output_dir):
+    return sorted(status["status"] for status in statuses(output_dir).values())
+
+
+def wait_until(condition, timeout=90):
+    deadline = time.monotonic() + timeout
+    while not condition():
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
+
+
+def workers(output_dir):
+    """Pids of the processes that train runs under an output directory."""
+    found = []
+    for process in psutil.process_iter(["cmdline", "status"]):
+        line = process.info["cmdline"] or []
+        if "parking_exp.sweeps.worker" in line and any(str(output_dir) in part for part in line):
+            found += [process.pid] if process.info["status"] != psutil.STATUS_ZOMBIE else []
+    return found
+
+
+def trained(output_dir):
+    """How often each run was begun, from the logs of their workers."""
+    logs = output_dir.glob("*/*/seed=*/log.txt")
+    return sorted(log.read_text().count("env steps, in") for log in logs)

@@ -1,0 +1,124 @@
+"""Processes that sync run directories at once, or are killed while they do: `python syncing_processes.py WHAT PATHS`.
+
+One process imports mlflow and forks the others, which start at the same moment. Nothing here imports torch.
+"""
+
+import os
+import signal
+import sys
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
+
+from parking_exp.config.paths import default_uri
+from parking_exp.runs.atomic import sha256, write_json
+from parking_exp.runs.directory import RunDirectory
+from parking_exp.runs.logs import MetricsLog, copy_logs
+from parking_exp.runs.state import find
+from parking_exp.tracking.outdated import sync_all
+from parking_exp.tracking.store import ENVIRONMENT
+from parking_exp.tracking.sync import sync as sync_to
+
+KEYS = ("eval/success_rate", "rollout/ep_rew_mean", "train/loss")
+WATCHED = ("parking_exp/tracking/store.py", "parking_exp/tracking/sync.py", "parking_exp/tracking/artifacts.py", "parking_exp/runs/atomic.py",
+           "parking_exp/runs/directory.py", "mlflow/tracking/client.py", "mlflow/store/tracking/sqlalchemy_store.py",
+           "mlflow/store/artifact/local_artifact_repo.py")  # fmt: skip
+
+
+def sync(directory):
+    """Sync with the store that the run was tracked in."""
+    sync_to(directory, directory.tracking_uri)
+
+
+def grow(directory, rows, checkpoint=True):
+    """Log rows as training does; then save what looks like a checkpoint."""
+    log = MetricsLog(directory.path / "metrics.jsonl")
+    start = max((record["step"] for record in log.records()), default=0)
+    for step in range(start + 1, start + rows + 1):
+        log.append(step, {key: step + number / 8 for number, key in enumerate(KEYS)})
+    if checkpoint:
+        folder = directory.checkpoints / f"step={start + rows:010d}"
+        folder.mkdir(parents=True)
+        (folder / "model.zip").write_bytes(b"model" * 1000)
+        (folder / "replay_buffer.npz").write_bytes(b"buffer")
+        write_json(folder / "state.json", {"progress": {}})
+        copy_logs(directory.path, folder)
+        files = {file.name: sha256(file) for file in folder.iterdir()}
+        write_json(folder / "manifest.json", files)
+        for stale in sorted(directory.checkpoints.iterdir())[:-2]:
+            for file in stale.iterdir():
+                file.unlink()
+            stale.rmdir()
+
+
+def forked(task, *arguments):
+    """Start a process of its own for a task; it exits with 0, or with a traceback and 1."""
+    if (pid := os.fork()) == 0:
+        status = 1
+        try:
+            task(*arguments)
+            status = 0
+        except BaseException:
+            sys.excepthook(*sys.exc_info())
+        finally:
+            os._exit(status)
+    return pid
+
+
+def statuses(pids):
+    return [os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1]) for pid in pids]
+
+
+def train(directory, gate, rows, checkpoints):
+    os.read(gate, 1)  # comes to an end when the gate is opened
+    with directory.locked():
+        for _ in range(checkpoints):
+            grow(directory, rows)
+            sync(directory)
+        directory.update(status="done")
+        sync(directory)
+
+
+def killed_sync(directory, moment):
+    """Sync, and kill this process at the n-th call or return in the modules that do it."""
+    passed = 0
+
+    def count(frame, event, _):
+        nonlocal passed
+        if event in {"call", "return"} and frame.f_code.co_filename.endswith(WATCHED):
+            passed += 1
+            if passed == moment:
+                os.kill(os.getpid(), signal.SIGKILL)
+
+    sys.setprofile(count)
+    sync(directory)
+    sys.setprofile(None)
+    print(passed, flush=True)
+
+
+if __name__ == "__main__":
+    command, *paths = sys.argv[1:]
+    directories = [RunDirectory(Path(path)) for path in paths]
+    if command != "scan":  # once, before it is forked
+        os.environ.update(ENVIRONMENT)
+        import mlflow.store.tracking.sqlalchemy_store  # noqa: F401
+    if command == "at-once":
+        gate, opened = os.pipe()
+
+        def closing(directory):
+            os.close(opened)
+            train(directory, gate, rows=180, checkpoints=2)
+
+        pids = [forked(closing, directory) for directory in directories]
+        os.close(opened)
+        sys.exit(any(statuses(pids)))
+    if command == "count":
+        killed_sync(directories[0], 0)
+    if command == "kill":
+        total = int(os.environ["CALLS"])
+        moments = [1 + number * total // len(directories) for number in range(len(directories))]
+        endings = [statuses([forked(killed_sync, *pair)])[0] for pair in zip(directories, moments, strict=True)]
+        print(endings)
+    if command == "scan":
+        found = [RunDirectory(path) for path in find(Path(paths[0]))]
+        print(len(list(sync_all(found, [default_uri(Path(paths[0]))]))))

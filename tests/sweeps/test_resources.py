@@ -1,0 +1,90 @@
+"""What workers get of the machine."""
+
+import json
+import os
+
+import pytest
+from support.runs import run_script
+from support.sweep_processes import MISBEHAVING, QUICK
+
+from parking_exp.sweeps.resources import cores, cuda_devices, free_memory, shares, total_memory
+from parking_exp.sweeps.worker import Share
+
+
+@pytest.mark.parametrize(
+    ("n_cores", "n_workers", "expected"),
+    [
+        (2, 2, [[0], [1]]),
+        (4, 2, [[0, 1], [2, 3]]),
+        (5, 2, [[0, 1], [2, 3, 4]]),
+        (2, 3, [[0], [1], [0]]),
+        (3, 1, [[0, 1, 2]]),
+    ],
+)
+def test_cores_are_dealt_out_evenly(n_cores, n_workers, expected):
+    assert shares(range(n_cores), n_workers) == expected
+
+
+def test_a_share_sets_threads_and_devices():
+    assert Share((3, 4), ["1"]).environment() == {
+        "OMP_NUM_THREADS": "2", "MKL_NUM_THREADS": "2", "OPENBLAS_NUM_THREADS": "2", "NUMEXPR_NUM_THREADS": "2",
+        "CUDA_VISIBLE_DEVICES": "1",
+    }  # fmt: skip
+    assert Share().environment() == {}
+
+
+@pytest.mark.parametrize(
+    ("visible", "expected"), [("0,1", ["0", "1"]), ("GPU-a, GPU-b", ["GPU-a", "GPU-b"]), ("", []), ("-1", [])]
+)
+def test_visible_devices_are_those_that_are_shared_out(monkeypatch, visible, expected):
+    monkeypatch.setenv("CUDA_VISIBLE_DEVICES", visible)
+    assert cuda_devices() == expected
+
+
+def test_all_memory_is_bounded_by_the_control_group(tmp_path):
+    whole = total_memory(tmp_path)
+    (tmp_path / "memory.max").write_text("max\n")
+    assert total_memory(tmp_path) == whole > 1e8
+    (tmp_path / "memory.max").write_text("3000\n")
+    assert total_memory(tmp_path) == 3000
+
+
+def test_free_memory_is_bounded_by_the_control_group(tmp_path):
+    whole = free_memory(tmp_path)  # there is no control group here
+    assert whole > 0
+    (tmp_path / "memory.max").write_text("3000\n")
+    (tmp_path / "memory.current").write_text("1800\n")
+    assert free_memory(tmp_path) == 1200
+    (tmp_path / "memory.stat").write_text("anon 1300\ninactive_file 500\n")
+    assert free_memory(tmp_path) == 1700
+    (tmp_path / "memory.max").write_text("max\n")
+    assert free_memory(tmp_path) == pytest.approx(whole, rel=0.5)
+
+
+def told(tmp_path, *arguments):
+    """What the two runs of a sweep said of their processes."""
+    environment = {**MISBEHAVING, "TELLS": str(tmp_path), "CUDA_VISIBLE_DEVICES": "4,5"}
+    done = run_script(
+        "train", *QUICK, f"output_dir={tmp_path / 'outputs'}", "seeds=2", "algorithm._target_=misbehaving.Tells",
+        "torch_threads=null", *arguments, env=environment,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    return [json.loads(path.read_text()) for path in tmp_path.glob("*.json")]
+
+
+@pytest.mark.skipif(not hasattr(os, "sched_getaffinity") or len(cores()) < 2, reason="needs two cores to pin to")
+def test_workers_side_by_side_have_cores_threads_and_devices_of_their_own(tmp_path):
+    found = sorted(told(tmp_path, "hydra.launcher.n_jobs=2"), key=lambda one: one["cores"])
+    expected = shares(cores(), 2)
+    assert [one["cores"] for one in found] == expected
+    assert [one["devices"] for one in found] == ["4", "5"]
+    for one, mine in zip(found, expected, strict=True):
+        assert set(one["threads"].values()) == {str(len(mine))}
+        assert one["torch"] == len(mine)
+
+
+def test_where_memory_is_short_one_run_waits_for_the_other(tmp_path):
+    first, second = sorted(
+        one["time"] for one in told(tmp_path, "hydra.launcher.memory_gb=100000", "hydra.launcher.n_jobs=2")
+    )
+    assert first[1] < second[0]

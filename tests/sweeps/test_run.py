@@ -1,0 +1,321 @@
+"""Sweeps: planned, frozen, launched, cut off in every way, typed again."""
+
+import io
+import json
+import os
+import re
+import signal
+import subprocess
+import threading
+import time
+
+import pytest
+from support.runs import ROOT, run_script, script
+from support.sweep_processes import QUICK, SLOW, begin, stages, statuses, sweep, trained, wait_until, workers
+
+from parking_exp.config.compose import composed_runs
+from parking_exp.runs.directory import RunDirectory
+from parking_exp.runs.state import read_state
+from parking_exp.sweeps.local import launch
+from parking_exp.sweeps.monitor import Monitor
+from parking_exp.sweeps.run import plan
+from parking_exp.sweeps.worker import supervise
+from parking_exp.terminal import Screen
+
+TWO = ("hydra.launcher.n_jobs=2",)  # at a time, on however many cores
+
+
+def test_a_dry_run_prints_the_plan_and_makes_nothing(tmp_path):
+    done = sweep(tmp_path / "outputs", "seeds=3", "buffer=her_future,her_final", "dry_run=true", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    lines = [line.split() for line in done.stdout.splitlines()]
+    assert lines[:3] == [
+        ["cell", "done", "running", "failed", "pending", "success"],
+        ["her_future", "3"],
+        ["her_final", "3"],
+    ]
+    assert "2 cells x 3 seeds = 6 runs: 0 done, 6 to run; no run has finished yet to tell the time by" in done.stdout
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_labels_of_a_sweep_say_what_runs_and_what_comes_to_the_same_runs_once(tmp_path):
+    axes = ["buffer=her_future,her_final", "buffer.n_sampled_goal=2,4", "buffer.goal_selection_strategy=final"]
+    runs = plan(composed_runs("config", [*QUICK, *axes, f"output_dir={tmp_path}"]))
+    assert [run.label for run in runs] == ["her_final, n_sampled_goal=2", "her_final, n_sampled_goal=4"]
+
+
+def test_typed_again_a_sweep_does_only_what_is_missing(tmp_path):
+    first = sweep(tmp_path, "seeds=2", *TWO)
+    assert first.returncode == 0, first.stderr
+    assert [line.split()[0] for line in first.stderr.splitlines()] == ["started", "started", "done", "done"]
+    assert trained(tmp_path) == [1, 1]
+    before = statuses(tmp_path)
+    again = sweep(tmp_path, "seeds=2")
+    assert again.returncode == 0
+    assert again.stderr == ""
+    assert "1 cell x 2 seeds = 2 runs: 2 done, 0 to run" in again.stdout
+    assert statuses(tmp_path) == before
+    planned = sweep(tmp_path, "seeds=3", "algorithm=sac,td3", "dry_run=true")
+    assert re.search(r"6 runs: 2 done, 4 to run, about \d+ s", planned.stdout)
+
+
+def test_every_way_to_fail_is_told_and_the_others_go_on(tmp_path):
+    kinds = ["Raises", "Exits", "IsKilled", "Vanishes"]
+    targets = ",".join(["parking_exp.algorithms.SAC", *(f"support.failing_algorithms.{kind}" for kind in kinds)])
+    done = sweep(tmp_path, f"algorithm._target_={targets}")
+    assert done.returncode == 2
+    reasons = {status["label"].rpartition(".")[2]: status.get("error") for status in statuses(tmp_path).values()}
+    assert reasons["SAC"] is None
+    assert reasons["Raises"] == "RuntimeError: a bad <day> [bold]"
+    assert reasons["Exits"] == "SystemExit: 3"
+    assert reasons["IsKilled"] == "killed by SIGKILL (out of memory?)"
+    assert reasons["Vanishes"].startswith("its process ended with status 0 and without a result; see ")
+    for kind in kinds:
+        assert f"failed   _target_=misbehaving.{kind} seed=0: {reasons[kind]}" in done.stdout
+    assert done.stderr.splitlines()[-1] == (
+        "error: of 5 runs, 4 failed; type the same command to go on; retry=failed runs failed ones again"
+    )
+    # A kill says nothing about the run; the others would fail again.
+    again = sweep(tmp_path, f"algorithm._target_={targets}", "dry_run=true")
+    assert "5 runs: 1 done, 3 failed before (retry=failed runs them again), 1 to run" in again.stdout
+    again = sweep(tmp_path, f"algorithm._target_={targets}", "retry=failed", "dry_run=true")
+    assert "5 runs: 1 done, 4 to run" in again.stdout
+
+
+def test_retry_runs_a_failed_run_again(tmp_path):
+    """What made it fail is mended in between: here, another module of the same name."""
+    for name, base in {"broken": "support.failing_algorithms.Raises", "mended": "parking_exp.algorithms.SAC"}.items():
+        module, _, kind = base.rpartition(".")
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "mine.py").write_text(f"from {module} import {kind}\nclass Mine({kind}): pass\n")
+    command = (*QUICK, f"output_dir={tmp_path / 'outputs'}", "algorithm._target_=mine.Mine", "seeds=2")
+    paths = {name: {"PYTHONPATH": f"{tmp_path / name}:{ROOT / 'tests'}"} for name in ("broken", "mended")}
+    assert run_script("train", *command, env=paths["broken"]).returncode == 2
+    left = run_script("train", *command, env=paths["mended"])
+    assert left.returncode == 2
+    assert left.stderr == "error: of 2 runs, 2 failed; retry=failed runs failed ones again\n"
+    done = run_script("train", *command, "retry=failed", env=paths["mended"])
+    assert done.returncode == 0, done.stderr
+    assert stages(tmp_path / "outputs") == ["done", "done"]
+
+
+def test_a_run_that_hangs_past_its_time_is_failed(tmp_path):
+    begin = time.monotonic()
+    done = sweep(tmp_path, "seeds=[0]", "algorithm._target_=misbehaving.Hangs", "timeout_s=2", "hydra/launcher=local")
+    assert time.monotonic() - begin < 60
+    assert done.returncode == 2
+    (status,) = statuses(tmp_path).values()
+    assert (status["status"], status["error"]) == ("failed", "ran past timeout_s=2")
+    assert "killed" not in status
+
+
+def test_no_worker_outlives_a_sweep_that_is_killed_and_typed_again_it_goes_on(tmp_path):
+    process = begin(tmp_path, "seeds=3", *SLOW, *TWO)
+    wait_until(lambda: len(list(tmp_path.glob("*/*/*/checkpoints/step=*"))) >= 2)
+    assert len(workers(tmp_path)) == 2
+    process.kill()
+    process.communicate()
+    time.sleep(5)
+    assert workers(tmp_path) == []
+    told = json.loads(run_script("status", "--json", f"output_dir={tmp_path}").stdout)
+    assert {stage: told[stage] for stage in ("done", "running", "failed", "pending")} == {
+        "done": 0, "running": 0, "failed": 0, "pending": 3
+    }  # fmt: skip
+    assert max(run["step"] for run in told["cells"][0]["runs"]) >= 50
+    done = sweep(tmp_path, "seeds=3", *SLOW, *TWO)
+    assert done.returncode == 0, done.stderr
+    assert stages(tmp_path) == ["done"] * 3
+    assert trained(tmp_path) == [1, 2, 2]
+
+
+def test_ctrl_c_saves_checkpoints_and_leaves_within_ten_seconds(tmp_path):
+    process = begin(tmp_path, "seeds=2", *SLOW[:2], "checkpoint.every_n_steps=null", *TWO)
+    wait_until(lambda: len(list(tmp_path.glob("*/*/*/metrics.jsonl"))) == 2)
+    process.send_signal(signal.SIGINT)
+    _, errors = process.communicate(timeout=10)
+    assert process.returncode == 130
+    assert "saving checkpoints before leaving" in errors
+    assert errors.splitlines()[-1] == "stopped; what was under way is saved; type the same command to go on"
+    assert workers(tmp_path) == []
+    assert stages(tmp_path) == ["interrupted", "interrupted"]
+    assert len(list(tmp_path.glob("*/*/*/checkpoints/step=*"))) == 2
+
+
+def test_two_sweeps_at_once_share_the_work(tmp_path):
+    both = [begin(tmp_path, "seeds=4", "hydra.launcher.n_jobs=1", *SLOW[:1], "total_timesteps=100") for _ in range(2)]
+    wait_until(lambda: stages(tmp_path).count("running") == 2)  # with one job at a time each
+    for process in both:
+        _, errors = process.communicate(timeout=180)
+        assert process.returncode == 0, errors
+    assert stages(tmp_path) == ["done"] * 4
+    assert trained(tmp_path) == [1] * 4
+
+
+def test_a_sweep_takes_over_what_another_one_leaves(tmp_path):
+    other = begin(tmp_path, "seeds=2", *SLOW, *TWO)
+    wait_until(lambda: stages(tmp_path).count("running") == 2)
+    ours = begin(tmp_path, "seeds=2", *SLOW, *TWO)
+    wait_until(lambda: len(list(tmp_path.glob("*/*/*/checkpoints/step=*"))) >= 2)
+    time.sleep(3)
+    assert ours.poll() is None  # it waits, though there is nothing for it to run
+    other.kill()
+    other.communicate()
+    out, errors = ours.communicate(timeout=180)
+    assert ours.returncode == 0, errors
+    assert "2 running elsewhere, 0 to run" in out
+    assert stages(tmp_path) == ["done"] * 2
+    assert trained(tmp_path) == [2, 2]
+
+
+def test_a_relative_output_directory_means_the_same_to_a_worker_elsewhere(tmp_path, monkeypatch):
+    (tmp_path / "here").mkdir()
+    (tmp_path / "there").mkdir()
+    monkeypatch.chdir(tmp_path / "here")
+    (run,) = plan(composed_runs("config", [*QUICK, "seeds=1", "output_dir=outputs"]))
+    RunDirectory(run.path).freeze(run.config, run.label, None)
+    monkeypatch.chdir(tmp_path / "there")
+    assert supervise(run.path) == "done"
+    assert list((tmp_path / "there").iterdir()) == []
+
+
+def test_a_frozen_config_that_is_broken_fails_its_run_alone(tmp_path):
+    runs = plan(composed_runs("config", [*QUICK, "seeds=2", f"output_dir={tmp_path}"]))
+    for run in runs:
+        RunDirectory(run.path).freeze(run.config, run.label, None)
+    (runs[0].path / "config.yaml").write_text("a: [b")
+    assert launch([run.path for run in runs], n_jobs=1) == {runs[0].path: "failed", runs[1].path: "done"}
+    assert read_state(runs[0].path).reason.startswith(f"{runs[0].path / 'config.yaml'} can't be read: ")
+
+
+def test_a_run_that_was_stopped_before_its_first_checkpoint_is_said_so(tmp_path):
+    (run,) = plan(composed_runs("config", [*QUICK, "seeds=1", f"output_dir={tmp_path}"]))
+    directory, out = RunDirectory(run.path), Screen(file=io.StringIO(), width=200)
+    directory.freeze(run.config, "her", None)
+
+    def lines():
+        return out.file.getvalue().splitlines()
+
+    with Monitor([run.path], out):
+        for _ in range(2):
+            with directory.claimed():
+                directory.update(status="running")
+                wait_until(lambda: lines()[-1:] == ["started  her seed=0"])
+            wait_until(lambda: lines()[-1].startswith("stopped"))
+            (run.path / "checkpoints" / "step=300").mkdir(parents=True, exist_ok=True)
+    assert lines() == [
+        "started  her seed=0", "stopped  her seed=0, before its first checkpoint",
+        "started  her seed=0", "stopped  her seed=0, at step 300",
+    ]  # fmt: skip
+
+
+def test_a_config_of_another_run_is_not_trained(tmp_path):
+    ours, another = plan(composed_runs("config", [*QUICK, "seeds=2", f"output_dir={tmp_path}"]))
+    RunDirectory(ours.path).freeze(another.config, ours.label, None)
+    assert supervise(ours.path) == "failed"
+    place = ours.path / "config.yaml"
+    assert read_state(ours.path).reason == f"{place} is the config of another run; type the sweep again"
+
+
+def test_who_looks_at_a_run_does_not_keep_it_from_being_frozen_or_claimed(tmp_path):
+    (run,) = plan(composed_runs("config", [*QUICK, "seeds=1", f"output_dir={tmp_path}"]))
+    directory, over = RunDirectory(run.path), threading.Event()
+
+    def look():
+        while not over.is_set():
+            read_state(run.path)
+
+    looking = threading.Thread(target=look)
+    looking.start()
+    try:
+        for number in range(200):
+            (run.path / "config.yaml").unlink(missing_ok=True)
+            directory.freeze(run.config, f"label {number}", None)
+            assert read_state(run.path).label == f"label {number}"
+            with directory.claimed():
+                pass
+    finally:
+        over.set()
+        looking.join()
+
+
+def test_a_supervisor_that_stalls_after_it_has_started_its_worker_loses_nothing(tmp_path):
+    process = begin(tmp_path, "seeds=[0]", "hydra/launcher=local")
+    wait_until(lambda: workers(tmp_path))
+    process.send_signal(signal.SIGSTOP)
+    time.sleep(6)
+    process.send_signal(signal.SIGCONT)
+    _, errors = process.communicate(timeout=120)
+    assert process.returncode == 0, errors
+    assert stages(tmp_path) == ["done"]
+
+
+def test_names_and_reasons_with_markup_are_printed_as_they_are(tmp_path):
+    output_dir = tmp_path / "out [/q] :warning: 'x'"
+    done = sweep(output_dir, "seeds=2", r"algorithm._target_=misbehaving.Raises")
+    assert done.returncode == 2
+    assert "RuntimeError: a bad <day> [bold]" in done.stdout
+    assert str(output_dir) in done.stdout
+    assert "Traceback" not in done.stderr
+    told = run_script("status", f"output_dir={output_dir}")
+    assert told.returncode == 0
+    assert str(output_dir) in told.stdout
+
+
+def test_a_worker_that_is_killed_is_failed_and_goes_on_when_typed_again(tmp_path):
+    process = begin(tmp_path, "seeds=2", *SLOW)
+    wait_until(lambda: len(list(tmp_path.glob("*/*/seed=0/checkpoints/step=*"))) >= 1)
+    (victim,) = [status["pid"] for (_, seed), status in statuses(tmp_path).items() if seed == "seed=0"]
+    os.kill(victim, signal.SIGKILL)
+    out, errors = process.communicate(timeout=120)
+    assert process.returncode == 2
+    assert "seed=0: killed by SIGKILL (out of memory?)" in out
+    assert errors.splitlines()[-1] == "error: of 2 runs, 1 failed; type the same command to go on"
+    assert stages(tmp_path) == ["done", "failed"]
+    assert sweep(tmp_path, "seeds=2", *SLOW).returncode == 0
+    assert trained(tmp_path) == [1, 2]
+
+
+def test_what_waits_is_frozen(tmp_path):
+    """The experiment file changes while the sweep runs: its queued runs do not, new ones would."""
+    (tmp_path / "mine" / "experiment").mkdir(parents=True)
+    file = tmp_path / "mine" / "experiment" / "mine.yaml"
+    text = "# @package _global_\ndefaults: [smoke]\nexperiment_name: mine\nalgorithm: {gamma: 0.9}\n"
+    file.write_text(text)
+    command, keywords = script(
+        "train", "--config-dir", str(tmp_path / "mine"), "experiment=mine", *QUICK[1:], "seeds=2",
+        "hydra.launcher.n_jobs=1", f"output_dir={tmp_path / 'outputs'}",
+    )  # fmt: skip
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, **keywords)
+    wait_until(lambda: "running" in stages(tmp_path / "outputs"))
+    file.write_text(text.replace("0.9", "0.8"))
+    _, errors = process.communicate(timeout=120)
+    assert process.returncode == 0, errors
+    configs = sorted((tmp_path / "outputs").glob("mine/*/seed=*/config.yaml"))
+    assert [config.parent.name for config in configs] == ["seed=0", "seed=1"]
+    assert all("gamma: 0.9" in config.read_text() for config in configs)
+
+
+@pytest.mark.parametrize(
+    ("argument", "message"),
+    [
+        ("retry=all", "error: retry=all is not a valid choice; it can only be failed\n"),
+        ("dry_run=maybe", "error: dry_run='maybe': input should be a valid boolean\n"),
+        ("timeout_s=0", "error: timeout_s=0 is out of range; it must be greater than 0.0\n"),
+        ("hydra/launcher=locl", "error: hydra/launcher=locl: there is no such option; did you mean 'local'?\n"),
+        (
+            "hydra.launcher.n_job=2",
+            "error: hydra.launcher.n_job: hydra/launcher=local has no such key; did you mean 'n_jobs'?\n",
+        ),
+        (
+            "hydra/launcher=slurm",
+            "error: hydra/launcher=slurm: there is no Slurm here, srun is not found; hydra.launcher.executor=local",
+        ),
+        ("hydra.launcher.n_jobs=0", "error: hydra.launcher.n_jobs=0 is not valid; give a number above 0, or null\n"),
+    ],
+)
+def test_a_sweep_that_cannot_be_is_refused_before_anything_is_made(tmp_path, argument, message):
+    done = sweep(tmp_path / "outputs", "seeds=2", argument)
+    assert done.returncode == 2
+    assert done.stderr.startswith(message)
+    assert done.stderr.count("\n") == 1
+    assert list(tmp_path.iterdir()) == []

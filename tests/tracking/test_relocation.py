@@ -1,0 +1,511 @@
+"""Output directories that were moved or copied, and run directories from elsewhere: what is written where."""
+
+import json
+import shutil
+from contextlib import closing
+from http.server import BaseHTTPRequestHandler, HTTPServer
+from pathlib import Path
+from sqlite3 import connect as open_database
+from threading import Thread
+
+import pytest
+import yaml
+from support.runs import artifacts, make_config, run_script, store
+from support.sync_processes import grow
+
+from parking_exp.config.compose import composed
+from parking_exp.config.paths import absolute, default_uri, directory_path, is_same_store, relative, store_uri
+from parking_exp.errors import ConfigError, ParkingError, StoreError, UntrustedError
+from parking_exp.evaluation.stored_run import evaluate_run
+from parking_exp.results.frames import load
+from parking_exp.runs.atomic import read_json, write_json
+from parking_exp.runs.directory import RunDirectory, RunResult
+from parking_exp.runs.logs import log_hashes
+from parking_exp.runs.state import find
+from parking_exp.tracking.outdated import sync_all
+from parking_exp.tracking.reader import Reader
+from parking_exp.tracking.sync import sync
+from parking_exp.training.run import train
+
+EVALUATE = ("episodes=1", "simulator=vectorized", "name=again")
+
+
+def evaluate(directory, *arguments):
+    """`scripts/evaluate.py run=DIRECTORY ...` in this process."""
+    (config,) = composed("evaluate", [f"run='{directory.path}'", *EVALUATE, *arguments])
+    return evaluate_run(config)
+
+
+def snapshot(folder):
+    """Every file below a folder with its content."""
+    return {str(path.relative_to(folder)): path.read_bytes() for path in sorted(folder.rglob("*")) if path.is_file()}
+
+
+def run_in(output_dir, seed=0, **tracking):
+    """A finished run without a training."""
+    smoke = make_config("experiment=smoke")
+    config = smoke.model_copy(
+        update={"output_dir": str(output_dir), "seed": seed, "tracking": smoke.tracking.model_copy(update=tracking)}
+    )
+    directory = RunDirectory(config.run_dir)
+    directory.create(config)
+    directory.update(status="running", tracking_uri=store_uri(config))
+    grow(directory, rows=5)
+    (directory.path / "episodes.csv").write_text("phase,step\n")
+    directory.finish(RunResult(str(directory.path), None, 1, {}))
+    return directory
+
+
+def evaluated(directory):
+    """The same run with another result of `scripts/evaluate.py`."""
+    folder = directory.path / "evaluations" / "again"
+    folder.mkdir(parents=True)
+    write_json(folder / "summary.json", {"episodes": 1})
+    return directory
+
+
+def rows(output_dir, query):
+    with closing(open_database(output_dir / "mlflow.db")) as database:
+        return database.execute(query).fetchall()
+
+
+@pytest.fixture
+def everything_moved(smoke, tmp_path):
+    """A function that moves or copies the output directory of a finished run: (the old one, the new one)."""
+
+    def move(how):
+        old, new = tmp_path / "old", tmp_path / "new"
+        shutil.copytree(smoke[2], old, symlinks=True)
+        (path,) = find(old)
+        # As a training in `old` leaves it.
+        RunDirectory(path).update(run_id=smoke[0].run_id)
+        for table, column in (("experiments", "artifact_location"), ("runs", "artifact_uri")):
+            with closing(open_database(old / "mlflow.db")) as database, database:
+                database.execute(
+                    f"UPDATE {table} SET {column} = replace({column}, ?, ?)", (smoke[2].as_uri(), old.as_uri())
+                )
+                database.execute(
+                    "UPDATE experiment_tags SET value = ? WHERE key = 'parking_exp.output_dir'", (str(old),)
+                )
+        shutil.move(old, new) if how == "moved" else shutil.copytree(old, new)
+        return old, new
+
+    return move
+
+
+@pytest.mark.parametrize("how", ["moved", "copied"])
+def test_an_output_directory_elsewhere_works_there_and_touches_nothing_else(everything_moved, how):
+    old, new = everything_moved(how)
+    before = snapshot(old) if how == "copied" else None
+    (path,) = find(new)
+    run_id = RunDirectory(path).run_id
+    done = run_script("evaluate", f"run={path}", f"output_dir={new}", *EVALUATE)
+    assert done.returncode == 0, done.stderr
+    assert "not stored" not in done.stdout
+    assert snapshot(old) == before if how == "copied" else not old.exists()
+    assert RunDirectory(path).run_id == run_id
+    assert rows(new, "SELECT run_uuid, lifecycle_stage FROM runs") == [(run_id, "active")]
+    assert "evaluations/again/summary.json" in artifacts(store(new), run_id)
+    assert (new / "mlflow-artifacts" / "smoke" / run_id / "artifacts" / "evaluations" / "again").is_dir()
+    results = load("smoke", output_dir=new)
+    assert results.runs["run_dir"].tolist() == [str(path)]
+    assert results.problems == ()
+    assert len(results.episodes) > 0
+    synced = run_script("status", f"output_dir={new}", "sync=true")
+    assert (synced.returncode, synced.stderr) == (0, "")
+
+
+def test_nothing_that_a_run_directory_says_of_itself_names_the_output_directory(smoke):
+    directory, _, output_dir = smoke
+    # `typed` and what was printed are words; a result's place is where it is read from.
+    told = {"status.json": ("command",), "result.json": ("run_dir",), "synced.json": ("note",)}
+    for name in ("config.yaml", "status.json", "synced.json", "result.json", "provenance.json"):
+        content = yaml.safe_load((directory.path / name).read_text())
+        rest = {key: value for key, value in content.items() if key not in told.get(name, ())}
+        assert str(output_dir) not in json.dumps(rest), name
+    assert read_json(directory.path / "status.json")["tracking_uri"] == "sqlite:///mlflow.db"
+    assert directory.tracking_uri == default_uri(output_dir)
+    assert directory.config().output_path == output_dir
+    record = output_dir.glob("mlflow-artifacts/*/*/artifacts/checkpoints/*/replay_buffer.json")
+    paths = [read_json(file)["path"] for file in record]
+    assert paths
+    assert all((directory.path / path).is_file() and not Path(path).is_absolute() for path in paths)
+
+
+def test_a_store_inside_an_output_directory_moves_with_it_and_one_outside_stays(tmp_path):
+    inside = run_in(tmp_path / "old", uri=f"sqlite:///{tmp_path / 'old' / 'own' / 'store.db'}")
+    outside = run_in(tmp_path / "old", seed=1, uri=f"sqlite:///{tmp_path / 'central.db'}")
+    shutil.move(tmp_path / "old", tmp_path / "new")
+    inside, outside = (
+        RunDirectory(tmp_path / "new" / one.path.relative_to(tmp_path / "old")) for one in (inside, outside)
+    )
+    assert inside.tracking_uri == inside.config().tracking.uri == f"sqlite:///{tmp_path / 'new' / 'own' / 'store.db'}"
+    assert outside.tracking_uri == outside.config().tracking.uri == f"sqlite:///{tmp_path / 'central.db'}"
+
+
+def test_a_result_is_where_its_directory_is_now(tmp_path):
+    directory = run_in(tmp_path / "old")
+    shutil.move(tmp_path / "old", tmp_path / "new")
+    moved = RunDirectory(tmp_path / "new" / directory.path.relative_to(tmp_path / "old"))
+    assert moved.result().run_dir == str(moved.path)
+
+
+def test_a_copy_of_a_run_that_is_tracked_elsewhere_gets_a_run_of_its_own(tmp_path):
+    uri = f"sqlite:///{tmp_path / 'central.db'}"
+    original = run_in(tmp_path / "one", uri=uri)
+    sync(original, uri)
+    shutil.copytree(tmp_path / "one", tmp_path / "two")
+    copy = evaluated(RunDirectory(tmp_path / "two" / original.path.relative_to(tmp_path / "one")))
+    sync(copy, uri)
+    assert copy.run_id != original.run_id
+    client = Reader(uri)._client
+    assert artifacts(client, original.run_id, "evaluations") == []
+    assert artifacts(client, copy.run_id, "evaluations") == ["evaluations/again/summary.json"]
+    run_id = copy.run_id
+    shutil.move(tmp_path / "two", tmp_path / "three")
+    moved = RunDirectory(tmp_path / "three" / original.path.relative_to(tmp_path / "one"))
+    sync(moved, uri)
+    assert moved.run_id == run_id
+    assert client.get_run(moved.run_id).data.tags["run_dir"] == str(moved.path.relative_to(tmp_path))
+
+
+def test_the_run_of_another_config_is_not_taken_for_ours(output_dir):
+    victim, directory = run_in(output_dir, seed=1), run_in(output_dir, seed=2)
+    sync(victim, victim.tracking_uri)
+    before = store(output_dir).get_run(victim.run_id)
+    directory.update(run_id=victim.run_id)
+    sync(directory, directory.tracking_uri)
+    assert directory.run_id != victim.run_id
+    after = store(output_dir).get_run(victim.run_id)
+    assert (after.info.lifecycle_stage, after.data.tags) == ("active", before.data.tags)
+
+
+class Listener(BaseHTTPRequestHandler):
+    """Notes every request."""
+
+    def do_GET(self):
+        self.server.heard.append((self.path, self.headers.get("Authorization")))
+        self.send_error(404)
+
+    do_POST = do_GET
+
+    def log_message(self, *_):
+        """Print nothing."""
+
+
+@pytest.fixture
+def listener():
+    """A server of somebody else's: (its URI, what it has heard)."""
+    server = HTTPServer(("127.0.0.1", 0), Listener)
+    server.heard = []
+    thread = Thread(target=server.serve_forever)
+    thread.start()
+    yield f"http://127.0.0.1:{server.server_port}", server.heard
+    server.shutdown()
+    thread.join()
+    server.server_close()
+
+
+@pytest.fixture
+def foreign(smoke, tmp_path):
+    """A copy of a finished run directory, alone, as it may come from elsewhere."""
+    path = tmp_path / "theirs" / "experiment" / "cell" / "seed=0"
+    shutil.copytree(smoke[0].path, path)
+    return RunDirectory(path)
+
+
+SECRETS = {"MLFLOW_TRACKING_TOKEN": "secret-token", "AWS_SECRET_ACCESS_KEY": "secret-key"}
+
+
+def stored_uri(directory, uri):
+    write_json(directory.path / "status.json", {**directory.read_status(), "tracking_uri": uri})
+
+
+def test_evaluating_does_not_connect_to_where_a_run_directory_says(foreign, listener, tmp_path):
+    uri, heard = listener
+    stored_uri(foreign, uri)
+    done = run_script("evaluate", f"run={foreign.path}", *EVALUATE, env=SECRETS, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert heard == []
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["theirs"]
+    assert (
+        f"not stored     the run is tracked in {uri}, not in the store of output_dir={tmp_path / 'outputs'}; "
+        in done.stdout
+    )
+    assert f"tracking.uri={uri} sends the results there" in done.stdout
+    assert (foreign.path / "evaluations" / "again" / "summary.json").exists()
+
+
+def test_a_store_that_is_typed_is_connected_to(foreign, listener, monkeypatch, capsys):
+    uri, heard = listener
+    stored_uri(foreign, uri)
+    monkeypatch.setenv("MLFLOW_TRACKING_TOKEN", "secret-token")
+    evaluate(foreign, f"tracking.uri={uri}")
+    assert heard[0][1] == "Bearer secret-token"
+    assert "not stored     " in capsys.readouterr().out
+
+
+def test_no_database_is_made_where_a_run_directory_says(foreign, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    stored_uri(foreign, f"sqlite:///{tmp_path / 'made' / 'any' / 'where.db'}")
+    evaluate(foreign)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["theirs"]
+
+
+def test_syncing_does_not_connect_to_where_run_directories_say(output_dir, listener):
+    uri, heard = listener
+    directory = run_in(output_dir)
+    stored_uri(directory, uri)
+    (found,) = sync_all([directory], [default_uri(output_dir)])
+    assert found == (directory, f"it is tracked in {uri}, which was not named; tracking.uri={uri} sends it there")
+    assert heard == []
+    done = run_script("status", f"output_dir={output_dir}", "sync=true")
+    assert done.returncode == 2
+    assert f"{directory.path}: it is tracked in {uri}" in done.stderr
+    assert heard == []
+
+
+@pytest.mark.parametrize("value", ["${oc.env:AWS_SECRET_ACCESS_KEY}", "a ${seed}", "${", "${hydra:runtime.cwd}"])
+@pytest.mark.parametrize("key", ["algorithm.policy_kwargs.secret", "env.other_vehicles_type", "buffer.deep.list"])
+def test_an_interpolation_in_a_stored_config_is_refused_and_not_resolved(foreign, key, value, monkeypatch):
+    for name, secret in SECRETS.items():
+        monkeypatch.setenv(name, secret)
+    config = yaml.safe_load((foreign.path / "config.yaml").read_text())
+    node, *_, last = config, *key.split(".")
+    for part in key.split(".")[:-1]:
+        node = node.setdefault(part, {})
+    node[last] = [value] if last == "list" else value
+    (foreign.path / "config.yaml").write_text(yaml.safe_dump(config))
+    with pytest.raises(ConfigError) as refusal:
+        foreign.config()
+    named = f"{key}.0" if last == "list" else key
+    assert str(refusal.value) == (
+        f"{named}={value} in {foreign.path / 'config.yaml'} is an interpolation; stored configs have values only"
+    )
+
+
+def test_an_interpolation_on_the_command_line_is_one_sentence_and_nothing_is_written(foreign, tmp_path):
+    text = (foreign.path / "config.yaml").read_text()
+    (foreign.path / "config.yaml").write_text(
+        text.replace("policy_kwargs: {}", "policy_kwargs: ${oc.env:AWS_SECRET_ACCESS_KEY}")
+    )
+    before = snapshot(tmp_path)
+    done = run_script("evaluate", f"run={foreign.path}", *EVALUATE, "trust=true", env=SECRETS, cwd=tmp_path)
+    assert done.returncode == 2
+    assert "is an interpolation" in done.stderr
+    assert done.stderr.count("\n") == 1
+    assert "secret" not in done.stderr + done.stdout
+    assert snapshot(tmp_path) == before
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        ("- a\n- b\n", "it is no config, but a list"),
+        ("", "it is no config, but a NoneType"),
+        ("just words", "it is no config, but a str"),
+        ("a: [", "while parsing a flow node"),
+        ("a: !!python/object/apply:os.system [ls]", "could not determine a constructor"),
+        ("\udcff", "can't be read"),
+        ("a: &a [*a]", "it has an alias"),
+        ("[" * 3000, "maximum recursion depth"),
+        ("a: !!timestamp 99999-99-99", "could not determine a constructor"),
+        ("a: 2026-11-22", "could not determine a constructor"),
+        ('a: !!int ""', "index out of range"),
+        ("a: !!pairs [b: {_target_: os.mkdir}]", "could not determine a constructor"),
+        ("a: !!omap [b: c]", "could not determine a constructor"),
+        ("a: !!set {b, c}", "could not determine a constructor"),
+        ("a: !!binary aGk=", "could not determine a constructor"),
+        ("1: 2", "it has a key that is no text"),
+    ],
+)
+def test_a_config_that_is_none_is_one_sentence(foreign, content, words):
+    (foreign.path / "config.yaml").write_bytes(content.encode(errors="surrogateescape"))
+    with pytest.raises(ConfigError) as refusal:
+        evaluate(foreign)
+    assert str(refusal.value).startswith(f"{foreign.path / 'config.yaml'} can't be read: ")
+    assert words in str(refusal.value)
+    assert "\n" not in str(refusal.value)
+
+
+@pytest.mark.parametrize("name", ["evaluations", "evaluations/again", "evaluations/again/episodes.csv", "video.mp4"])
+def test_links_that_lead_out_of_a_run_directory_are_refused(foreign, tmp_path, name):
+    outside = tmp_path / "outside"
+    outside.mkdir()
+    (outside / "episodes.csv").write_text("mine")
+    link = foreign.path / name
+    if link.is_dir():
+        shutil.rmtree(link)
+    link.unlink(missing_ok=True)
+    link.parent.mkdir(exist_ok=True, parents=True)
+    link.symlink_to(outside if "." not in link.name else outside / "episodes.csv")
+    before = snapshot(outside)
+    with pytest.raises(UntrustedError) as refusal:
+        evaluate(foreign)
+    assert str(refusal.value) == f"{link} is a symbolic link that leads out of the run directory; remove it"
+    assert snapshot(outside) == before
+    with pytest.raises(UntrustedError, match="is a symbolic link"):
+        sync(foreign, default_uri(tmp_path))
+
+
+@pytest.mark.parametrize(
+    "place", ["file:///etc/parking", "https://elsewhere.example/artifacts", "s3://bucket/x", "./mlruns/0"]
+)
+def test_artifacts_of_an_embedded_store_are_neither_sent_nor_read_elsewhere(output_dir, place):
+    directory = run_in(output_dir)
+    store(output_dir).create_experiment("smoke", "file:///tmp/replaced")
+    with closing(open_database(output_dir / "mlflow.db")) as database, database:
+        database.execute("UPDATE experiments SET artifact_location = ? WHERE name = 'smoke'", (place,))
+    with pytest.raises(StoreError) as refusal:
+        sync(directory, default_uri(output_dir))
+    assert str(refusal.value) == (
+        f"this store keeps artifacts outside of {output_dir}, in {place}; take another experiment_name"
+    )
+    assert rows(output_dir, "SELECT count(*) FROM runs") == [(0,)]
+
+
+def test_no_order_of_calls_reaches_artifacts_elsewhere(output_dir, listener, monkeypatch):
+    """Also where a log is to be taken back from the store, before anything is sent."""
+    uri, heard = listener
+    monkeypatch.setenv("MLFLOW_TRACKING_TOKEN", "secret-token")
+    directory = run_in(output_dir)
+    directory.update(logs=log_hashes(directory.path))
+    sync(directory, default_uri(output_dir))
+    place = f"{uri}/api/2.0/mlflow-artifacts/artifacts/x"
+    with closing(open_database(output_dir / "mlflow.db")) as database, database:
+        database.execute("UPDATE runs SET artifact_uri = ?", (place,))
+    with (directory.path / "metrics.jsonl").open("a") as file:
+        file.write("x")
+    with pytest.raises(StoreError, match="keeps artifacts outside of"):
+        sync(directory, default_uri(output_dir))
+    assert len(load("smoke", output_dir=output_dir).problems) == 1
+    assert heard == []
+
+
+def test_a_store_that_is_a_link_out_of_its_output_directory_is_refused(output_dir, tmp_path):
+    directory = run_in(output_dir)
+    shutil.move(output_dir / "mlflow.db", tmp_path / "elsewhere.db")
+    (output_dir / "mlflow.db").symlink_to(tmp_path / "elsewhere.db")
+    before = (tmp_path / "elsewhere.db").read_bytes()
+    words = f"{output_dir / 'mlflow.db'} is a symbolic link that leads out of {output_dir}; name the store with tracking.uri="
+    ((_, problem),) = sync_all([directory], [default_uri(output_dir)])
+    assert problem == words
+    with pytest.raises(ParkingError) as refusal:
+        load("smoke", output_dir=output_dir)
+    assert str(refusal.value) == words
+    assert (tmp_path / "elsewhere.db").read_bytes() == before
+
+
+def test_provenance_from_elsewhere_can_not_name_another_run(output_dir):
+    victim, directory = run_in(output_dir, seed=1), run_in(output_dir, seed=2)
+    sync(victim, default_uri(output_dir))
+    tags = {
+        "run_key": victim.config().run_key,
+        "run_dir": str(victim.path.relative_to(output_dir)),
+        "version.torch": "9",
+    }
+    write_json(directory.path / "provenance.json", {"started_ms": "x", "tags": {**tags, "cpu": 5}})
+    sync(directory, default_uri(output_dir))
+    client = store(output_dir)
+    assert client.get_run(victim.run_id).info.lifecycle_stage == "active"
+    found = client.get_run(directory.run_id).data.tags
+    assert found["run_key"] == directory.config().run_key
+    assert found["version.torch"] == "9"
+    assert "cpu" not in found
+
+
+@pytest.mark.parametrize("content", ['{"tags": 5}', "[]", '{"tags": {"cpu": null}, "started_ms": -1}', "[" * 5000])
+def test_provenance_that_is_none_is_left_out(output_dir, content):
+    directory = run_in(output_dir)
+    (directory.path / "provenance.json").write_text(content)
+    (directory.path / "synced.json").write_text(content)
+    sync(directory, default_uri(output_dir))
+    assert store(output_dir).get_run(directory.run_id).data.tags["seed"] == "0"
+
+
+@pytest.mark.parametrize("name", ["metrics.jsonl", "models"])
+def test_a_training_does_not_write_through_links(tmp_path, name):
+    config = make_config("experiment=smoke", f"output_dir={tmp_path / 'outputs'}", "tracking.mlflow=false")
+    directory = RunDirectory(config.run_dir)
+    directory.create(config)
+    outside = tmp_path / "outside"
+    outside.mkdir()
+    (outside / "file").write_text("mine")
+    (directory.path / name).symlink_to(outside if name == "models" else outside / "file")
+    with pytest.raises(UntrustedError, match="is a symbolic link that leads out of the run directory"):
+        train(config)
+    assert snapshot(outside) == {"file": b"mine"}
+
+
+def test_runs_of_another_output_directory_keep_their_artifacts_where_they_are(tmp_path):
+    """One store, that of `home`, and an experiment that a run of `scratch` has begun."""
+    (tmp_path / "home").mkdir()
+    uri = f"sqlite:///{tmp_path / 'home' / 'mlflow.db'}"
+    other, own = run_in(tmp_path / "scratch", uri=uri), run_in(tmp_path / "home")
+    sync(other, uri)
+    with pytest.raises(StoreError, match="keeps artifacts outside of"):
+        sync(own, uri)
+    sync(other, uri)
+    places = rows(tmp_path / "home", "SELECT artifact_uri FROM runs")
+    assert places == [((tmp_path / "scratch" / "mlflow-artifacts" / "smoke" / other.run_id / "artifacts").as_uri(),)]
+
+
+def test_a_copy_without_artifacts_gets_new_ones(tmp_path):
+    directory = run_in(tmp_path / "old")
+    sync(directory, default_uri(tmp_path / "old"))
+    shutil.copytree(tmp_path / "old", tmp_path / "new", ignore=shutil.ignore_patterns("mlflow-artifacts"))
+    before = snapshot(tmp_path / "old")
+    copy = evaluated(RunDirectory(tmp_path / "new" / directory.path.relative_to(tmp_path / "old")))
+    sync(copy, default_uri(tmp_path / "new"))
+    assert snapshot(tmp_path / "old") == before
+    assert (tmp_path / "new" / "mlflow-artifacts" / "smoke" / copy.run_id / "artifacts" / "evaluations").is_dir()
+
+
+def test_one_damaged_status_does_not_keep_others_from_being_sent(output_dir):
+    broken, nulls, whole = (run_in(output_dir, seed) for seed in range(3))
+    stored_uri(broken, "sqlite:///a\0b.db")
+    write_json(nulls.path / "status.json", dict.fromkeys(nulls.read_status()) | {"tracking_uri": "sqlite:///mlflow.db"})
+    found = sync_all([broken, nulls, whole], [default_uri(output_dir)])
+    assert [(directory, problem) for directory, problem in found] == [(nulls, None), (whole, None)]
+
+
+def test_an_experiment_that_was_deleted_is_said_with_what_to_type(output_dir):
+    directory = run_in(output_dir)
+    client = store(output_dir)
+    client.delete_experiment(client.create_experiment("smoke"))
+    done = run_script("status", f"output_dir={output_dir}", "sync=true")
+    assert done.returncode == 2
+    uri = default_uri(output_dir)
+    command = f"MLFLOW_TRACKING_URI={uri} mlflow experiments restore --experiment-id 1"
+    assert (
+        f"the experiment smoke was deleted in this store: restore it with `{command}`, or take another experiment_name"
+        in done.stderr
+    )
+    client.restore_experiment("1")
+    with closing(open_database(output_dir / "mlflow.db")) as database, database:
+        place = (output_dir / "mlflow-artifacts" / "smoke").as_uri()
+        database.execute("UPDATE experiments SET artifact_location = ? WHERE name = 'smoke'", (place,))
+    done = run_script("status", f"output_dir={output_dir}", "sync=true")
+    assert (done.returncode, done.stderr) == (0, f"{directory.path}: the store has everything\n")
+
+
+def test_mlflows_own_experiment_is_no_place_for_runs(tmp_path):
+    done = run_script("train", "experiment=smoke", "experiment_name=Default", cwd=tmp_path)
+    assert done.returncode == 2
+    assert done.stderr.startswith("error: experiment_name=Default is MLflow's own")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_uris_are_written_relative_to_an_output_directory_and_read_from_where_it_is(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert relative(f"sqlite:///{tmp_path}/a/mlflow.db", tmp_path / "a") == "sqlite:///mlflow.db"
+    assert relative("sqlite:///a/deep/x.db", tmp_path / "a") == "sqlite:///deep/x.db"
+    assert relative("sqlite:///b/x.db", tmp_path / "a") == f"sqlite:///{tmp_path}/b/x.db"
+    assert relative("http://host:5000", tmp_path) == "http://host:5000"
+    assert absolute("sqlite:///mlflow.db", Path("/moved")) == "sqlite:////moved/mlflow.db"
+    assert absolute("sqlite:///x.db") == f"sqlite:///{tmp_path}/x.db"
+    assert absolute("sqlite:////x.db", Path("/moved")) == "sqlite:////x.db"
+    assert directory_path("a/../b") == tmp_path / "b"
+    (tmp_path / "link").symlink_to(tmp_path)
+    assert is_same_store(f"sqlite:///{tmp_path}/x.db", f"sqlite:///{tmp_path}/link/x.db")
+    assert not is_same_store("http://a", "http://b")

@@ -1,0 +1,188 @@
+"""Proofs that take minutes: `make test-slow`."""
+
+import contextlib
+import itertools
+import json
+import multiprocessing
+import os
+import random
+import signal
+import statistics
+import subprocess
+import time
+from concurrent.futures import ProcessPoolExecutor
+
+import numpy as np
+import pytest
+from support.run_equality import differences, stored
+from support.runs import assert_store_is_whole, make_config, only_run, options, run_script, script, store
+from support.simulator_equality import KINDS as POLICIES
+from support.simulator_equality import actions_of, different_scenes, record, repeat
+from support.sweep_processes import workers
+
+from parking_exp.algorithms.build import build_model, greedy_policy
+from parking_exp.envs.training_envs import make_training_envs
+from parking_exp.runs.directory import RunDirectory
+from parking_exp.runs.state import find
+from parking_exp.training.run import train
+
+pytestmark = pytest.mark.slow
+
+
+def test_the_default_recipe_parks(tmp_path):
+    """The median of three seeds, since one seed in five may stay below."""
+    rates = []
+    for seed in (0, 1, 2):
+        config = make_config(f"seed={seed}", f"output_dir={tmp_path}", "evaluation.video_episodes=0")
+        rates.append(train(config).metrics["certified/success_rate"])
+    assert statistics.median(rates) >= 0.9
+
+
+SB3_BUFFER = ("~buffer.relabel_collision", "~buffer.relabel_terminated", "~buffer.goal_velocity")
+HIGHWAY = "env.simulator=highway_env"
+KINDS = {
+    "sac": (),
+    "sac, highway_env, replay": (HIGHWAY, "buffer=replay"),
+    "sac, gSDE, odd checkpoints": (
+        "algorithm.use_sde=true", "algorithm.sde_sample_freq=4", "algorithm.train_freq=6", "checkpoint.every_n_steps=35",
+    ),
+    "sac, one highway_env by episodes, gSDE": (
+        HIGHWAY, "n_envs=1", "algorithm.train_freq=[1,episode]", "algorithm.use_sde=true", "buffer=her_final",
+    ),
+    "td3, Stable-Baselines3's HER": ("algorithm=td3", "buffer._target_=stable_baselines3.HerReplayBuffer", *SB3_BUFFER),
+    "td3, four highway_envs, Ornstein-Uhlenbeck, a full buffer": (
+        HIGHWAY, "n_envs=4", "algorithm=td3", "buffer=her_random", "buffer.buffer_size=200", "algorithm.learning_starts=48",
+        "algorithm.action_noise._target_=stable_baselines3.common.noise.OrnsteinUhlenbeckActionNoise",
+    ),
+    "ddpg, one env, Stable-Baselines3's replay": (
+        "algorithm=ddpg", "n_envs=1", "buffer._target_=stable_baselines3.common.buffers.DictReplayBuffer", *SB3_BUFFER,
+        "~buffer.n_sampled_goal", "~buffer.goal_selection_strategy",
+    ),
+    "Stable-Baselines3's ddpg, highway_env": (HIGHWAY, "algorithm=ddpg", "algorithm._target_=stable_baselines3.DDPG"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_run_killed_at_random_moments_is_the_run_that_was_not(tmp_path, kind):
+    """Everything in the run directory, and every number in the store, to the last bit; only clocks may differ."""
+    arguments = ("experiment=smoke", "evaluation.video_episodes=0", "checkpoint.every_n_steps=25", *KINDS[kind])
+    whole, pieces = tmp_path / "whole", tmp_path / "pieces"
+    done = run_script("train", *arguments, f"output_dir={whole}")
+    assert done.returncode == 0, done.stderr
+    lasted = seconds_of_training(only_run(whole))
+    command, keywords = script("train", *arguments, f"output_dir={pieces}")
+    moments, killed, run_ids = random.Random(kind), [], set()
+    for step in (
+        0,
+        80,
+        160,
+        240,
+        400,
+    ):  # a random while after the checkpoint of this step, the last in the final evaluation
+        process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, **keywords)
+        started = time.time()
+        while process.poll() is None and not (is_training(pieces, started) and last_step(pieces) >= step):
+            time.sleep(0.01)
+        time.sleep(moments.uniform(0, 0.5 if step == 400 else lasted / 8))
+        if process.poll() is not None:
+            break
+        process.kill()
+        process.wait()
+        killed.append(last_step(pieces))
+        run_ids.add(only_run(pieces).run_id)
+    done = run_script("train", *arguments, f"output_dir={pieces}")
+    assert done.returncode == 0, done.stderr
+    print(f"{kind}: killed {len(killed)} times, last checkpoints {killed}")
+    assert len(killed) >= 4  # it may have been done before the last
+    assert len(run_ids) == 1
+    assert differences(only_run(whole).path, only_run(pieces).path) == []
+    assert_store_is_whole(pieces, last_step(whole))
+    assert stored(whole, only_run(whole).run_id) == stored(pieces, only_run(pieces).run_id)
+
+
+def test_a_parallel_sweep_killed_at_random_moments_is_the_sweep_that_was_not(tmp_path):
+    """Now its parent is killed, now a worker; every run directory and every number in the store is the same in the end."""
+    arguments = (
+        "experiment=smoke", "evaluation.video_episodes=0", "checkpoint.every_n_steps=25", "algorithm=sac,td3,ddpg",
+        "buffer=her_future,replay", "seeds=2",
+    )  # fmt: skip
+    whole, pieces = tmp_path / "whole", tmp_path / "pieces"
+    done = run_script("train", *arguments, f"output_dir={whole}", timeout=600)
+    assert done.returncode == 0, done.stderr
+    command, keywords = script("train", *arguments, f"output_dir={pieces}")
+    moments, killed, first_ids = random.Random(0), 0, {}
+    while killed < 12:
+        process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, **keywords)
+        time.sleep(moments.uniform(4, 12))
+        if victims := workers(pieces):
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(moments.choice(victims), signal.SIGKILL)
+            time.sleep(moments.uniform(0, 3))
+        if process.poll() is not None:
+            break
+        process.kill()
+        process.wait()
+        killed += 1
+        for path in find(pieces):
+            first_ids.setdefault(path, RunDirectory(path).run_id)
+    done = run_script("train", *arguments, f"output_dir={pieces}", timeout=600)
+    assert done.returncode == 0, done.stderr
+    print(f"the sweep was killed {killed} times")
+    ours, theirs = find(whole), find(pieces)
+    assert [path.relative_to(whole) for path in ours] == [path.relative_to(pieces) for path in theirs]
+    assert len(ours) == 12
+    for one, two in zip(ours, theirs, strict=True):
+        assert differences(one, two) == []
+        assert stored(whole, RunDirectory(one).run_id) == stored(pieces, RunDirectory(two).run_id)
+        assert first_ids[two] in {None, RunDirectory(two).run_id}
+    client = store(pieces)
+    experiment = client.get_experiment_by_name("smoke")
+    assert len(client.search_runs([experiment.experiment_id])) == 12
+
+
+def last_step(output_dir):
+    """The last checkpoint's step; 0 where there is none."""
+    steps = [int(path.name.removeprefix("step=")) for path in output_dir.glob("*/*/*/checkpoints/step=*")]
+    return max(steps, default=0)
+
+
+def is_training(output_dir, since):
+    """Whether a process that was started then has made its envs and its logger, which opens this file."""
+    return any(path.stat().st_mtime > since for path in output_dir.glob("*/*/seed=*/progress.csv"))
+
+
+def seconds_of_training(directory):
+    """From the making of the envs to the last checkpoint, which comes before the final evaluation."""
+    start = json.loads((directory.path / "monitor.csv").read_text().split("\n", 1)[0][1:])["t_start"]
+    return max(path.stat().st_mtime for path in directory.checkpoints.glob("step=*/manifest.json")) - start
+
+
+@pytest.fixture(scope="module")
+def trained_policy():
+    """A policy that parks most of the time, and sometimes well."""
+    config = make_config("total_timesteps=20000")
+    model = build_model(config, make_training_envs(config.env, config.n_envs), seed=0)
+    return greedy_policy(model.learn(config.total_timesteps))
+
+
+@pytest.mark.parametrize("option", options("env"))
+def test_200_000_steps_on_1_000_scenes_without_one_mismatch(option, trained_policy):
+    config, block = make_config(f"env={option}", "algorithm.learning_starts=100000").env, 50
+    steps, scenes, waiting = 0, 0, []
+    with ProcessPoolExecutor(mp_context=multiprocessing.get_context("spawn")) as pool:
+        for kind in itertools.cycle(POLICIES):
+            if steps >= 200_000 and scenes >= 1000:
+                break
+            seeds = range(scenes, scenes + block)
+            rng = np.random.default_rng(scenes)
+            starts, records = record(config, seeds, actions_of(kind, rng, (block, 2), trained_policy))
+            waiting.append(pool.submit(repeat, config, seeds, starts, records))
+            steps, scenes = steps + sum(len(episode) for episode in records), scenes + block
+        mismatches = [mismatch for future in waiting for mismatch in future.result()]
+    print(f"{option}: {steps} steps on {scenes} scenes, {len(mismatches)} mismatches")
+    assert mismatches == []
+
+
+@pytest.mark.parametrize("parked", [0, 10])
+def test_10_000_scenes_bit_for_bit(parked):
+    assert different_scenes(range(10_000), parked) == []

@@ -1,0 +1,412 @@
+"""A run that was cut off and resumed is the run that was not: every number, to the last bit."""
+
+import copy
+import json
+import random
+import signal
+import subprocess
+from contextlib import contextmanager
+from functools import cache
+
+import numpy as np
+import pytest
+import torch
+from gymnasium import spaces
+from omegaconf import OmegaConf
+from stable_baselines3.common.logger import Logger
+from support.run_equality import differences, exact
+from support.runs import make_config, only_run, script, wait_for
+
+from parking_exp.algorithms import build
+from parking_exp.algorithms.build import build_model, greedy_policy
+from parking_exp.algorithms.fast.base import LeanTraining
+from parking_exp.envs import training_envs
+from parking_exp.envs.highway import make_env
+from parking_exp.envs.replay import Retraced
+from parking_exp.errors import FailedRunError, InterruptedRunError
+from parking_exp.evaluation.evaluate import evaluate
+from parking_exp.evaluation.video import record
+from parking_exp.runs.atomic import read_json
+from parking_exp.training import checkpoints, rollout_state, serialization, session
+from parking_exp.training.run import train
+from parking_exp.training.session import Schedule, Session
+
+SMOKE = ("experiment=smoke", "total_timesteps=160", "evaluation.every_n_steps=60", "checkpoint.every_n_steps=50",
+         "evaluation.n_scenes=1", "evaluation.final_n_scenes=2", "evaluation.video_episodes=0", "env.duration=2",
+         "tracking.mlflow=false", "tracking.progress_bar=false", "tracking.tensorboard=false")  # fmt: skip
+OTHERS_BUFFER = ("~buffer.relabel_collision", "~buffer.relabel_terminated", "~buffer.goal_velocity")
+HIGHWAY = "env.simulator=highway_env"
+KINDS = {
+    "sac": (),
+    "sac with gSDE": ("algorithm.use_sde=true", "algorithm.train_freq=4", "tracking.log_interval=1"),
+    "sac, by episodes, in one highway_env, replay": (
+        HIGHWAY, "n_envs=1", "algorithm.train_freq=[1,episode]", "buffer=replay",
+    ),
+    "td3, random goals, a full buffer": ("algorithm=td3", "buffer=her_random", "buffer.buffer_size=100"),
+    "td3 with Ornstein-Uhlenbeck noise, in highway_envs": (
+        HIGHWAY, "algorithm=td3", "buffer=her_episode",
+        "algorithm.action_noise._target_=stable_baselines3.common.noise.OrnsteinUhlenbeckActionNoise",
+    ),
+    "ddpg with Stable-Baselines3's HER": (
+        "algorithm=ddpg", "buffer._target_=stable_baselines3.HerReplayBuffer", *OTHERS_BUFFER,
+    ),
+    "Stable-Baselines3's ddpg, one env, its replay": (
+        "algorithm=ddpg", "algorithm._target_=stable_baselines3.DDPG", "n_envs=1", *OTHERS_BUFFER,
+        "buffer._target_=stable_baselines3.common.buffers.DictReplayBuffer",
+        "~buffer.n_sampled_goal", "~buffer.goal_selection_strategy",
+    ),
+    "tqc": ("algorithm=tqc", "buffer=her_final"),
+    "crossq": ("algorithm=crossq",),
+    "sac with another activation and optimizer": (
+        "+algorithm.policy_kwargs={activation_fn:torch.nn.Tanh,optimizer_class:{_target_:torch.optim.AdamW,_partial_:true}}",
+    ),
+}  # fmt: skip
+
+
+class CutOffError(BaseException):
+    """What a kill is, as far as a run in this process can have one."""
+
+
+@contextmanager
+def cut(owner, name, when):
+    """Raise in a method, or a function, at the first call for whose arguments `when` is true."""
+    original = getattr(owner, name)
+
+    def cutting(*arguments, **keywords):
+        if when(*arguments):
+            raise CutOffError
+        return original(*arguments, **keywords)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(owner, name, cutting)
+        yield
+
+
+def cut_at(step):
+    """Inside a step: its transition is counted and not stored."""
+    return cut(Schedule, "_on_step", lambda schedule: schedule.num_timesteps >= step)
+
+
+@cache
+def composed_once(*overrides):
+    return make_config(*SMOKE, *overrides)
+
+
+def configured(output_dir, *overrides):
+    return composed_once(*overrides).model_copy(update={"output_dir": str(output_dir)})
+
+
+@pytest.fixture(autouse=True)
+def no_picture(monkeypatch):
+    """Which would take longer than all the rest of a run."""
+    monkeypatch.setattr(session, "learning_curves", lambda *_: None)
+
+
+def run(output_dir, *overrides, cuts=()):
+    """A run that is cut off by each of these, one after the other, and then goes on to its end."""
+    config = configured(output_dir, *overrides)
+    for one in cuts:
+        disturb()
+        with one, pytest.raises(FailedRunError) as failure:
+            train(config)
+        assert isinstance(failure.value.__cause__, CutOffError)
+    disturb()
+    train(config)
+    return only_run(output_dir).path
+
+
+def disturb():
+    """Another process would have other random numbers."""
+    random.seed()
+    np.random.seed()
+    torch.seed()
+
+
+@pytest.fixture(scope="module")
+def uninterrupted(tmp_path_factory):
+    return run(tmp_path_factory.mktemp("uninterrupted"))
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_run_that_was_cut_off_twice_is_the_one_that_was_not(tmp_path, kind):
+    """Between checkpoints, in the middle of episodes; before the first update and later."""
+    whole = run(tmp_path / "whole", *KINDS[kind])
+    pieces = run(tmp_path / "pieces", *KINDS[kind], cuts=[cut_at(71), cut_at(137)])
+    assert differences(whole, pieces) == []
+
+
+DAMAGE = {
+    "gone": lambda path: path.unlink(),
+    "cut": lambda path: path.write_bytes(path.read_bytes()[:40]),
+    "flipped": lambda path: path.write_bytes(b"\x00" + path.read_bytes()[1:]),
+}
+
+
+@pytest.mark.parametrize("kind", DAMAGE)
+@pytest.mark.parametrize("name", ["metrics.jsonl", "episodes.csv", "monitor.csv"])
+def test_a_log_that_was_damaged_before_a_resume_is_whole_again(uninterrupted, tmp_path, capsys, name, kind):
+    config = configured(tmp_path, "tracking.progress_bar=true")
+    with cut_at(137), pytest.raises(FailedRunError):
+        train(config)
+    DAMAGE[kind](only_run(tmp_path).path / name)
+    train(config)
+    assert differences(uninterrupted, only_run(tmp_path).path) == []
+    assert f"{name} was damaged; it is taken from the checkpoint" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("kind", DAMAGE)
+def test_a_run_goes_on_without_its_other_files(uninterrupted, tmp_path, kind):
+    """What is not in a checkpoint, and only says something about the run."""
+    config = configured(tmp_path, "tracking.mlflow=true", f"tracking.uri=sqlite:///{tmp_path / 'file'}/x.db")
+    (tmp_path / "file").touch()  # a store that is down
+    with cut_at(137), pytest.raises(FailedRunError):
+        train(config)
+    for name in ("provenance.json", "synced.json", "status.json", "beat.json"):
+        if (path := only_run(tmp_path).path / name).exists() and (kind != "gone" or name != "status.json"):
+            DAMAGE[kind](path)
+    train(config)
+    directory = only_run(tmp_path)
+    assert differences(uninterrupted, directory.path) == []
+    assert directory.status == "done"
+    assert directory.unsynced == f"File exists: {tmp_path / 'file'}"
+
+
+def test_the_comparison_sees_everything(uninterrupted, tmp_path):
+    """Another seed differs in every kind of thing that is compared, else nothing would be shown above."""
+    other = run(tmp_path, "seed=1")
+    found = " ".join(differences(uninterrupted, other))
+    for name in (
+        "episodes.csv", "metrics", "monitor.csv", "progress.csv", "best.zip/", "final.zip/", "model.zip/policy.pth/",
+        "model.zip/actor.optimizer.pth/", "model.zip/critic.optimizer.pth/", "model.zip/ent_coef_optimizer.pth/",
+        "model.zip/pytorch_variables.pth/log_ent_coef", "replay_buffer.npz/rows", "replay_buffer.npz/rng", "state.json/streams", "state.json/model",
+        "state.npz/model/_last_obs/observation", "state.npz/streams/envs/envs/simulator/position", "state.npz/streams/envs/monitor/episode_returns",
+        "state.npz/streams/rng/numpy/state/key", "state.npz/streams/rng/python/numbers", "state.npz/streams/rng/torch",
+    ):  # fmt: skip
+        assert name in found
+
+
+@pytest.mark.parametrize("first", [1, 3])
+def test_a_run_that_was_cut_off_in_an_evaluation(uninterrupted, tmp_path, first):
+    """The first one, before any checkpoint, or the third; a checkpoint at each, and evaluations only then."""
+    calls = iter(range(100))
+    in_evaluation = cut(session, "evaluate", lambda *_: next(calls) == first - 1)
+    assert differences(uninterrupted, run(tmp_path, cuts=[in_evaluation])) == []
+
+
+@pytest.mark.parametrize("overrides", [("algorithm=td3",), ("algorithm.use_sde=true",)])
+def test_a_run_that_was_cut_off_between_its_end_and_its_result(tmp_path, overrides):
+    """Nothing is left to be learned then, and its state is the same all the same."""
+    cuts = [cut(Session, "_certify", lambda *_: True) for _ in range(2)]
+    whole, pieces = run(tmp_path / "whole", *overrides), run(tmp_path / "pieces", *overrides, cuts=cuts)
+    assert differences(whole, pieces) == []
+    _, fresh = built(*overrides)
+    folder = sorted((pieces / "checkpoints").iterdir())[-1]
+    rollout_state.restore(fresh, checkpoints.restore(folder, fresh, tmp_path / "best.zip"))
+    again = checkpoints.save(tmp_path, fresh, checkpoints.read_progress(folder), tmp_path / "best.zip", 1)
+    assert (again / "state.npz").read_bytes() == (folder / "state.npz").read_bytes()
+    assert read_json(again / "state.json") == read_json(folder / "state.json")
+
+
+@pytest.mark.parametrize("name", ["model.zip", "state.json"])
+def test_a_run_that_was_cut_off_while_it_wrote_a_checkpoint(uninterrupted, tmp_path, name):
+    writing = cut(checkpoints, "sync", lambda path: path.name == name and "100" in path.parent.name)
+    assert differences(uninterrupted, run(tmp_path, cuts=[writing])) == []
+
+
+def test_a_run_whose_newest_checkpoint_was_damaged(uninterrupted, tmp_path):
+    def damage(*_):
+        newest = sorted(only_run(tmp_path).checkpoints.glob("step=*"))[-1]
+        (newest / "state.npz").write_bytes(b"")
+        return False
+
+    damaged = cut(checkpoints, "latest", damage)
+    config = configured(tmp_path)
+    with cut_at(151), pytest.raises(FailedRunError):
+        train(config)
+    with damaged:
+        train(config)
+    assert differences(uninterrupted, only_run(tmp_path).path) == []
+
+
+@pytest.mark.parametrize("in_evaluation", [False, True])
+def test_a_run_that_was_told_to_stop_at_an_odd_step(uninterrupted, tmp_path, in_evaluation):
+    """What a signal does: a checkpoint where none is due, without the evaluation that is, and metrics wait for their row."""
+    config = configured(tmp_path)
+    asked = Session.evaluate if in_evaluation else Schedule._on_step
+
+    def ask(self, *rest):
+        if in_evaluation or self.num_timesteps >= 133:
+            (self if in_evaluation else self.session).stop.signal_number = signal.SIGTERM
+        return asked(self, *rest)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Session if in_evaluation else Schedule, asked.__name__, ask)
+        with pytest.raises(InterruptedRunError):
+            train(config)
+    step = 60 if in_evaluation else 134
+    state = read_json(only_run(tmp_path).checkpoints / f"step={step:010d}" / "state.json")
+    assert state["progress"]["evaluated"] < 60 * (step // 60) or not in_evaluation
+    assert "train/critic_loss" in state["streams"]["metrics"]["name_to_value"] or in_evaluation
+    train(config)
+    assert differences(uninterrupted, only_run(tmp_path).path) == []
+
+
+def test_killed_processes_leave_nothing_that_shows(tmp_path):
+    """A real kill in real processes, TensorBoard's events included."""
+    arguments = [*SMOKE, HIGHWAY, "checkpoint.every_n_steps=40", "tracking.tensorboard=true", "total_timesteps=250"]
+    whole = run(tmp_path / "whole", *arguments[len(SMOKE) :])
+    command, keywords = script("train", *arguments, f"output_dir={tmp_path / 'pieces'}", "tracking.progress_bar=true")
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, **keywords)
+    wait_for(lambda: any((tmp_path / "pieces").glob("*/*/*/checkpoints/step=*")), process)
+    process.kill()
+    process.wait()
+    done = subprocess.run(command, check=False, capture_output=True, timeout=180, **keywords)
+    assert done.returncode == 0, done.stderr
+    assert "resuming at step" in done.stderr
+    assert differences(whole, only_run(tmp_path / "pieces").path) == []
+
+
+def test_nothing_is_executed_from_a_checkpoint(tmp_path, monkeypatch):
+    """Neither when a run is resumed nor for its model: no pickle is opened, and torch loads weights only."""
+    config = configured(tmp_path)
+    with cut_at(151), pytest.raises(FailedRunError):
+        train(config)
+    load, loaded = torch.load, []
+
+    def weights_only(*arguments, **keywords):
+        loaded.append(keywords["weights_only"])
+        return load(*arguments, **keywords)
+
+    monkeypatch.setattr(torch, "load", weights_only)
+    for name in ("pickle.load", "pickle.loads", "cloudpickle.load", "cloudpickle.loads"):
+        monkeypatch.setattr(name, lambda *_, **__: pytest.fail("unpickled"))
+    train(config)
+    assert len(loaded) >= 4
+    assert all(loaded)
+
+
+def built(*overrides):
+    config = composed_once(*overrides)
+    model = build_model(config, training_envs.make_training_envs(config.env, config.n_envs), seed=0)
+    model.set_logger(Logger(None, []))
+    return config, model
+
+
+@pytest.mark.parametrize(
+    ("overrides", "simulator"),
+    [
+        ((), "highway_env"),
+        ((), "vectorized"),
+        (("algorithm.use_sde=true",), "vectorized"),
+        (("algorithm=td3",), "vectorized"),
+        (("algorithm=crossq",), "vectorized"),
+    ],
+)
+def test_evaluations_and_videos_draw_none_of_the_trainings_random_numbers(tmp_path, overrides, simulator):
+    config, model = built(*overrides)
+    model.learn(20)
+    before = comparable(rollout_state.gather(model))
+    evaluate(greedy_policy(model), config.env, range(3), simulator=simulator)
+    if simulator == "highway_env":
+        record(greedy_policy(model), config.env, range(1), tmp_path / "video.mp4")
+    assert comparable(rollout_state.gather(model)) == before
+
+
+def comparable(tree):
+    plain, arrays = serialization.split(tree)
+    return plain, {name: exact(array) for name, array in arrays.items()}
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_streams_are_restored_as_they_were_saved(kind):
+    """In a model that has gone another way since; and what draws then draws the same."""
+
+    def draws(model):
+        return np.random.normal(), random.random(), torch.rand(1).item(), model.action_space.sample().tolist()
+
+    (_, model), (_, other) = built(*KINDS[kind]), built(*KINDS[kind])
+    model.learn(50)
+    model.logger.record("train/loss", 0.5, exclude="tensorboard")
+    model.logger.record_mean("train/mean", 0.25)
+    saved = rollout_state.gather(model)
+    plain, arrays = serialization.split(copy.deepcopy(saved))
+    expected = draws(model)
+    other.learn(30)
+    disturb()
+    rollout_state.restore(other, serialization.join(json.loads(json.dumps(plain)), arrays))
+    assert comparable(rollout_state.gather(other)) == comparable(saved)
+    assert other.logger.name_to_excluded["train/loss"] == ("tensorboard",)
+    assert draws(other) == expected
+
+
+@pytest.mark.parametrize("steps", [0, 7, 30])
+@pytest.mark.parametrize("option", ["parking_sparse", "parking_parked"])
+def test_an_env_of_highway_env_goes_on_from_its_state(option, steps):
+    """At the start of an episode, in its middle, and after others; the next scenes are the same, too."""
+    env_config = composed_once(f"env={option}", "env.training_duration=5", "algorithm.learning_starts=500").env
+    one, other = (Retraced(make_env(env_config, training=True)) for _ in range(2))
+    actions = np.random.default_rng(0).uniform(-1, 1, (steps + 40, 2)).astype(np.float32)
+    one.reset(seed=3)
+    for action in actions[:steps]:
+        if any(one.step(action)[2:4]):
+            one.reset()
+    other.set_state(one.get_state())
+    for action in actions[steps:]:
+        ours, theirs = one.step(action), other.step(action)
+        for key in ours[0]:
+            np.testing.assert_array_equal(ours[0][key], theirs[0][key])
+        assert ours[1:4] == theirs[1:4]
+        if any(ours[2:4]):
+            one.reset(), other.reset()
+    assert one.unwrapped.np_random.bit_generator.state == other.unwrapped.np_random.bit_generator.state
+
+
+def test_what_waits_in_an_env_for_its_first_reset_is_gone_after_restoring():
+    config = composed_once(HIGHWAY).env
+    envs, others = (training_envs.make_training_envs(config, 2) for _ in range(2))
+    envs.seed(1), others.seed(2)
+    envs.reset()
+    training_envs.set_state(others, training_envs.get_state(envs))
+    assert others.venv._seeds == [None, None]
+    np.testing.assert_array_equal(envs.reset()["observation"], others.reset()["observation"])
+
+
+def test_restored_networks_lie_in_memory_as_training_lays_them(tmp_path):
+    """Otherwise actions before the next update could be rounded differently."""
+    model, fresh = built()[1], built()[1]
+    model.learn(100)
+    folder = checkpoints.save(tmp_path, model, checkpoints.Progress(step=100), tmp_path / "none.zip", 1)
+    checkpoints.restore(folder, fresh, tmp_path / "none.zip")
+    assert isinstance(fresh, LeanTraining)
+    assert fresh._update.is_bound(fresh)
+    assert fresh._update.flat.is_whole
+
+
+def test_a_tree_comes_back_with_its_types():
+    tree = {
+        "float32": np.float32(0.1), "float64": np.float64(0.1), "int": np.int32(3), "bool": np.True_, "big": 2**127, "nan": float("inf"),
+        "none": None, "word": "a", "flag": True, "list": [{"array": np.arange(3, dtype=np.uint8)}, (1, 2)], "empty": np.zeros((0, 2)),
+    }  # fmt: skip
+    plain, arrays = serialization.split(tree)
+    again = serialization.join(json.loads(json.dumps(plain)), arrays)
+    assert again["list"][1] == [1, 2]
+    for name in ("float32", "float64", "int", "bool", "big", "nan", "none", "word", "flag"):
+        assert again[name] == tree[name]
+        assert type(again[name]) is type(tree[name])
+    assert again["list"][0]["array"].dtype == np.uint8
+    assert again["empty"].shape == (0, 2)
+    with pytest.raises(TypeError, match="a/0 is a Box, which can't be saved without pickling it"):
+        serialization.split({"a": [spaces.Box(0, 1)]})
+
+
+def test_a_resumed_run_keeps_the_precision_that_it_began_with(tmp_path, monkeypatch):
+    """Another machine, or another moment, would choose otherwise."""
+    wide = ("algorithm.net_arch=[128,128]", "precision=auto")
+    monkeypatch.setattr(build, "faster_precision", lambda model: "medium")
+    whole = run(tmp_path / "whole", *wide)
+    choices = iter(["medium"])
+    monkeypatch.setattr(build, "faster_precision", lambda model: next(choices))
+    pieces = run(tmp_path / "pieces", *wide, cuts=[cut_at(71), cut_at(137)])
+    assert differences(whole, pieces) == []
+    assert read_json(pieces / "status.json")["precision"] == "medium"
+    assert OmegaConf.load(pieces / "config.yaml").precision == "auto"
