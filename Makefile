@@ -36,9 +36,10 @@ test: setup  ## the fast test suite, on two cores
 test-slow: setup  ## the proofs that take minutes
 	$(BIN)/python -m pytest -m slow $(ARGS)
 
-lint: setup  ## style and format
+lint: setup  ## style, format, and imports between rooms
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
+	$(BIN)/lint-imports
 
 types: setup  ## static types
 	$(BIN)/mypy

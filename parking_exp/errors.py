@@ -1,4 +1,10 @@
-"""Errors that a user can meet. Their message is a sentence, and the command line prints it without a traceback."""
+"""Errors that a user can meet, and phrases that their messages share.
+
+A message is a sentence, and the command line prints it without a traceback.
+"""
+
+import difflib
+from collections.abc import Iterable, Sequence
 
 
 class ParkingError(Exception):
@@ -67,3 +73,34 @@ class InterruptedRunError(ParkingError):
 
 class FailedRunError(ParkingError):
     """A run that broke. The cause is its `__cause__`, and its traceback is in the run directory."""
+
+
+def plural(number: int, noun: str) -> str:
+    """Return `1 run`, `2 runs`."""
+    return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
+
+
+def quoted_label(label: str) -> str:
+    """Return a label as it stands in a sentence: in quotes if it has commas, so that it reads as one name."""
+    return f"“{label}”" if "," in label or ";" in label else label
+
+
+def first_few(values: Sequence[str], limit: int = 3) -> str:
+    """Return the first of some values, and how many more there are."""
+    return ", ".join(values[:limit]) + (f" and {len(values) - limit} more" if len(values) > limit else "")
+
+
+def did_you_mean(word: str, choices: Iterable[str], cutoff: float = 0.5) -> str:
+    """Return `; did you mean 'x'?` for the closest choice, or nothing when none is close."""
+    match = difflib.get_close_matches(word, sorted(set(choices)), n=1, cutoff=cutoff)
+    return f"; did you mean {match[0]!r}?" if match else ""
+
+
+def suggestion(word: str, choices: Iterable[str]) -> str:
+    """Return `; did you mean 'x'?`, or the choices when none is close and they are few, or nothing."""
+    names = sorted(set(choices))
+    if match := did_you_mean(word, names):
+        return match
+    if names and len(names) <= 30:
+        return "; choose from " + ", ".join(names)
+    return ""

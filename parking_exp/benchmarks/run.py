@@ -10,13 +10,12 @@ from typing import Annotated, Any, Literal
 from omegaconf import DictConfig
 from pydantic import Field
 
-from parking_exp.config.messages import closest
 from parking_exp.config.paths import directory_path
 from parking_exp.config.schema import Positive, Section
 from parking_exp.config.validate import parse
-from parking_exp.errors import ConfigError
+from parking_exp.errors import ConfigError, suggestion
+from parking_exp.resources import cores
 from parking_exp.runs.atomic import read_json, write_json
-from parking_exp.sweeps.resources import cores
 from parking_exp.terminal import say
 
 ALGORITHMS, NETS = ("sac", "td3", "ddpg"), {"3x256": "[256,256,256]", "2x64": "[64,64]"}
@@ -68,7 +67,7 @@ def validate_benchmark(config: DictConfig) -> BenchmarkConfig:
     settings = parse(BenchmarkConfig, config)
     for name in settings.only or []:
         if not any(key.startswith(name) for key in TARGETS):
-            raise ConfigError(f"only={name}: no figure begins so{closest(name, TARGETS)}")
+            raise ConfigError(f"only={name}: no figure begins so{suggestion(name, TARGETS)}")
     if isinstance(settings.core, int) and hasattr(os, "sched_getaffinity"):
         wanted, cores = settings.core, os.sched_getaffinity(0)
         if wanted not in cores:

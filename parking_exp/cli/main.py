@@ -5,6 +5,7 @@ known to be good.
 """
 
 import argparse
+import gc
 import logging
 import os
 import re
@@ -32,11 +33,11 @@ def train() -> None:
     """Entry point of `scripts/train.py` and `parking-train`: one run in this process, or a sweep."""
 
     def run(config: DictConfig) -> None:
-        from parking_exp.garbage import no_garbage
+        gc.disable()  # importing torch without it takes .8 s less
+        from parking_exp.training.run import train as train_run
 
-        with no_garbage(freeze=True):
-            from parking_exp.training.run import train as train_run
-
+        gc.freeze()
+        gc.enable()
         train_run(config)
 
     def command(arguments: argparse.Namespace) -> None:
@@ -90,10 +91,9 @@ def report() -> None:
         run(configs[0])
 
     def run(config: DictConfig) -> None:
-        from parking_exp.garbage import no_garbage
-
-        with no_garbage(freeze=True):
-            write_report(config)
+        gc.disable()  # a third of the time of a large report, whose objects all stay to its end
+        write_report(config)
+        gc.freeze()
 
     try:
         sys.argv[1:] = report_arguments(sys.argv[1:])

@@ -9,11 +9,10 @@ from pydantic import Field
 from rich.console import Group, RenderableType
 from rich.live import Live
 
-from parking_exp.config.messages import closest, several
 from parking_exp.config.paths import default_uri, directory_path
 from parking_exp.config.schema import Name, Section, StoreConfig
 from parking_exp.config.validate import parse
-from parking_exp.errors import ConfigError, RunNotFoundError, UnsyncedError
+from parking_exp.errors import ConfigError, RunNotFoundError, UnsyncedError, plural, suggestion
 from parking_exp.runs.directory import RunDirectory
 from parking_exp.runs.state import RunState, as_json, find, read_state
 from parking_exp.runs.tables import cell_table, damaged_lines, failure_lines, running_lines, stopped_lines
@@ -83,7 +82,7 @@ def _look(request: StatusRequest) -> list[RunState]:
         if request.experiment_name is None:
             raise RunNotFoundError(f"there are no runs in {request.output_path}; train one first, or set output_dir")
         there = {path.parents[1].name for path in find(request.output_path)}
-        hint = closest(request.experiment_name, there)
+        hint = suggestion(request.experiment_name, there)
         raise RunNotFoundError(f"experiment={request.experiment_name}: it has no runs in {request.output_path}{hint}")
     return found
 
@@ -107,7 +106,7 @@ def _sync(request: StatusRequest) -> None:
         say(f"{runs[0].path}{others}: {problem}", stderr=True)
     if problems:
         failed = sum(map(len, problems.values()))
-        raise UnsyncedError(f"the store has not got all of {several(failed, 'run')}; sync=true tries again")
+        raise UnsyncedError(f"the store has not got all of {plural(failed, 'run')}; sync=true tries again")
 
 
 def _picture(states: list[RunState]) -> RenderableType:

@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, TypeAdapter, ValidationError
 
-from parking_exp.config.messages import closest, no_target, sentence
+from parking_exp.config.messages import no_target, sentence
 from parking_exp.config.schema import (
     AlgorithmConfig,
     Count,
@@ -30,6 +30,7 @@ from parking_exp.config.signatures import (
     policy_signature,
     signature,
 )
+from parking_exp.errors import suggestion
 
 Decay = Annotated[float, Field(ge=0, lt=1)]
 
@@ -223,7 +224,7 @@ def _check_call(
         elif parameter is not None:
             problems += _check_value(f"{key}.{name}", name, value, target, parameter)
         elif not expected.open:
-            problems.append(f"{key}.{name}: {target} has no such argument{closest(name, choices - {name})}")
+            problems.append(f"{key}.{name}: {target} has no such argument{suggestion(name, choices - {name})}")
     if not partial:
         problems += [
             f"{key}.{name} is missing; {target} needs it"

@@ -21,9 +21,8 @@ from omegaconf import DictConfig, ListConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from parking_exp.config.grid import check_blocks, check_number, labels, points, seeds_of
-from parking_exp.config.messages import closest
 from parking_exp.config.signatures import UnknownTarget, signature
-from parking_exp.errors import ConfigError, ParkingError
+from parking_exp.errors import ConfigError, ParkingError, suggestion
 
 VERSION_BASE = "1.3"
 
@@ -260,7 +259,7 @@ def _refuse_unknown_names(config_name: str, overrides: list[Override]) -> None:
             keys.append(override)
             continue
         if name not in ours and not _is_hydras(name):
-            raise ConfigError(f"{name}: there is no such group here{closest(name, ours)}")
+            raise ConfigError(f"{name}: there is no such group here{suggestion(name, ours)}")
         if name in ours:
             groups.append(override)
         if override.type != OverrideType.DEL:
@@ -281,7 +280,7 @@ def _refuse_unknown_options(override: Override, options: list[str]) -> None:
         if value is None:
             raise ConfigError(f"{name}=null: leave it out, or choose from {', '.join(options)}")
         if str(value) not in options:
-            raise ConfigError(f"{name}={value}: there is no such option{closest(str(value), options)}")
+            raise ConfigError(f"{name}={value}: there is no such option{suggestion(str(value), options)}")
 
 
 def _refuse_unknown_key(base: DictConfig, override: Override, groups: set[str]) -> None:
@@ -302,7 +301,7 @@ def _refuse_unknown_key(base: DictConfig, override: Override, groups: set[str]) 
             if not parent and part in groups:
                 raise ConfigError(f"{part}: no option is chosen; write {part}=OPTION {override.input_line}")
             choices = {*known, *arguments, *([] if parent else groups)}
-            raise ConfigError(f"{override.key_or_group}: there is no such key{closest(part, choices)}")
+            raise ConfigError(f"{override.key_or_group}: there is no such key{suggestion(part, choices)}")
         assert isinstance(node, DictConfig)
         node = node._get_node(part) if node._is_none() else node[part]
 

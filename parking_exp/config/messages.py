@@ -1,49 +1,17 @@
-"""Phrases that messages share."""
+"""Messages about config values: what pydantic complains about, and targets that name nothing."""
 
-import difflib
-from collections.abc import Iterable, Sequence
 from typing import Any
 
 from pydantic import BaseModel
 
 from parking_exp.config.signatures import UnknownTarget
-
-
-def several(number: int, noun: str) -> str:
-    """Return `1 run`, `2 runs`."""
-    return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
-
-
-def enclosed(label: str) -> str:
-    """Return a label as it stands in a sentence: in quotes if it has commas, so that it reads as one name."""
-    return f"“{label}”" if "," in label or ";" in label else label
-
-
-def few(values: Sequence[str], limit: int = 3) -> str:
-    """Return the first of some values, and how many more there are."""
-    return ", ".join(values[:limit]) + (f" and {len(values) - limit} more" if len(values) > limit else "")
-
-
-def similar(word: str, choices: Iterable[str], cutoff: float = 0.5) -> str:
-    """Return `; did you mean 'x'?` for the closest choice, or nothing when none is close."""
-    match = difflib.get_close_matches(word, sorted(set(choices)), n=1, cutoff=cutoff)
-    return f"; did you mean {match[0]!r}?" if match else ""
-
-
-def closest(word: str, choices: Iterable[str]) -> str:
-    """Return `; did you mean 'x'?`, or the choices when none is close and they are few, or nothing."""
-    names = sorted(set(choices))
-    if match := similar(word, names):
-        return match
-    if names and len(names) <= 30:
-        return "; choose from " + ", ".join(names)
-    return ""
+from parking_exp.errors import suggestion
 
 
 def no_target(key: str, target: str, error: UnknownTarget) -> str:
     """Return what is wrong with a `_target_` that names nothing."""
     extra = "; pip install 'parking-exp[contrib]'" if target.startswith("sb3_contrib.") and not error.known else ""
-    return f"{key}={target}: {error.reason}{closest(target.rpartition('.')[2], error.known)}{extra}"
+    return f"{key}={target}: {error.reason}{suggestion(target.rpartition('.')[2], error.known)}{extra}"
 
 
 def sentence(item: Any, model: type[BaseModel] | None = None, prefix: str = "") -> str:
@@ -53,7 +21,7 @@ def sentence(item: Any, model: type[BaseModel] | None = None, prefix: str = "") 
     context, value = item.get("ctx", {}), item["input"]
     match item["type"]:
         case "extra_forbidden":
-            return f"{key}: there is no such key{closest(parts[-1], _keys(model, parts[:-1]))}"
+            return f"{key}: there is no such key{suggestion(parts[-1], _keys(model, parts[:-1]))}"
         case "missing":
             return f"{key} is missing"
         case "greater_than_equal":
@@ -68,7 +36,7 @@ def sentence(item: Any, model: type[BaseModel] | None = None, prefix: str = "") 
             return f"{key}={value} is out of range; it must be greater than {context['gt']}"
         case "literal_error":
             choices = [part.strip().strip("'") for part in context["expected"].replace(" or ", ", ").split(", ")]
-            hint = closest(str(value), choices) if len(choices) > 1 else f"; it can only be {choices[0]}"
+            hint = suggestion(str(value), choices) if len(choices) > 1 else f"; it can only be {choices[0]}"
             return f"{key}={value} is not a valid choice{hint}"
         case "model_type":
             return f"{key}={value!r} is not a group of keys; it holds {', '.join(_keys(model, parts))}"

@@ -8,7 +8,7 @@ from itertools import pairwise
 from parking_exp.config.messages import no_target
 from parking_exp.config.schema import DEFAULT_FEATURES, DEFAULT_SCALES, TRAINING_SCENES_START, EnvConfig, RunConfig
 from parking_exp.config.signatures import UnknownTarget, signature
-from parking_exp.sweeps.resources import total_memory
+from parking_exp.resources import total_memory
 
 STORES = ("sqlite", "http", "https", "postgresql", "mysql", "mssql", "databricks")  # MLflow's own
 # What is needed at least: `HerBuffer` takes 113 bytes a transition, other buffers and a batch of tensors more.

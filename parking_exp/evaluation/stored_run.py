@@ -7,7 +7,6 @@ from omegaconf import DictConfig
 from pydantic import Field
 
 from parking_exp.config.allowlist import check_trust
-from parking_exp.config.messages import several
 from parking_exp.config.paths import default_uri, directory_path, is_same_store, without_password
 from parking_exp.config.rules import check_env
 from parking_exp.config.schema import (
@@ -24,7 +23,7 @@ from parking_exp.config.schema import (
     short_hash,
 )
 from parking_exp.config.validate import parse
-from parking_exp.errors import ConfigError, DamagedModelError, ModelError, RunNotFoundError
+from parking_exp.errors import ConfigError, DamagedModelError, ModelError, RunNotFoundError, plural
 from parking_exp.runs.atomic import write_json
 from parking_exp.runs.directory import RunDirectory, find_run
 from parking_exp.terminal import say
@@ -151,7 +150,7 @@ def _evaluate(
     policy = greedy_policy(model)
     scenes = range(request.first_scene, request.first_scene + request.episodes)
     with torch_settings(run, precision), Progress(console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task(f"{several(request.episodes, 'episode')} of {env.name}", total=request.episodes)
+        task = bar.add_task(f"{plural(request.episodes, 'episode')} of {env.name}", total=request.episodes)
 
         def report(finished: int) -> None:
             bar.update(task, completed=finished)
@@ -170,7 +169,7 @@ def _evaluate(
     }
     write_json(folder / "summary.json", {**about, **summarise(episodes), "intervals": intervals(episodes)})
     say(
-        f"{request.model} model on {several(request.episodes, 'scene')} of {env.name}, from scene "
+        f"{request.model} model on {plural(request.episodes, 'scene')} of {env.name}, from scene "
         f"{request.first_scene}, simulated by {request.simulator}"
     )
     say(*describe(episodes).split("\n"))

@@ -7,10 +7,9 @@ from datetime import UTC, datetime
 import pandas as pd
 
 from parking_exp import __version__
-from parking_exp.config.messages import several
 from parking_exp.config.paths import without_password
 from parking_exp.envs.geometry import N_SLOTS
-from parking_exp.errors import RunNotFoundError
+from parking_exp.errors import RunNotFoundError, plural
 from parking_exp.reports import findings, warnings
 from parking_exp.reports.curves import Courses
 from parking_exp.reports.data import Cell, Content, Design, Factor, Importance, Interaction, MainEffect
@@ -131,7 +130,7 @@ def _choose(runs: pd.DataFrame, question: Question) -> _Chosen:
         _refuse_nothing_done(asked, question)
         if reference is not None and not len(reference.done):
             raise RunNotFoundError(
-                f"baseline={question.baseline}: of its {several(len(reference.runs), 'run')}, none is done"
+                f"baseline={question.baseline}: of its {plural(len(reference.runs), 'run')}, none is done"
             )
     groups, factors = relabelled(asked)
     place = next((number for number, one in enumerate(asked) if one is reference), None)
@@ -219,7 +218,7 @@ def _refuse_nothing_done(groups: Sequence[Group], question: Question) -> None:
         return
     runs = sum(len(one.runs) for one in groups)
     raise RunNotFoundError(
-        f"experiment={','.join(question.experiments)}: of its {several(runs, 'run')}, none is done; "
+        f"experiment={','.join(question.experiments)}: of its {plural(runs, 'run')}, none is done; "
         "report=quick shows what there is so far"
     )
 
@@ -240,7 +239,7 @@ def _notes(
         notes.append(f"Pictures show {best} of {len(cells)} cells; tables have all.")
     if chosen.left_out:
         notes.append(
-            f"By what was asked for, {several(len(chosen.left_out), 'more cell')} of the experiments "
+            f"By what was asked for, {plural(len(chosen.left_out), 'more cell')} of the experiments "
             f"{'was' if len(chosen.left_out) == 1 else 'were'} left out; fewer pairs make smaller p."
         )
     if any(cell.seeds and not cell.paths for cell in cells if cell.id in shown):
@@ -248,6 +247,6 @@ def _notes(
     if outside := [cell.label for cell in cells if None in cell.settings.values()] if crossed else []:
         notes.append(f"Not part of the main effects, without a value of every factor: {warnings.named(outside)}.")
     if results.ignored:
-        others = several(results.ignored, "more run")
+        others = plural(results.ignored, "more run")
         notes.append(f"The store has {others} that this package did not make, and that the report leaves out.")
     return notes

@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Mapping, Sequence
 from typing import NamedTuple
 
-from parking_exp.config.messages import enclosed, several
+from parking_exp.errors import plural, quoted_label
 from parking_exp.reports.data import (
     Cell,
     Design,
@@ -31,7 +31,7 @@ class Gap(NamedTuple):
     def __str__(self) -> str:
         """Write `td3 (+26.1 points [+16.9, +35.4], Holm's p < 0.001)`."""
         p = f"Holm's {p_value(self.p)}" if self.p is not None else ""
-        return f"{enclosed(self.label)} ({', '.join(filter(None, (points_interval(self.points), p)))})"
+        return f"{quoted_label(self.label)} ({', '.join(filter(None, (points_interval(self.points), p)))})"
 
 
 def claims(cells: Sequence[Cell], family: Family) -> Iterator[str]:
@@ -44,14 +44,14 @@ def claims(cells: Sequence[Cell], family: Family) -> Iterator[str]:
     best = having[0]
     seeds = f"mean of {best.success.n} seeds" if best.success.n > 1 else "one seed"
     if len(having) == 1:
-        yield f"{enclosed(best.label)} succeeds in {rate_interval(best.success)} of the scenes, {seeds}."
+        yield f"{quoted_label(best.label)} succeeds in {rate_interval(best.success)} of the scenes, {seeds}."
     else:
         first = [cell.label for cell in having if cell.success.value == best.success.value]
         if len(first) > 1:
             yield f"{named(first)} have the same final success, the highest: {rate_interval(best.success)}."
         else:
             rate = rate_interval(best.success)
-            yield f"{enclosed(best.label)} has the highest final success: {rate} of the scenes, {seeds}."
+            yield f"{quoted_label(best.label)} has the highest final success: {rate} of the scenes, {seeds}."
         reference = next((cell for cell in having if cell.id == family.reference), best)
         yield from _against(reference, having, family.pairs)
     yield from _reaching(having)
@@ -147,10 +147,10 @@ def _against(reference: Cell, having: Sequence[Cell], pairs: Sequence[Pair]) -> 
             verdicts[verdict].append(Gap(labels[ours.b], ours.difference, ours.p_holm))
     for verdict, words in VERDICTS.items():
         if found := sorted(verdicts[verdict], key=lambda gap: abs(gap.points.value or 0.0)):
-            yield f"{enclosed(reference.label)} {words} {_gaps(found)}."
+            yield f"{quoted_label(reference.label)} {words} {_gaps(found)}."
     if found := verdicts["unknown"]:
         names = named([gap.label for gap in found])
-        name = enclosed(reference.label)
+        name = quoted_label(reference.label)
         yield f"Whether {name} differs from {names} can't be told: that takes two finished seeds of each."
 
 
@@ -170,7 +170,7 @@ def _reaching(having: Sequence[Cell]) -> Iterator[str]:
     known = [cell for cell in having if cell.reaching_90.n > 1]
     if known:
         parts = [
-            f"{enclosed(cell.label)} {cell.reaching_90.k} of {cell.reaching_90.n}" + _wilson(cell) for cell in known
+            f"{quoted_label(cell.label)} {cell.reaching_90.k} of {cell.reaching_90.n}" + _wilson(cell) for cell in known
         ]
         yield f"Seeds that end at 90 % or above: {_first(parts)}."
 
@@ -187,7 +187,7 @@ def _crashes(having: Sequence[Cell]) -> Iterator[str]:
         if least.crash.value == most.crash.value:
             yield f"Crashes end {rate_interval(most.crash)} of the episodes."
         else:
-            low, high = (f"{rate_interval(cell.crash)} ({enclosed(cell.label)})" for cell in (least, most))
+            low, high = (f"{rate_interval(cell.crash)} ({quoted_label(cell.label)})" for cell in (least, most))
             yield f"Crashes end {low} to {high} of the episodes."
 
 
@@ -196,9 +196,9 @@ def _cost(having: Sequence[Cell]) -> Iterator[str]:
     if known:
         least, most = known[0], known[-1]
         low, high = (f"{cell.cpu_s.value:,.0f}" for cell in (least, most))
-        some = f"{low} ({enclosed(least.label)}) to {high} ({enclosed(most.label)})" if low != high else low
+        some = f"{low} ({quoted_label(least.label)}) to {high} ({quoted_label(most.label)})" if low != high else low
         yield f"A run took {some} CPU-seconds on average."
-    times = [f"{enclosed(cell.label)} {_median(cell)}" for cell in having if cell.survival and cell.survival.n > 1]
+    times = [f"{quoted_label(cell.label)} {_median(cell)}" for cell in having if cell.survival and cell.survival.n > 1]
     if times:
         yield f"Median time to hold 90 %: {_first(times)}."
 
@@ -206,6 +206,6 @@ def _cost(having: Sequence[Cell]) -> Iterator[str]:
 def _median(cell: Cell) -> str:
     assert cell.survival is not None
     if cell.survival.median is None:
-        return f"unknown ({cell.survival.k} of {several(cell.survival.n, 'seed')} did)"
+        return f"unknown ({cell.survival.k} of {plural(cell.survival.n, 'seed')} did)"
     cpu_s = cell.survival_cpu.median if cell.survival_cpu else None
     return f"{cell.survival.median:,.0f} env steps" + ("" if cpu_s is None else f", {cpu_s:,.0f} CPU-seconds")

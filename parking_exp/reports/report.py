@@ -13,12 +13,11 @@ from omegaconf import DictConfig
 from pydantic import Field
 
 from parking_exp.config.compose import composed
-from parking_exp.config.messages import several, similar
 from parking_exp.config.paths import directory_path, without_password
 from parking_exp.config.schema import NAME, Section, StoreConfig
 from parking_exp.config.signatures import signature
 from parking_exp.config.validate import parse
-from parking_exp.errors import ConfigError, ResultsError
+from parking_exp.errors import ConfigError, ResultsError, did_you_mean, plural
 from parking_exp.terminal import say
 
 if TYPE_CHECKING:
@@ -83,7 +82,7 @@ def _refuse_misspelt(typed: Sequence[str]) -> None:
     known = {*ReportRequest.model_fields, "experiment", *run_keys}
     for key in typed:
         own = key.startswith(("algorithm.", "buffer."))
-        if key not in known and not own and (hint := similar(key, known, cutoff=ALIKE)):
+        if key not in known and not own and (hint := did_you_mean(key, known, cutoff=ALIKE)):
             raise ConfigError(f"{key}: there is no such key{hint}")
 
 
@@ -115,7 +114,7 @@ def report(config: DictConfig) -> Path:
     with _pdfs(request) as printer, _progress() as say:
         say("reading the store")
         results = _load(request)
-        say(f"comparing {several(len(results.runs), 'run')}")
+        say(f"comparing {plural(len(results.runs), 'run')}")
         content = _compare(request, results)
         say("drawing")
         from parking_exp.reports.render.files import write  # with matplotlib: not before there is something to draw
@@ -197,12 +196,12 @@ def _load(request: ReportRequest) -> "Results":
     except ResultsError as error:
         here = _states(request.output_path, experiments or []).values()
         if failed := [state for state in here if state.stage == "failed"]:
-            reason = f"{several(len(failed), 'run')} of it failed, e.g. {name(failed[0])}: {failed[0].reason}"
+            reason = f"{plural(len(failed), 'run')} of it failed, e.g. {name(failed[0])}: {failed[0].reason}"
             raise ResultsError(f"{error}; {reason}") from error
         if here:
             hint = "`python scripts/status.py` tells how far that is, and with sync=true sends it to the store"
             raise ResultsError(
-                f"{error}; {several(len(here), 'run')} of it {'is' if len(here) == 1 else 'are'} here: {hint}"
+                f"{error}; {plural(len(here), 'run')} of it {'is' if len(here) == 1 else 'are'} here: {hint}"
             ) from error
         raise
 

@@ -11,8 +11,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from parking_exp.config.messages import closest
-from parking_exp.errors import ConfigError
+from parking_exp.errors import ConfigError, suggestion
 from parking_exp.reports.data import Factor, Setting
 from parking_exp.reports.factors import GROUPS, Config, can_matter, find_factors, label, unique
 from parking_exp.reports.formats import setting
@@ -99,7 +98,7 @@ def choose(groups: Sequence[Group], asked: Sequence[str], key: str = "cells") ->
         wanted = set()
         for pattern in patterns:
             if not (fitting := _matching(groups, pattern)):
-                hint = closest(pattern, [one.label for one in groups])
+                hint = suggestion(pattern, [one.label for one in groups])
                 raise ConfigError(f"{key}: no cell is called {pattern!r}{hint}")
             wanted |= {id(one) for one in fitting}
         found = [one for one in groups if id(one) in wanted]
@@ -152,12 +151,12 @@ def _narrowed(groups: list[Group], everyone: Sequence[Group], condition: str) ->
     name = _whole_key(typed_key, keys)
     if name is None:
         choices = {*GROUPS, "experiment", "baseline", "cells", "name", "output_dir", "tracking.uri", "report", *keys}
-        hint = closest(typed_key, choices)
+        hint = suggestion(typed_key, choices)
         raise ConfigError(f"{typed_key}: neither a key of this command nor of these runs' configs{hint}")
     there = {_bare(setting(one.config[name])) for one in everyone if name in one.config}
     values = {_bare(wanted)} & there or {_bare(setting(typed(one.strip()))) for one in _listed(wanted)}
     if unknown := sorted(values - there):
-        raise ConfigError(f"{typed_key}={unknown[0]}: no run has that{closest(unknown[0], there)}")
+        raise ConfigError(f"{typed_key}={unknown[0]}: no run has that{suggestion(unknown[0], there)}")
     return [one for one in groups if name in one.config and _bare(setting(one.config[name])) in values]
 
 

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 
-from parking_exp.config.messages import enclosed, few
+from parking_exp.errors import first_few, quoted_label
 from parking_exp.results.frames import RATES, Results
 
 Bounds = Mapping[str, tuple[float, float]]
@@ -39,7 +39,8 @@ def valid(results: Results) -> tuple[Results, list[str]]:
     runs = _blanked(results.runs, RUNS, found)
     curves = _blanked(results.curves[known].reset_index(drop=True), CURVES, found)
     sentences = [
-        f"run {run_id} ({enclosed(cell)}, seed {seed}): impossible values count as missing: {few(found[run_id])}."
+        f"run {run_id} ({quoted_label(cell)}, seed {seed}): impossible values count as missing: "
+        f"{first_few(found[run_id])}."
         for run_id, cell, seed in runs[["run_id", "cell", "seed"]].itertuples(index=False)
         if run_id in found
     ]

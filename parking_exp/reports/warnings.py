@@ -3,7 +3,7 @@
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 
-from parking_exp.config.messages import enclosed, several
+from parking_exp.errors import plural, quoted_label
 from parking_exp.reports.data import Cell, FailedRun, Pair, Provenance
 from parking_exp.reports.formats import setting
 from parking_exp.reports.selection import Group
@@ -14,7 +14,7 @@ FEW_NAMES = 4
 
 def named(names: Sequence[str]) -> str:
     """List labels and the like, the first few of many; one that has commas itself is in quotes."""
-    return _listed([enclosed(name) for name in names])
+    return _listed([quoted_label(name) for name in names])
 
 
 def _listed(names: Sequence[str]) -> str:
@@ -37,9 +37,10 @@ def warnings(groups: Sequence[Group], cells: Sequence[Cell], origin: Provenance)
     yield from _notes(cells)
     for group in groups:
         if group.repeated:
-            yield f"{enclosed(group.label)}: {_runs(group.repeated)} left out, since another one has the same seed."
+            yield f"{quoted_label(group.label)}: {_runs(group.repeated)} left out, since another one has the same seed."
         if len(blank := group.done[group.done["success_rate"].isna()]):
-            yield f"{enclosed(group.label)}: {_runs(len(blank))} finished without a final success rate, and left out."
+            label = quoted_label(group.label)
+            yield f"{label}: {_runs(len(blank))} finished without a final success rate, and left out."
 
 
 def narrow_pairs(cells: Sequence[Cell], pairs: Sequence[Pair]) -> Iterator[str]:
@@ -48,7 +49,9 @@ def narrow_pairs(cells: Sequence[Cell], pairs: Sequence[Pair]) -> Iterator[str]:
     found: dict[str, list[str]] = {}
     for pair in pairs:
         if pair.note and pair.note not in said:
-            found.setdefault(pair.note, []).append(f"{enclosed(labels[pair.a])} against {enclosed(labels[pair.b])}")
+            found.setdefault(pair.note, []).append(
+                f"{quoted_label(labels[pair.a])} against {quoted_label(labels[pair.b])}"
+            )
     yield from _grouped(found)
 
 
@@ -69,11 +72,11 @@ def missing(cells: Sequence[Cell], unheard: Sequence[FailedRun]) -> Iterator[str
     if found:
         everything = sum(total.values())
         are = "is" if everything == 1 else "are"
-        yield f"{total['done']} of {several(everything, 'run')} {are} done: {', '.join(found)}."
+        yield f"{total['done']} of {plural(everything, 'run')} {are} done: {', '.join(found)}."
     if empty := [cell.label for cell in cells if not cell.counts["done"]]:
         yield f"No run is done of {named(empty)}."
     if lost:
-        some = f"{several(lost, 'more run')} {'is' if lost == 1 else 'are'} done here"
+        some = f"{plural(lost, 'more run')} {'is' if lost == 1 else 'are'} done here"
         yield f"{some}, but not in the store; `python scripts/status.py sync=true` sends what is missing."
 
 
@@ -128,7 +131,7 @@ def _notes(cells: Sequence[Cell]) -> Iterator[str]:
     notes: dict[str, list[str]] = {}
     for cell in cells:
         if cell.note:
-            notes.setdefault(cell.note, []).append(enclosed(cell.label))
+            notes.setdefault(cell.note, []).append(quoted_label(cell.label))
     yield from _grouped(notes)
 
 

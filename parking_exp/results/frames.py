@@ -62,11 +62,9 @@ from typing import Any, cast
 import numpy as np
 import pandas as pd
 
-from parking_exp.config.messages import closest, few, several
 from parking_exp.config.paths import default_uri, directory_path, without_password
-from parking_exp.errors import ResultsError
+from parking_exp.errors import ResultsError, first_few, plural, suggestion
 from parking_exp.evaluation.trajectories import TRAJECTORIES_FILE
-from parking_exp.garbage import no_garbage
 from parking_exp.results.columns import TEXT, column, flags, integers, text, times, typed
 from parking_exp.results.invalid_values import sound_points, sound_runs
 from parking_exp.results.recordings import EPISODES, read_episodes, read_trajectories
@@ -143,8 +141,8 @@ class Results:
         """
         places = self.runs.loc[self.runs["run_id"] == run_id, "artifact_uri"]
         if places.empty:
-            hint = closest(run_id, self.runs["run_id"])
-            raise ResultsError(f"run_id={run_id}: it is none of {several(len(self.runs), 'run')}{hint}")
+            hint = suggestion(run_id, self.runs["run_id"])
+            raise ResultsError(f"run_id={run_id}: it is none of {plural(len(self.runs), 'run')}{hint}")
         try:
             return read_trajectories(self._reader.artifact(places.iloc[0], TRAJECTORIES_FILE))
         except Exception as error:
@@ -176,12 +174,12 @@ def load(
         asked = reader.place if experiments is None else f"experiment={','.join(ids)}"
         raise ResultsError(f"{asked}: it has no runs of parking_exp{f', but {len(found)} by others' if found else ''}")
     histories, points = sound_points(reader.histories([run.run_id for run in kept], [*CURVE, *BESIDE_A_CURVE]))
-    with no_garbage():
-        runs = _runs(kept, {experiment_id: name for name, experiment_id in ids.items()}, histories, reader.run_dir)
-        curves = _curves(histories)
-        episodes, problems = _episodes(reader, runs)
+    runs = _runs(kept, {experiment_id: name for name, experiment_id in ids.items()}, histories, reader.run_dir)
+    curves = _curves(histories)
+    episodes, problems = _episodes(reader, runs)
     wrong = {
-        run_id: f"impossible values count as missing: {few([*impossible.get(run_id, []), *points.get(run_id, [])])}"
+        run_id: "impossible values count as missing: "
+        + first_few([*impossible.get(run_id, []), *points.get(run_id, [])])
         for run_id in {*impossible, *points}
     }
     said = (*_twice(runs), *_sentences(runs, wrong), *problems)
@@ -196,7 +194,7 @@ def _chosen(reader: Reader, experiments: str | Iterable[str] | None) -> dict[str
     asked = [experiments] if isinstance(experiments, str) else list(experiments)
     for name in asked:
         if name not in there:
-            hint = closest(name, set(there) - {"Default"})
+            hint = suggestion(name, set(there) - {"Default"})
             raise ResultsError(f"experiment={name}: {reader.place} has none of that name{hint}")
     return {name: there[name] for name in asked}
 

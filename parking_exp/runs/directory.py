@@ -21,11 +21,18 @@ import yaml
 from filelock import FileLock, Timeout
 from pydantic import TypeAdapter, ValidationError
 
-from parking_exp.config.messages import several, similar
 from parking_exp.config.paths import absolute, directory_path, lies_inside, relative
 from parking_exp.config.schema import RunConfig
 from parking_exp.config.validate import check
-from parking_exp.errors import ConfigError, OutputDirectoryError, RunLockedError, RunNotFoundError, UntrustedError
+from parking_exp.errors import (
+    ConfigError,
+    OutputDirectoryError,
+    RunLockedError,
+    RunNotFoundError,
+    UntrustedError,
+    did_you_mean,
+    plural,
+)
 from parking_exp.runs.atomic import read_object, read_plain_yaml, write_atomically, write_json
 from parking_exp.runs.provenance import typed_command
 from parking_exp.runs.status_file import Status, StatusEntries, read_entries
@@ -343,14 +350,14 @@ def find_run(name: str, output_dir: Path, having: str) -> RunDirectory:
         if not usable:
             done = any(RunDirectory(file.parent).status == "done" for file in files)
             hint = "; where a run is done and it is gone, its training command typed again makes it" if done else ""
-            there = several(len(files), "run")
+            there = plural(len(files), "run")
             raise RunNotFoundError(f"run=latest: of {there} in {output_dir}, none has {having} yet{hint}")
         return RunDirectory(usable[-1].parent.absolute())
     ids = {run_id: file.parent for file in files if (run_id := RunDirectory(file.parent).run_id)}
     if name in ids:
         return RunDirectory(ids[name].absolute())
-    hint = similar(name, ["latest", *ids, *(str(file.parent) for file in files)])
+    hint = did_you_mean(name, ["latest", *ids, *(str(file.parent) for file in files)])
     raise RunNotFoundError(
-        f"run={name}: no run directory, and no MLflow run id of {several(len(files), 'run')} in {output_dir}"
+        f"run={name}: no run directory, and no MLflow run id of {plural(len(files), 'run')} in {output_dir}"
         + (hint or f"; the latest is {files[-1].parent}")
     )

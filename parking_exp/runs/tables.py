@@ -4,7 +4,7 @@ from collections.abc import Iterator, Sequence
 
 from rich.table import Table
 
-from parking_exp.config.messages import enclosed
+from parking_exp.errors import quoted_label
 from parking_exp.runs.state import STAGES, RunState, by_cell, counts
 
 
@@ -74,7 +74,7 @@ def under_way(state: RunState) -> str:
 
 def name(state: RunState) -> str:
     """Name a run: its cell's label and its seed."""
-    return f"{enclosed(state.label)} seed={state.seed}"
+    return f"{quoted_label(state.label)} seed={state.seed}"
 
 
 def duration(seconds: float) -> str:

@@ -11,8 +11,7 @@ from hydra.types import HydraContext, RunMode
 from omegaconf import DictConfig
 
 from parking_exp.config.compose import hydra_overrides, hydra_ready, in_quotes
-from parking_exp.config.messages import closest
-from parking_exp.errors import ConfigError, ParkingError
+from parking_exp.errors import ConfigError, ParkingError, suggestion
 from parking_exp.sweeps.worker import Ending, work
 
 EXTRAS = {"slurm", "ray"}
@@ -90,7 +89,7 @@ def _refuse_unknown_keys(overrides: list[str]) -> None:
             if isinstance(node, DictConfig) and part not in node:
                 name = whole.hydra.runtime.choices["hydra/launcher"]
                 known = [str(one) for one in node if one != "_target_"]
-                raise ConfigError(f"{key}: hydra/launcher={name} has no such key{closest(part, known)}")
+                raise ConfigError(f"{key}: hydra/launcher={name} has no such key{suggestion(part, known)}")
             node = node[part] if isinstance(node, DictConfig) else None
 
 

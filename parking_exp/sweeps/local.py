@@ -10,9 +10,9 @@ from contextlib import suppress
 from pathlib import Path
 
 from parking_exp.errors import InterruptedRunError
+from parking_exp.resources import cores, cuda_devices, free_memory, memory_of, shares
 from parking_exp.runs.directory import RunDirectory
 from parking_exp.runs.state import read_state
-from parking_exp.sweeps.resources import cores, cuda_devices, free_memory, memory_of, shares
 from parking_exp.sweeps.worker import Ending, Share, supervise
 from parking_exp.terminal import say
 from parking_exp.training.signals import stop_on_signal

@@ -15,17 +15,16 @@ from pathlib import Path
 from rich.console import Console
 
 from parking_exp.config.compose import Composed
-from parking_exp.config.messages import several
 from parking_exp.config.paths import store_uri
 from parking_exp.config.schema import RunConfig
 from parking_exp.config.validate import validate
-from parking_exp.errors import FailedRunError, OutputDirectoryError
+from parking_exp.errors import FailedRunError, OutputDirectoryError, plural
+from parking_exp.resources import cores
 from parking_exp.runs.directory import RunDirectory
 from parking_exp.runs.state import RunState, Stage, counts, find, read_state
 from parking_exp.runs.tables import cell_table, damaged_lines, duration, failure_lines, stopped_lines
 from parking_exp.sweeps.launching import Launch
 from parking_exp.sweeps.monitor import Monitor
-from parking_exp.sweeps.resources import cores
 from parking_exp.terminal import console, say
 from parking_exp.tracking.outdated import sync_all
 from parking_exp.tracking.tracker import later
@@ -130,17 +129,15 @@ def describe(runs: Sequence[Planned], launch: Launch, out: Console) -> None:
         out.print(line)
     found, due = counts(states), [run for run in runs if run.is_due and run.state.stage != "running"]
     cells, seeds = len({run.path.parent for run in runs}), len({run.config.seed for run in runs})
-    product = several(cells, "cell")
+    product = plural(cells, "cell")
     if cells * seeds == len(runs):
-        product += f" x {several(seeds, 'seed')}"
+        product += f" x {plural(seeds, 'seed')}"
     left = found["failed"] - sum(run.state.stage == "failed" for run in due)
     modelless = sum(run.state.stage == "done" for run in due)
     parts = [f"{found['done'] - modelless} done", f"{found['running']} running elsewhere" if found["running"] else ""]
     parts += [f"{left} failed before (retry=failed runs them again)" if left else "", f"{len(due)} to run"]
     parts[-1] += f" ({modelless} of them only to make models again that are gone)" if modelless else ""
-    out.print(
-        f"{product} = {several(len(runs), 'run')}: {', '.join(filter(None, parts))}{_estimate(runs, due, launch)}"
-    )
+    out.print(f"{product} = {plural(len(runs), 'run')}: {', '.join(filter(None, parts))}{_estimate(runs, due, launch)}")
 
 
 def _estimate(runs: Sequence[Planned], due: Sequence[Planned], launch: Launch) -> str:
@@ -259,4 +256,4 @@ def _judge(states: Sequence[RunState]) -> None:
     retry = any(state.stage == "failed" and not state.killed for state in states)
     advice = "; type the same command to go on" if again else ""
     advice += "; retry=failed runs failed ones again" if retry else ""
-    raise FailedRunError(f"of {several(len(states), 'run')}, {' and '.join(parts)}{advice}")
+    raise FailedRunError(f"of {plural(len(states), 'run')}, {' and '.join(parts)}{advice}")

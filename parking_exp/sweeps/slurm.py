@@ -11,10 +11,9 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
-from parking_exp.config.messages import closest
-from parking_exp.errors import ConfigError, FailedRunError
+from parking_exp.errors import ConfigError, FailedRunError, suggestion
+from parking_exp.resources import cores
 from parking_exp.runs.directory import RunDirectory
-from parking_exp.sweeps.resources import cores
 from parking_exp.sweeps.worker import GRACE_S, work
 
 POLL_S = 0.2
@@ -29,7 +28,7 @@ def check(executor: str) -> None:
         ConfigError: with what to type instead.
     """
     if executor not in CLUSTERS:
-        raise ConfigError(f"hydra.launcher.executor={executor} is not a valid choice{closest(executor, CLUSTERS)}")
+        raise ConfigError(f"hydra.launcher.executor={executor} is not a valid choice{suggestion(executor, CLUSTERS)}")
     if importlib.util.find_spec("submitit") is None:
         raise ConfigError("hydra/launcher=slurm: submitit is not installed; pip install 'parking-exp[slurm]'")
     if executor == "slurm" and shutil.which("srun") is None:

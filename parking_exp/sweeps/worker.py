@@ -7,6 +7,7 @@ cut off. All results are in the run directory; nothing is returned or pickled.
 
 import ctypes
 import faulthandler
+import gc
 import os
 import signal
 import socket
@@ -29,9 +30,8 @@ from parking_exp.errors import (
     ParkingError,
     RunLockedError,
 )
-from parking_exp.garbage import no_garbage
+from parking_exp.resources import THREAD_VARIABLES, pin
 from parking_exp.runs.directory import RunDirectory
-from parking_exp.sweeps.resources import THREAD_VARIABLES, pin
 from parking_exp.terminal import say
 from parking_exp.tracking.store import import_mlflow
 
@@ -225,11 +225,13 @@ def main() -> None:
     directory = RunDirectory(path)
     try:
         config = directory.config()
-        with no_garbage(freeze=True):  # of torch, for which cores and threads are settled now
-            from parking_exp.training.run import train
+        gc.disable()  # importing without it takes .8 s less
+        from parking_exp.training.run import train  # of torch, for which cores and threads are settled now
 
-            if config.tracking.mlflow:
-                import_mlflow()
+        if config.tracking.mlflow:
+            import_mlflow()
+        gc.freeze()
+        gc.enable()
         train(config, supervised=True)
     except InterruptedRunError as error:
         sys.exit(128 + error.signal_number)

@@ -17,7 +17,6 @@ from typing import Any
 
 from parking_exp.config.paths import absolute, database, lies_inside, local_folder, without_password
 from parking_exp.errors import ParkingError, ResultsError
-from parking_exp.garbage import no_garbage
 from parking_exp.tracking.store import connect, is_store_failure, own_directory, reason
 
 Point = tuple[str, int, int, float]
@@ -188,8 +187,7 @@ class Reader:
     @contextmanager
     def _asked(self) -> Iterator[None]:
         try:
-            with no_garbage():
-                yield
+            yield
         except Exception as error:
             if isinstance(error, ParkingError) or not is_store_failure(error):
                 raise

@@ -12,7 +12,7 @@ from parking_exp.config.compose import composed, config_dir
 from parking_exp.config.validate import validate
 from parking_exp.errors import ConfigError
 from parking_exp.evaluation.stored_run import validate_request
-from parking_exp.sweeps.resources import total_memory
+from parking_exp.resources import total_memory
 
 ARTICLE = {
     "total_timesteps": 10_000,

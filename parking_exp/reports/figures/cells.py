@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from parking_exp.config.messages import enclosed
+from parking_exp.errors import quoted_label
 from parking_exp.reports.data import Cell, Content, Curve, Seed, Survival
 from parking_exp.reports.figures.canvas import Sheet, legend_height, legend_width, line_90, numbers
 from parking_exp.reports.figures.style import (
@@ -89,7 +89,7 @@ def _seeds_and_mean(sheet: Sheet, axes: Any, row: int, cell: Cell, floor: float)
     x = [rate for _, rate in seeds]
     y = [row - 0.32 + 0.36 * (k * _GOLDEN % 1) for k in range(len(seeds))] if len(seeds) > 1 else [row - 0.14]
     axes.plot(x, y, ls="", marker=look.marker, ms=3.2, color=look.colour, mec="none", alpha=0.6)
-    sheet.tip_points(axes, x, y, [f"{enclosed(cell.label)}, {_seed_text(seed)}" for seed, _ in seeds])
+    sheet.tip_points(axes, x, y, [f"{quoted_label(cell.label)}, {_seed_text(seed)}" for seed, _ in seeds])
     mean = cell.success
     if mean.value is None:
         return
@@ -98,7 +98,7 @@ def _seeds_and_mean(sheet: Sheet, axes: Any, row: int, cell: Cell, floor: float)
         low, high = (min(100, max(0, 100 * bound)) for bound in (mean.low, mean.high))
         axes.plot([low, high], [below] * 2, color=look.colour, lw=1.2, marker="|", ms=5, mew=1.2)
     axes.plot([100 * mean.value], [below], marker=look.marker, ms=4.2, color=look.colour, mec="none")
-    text = f"{enclosed(cell.label)}: mean {rate_interval(mean)}, {seeds_text(mean.n)}"
+    text = f"{quoted_label(cell.label)}: mean {rate_interval(mean)}, {seeds_text(mean.n)}"
     sheet.tip_points(axes, [100 * mean.value], [below], [text], radius=5)
 
 
@@ -164,7 +164,7 @@ def _curve_tips(sheet: Sheet, success: Any, crash: Any, cell: Cell, curve: Curve
                 bounds = "" if word or low is None or high is None else f" [{100 * low:.1f}, {100 * high:.1f}]"
                 at.append((step, 100 * rate))
                 texts.append(
-                    f"{enclosed(cell.label)}, {step:,} env steps: {word}{rate_text(rate)}{bounds}, {seeds_text(n)}"
+                    f"{quoted_label(cell.label)}, {step:,} env steps: {word}{rate_text(rate)}{bounds}, {seeds_text(n)}"
                 )
         sheet.tip_points(axes, [x for x, _ in at], [y for _, y in at], texts)
 
@@ -225,11 +225,11 @@ def _survival_tips(sheet: Sheet, axes: Any, cell: Cell, survival: Survival, cens
     for time, share, low, high in zip(survival.time, survival.reached, survival.low, survival.high, strict=True):
         bounds = "" if low is None or high is None else f" [{100 * low:.0f}, {100 * high:.0f}]"
         rate = f"{rate_text(share)}{bounds} of {seeds_text(survival.n)}"
-        texts.append(f"{enclosed(cell.label)}: {rate} by {time:,.0f} {survival.unit}")
+        texts.append(f"{quoted_label(cell.label)}: {rate} by {time:,.0f} {survival.unit}")
     sheet.tip_points(axes, survival.time, [100 * share for share in survival.reached], texts)
     ends, counts = np.unique(censored[0], return_counts=True)
     texts = [
-        f"{enclosed(cell.label)}: {seeds_text(int(n))} not at 90 % after {end:,.0f} {survival.unit}"
+        f"{quoted_label(cell.label)}: {seeds_text(int(n))} not at 90 % after {end:,.0f} {survival.unit}"
         for end, n in zip(ends, counts, strict=True)
     ]
     heights = [float(censored[1][np.flatnonzero(censored[0] == end)[0]]) for end in ends]

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from typing import Any
 
-from parking_exp.config.messages import enclosed
+from parking_exp.errors import quoted_label
 from parking_exp.reports.data import Cell, Content, Interval, Pair
 from parking_exp.reports.figures.canvas import Sheet, text_on, tiles
 from parking_exp.reports.figures.cells import label_widths, row_sheet, shown_cells
@@ -42,14 +42,14 @@ def _differences(content: Content) -> dict[tuple[str, str], Pair]:
 
 
 def _pair_tip(a: Cell, b: Cell, pair: Pair) -> str:
-    parts = [f"{enclosed(a.label)} minus {enclosed(b.label)}: {_difference(pair.difference)} points"]
+    parts = [f"{quoted_label(a.label)} minus {quoted_label(b.label)}: {_difference(pair.difference)} points"]
     if pair.p_holm is not None:
         parts.append(f"Holm {p_value(pair.p_holm)}")
     if pair.improvement.value is not None:
         parts.append(f"probability of improvement {pair.improvement.value:.2f}")
     words = {"same": "can't be told apart", "unknown": "too few seeds"}
     return "; ".join(
-        [*parts, words.get(pair.verdict, f"{enclosed((a if pair.verdict == 'a' else b).label)} is better")]
+        [*parts, words.get(pair.verdict, f"{quoted_label((a if pair.verdict == 'a' else b).label)} is better")]
     )
 
 
@@ -156,7 +156,7 @@ def _from_reference(content: Content) -> tuple[Sheet, str] | None:
         style = {"transform": axes.get_yaxis_transform(), "fontsize": SMALL_PT, "va": "center_baseline"}
         sheet.text(axes, 1.02, row, text.strip(), **style)
     caption = (
-        f"Final success less {name}, {enclosed(clean(base.label))}, in percentage points, with 95 % intervals. "
+        f"Final success less {name}, {quoted_label(clean(base.label))}, in percentage points, with 95 % intervals. "
         "▲ better than that cell, ▼ worse, ≈ can't be told apart, ? too few seeds; p corrected by Holm's method. "
         f"{content.family}"
     )

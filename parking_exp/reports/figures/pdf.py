@@ -1,5 +1,6 @@
 """PDFs, drawn by a second process: to embed their fonts takes as long as all other formats together."""
 
+import gc
 import os
 import pickle
 import subprocess
@@ -8,7 +9,6 @@ from pathlib import Path
 from types import TracebackType
 from typing import Self
 
-from parking_exp.garbage import no_garbage
 from parking_exp.reports.data import Content
 
 PACKAGE_PARENT = Path(__file__).resolve().parents[3]
@@ -59,12 +59,13 @@ def main() -> None:
     """Draw what comes in as a pickle from the process that started this one."""
     from parking_exp.reports.figures.draw import draw
 
-    with no_garbage(freeze=True):
-        try:
-            content, folder = pickle.load(sys.stdin.buffer)
-        except EOFError:  # it has come to nothing
-            return
-        draw(content, folder, ["pdf"])
+    gc.disable()  # everything made here stays to the end
+    try:
+        content, folder = pickle.load(sys.stdin.buffer)
+    except EOFError:  # it has come to nothing
+        return
+    draw(content, folder, ["pdf"])
+    gc.freeze()
 
 
 if __name__ == "__main__":

@@ -5,7 +5,6 @@ from typing import Any
 
 import numpy as np
 
-from parking_exp.config.messages import enclosed
 from parking_exp.envs.geometry import (
     CAR_LENGTH_M,
     CAR_WIDTH_M,
@@ -17,6 +16,7 @@ from parking_exp.envs.geometry import (
     WALL_THICKNESS_M,
 )
 from parking_exp.envs.outcomes import OUTCOMES
+from parking_exp.errors import quoted_label
 from parking_exp.reports.data import Cell, Content, Path, SlotRate
 from parking_exp.reports.figures.canvas import Sheet, text_on, tiles
 from parking_exp.reports.figures.cells import shown_cells
@@ -147,7 +147,7 @@ def _slots(lots: _Lots, cell: Cell, origin: tuple[float, float], scale: tuple[An
         x, y = SLOT_POSITIONS[slot.slot] + origin
         box, share = _around(x, y, SLOT_WIDTH_M, SLOT_LENGTH_M), _failed(slot)
         if share is None:
-            lots.sheet.tip_box(lots.axes, *box, f"{enclosed(cell.label)}, slot {slot.slot}: no episodes")
+            lots.sheet.tip_box(lots.axes, *box, f"{quoted_label(cell.label)}, slot {slot.slot}: no episodes")
             continue
         boxes.append(box)
         fills.append(colours(100 * share / top))
@@ -156,7 +156,7 @@ def _slots(lots: _Lots, cell: Cell, origin: tuple[float, float], scale: tuple[An
             style = {"ha": "center", "va": "center_baseline", "fontsize": TINY_PT}
             lots.axes.text(x, y, number, color=text_on(fills[-1]), zorder=4, **style)
         parts = f"{rate_text(slot.crash)} crash, {rate_text(slot.timeout)} timeout"
-        tip = f"{enclosed(cell.label)}, slot {slot.slot}: {rate_text(share)} failed ({parts}), {slot.n:,} episodes"
+        tip = f"{quoted_label(cell.label)}, slot {slot.slot}: {rate_text(share)} failed ({parts}), {slot.n:,} episodes"
         lots.sheet.tip_box(lots.axes, *box, tip)
     if boxes:
         tiles(lots.axes, boxes, fills, linewidths=0.4, edgecolors=GRID, zorder=2)
@@ -229,7 +229,7 @@ def _paths(lots: _Lots, cell: Cell, paths: Sequence[Path], origin: np.ndarray) -
         parked.update(path.parked_slots)
         goals.add(path.slot)
         steps = len(path.x_m) - 1
-        which = f"{enclosed(cell.label)}, seed {path.seed}, scene {path.scene}"
+        which = f"{quoted_label(cell.label)}, seed {path.seed}, scene {path.scene}"
         tip = f"{which}: {path.outcome} after {steps} steps, slot {path.slot}"
         lots.sheet.tip_line(lots.axes, thinned[:: max(1, len(thinned) // 40), :2], tip)
     if not lines:

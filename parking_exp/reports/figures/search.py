@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from parking_exp.config.messages import enclosed
+from parking_exp.errors import quoted_label
 from parking_exp.reports import formats
 from parking_exp.reports.data import Cell, Content, Factor
 from parking_exp.reports.figures.canvas import Sheet
@@ -67,7 +67,7 @@ def parallel_coordinates(content: Content) -> tuple[Sheet, str] | None:
 
 def _tip(cell: Cell, rate: float, factors: list[Factor]) -> str:
     settings = ", ".join(f"{factor.name}={formats.level(cell.settings.get(factor.key))}" for factor in factors)
-    return f"{enclosed(cell.label)}: {rate_text(rate / 100)} ({settings})"
+    return f"{quoted_label(cell.label)}: {rate_text(rate / 100)} ({settings})"
 
 
 def _upright(

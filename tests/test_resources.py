@@ -7,7 +7,7 @@ import pytest
 from support.runs import run_script
 from support.sweep_processes import MISBEHAVING, QUICK
 
-from parking_exp.sweeps.resources import cores, cuda_devices, free_memory, shares, total_memory
+from parking_exp.resources import cores, cuda_devices, free_memory, shares, total_memory
 from parking_exp.sweeps.worker import Share
 
 
