@@ -14,7 +14,7 @@ torch.set_num_threads(1)  # networks this small gain nothing from more, and othe
 def empty():
     """An output directory with an initialised store: to make one takes seconds."""
     from parking_exp.config.paths import default_uri
-    from parking_exp.tracking.store import connect
+    from parking_exp.tracking.client import connect
 
     with in_memory() as folder:
         connect(default_uri(Path(folder)))

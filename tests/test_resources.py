@@ -5,10 +5,10 @@ import os
 
 import pytest
 from support.runs import run_script
-from support.sweep_processes import MISBEHAVING, QUICK
+from support.sweep_processes import FAILING, QUICK
 
 from parking_exp.resources import cores, cuda_devices, free_memory, shares, total_memory
-from parking_exp.sweeps.worker import Share
+from parking_exp.sweeps.supervisor import WorkerResources
 
 
 @pytest.mark.parametrize(
@@ -25,12 +25,12 @@ def test_cores_are_dealt_out_evenly(n_cores, n_workers, expected):
     assert shares(range(n_cores), n_workers) == expected
 
 
-def test_a_share_sets_threads_and_devices():
-    assert Share((3, 4), ["1"]).environment() == {
+def test_resources_of_a_worker_set_threads_and_devices():
+    assert WorkerResources((3, 4), ["1"]).environment() == {
         "OMP_NUM_THREADS": "2", "MKL_NUM_THREADS": "2", "OPENBLAS_NUM_THREADS": "2", "NUMEXPR_NUM_THREADS": "2",
         "CUDA_VISIBLE_DEVICES": "1",
     }  # fmt: skip
-    assert Share().environment() == {}
+    assert WorkerResources().environment() == {}
 
 
 @pytest.mark.parametrize(
@@ -63,9 +63,9 @@ def test_free_memory_is_bounded_by_the_control_group(tmp_path):
 
 def told(tmp_path, *arguments):
     """What the two runs of a sweep said of their processes."""
-    environment = {**MISBEHAVING, "TELLS": str(tmp_path), "CUDA_VISIBLE_DEVICES": "4,5"}
+    environment = {**FAILING, "TELLS": str(tmp_path), "CUDA_VISIBLE_DEVICES": "4,5"}
     done = run_script(
-        "train", *QUICK, f"output_dir={tmp_path / 'outputs'}", "seeds=2", "algorithm._target_=misbehaving.Tells",
+        "train", *QUICK, f"output_dir={tmp_path / 'outputs'}", "seeds=2", "algorithm._target_=support.failing_algorithms.Tells",
         "torch_threads=null", *arguments, env=environment,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr

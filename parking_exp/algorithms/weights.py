@@ -27,7 +27,7 @@ from stable_baselines3.common.vec_env import VecEnv
 
 from parking_exp.algorithms.fast.base import LeanTraining
 from parking_exp.errors import DamagedModelError, ModelError
-from parking_exp.runs.atomic import sync
+from parking_exp.runs.atomic import fsync
 
 VARIABLES = "pytorch_variables"
 # Entries of the pickled part that a HER buffer wants an env for: without them `SAC.load(path)` is enough.
@@ -159,7 +159,7 @@ def replacing(path: Path) -> Iterator[Path]:
     temporary = path.with_name(f".{path.name}")
     try:
         yield temporary
-        sync(temporary)
+        fsync(temporary)
         temporary.replace(path)
     finally:
         temporary.unlink(missing_ok=True)

@@ -8,12 +8,12 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from parking_exp.benchmarks.rounds import spread
+from parking_exp.benchmarks.timing import spread
 from parking_exp.config.compose import composed_runs
 from parking_exp.runs.atomic import write_json
 from parking_exp.runs.directory import STATUS_FILE, RunDirectory
 from parking_exp.sweeps.local import launch
-from parking_exp.sweeps.run import plan
+from parking_exp.sweeps.plan import plan
 
 BARE = (
     "evaluation.every_n_steps=null",

@@ -14,7 +14,7 @@ from stable_baselines3.common.logger import Logger
 from stable_baselines3.common.monitor import Monitor
 
 from parking_exp.algorithms.build import build_model, torch_settings
-from parking_exp.benchmarks.rounds import interleave, rounded, spread
+from parking_exp.benchmarks.timing import interleave, rounded, spread
 from parking_exp.benchmarks.updates import theirs
 from parking_exp.config.compose import composed
 from parking_exp.config.paths import store_uri
@@ -25,9 +25,11 @@ from parking_exp.envs.interface import Policy
 from parking_exp.envs.training_envs import make_training_envs
 from parking_exp.runs.directory import RunDirectory
 from parking_exp.tracking.tracker import open_tracker
+from parking_exp.training.callbacks import RolloutCallback
 from parking_exp.training.checkpoints import Progress
+from parking_exp.training.finish import finish
+from parking_exp.training.loop import TrainingLoop
 from parking_exp.training.progress import TrainingProgress
-from parking_exp.training.session import Schedule, Session
 from parking_exp.training.signals import StopRequest
 
 
@@ -88,33 +90,33 @@ def overhead(rounds: int, steps: int, slice_steps: int, *changes: str) -> tuple[
         overrides = [f"output_dir={folder}/out", "tracking.progress_bar=false", *changes]
         config = run_config(*overrides, f"total_timesteps={steps}")
         _make_store(config)
-        stack.enter_context(RunDirectory(config.run_dir).locked())
-        session, start_s = _tracked_session(config)
-        session.learn()
+        stack.enter_context(RunDirectory(config.run_dir).training_lock())
+        loop, start_s = _tracked_loop(config)
+        loop.learn()
         bare = build_model(config, make_training_envs(config.env, config.n_envs), seed=0)
         bare.set_logger(Logger(None, []))
         bare.learning_starts = steps  # its buffer is as full
         bare.learn(steps)
         bare.learning_starts = 0
-        session.config = run_config(
+        loop.config = run_config(
             *overrides,
             f"total_timesteps={100 * steps}",
             "evaluation.every_n_steps=null",
             "checkpoint.every_n_steps=null",
         )
-        schedule = Schedule(session)
+        callback = RolloutCallback(loop)
         slices = []
         for _ in range(rounds):
-            tracked_s = _seconds(lambda: _learn(session.model, slice_steps, schedule, config.tracking.log_interval))
+            tracked_s = _seconds(lambda: _learn(loop.model, slice_steps, callback, config.tracking.log_interval))
             slices.append((tracked_s / slice_steps, _seconds(lambda: _learn(bare, slice_steps)) / slice_steps))
-        session.config = config
-        evaluation_s = statistics.median(_seconds(session.evaluate) for _ in range(rounds))
-        checkpoint_s = statistics.median(_checkpoint_seconds(session) for _ in range(rounds))
-        policy = session.policy
-        end_s = _seconds(session.finish)
-        session.directory.update(status="done")
-        session.tracker.close()
-        if problem := session.directory.unsynced:  # then its checkpoints and its end have cost too little
+        loop.config = config
+        evaluation_s = statistics.median(_seconds(loop.evaluate) for _ in range(rounds))
+        checkpoint_s = statistics.median(_checkpoint_seconds(loop) for _ in range(rounds))
+        policy = loop.policy
+        end_s = _seconds(lambda: finish(loop))
+        loop.directory.update(status="done")
+        loop.tracker.close()
+        if problem := loop.directory.unsynced:  # then its checkpoints and its end have cost too little
             raise RuntimeError(f"the store of the run that was to be timed has not got everything: {problem}")
     evaluations = full.total_timesteps // (full.evaluation.every_n_steps or full.total_timesteps)
     checkpoints = full.total_timesteps // (full.checkpoint.every_n_steps or full.total_timesteps)
@@ -134,17 +136,17 @@ def overhead(rounds: int, steps: int, slice_steps: int, *changes: str) -> tuple[
 
 def _make_store(config: RunConfig) -> None:
     """Make the store: a user's has been there since the first run."""
-    code = f"from parking_exp.tracking.store import connect; connect({store_uri(config)!r})"
+    code = f"from parking_exp.tracking.client import connect; connect({store_uri(config)!r})"
     subprocess.run([sys.executable, "-c", code], check=True, capture_output=True)
 
 
-def _tracked_session(config: RunConfig) -> tuple[Session, float]:
+def _tracked_loop(config: RunConfig) -> tuple[TrainingLoop, float]:
     directory = RunDirectory(config.run_dir)
     start = time.perf_counter()
     directory.create(config)
     directory.update(status="running")
     tracker = open_tracker(config, directory)
-    session = Session(
+    loop = TrainingLoop(
         config=config,
         directory=directory,
         tracker=tracker,
@@ -153,12 +155,12 @@ def _tracked_session(config: RunConfig) -> tuple[Session, float]:
         stop=StopRequest(),
         bar=TrainingProgress(config.total_timesteps, 0, False),
     )
-    return session, time.perf_counter() - start
+    return loop, time.perf_counter() - start
 
 
-def _checkpoint_seconds(session: Session) -> float:
-    session.progress.saved = -1  # as if training had gone on
-    return _seconds(session.save_checkpoint)
+def _checkpoint_seconds(loop: TrainingLoop) -> float:
+    loop.progress.saved = -1  # as if training had gone on
+    return _seconds(loop.save_checkpoint)
 
 
 def _learn(model: Any, steps: int, callback: BaseCallback | None = None, log_interval: int | None = None) -> float:

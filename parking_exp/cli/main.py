@@ -43,7 +43,8 @@ def train() -> None:
     def command(arguments: argparse.Namespace) -> None:
         from parking_exp.config.validate import parse
         from parking_exp.sweeps.launching import Launch
-        from parking_exp.sweeps.run import plan, sweep
+        from parking_exp.sweeps.plan import plan
+        from parking_exp.sweeps.run import sweep
 
         runs = composed_runs("config", arguments.overrides, arguments.config_dir)
         first = runs[0].cell  # keys of a sweep are the same in all

@@ -14,10 +14,11 @@ from parking_exp.config.schema import Name, Section, StoreConfig
 from parking_exp.config.validate import parse
 from parking_exp.errors import ConfigError, RunNotFoundError, UnsyncedError, plural, suggestion
 from parking_exp.runs.directory import RunDirectory
-from parking_exp.runs.state import RunState, as_json, find, read_state
-from parking_exp.runs.tables import cell_table, damaged_lines, failure_lines, running_lines, stopped_lines
+from parking_exp.runs.lookup import find_runs
+from parking_exp.runs.state import RunState, as_json, read_state
+from parking_exp.runs.state_tables import cell_table, damaged_lines, failure_lines, running_lines, stopped_lines
 from parking_exp.terminal import console, say
-from parking_exp.tracking.outdated import sync_all
+from parking_exp.tracking.sync_all import sync_all
 
 WATCH_S = 2.0
 
@@ -77,11 +78,11 @@ def show(config: DictConfig) -> None:
 
 
 def _look(request: StatusRequest) -> list[RunState]:
-    found = [read_state(path) for path in find(request.output_path, request.experiment_name)]
+    found = [read_state(path) for path in find_runs(request.output_path, request.experiment_name)]
     if not found:
         if request.experiment_name is None:
             raise RunNotFoundError(f"there are no runs in {request.output_path}; train one first, or set output_dir")
-        there = {path.parents[1].name for path in find(request.output_path)}
+        there = {path.parents[1].name for path in find_runs(request.output_path)}
         hint = suggestion(request.experiment_name, there)
         raise RunNotFoundError(f"experiment={request.experiment_name}: it has no runs in {request.output_path}{hint}")
     return found
@@ -93,7 +94,7 @@ def _sync(request: StatusRequest) -> None:
     Raises:
         UnsyncedError: one of them still fails.
     """
-    directories = [RunDirectory(path) for path in find(request.output_path, request.experiment_name)]
+    directories = [RunDirectory(path) for path in find_runs(request.output_path, request.experiment_name)]
     uris = [default_uri(request.output_path), *filter(None, [request.tracking.uri])]
     problems: dict[str, list[RunDirectory]] = {}
     for directory, problem in sync_all(directories, uris):

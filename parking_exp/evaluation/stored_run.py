@@ -25,7 +25,8 @@ from parking_exp.config.schema import (
 from parking_exp.config.validate import parse
 from parking_exp.errors import ConfigError, DamagedModelError, ModelError, RunNotFoundError, plural
 from parking_exp.runs.atomic import write_json
-from parking_exp.runs.directory import RunDirectory, find_run
+from parking_exp.runs.directory import RunDirectory
+from parking_exp.runs.lookup import find_run
 from parking_exp.terminal import say
 
 

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from parking_exp.runs.atomic import sync
+from parking_exp.runs.atomic import fsync
 
 TRAJECTORIES_FILE = "trajectories.npz"
 CAR_COLUMNS = ("x_m", "y_m", "heading_rad", "speed_mps")
@@ -40,5 +40,5 @@ class Recorder:
         temporary = path.with_name(f".{path.name}.tmp")
         with temporary.open("wb") as file:
             np.savez_compressed(file, scene=scene, length=length, **columns)
-        sync(temporary)  # a run that is done has it, after a power cut, too
+        fsync(temporary)  # a run that is done has it, after a power cut, too
         temporary.replace(path)

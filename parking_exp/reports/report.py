@@ -180,15 +180,16 @@ def _folder_name(experiments: Sequence[str]) -> str:
 
 def _states(output_dir: Path, experiments: Sequence[str]) -> "dict[str, RunState]":
     """Return how far runs are that lie here, by run directory: newer than what the store knows."""
-    from parking_exp.runs.state import find, read_state
+    from parking_exp.runs.lookup import find_runs
+    from parking_exp.runs.state import read_state
 
     ours = [name for name in experiments if re.fullmatch(NAME, name)]
-    return {str(path): read_state(path) for name in ours for path in find(output_dir, name)}
+    return {str(path): read_state(path) for name in ours for path in find_runs(output_dir, name)}
 
 
 def _load(request: ReportRequest) -> "Results":
     from parking_exp.results.frames import load
-    from parking_exp.runs.tables import name
+    from parking_exp.runs.state_tables import name
 
     experiments = _experiments(request)
     try:

@@ -68,8 +68,8 @@ from parking_exp.evaluation.trajectories import TRAJECTORIES_FILE
 from parking_exp.results.columns import TEXT, column, flags, integers, text, times, typed
 from parking_exp.results.invalid_values import sound_points, sound_runs
 from parking_exp.results.recordings import EPISODES, read_episodes, read_trajectories
+from parking_exp.tracking.failures import is_store_failure, reason
 from parking_exp.tracking.reader import Point, Reader, StoredRun
-from parking_exp.tracking.store import is_store_failure, reason
 
 STATUSES = ("done", "running", "failed", "interrupted")
 RATES = ("success_rate", "crash_rate", "timeout_rate", "parked_rate")

@@ -1,1 +1,1 @@
-"""Run directories: where a run lives, what is in it, and how far it is."""
+"""Run directories: layout, locks, stored config, logs, provenance, and the state of a run."""

@@ -1,4 +1,4 @@
-"""Files that are either whole or not there."""
+"""Atomic and durable writes of small files, and strict reads of JSON and YAML."""
 
 import hashlib
 import json
@@ -12,7 +12,7 @@ import yaml
 def write_atomically(path: Path, text: str, *, durable: bool = True) -> None:
     """Replace a file's content so that a kill or a full disk leaves the old content or the new, never a part.
 
-    Not `durable` is faster: a power cut may then leave an empty file.
+    Not `durable` is faster, by an fsync: a power cut may then leave an empty file.
     """
     temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")  # two processes may write at once; the last stays
     try:
@@ -100,8 +100,8 @@ def fingerprint(path: Path) -> list[int]:
     return [status.st_size, status.st_mtime_ns]
 
 
-def sync(path: Path) -> None:
-    """Wait until a file or directory is on the disk."""
+def fsync(path: Path) -> None:
+    """Wait until a file or directory is on the disk (`os.fsync`)."""
     handle = os.open(path, os.O_RDONLY)
     try:
         os.fsync(handle)

@@ -1,14 +1,13 @@
-"""Run directories: where a run lives, how far it is, and how to find it again.
+"""Run directories: what lies where, how far a run is, and which process may change it.
 
     outputs/<experiment_name>/<cell>/seed=<n>/
         config.yaml  status.json  result.json  metrics.jsonl  episodes.csv  monitor.csv  progress.csv
         provenance.json  synced.json  checkpoints/  models/  evaluations/  tensorboard/  video.mp4  curves.png  log.txt
 
-The run directory is the truth; MLflow is its index. Two locks keep processes apart: `.claim` belongs to whoever is
-responsible for the run (its supervisor, or the process that trains it without one), `.lock` to the process that trains.
+The run directory is the truth; MLflow is its index. Two locks keep processes apart: `.claim` is held by the process
+that is responsible for the run (its supervisor, or the one that trains it without any), `.lock` by the one that trains.
 """
 
-import fcntl
 import os
 import time
 from collections.abc import Iterator
@@ -17,38 +16,30 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-import yaml
-from filelock import FileLock, Timeout
+from filelock import FileLock
 from pydantic import TypeAdapter, ValidationError
 
 from parking_exp.config.paths import absolute, directory_path, lies_inside, relative
 from parking_exp.config.schema import RunConfig
-from parking_exp.config.validate import check
-from parking_exp.errors import (
-    ConfigError,
-    OutputDirectoryError,
-    RunLockedError,
-    RunNotFoundError,
-    UntrustedError,
-    did_you_mean,
-    plural,
-)
-from parking_exp.runs.atomic import read_object, read_plain_yaml, write_atomically, write_json
+from parking_exp.errors import ConfigError, OutputDirectoryError, RunLockedError, UntrustedError
+from parking_exp.runs.atomic import read_object, write_json
+from parking_exp.runs.layout import new_entries, other_version, refusal
+from parking_exp.runs.locks import hold, is_held
 from parking_exp.runs.provenance import typed_command
 from parking_exp.runs.status_file import Status, StatusEntries, read_entries
+from parking_exp.runs.stored_config import CONFIG_FILE, OUTPUT_DIR, read_config, write_config
 
-STATUS_FILE, BEAT_FILE = "status.json", "beat.json"
+STATUS_FILE, RESULT_FILE, HEARTBEAT_FILE = "status.json", "result.json", "beat.json"
 MODELS = ("final.zip", "best.zip")
-CLAIM, LOCK = ".claim", ".lock"
-OUTPUT_DIR = "../../.."  # from a run directory
-# A look at a lock takes it for a moment: who wants to have it tries again for this long.
+SUPERVISOR_LOCK, TRAINING_LOCK = ".claim", ".lock"
+# To see whether a lock is held, it is taken for a moment: who wants to hold it tries again for this long.
 LOCK_PATIENCE_S = 2.0
+# A supervisor that is killed takes its worker with it; until it is gone, the next one waits.
+WORKER_PATIENCE_S = 20.0
 STALE_S = 3600.0
 # Space that a run keeps while it trains, so that its end can be written down on a disk that is full by then.
 RESERVE, RESERVE_BYTES = ".reserve", 64 * 1024
 ENDS = ("done", "failed", "interrupted")
-# A supervisor that is killed takes its worker with it; until it is gone, the next one waits.
-WORKER_PATIENCE_S = 20.0
 
 
 @dataclass(frozen=True)
@@ -113,7 +104,7 @@ class RunDirectory:
     @property
     def under_way(self) -> bool:
         """Whether a process, be it this one, is responsible for the run now, or works on it."""
-        return any(_is_held(self.path / name) for name in (CLAIM, LOCK))
+        return any(is_held(self.path / name) for name in (SUPERVISOR_LOCK, TRAINING_LOCK))
 
     @property
     def final_checkpoint(self) -> Path:
@@ -132,6 +123,21 @@ class RunDirectory:
         # In this order, since a sweep asks this of every run.
         return self.checkpoints.exists() and self.lacks_model and self.final_checkpoint.exists()
 
+    @property
+    def version_problem(self) -> str | None:
+        """What to do with a run that another version of this package has made; None for a run of this version."""
+        maker = other_version(self.read_status())
+        return refusal(self.path, maker) if maker else None
+
+    def check_version(self) -> None:
+        """Refuse to train in a directory that another version of this package has made.
+
+        Raises:
+            OutputDirectoryError: it is such a directory.
+        """
+        if problem := self.version_problem:
+            raise OutputDirectoryError(problem)
+
     def update(self, **values: Any) -> None:
         """Change entries of status.json; None removes one."""
         if uri := values.get("tracking_uri"):
@@ -142,7 +148,7 @@ class RunDirectory:
 
     def result(self) -> RunResult | None:
         """Return the stored result of a finished run, else None, also where it is damaged."""
-        stored = read_object(self.path / "result.json")
+        stored = read_object(self.path / RESULT_FILE)
         if not stored or self.status != "done":
             return None
         # The store may have been down until later, and the directory moved.
@@ -153,7 +159,7 @@ class RunDirectory:
 
     def finish(self, result: RunResult, **values: Any) -> None:
         """Store the result, and entries of status.json; from here on the run is done."""
-        write_json(self.path / "result.json", asdict(result))
+        write_json(self.path / RESULT_FILE, asdict(result))
         self.update(status="done", steps=result.steps, **values)
 
     def create(self, config: RunConfig) -> None:
@@ -186,52 +192,37 @@ class RunDirectory:
         on the disk: after a power cut, the sweep that is typed again writes it anew.
 
         Raises:
-            OutputDirectoryError: the directory can't be written.
+            OutputDirectoryError: the directory can't be written, or another version of this package has made it.
         """
+        if self.status != "done":
+            self.check_version()
         if self.under_way:
             return
-        with suppress(RunLockedError), self._held(CLAIM, LOCK_PATIENCE_S):
+        with suppress(RunLockedError), self._held(SUPERVISOR_LOCK, LOCK_PATIENCE_S):
             known = self.read_status()
             status = known.get("status")
             if status == "done" or known.get("started") != started:
                 return
-            if keep and status == "pending" and (self.path / "config.yaml").exists():
+            if keep and status == "pending" and (self.path / CONFIG_FILE).exists():
                 return
             self._write_config(config, durable=False)
             entries = {"label": label, "total_timesteps": config.total_timesteps, "command": typed_command()}
             self._update({"status": "pending", "error": None, "killed": None, **entries}, durable=False)
 
-    def beat(self, **values: Any) -> None:
-        """Say how far the run is, for who looks at it from outside."""
-        with suppress(OSError):  # a full disk: nothing hangs on a beat, and the next checkpoint will tell
-            write_json(self.path / BEAT_FILE, {"time": time.time(), **values}, durable=False)
+    def heartbeat(self, **values: Any) -> None:
+        """Write down how far the run is, for processes that watch it."""
+        with suppress(OSError):  # a full disk: nothing depends on a heartbeat, and the next checkpoint will fail
+            write_json(self.path / HEARTBEAT_FILE, {"time": time.time(), **values}, durable=False)
 
     def config(self) -> RunConfig:
         """Read the run's config, with the output directory and store of where the run is now.
 
-        It is data: values were resolved when it was written, and nothing in it is resolved again.
-
         Raises:
-            ConfigError: it can't be read, has an interpolation, or was written by another version of this package and
-                no longer fits.
+            ConfigError: another version of this package has made the run, or `read_config` refuses what is there.
         """
-        path = self.path / "config.yaml"
-        try:
-            stored = read_plain_yaml(path)
-        except (OSError, ValueError) as error:
-            raise ConfigError(f"{path} can't be read: {str(error).splitlines()[0]}") from error
-        if not isinstance(stored, dict):
-            raise ConfigError(f"{path} can't be read: it is no config, but a {type(stored).__name__}")
-        for key, value in _texts(stored):
-            if "${" in value:
-                raise ConfigError(f"{key}={value} in {path} is an interpolation; stored configs have values only")
-        try:
-            config = check(RunConfig, stored)
-        except ConfigError as error:
-            raise ConfigError(f"{path} does not fit this version of parking_exp: {error}") from error
-        uri = config.tracking.uri and absolute(config.tracking.uri, self.output_dir)
-        tracking = config.tracking.model_copy(update={"uri": uri})
-        return config.model_copy(update={"output_dir": str(self.output_dir), "tracking": tracking})
+        if problem := self.version_problem:
+            raise ConfigError(problem)
+        return read_config(self.path, self.output_dir)
 
     def check_links(self) -> None:
         """Refuse a run directory with links to files elsewhere, which would be written to or sent to a store.
@@ -244,22 +235,22 @@ class RunDirectory:
                 raise UntrustedError(f"{path} is a symbolic link that leads out of the run directory; remove it")
 
     @contextmanager
-    def claimed(self) -> Iterator[None]:
-        """Be the one who is responsible for the run. The claim ends with the process, however that ends.
+    def supervisor_lock(self) -> Iterator[None]:
+        """Be the process that is responsible for the run.
 
         Raises:
             RunLockedError: another process is.
             OutputDirectoryError: the directory cannot be made.
             UntrustedError: a symbolic link leads out of it.
         """
-        with self._held(CLAIM, LOCK_PATIENCE_S):
+        with self._held(SUPERVISOR_LOCK, LOCK_PATIENCE_S):
             yield
 
     @contextmanager
-    def locked(self) -> Iterator[None]:
-        """Be the one who trains the run; raises what `claimed` does."""
-        with self._held(LOCK, WORKER_PATIENCE_S):
-            self._sweep_up()
+    def training_lock(self) -> Iterator[None]:
+        """Be the process that trains the run; raises what `supervisor_lock` does."""
+        with self._held(TRAINING_LOCK, WORKER_PATIENCE_S):
+            self._delete_stale()
             yield
 
     @contextmanager
@@ -268,35 +259,24 @@ class RunDirectory:
             self.path.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise OutputDirectoryError(f"output_dir: {self.path} cannot be made: {error.strerror}") from error
-        lock = FileLock(self.path / name, timeout=patience_s)
-        try:
-            lock.acquire()
-        except Timeout:
-            raise RunLockedError(f"another process is working on {self.path}; wait for it, or stop it first") from None
-        try:
+        with hold(self.path / name, patience_s):
             self.check_links()
             yield
-        finally:
-            lock.release()
 
     def _update(self, values: dict[str, Any], durable: bool) -> None:
         # A training, its supervisor, a sync and an evaluation may change different entries at once.
         with FileLock(self.path / ".status.lock"):
-            changed = {**self.read_status(), **values}
+            changed = {**(self.read_status() or new_entries()), **values}
             kept = {key: value for key, value in changed.items() if value is not None}
             write_json(self.path / STATUS_FILE, kept, durable=durable)
 
     def _write_config(self, config: RunConfig, durable: bool) -> None:
-        uri = config.tracking.uri and relative(config.tracking.uri, config.output_path)
-        tracking = config.tracking.model_copy(update={"uri": uri})
-        plain = config.model_copy(update={"output_dir": OUTPUT_DIR, "tracking": tracking}).plain()
         try:
-            self.path.mkdir(parents=True, exist_ok=True)
-            write_atomically(self.path / "config.yaml", yaml.safe_dump(plain, sort_keys=False), durable=durable)
+            write_config(self.path, config, durable=durable)
         except OSError as error:
             raise OutputDirectoryError(f"output_dir: {self.path} cannot be written: {error.strerror}") from error
 
-    def _sweep_up(self) -> None:
+    def _delete_stale(self) -> None:
         """Delete what a kill in the middle of a write has left, long ago: others may be writing now."""
         for stale in self.path.glob(".*.tmp"):
             with suppress(OSError):
@@ -306,58 +286,3 @@ class RunDirectory:
     def read_status(self) -> dict[str, Any]:
         """Return the entries of status.json; one of the wrong type is none."""
         return read_entries(self.path / STATUS_FILE, StatusEntries)[0]
-
-
-def _texts(node: Any, key: str = "") -> Iterator[tuple[str, str]]:
-    """Yield every text in nested dicts and lists, keys included, with its dotted key."""
-    if isinstance(node, str):
-        yield key, node
-    children = node.items() if isinstance(node, dict) else enumerate(node) if isinstance(node, list) else ()
-    for name, value in children:
-        path = f"{key}.{name}" if key else str(name)
-        yield path, str(name)
-        yield from _texts(value, path)
-
-
-def _is_held(path: Path) -> bool:
-    """Whether a process holds a lock file. A shared lock is tried, so that several may look at once."""
-    try:
-        handle = os.open(path, os.O_RDONLY)
-    except OSError:  # it was never locked
-        return False
-    try:
-        fcntl.flock(handle, fcntl.LOCK_SH | fcntl.LOCK_NB)
-    except BlockingIOError:
-        return True
-    finally:
-        os.close(handle)
-    return False
-
-
-def find_run(name: str, output_dir: Path, having: str) -> RunDirectory:
-    """Find a run by its directory, its MLflow run id, or `latest`: the last worked on that has the file `having`.
-
-    Raises:
-        RunNotFoundError: there is none.
-    """
-    if (Path(name).expanduser() / STATUS_FILE).exists():
-        return RunDirectory(directory_path(name))
-    files = sorted(output_dir.glob(f"*/*/*/{STATUS_FILE}"), key=lambda file: file.stat().st_mtime)
-    if not files:
-        raise RunNotFoundError(f"run={name}: there are no runs in {output_dir}; train one first, or set output_dir")
-    if name == "latest":
-        usable = [file for file in files if (file.parent / having).exists()]
-        if not usable:
-            done = any(RunDirectory(file.parent).status == "done" for file in files)
-            hint = "; where a run is done and it is gone, its training command typed again makes it" if done else ""
-            there = plural(len(files), "run")
-            raise RunNotFoundError(f"run=latest: of {there} in {output_dir}, none has {having} yet{hint}")
-        return RunDirectory(usable[-1].parent.absolute())
-    ids = {run_id: file.parent for file in files if (run_id := RunDirectory(file.parent).run_id)}
-    if name in ids:
-        return RunDirectory(ids[name].absolute())
-    hint = did_you_mean(name, ["latest", *ids, *(str(file.parent) for file in files)])
-    raise RunNotFoundError(
-        f"run={name}: no run directory, and no MLflow run id of {plural(len(files), 'run')} in {output_dir}"
-        + (hint or f"; the latest is {files[-1].parent}")
-    )

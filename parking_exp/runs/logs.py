@@ -1,4 +1,4 @@
-"""Append-only files of a run: metrics and episodes, written here first and sent to MLflow from here."""
+"""The append-only logs of a run (`metrics.jsonl`, `episodes.csv`, `monitor.csv`), and their repair from checkpoints."""
 
 import json
 import numbers
@@ -20,7 +20,7 @@ APPENDED = ("metrics.jsonl", "episodes.csv", "monitor.csv")
 
 
 def copy_logs(run_dir: Path, checkpoint: Path) -> None:
-    """Copy the logs into a checkpoint; metrics that there are none of yet become an empty file."""
+    """Copy the logs into a checkpoint; without any metrics yet, `metrics.jsonl` is an empty file there."""
     for name in APPENDED:
         if (run_dir / name).exists():
             shutil.copyfile(run_dir / name, checkpoint / name)
@@ -28,7 +28,7 @@ def copy_logs(run_dir: Path, checkpoint: Path) -> None:
 
 
 def restore_logs(run_dir: Path, checkpoint: Path | None) -> list[str]:
-    """Bring the logs back to a checkpoint: what was written after it is going to be done again.
+    """Cut the logs back to a checkpoint: what was written after it is going to be done again.
 
     Returns:
         The names of those that had lost something that they had at the checkpoint.
@@ -67,7 +67,7 @@ def damaged_logs(run_dir: Path, hashes: Mapping[str, str], checkpoint: Path | No
 
 
 def has_whole_logs(checkpoint: Path) -> bool:
-    """Whether the logs of a checkpoint are as they were when it was made."""
+    """Whether the logs of a checkpoint still have the hashes of its manifest."""
     digests = read_object(checkpoint / "manifest.json")
     copies = [checkpoint / name for name in APPENDED if name in digests]
     return bool(copies) and all(_has_hash(copy, digests[copy.name]) for copy in copies)

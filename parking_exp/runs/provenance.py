@@ -1,4 +1,4 @@
-"""What exactly was run: versions, commit, machine."""
+"""Provenance of a run: versions of packages, git commit, CPU, and the command line that was typed."""
 
 import platform
 import shlex
@@ -40,7 +40,7 @@ def typed_command() -> str | None:
 
 
 def read_provenance(path: Path) -> tuple[int | None, dict[str, str]]:
-    """Return when a run was started, in ms since 1970, and its tags; what is none of ours is left out."""
+    """Return when a run was started, in ms since 1970, and its tags; other tags are left out."""
     found = read_object(path)
     started_ms, tags = found.get("started_ms"), found.get("tags")
     known = {

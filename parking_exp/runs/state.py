@@ -1,4 +1,4 @@
-"""How far runs are, read from their directories without opening anything large."""
+"""The state of runs (done, running, failed, pending), read from the small files of their directories."""
 
 import json
 import time
@@ -7,8 +7,9 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-from parking_exp.runs.directory import BEAT_FILE, STATUS_FILE, RunDirectory
-from parking_exp.runs.status_file import BeatEntries, StatusEntries, read_entries
+from parking_exp.runs.directory import HEARTBEAT_FILE, STATUS_FILE, RunDirectory
+from parking_exp.runs.layout import other_version
+from parking_exp.runs.status_file import HeartbeatEntries, StatusEntries, read_entries
 
 Stage = Literal["done", "running", "failed", "pending"]
 STAGES: tuple[Stage, ...] = ("done", "running", "failed", "pending")
@@ -22,7 +23,7 @@ class RunState:
         run_dir: absolute run directory.
         experiment, cell, seed: what it belongs to.
         label: what sets its cell apart from others of its sweep; the cell's name where it was not part of one.
-        stage: done, running (a process has claimed it), failed, or pending, which a run that was cut off is again.
+        stage: done, running (a process holds one of its locks), failed, or pending, also after it was cut off.
         step, total_timesteps: env steps done (pending: saved), and in all.
         steps_per_s: while training.
         left_s: until the training is over, at that rate.
@@ -34,6 +35,7 @@ class RunState:
         started: when its last process began, in seconds since 1970.
         unsynced: why the store does not have all of it; None where it has.
         damaged: what is wrong with its status.json; None if nothing is.
+        other_version: which version of the package has made it, where that is not this one; else None.
     """
 
     run_dir: str
@@ -58,6 +60,7 @@ class RunState:
     unsynced: str | None = None
     started: float | None = None
     damaged: str | None = None
+    other_version: str | None = None
 
     def plain(self) -> dict[str, Any]:
         """Return everything as JSON can hold it."""
@@ -78,6 +81,7 @@ def read_state(path: Path) -> RunState:
         "unsynced": status.get("unsynced"),
         "started": status.get("started"),
         "damaged": damaged,
+        "other_version": other_version(status),
     }
     written = status.get("status", "pending")
     if written == "done":
@@ -91,11 +95,6 @@ def read_state(path: Path) -> RunState:
         reason = status.get("error")
         return RunState(**known, stage="failed", step=_saved_step(path), **where, reason=reason, killed=killed)
     return RunState(**known, stage="pending", step=_saved_step(path))
-
-
-def find(output_dir: Path, experiment: str | None = None) -> list[Path]:
-    """Return the run directories under an output directory, of one experiment or of all, sorted."""
-    return sorted(file.parent for file in output_dir.glob(f"{experiment or '*'}/*/seed=*/{STATUS_FILE}"))
 
 
 def counts(states: Iterable[RunState]) -> dict[Stage, int]:
@@ -113,12 +112,12 @@ def by_cell(states: Iterable[RunState]) -> Iterator[tuple[tuple[str, str], list[
 
 
 def _under_way(path: Path, total: int | None, status: dict[str, Any]) -> dict[str, Any]:
-    beat, _ = read_entries(path / BEAT_FILE, BeatEntries)
-    if beat.get("time", 0.0) < status.get("started", time.time()):  # of an earlier process, or none yet
+    heartbeat, _ = read_entries(path / HEARTBEAT_FILE, HeartbeatEntries)
+    if heartbeat.get("time", 0.0) < status.get("started", time.time()):  # of an earlier process, or none yet
         return {"step": _saved_step(path), "doing": "starting"}
-    step, rate = beat.get("step", 0), beat.get("steps_per_s") or None
+    step, rate = heartbeat.get("step", 0), heartbeat.get("steps_per_s") or None
     left = (total - step) / rate if rate and total is not None else None
-    return {"step": step, "steps_per_s": rate, "left_s": left, "doing": beat.get("doing")}
+    return {"step": step, "steps_per_s": rate, "left_s": left, "doing": heartbeat.get("doing")}
 
 
 def _saved_step(path: Path) -> int:

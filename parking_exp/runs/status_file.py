@@ -1,4 +1,4 @@
-"""Entries of `status.json` and `beat.json`, and their types. Both may be damaged, or come from anywhere."""
+"""Schemas of `status.json` and `beat.json` (the heartbeat). Both files may be damaged, or come from anywhere."""
 
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -8,7 +8,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from parking_exp.runs.atomic import read_json
 
 Status = Literal["pending", "running", "done", "failed", "interrupted"]
-"""What status.json says. `running` may be out of date: the process may be gone (`states` looks)."""
+"""What status.json says. `running` may be out of date: the process may be gone (`read_state` looks)."""
 Count = Annotated[int, Field(ge=0, le=10**15)]
 Seconds = Annotated[float, Field(ge=0, le=1e12)]
 
@@ -18,8 +18,9 @@ class _Entries(BaseModel):
 
 
 class StatusEntries(_Entries):
-    """How far a run is: `states.RunState` says what the entries mean."""
+    """How far a run is. `layout.py` says what `layout` is, `state.RunState` what the other entries mean."""
 
+    layout: Count | None = None
     status: Status | None = None
     label: str | None = None
     error: str | None = None
@@ -41,8 +42,8 @@ class StatusEntries(_Entries):
     logs: dict[str, str] | None = None
 
 
-class BeatEntries(_Entries):
-    """What a process that is under way writes every second."""
+class HeartbeatEntries(_Entries):
+    """What a process that trains writes every second."""
 
     time: Seconds | None = None
     step: Count | None = None

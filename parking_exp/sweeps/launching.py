@@ -1,4 +1,4 @@
-"""From a command line's Hydra overrides to a launcher that trains run directories."""
+"""Set up the Hydra launcher of a command line, and have it train run directories."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -12,7 +12,7 @@ from omegaconf import DictConfig
 
 from parking_exp.config.compose import hydra_overrides, hydra_ready, in_quotes
 from parking_exp.errors import ConfigError, ParkingError, suggestion
-from parking_exp.sweeps.worker import Ending, work
+from parking_exp.sweeps.supervisor import WorkerResult, supervise_job
 
 EXTRAS = {"slurm", "ray"}
 
@@ -45,11 +45,11 @@ class Launch:
                 words = str(error).splitlines()[0]
                 raise ConfigError(f"hydra/launcher={self.name}: {words}{_extra_of(self.name)}") from error
 
-    def __call__(self, paths: Sequence[Path]) -> tuple[dict[Path, Ending], str | None]:
+    def __call__(self, paths: Sequence[Path]) -> tuple[dict[Path, WorkerResult], str | None]:
         """Train the runs of these directories.
 
         Returns:
-            How each ended that the launcher tells of, and what the launcher itself complains about, if anything.
+            How each run ended, where the launcher returns that, and what broke in the launcher itself, or None.
 
         Raises:
             ConfigError: a package is missing.
@@ -70,7 +70,7 @@ class Launch:
         values = {path: one._return_value for path, one in zip(paths, returns, strict=True)}
         broken = [value for value in values.values() if isinstance(value, BaseException)]
         problem = f"{len(broken)} jobs broke; the first: {broken[0]}" if broken else None
-        return {path: value for path, value in values.items() if value in get_args(Ending)}, problem
+        return {path: value for path, value in values.items() if value in get_args(WorkerResult)}, problem
 
 
 def _refuse_unknown_keys(overrides: list[str]) -> None:
@@ -93,9 +93,9 @@ def _refuse_unknown_keys(overrides: list[str]) -> None:
             node = node[part] if isinstance(node, DictConfig) else None
 
 
-def train_run(config: DictConfig) -> Ending:
+def train_run(config: DictConfig) -> WorkerResult:
     """Hydra's task function: train the run of a directory."""
-    return work(config.run)
+    return supervise_job(config.run)
 
 
 def _extra_of(launcher: str) -> str:

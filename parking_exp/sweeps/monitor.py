@@ -1,4 +1,4 @@
-"""What a person sees of a sweep: a live table on a terminal, a line for each event elsewhere.
+"""Live view of a sweep: a rich table on a terminal, a line for each event elsewhere.
 
 It only reads run directories, so that it is the same for every launcher.
 """
@@ -17,7 +17,7 @@ from rich.table import Table
 
 from parking_exp.runs.directory import STATUS_FILE
 from parking_exp.runs.state import RunState, counts, read_state
-from parking_exp.runs.tables import duration, name, under_way
+from parking_exp.runs.state_tables import duration, name, under_way
 from parking_exp.terminal import console as make_console
 
 POLL_S = 1.0
@@ -75,7 +75,7 @@ class Monitor:
             self._look()
 
     def _look(self) -> None:
-        """Read again what may have changed, and say what has."""
+        """Read again the states that may have changed, and print a line for each that has."""
         for path, before in list(self.states.items()):
             written = _written(path)
             if before.stage != "running" and written == self._written[path]:
@@ -83,7 +83,7 @@ class Monitor:
             self._written[path] = written
             state = self.states[path] = read_state(path)
             if state.stage != before.stage:
-                self._event(state)
+                self._print_event(state)
         found = counts(self.states.values())
         left = self._left_s()
         self._bar.update(
@@ -92,7 +92,7 @@ class Monitor:
             left=f"about {duration(left)} left" if left is not None else "",
         )
 
-    def _event(self, state: RunState) -> None:
+    def _print_event(self, state: RunState) -> None:
         over = sum(one.stage in {"done", "failed"} for one in self.states.values())
         which = f"({over} of {len(self.states)})"
         if state.stage == "done":

@@ -14,7 +14,7 @@ from typing import Any
 from parking_exp.errors import ConfigError, FailedRunError, suggestion
 from parking_exp.resources import cores
 from parking_exp.runs.directory import RunDirectory
-from parking_exp.sweeps.worker import GRACE_S, work
+from parking_exp.sweeps.supervisor import GRACE_S, supervise_job
 
 POLL_S = 0.2
 SLURM_POLL_S = 5.0
@@ -22,7 +22,7 @@ CLUSTERS = ("slurm", "local")
 
 
 def check(executor: str) -> None:
-    """Refuse an executor that is none, or is not here.
+    """Refuse an unknown executor, or one that is not installed here.
 
     Raises:
         ConfigError: with what to type instead.
@@ -41,7 +41,7 @@ def check(executor: str) -> None:
 def launch(
     paths: Sequence[Path], executor: str, n_jobs: int | None, folder: Path | None, parameters: Mapping[str, Any]
 ) -> dict[Path, Any]:
-    """Train runs as jobs, wait for them, and return how each ended: a word, or the error of a job that broke.
+    """Train runs as jobs, wait for them, and return a WorkerResult for each, or the error of a job that broke.
 
     Ctrl-C cancels the jobs, which save their states. Jobs outlive a launcher that is killed, and the runs that they
     hold are left to them when the sweep is typed again.
@@ -69,8 +69,8 @@ def launch(
     waiting, submitted = list(paths), {}
     try:
         if executor == "slurm":  # one array, and Slurm keeps to its limit
-            with _uninterrupted():  # Ctrl-C is to find all that was submitted
-                submitted = dict(zip(paths, jobs.map_array(work, [str(path) for path in paths]), strict=True))
+            with _sigint_blocked():  # Ctrl-C is to find all that was submitted
+                submitted = dict(zip(paths, jobs.map_array(supervise_job, [str(path) for path in paths]), strict=True))
             waiting = []
         elif n_jobs is None:
             n_jobs = len(cores())
@@ -78,8 +78,8 @@ def launch(
             under_way = sum(not job.done() for job in submitted.values())
             while waiting and (n_jobs is None or under_way < n_jobs):
                 path = waiting.pop(0)
-                with _unheard_by_children():
-                    submitted[path] = jobs.submit(work, str(path))
+                with _ignored_by_children():
+                    submitted[path] = jobs.submit(supervise_job, str(path))
                 under_way += 1
             time.sleep(SLURM_POLL_S if executor == "slurm" else POLL_S)
     except submitit.core.utils.FailedJobError as error:
@@ -87,7 +87,7 @@ def launch(
     except BaseException:
         _cancel(submitted, executor)
         raise
-    return {path: _ending(job) for path, job in submitted.items()}
+    return {path: _result(job) for path, job in submitted.items()}
 
 
 def _cancel(submitted: Mapping[Path, Any], executor: str) -> None:
@@ -106,8 +106,8 @@ def _cancel(submitted: Mapping[Path, Any], executor: str) -> None:
 
 
 @contextmanager
-def _uninterrupted() -> Iterator[None]:
-    """Let a SIGINT wait."""
+def _sigint_blocked() -> Iterator[None]:
+    """Hold back SIGINT until the end of the block."""
     signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield
@@ -116,8 +116,8 @@ def _uninterrupted() -> Iterator[None]:
 
 
 @contextmanager
-def _unheard_by_children() -> Iterator[None]:
-    """Have processes that are started now ignore a terminal's SIGINT, which reaches all: we pass on what is due."""
+def _ignored_by_children() -> Iterator[None]:
+    """Have processes that are started now ignore a terminal's SIGINT; `_cancel` asks them to stop."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -128,7 +128,7 @@ def _unheard_by_children() -> Iterator[None]:
         signal.signal(signal.SIGINT, before)
 
 
-def _ending(job: Any) -> Any:
-    """How a job ended: what it returned, or the error that submitit found instead."""
+def _result(job: Any) -> Any:
+    """Return what a job returned, or the error that submitit found instead."""
     error = job.exception()
     return error if error is not None else job.result()

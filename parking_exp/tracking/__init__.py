@@ -1,1 +1,1 @@
-"""The MLflow store: metrics, tags and artifacts of run directories, and reading them in bulk."""
+"""The MLflow store: syncing run directories to it (metrics, tags, artifacts), and reading it in bulk."""

@@ -1,4 +1,4 @@
-"""The files of a run that its store gets as artifacts."""
+"""Upload the files of a run to its store as artifacts."""
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -64,7 +64,7 @@ def send(
 
 
 def _delete_stale(store: Store, run: "Run", directory: RunDirectory, sent: Sent, names: set[str]) -> None:
-    """Delete old checkpoints and the traceback of a failure that was overcome. What else is gone here is kept there."""
+    """Delete old checkpoints and the traceback of a failure that was overcome; other files that are gone here stay."""
     gone = {name for name in sent if name.startswith(("checkpoints/", "traceback.txt"))} - names
     stale = {"traceback.txt"} & gone
     kept = {folder.name for folder in checkpoint_folders(directory)}

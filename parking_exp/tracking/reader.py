@@ -17,7 +17,9 @@ from typing import Any
 
 from parking_exp.config.paths import absolute, database, lies_inside, local_folder, without_password
 from parking_exp.errors import ParkingError, ResultsError
-from parking_exp.tracking.store import connect, is_store_failure, own_directory, reason
+from parking_exp.tracking.client import connect
+from parking_exp.tracking.failures import is_store_failure, reason
+from parking_exp.tracking.store import own_directory
 
 Point = tuple[str, int, int, float]
 """Run id, step, time in ms, value."""

@@ -1,4 +1,7 @@
-"""Artifact locations of an output directory's own store, after the directory was moved or copied."""
+"""Relocate the artifacts of an output directory's own store after the directory was moved or copied.
+
+In SQL, since MLflow's client can't change an artifact location.
+"""
 
 import sqlite3
 from contextlib import closing

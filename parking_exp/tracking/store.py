@@ -1,128 +1,25 @@
-"""The MLflow store: reached without hanging, initialised once, written to by many processes at a time.
-
-The embedded store is a sqlite database. It takes one writer at a time and tells a second one that waits too long
-"database is locked" (MLflow has it wait for 20 s, whatever the URL says), so that our writers stand in line
-for a lock file beside the database. Its journal stays sqlite's own rollback journal: a write-ahead log would let
-readers pass while a row is written, which takes milliseconds, but needs memory that is shared between processes, which
-network file systems do not have. Readers (`mlflow ui`) need no lock of ours.
-"""
+"""Runs of an MLflow store: find, create, log, delete, and their artifacts; written to by many processes at a time."""
 
 import json
 import logging
-import os
 import shlex
-import sqlite3
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, nullcontext
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from traceback import walk_tb
 from typing import TYPE_CHECKING, Any
-
-from filelock import FileLock
 
 from parking_exp.config.paths import ARTIFACTS, database, lies_inside, local_folder, without_password
 from parking_exp.config.schema import RunConfig
-from parking_exp.errors import ParkingError, StoreError
-from parking_exp.tracking.relocation import OUTPUT_DIR_TAG, relocate
+from parking_exp.errors import StoreError
+from parking_exp.tracking.client import connect, write_lock
+from parking_exp.tracking.failures import is_store_failure
+from parking_exp.tracking.relocation import OUTPUT_DIR_TAG
 from parking_exp.tracking.tags import experiment_tags
 
 if TYPE_CHECKING:
-    from mlflow import MlflowClient
     from mlflow.entities import Metric, Run
 
-WAIT_S = 120  # for other writers
 METRICS_A_BATCH, PARAMS_A_BATCH, RUNS_A_PAGE = 1000, 100, 1000  # MLflow's own limits
-LONGEST_REASON = 200
-# Packages whose exceptions are failures of a store: MLflow, its database drivers, its clients of artifact storage.
-STORE_PACKAGES = {
-    "mlflow", "sqlalchemy", "alembic", "psycopg2", "pymysql", "requests", "urllib3",
-    "boto3", "botocore", "google", "azure", "paramiko", "pysftp", "databricks",
-}  # fmt: skip
-# What provides a module that is not called as it is, where MLflow or SQLAlchemy need it.
-PROVIDERS = {
-    "psycopg2": "psycopg2-binary", "MySQLdb": "mysqlclient", "google": "google-cloud-storage",
-    "azure": "azure-storage-blob azure-identity", "databricks": "databricks-sdk",
-}  # fmt: skip
-ENVIRONMENT = {
-    "MLFLOW_DISABLE_TELEMETRY": "true",  # nothing leaves the machine
-    "GIT_PYTHON_REFRESH": "quiet",
-    "MLFLOW_SUPPRESS_PRINTING_URL_TO_STDOUT": "true",  # for each run that ends
-    # MLflow's own 7 tries with doubling pauses take 4 minutes on a port where nobody listens. These take 2.3 s, and
-    # what they do not reach is sent later anyway.
-    "MLFLOW_HTTP_REQUEST_MAX_RETRIES": "2",
-    "MLFLOW_HTTP_REQUEST_BACKOFF_FACTOR": "1",
-    "MLFLOW_HTTP_REQUEST_TIMEOUT": "30",  # [s], of one answer
-    "PGCONNECT_TIMEOUT": "10",  # [s]
-    # A kept connection would go on writing into a database file that was deleted or replaced meanwhile.
-    "MLFLOW_SQLALCHEMYSTORE_POOLCLASS": "NullPool",
-}
-
-
-def import_mlflow() -> None:
-    """Import mlflow, with what it reads from the environment at that time."""
-    for name, value in ENVIRONMENT.items():
-        os.environ.setdefault(name, value)
-    import mlflow  # noqa: F401
-
-
-def connect(uri: str) -> "MlflowClient":
-    """Return a client of a store that has answered; a store that is new is initialised.
-
-    Raises:
-        Exception: whatever MLflow, SQLAlchemy or the disk say; `reason` makes a sentence of it.
-    """
-    import_mlflow()
-    from mlflow import MlflowClient
-
-    for name in ("alembic", "mlflow"):
-        logging.getLogger(name).setLevel(logging.WARNING)
-    logging.getLogger("mlflow.store").setLevel(logging.CRITICAL)  # it prints the traceback of what it raises
-    if path := database(uri):
-        path.parent.mkdir(parents=True, exist_ok=True)
-    # Processes that open a fresh sqlite store at once collide in its migrations: one does it, the others wait.
-    with _write_lock(uri):
-        if not uri.startswith(("http", "databricks")):
-            _open_database(uri)
-        client = MlflowClient(uri)
-        client.search_experiments(max_results=1)
-        if path is not None and os.access(path, os.W_OK):
-            relocate(path)
-    return client
-
-
-def is_store_failure(error: BaseException) -> bool:
-    """Whether an error comes from a store, its disk or its network, or says in a sentence what is wrong with a run.
-
-    Anything else is an error of this package.
-    """
-    if isinstance(error, ImportError):  # of a driver, which is imported when it is needed
-        modules = [frame.f_globals.get("__name__", "") for frame, _ in walk_tb(error.__traceback__)]
-    else:
-        modules = [type(error).__module__]
-    return isinstance(error, OSError | sqlite3.Error | ParkingError) or any(map(_is_stores, modules))
-
-
-def _is_stores(module: str) -> bool:
-    return module.partition(".")[0] in STORE_PACKAGES
-
-
-def reason(error: BaseException) -> str:
-    """Say in one sentence what a store's error came from, without passwords."""
-    if isinstance(error, ParkingError):  # a sentence already
-        return without_password(str(error))
-    if isinstance(error, ModuleNotFoundError) and error.name:
-        package = error.name.partition(".")[0]
-        return f"the package {package!r} is not installed: pip install {PROVIDERS.get(package, package)}"
-    chain = list(_chain(error))
-    causes = [getattr(link, "orig", link) for link in chain]  # SQLAlchemy wraps the driver's error
-    known = [cause for cause in causes if isinstance(cause, OSError | sqlite3.Error) or "psycopg" in str(type(cause))]
-    cause = known[-1] if known else error
-    words = getattr(cause, "strerror", None) or str(getattr(cause, "reason", None) or cause) or type(cause).__name__
-    if isinstance(cause, OSError) and cause.filename:
-        words += f": {cause.filename}"
-    words = without_password(" ".join(words.split()))
-    return words if len(words) <= LONGEST_REASON else f"{words[:LONGEST_REASON]}..."
 
 
 def own_directory(uri: str, output_dir: Path) -> Path | None:
@@ -148,14 +45,14 @@ class Store:
 
     Raises:
         StoreError: a link leads out of the output directory.
-        Exception: what `connect` raises.
+        Exception: what `client.connect` raises.
     """
 
     def __init__(self, uri: str, output_dir: Path) -> None:
         self.uri = uri
         self._own_directory = own_directory(uri, output_dir)
         self.client = connect(uri)
-        self._lock = _write_lock(uri)
+        self._lock = write_lock(uri)
 
     def find(self, run_id: str | None, experiment: str, tags: Mapping[str, str]) -> "Run | None":
         """Find a run that is not deleted: by its id, or by its tags where a kill came before the id was written.
@@ -332,30 +229,3 @@ class Store:
         folder = local_folder(place) if place else None
         if folder is None or not lies_inside(folder, own):
             raise StoreError(f"this store keeps artifacts outside of {own}, in {place}; take another experiment_name")
-
-
-def _write_lock(uri: str) -> AbstractContextManager[Any]:
-    """A lock that this process's writers to an embedded store share with all others; other stores have their own."""
-    path = database(uri)
-    if path is None or (path.exists() and not os.access(path.parent, os.W_OK)):  # who can't write may still read
-        return nullcontext()
-    return FileLock(path.with_name(f".{path.name}.lock"), timeout=WAIT_S, poll_interval=0.01)
-
-
-def _open_database(uri: str) -> None:
-    """Look into a database. MLflow itself tries for two minutes before it says that one can't be opened."""
-    from sqlalchemy import create_engine, inspect
-
-    engine = create_engine(uri)
-    try:
-        inspect(engine).get_table_names()
-    finally:
-        engine.dispose()
-
-
-def _chain(error: BaseException | None) -> Iterator[BaseException]:
-    seen: set[int] = set()
-    while error is not None and id(error) not in seen:
-        seen.add(id(error))
-        yield error
-        error = error.__cause__ or error.__context__

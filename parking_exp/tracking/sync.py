@@ -1,13 +1,13 @@
-"""Sync of one run directory with an MLflow store: the directory is the truth, the store is its index.
+"""Sync one run directory to an MLflow store: the directory is the truth, the store is its index.
 
 `sync` needs nothing but a run directory, in any state that a kill can leave it in, and does what is missing: after each
 checkpoint, at the end, and later for a run whose store was down or that was killed.
 
 Metrics are sent as soon as they are final: up to the last checkpoint, and all of them when the run is done. A run that
 was cut off goes on from that checkpoint and logs everything after it again. So the store's latest points are always
-among those of the run directory. Where they are not, the store's run has another past and is replaced: the directory
-was deleted and the run trained afresh, or the last checkpoint was corrupt and the one before it was taken. Logs that
-have lost something are no other past: they are taken back from the store, or left out, and that is said.
+among those of the run directory. Where they are not, the store's run diverges and is replaced: the directory was
+deleted and the run trained afresh, or the last checkpoint was corrupt and the one before it was taken. Logs that have
+lost something are no divergence: they are taken back from the store, or left out, with a message.
 
 `synced.json` says what the store has: which status and error, and size and time of each file that was sent. It is
 written after the fact, so that a kill makes a file be sent twice, never be forgotten.
@@ -30,7 +30,8 @@ from parking_exp.runs.directory import RunDirectory, Status
 from parking_exp.runs.logs import damaged_logs, has_whole_logs, read_metrics
 from parking_exp.runs.provenance import PROVENANCE_FILE, read_provenance
 from parking_exp.tracking import artifacts
-from parking_exp.tracking.store import Store, is_store_failure, reason
+from parking_exp.tracking.failures import is_store_failure, reason
+from parking_exp.tracking.store import Store
 from parking_exp.tracking.tags import NOTE, run_note
 
 if TYPE_CHECKING:
@@ -52,7 +53,7 @@ def sync(directory: RunDirectory, uri: str) -> None:
         DamagedFileError: a log has lost something, and the store has no copy. All else was sent.
         UntrustedError: a symbolic link leads out of the run directory.
         StoreError: the store can't take the run as it is.
-        Exception: the store can't be reached, or does not take it all; `store.is_store_failure` tells which these are.
+        Exception: the store can't be reached, or does not take it all; `failures.is_store_failure` tells which.
     """
     uri = absolute(uri)
     config = directory.config()
@@ -64,8 +65,8 @@ def sync(directory: RunDirectory, uri: str) -> None:
         damaged = _restore_logs(store, known, directory, status)
         lost = "metrics.jsonl" in damaged
         points = [] if lost and status == "done" else _final_metrics(directory, status)
-        # Fewer points than there were are no other past, and never take the place of the store's.
-        if known is not None and not lost and _another_past(known, read_metrics(directory.path / "metrics.jsonl")):
+        # A log that has lost points does not diverge, and never replaces what the store has.
+        if known is not None and not lost and _diverges(known, read_metrics(directory.path / "metrics.jsonl")):
             store.delete(known)
             known = None
         run = _run(store, known, directory, config, tags)
@@ -98,10 +99,13 @@ def sync(directory: RunDirectory, uri: str) -> None:
 def try_sync(directory: RunDirectory, uri: str) -> str | None:
     """Sync as far as the store allows, and return what is in the way, or None.
 
-    The reason is noted in status.json as `unsynced` until a later attempt succeeds. What is no failure of the store
-    keeps nothing from going on either: the run directory has everything; its traceback is kept, and named.
+    The reason is noted in status.json as `unsynced` until a later attempt succeeds. An error of this package stops
+    nothing either, since the run directory has everything; its traceback is kept, and named. A run directory of another
+    version of this package is not touched.
     """
-    problem = None
+    problem = directory.version_problem
+    if problem is not None:
+        return problem
     try:
         sync(directory, uri)
     except Exception as error:
@@ -130,7 +134,7 @@ def recorded_in_step(directory: RunDirectory) -> bool:
 
 
 def present_status(directory: RunDirectory) -> Status:
-    """Return a run's status; one that was killed, or waits to go on, is `interrupted`."""
+    """Return a run's status for the store, where one that was killed or is pending is `interrupted`."""
     status = directory.status
     if status == "pending" or (status == "running" and not directory.under_way):
         return "interrupted"
@@ -147,7 +151,7 @@ def flatten(config: Mapping[str, Any], prefix: str = "") -> dict[str, str]:
 
 
 class _Sent:
-    """What the store has of a run, as far as this run directory knows."""
+    """`synced.json`: what the store has of a run, as far as its directory knows."""
 
     def __init__(self, directory: RunDirectory, uri: str, run_id: str) -> None:
         self._path = directory.path / SYNCED_FILE
@@ -244,8 +248,8 @@ def _latest_points(run: "Run") -> dict[str, tuple[int, int]]:
     return {metric.key: (metric.step, metric.timestamp) for metric in run.data.to_proto().metrics}
 
 
-def _another_past(run: "Run", records: Iterable[dict[str, Any]]) -> bool:
-    """Whether the store's latest point of a metric is none of the run directory's. Metrics of others don't count."""
+def _diverges(run: "Run", records: Iterable[dict[str, Any]]) -> bool:
+    """Whether the store's latest point of a metric is not in the run directory; metrics of others don't count."""
     ours: dict[str, set[tuple[int, int]]] = {}
     for record in records:
         for key in record["metrics"]:

@@ -1,4 +1,4 @@
-"""A training's link to its store, which may fail and never fails the training."""
+"""Track a training in its store; a store that fails never fails the training."""
 
 import shlex
 import time
@@ -17,7 +17,7 @@ SHORTEST_PAUSE_S, PAUSE_TO_ATTEMPT = 30.0, 20.0
 
 
 def later(output_dir: Path, uri: str | None) -> str:
-    """Say what to type when a store has not got everything; `uri` is the store, None for the embedded one."""
+    """Return what to type when a store lacks something; `uri` is the store, None for the embedded one."""
     words = ["python", "scripts/status.py", "sync=true"]
     if output_dir != Path("outputs").absolute():
         words.append(f"output_dir={output_dir}")
@@ -27,7 +27,7 @@ def later(output_dir: Path, uri: str | None) -> str:
 
 
 class Tracker:
-    """A run's link to a store. This one has none; `MlflowTracker` has."""
+    """Null tracker, of a run without a store; base of `MlflowTracker`."""
 
     def sync(self) -> None:
         """Send what has become final; to be called after each checkpoint."""
@@ -37,7 +37,7 @@ class Tracker:
 
 
 class MlflowTracker(Tracker):
-    """A link to MLflow. A store that fails is left alone for a while, and said so once."""
+    """Tracks a run in MLflow. After a failure the store is not tried again for a while, with one message."""
 
     def __init__(self, uri: str, directory: RunDirectory, say: Callable[[str], None]) -> None:
         self.uri, self.directory, self.say = uri, directory, say

@@ -1,7 +1,7 @@
-"""The training state, saved whole or not at all, and restored only when it is whole.
+"""Checkpoints: the whole training state, written atomically, restored only if every file has its hash.
 
-A checkpoint is a directory `step=<n>` with the model (policy, target networks, optimizers: Stable-Baselines3's
-zip), the filled part of the replay buffer, counters and streams as JSON and arrays, the logs so far, and a manifest of
+A checkpoint is a directory `step=<n>` with the model (policy, target networks, optimizers: Stable-Baselines3's zip),
+the filled part of the replay buffer, counters and rollout state as JSON and arrays, the logs so far, and a manifest of
 hashes. It is written under another name and renamed when all of it is on the disk. A training that is restored from it
 goes on as if it had not been cut, to the last bit. Nothing in it is unpickled on restoring.
 """
@@ -23,7 +23,8 @@ from parking_exp.algorithms.fast.base import LeanTraining
 from parking_exp.algorithms.weights import load_weights
 from parking_exp.buffers import HerBuffer
 from parking_exp.errors import DamagedFileError, DamagedModelError, ModelError
-from parking_exp.runs.atomic import read_json, sha256, sync, write_json
+from parking_exp.runs.atomic import fsync, read_json, sha256, write_json
+from parking_exp.runs.layout import new_entries, other_version
 from parking_exp.runs.logs import copy_logs
 from parking_exp.training import rollout_state, serialization
 
@@ -75,7 +76,7 @@ def save(directory: Path, model: OffPolicyAlgorithm, progress: Progress, best: P
         if best.exists():
             shutil.copyfile(best, folder / BEST)
         copy_logs(directory.parent, folder)
-        plain, arrays = serialization.split({"model": _attributes(model), "streams": rollout_state.gather(model)})
+        plain, arrays = serialization.split({"model": _attributes(model), "streams": rollout_state.get_state(model)})
         _write_arrays(folder / ARRAYS, arrays)
         write_json(folder / STATE, {"progress": asdict(progress), **plain})
     found = _found(directory)
@@ -87,17 +88,17 @@ def save(directory: Path, model: OffPolicyAlgorithm, progress: Progress, best: P
 
 
 def latest(directory: Path) -> Path | None:
-    """Return the newest whole checkpoint, or None. Truncated or corrupt ones are passed over, with a warning."""
+    """Return the newest whole checkpoint, or None. Damaged ones and those of other versions are skipped."""
     for folder in reversed(_found(directory)):
         problem = check(folder)
         if problem is None:
             return folder
-        log.warning("checkpoint %s is not whole (%s); trying the one before it", folder, problem)
+        log.warning("checkpoint %s is passed over (%s); trying the one before it", folder, problem)
     return None
 
 
 def check(folder: Path) -> str | None:
-    """Return what is wrong with a checkpoint, or None when all files are there and have their hashes."""
+    """Return what is wrong with a checkpoint; None if this version has made it and all files have their hashes."""
     try:
         manifest = read_json(folder / MANIFEST)
     except ValueError:  # not JSON, or not even text
@@ -106,9 +107,12 @@ def check(folder: Path) -> str | None:
         return f"{MANIFEST} is missing"
     if not isinstance(manifest, dict):
         return f"{MANIFEST} is not readable"
+    if (maker := other_version(manifest)) is not None:
+        return f"it was made by {maker}"
+    manifest.pop("layout", None)
     for name in (MODEL, BUFFER, STATE, ARRAYS, METRICS):
         if name not in manifest:
-            return f"{MANIFEST} does not name {name}; earlier versions of this package did not write all of them"
+            return f"{MANIFEST} does not name {name}"
     for name, digest in manifest.items():
         if not (folder / name).exists():
             return f"{name} is missing"
@@ -133,7 +137,7 @@ def restore(folder: Path, model: OffPolicyAlgorithm, best: Path) -> dict[str, An
     """Bring a freshly built model, and the best model's file, to a checkpoint's state.
 
     Returns:
-        The streams, for `streams.restore` when the next rollout begins.
+        The rollout state, for `rollout_state.set_state` when the next rollout begins.
 
     Raises:
         ModelError: its weights can't be loaded, although its files are as they were written.
@@ -173,13 +177,13 @@ def _new_directory(target: Path) -> Iterator[Path]:
         yield folder
         files = sorted(folder.iterdir())
         for file in files:
-            sync(file)
-        write_json(folder / MANIFEST, {file.name: sha256(file) for file in files})
-        sync(folder)
+            fsync(file)
+        write_json(folder / MANIFEST, new_entries() | {file.name: sha256(file) for file in files})
+        fsync(folder)
         if target.exists():  # the same step, found corrupt before
             shutil.rmtree(target)
         folder.rename(target)
-        sync(target.parent)
+        fsync(target.parent)
     except BaseException:
         shutil.rmtree(folder, ignore_errors=True)
         raise

@@ -1,4 +1,4 @@
-"""Stable-Baselines3's logger with the outputs that a run wants."""
+"""Stable-Baselines3 logger with a run's outputs: metrics.jsonl, progress.csv, TensorBoard, stdout."""
 
 import numbers
 import os
@@ -38,7 +38,7 @@ def make_logger(tracking: TrackingConfig, run_dir: Path, metrics: MetricsLog, st
 
 
 class _MetricsWriter(KVWriter):
-    """Passes the logger's rows on to a MetricsLog, and what that takes of them to a table, which so has the same."""
+    """Writes the logger's rows to a MetricsLog, and the values that it accepts to progress.csv as well."""
 
     def __init__(self, metrics: MetricsLog, table: CSVOutputFormat | None) -> None:
         self.metrics, self.table = metrics, table

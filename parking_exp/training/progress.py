@@ -1,4 +1,4 @@
-"""What a person sees of a training: a bar on a terminal, a line now and then elsewhere."""
+"""Progress of a training: a rich bar on a terminal, ten lines a run elsewhere, and the heartbeat."""
 
 import time
 from collections.abc import Callable, Sequence
@@ -11,9 +11,9 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from parking_exp.terminal import Screen
 
 LINES = 10  # lines a run, where there is no terminal
-BEAT_EVERY_S = 1.0
+HEARTBEAT_S = 1.0
 BESIDE_FIGURES = 36  # columns of the bar at its shortest, its description, both times, and gaps
-Beat = Callable[..., None]
+Heartbeat = Callable[..., None]
 
 
 class TrainingProgress:
@@ -23,16 +23,21 @@ class TrainingProgress:
         total_steps, start: env steps in all, and done before.
         enabled: whether anything is shown.
         console: where; None: the standard error stream.
-        beat: told every second how far the run is, whatever is shown.
+        heartbeat: told every second how far the run is, whatever is shown.
     """
 
     def __init__(
-        self, total_steps: int, start: int, enabled: bool, console: Console | None = None, beat: Beat | None = None
+        self,
+        total_steps: int,
+        start: int,
+        enabled: bool,
+        console: Console | None = None,
+        heartbeat: Heartbeat | None = None,
     ) -> None:
         self.console = console or Screen(stderr=True)
         self.total, self.start, self.enabled = total_steps, start, enabled
         self._started = time.monotonic()
-        self._beat, self._next_beat, self._step = beat, 0.0, start
+        self._heartbeat, self._next_heartbeat, self._step = heartbeat, 0.0, start
         self._next_line = start + max(1, total_steps // LINES)
         self._bar = Progress(
             TextColumn("{task.description}"),
@@ -60,8 +65,8 @@ class TrainingProgress:
         """Show the step, and the mean of the last training episodes."""
         self._step = step
         rate = (step - self.start) / max(time.monotonic() - self._started, 1e-9)
-        if time.monotonic() >= self._next_beat:
-            self._send("train", rate)
+        if time.monotonic() >= self._next_heartbeat:
+            self._send_heartbeat("train", rate)
         if not self.enabled:
             return
         known = [f"{rate:.0f} steps/s"]
@@ -74,7 +79,7 @@ class TrainingProgress:
 
     def busy(self, what: str) -> None:
         """Say what goes on besides training."""
-        self._send(what, 0.0)
+        self._send_heartbeat(what, 0.0)
         self._bar.update(self._task, description=what, figures="")
 
     def _fitting(self, figures: Sequence[str]) -> str:
@@ -83,10 +88,10 @@ class TrainingProgress:
         choices = ["  ".join(some) for some in (figures, [figures[0], figures[-1]], figures[-1:])]
         return next((text for text in choices if len(text) <= room), "")
 
-    def _send(self, doing: str, rate: float) -> None:
-        if self._beat is not None:
-            self._next_beat = time.monotonic() + BEAT_EVERY_S
-            self._beat(step=self._step, steps_per_s=rate, doing=doing)
+    def _send_heartbeat(self, doing: str, rate: float) -> None:
+        if self._heartbeat is not None:
+            self._next_heartbeat = time.monotonic() + HEARTBEAT_S
+            self._heartbeat(step=self._step, steps_per_s=rate, doing=doing)
 
     def say(self, text: str) -> None:
         """Print a line, above the bar where there is one."""

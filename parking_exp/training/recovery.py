@@ -1,4 +1,4 @@
-"""Models of a finished run that are gone, made again from its last checkpoint."""
+"""Make the deleted models of a finished run again, from its last checkpoint."""
 
 import json
 import zipfile
@@ -12,13 +12,13 @@ from parking_exp.training import checkpoints
 
 
 def make_models(directory: RunDirectory) -> str:
-    """Make models of a run that is done again where they are gone, the same to the last bit; nothing else changes.
+    """Make the final and the best model of a finished run again where they are gone, the same to the last bit.
 
     Returns:
         What was done, or why it can't be, as a sentence.
 
     Raises:
-        DamagedFileError: the checkpoint is none.
+        DamagedFileError: the checkpoint's model or progress can't be read.
         OSError: the disk is full.
     """
     gone = [name for name in MODELS if not (directory.models / name).exists()]
@@ -26,7 +26,7 @@ def make_models(directory: RunDirectory) -> str:
         return f"{directory.models} has all models"
     names, checkpoint = " and ".join(f"models/{name}" for name in gone), directory.final_checkpoint
     if (problem := checkpoints.check(checkpoint)) is not None:
-        why = f"{checkpoint} is not whole ({problem})" if checkpoint.exists() else "no checkpoint of its end is left"
+        why = f"{checkpoint} can't be used ({problem})" if checkpoint.exists() else "no checkpoint of its end is left"
         return f"{names}: gone, and can't be made again, since {why}; delete {directory.path} to train it afresh"
     directory.models.mkdir(exist_ok=True)
     for name in gone:

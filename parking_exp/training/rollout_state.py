@@ -1,8 +1,8 @@
-"""What goes on from one rollout to the next besides weights, counters and buffer.
+"""State outside the model that exact resume needs: random generators, envs, exploration noise, the logger.
 
-Envs in the middle of their episodes, random numbers, exploration noise, and metrics that wait for the next row of the
-log. Saved and restored at the same point, the beginning of a rollout, a training goes on as if it had not been cut.
-Restoring comes last there: `learn` resets action noise, and gSDE draws its matrices just before.
+Envs are in the middle of their episodes, and metrics wait in the logger for its next row. Saved and restored at the
+same point, the beginning of a rollout, a training goes on as if it had not been cut. Restoring comes last there:
+`learn` resets action noise, and gSDE draws its matrices just before.
 """
 
 import random
@@ -21,8 +21,8 @@ MATRICES = ("exploration_mat", "exploration_matrices")
 PENDING = ("name_to_value", "name_to_count", "name_to_excluded")
 
 
-def gather(model: OffPolicyAlgorithm) -> dict[str, Any]:
-    """Return all streams of a model as nested dicts and lists of arrays, numbers and words."""
+def get_state(model: OffPolicyAlgorithm) -> dict[str, Any]:
+    """Return the rollout state of a model as nested dicts and lists of arrays, numbers and texts."""
     assert model.env is not None
     sde = _sde(model)
     return {
@@ -34,8 +34,8 @@ def gather(model: OffPolicyAlgorithm) -> dict[str, Any]:
     }
 
 
-def restore(model: OffPolicyAlgorithm, state: Mapping[str, Any]) -> None:
-    """Bring the streams of a model of the same config to a saved state; what follows is identical."""
+def set_state(model: OffPolicyAlgorithm, state: Mapping[str, Any]) -> None:
+    """Restore the rollout state of a model of the same config; what follows is identical."""
     assert model.env is not None
     training_envs.set_state(model.env, state["envs"])
     noise, n_envs = model.action_noise, model.env.num_envs
@@ -79,7 +79,7 @@ def _set_random_states(model: OffPolicyAlgorithm, state: Mapping[str, Any]) -> N
 
 
 def _accelerator(model: OffPolicyAlgorithm) -> tuple[Any, tuple[torch.device, ...]] | None:
-    """Return torch's module for the model's device, with what it wants to know of it; None for the CPU."""
+    """Return torch's module for the model's accelerator and the arguments that name the device; None for the CPU."""
     if model.device.type == "cuda":
         return torch.cuda, (model.device,)
     return (torch.mps, ()) if model.device.type == "mps" else None
@@ -98,6 +98,6 @@ def _noises(noise: ActionNoise | None) -> list[ActionNoise]:
 
 
 def _noise_state(noise: ActionNoise) -> dict[str, Any]:
-    """Return what is a number in a noise, its last value among them (Ornstein-Uhlenbeck's `noise_prev`)."""
+    """Return the numeric attributes of an action noise, such as Ornstein-Uhlenbeck's last value `noise_prev`."""
     numbers = (bool, int, float, np.ndarray, np.generic)
     return {name: value for name, value in vars(noise).items() if isinstance(value, numbers)}

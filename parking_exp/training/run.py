@@ -1,4 +1,4 @@
-"""One run, from its config to its result."""
+"""Train one run, from its config to its result."""
 
 import os
 import resource
@@ -28,9 +28,10 @@ from parking_exp.terminal import say
 from parking_exp.tracking.tracker import Tracker, later, open_tracker
 from parking_exp.training import checkpoints
 from parking_exp.training.checkpoints import Progress
+from parking_exp.training.finish import finish
+from parking_exp.training.loop import TrainingLoop
 from parking_exp.training.progress import TrainingProgress
 from parking_exp.training.recovery import make_models
-from parking_exp.training.session import Session
 from parking_exp.training.signals import StopRequest, stop_on_signal
 
 
@@ -39,10 +40,11 @@ def train(config: DictConfig | Mapping[str, Any] | RunConfig, *, supervised: boo
 
     A run that is done returns its stored result, and its models are made again if they are gone. One that was cut off
     goes on from its latest whole checkpoint.
-    `supervised`: another process has claimed the run, and started this one for it.
+    `supervised`: another process holds the run's supervisor lock, and has started this one for it.
 
     Raises:
         ConfigError: the config cannot run; nothing was made on disk.
+        OutputDirectoryError: the run directory can't be written, or another version of this package has made it.
         RunLockedError: another process is working on the same run.
         InterruptedRunError: SIGINT or SIGTERM; the state is saved.
         FailedRunError: anything else; the run is marked failed, its traceback kept.
@@ -50,15 +52,16 @@ def train(config: DictConfig | Mapping[str, Any] | RunConfig, *, supervised: boo
     config = validate(config)
     directory = RunDirectory(config.run_dir)
     if directory.result() is None:
+        directory.check_version()
         if config.device.startswith("cuda") and not torch.cuda.is_available():
             raise ConfigError(f"device={config.device}: torch finds no CUDA device; the closest valid choice is cpu")
         check_saving(config)
-    with nullcontext() if supervised else directory.claimed(), directory.locked():
+    with nullcontext() if supervised else directory.supervisor_lock(), directory.training_lock():
         if (result := directory.result()) is not None:
             say("already done; to train it afresh, change the seed or delete its directory")
             if directory.lacks_model:
                 say(make_models(directory))
-            say(*_closing_words(result, directory))
+            say(*_closing_lines(result, directory))
             return result
         directory.create(config)
         # A run goes on as it began, on whatever machine.
@@ -80,12 +83,12 @@ def _train(config: RunConfig, directory: RunDirectory, stop: StopRequest) -> Run
         progress = checkpoints.read_progress(checkpoint) if checkpoint else Progress()
         damaged = restore_logs(directory.path, checkpoint)
         shown = config.tracking.progress_bar
-        with TrainingProgress(config.total_timesteps, progress.step, shown, beat=directory.beat) as bar:
+        with TrainingProgress(config.total_timesteps, progress.step, shown, heartbeat=directory.heartbeat) as bar:
             bar.say(f"{config.cell}, seed {config.seed}: {config.total_timesteps} env steps, in {directory.path}")
             for name in damaged:
                 bar.say(f"{name} was damaged; it is taken from the checkpoint")
             tracker = open_tracker(config, directory, bar.say)
-            session = Session(
+            loop = TrainingLoop(
                 config=config,
                 directory=directory,
                 tracker=tracker,
@@ -94,10 +97,10 @@ def _train(config: RunConfig, directory: RunDirectory, stop: StopRequest) -> Run
                 stop=stop,
                 bar=bar,
             )
-            session.learn()
-            episodes = session.finish()
-        metrics = session.metrics.latest()
-        finished = RunResult(str(directory.path), directory.run_id, session.model.num_timesteps, metrics)
+            loop.learn()
+            episodes = finish(loop)
+        metrics = loop.metrics.latest()
+        finished = RunResult(str(directory.path), directory.run_id, loop.model.num_timesteps, metrics)
         directory.finish(finished, logs=log_hashes(directory.path), **_cost(finished))
     except (InterruptedRunError, KeyboardInterrupt) as error:
         directory.update(status="interrupted")
@@ -117,7 +120,7 @@ def _train(config: RunConfig, directory: RunDirectory, stop: StopRequest) -> Run
         raise InterruptedRunError(words, signal.SIGINT) from None
     result = directory.result()
     assert result is not None
-    say(*describe(episodes).split("\n"), *_closing_words(result, directory))
+    say(*describe(episodes).split("\n"), *_closing_lines(result, directory))
     return result
 
 
@@ -146,7 +149,7 @@ def _cost(result: RunResult) -> dict[str, float | None]:
     }
 
 
-def _closing_words(result: RunResult, directory: RunDirectory) -> list[str]:
+def _closing_lines(result: RunResult, directory: RunDirectory) -> list[str]:
     rate = result.metrics.get("certified/success_rate")
     lines = (
         [f"final success rate {rate:.1%} on highway-env, after {result.steps} env steps"] if rate is not None else []

@@ -1,4 +1,4 @@
-"""One seed, and the independent streams that a run draws from it."""
+"""Derive the seeds of a run's independent random generators from its one seed."""
 
 from dataclasses import dataclass
 
@@ -9,7 +9,7 @@ from parking_exp.config.schema import TRAINING_SCENES_START
 
 @dataclass(frozen=True)
 class Seeds:
-    """Seeds of one run's random streams."""
+    """Seeds of one run's random generators."""
 
     policy: int
     """Weights, exploration and minibatches (Python, NumPy and torch), below 2**31."""

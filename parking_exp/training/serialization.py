@@ -1,4 +1,8 @@
-"""Nested state as JSON and arrays, so that nothing has to be pickled."""
+"""Serialization of nested state as JSON and NumPy arrays.
+
+Ours, since `torch.load(weights_only=True)` would need NumPy's private constructors on its allow-list, and safetensors
+holds tensors alone: the same conversion would stand before it.
+"""
 
 from collections.abc import Iterable, Mapping
 from typing import Any
@@ -8,7 +12,7 @@ import numpy as np
 ARRAY, SCALAR = "__array__", "__scalar__"  # keys of the dicts that stand for an array and for a NumPy scalar
 
 
-def split(tree: Any, name: str = "") -> tuple[Any, dict[str, np.ndarray]]:
+def split(state: Any, name: str = "") -> tuple[Any, dict[str, np.ndarray]]:
     """Split nested dicts and sequences into what JSON holds, and arrays by the path to them (`a/b/0`).
 
     NumPy scalars keep their type, since a mean of float32 is not a mean of float64. Sequences become lists.
@@ -16,12 +20,12 @@ def split(tree: Any, name: str = "") -> tuple[Any, dict[str, np.ndarray]]:
     Raises:
         TypeError: something is of another kind.
     """
-    if isinstance(tree, np.ndarray) and tree.dtype != object:
-        return {ARRAY: name}, {name: tree}
-    if isinstance(tree, np.generic):
-        return {SCALAR: [tree.dtype.str, tree.item()]}, {}
-    if tree is None or isinstance(tree, bool | int | float | str):
-        return tree, {}
+    if isinstance(state, np.ndarray) and state.dtype != object:
+        return {ARRAY: name}, {name: state}
+    if isinstance(state, np.generic):
+        return {SCALAR: [state.dtype.str, state.item()]}, {}
+    if state is None or isinstance(state, bool | int | float | str):
+        return state, {}
     arrays: dict[str, np.ndarray] = {}
 
     def part(key: object, value: Any) -> Any:
@@ -29,11 +33,11 @@ def split(tree: Any, name: str = "") -> tuple[Any, dict[str, np.ndarray]]:
         arrays.update(found)
         return plain
 
-    if isinstance(tree, Mapping):
-        return {str(key): part(key, value) for key, value in tree.items()}, arrays
-    if isinstance(tree, Iterable):
-        return [part(number, value) for number, value in enumerate(tree)], arrays
-    raise TypeError(f"{name} is a {type(tree).__name__}, which can't be saved without pickling it")
+    if isinstance(state, Mapping):
+        return {str(key): part(key, value) for key, value in state.items()}, arrays
+    if isinstance(state, Iterable):
+        return [part(number, value) for number, value in enumerate(state)], arrays
+    raise TypeError(f"{name} is a {type(state).__name__}, which can't be saved without pickling it")
 
 
 def join(plain: Any, arrays: Mapping[str, np.ndarray]) -> Any:

@@ -1,4 +1,4 @@
-"""Ctrl-C and SIGTERM as a wish that is granted at the next safe moment."""
+"""Turn SIGINT and SIGTERM into a stop request that is honoured between rollouts."""
 
 import os
 import signal
@@ -11,7 +11,7 @@ from types import FrameType
 
 @dataclass
 class StopRequest:
-    """Which signal asked the run to stop; None so far."""
+    """A request to stop: the number of the signal that made it, or None so far."""
 
     signal_number: int | None = None
 

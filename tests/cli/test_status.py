@@ -9,9 +9,10 @@ from support.sweep_processes import SLOW, begin, statuses, wait_until
 
 from parking_exp.errors import RunNotFoundError
 from parking_exp.runs.atomic import read_json
-from parking_exp.runs.directory import RunDirectory, find_run
+from parking_exp.runs.directory import RunDirectory
+from parking_exp.runs.lookup import find_run
 from parking_exp.runs.state import read_state
-from parking_exp.runs.tables import duration
+from parking_exp.runs.state_tables import duration
 
 
 def run_dir(output_dir, cell="cell-a", seed=0, **status):
@@ -28,12 +29,12 @@ def test_stages_are_told_from_status_claim_and_beat(tmp_path):
     cut_off = run_dir(tmp_path, seed=2, status="running", host="there", started=now)
     running = run_dir(tmp_path, seed=3, status="running", host="here", started=now)
     (cut_off / "checkpoints" / "step=0000000300").mkdir(parents=True)
-    RunDirectory(running).beat(step=400, steps_per_s=20.0, doing="train")
+    RunDirectory(running).heartbeat(step=400, steps_per_s=20.0, doing="train")
     assert (read_state(done).stage, read_state(done).success_rate, read_state(done).wall_s) == ("done", 0.9, 12.0)
     assert (read_state(failed).stage, read_state(failed).reason) == ("failed", "ValueError: x")
     assert (read_state(cut_off).stage, read_state(cut_off).step) == ("pending", 300)
     assert read_state(running).stage == "pending"  # nobody is at it
-    with RunDirectory(running).claimed():
+    with RunDirectory(running).supervisor_lock():
         state = read_state(running)
     assert (state.stage, state.step, state.steps_per_s, state.left_s, state.host) == (
         "running",
@@ -99,7 +100,7 @@ def test_a_status_that_is_damaged_is_one_runs_alone(tmp_path):
     found = json.loads(run_script("status", f"output_dir={tmp_path}", "--json").stdout)
     assert [run["damaged"] for run in found["cells"][1]["runs"]][5] == "status.json has no valid success_rate"
     process = RunDirectory(tmp_path / "mine" / "cell-b" / "seed=0")
-    with process.claimed():
+    with process.supervisor_lock():
         assert (read_state(process.path).stage, read_state(process.path).step) == ("running", 0)
 
 
@@ -107,8 +108,8 @@ def test_text_of_a_foreign_run_does_nothing_to_the_terminal(tmp_path):
     evil = "x\x1b]0;t\x07\x9b31m\r\x7f\u202e\nfailed   other"
     run_dir(tmp_path, "cell-\x1b[2J", 0, status="failed", error=evil, label=evil, host=evil)
     held = RunDirectory(run_dir(tmp_path, "cell-b", 1, status="running", host=evil, started=time.time() - 1))
-    with held.claimed():
-        held.beat(step=1, steps_per_s=0.0, doing=evil)
+    with held.supervisor_lock():
+        held.heartbeat(step=1, steps_per_s=0.0, doing=evil)
         told = run_script("status", f"output_dir={tmp_path}")
         plain = run_script("status", f"output_dir={tmp_path}", "--json")
     assert told.returncode == plain.returncode == 0
@@ -124,9 +125,9 @@ def test_text_of_a_foreign_run_does_nothing_to_the_terminal(tmp_path):
 
 def test_a_beat_of_an_earlier_process_does_not_count(tmp_path):
     path = run_dir(tmp_path, status="running")
-    RunDirectory(path).beat(step=400, steps_per_s=20.0, doing="train")
+    RunDirectory(path).heartbeat(step=400, steps_per_s=20.0, doing="train")
     RunDirectory(path).update(started=time.time() + 1)
-    with RunDirectory(path).claimed():
+    with RunDirectory(path).supervisor_lock():
         assert (read_state(path).step, read_state(path).doing) == (0, "starting")
 
 

@@ -20,7 +20,8 @@ from parking_exp.reports.build import Question, compare
 from parking_exp.reports.curves import Courses
 from parking_exp.reports.selection import choose, group, one_cell
 from parking_exp.results.frames import load
-from parking_exp.runs.state import find, read_state
+from parking_exp.runs.lookup import find_runs
+from parking_exp.runs.state import read_state
 from parking_exp.statistics import steps_to
 
 ENDS = {"sac": [0.8, 1.0, 0.8, 1.0, 1.0], "td3": [0.4, 0.2, 0.4, 0.6, 0.4]}
@@ -29,7 +30,7 @@ ALGORITHMS = {name: [f"algorithm={name}"] for name in ENDS}
 
 
 def content(output_dir, experiment="one", **changes):
-    states = {str(path): read_state(path) for path in find(output_dir, experiment)}
+    states = {str(path): read_state(path) for path in find_runs(output_dir, experiment)}
     return compare(load(experiment, output_dir=output_dir), Question(experiments=[experiment], **changes), states)
 
 
@@ -593,7 +594,7 @@ def test_runs_that_are_done_here_and_not_in_the_store_are_missing(output_dir):
     runs = make_store(output_dir, "one", {"sac": []}, range(2))
     results = load("one", output_dir=output_dir)
     gone = results.runs["run_id"] == runs["sac", 1].run_id
-    states = {str(path): read_state(path) for path in find(output_dir, "one")}
+    states = {str(path): read_state(path) for path in find_runs(output_dir, "one")}
     found = compare(replace(results, runs=results.runs[~gone]), Question(["one"]), states)
     assert found.missing == [
         "1 more run is done here, but not in the store; `python scripts/status.py sync=true` sends what is missing."

@@ -54,7 +54,7 @@ def only_run(output_dir):
 def store(output_dir):
     """A client of an output directory's own store."""
     from parking_exp.config.paths import default_uri
-    from parking_exp.tracking.store import connect
+    from parking_exp.tracking.client import connect
 
     return connect(default_uri(output_dir))
 

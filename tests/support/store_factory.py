@@ -270,7 +270,7 @@ def _write_artifacts(path: Path, episodes: pd.DataFrame, certified: pd.DataFrame
 def _send(directory: RunDirectory, look: Look, uri: str) -> None:
     """Send a run directory to the store, then give it there what a training would not."""
     if look.status == "running":
-        with directory.locked():
+        with directory.training_lock():
             sync(directory, uri)
     else:
         sync(directory, uri)

@@ -12,17 +12,17 @@ QUICK = (
     "experiment=smoke", "total_timesteps=60", "evaluation.final_n_scenes=3", "evaluation.every_n_steps=null",
     "evaluation.video_episodes=0", "tracking.mlflow=false", "tracking.tensorboard=false",
 )  # fmt: skip
-SLOW = ("algorithm._target_=misbehaving.Lingers", "total_timesteps=200", "checkpoint.every_n_steps=50")
-MISBEHAVING = {"PYTHONPATH": str(ROOT / "tests")}
+SLOW = ("algorithm._target_=support.failing_algorithms.Lingers", "total_timesteps=200", "checkpoint.every_n_steps=50")
+FAILING = {"PYTHONPATH": str(ROOT / "tests")}
 
 
 def sweep(output_dir, *arguments, **keywords):
-    return run_script("train", *QUICK, f"output_dir={output_dir}", *arguments, env=MISBEHAVING, **keywords)
+    return run_script("train", *QUICK, f"output_dir={output_dir}", *arguments, env=FAILING, **keywords)
 
 
 def begin(output_dir, *arguments):
     """Start a sweep in a session of its own, as a terminal would."""
-    command, keywords = script("train", *QUICK, f"output_dir={output_dir}", *arguments, env=MISBEHAVING)
+    command, keywords = script("train", *QUICK, f"output_dir={output_dir}", *arguments, env=FAILING)
     return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, start_new_session=True, **keywords)
 
 

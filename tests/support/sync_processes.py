@@ -1,4 +1,4 @@
-"""Processes that sync run directories at once, or are killed while they do: `python syncing_processes.py WHAT PATHS`.
+"""Processes that sync run directories at once, or are killed while they do: `python sync_processes.py WHAT PATHS`.
 
 One process imports mlflow and forks the others, which start at the same moment. Nothing here imports torch.
 """
@@ -14,13 +14,13 @@ from parking_exp.config.paths import default_uri
 from parking_exp.runs.atomic import sha256, write_json
 from parking_exp.runs.directory import RunDirectory
 from parking_exp.runs.logs import MetricsLog, copy_logs
-from parking_exp.runs.state import find
-from parking_exp.tracking.outdated import sync_all
-from parking_exp.tracking.store import ENVIRONMENT
+from parking_exp.runs.lookup import find_runs
+from parking_exp.tracking.client import ENVIRONMENT
 from parking_exp.tracking.sync import sync as sync_to
+from parking_exp.tracking.sync_all import sync_all
 
 KEYS = ("eval/success_rate", "rollout/ep_rew_mean", "train/loss")
-WATCHED = ("parking_exp/tracking/store.py", "parking_exp/tracking/sync.py", "parking_exp/tracking/artifacts.py", "parking_exp/runs/atomic.py",
+WATCHED = ("parking_exp/tracking/client.py", "parking_exp/tracking/store.py", "parking_exp/tracking/sync.py", "parking_exp/tracking/artifacts.py", "parking_exp/runs/atomic.py",
            "parking_exp/runs/directory.py", "mlflow/tracking/client.py", "mlflow/store/tracking/sqlalchemy_store.py",
            "mlflow/store/artifact/local_artifact_repo.py")  # fmt: skip
 
@@ -71,7 +71,7 @@ def statuses(pids):
 
 def train(directory, gate, rows, checkpoints):
     os.read(gate, 1)  # comes to an end when the gate is opened
-    with directory.locked():
+    with directory.training_lock():
         for _ in range(checkpoints):
             grow(directory, rows)
             sync(directory)
@@ -120,5 +120,5 @@ if __name__ == "__main__":
         endings = [statuses([forked(killed_sync, *pair)])[0] for pair in zip(directories, moments, strict=True)]
         print(endings)
     if command == "scan":
-        found = [RunDirectory(path) for path in find(Path(paths[0]))]
+        found = [RunDirectory(path) for path in find_runs(Path(paths[0]))]
         print(len(list(sync_all(found, [default_uri(Path(paths[0]))]))))

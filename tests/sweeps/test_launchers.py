@@ -8,7 +8,7 @@ from pathlib import Path
 
 import psutil
 import pytest
-from support.sweep_processes import MISBEHAVING, SLOW, begin, stages, statuses, sweep, trained, wait_until
+from support.sweep_processes import FAILING, SLOW, begin, stages, statuses, sweep, trained, wait_until
 
 RAY = Path(sys.executable).with_name("ray")
 LOCAL = ("hydra/launcher=local",)
@@ -19,7 +19,7 @@ LAUNCHERS = [LOCAL, BASIC, SLURM, pytest.param(RAY_CLUSTER, marks=pytest.mark.sl
 
 
 def ray(*arguments):
-    environment = {**os.environ, **MISBEHAVING, "RAY_USAGE_STATS_ENABLED": "0"}
+    environment = {**os.environ, **FAILING, "RAY_USAGE_STATS_ENABLED": "0"}
     return subprocess.run([RAY, *arguments], check=True, capture_output=True, text=True, timeout=120, env=environment)
 
 
@@ -44,7 +44,7 @@ def launcher(request):
 
 @pytest.mark.parametrize("launcher", LAUNCHERS, indirect=True, ids=lambda value: value[0])
 def test_every_run_is_trained_a_failure_is_told_and_nothing_is_done_twice(tmp_path, launcher):
-    targets = "algorithm._target_=parking_exp.algorithms.SAC,misbehaving.Raises,misbehaving.IsKilled"
+    targets = "algorithm._target_=parking_exp.algorithms.SAC,support.failing_algorithms.Raises,support.failing_algorithms.IsKilled"
     done = sweep(tmp_path, targets, *launcher, timeout=300)
     assert done.returncode == 2
     assert done.stderr.splitlines()[-1] == (

@@ -18,8 +18,8 @@ from parking_exp.runs.directory import RunDirectory
 from parking_exp.runs.state import read_state
 from parking_exp.sweeps.local import launch
 from parking_exp.sweeps.monitor import Monitor
-from parking_exp.sweeps.run import plan
-from parking_exp.sweeps.worker import supervise
+from parking_exp.sweeps.plan import plan
+from parking_exp.sweeps.supervisor import supervise
 from parking_exp.terminal import Screen
 
 TWO = ("hydra.launcher.n_jobs=2",)  # at a time, on however many cores
@@ -71,7 +71,7 @@ def test_every_way_to_fail_is_told_and_the_others_go_on(tmp_path):
     assert reasons["IsKilled"] == "killed by SIGKILL (out of memory?)"
     assert reasons["Vanishes"].startswith("its process ended with status 0 and without a result; see ")
     for kind in kinds:
-        assert f"failed   _target_=misbehaving.{kind} seed=0: {reasons[kind]}" in done.stdout
+        assert f"failed   _target_=support.failing_algorithms.{kind} seed=0: {reasons[kind]}" in done.stdout
     assert done.stderr.splitlines()[-1] == (
         "error: of 5 runs, 4 failed; type the same command to go on; retry=failed runs failed ones again"
     )
@@ -101,7 +101,13 @@ def test_retry_runs_a_failed_run_again(tmp_path):
 
 def test_a_run_that_hangs_past_its_time_is_failed(tmp_path):
     begin = time.monotonic()
-    done = sweep(tmp_path, "seeds=[0]", "algorithm._target_=misbehaving.Hangs", "timeout_s=2", "hydra/launcher=local")
+    done = sweep(
+        tmp_path,
+        "seeds=[0]",
+        "algorithm._target_=support.failing_algorithms.Hangs",
+        "timeout_s=2",
+        "hydra/launcher=local",
+    )
     assert time.monotonic() - begin < 60
     assert done.returncode == 2
     (status,) = statuses(tmp_path).values()
@@ -197,7 +203,7 @@ def test_a_run_that_was_stopped_before_its_first_checkpoint_is_said_so(tmp_path)
 
     with Monitor([run.path], out):
         for _ in range(2):
-            with directory.claimed():
+            with directory.supervisor_lock():
                 directory.update(status="running")
                 wait_until(lambda: lines()[-1:] == ["started  her seed=0"])
             wait_until(lambda: lines()[-1].startswith("stopped"))
@@ -231,7 +237,7 @@ def test_who_looks_at_a_run_does_not_keep_it_from_being_frozen_or_claimed(tmp_pa
             (run.path / "config.yaml").unlink(missing_ok=True)
             directory.freeze(run.config, f"label {number}", None)
             assert read_state(run.path).label == f"label {number}"
-            with directory.claimed():
+            with directory.supervisor_lock():
                 pass
     finally:
         over.set()
@@ -251,7 +257,7 @@ def test_a_supervisor_that_stalls_after_it_has_started_its_worker_loses_nothing(
 
 def test_names_and_reasons_with_markup_are_printed_as_they_are(tmp_path):
     output_dir = tmp_path / "out [/q] :warning: 'x'"
-    done = sweep(output_dir, "seeds=2", r"algorithm._target_=misbehaving.Raises")
+    done = sweep(output_dir, "seeds=2", r"algorithm._target_=support.failing_algorithms.Raises")
     assert done.returncode == 2
     assert "RuntimeError: a bad <day> [bold]" in done.stdout
     assert str(output_dir) in done.stdout

@@ -21,10 +21,10 @@ from parking_exp.results.frames import load
 from parking_exp.runs.atomic import read_json, write_json
 from parking_exp.runs.directory import RunDirectory, RunResult
 from parking_exp.runs.logs import log_hashes
-from parking_exp.runs.state import find
-from parking_exp.tracking.outdated import sync_all
+from parking_exp.runs.lookup import find_runs
 from parking_exp.tracking.reader import Reader
 from parking_exp.tracking.sync import sync
+from parking_exp.tracking.sync_all import sync_all
 from parking_exp.training.run import train
 
 EVALUATE = ("episodes=1", "simulator=vectorized", "name=again")
@@ -76,7 +76,7 @@ def everything_moved(smoke, tmp_path):
     def move(how):
         old, new = tmp_path / "old", tmp_path / "new"
         shutil.copytree(smoke[2], old, symlinks=True)
-        (path,) = find(old)
+        (path,) = find_runs(old)
         # As a training in `old` leaves it.
         RunDirectory(path).update(run_id=smoke[0].run_id)
         for table, column in (("experiments", "artifact_location"), ("runs", "artifact_uri")):
@@ -97,7 +97,7 @@ def everything_moved(smoke, tmp_path):
 def test_an_output_directory_elsewhere_works_there_and_touches_nothing_else(everything_moved, how):
     old, new = everything_moved(how)
     before = snapshot(old) if how == "copied" else None
-    (path,) = find(new)
+    (path,) = find_runs(new)
     run_id = RunDirectory(path).run_id
     done = run_script("evaluate", f"run={path}", f"output_dir={new}", *EVALUATE)
     assert done.returncode == 0, done.stderr

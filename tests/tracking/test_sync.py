@@ -31,14 +31,15 @@ from parking_exp.config.paths import default_uri
 from parking_exp.runs.atomic import write_json
 from parking_exp.runs.directory import RunDirectory, RunResult
 from parking_exp.runs.logs import log_hashes, restore_logs
+from parking_exp.runs.lookup import find_runs
 from parking_exp.runs.provenance import provenance
-from parking_exp.runs.state import find
 from parking_exp.tracking import artifacts as sent_files
 from parking_exp.tracking import sync as syncing
-from parking_exp.tracking.outdated import in_step as in_step_with
-from parking_exp.tracking.outdated import known_statuses, sync_all
-from parking_exp.tracking.store import connect, is_store_failure, reason
+from parking_exp.tracking.client import connect
+from parking_exp.tracking.failures import is_store_failure, reason
 from parking_exp.tracking.sync import flatten, try_sync
+from parking_exp.tracking.sync_all import in_step as in_step_with
+from parking_exp.tracking.sync_all import known_statuses, sync_all
 from parking_exp.tracking.tracker import open_tracker
 from parking_exp.training import checkpoints
 from parking_exp.training.run import train
@@ -59,7 +60,7 @@ def smoke_config():
 
 def sync_everything(output_dir, *uris):
     """Sync every run of an output directory with its embedded store or others; what was in the way of each."""
-    directories = [RunDirectory(path) for path in find(output_dir)]
+    directories = [RunDirectory(path) for path in find_runs(output_dir)]
     return [problem for _, problem in sync_all(directories, [default_uri(output_dir), *uris])]
 
 
@@ -241,7 +242,7 @@ def test_a_run_that_was_killed_sends_nothing_above_its_last_checkpoint(output_di
 
     assert restore_logs(directory.path, directory.checkpoints / "step=0000000020") == []
     time.sleep(0.002)  # the same steps come at another time
-    with directory.locked():  # it goes on
+    with directory.training_lock():  # it goes on
         sync(directory)
         assert store(output_dir).get_run(run_id).info.status == "RUNNING"
         grow(directory, rows=15)
@@ -399,7 +400,7 @@ def test_a_run_that_broke_sends_nothing_above_its_last_checkpoint(output_dir, st
     assert "traceback.txt" in artifacts(client, directory.run_id)
     (directory.path / "traceback.txt").unlink()  # typed again, it goes on
     directory.update(status="running")
-    with directory.locked():
+    with directory.training_lock():
         sync(directory)
     assert "traceback.txt" not in artifacts(client, directory.run_id)
 
@@ -412,7 +413,7 @@ def test_the_reason_of_a_failure_is_in_the_store_until_the_run_goes_on(output_di
     assert reason == "ValueError: a loss of NaN " + 471 * "x" + "..."
     assert len(reason) == 500
     directory.update(status="running", error=None)
-    with directory.locked():
+    with directory.training_lock():
         sync(directory)
     assert client.get_run(directory.run_id).data.tags["error"] == ""
 
@@ -464,7 +465,7 @@ def test_what_others_log_to_a_run_is_left_alone(output_dir):
 
 def test_a_run_that_another_process_works_on_is_left_to_it(output_dir):
     directory = written_run(output_dir)
-    with directory.locked():
+    with directory.training_lock():
         assert sync_everything(output_dir) == []
     assert sync_everything(output_dir) == [None]
 

@@ -23,7 +23,7 @@ from support.sweep_processes import workers
 from parking_exp.algorithms.build import build_model, greedy_policy
 from parking_exp.envs.training_envs import make_training_envs
 from parking_exp.runs.directory import RunDirectory
-from parking_exp.runs.state import find
+from parking_exp.runs.lookup import find_runs
 from parking_exp.training.run import train
 
 pytestmark = pytest.mark.slow
@@ -123,12 +123,12 @@ def test_a_parallel_sweep_killed_at_random_moments_is_the_sweep_that_was_not(tmp
         process.kill()
         process.wait()
         killed += 1
-        for path in find(pieces):
+        for path in find_runs(pieces):
             first_ids.setdefault(path, RunDirectory(path).run_id)
     done = run_script("train", *arguments, f"output_dir={pieces}", timeout=600)
     assert done.returncode == 0, done.stderr
     print(f"the sweep was killed {killed} times")
-    ours, theirs = find(whole), find(pieces)
+    ours, theirs = find_runs(whole), find_runs(pieces)
     assert [path.relative_to(whole) for path in ours] == [path.relative_to(pieces) for path in theirs]
     assert len(ours) == 12
     for one, two in zip(ours, theirs, strict=True):

@@ -27,9 +27,10 @@ from parking_exp.errors import FailedRunError, InterruptedRunError
 from parking_exp.evaluation.evaluate import evaluate
 from parking_exp.evaluation.video import record
 from parking_exp.runs.atomic import read_json
-from parking_exp.training import checkpoints, rollout_state, serialization, session
+from parking_exp.training import checkpoints, finish, loop, rollout_state, serialization
+from parking_exp.training.callbacks import RolloutCallback
+from parking_exp.training.loop import TrainingLoop
 from parking_exp.training.run import train
-from parking_exp.training.session import Schedule, Session
 
 SMOKE = ("experiment=smoke", "total_timesteps=160", "evaluation.every_n_steps=60", "checkpoint.every_n_steps=50",
          "evaluation.n_scenes=1", "evaluation.final_n_scenes=2", "evaluation.video_episodes=0", "env.duration=2",
@@ -84,7 +85,7 @@ def cut(owner, name, when):
 
 def cut_at(step):
     """Inside a step: its transition is counted and not stored."""
-    return cut(Schedule, "_on_step", lambda schedule: schedule.num_timesteps >= step)
+    return cut(RolloutCallback, "_on_step", lambda callback: callback.num_timesteps >= step)
 
 
 @cache
@@ -99,7 +100,7 @@ def configured(output_dir, *overrides):
 @pytest.fixture(autouse=True)
 def no_picture(monkeypatch):
     """Which would take longer than all the rest of a run."""
-    monkeypatch.setattr(session, "learning_curves", lambda *_: None)
+    monkeypatch.setattr(finish, "learning_curves", lambda *_: None)
 
 
 def run(output_dir, *overrides, cuts=()):
@@ -189,19 +190,19 @@ def test_the_comparison_sees_everything(uninterrupted, tmp_path):
 def test_a_run_that_was_cut_off_in_an_evaluation(uninterrupted, tmp_path, first):
     """The first one, before any checkpoint, or the third; a checkpoint at each, and evaluations only then."""
     calls = iter(range(100))
-    in_evaluation = cut(session, "evaluate", lambda *_: next(calls) == first - 1)
+    in_evaluation = cut(loop, "evaluate", lambda *_: next(calls) == first - 1)
     assert differences(uninterrupted, run(tmp_path, cuts=[in_evaluation])) == []
 
 
 @pytest.mark.parametrize("overrides", [("algorithm=td3",), ("algorithm.use_sde=true",)])
 def test_a_run_that_was_cut_off_between_its_end_and_its_result(tmp_path, overrides):
     """Nothing is left to be learned then, and its state is the same all the same."""
-    cuts = [cut(Session, "_certify", lambda *_: True) for _ in range(2)]
+    cuts = [cut(finish, "_certify", lambda *_: True) for _ in range(2)]
     whole, pieces = run(tmp_path / "whole", *overrides), run(tmp_path / "pieces", *overrides, cuts=cuts)
     assert differences(whole, pieces) == []
     _, fresh = built(*overrides)
     folder = sorted((pieces / "checkpoints").iterdir())[-1]
-    rollout_state.restore(fresh, checkpoints.restore(folder, fresh, tmp_path / "best.zip"))
+    rollout_state.set_state(fresh, checkpoints.restore(folder, fresh, tmp_path / "best.zip"))
     again = checkpoints.save(tmp_path, fresh, checkpoints.read_progress(folder), tmp_path / "best.zip", 1)
     assert (again / "state.npz").read_bytes() == (folder / "state.npz").read_bytes()
     assert read_json(again / "state.json") == read_json(folder / "state.json")
@@ -209,7 +210,7 @@ def test_a_run_that_was_cut_off_between_its_end_and_its_result(tmp_path, overrid
 
 @pytest.mark.parametrize("name", ["model.zip", "state.json"])
 def test_a_run_that_was_cut_off_while_it_wrote_a_checkpoint(uninterrupted, tmp_path, name):
-    writing = cut(checkpoints, "sync", lambda path: path.name == name and "100" in path.parent.name)
+    writing = cut(checkpoints, "fsync", lambda path: path.name == name and "100" in path.parent.name)
     assert differences(uninterrupted, run(tmp_path, cuts=[writing])) == []
 
 
@@ -232,15 +233,15 @@ def test_a_run_whose_newest_checkpoint_was_damaged(uninterrupted, tmp_path):
 def test_a_run_that_was_told_to_stop_at_an_odd_step(uninterrupted, tmp_path, in_evaluation):
     """What a signal does: a checkpoint where none is due, without the evaluation that is, and metrics wait for their row."""
     config = configured(tmp_path)
-    asked = Session.evaluate if in_evaluation else Schedule._on_step
+    asked = TrainingLoop.evaluate if in_evaluation else RolloutCallback._on_step
 
     def ask(self, *rest):
         if in_evaluation or self.num_timesteps >= 133:
-            (self if in_evaluation else self.session).stop.signal_number = signal.SIGTERM
+            (self if in_evaluation else self.loop).stop.signal_number = signal.SIGTERM
         return asked(self, *rest)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(Session if in_evaluation else Schedule, asked.__name__, ask)
+        patch.setattr(TrainingLoop if in_evaluation else RolloutCallback, asked.__name__, ask)
         with pytest.raises(InterruptedRunError):
             train(config)
     step = 60 if in_evaluation else 134
@@ -305,11 +306,11 @@ def built(*overrides):
 def test_evaluations_and_videos_draw_none_of_the_trainings_random_numbers(tmp_path, overrides, simulator):
     config, model = built(*overrides)
     model.learn(20)
-    before = comparable(rollout_state.gather(model))
+    before = comparable(rollout_state.get_state(model))
     evaluate(greedy_policy(model), config.env, range(3), simulator=simulator)
     if simulator == "highway_env":
         record(greedy_policy(model), config.env, range(1), tmp_path / "video.mp4")
-    assert comparable(rollout_state.gather(model)) == before
+    assert comparable(rollout_state.get_state(model)) == before
 
 
 def comparable(tree):
@@ -318,7 +319,7 @@ def comparable(tree):
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_streams_are_restored_as_they_were_saved(kind):
+def test_rollout_state_is_restored_as_it_was_saved(kind):
     """In a model that has gone another way since; and what draws then draws the same."""
 
     def draws(model):
@@ -328,13 +329,13 @@ def test_streams_are_restored_as_they_were_saved(kind):
     model.learn(50)
     model.logger.record("train/loss", 0.5, exclude="tensorboard")
     model.logger.record_mean("train/mean", 0.25)
-    saved = rollout_state.gather(model)
+    saved = rollout_state.get_state(model)
     plain, arrays = serialization.split(copy.deepcopy(saved))
     expected = draws(model)
     other.learn(30)
     disturb()
-    rollout_state.restore(other, serialization.join(json.loads(json.dumps(plain)), arrays))
-    assert comparable(rollout_state.gather(other)) == comparable(saved)
+    rollout_state.set_state(other, serialization.join(json.loads(json.dumps(plain)), arrays))
+    assert comparable(rollout_state.get_state(other)) == comparable(saved)
     assert other.logger.name_to_excluded["train/loss"] == ("tensorboard",)
     assert draws(other) == expected
 

@@ -46,9 +46,10 @@ from parking_exp.errors import (
 from parking_exp.evaluation.evaluate import EPISODE_COLUMNS, evaluate
 from parking_exp.evaluation.stored_run import evaluate_run
 from parking_exp.runs.atomic import read_json, sha256, write_json
-from parking_exp.runs.directory import RunDirectory, find_run
+from parking_exp.runs.directory import RunDirectory
+from parking_exp.runs.lookup import find_run
 from parking_exp.tracking.sync import flatten
-from parking_exp.training import checkpoints, session
+from parking_exp.training import checkpoints, loop
 from parking_exp.training.run import train
 
 EVALUATED = [
@@ -404,7 +405,7 @@ def test_from_a_damaged_checkpoint_no_model_is_made(finished, capsys):
     checkpoint = directory.checkpoints / "step=0000000400"
     (checkpoint / "model.zip").write_bytes(b"")
     train(make_config(*arguments))
-    assert f"can't be made again, since {checkpoint} is not whole (model.zip has changed)" in capsys.readouterr().out
+    assert f"can't be made again, since {checkpoint} can't be used (model.zip has changed)" in capsys.readouterr().out
     assert not directory.models.exists()
 
 
@@ -561,7 +562,7 @@ def test_a_corrupt_checkpoint_is_passed_over_with_a_warning(tmp_path):
     os.truncate(newer / "replay_buffer.npz", 1000)
     done = run_script("train", *arguments)
     assert done.returncode == 0, done.stderr
-    assert f"checkpoint {newer} is not whole (replay_buffer.npz has changed); trying the one before it" in done.stderr
+    assert f"checkpoint {newer} is passed over (replay_buffer.npz has changed); trying the one before it" in done.stderr
     assert f"resuming at step {int(older.name.removeprefix('step='))}" in done.stderr
     # The store had points of the corrupt checkpoint, and they can't be taken back: another MLflow run takes its place.
     assert store(output_dir).get_run(killed_id).info.lifecycle_stage == "deleted"
@@ -569,7 +570,9 @@ def test_a_corrupt_checkpoint_is_passed_over_with_a_warning(tmp_path):
 
 
 def test_a_run_that_fails_is_failed_in_the_store_with_its_traceback(tmp_path):
-    config = make_config("experiment=smoke", f"output_dir={tmp_path}", "algorithm._target_=misbehaving.Raises")
+    config = make_config(
+        "experiment=smoke", f"output_dir={tmp_path}", "algorithm._target_=support.failing_algorithms.Raises"
+    )
     with pytest.raises(FailedRunError, match=r"the run failed: .*; its traceback is in .*traceback\.txt"):
         train(config)
     directory, client = RunDirectory(config.run_dir), store(tmp_path)
@@ -643,7 +646,10 @@ def test_latest_is_the_last_run_that_has_a_model(tmp_path):
 
 def test_two_processes_do_not_work_on_one_run(tmp_path):
     config = make_config("experiment=smoke", f"output_dir={tmp_path}")
-    with RunDirectory(config.run_dir).claimed(), pytest.raises(RunLockedError, match="another process is working on"):
+    with (
+        RunDirectory(config.run_dir).supervisor_lock(),
+        pytest.raises(RunLockedError, match="another process is working on"),
+    ):
         train(config)
 
 
@@ -766,7 +772,7 @@ def test_a_run_has_room_for_its_end_until_that_is_written(tmp_path, monkeypatch)
     stopped = InterruptedRunError("stopped", signal.SIGINT)
     for error, raised in ((RuntimeError(), FailedRunError), (stopped, InterruptedRunError)):
         with monkeypatch.context() as patch, pytest.raises(raised):
-            patch.setattr(session.Session, "learn", end(error))
+            patch.setattr(loop.TrainingLoop, "learn", end(error))
             train(config)
         assert not reserve.exists()
     assert min(seen) >= 64 * 1024

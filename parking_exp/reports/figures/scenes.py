@@ -22,7 +22,7 @@ from parking_exp.reports.figures.canvas import Sheet, text_on, tiles
 from parking_exp.reports.figures.cells import shown_cells
 from parking_exp.reports.figures.style import COLUMN_IN, FULL_IN, GRID, INK, SMALL_PT, TINY_PT, labels, width_pt
 from parking_exp.reports.formats import rate_text
-from parking_exp.training.figures import COLOURS
+from parking_exp.training.learning_curves import COLOURS
 
 _MOST_ENDS = 150
 _MOST_ROWS = 6

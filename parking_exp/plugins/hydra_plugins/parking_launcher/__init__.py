@@ -15,19 +15,19 @@ from omegaconf import DictConfig
 
 
 class _RunLauncher(Launcher):
-    """What both share: jobs are run directories, `run=PATH`, and results lie there; nothing is returned but a word."""
+    """Base of both launchers: a job is a run directory, `run=PATH`; only a WorkerResult is returned."""
 
     def setup(self, *, hydra_context: HydraContext, task_function: TaskFunction, config: DictConfig) -> None:
-        """Take what Hydra gives; the task is always `parking_exp.sweeps.worker`."""
+        """Do nothing: the task is always `parking_exp.sweeps.supervisor.supervise`."""
 
     def launch(self, job_overrides: Sequence[Sequence[str]], initial_job_idx: int) -> Sequence[JobReturn]:
         """Train the runs and return how each ended, in JobReturn.return_value."""
         paths = [Path(_run_of(overrides)) for overrides in job_overrides]
-        endings = self.train(paths)
+        results = self.train(paths)
         returns = []
         for overrides, path in zip(job_overrides, paths, strict=True):
             done = JobReturn(overrides=list(overrides), working_dir=str(Path.cwd()), status=JobStatus.COMPLETED)
-            done.return_value = endings.get(path)
+            done.return_value = results.get(path)
             returns.append(done)
         return returns
 
@@ -69,7 +69,7 @@ class SlurmLauncher(_RunLauncher):
 
 
 def _check(name: str, value: Any, kind: Any) -> None:
-    """Refuse what is neither null nor a number above 0."""
+    """Refuse a value that is neither null nor a number above 0."""
     if value is not None and (not isinstance(value, kind) or isinstance(value, bool) or value <= 0):
         from parking_exp.errors import ConfigError
 

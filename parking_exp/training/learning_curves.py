@@ -1,4 +1,4 @@
-"""Frames -> pictures."""
+"""Draw the learning curves of a run, `curves.png`."""
 
 from pathlib import Path
 

@@ -1,10 +1,10 @@
-"""Runs as tables and lines for a terminal."""
+"""Tables and lines of run states for a terminal."""
 
 from collections.abc import Iterator, Sequence
 
 from rich.table import Table
 
-from parking_exp.errors import quoted_label
+from parking_exp.errors import plural, quoted_label
 from parking_exp.runs.state import STAGES, RunState, by_cell, counts
 
 
@@ -44,6 +44,14 @@ def damaged_lines(states: Sequence[RunState]) -> Iterator[str]:
     for state in states:
         if state.damaged:
             yield f"damaged  {name(state)}: {state.damaged}; it counts as {state.stage}   {state.run_dir}"
+
+
+def version_lines(states: Sequence[RunState]) -> Iterator[str]:
+    """Yield a line for each other version of this package that has made some of the runs."""
+    makers = [state.other_version for state in states if state.other_version]
+    for maker in sorted(set(makers)):
+        made = f"{plural(makers.count(maker), 'run')} made by {maker}"
+        yield f"version  {made}: results stay as they are; only that version can evaluate or resume them"
 
 
 def stopped_lines(states: Sequence[RunState]) -> Iterator[str]:

@@ -1,10 +1,11 @@
-"""Find the runs that a store lacks or has an older state of, by asking it, and sync them."""
+"""Sync all runs that a store lacks or has an older state of; the store is asked which these are."""
 
 from collections.abc import Iterable, Iterator, Sequence
 
 from parking_exp.config.paths import absolute, database, is_same_store, without_password
 from parking_exp.runs.directory import RunDirectory
-from parking_exp.tracking.store import Store, is_store_failure, reason
+from parking_exp.tracking.failures import is_store_failure, reason
+from parking_exp.tracking.store import Store
 from parking_exp.tracking.sync import present_status, recorded_in_step, try_sync
 
 
@@ -42,7 +43,7 @@ def known_statuses(uri: str, directories: Iterable[RunDirectory]) -> dict[str, s
     """Ask a store for the status of every run of the experiments of some run directories; a new store has none.
 
     Raises:
-        Exception: the store can't be reached; see `store.is_store_failure`.
+        Exception: the store can't be reached; see `failures.is_store_failure`.
     """
     path = database(uri)
     if path is not None and not path.exists():

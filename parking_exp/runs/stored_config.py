@@ -1,0 +1,67 @@
+"""The resolved config in a run directory: written with paths relative to it, read back as data."""
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from parking_exp.config.paths import absolute, relative
+from parking_exp.config.schema import RunConfig
+from parking_exp.config.validate import check
+from parking_exp.errors import ConfigError
+from parking_exp.runs.atomic import read_plain_yaml, write_atomically
+
+CONFIG_FILE = "config.yaml"
+OUTPUT_DIR = "../../.."  # from a run directory
+
+
+def write_config(directory: Path, config: RunConfig, *, durable: bool) -> None:
+    """Write a run's config into its directory, which is made if need be.
+
+    Raises:
+        OSError: it can't be written.
+    """
+    uri = config.tracking.uri and relative(config.tracking.uri, config.output_path)
+    tracking = config.tracking.model_copy(update={"uri": uri})
+    plain = config.model_copy(update={"output_dir": OUTPUT_DIR, "tracking": tracking}).plain()
+    directory.mkdir(parents=True, exist_ok=True)
+    write_atomically(directory / CONFIG_FILE, yaml.safe_dump(plain, sort_keys=False), durable=durable)
+
+
+def read_config(directory: Path, output_dir: Path) -> RunConfig:
+    """Read a run's config, with the output directory and store of where the run is now.
+
+    It is data: values were resolved when it was written, and nothing in it is resolved again.
+
+    Raises:
+        ConfigError: it can't be read, has an interpolation, or does not fit this version of the package.
+    """
+    path = directory / CONFIG_FILE
+    try:
+        stored = read_plain_yaml(path)
+    except (OSError, ValueError) as error:
+        raise ConfigError(f"{path} can't be read: {str(error).splitlines()[0]}") from error
+    if not isinstance(stored, dict):
+        raise ConfigError(f"{path} can't be read: it is no config, but a {type(stored).__name__}")
+    for key, value in _texts(stored):
+        if "${" in value:
+            raise ConfigError(f"{key}={value} in {path} is an interpolation; stored configs have values only")
+    try:
+        config = check(RunConfig, stored)
+    except ConfigError as error:
+        raise ConfigError(f"{path} does not fit this version of parking_exp: {error}") from error
+    uri = config.tracking.uri and absolute(config.tracking.uri, output_dir)
+    tracking = config.tracking.model_copy(update={"uri": uri})
+    return config.model_copy(update={"output_dir": str(output_dir), "tracking": tracking})
+
+
+def _texts(node: Any, key: str = "") -> Iterator[tuple[str, str]]:
+    """Yield every text in nested dicts and lists, keys included, with its dotted key."""
+    if isinstance(node, str):
+        yield key, node
+    children = node.items() if isinstance(node, dict) else enumerate(node) if isinstance(node, list) else ()
+    for name, value in children:
+        path = f"{key}.{name}" if key else str(name)
+        yield path, str(name)
+        yield from _texts(value, path)

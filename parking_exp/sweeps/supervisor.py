@@ -1,0 +1,204 @@
+"""Supervise a run: start its worker process, wait for it, and record how it ended.
+
+Every launcher trains its runs like this. Where the worker dies, hangs or ends without a result, its supervisor marks
+the run as failed, with the reason. Where the supervisor dies, its worker dies with it, and the run was cut off. All
+results are in the run directory; nothing is returned or pickled.
+"""
+
+import os
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import IO, Any, Literal
+
+from parking_exp.config.paths import directory_path, store_uri
+from parking_exp.errors import ConfigError, OutputDirectoryError, ParkingError, RunLockedError
+from parking_exp.resources import THREAD_VARIABLES
+from parking_exp.runs.directory import RunDirectory
+from parking_exp.sweeps.worker import LOCKED_EXIT
+from parking_exp.terminal import say
+
+LOG_FILE = "log.txt"
+GRACE_S = 8.0  # to save a checkpoint after a signal, before the process is killed
+POLL_S = 0.05
+# Signals that come from outside, and say nothing about the run; the others are its own crashes.
+KILLS = {signal.SIGKILL, signal.SIGTERM, signal.SIGINT, signal.SIGHUP}
+
+WorkerResult = Literal["done", "failed", "stopped", "elsewhere"]
+"""How a run ended: done; failed, with the reason in status.json; stopped, on request; elsewhere: in another process."""
+OnStart = Callable[[subprocess.Popen[bytes]], None]
+
+
+@dataclass(frozen=True)
+class WorkerResources:
+    """What a worker may use: cores to be pinned to (none: all), as many threads, CUDA devices (None: all)."""
+
+    cores: Sequence[int] = ()
+    devices: Sequence[str] | None = None
+
+    def environment(self) -> dict[str, str]:
+        """Return the environment variables that set threads and devices."""
+        found = dict.fromkeys(THREAD_VARIABLES, str(len(self.cores))) if self.cores else {}
+        if self.devices is not None:
+            found["CUDA_VISIBLE_DEVICES"] = ",".join(self.devices)
+        return found
+
+
+def supervise(
+    path: Path,
+    resources: WorkerResources | None = None,
+    stop: threading.Event | None = None,
+    started: OnStart | None = None,
+) -> WorkerResult:
+    """Train one run in a fresh process, and see to it that its directory says how that went.
+
+    Args:
+        path: the run directory, with its frozen config.
+        resources: of the machine; None: all of it.
+        stop: once set, the run saves a checkpoint and leaves; after GRACE_S it is killed.
+        started: called with the process.
+    """
+    directory = RunDirectory(path)
+    if directory.under_way:
+        return "elsewhere"
+    try:
+        with directory.supervisor_lock():
+            if (status := directory.status) == "done" and directory.can_make_models:
+                _make_models(directory)
+            if status in ("done", "failed"):
+                return status  # by another sweep, since this one was planned
+            return _run(directory, resources or WorkerResources(), stop or threading.Event(), started)
+    except RunLockedError:
+        return "elsewhere"
+
+
+def _make_models(directory: RunDirectory) -> None:
+    """Make models that are gone again. That is a copy, and takes no process of its own; the run stays done."""
+    from parking_exp.training.recovery import make_models
+
+    try:
+        say(make_models(directory), stderr=True)
+    except ParkingError as error:
+        say(f"error: {error}", stderr=True)
+    except OSError as error:
+        say(f"error: {directory.models} cannot be written: {error.strerror}", stderr=True)
+
+
+def _run(
+    directory: RunDirectory, resources: WorkerResources, stop: threading.Event, started: OnStart | None
+) -> WorkerResult:
+    try:
+        config = directory.config()
+        if config.run_dir != directory_path(directory.path):
+            raise ConfigError(f"{directory.path / 'config.yaml'} is the config of another run; type the sweep again")
+        directory.reserve()
+    except (ConfigError, OutputDirectoryError) as error:
+        directory.update(status="failed", error=str(error))
+        return "failed"
+    # Before there is a worker: what that one writes is later, and must not be overwritten.
+    started_at = {"host": socket.gethostname(), "started": time.time()}
+    # With the store, so that it hears of a run that fails before it tracks anything.
+    uri = store_uri(config) if config.tracking.mlflow else None
+    directory.update(status="running", error=None, killed=None, tracking_uri=uri, **started_at)
+    with (directory.path / LOG_FILE).open("ab") as log:
+        process = _start(directory.path, resources, log)
+        try:
+            directory.update(pid=process.pid)
+            if started is not None:
+                started(process)
+            late = _wait(process, config.timeout_s, stop)
+        finally:
+            if process.poll() is None:  # an error here: no worker is left without a supervisor
+                _kill(process)
+    past = f"ran past timeout_s={config.timeout_s:g}" if late else None
+    return _result(directory, process.returncode, past, stop.is_set())
+
+
+def _wait(process: subprocess.Popen[bytes], timeout_s: float | None, stop: threading.Event) -> bool:
+    """Wait for a worker, and end it if it is asked to stop or takes too long; return whether it took too long."""
+    begin, asked, late = time.monotonic(), None, False
+    while process.poll() is None:
+        time.sleep(POLL_S)
+        late = late or (timeout_s is not None and time.monotonic() - begin > timeout_s)
+        if asked is None and (late or stop.is_set()):
+            asked = time.monotonic()
+            process.terminate()
+        if asked is not None and time.monotonic() - asked > GRACE_S:
+            _kill(process)
+    return late
+
+
+def _kill(process: subprocess.Popen[bytes]) -> None:
+    """Kill a worker with everything that it has started, and wait for its end."""
+    with suppress(ProcessLookupError):
+        os.killpg(process.pid, signal.SIGKILL)  # it leads a session of its own
+    process.wait()
+
+
+def _result(directory: RunDirectory, code: int, late: str | None, stopped: bool) -> WorkerResult:
+    """Return how a run ended, from its worker's exit status and its status.json, and record it there."""
+    status = directory.status
+    if status == "done":
+        return "done"
+    if code == LOCKED_EXIT:
+        return "elsewhere"
+    if late is None and status == "failed":
+        return "failed"
+    if late is None and (stopped or status == "interrupted"):
+        directory.update(status="interrupted")
+        return "stopped"
+    if late is not None:
+        reason = late
+    elif code < 0:
+        reason = f"killed by {_signal_name(-code)}{' (out of memory?)' if -code == signal.SIGKILL else ''}"
+    else:
+        reason = f"its process ended with status {code} and without a result; see {directory.path / LOG_FILE}"
+    directory.update(status="failed", error=reason, killed=(late is None and -code in KILLS) or None)
+    return "failed"
+
+
+def _signal_name(number: int) -> str:
+    try:
+        return signal.Signals(number).name
+    except ValueError:  # a real-time signal
+        return f"signal {number}"
+
+
+def _start(path: Path, resources: WorkerResources, log: IO[bytes]) -> subprocess.Popen[bytes]:
+    root = str(Path(__file__).resolve().parents[2])
+    paths = [root, *filter(None, os.environ.get("PYTHONPATH", "").split(os.pathsep))]
+    environment = {**os.environ, **resources.environment(), "PYTHONPATH": os.pathsep.join(paths)}
+    cores = ",".join(map(str, resources.cores))
+    command = [sys.executable, "-m", "parking_exp.sweeps.worker", str(path), str(os.getpid()), cores]
+    # A session of its own: Ctrl-C in the terminal reaches the supervisor alone, who passes it on in good order.
+    return subprocess.Popen(
+        command, env=environment, stdin=subprocess.DEVNULL, stdout=log, stderr=subprocess.STDOUT, start_new_session=True
+    )
+
+
+def supervise_job(path: str) -> WorkerResult:
+    """Supervise one run as a job of another launcher (submitit's, Ray's, Hydra's own).
+
+    Raises:
+        KeyboardInterrupt: a signal to the job stopped it; the run's state is saved.
+    """
+    stop = threading.Event()
+    before: dict[int, Any] = {}
+    if threading.current_thread() is threading.main_thread():
+        for signal_number in (signal.SIGTERM, signal.SIGINT, signal.SIGUSR2):  # the last is submitit's: time is short
+            before[signal_number] = signal.signal(signal_number, lambda *_: stop.set())
+    try:
+        result = supervise(Path(path), stop=stop)
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+    if stop.is_set():  # not an Exception: a launcher that goes through its jobs one by one is to stop, too
+        raise KeyboardInterrupt
+    return result

@@ -1,0 +1,87 @@
+"""Connect to an MLflow store: without hanging, initialised once, with a lock that its writers share.
+
+The embedded store is a sqlite database. It takes one writer at a time and tells a second one that waits too long
+"database is locked" (MLflow has it wait for 20 s, whatever the URL says), so that our writers queue for a lock file
+beside the database. Its journal stays sqlite's own rollback journal: a write-ahead log would let readers pass while a
+row is written, which takes milliseconds, but needs memory that is shared between processes, which network file systems
+do not have. Readers (`mlflow ui`) need no lock of ours.
+"""
+
+import logging
+import os
+from contextlib import AbstractContextManager, nullcontext
+from typing import TYPE_CHECKING, Any
+
+from filelock import FileLock
+
+from parking_exp.config.paths import database
+from parking_exp.tracking.relocation import relocate
+
+if TYPE_CHECKING:
+    from mlflow import MlflowClient
+
+WAIT_S = 120  # for other writers
+ENVIRONMENT = {
+    "MLFLOW_DISABLE_TELEMETRY": "true",  # nothing leaves the machine
+    "GIT_PYTHON_REFRESH": "quiet",
+    "MLFLOW_SUPPRESS_PRINTING_URL_TO_STDOUT": "true",  # for each run that ends
+    # MLflow's own 7 tries with doubling pauses take 4 minutes on a port where nobody listens. These take 2.3 s, and
+    # what they do not reach is sent later anyway.
+    "MLFLOW_HTTP_REQUEST_MAX_RETRIES": "2",
+    "MLFLOW_HTTP_REQUEST_BACKOFF_FACTOR": "1",
+    "MLFLOW_HTTP_REQUEST_TIMEOUT": "30",  # [s], of one answer
+    "PGCONNECT_TIMEOUT": "10",  # [s]
+    # A kept connection would go on writing into a database file that was deleted or replaced meanwhile.
+    "MLFLOW_SQLALCHEMYSTORE_POOLCLASS": "NullPool",
+}
+
+
+def import_mlflow() -> None:
+    """Import mlflow, with what it reads from the environment at that time."""
+    for name, value in ENVIRONMENT.items():
+        os.environ.setdefault(name, value)
+    import mlflow  # noqa: F401
+
+
+def connect(uri: str) -> "MlflowClient":
+    """Return a client of a store that has answered; a store that is new is initialised.
+
+    Raises:
+        Exception: whatever MLflow, SQLAlchemy or the disk say; `failures.reason` makes a sentence of it.
+    """
+    import_mlflow()
+    from mlflow import MlflowClient
+
+    for name in ("alembic", "mlflow"):
+        logging.getLogger(name).setLevel(logging.WARNING)
+    logging.getLogger("mlflow.store").setLevel(logging.CRITICAL)  # it prints the traceback of what it raises
+    if path := database(uri):
+        path.parent.mkdir(parents=True, exist_ok=True)
+    # Processes that open a fresh sqlite store at once collide in its migrations: one does it, the others wait.
+    with write_lock(uri):
+        if not uri.startswith(("http", "databricks")):
+            _open_database(uri)
+        client = MlflowClient(uri)
+        client.search_experiments(max_results=1)
+        if path is not None and os.access(path, os.W_OK):
+            relocate(path)
+    return client
+
+
+def write_lock(uri: str) -> AbstractContextManager[Any]:
+    """Return the lock that all writers to an embedded store share; other stores have their own."""
+    path = database(uri)
+    if path is None or (path.exists() and not os.access(path.parent, os.W_OK)):  # who can't write may still read
+        return nullcontext()
+    return FileLock(path.with_name(f".{path.name}.lock"), timeout=WAIT_S, poll_interval=0.01)
+
+
+def _open_database(uri: str) -> None:
+    """Raise now where a database can't be opened: MLflow itself tries for two minutes before it says so."""
+    from sqlalchemy import create_engine, inspect
+
+    engine = create_engine(uri)
+    try:
+        inspect(engine).get_table_names()
+    finally:
+        engine.dispose()

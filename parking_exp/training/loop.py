@@ -1,0 +1,151 @@
+"""The training loop of a run: its model, envs and logs, with evaluations and checkpoints on the way."""
+
+import time
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+from parking_exp.algorithms.build import build_model, greedy_policy
+from parking_exp.algorithms.weights import save_model
+from parking_exp.buffers import HerBuffer
+from parking_exp.config.schema import RunConfig, Simulation
+from parking_exp.envs.training_envs import make_training_envs
+from parking_exp.errors import InterruptedRunError
+from parking_exp.evaluation.evaluate import evaluate, rank, summarise
+from parking_exp.evaluation.summary import success_line
+from parking_exp.evaluation.trajectories import Recorder
+from parking_exp.runs.directory import RunDirectory
+from parking_exp.runs.logs import MetricsLog, append_episodes
+from parking_exp.tracking.tracker import Tracker
+from parking_exp.training import checkpoints, rollout_state
+from parking_exp.training.callbacks import RolloutCallback
+from parking_exp.training.checkpoints import Progress
+from parking_exp.training.loggers import make_logger
+from parking_exp.training.progress import TrainingProgress
+from parking_exp.training.seeding import derive_seeds
+from parking_exp.training.signals import StopRequest
+
+
+class TrainingLoop:
+    """The training of one run in one process, from its start or from a checkpoint."""
+
+    def __init__(
+        self,
+        *,
+        config: RunConfig,
+        directory: RunDirectory,
+        tracker: Tracker,
+        progress: Progress,
+        checkpoint: Path | None,
+        stop: StopRequest,
+        bar: TrainingProgress,
+    ) -> None:
+        self.config, self.directory, self.tracker = config, directory, tracker
+        self.progress, self.stop, self.bar = progress, stop, bar
+        self._cpu_start = time.process_time() - progress.cpu_s
+        self._wall_start = time.monotonic() - progress.wall_s
+        path = directory.path
+        directory.models.mkdir(exist_ok=True)
+        self.metrics = MetricsLog(path / "metrics.jsonl")
+        seeds = derive_seeds(config.seed)
+        self.env = make_training_envs(config.env, config.n_envs, path / "monitor.csv", progress.wall_s)
+        self.model = build_model(config, self.env, seeds.policy)
+        self.policy = greedy_policy(self.model)
+        self.env.seed(seeds.training_scenes)  # after the model, which seeds the envs with its own seed
+        self._rollout_state: dict[str, Any] | None = None
+        if checkpoint is None:
+            self._best.unlink(missing_ok=True)  # of steps that are going to be done again
+        else:
+            self._rollout_state = checkpoints.restore(checkpoint, self.model, best=self._best)
+            bar.say(f"resuming at step {progress.step}")
+        self.model.set_logger(make_logger(config.tracking, path, self.metrics, progress.step))
+
+    def learn(self) -> None:
+        """Train up to `total_timesteps`, with evaluations and checkpoints on the way."""
+        remaining = self.config.total_timesteps - self.model.num_timesteps
+        if remaining > 0:
+            interval = self.config.tracking.log_interval
+            self.model.learn(remaining, RolloutCallback(self), log_interval=interval, reset_num_timesteps=False)
+        self.restore_rollout_state()
+        self.save_checkpoint()
+
+    def evaluate(self) -> None:
+        """Evaluate on the first of the fixed scenes, and keep the model if it is the best so far."""
+        self.bar.busy("evaluation")
+        episodes = self.run_episodes(self.config.evaluation.n_scenes)
+        summary = self.record_evaluation(episodes, "eval")
+        self.dump_metrics()
+        self.bar.say(success_line(summary, self.model.num_timesteps))
+
+    def run_episodes(
+        self, number: int, simulator: Simulation | None = None, recorder: Recorder | None = None
+    ) -> pd.DataFrame:
+        """Return the greedy policy's episodes on the first of the fixed scenes; between steps it stops on request."""
+
+        def stop(_: int) -> None:
+            self.stop_if_asked()
+
+        return evaluate(self.policy, self.config.env, self.scenes(number), stop, simulator, recorder)
+
+    def scenes(self, number: int) -> range:
+        """Return the first `number` of the fixed evaluation scenes."""
+        first = self.config.evaluation.first_scene
+        return range(first, first + number)
+
+    def restore_rollout_state(self) -> None:
+        """Set the rollout state of the checkpoint that the run was resumed from, once."""
+        if self._rollout_state is not None:
+            rollout_state.set_state(self.model, self._rollout_state)
+            self._rollout_state = None
+
+    def save_checkpoint(self) -> None:
+        """Save the whole state, then send what is known so far to the store."""
+        step = self.model.num_timesteps
+        if step == self.progress.saved:
+            return
+        self.progress.step = self.progress.saved = step
+        self.progress.cpu_s, self.progress.wall_s = self.times()
+        checkpoints.save(
+            self.directory.checkpoints, self.model, self.progress, self._best, self.config.checkpoint.keep_last
+        )
+        self.tracker.sync()
+
+    def stop_if_asked(self) -> None:
+        """Save a checkpoint and leave, if a signal has requested it."""
+        if self.stop.signal_number is not None:
+            self.save_checkpoint()
+            raise InterruptedRunError(
+                f"stopped at step {self.model.num_timesteps}; type the same command to go on from there",
+                self.stop.signal_number,
+            )
+
+    def times(self) -> tuple[float, float]:
+        """Return CPU and wall seconds of the run, earlier processes included."""
+        return time.process_time() - self._cpu_start, time.monotonic() - self._wall_start
+
+    def record_evaluation(self, episodes: pd.DataFrame, phase: str) -> dict[str, float]:
+        """Append episodes to `episodes.csv`, log their summary and return it; `eval`'s best model so far is kept."""
+        step, summary = self.model.num_timesteps, summarise(episodes)
+        append_episodes(self.directory.path / "episodes.csv", episodes, phase, step)
+        for name, value in summary.items():
+            self.model.logger.record(f"{phase}/{name}", value)
+        if phase == "eval":
+            self.progress.evaluated = step
+            if self.progress.best is None or list(rank(summary)) > self.progress.best:
+                self.progress.best = list(rank(summary))
+                save_model(self.model, self._best)
+        return summary
+
+    def dump_metrics(self) -> None:
+        """Write the row of metrics that the logger has gathered."""
+        cpu_s, wall_s = self.times()
+        if isinstance(buffer := self.model.replay_buffer, HerBuffer) and buffer.real_share is not None:
+            self.model.logger.record("buffer/real_share", buffer.real_share)
+        self.model.logger.record("time/cpu_s", cpu_s)
+        self.model.logger.record("time/wall_s", wall_s)
+        self.model.logger.dump(self.model.num_timesteps)
+
+    @property
+    def _best(self) -> Path:
+        return self.directory.models / "best.zip"
