@@ -1,4 +1,4 @@
-"""Config -> Stable-Baselines3 model: the one place where third-party classes are instantiated."""
+"""Build a Stable-Baselines3 model from a config: the one place where third-party classes are instantiated."""
 
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -11,10 +11,10 @@ from stable_baselines3.common.noise import ActionNoise
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from stable_baselines3.common.torch_layers import CombinedExtractor
 from stable_baselines3.common.vec_env import VecEnv
+from torch import nn
 
 from parking_exp.algorithms.fast.precision import faster_precision
 from parking_exp.algorithms.features import EgoFrameExtractor
-from parking_exp.algorithms.startup import spare_dynamo
 from parking_exp.buffers import HerBuffer
 from parking_exp.config.arguments import CLASS_ARGUMENTS
 from parking_exp.config.schema import Precision, RunConfig
@@ -34,7 +34,7 @@ def build_model(config: RunConfig, env: VecEnv, seed: int, *, for_training: bool
         for_training: False skips the replay buffer, for a model that only predicts.
 
     Raises:
-        ConfigError: the library refuses an argument.
+        ConfigError: the library refuses an argument, or its policy ignores the features.
     """
     arguments = config.algorithm.arguments
     train_freq, gradient_steps = config.update_rounds()
@@ -60,16 +60,39 @@ def build_model(config: RunConfig, env: VecEnv, seed: int, *, for_training: bool
         objects["replay_buffer_kwargs"] = config.buffer.arguments
         if issubclass(objects["replay_buffer_class"], HerBuffer) and is_parking(env):
             objects["replay_buffer_kwargs"]["reward"] = GoalReward.of(config.env)
-    spare_dynamo()
+    _skip_compiler_import()
     try:
-        return build(**objects)
+        model = build(**objects)
     except (TypeError, ValueError, KeyError, AssertionError) as error:
         raise ConfigError(f"algorithm: {config.algorithm.target} refuses its arguments: {error}") from error
+    if config.algorithm.features == "ego" and not _computes_ego_features(model):
+        raise ConfigError(
+            f"algorithm.features=ego is ignored by the policy of {config.algorithm.target}; use algorithm.features=raw"
+        )
+    return model
 
 
 def greedy_policy(model: OffPolicyAlgorithm) -> Policy:
     """Return the model's policy without exploration."""
     return lambda observation: model.predict(observation, deterministic=True)[0]
+
+
+def _skip_compiler_import() -> None:
+    """Keep torch from importing its compiler when the first optimizer is made: 1.1 s of a run's start (torch 2.13).
+
+    torch imports it to mark some methods of optimizers as never to be compiled, at their first call, unless they are
+    marked: `torch._compile._disable_dynamo`. The mark set here is the plain method. Another torch ignores it.
+    """
+    for name in ("add_param_group", "load_state_dict", "state_dict", "zero_grad"):
+        plain = getattr(getattr(torch.optim.Optimizer, name), "__wrapped__", None)
+        if plain is not None and not hasattr(plain, "__dynamo_disable"):
+            setattr(plain, "__dynamo_disable", plain)
+
+
+def _computes_ego_features(model: OffPolicyAlgorithm) -> bool:
+    """Whether a network of the model has the features extractor; policies of other libraries may not take it."""
+    networks = [one for one in vars(model).values() if isinstance(one, nn.Module)]
+    return any(isinstance(module, EgoFrameExtractor) for network in networks for module in network.modules())
 
 
 def _policy_kwargs(config: RunConfig) -> dict[str, Any]:

@@ -40,7 +40,7 @@ class CrossQ(sb3_contrib.CrossQ):
     }
 
     def train(self, gradient_steps: int, batch_size: int = 64) -> None:
-        """Do the updates of one round."""
+        """Do `gradient_steps` updates on minibatches of the replay buffer."""
         assert self.replay_buffer is not None
         with _joinable_samples(self.replay_buffer):
             super().train(gradient_steps, batch_size)

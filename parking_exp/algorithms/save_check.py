@@ -1,4 +1,4 @@
-"""Refuse an algorithm whose models can't be saved and restored exactly, before it trains."""
+"""Check that an algorithm's models are saved and restored exactly, before it trains or is evaluated."""
 
 import io
 from typing import Any
@@ -11,34 +11,31 @@ from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from stable_baselines3.common.vec_env import VecEnv
 
 from parking_exp.algorithms.build import build_model, greedy_policy
-from parking_exp.algorithms.weights import BUFFER_ENTRIES, apply_weights, missing, reachable, read_weights, unsaved
+from parking_exp.algorithms.weights import (
+    BUFFER_ENTRIES,
+    PROVEN,
+    apply_weights,
+    class_path,
+    missing,
+    reachable,
+    read_weights,
+    unsaved,
+)
 from parking_exp.config.schema import RunConfig
 from parking_exp.envs.training_envs import make_training_envs
 from parking_exp.errors import ConfigError, ModelError
 
-# Classes for which tests/test_saving.py shows it, with the networks that they make by themselves.
-PROVEN = {
-    "parking_exp.algorithms.fast.sac.SAC",
-    "parking_exp.algorithms.fast.td3.TD3",
-    "parking_exp.algorithms.fast.td3.DDPG",
-    "parking_exp.algorithms.crossq.CrossQ",
-    "stable_baselines3.sac.sac.SAC",
-    "stable_baselines3.td3.td3.TD3",
-    "stable_baselines3.ddpg.ddpg.DDPG",
-    "sb3_contrib.tqc.tqc.TQC",
-}
 BATCH = 32
 
 
 def check_saving(config: RunConfig) -> None:
-    """Save a model of a config's class, load it into another one, and compare them; known classes are passed.
+    """Save a model of a config's class, load it into another one, and compare them. Classes in `PROVEN` are passed.
 
     Raises:
         ConfigError: they differ in a weight or in an action, or the model can't be saved at all.
     """
     target, own_networks = config.algorithm.target, config.algorithm.arguments.get("policy_kwargs")
-    algorithm = get_object(target)
-    if f"{algorithm.__module__}.{algorithm.__qualname__}" in PROVEN and not own_networks:
+    if class_path(get_object(target)) in PROVEN and not own_networks:
         return
     env = make_training_envs(config.env, 1)
     try:
@@ -53,9 +50,9 @@ def check_saving(config: RunConfig) -> None:
 
 
 def difference(model: OffPolicyAlgorithm, other: OffPolicyAlgorithm, env: VecEnv) -> str | None:
-    """Load a model's file into another model, which differs from it, and say in what it still differs then."""
-    observations = _observations(env.observation_space)
-    before, file = _state(other, observations), io.BytesIO()
+    """Load a model's file into another model of the same class, and say in what that still differs then."""
+    observations = sample_observations(env.observation_space)
+    before, file = model_state(other, observations), io.BytesIO()
     try:
         if names := unsaved(model):
             return missing(names)
@@ -66,7 +63,7 @@ def difference(model: OffPolicyAlgorithm, other: OffPolicyAlgorithm, env: VecEnv
         apply_weights(read_weights(file.getvalue(), "its file", model.device), other, "its file")
     except ModelError as error:
         return str(error)
-    saved, restored = _state(model, observations), _state(other, observations)
+    saved, restored = model_state(model, observations), model_state(other, observations)
     if changed := sorted(name for name in {*saved, *restored} if saved.get(name) != restored.get(name)):
         return f"{', '.join(changed[:4])} changed on the way"
     if before == saved:
@@ -74,8 +71,8 @@ def difference(model: OffPolicyAlgorithm, other: OffPolicyAlgorithm, env: VecEnv
     return None
 
 
-def _state(model: OffPolicyAlgorithm, observations: Any) -> dict[str, Any]:
-    """Return what a model is and does, as bytes: all its tensors, those of its optimizers, and actions."""
+def model_state(model: OffPolicyAlgorithm, observations: Any) -> dict[str, Any]:
+    """Return as bytes all tensors of a model, those of its optimizers, and its actions."""
     found = {"the deterministic action": _exact(greedy_policy(model)(observations))}
     for name, one in reachable(model):
         if isinstance(one, torch.Tensor):
@@ -94,7 +91,7 @@ def _exact(value: Any) -> Any:
     return array.dtype.str, array.shape, array.tobytes()
 
 
-def _observations(space: spaces.Space) -> Any:
+def sample_observations(space: spaces.Space) -> Any:
     """Return a batch of random observations, always the same."""
     rng = np.random.default_rng(0)
     if isinstance(space, spaces.Dict):

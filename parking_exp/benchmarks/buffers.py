@@ -12,7 +12,7 @@ from parking_exp.benchmarks.timing import Side, interleave, rounded
 from parking_exp.buffers import HerBuffer
 from parking_exp.config.schema import RunConfig
 from parking_exp.envs.reward import GoalReward
-from parking_exp.envs.vec_env import VectorizedParking
+from parking_exp.envs.vec_env import ParkingVecEnv
 
 BATCH, N_ENVS = 256, 16
 PEER = "stable-baselines3"
@@ -71,7 +71,7 @@ class Buffers:
     def _filled(self, cls: type[HerReplayBuffer], capacity: int, transitions: int) -> HerReplayBuffer:
         name = f"{cls.__name__} {capacity} {transitions}"
         if name not in self._kept:
-            env = VectorizedParking(self._config.env, N_ENVS)
+            env = ParkingVecEnv(self._config.env, N_ENVS)
             # Both as Stable-Baselines3 relabels, ours by itself.
             known: dict[str, Any] = {"reward": GoalReward.of(self._config.env)} if cls is HerBuffer else {}
             buffer = cls(capacity, env.observation_space, env.action_space, env, "cpu", N_ENVS, **known)
@@ -84,7 +84,7 @@ class Buffers:
 def _record(config: RunConfig, steps: int) -> list[tuple[Any, ...]]:
     """Record random transitions, the last of which end all episodes, so that they can be repeated."""
     rng = np.random.default_rng(0)
-    env = VectorizedParking(config.env, N_ENVS, training=True)
+    env = ParkingVecEnv(config.env, N_ENVS, training=True)
     env.seed(0)
     obs = env.reset()
     recorded: list[tuple[Any, ...]] = []

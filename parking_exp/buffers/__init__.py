@@ -1,4 +1,4 @@
-"""Replay buffers."""
+"""Replay buffer with Hindsight Experience Replay."""
 
 from parking_exp.buffers.her import HerBuffer
 

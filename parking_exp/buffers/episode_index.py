@@ -1,4 +1,4 @@
-"""Which stored transitions belong to which episode, kept up as they come, so that nothing is ever searched for.
+"""Index of the episodes in a replay buffer, updated with each transition, so that sampling never searches.
 
 Every env writes into the same row of a ring at each step. Steps are counted from the start and never wrap; a step's
 row is its number modulo the capacity. In each env the whole episodes that are still stored lie one after another, so
@@ -11,16 +11,16 @@ NONE = -1
 RECORD = np.dtype([("start", np.int32), ("length", np.int32)])
 
 
-class Episodes:
+class EpisodeIndex:
     """Episodes in a ring of `capacity` rows, one transition of each of `n_envs` envs in a row.
 
-    A transition's index is row * n_envs + env. An episode has a slot in `table`, which is used again when the last of
-    its transitions is overwritten.
+    A transition's index is row * n_envs + env. An episode has a record in `table`, at its record id, which is used
+    again when the last of its transitions is overwritten.
 
     Attributes:
         steps: rows written since the start.
         tail, head: of each env, the steps between which its whole episodes lie, shape (n_envs,).
-        current: slots of the episodes under way, or NONE between two episodes, shape (n_envs,).
+        current: record ids of the episodes under way, or NONE between two episodes, shape (n_envs,).
         table: row in which each episode started and its length, 0 while it is under way.
     """
 
@@ -33,7 +33,7 @@ class Episodes:
         self._unused, self._n_unused = np.zeros(0, np.int32), 0  # a stack, and how much of it counts
 
     def __len__(self) -> int:
-        """How many transitions are stored, whole episodes or not."""
+        """Return the number of stored transitions, of whole episodes or not."""
         return min(self.steps, self.capacity) * self.n_envs
 
     @property
@@ -42,33 +42,33 @@ class Episodes:
         return self.table.nbytes + self._unused.nbytes
 
     def start(self, env: int) -> int:
-        """Start an episode with the next row, and return its slot."""
+        """Start an episode with the next row, and return its record id."""
         if not self._n_unused:
             self._grow()
         self._n_unused -= 1
-        slot = int(self._unused[self._n_unused])
-        self.table[slot] = (self.steps % self.capacity, 0)
-        self.current[env] = slot
-        return slot
+        record_id = int(self._unused[self._n_unused])
+        self.table[record_id] = (self.steps % self.capacity, 0)
+        self.current[env] = record_id
+        return record_id
 
-    def overwrite(self, slots: np.ndarray) -> None:
-        """Forget what the next row is written over; `slots` are that row's.
+    def overwrite(self, record_ids: np.ndarray) -> None:
+        """Forget the transitions that the next row overwrites; `record_ids` are that row's.
 
-        An episode is whole until its first transition is overwritten, and has its slot until its last is.
+        An episode is whole until its first transition is overwritten, and has its record until its last is.
         """
         oldest = self.steps - self.capacity
         if oldest < 0:
             return
         for env in np.flatnonzero(self.tail <= oldest + 1):
-            slot = int(slots[env])
-            alone = slot == self.current[env]  # an episode that fills the ring: it loses its beginning
+            record_id = int(record_ids[env])
+            alone = record_id == self.current[env]  # an episode that fills the ring: it loses its beginning
             if self.tail[env] == oldest:
                 if alone:
-                    self.table["start"][slot] = (oldest + 1) % self.capacity
+                    self.table["start"][record_id] = (oldest + 1) % self.capacity
                     self.head[env] += 1
-                self.tail[env] += 1 if alone else self.table["length"][slot]
+                self.tail[env] += 1 if alone else self.table["length"][record_id]
             if self.tail[env] == oldest + 1 and not alone:
-                self._unused[self._n_unused] = slot
+                self._unused[self._n_unused] = record_id
                 self._n_unused += 1
 
     def finish(self, env: int) -> None:
@@ -113,8 +113,8 @@ class Episodes:
         return index
 
     @property
-    def slots(self) -> int:
-        """How many slots are to be saved: those after them are free."""
+    def n_records(self) -> int:
+        """How many records must be saved: those after them are unused."""
         free = np.zeros(len(self.table), bool)
         free[self._unused[: self._n_unused]] = True
         taken = np.flatnonzero(~free)
@@ -128,7 +128,7 @@ class Episodes:
             "tail": self.tail.copy(),
             "head": self.head.copy(),
             "current": self.current.copy(),
-            "table": self.table[: self.slots].copy(),
+            "table": self.table[: self.n_records].copy(),
             "unused": self._unused[: self._n_unused].copy(),
         }
 
@@ -136,7 +136,7 @@ class Episodes:
         """Restore a state of as many rows and envs."""
         self.steps = int(state["steps"])
         self.tail, self.head, self.current = state["tail"].copy(), state["head"].copy(), state["current"].copy()
-        # Slots are used or unused: that is how many there are.
+        # A record is used or unused: together that is how many there are.
         self._n_unused = len(state["unused"])
         taken, beyond = len(state["table"]), state["unused"][state["unused"] >= len(state["table"])]
         self.table = np.zeros(taken + len(beyond), RECORD)
@@ -145,7 +145,7 @@ class Episodes:
         self._unused[: self._n_unused] = state["unused"]
 
     def _grow(self) -> None:
-        """Make half as many slots again, to be used from the lowest on."""
+        """Add half as many records again, to be used from the lowest on."""
         n = len(self.table)
         more = n // 2 + 2 * self.n_envs
         self.table = np.concatenate([self.table, np.zeros(more, RECORD)])

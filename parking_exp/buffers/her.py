@@ -14,8 +14,8 @@ from stable_baselines3.common.type_aliases import DictReplayBufferSamples
 from stable_baselines3.common.vec_env import VecEnv, VecNormalize
 from stable_baselines3.her import GoalSelectionStrategy
 
-from parking_exp.buffers.episode_index import NONE, Episodes
-from parking_exp.buffers.storage import Observation, Rows, Transitions
+from parking_exp.buffers.episode_index import NONE, EpisodeIndex
+from parking_exp.buffers.storage import Observation, Storage, Transitions
 from parking_exp.buffers.strategies import STRATEGIES
 
 NO_GOALS = np.empty(0, np.int64)
@@ -128,7 +128,7 @@ class HerBuffer(HerReplayBuffer):
     @property
     def nbytes(self) -> int:
         """Bytes of memory, when full."""
-        return self.rows.nbytes + self.episodes.nbytes
+        return self.storage.nbytes + self.episodes.nbytes
 
     def virtual(self, batch_size: int) -> int:
         """How many transitions of a batch get a virtual goal."""
@@ -156,21 +156,21 @@ class HerBuffer(HerReplayBuffer):
             reward, done: shape (n_envs,).
             infos: of the envs; `crashed` and `TimeLimit.truncated` are read.
         """
-        episodes, rows = self.episodes, self.rows
-        obs, next_obs = rows.shaped(obs), rows.shaped(next_obs)
-        for env in rows.other_goals(obs, episodes.current).tolist() if episodes.steps else []:
+        episodes, storage = self.episodes, self.storage
+        obs, next_obs = storage.shaped(obs), storage.shaped(next_obs)
+        for env in storage.other_goals(obs, episodes.current).tolist() if episodes.steps else []:
             # The env was reset without a word: SB3's `learn` does so when it is called again.
             if episodes.current[env] != NONE:
                 self._truncate(env)
         for env in np.flatnonzero(episodes.current == NONE).tolist():
-            rows.start(episodes.start(env), obs["desired_goal"][env])
-        episodes.overwrite(rows.slots(self.pos))
+            storage.start(episodes.start(env), obs["desired_goal"][env])
+        episodes.overwrite(storage.record_ids(self.pos))
         terminated = np.asarray(done, bool)
         ended = np.flatnonzero(terminated).tolist()
         if ended and self.handle_timeout_termination:
             terminated = terminated & [not info.get("TimeLimit.truncated", False) for info in infos]
         crashed = np.array([info.get("crashed", False) for info in infos], bool)
-        rows.write(self.pos, obs, next_obs, action, reward, episodes.current, terminated, crashed)
+        storage.write(self.pos, obs, next_obs, action, reward, episodes.current, terminated, crashed)
         episodes.steps += 1
         self.pos += 1
         if self.pos == self.buffer_size:
@@ -191,9 +191,9 @@ class HerBuffer(HerReplayBuffer):
         index, virtual = draw(self.rng, batch_size), self.virtual(batch_size)
         self.sampled[0] += batch_size - virtual
         self.sampled[1] += virtual
-        taken, goal_index = self.rows.take(index), NO_GOALS
+        taken, goal_index = self.storage.take(index), NO_GOALS
         if virtual:
-            chosen, record = index[-virtual:], self.episodes.table.take(taken.slots[-virtual:])
+            chosen, record = index[-virtual:], self.episodes.table.take(taken.record_ids[-virtual:])
             goal_index = STRATEGIES[str(self.goal_selection_strategy)](self.rng, self.episodes, chosen, record)
         return self._collect(taken, goal_index, env)
 
@@ -206,13 +206,13 @@ class HerBuffer(HerReplayBuffer):
             self._truncate(env)
 
     def _truncate(self, env: int) -> None:
-        self.rows.end(self.pos - 1, env, terminated=not self.handle_timeout_termination)
+        self.storage.end(self.pos - 1, env, terminated=not self.handle_timeout_termination)
         self.episodes.finish(env)
 
     def get_state(self) -> dict[str, np.ndarray]:
         """Return everything that the future depends on as arrays, the filled part of the rows uncopied."""
         state = {"pos": np.array(self.pos), "full": np.array(self.full)}
-        state |= self.rows.get_state(self.size(), self.episodes.slots)
+        state |= self.storage.get_state(self.size(), self.episodes.n_records)
         state |= {f"episodes/{name}": array for name, array in self.episodes.get_state().items()}
         rng = json.dumps(self.rng.bit_generator.state).encode()
         return state | {"sampled": np.array(self.sampled), "rng": np.frombuffer(rng, np.uint8)}
@@ -225,7 +225,7 @@ class HerBuffer(HerReplayBuffer):
         """
         if state["episodes/capacity"] != self.buffer_size:
             raise ValueError(f"the saved buffer has {state['episodes/capacity']} rows and this one {self.buffer_size}")
-        self.rows.set_state(state)
+        self.storage.set_state(state)
         self.pos, self.full = int(state["pos"]), bool(state["full"])
         prefix = "episodes/"
         self.episodes.set_state({name.removeprefix(prefix): state[name] for name in state if name.startswith(prefix)})
@@ -234,7 +234,7 @@ class HerBuffer(HerReplayBuffer):
 
     def __getstate__(self) -> dict[str, Any]:
         """Return the state for pickling: without the env, and with the filled part of the rows only."""
-        without = {"env", "rows", "episodes", "rng"}
+        without = {"env", "storage", "episodes", "rng"}
         return {name: value for name, value in vars(self).items() if name not in without} | {"state": self.get_state()}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
@@ -248,8 +248,8 @@ class HerBuffer(HerReplayBuffer):
 
     def _make_empty(self) -> None:
         assert isinstance(self.observation_space, spaces.Dict)
-        self.episodes = Episodes(self.buffer_size, self.n_envs)
-        self.rows = Rows(self.buffer_size, self.n_envs, self.observation_space, self.action_space)
+        self.episodes = EpisodeIndex(self.buffer_size, self.n_envs)
+        self.storage = Storage(self.buffer_size, self.n_envs, self.observation_space, self.action_space)
         self.sampled = [0, 0]  # real ones, virtual ones
 
     def _collect(
@@ -257,7 +257,7 @@ class HerBuffer(HerReplayBuffer):
     ) -> DictReplayBufferSamples:
         """Make a minibatch of transitions; the last len(goal_index) get the goals that were achieved there."""
         virtual = len(goal_index)
-        goals = self.rows.achieved(goal_index)
+        goals = self.storage.achieved(goal_index)
         if self.reward is not None and self.goal_velocity == "zero":
             goals[:, self.reward.velocity] = 0.0
         obs, next_obs = taken.observations(goals)

@@ -1,4 +1,4 @@
-"""Transitions in rows: everything that belongs to one lies together, so that reading it costs one trip to memory."""
+"""Storage of transitions: all fields of one lie together, so that reading it is one memory access."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -8,16 +8,16 @@ from gymnasium import spaces
 from stable_baselines3.common.buffers import ReplayBuffer
 from stable_baselines3.common.preprocessing import get_action_dim, get_obs_shape
 
-TERMINATED, CRASHED, SLOT_SHIFT = 1, 2, 2  # bits of `mark`; above them is the episode's slot
+TERMINATED, CRASHED, ID_SHIFT = 1, 2, 2  # bits of `mark`; above them is the id of the episode's record
 Observation = dict[str, np.ndarray]
 
 
-class Rows:
-    """A ring of `capacity` rows, each with one transition of each of `n_envs` envs.
+class Storage:
+    """Ring buffer of `capacity` rows, each with one transition of each of `n_envs` envs.
 
-    As long as they can, rows leave out what can be had elsewhere: an achieved goal that is the observation itself, as
-    in parking-v0, and a desired goal that stays the same in an episode, which is kept once for each. The first
-    transition that is otherwise widens all rows.
+    Storage is compact as long as it can be: it leaves out an achieved goal that is the observation itself, as in
+    parking-v0, and keeps a desired goal that stays the same in an episode once for each. The first transition that is
+    otherwise widens all rows.
 
     A transition of parking-v0 takes 112 bytes: 2 x 6 doubles, 2 + 1 floats, and a mark; its episode's goal, 48.
     """
@@ -43,18 +43,18 @@ class Rows:
             for key, (dtype, shape) in self.formats.items()
         }
 
-    def start(self, slot: int, goal: np.ndarray) -> None:
+    def start(self, record_id: int, goal: np.ndarray) -> None:
         """Keep the desired goal of an episode that starts."""
-        if slot >= len(self.goals):
-            more = np.zeros((slot // 2 + 2 * self.n_envs, *self.goals.shape[1:]), self.goals.dtype)
-            self.goals = np.concatenate([self.goals[:slot], more])
-        self.goals[slot] = goal
+        if record_id >= len(self.goals):
+            more = np.zeros((record_id // 2 + 2 * self.n_envs, *self.goals.shape[1:]), self.goals.dtype)
+            self.goals = np.concatenate([self.goals[:record_id], more])
+        self.goals[record_id] = goal
 
-    def other_goals(self, obs: Observation, slots: np.ndarray) -> np.ndarray:
-        """Return the envs whose goal is not the one their episode started with; none where rows keep all goals."""
+    def other_goals(self, obs: Observation, record_ids: np.ndarray) -> np.ndarray:
+        """Return the envs whose goal is not the one their episode started with; none where storage is not compact."""
         if not self.compact:
             return np.empty(0, np.int64)
-        differs = obs["desired_goal"] != self.goals.take(slots, axis=0)
+        differs = obs["desired_goal"] != self.goals.take(record_ids, axis=0)
         return np.flatnonzero(differs.reshape(self.n_envs, -1).any(axis=1))
 
     def write(
@@ -64,29 +64,29 @@ class Rows:
         next_obs: Observation,
         action: np.ndarray,
         reward: np.ndarray,
-        slots: np.ndarray,
+        record_ids: np.ndarray,
         terminated: np.ndarray,
         crashed: np.ndarray,
     ) -> None:
-        """Write a row: a transition of each env, in the episodes with these slots."""
-        if self.compact and not self._fits(obs, next_obs, slots):
+        """Write a row: a transition of each env, in the episodes with these record ids."""
+        if self.compact and not self._fits(obs, next_obs, record_ids):
             self._widen()
         for key in self.stored:
             self._obs[key][row] = obs[key]
             self._next_obs[key][row] = next_obs[key]
         self._fields["action"][row] = np.reshape(action, (self.n_envs, -1))
         self._fields["reward"][row] = reward
-        self._fields["mark"][row] = slots << SLOT_SHIFT | crashed * CRASHED | terminated * TERMINATED
+        self._fields["mark"][row] = record_ids << ID_SHIFT | crashed * CRASHED | terminated * TERMINATED
 
-    def slots(self, row: int) -> np.ndarray:
-        """Return the slots of a row's episodes, shape (n_envs,)."""
-        slots: np.ndarray = self._fields["mark"][row] >> SLOT_SHIFT
-        return slots
+    def record_ids(self, row: int) -> np.ndarray:
+        """Return the record ids of a row's episodes, shape (n_envs,)."""
+        record_ids: np.ndarray = self._fields["mark"][row] >> ID_SHIFT
+        return record_ids
 
     def end(self, row: int, env: int, terminated: bool) -> None:
         """Note how a transition ends its episode."""
-        slot_and_crash = self._fields["mark"][row, env] // CRASHED * CRASHED
-        self._fields["mark"][row, env] = slot_and_crash | terminated * TERMINATED
+        id_and_crash = self._fields["mark"][row, env] // CRASHED * CRASHED
+        self._fields["mark"][row, env] = id_and_crash | terminated * TERMINATED
 
     def take(self, index: np.ndarray) -> "Transitions":
         """Return transitions by index, row * n_envs + env, as a copy."""
@@ -98,9 +98,9 @@ class Rows:
         found: np.ndarray = next_obs["observation" if self.compact else "achieved_goal"][index]
         return found
 
-    def get_state(self, rows: int, slots: int) -> dict[str, np.ndarray]:
-        """Return the first rows, and the goals of the first slots, as arrays, uncopied."""
-        return {"rows": self.data[:rows], "goals": self.goals[:slots], "compact": np.array(self.compact)}
+    def get_state(self, rows: int, n_records: int) -> dict[str, np.ndarray]:
+        """Return the first rows, and the goals of the first records, as arrays, uncopied."""
+        return {"rows": self.data[:rows], "goals": self.goals[:n_records], "compact": np.array(self.compact)}
 
     def set_state(self, state: Mapping[str, np.ndarray]) -> None:
         """Restore a state.
@@ -142,11 +142,11 @@ class Rows:
             ]
         )
 
-    def _fits(self, obs: Observation, next_obs: Observation, slots: np.ndarray) -> bool:
+    def _fits(self, obs: Observation, next_obs: Observation, record_ids: np.ndarray) -> bool:
         return (
             np.array_equal(obs["achieved_goal"], obs["observation"])
             and np.array_equal(next_obs["achieved_goal"], next_obs["observation"])
-            and np.array_equal(next_obs["desired_goal"], self.goals.take(slots, axis=0))
+            and np.array_equal(next_obs["desired_goal"], self.goals.take(record_ids, axis=0))
         )
 
     def _widen(self) -> None:
@@ -154,7 +154,7 @@ class Rows:
         self._allocate(compact=False)
         for name in ("action", "reward", "mark"):
             self.data[name] = narrow[name]
-        goals = self.goals[narrow["mark"] >> SLOT_SHIFT]
+        goals = self.goals[narrow["mark"] >> ID_SHIFT]
         for name in ("obs", "next_obs"):
             for key in narrow[name].dtype.names or ():
                 self.data[name][key] = narrow[name][key]
@@ -163,39 +163,39 @@ class Rows:
 
 
 class Transitions:
-    """Some transitions, n of them.
+    """n transitions that were taken from the storage.
 
     Attributes:
         actions: shape (n, actions).
         rewards: shape (n,).
         terminated, crashed: booleans, shape (n,).
-        slots: of their episodes, shape (n,).
+        record_ids: of their episodes, shape (n,).
     """
 
-    def __init__(self, rows: Rows, data: np.ndarray) -> None:
-        self._rows, self._data = rows, data
+    def __init__(self, storage: Storage, data: np.ndarray) -> None:
+        self._storage, self._data = storage, data
         mark = data["mark"]
         self.actions, self.rewards = data["action"], data["reward"]
         self.terminated, self.crashed = mark & TERMINATED > 0, mark & CRASHED > 0
-        self.slots = mark >> SLOT_SHIFT
+        self.record_ids = mark >> ID_SHIFT
 
     def observations(self, virtual: np.ndarray) -> tuple[Observation, Observation]:
         """Return the Dict observations before and after the transitions; each entry has shape (n, ...).
 
         The last transitions get the virtual goals, which may be none.
         """
-        rows, real = self._rows, len(self._data) - len(virtual)
+        storage, real = self._storage, len(self._data) - len(virtual)
         goals = None
-        if rows.compact:
-            goals = np.empty((len(self._data), *rows.goals.shape[1:]), rows.goals.dtype)
-            goals[:real], goals[real:] = rows.goals.take(self.slots[:real], axis=0), virtual
+        if storage.compact:
+            goals = np.empty((len(self._data), *storage.goals.shape[1:]), storage.goals.dtype)
+            goals[:real], goals[real:] = storage.goals.take(self.record_ids[:real], axis=0), virtual
         before, after = (self._observation(name, goals) for name in ("obs", "next_obs"))
         if goals is None:
             before["desired_goal"][real:] = after["desired_goal"][real:] = virtual
         return before, after
 
     def _observation(self, name: str, goals: np.ndarray | None) -> Observation:
-        found: dict[str, Any] = {key: self._data[name][key] for key in self._rows.stored}
+        found: dict[str, Any] = {key: self._data[name][key] for key in self._storage.stored}
         if goals is not None:
             found |= {"achieved_goal": found["observation"], "desired_goal": goals}
-        return {key: found[key] for key in self._rows.formats}
+        return {key: found[key] for key in self._storage.formats}

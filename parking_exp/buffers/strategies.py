@@ -4,12 +4,12 @@ from collections.abc import Callable
 
 import numpy as np
 
-from parking_exp.buffers.episode_index import Episodes
+from parking_exp.buffers.episode_index import EpisodeIndex
 
-Strategy = Callable[[np.random.Generator, Episodes, np.ndarray, np.ndarray], np.ndarray]
+Strategy = Callable[[np.random.Generator, EpisodeIndex, np.ndarray, np.ndarray], np.ndarray]
 
 
-def future(rng: np.random.Generator, episodes: Episodes, index: np.ndarray, record: np.ndarray) -> np.ndarray:
+def future(rng: np.random.Generator, episodes: EpisodeIndex, index: np.ndarray, record: np.ndarray) -> np.ndarray:
     """From the rest of the same episode, the transition itself included, as Stable-Baselines3 has it.
 
     Args:
@@ -26,18 +26,18 @@ def future(rng: np.random.Generator, episodes: Episodes, index: np.ndarray, reco
     return episodes.index(record["start"] + rng.integers(passed, record["length"]), env)
 
 
-def final(rng: np.random.Generator, episodes: Episodes, index: np.ndarray, record: np.ndarray) -> np.ndarray:
+def final(rng: np.random.Generator, episodes: EpisodeIndex, index: np.ndarray, record: np.ndarray) -> np.ndarray:
     """The last of the same episode; arguments as for `future`."""
     last = record["length"].astype(np.int64) - 1
     return episodes.index(record["start"] + last, index % episodes.n_envs)
 
 
-def episode(rng: np.random.Generator, episodes: Episodes, index: np.ndarray, record: np.ndarray) -> np.ndarray:
+def episode(rng: np.random.Generator, episodes: EpisodeIndex, index: np.ndarray, record: np.ndarray) -> np.ndarray:
     """From anywhere in the same episode; arguments as for `future`."""
     return episodes.index(record["start"] + rng.integers(record["length"]), index % episodes.n_envs)
 
 
-def random(rng: np.random.Generator, episodes: Episodes, index: np.ndarray, record: np.ndarray) -> np.ndarray:
+def random(rng: np.random.Generator, episodes: EpisodeIndex, index: np.ndarray, record: np.ndarray) -> np.ndarray:
     """From everything that is stored, episodes under way included; arguments as for `future`."""
     return episodes.draw_stored(rng, len(index))
 

@@ -7,7 +7,7 @@ import numpy as np
 from gymnasium.utils import seeding
 
 
-class Retraced(gym.Wrapper):
+class ReplayActions(gym.Wrapper):
     """Remembers the episode under way, so that another env of the same kind can be brought to the same state.
 
     What an episode depends on is the generator as it was before `reset`, and the actions since. At most one episode is

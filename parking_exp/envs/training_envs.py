@@ -9,8 +9,8 @@ from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv, VecMonitor
 
 from parking_exp.config.schema import EnvConfig
 from parking_exp.envs.highway import make_env
-from parking_exp.envs.replay import Retraced
-from parking_exp.envs.vec_env import VectorizedParking
+from parking_exp.envs.replay import ReplayActions
+from parking_exp.envs.vec_env import ParkingVecEnv
 
 MONITORED = ("is_success", "crashed")
 MONITOR_STATE = ("episode_returns", "episode_lengths", "episode_count")
@@ -29,9 +29,9 @@ def make_training_envs(
     """
     simulated: VecEnv
     if config.simulator == "vectorized":
-        simulated = VectorizedParking(config, n_envs, training=True)
+        simulated = ParkingVecEnv(config, n_envs, training=True)
     else:
-        simulated = DummyVecEnv([lambda: Retraced(make_env(config, training=True))] * n_envs)
+        simulated = DummyVecEnv([lambda: ReplayActions(make_env(config, training=True))] * n_envs)
     envs = VecMonitor(simulated, info_keywords=MONITORED)
     envs.t_start = time.time() - elapsed_s
     if monitor is not None:
@@ -45,7 +45,7 @@ def get_state(envs: VecEnv) -> dict[str, Any]:
     assert isinstance(envs, VecMonitor)
     simulated = envs.venv
     monitor = {name: getattr(envs, name) for name in MONITOR_STATE}
-    if isinstance(simulated, VectorizedParking):
+    if isinstance(simulated, ParkingVecEnv):
         return {"monitor": monitor, "envs": simulated.get_state()}
     return {"monitor": monitor, "envs": simulated.env_method("get_state")}
 
@@ -56,7 +56,7 @@ def set_state(envs: VecEnv, state: dict[str, Any]) -> None:
     simulated = envs.venv
     for name in MONITOR_STATE:
         setattr(envs, name, state["monitor"][name])
-    if isinstance(simulated, VectorizedParking):
+    if isinstance(simulated, ParkingVecEnv):
         simulated.set_state(state["envs"])
         return
     simulated._reset_seeds()  # what waits for a first reset that has been long since
@@ -66,7 +66,7 @@ def set_state(envs: VecEnv, state: dict[str, Any]) -> None:
 
 def is_parking(envs: VecEnv) -> bool:
     """Whether envs are parking-v0, ours or highway-env's, and not of another kind."""
-    if isinstance(envs.unwrapped, VectorizedParking):
+    if isinstance(envs.unwrapped, ParkingVecEnv):
         return True
     (spec,) = envs.get_attr("spec", 0)
     return spec is not None and spec.id == "parking-v0"

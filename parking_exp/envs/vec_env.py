@@ -13,7 +13,7 @@ from parking_exp.envs.scenes import Scenes
 from parking_exp.envs.simulator import Simulator
 
 
-class VectorizedParking(VecEnv):
+class ParkingVecEnv(VecEnv):
     """n parking envs in one, which start a new scene when an episode ends.
 
     After `seed(s)`, `reset()` starts highway-env's scenes s, s + 1, ..., as n envs of highway-env would. Later scenes

@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 
 from parking_exp.config.schema import EnvConfig, Simulation
-from parking_exp.envs.batch import start
+from parking_exp.envs.evaluation_envs import start_scenes
 from parking_exp.envs.interface import Batch, Observation, Policy
 from parking_exp.envs.outcomes import OUTCOMES, outcome
 from parking_exp.evaluation.trajectories import Recorder
@@ -46,7 +46,7 @@ def evaluate(
     rows: list[dict[str, Any]] = []
     for first in range(0, len(scenes), SIDE_BY_SIDE):
         chunk = scenes[first : first + SIDE_BY_SIDE]
-        batch = start(env, chunk, simulator)
+        batch = start_scenes(env, chunk, simulator)
         try:
             for row in _episodes(policy, batch, np.asarray(chunk), on_step, recorder, finished=first):
                 rows.append(row)

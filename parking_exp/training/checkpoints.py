@@ -19,8 +19,8 @@ import numpy as np
 from stable_baselines3.common.buffers import ReplayBuffer
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 
-from parking_exp.algorithms.fast.base import LeanTraining
-from parking_exp.algorithms.weights import load_weights
+from parking_exp.algorithms.fast.base import FastTraining
+from parking_exp.algorithms.weights import check_saved, load_weights
 from parking_exp.buffers import HerBuffer
 from parking_exp.errors import DamagedFileError, DamagedModelError, ModelError
 from parking_exp.runs.atomic import fsync, read_json, sha256, write_json
@@ -67,8 +67,10 @@ def save(directory: Path, model: OffPolicyAlgorithm, progress: Progress, best: P
         keep_last: how many whole checkpoints stay.
 
     Raises:
-        OSError: the disk is full; earlier checkpoints are untouched.
+        ModelError: the model has weights that its file would not hold; earlier checkpoints are untouched.
+        OSError: the disk is full; likewise.
     """
+    check_saved(model)
     target = directory / f"step={progress.step:010d}"
     with _new_directory(target) as folder:
         model.save(folder / MODEL)
@@ -160,7 +162,7 @@ def restore(folder: Path, model: OffPolicyAlgorithm, best: Path) -> dict[str, An
     for name in RECENT:
         setattr(model, name, deque(state["model"][name], maxlen=model._stats_window_size))
     _load_buffer(model.replay_buffer, folder / BUFFER)
-    if isinstance(model, LeanTraining) and model._n_updates:
+    if isinstance(model, FastTraining) and model._n_updates:
         model.bind()
     return state["streams"]
 

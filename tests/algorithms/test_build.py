@@ -8,14 +8,12 @@ import gymnasium as gym
 import numpy as np
 import pytest
 import torch
-from hydra.utils import get_class
 from stable_baselines3.common.logger import Logger
 from stable_baselines3.common.torch_layers import CombinedExtractor
 from stable_baselines3.common.vec_env import DummyVecEnv
 from support.runs import make_config, options
 
 from parking_exp.algorithms.build import build_model, greedy_policy
-from parking_exp.algorithms.features import EgoFrameExtractor
 from parking_exp.buffers import HerBuffer
 from parking_exp.envs.training_envs import make_training_envs
 from parking_exp.errors import ConfigError
@@ -85,18 +83,6 @@ def test_each_algorithm_learns_to_reach_a_goal(algorithm):
 def test_what_needs_parkings_reward_is_refused_for_another_env():
     with pytest.raises(ConfigError, match="relabelling otherwise than Stable-Baselines3 needs to know the reward"):
         build_model(make_config(*SMALL, "buffer.relabel_collision=keep"), DummyVecEnv([Reach, Reach]), seed=0)
-
-
-@pytest.mark.parametrize("algorithm", options("algorithm"))
-def test_every_algorithm_binds_to_its_constructor_and_updates(algorithm):
-    config = make_config(*SMALL, f"algorithm={algorithm}", "algorithm.net_arch=[16,16]", "algorithm.batch_size=8",
-                         "algorithm.learning_starts=40")  # fmt: skip
-    model = build_model(config, make_training_envs(config.env, config.n_envs), seed=0)
-    model.set_logger(Logger(None, []))
-    model.learn(60)
-    assert type(model) is get_class(config.algorithm.target)
-    assert model._n_updates > 0
-    assert isinstance(model.actor.features_extractor, EgoFrameExtractor)
 
 
 @pytest.mark.parametrize("buffer", options("buffer"))

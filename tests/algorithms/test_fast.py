@@ -1,4 +1,4 @@
-"""The lean update is Stable-Baselines3's: the same weights, batches and noise give the same parameters."""
+"""The fast update is Stable-Baselines3's: the same weights, batches and noise give the same parameters."""
 
 import copy
 
@@ -14,8 +14,8 @@ from support.runs import make_config
 from parking_exp.algorithms import build, fast
 from parking_exp.algorithms.build import build_model, torch_settings
 from parking_exp.algorithms.fast import precision
-from parking_exp.algorithms.fast.minibatches import sample_round
-from parking_exp.algorithms.fast.support import is_lean
+from parking_exp.algorithms.fast.minibatches import sample_minibatches
+from parking_exp.algorithms.fast.support import is_supported
 from parking_exp.envs.training_envs import make_training_envs
 
 ALGORITHMS = ("SAC", "TD3", "DDPG")
@@ -68,11 +68,11 @@ def furthest(ours, theirs):
     return max((mine[name] - other[name]).abs().max().item() for name in other)
 
 
-def update(model, samples, rounds=100, seed=0):
+def update(model, samples, calls=100, seed=0):
     feed(model, samples)
     torch.manual_seed(seed)
-    for _ in range(rounds):
-        model.train(gradient_steps=len(samples) // rounds, batch_size=len(samples[0].rewards))
+    for _ in range(calls):
+        model.train(gradient_steps=len(samples) // calls, batch_size=len(samples[0].rewards))
 
 
 @pytest.mark.parametrize("features", ["ego", "raw"])
@@ -107,12 +107,12 @@ def test_options_change_both_alike(name, override):
     if "lateral" in override:
         overrides.append("algorithm.action_noise=null")
     theirs, ours = pair(name, *overrides)
-    assert is_lean(ours)
+    assert is_supported(ours)
     samples = batches(100, theirs.batch_size, 0)
     if "lateral" in override:
         samples = [sample._replace(actions=sample.actions[:, :1]) for sample in samples]
     for model in (theirs, ours):
-        update(model, samples, rounds=25)  # four updates a round
+        update(model, samples, calls=25)  # four updates a call
     assert furthest(ours, theirs) < 1e-5
 
 
@@ -142,9 +142,9 @@ def test_medium_precision_is_the_same_update_but_for_rounding(name, matmul_preci
     samples = batches(1, 256, 0)
     theirs, ours = pair(name, "algorithm.net_arch=[256,256,256]", "algorithm.features=raw")
     matmul_precision("highest")
-    update(theirs, samples, rounds=1)
+    update(theirs, samples, calls=1)
     matmul_precision("medium")
-    update(ours, samples, rounds=1)
+    update(ours, samples, calls=1)
     pairs = zip(ours.policy.parameters(), theirs.policy.parameters(), strict=True)
     close = [(mine - other).abs() < 1e-5 for mine, other in pairs]
     same = 0.95 if rounds_to_bfloat16() else 0.99
@@ -243,7 +243,7 @@ def test_what_is_logged_is_what_stable_baselines3_logs(name):
     theirs, ours = pair(name)
     samples = batches(6, 64, 0)
     for model in (theirs, ours):
-        update(model, samples, rounds=1)
+        update(model, samples, calls=1)
     mine, other = ours.logger.name_to_value, theirs.logger.name_to_value
     assert set(mine) == set(other)
     assert mine == {key: pytest.approx(value, abs=1e-5) for key, value in other.items()}
@@ -253,7 +253,7 @@ def test_what_is_logged_is_what_stable_baselines3_logs(name):
 def test_saved_and_loaded_it_goes_on_as_if_nothing_had_been(name, tmp_path):
     model = make_model(name, "buffer=replay")
     samples = batches(40, 64, 0)
-    update(model, samples[:20], rounds=20)
+    update(model, samples[:20], calls=20)
     model.save(tmp_path / "model.zip")
     loaded = getattr(fast, name).load(tmp_path / "model.zip", env=model.env)
     loaded.set_logger(Logger(None, []))
@@ -264,7 +264,7 @@ def test_saved_and_loaded_it_goes_on_as_if_nothing_had_been(name, tmp_path):
         model.predict(observation, deterministic=True)[0], loaded.predict(observation, deterministic=True)[0]
     )
     for one in (model, loaded, theirs):
-        update(one, samples[20:], rounds=20)
+        update(one, samples[20:], calls=20)
     assert furthest(loaded, model) == 0
     assert furthest(theirs, model) < 1e-5
 
@@ -274,12 +274,12 @@ def test_what_is_replaced_meanwhile_is_noticed():
     theirs, ours = pair("SAC", seed=0)
     donor = make_model("SAC", seed=1)
     samples = batches(30, 64, 0)
-    update(donor, samples[:10], rounds=10)
+    update(donor, samples[:10], calls=10)
     for model in (theirs, ours):
-        update(model, samples[:10], rounds=10)
+        update(model, samples[:10], calls=10)
         model.set_parameters(copy.deepcopy(donor.get_parameters()))  # torch would take the state itself, not a copy
         model.actor.mu.weight.data = model.actor.mu.weight.data.clone()
-        update(model, samples[10:], rounds=20)
+        update(model, samples[10:], calls=20)
     assert furthest(ours, theirs) < 1e-5
 
 
@@ -296,11 +296,11 @@ def test_what_is_replaced_meanwhile_is_noticed():
 def test_what_it_does_not_know_is_trained_by_stable_baselines3(arguments):
     env = make_training_envs(make_config().env, 2)
     theirs, ours = (module.SAC("MultiInputPolicy", env, seed=0, buffer_size=10, **arguments) for module in (sb3, fast))
-    assert not is_lean(ours)
+    assert not is_supported(ours)
     samples = batches(5, 64, 0)
     for model in (theirs, ours):
         model.set_logger(Logger(None, []))
-        update(model, samples, rounds=5)
+        update(model, samples, calls=5)
     assert furthest(ours, theirs) == 0
 
 
@@ -326,24 +326,24 @@ class TimidPolicy(sb3.sac.policies.MultiInputPolicy):
 
 def test_policies_of_other_peoples_are_not_mistaken_for_known_ones():
     env = make_training_envs(make_config().env, 2)
-    assert not is_lean(fast.SAC(TimidPolicy, env, buffer_size=10))
+    assert not is_supported(fast.SAC(TimidPolicy, env, buffer_size=10))
     dropped_out = {"features_extractor_class": DroppedOut}
-    assert not is_lean(fast.SAC("MultiInputPolicy", env, buffer_size=10, policy_kwargs=dropped_out))
+    assert not is_supported(fast.SAC("MultiInputPolicy", env, buffer_size=10, policy_kwargs=dropped_out))
     half_trained = fast.SAC("MultiInputPolicy", env, buffer_size=10)
-    assert is_lean(half_trained)
+    assert is_supported(half_trained)
     half_trained.actor.optimizer = torch.optim.Adam(half_trained.actor.mu.parameters())
-    assert not is_lean(half_trained)
+    assert not is_supported(half_trained)
 
 
-def test_a_round_is_dealt_out_with_each_minibatchs_share_of_virtual_goals():
+def test_minibatches_sampled_together_have_each_their_share_of_virtual_goals():
     """8 x 64 transitions of HER with n_sampled_goal=4: int(.8 x 512) = 409 virtual ones, 51 or 52 in each minibatch."""
     model = make_model("SAC")
     model.learning_starts = 4000
     model.learn(4000)
-    real = {tuple(goal) for goal in np.float32(model.replay_buffer.rows.goals).tolist()}
+    real = {tuple(goal) for goal in np.float32(model.replay_buffer.storage.goals).tolist()}
     model.actor.extract_features = lambda observation, extractor: observation["desired_goal"].float()
     virtual = []
-    for minibatch in sample_round(model, 8, 64):
+    for minibatch in sample_minibatches(model, 8, 64):
         assert minibatch.features.shape == (128, 6)
         assert minibatch.actions.shape == (64, 2)
         assert torch.equal(minibatch.features[:64], minibatch.features[64:])
@@ -352,11 +352,11 @@ def test_a_round_is_dealt_out_with_each_minibatchs_share_of_virtual_goals():
     assert set(virtual) == {51, 52}
 
 
-def test_a_very_long_round_is_sampled_in_parts():
+def test_very_many_minibatches_are_sampled_in_parts():
     model = make_model("SAC", "buffer=replay")
     model.learning_starts = 2000
     model.learn(2000)
-    assert [len(minibatch.actions) for minibatch in sample_round(model, 130, 16)] == [16] * 130
+    assert [len(minibatch.actions) for minibatch in sample_minibatches(model, 130, 16)] == [16] * 130
     model.train(gradient_steps=130, batch_size=16)
     assert model._n_updates == 130
 

@@ -26,7 +26,7 @@ from parking_exp.buffers.her import NO_GOALS
 from parking_exp.buffers.strategies import STRATEGIES
 from parking_exp.envs.reward import GoalReward
 from parking_exp.envs.training_envs import make_training_envs
-from parking_exp.envs.vec_env import VectorizedParking
+from parking_exp.envs.vec_env import ParkingVecEnv
 
 ENV = make_config().env
 REWARD, SPARSE = GoalReward.of(ENV), GoalReward.of(make_config("env=parking_sparse").env)
@@ -79,7 +79,7 @@ class Transitions:
 
 
 def make(cls=HerBuffer, size=100, n_envs=1, observation_space=SPACES[0], **keywords):
-    env = VectorizedParking(ENV, n_envs)
+    env = ParkingVecEnv(ENV, n_envs)
     return cls(size, observation_space, SPACES[1], env=env, device="cpu", n_envs=n_envs, **keywords)
 
 
@@ -105,7 +105,7 @@ def drawable(ours):
 
 
 def records_of(ours, index):
-    return ours.episodes.table[ours.rows.take(index).slots]
+    return ours.episodes.table[ours.storage.take(index).record_ids]
 
 
 def assert_equal(ours, theirs):
@@ -125,7 +125,7 @@ def test_given_the_same_indices_batches_are_stable_baselines3s(n_envs, steps):
     index = rng.choice(sorted(drawable(ours)), 64)
     real, virtual = index[:13], index[13:]
     goal_index = STRATEGIES["future"](rng, ours.episodes, virtual, records_of(ours, virtual))
-    mine = ours._collect(ours.rows.take(index), goal_index)
+    mine = ours._collect(ours.storage.take(index), goal_index)
     goals = theirs.next_observations["achieved_goal"].reshape(-1, 6)[goal_index]
     theirs._sample_goals = lambda *_: goals
     real_data = theirs._get_real_samples(*np.divmod(real, n_envs))
@@ -159,13 +159,13 @@ def test_with_real_episodes_too(option, simulator):
         for buffer in (ours, theirs):
             buffer.add(obs, stored, action, reward, done, infos)
         obs = {key: value.copy() for key, value in next_obs.items()}
-    assert ours.rows.compact
+    assert ours.storage.compact
     index = np.array(sorted(drawable(ours)))
     goal_index = STRATEGIES["episode"](rng, ours.episodes, index, records_of(ours, index))
     goals = theirs.next_observations["achieved_goal"].reshape(-1, 6)[goal_index]
     theirs._sample_goals = lambda *_: goals
-    assert_equal(ours._collect(ours.rows.take(index), goal_index), theirs._get_virtual_samples(*np.divmod(index, 3)))
-    assert_equal(ours._collect(ours.rows.take(index), NO_GOALS), theirs._get_real_samples(*np.divmod(index, 3)))
+    assert_equal(ours._collect(ours.storage.take(index), goal_index), theirs._get_virtual_samples(*np.divmod(index, 3)))
+    assert_equal(ours._collect(ours.storage.take(index), NO_GOALS), theirs._get_real_samples(*np.divmod(index, 3)))
 
 
 @settings(max_examples=60, deadline=None)
@@ -244,7 +244,7 @@ def test_which_goal_a_transition_carries(strategy, n_envs, steps):
     ours, _ = pair(100, n_envs, steps, goal_selection_strategy=strategy)
     last = {}
     for index in drawable(ours):
-        transition = ours.rows.take(np.array([index]))
+        transition = ours.storage.take(np.array([index]))
         env, episode, at = transition.observations(np.empty((0, 6)))[0]["observation"][0, :3]
         last[env, episode] = max(last.get((env, episode), 0), at + 1)
     real = 0
@@ -300,7 +300,7 @@ def ended(how, option=None):
 def test_reward_and_end_of_a_relabelled_transition(how, collision, terminated):
     """The last transition reaches the virtual goal, which is its own; the first does not."""
     ours = ended(how, {"relabel_collision": collision, "relabel_terminated": terminated})
-    batch = ours._collect(ours.rows.take(np.array([0, 2, 0, 2])), np.array([2, 2]))
+    batch = ours._collect(ours.storage.take(np.array([0, 2, 0, 2])), np.array([2, 2]))
     crashed = how == "crash"
     assert batch.rewards[:2, 0].tolist() == [-7.0, -7.0]
     # The goal is (3, 3, .7, .7, 2, 2), the first transition achieves (1, 1, .7, .7, 0, 0).
@@ -315,7 +315,7 @@ def test_reward_and_end_of_a_relabelled_transition(how, collision, terminated):
 def test_a_relabelled_crash_away_from_the_goal():
     for terminated, end in (("sb3", 1.0), ("goal", 0.0), ("goal_and_crash", 1.0)):
         ours = ended("crash", {"relabel_collision": "keep", "relabel_terminated": terminated})
-        batch = ours._collect(ours.rows.take(np.array([2])), np.array([0]))
+        batch = ours._collect(ours.storage.take(np.array([2])), np.array([0]))
         dense, reached = REWARD(
             batch.next_observations["achieved_goal"].numpy(), batch.observations["desired_goal"].numpy()
         )
@@ -394,7 +394,7 @@ def test_without_a_strategy_everything_stored_is_drawn_as_it_is(n_envs):
             torch.tensor(theirs.rewards[row, env][:, None]),
         ]
         for buffer in (ours, pickle.loads(pickle.dumps(ours)) if step % 7 == 0 else ours):
-            assert_equal(buffer._collect(buffer.rows.take(index), NO_GOALS), expected)
+            assert_equal(buffer._collect(buffer.storage.take(index), NO_GOALS), expected)
     ours.rng = np.random.default_rng(0)
     batch = ours.sample(20_000)
     drawn = batch.observations["observation"][:, 0] * 1e6 + batch.actions[:, 0] * 1000 + batch.actions[:, 1]
@@ -451,7 +451,7 @@ def test_truncating_the_last_trajectory_is_stable_baselines3s():
             buffer.truncate_last_trajectory()
     assert drawable(ours) == set(np.flatnonzero(theirs.ep_length > 0))
     index = np.array(sorted(drawable(ours)))
-    assert_equal(ours._collect(ours.rows.take(index), NO_GOALS), theirs._get_real_samples(*np.divmod(index, 8)))
+    assert_equal(ours._collect(ours.storage.take(index), NO_GOALS), theirs._get_real_samples(*np.divmod(index, 8)))
 
 
 @pytest.mark.parametrize(
@@ -486,7 +486,7 @@ def test_a_reset_forgets_everything_and_goes_on():
         theirs.add(*transition)
     index = np.array(sorted(drawable(ours)))
     assert set(index) == set(np.flatnonzero(theirs.ep_length > 0))
-    assert_equal(ours._collect(ours.rows.take(index), NO_GOALS), theirs._get_real_samples(*np.divmod(index, 2)))
+    assert_equal(ours._collect(ours.storage.take(index), NO_GOALS), theirs._get_real_samples(*np.divmod(index, 2)))
 
 
 def test_a_copy_is_independent_and_leaves_numpys_global_generator_alone():
@@ -506,9 +506,9 @@ def test_an_env_that_was_reset_without_a_word_starts_another_episode():
     for transitions in (first, second):
         for _ in range(5):
             ours.add(*next(transitions))
-    assert ours.rows.compact
-    assert ours.rows.data.dtype.itemsize == 112
-    batch = ours._collect(ours.rows.take(np.arange(10)), NO_GOALS)
+    assert ours.storage.compact
+    assert ours.storage.data.dtype.itemsize == 112
+    batch = ours._collect(ours.storage.take(np.arange(10)), NO_GOALS)
     assert batch.observations["desired_goal"][:, 1].tolist() == [0.0] * 5 + [7.0] * 5
     assert not batch.dones.any()
     assert drawable(ours) == {0, 1, 2, 3, 4}
@@ -517,7 +517,7 @@ def test_an_env_that_was_reset_without_a_word_starts_another_episode():
     model.set_logger(Logger(None, []))
     for _ in range(2):
         model.learn(105)
-    assert model.replay_buffer.rows.data.dtype.itemsize == 112
+    assert model.replay_buffer.storage.data.dtype.itemsize == 112
 
 
 def test_memory_and_file():
@@ -525,7 +525,7 @@ def test_memory_and_file():
     transitions = Transitions(1, longest=20)
     for _ in range(2020):
         ours.add(*next(transitions))
-    assert ours.rows.data.dtype.itemsize == 112
+    assert ours.storage.data.dtype.itemsize == 112
     assert ours.nbytes / 5000 < 150
     assert not any(array.dtype.hasobject for array in ours.get_state().values())
     file = io.BytesIO()
@@ -556,12 +556,12 @@ def test_goals_that_change_within_an_episode_and_other_achieved_goals(at):
         obs, next_obs, *rest = next(transitions)
         if step >= at:
             obs["achieved_goal"], next_obs["desired_goal"] = obs["achieved_goal"] + 0.5, next_obs["desired_goal"] + step
-        assert ours.rows.compact == (step <= at)
+        assert ours.storage.compact == (step <= at)
         for buffer in (ours, theirs):
             buffer.add(obs, next_obs, *rest)
-    assert not ours.rows.compact
+    assert not ours.storage.compact
     index = np.array(sorted(drawable(ours)))
-    assert_equal(ours._collect(ours.rows.take(index), NO_GOALS), theirs._get_real_samples(*np.divmod(index, 2)))
+    assert_equal(ours._collect(ours.storage.take(index), NO_GOALS), theirs._get_real_samples(*np.divmod(index, 2)))
     other = pickle.loads(pickle.dumps(ours))
     other.set_env(ours.env)
     assert_equal(ours.sample(64), other.sample(64))
@@ -569,16 +569,16 @@ def test_goals_that_change_within_an_episode_and_other_achieved_goals(at):
 
 def test_with_vec_normalize_batches_are_stable_baselines3s():
     ours, theirs = pair(100, 1, 80)
-    normalize = VecNormalize(VectorizedParking(ENV, 1), norm_obs_keys=["observation"])
+    normalize = VecNormalize(ParkingVecEnv(ENV, 1), norm_obs_keys=["observation"])
     normalize.obs_rms["observation"].mean = np.arange(6.0)
     normalize.ret_rms.var = np.array(4.0)
     index = np.array(sorted(drawable(ours)))
     goals = theirs.next_observations["achieved_goal"].reshape(-1, 6)[index[::-1]]
     theirs._sample_goals = lambda *_: goals
     at = (index, index * 0, normalize)
-    taken = ours.rows.take(index)
+    taken = ours.storage.take(index)
     assert_equal(ours._collect(taken, NO_GOALS, normalize), theirs._get_real_samples(*at))
-    assert_equal(ours._collect(ours.rows.take(index), index[::-1], normalize), theirs._get_virtual_samples(*at))
+    assert_equal(ours._collect(ours.storage.take(index), index[::-1], normalize), theirs._get_virtual_samples(*at))
 
 
 def test_other_spaces():
@@ -608,8 +608,8 @@ def test_other_spaces():
         for buffer in (ours, theirs):
             buffer.add(*transition)
     index = np.array(sorted(drawable(ours)))
-    assert_equal(ours._collect(ours.rows.take(index), NO_GOALS), theirs._get_real_samples(*np.divmod(index, 2)))
-    assert_equal(*(buffer._collect(buffer.rows.take(index), NO_GOALS) for buffer in (ours, copy.deepcopy(ours))))
+    assert_equal(ours._collect(ours.storage.take(index), NO_GOALS), theirs._get_real_samples(*np.divmod(index, 2)))
+    assert_equal(*(buffer._collect(buffer.storage.take(index), NO_GOALS) for buffer in (ours, copy.deepcopy(ours))))
 
 
 def test_another_env_is_asked_for_its_rewards(tmp_path):

@@ -6,7 +6,7 @@ from support.runs import make_config, options
 from support.simulator_equality import KINDS, actions_of, compare, different_scenes
 
 from parking_exp.config.schema import EnvConfig
-from parking_exp.envs.batch import start
+from parking_exp.envs.evaluation_envs import start_scenes
 from parking_exp.envs.highway import HighwayBatch, make_env
 from parking_exp.envs.scenes import Scenes, start_slot
 from parking_exp.envs.simulator import Simulator
@@ -143,7 +143,7 @@ def test_reward_of_a_batch_of_goals_is_highway_envs():
 def test_both_simulators_start_and_end_alike():
     config = env_config("env.duration=2")
     for name in ("vectorized", "highway_env"):
-        batch = start(config, [4, 9], name)
+        batch = start_scenes(config, [4, 9], name)
         assert isinstance(batch, HighwayBatch if name == "highway_env" else Simulator)
         for number in range(1, 12):
             step = batch.step(np.zeros((2, 2), np.float32))

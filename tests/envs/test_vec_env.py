@@ -7,7 +7,7 @@ from support.runs import make_config
 
 from parking_exp.envs.highway import make_env
 from parking_exp.envs.training_envs import make_training_envs
-from parking_exp.envs.vec_env import VectorizedParking
+from parking_exp.envs.vec_env import ParkingVecEnv
 from parking_exp.training.seeding import derive_seeds
 
 
@@ -17,16 +17,16 @@ def config():
 
 
 def test_spaces_are_highway_envs(config):
-    ours, theirs = VectorizedParking(config, 2), make_env(config)
+    ours, theirs = ParkingVecEnv(config, 2), make_env(config)
     assert ours.observation_space == theirs.observation_space
     assert ours.action_space == theirs.action_space
     throttle = make_config("env.action.lateral=false").env
-    assert VectorizedParking(throttle, 2).action_space == make_env(throttle).action_space
+    assert ParkingVecEnv(throttle, 2).action_space == make_env(throttle).action_space
 
 
 def test_until_the_first_reset_it_equals_highway_env_in_a_dummy_vec_env(config):
     """The same seeds, the same actions: observations, rewards, dones and infos, the last step of an episode included."""
-    ours = VectorizedParking(config, 4, training=True)
+    ours = ParkingVecEnv(config, 4, training=True)
     theirs = DummyVecEnv([lambda: make_env(config, training=True)] * 4)
     ours.seed(7), theirs.seed(7)
     start, their_start = ours.reset(), theirs.reset()
@@ -53,7 +53,7 @@ def test_until_the_first_reset_it_equals_highway_env_in_a_dummy_vec_env(config):
 def test_crashes_and_their_terminal_observations_equal_those_of_a_dummy_vec_env():
     """Full throttle until each env has crashed once, at different times; what comes after is another scene."""
     config = make_config("env=parking_parked", "env.training_duration=20").env
-    ours = VectorizedParking(config, 6, training=True)
+    ours = ParkingVecEnv(config, 6, training=True)
     theirs = DummyVecEnv([lambda: make_env(config, training=True)] * 6)
     ours.seed(0), theirs.seed(0)
     ours.reset(), theirs.reset()
@@ -80,14 +80,14 @@ def test_crashes_and_their_terminal_observations_equal_those_of_a_dummy_vec_env(
 
 
 def test_a_seed_that_waits_for_its_reset_is_part_of_the_state(config):
-    env, other = VectorizedParking(config, 2), VectorizedParking(config, 2)
+    env, other = ParkingVecEnv(config, 2), ParkingVecEnv(config, 2)
     env.seed(3)
     other.set_state(env.get_state())
     np.testing.assert_array_equal(env.reset()["observation"], other.reset()["observation"])
 
 
 def test_an_ended_episode_is_followed_by_a_new_scene(config):
-    env = VectorizedParking(config, 3, training=True)
+    env = ParkingVecEnv(config, 3, training=True)
     env.seed(0)
     headings = env.reset()["observation"][:, 4:]
     for _ in range(11):
@@ -100,7 +100,7 @@ def test_an_ended_episode_is_followed_by_a_new_scene(config):
 
 
 def test_a_crash_is_no_timeout():
-    env = VectorizedParking(make_config().env, 8, training=True)
+    env = ParkingVecEnv(make_config().env, 8, training=True)
     env.seed(0)
     env.reset()
     for _ in range(100):
@@ -114,7 +114,7 @@ def test_a_crash_is_no_timeout():
 
 
 def test_state_is_saved_restored_and_continued_identically(config):
-    env = VectorizedParking(config, 5, training=True)
+    env = ParkingVecEnv(config, 5, training=True)
     env.seed(3)
     env.reset()
     rng = np.random.default_rng(0)
@@ -123,7 +123,7 @@ def test_state_is_saved_restored_and_continued_identically(config):
         env.step(actions[step])
     saved = env.get_state()
     first = [env.step(actions[step]) for step in range(7, 40)]  # three new scenes on the way
-    other = VectorizedParking(config, 5, training=True)
+    other = ParkingVecEnv(config, 5, training=True)
     other.set_state(saved)
     for step, (observation, rewards, dones, _) in zip(range(7, 40), first, strict=True):
         again = other.step(actions[step])
@@ -144,7 +144,7 @@ def test_the_same_seed_gives_the_same_envs(config):
 
 
 def test_what_an_env_does_not_have_is_named(config):
-    env = VectorizedParking(config, 2)
+    env = ParkingVecEnv(config, 2)
     assert env.get_attr("render_mode") == [None, None]
     with pytest.raises(AttributeError, match="no road"):
         env.get_attr("road")

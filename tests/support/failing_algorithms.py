@@ -4,11 +4,9 @@ import json
 import os
 import signal
 import sys
-import threading
 import time
 from pathlib import Path
 
-import numpy as np
 import torch
 
 from parking_exp.algorithms import SAC
@@ -64,83 +62,3 @@ class Tells(SAC):
         }
         Path(os.environ["TELLS"], f"{os.getpid()}.json").write_text(json.dumps(told))
         return self
-
-
-class SavesNothing(SAC):
-    """As those of sbx do, which keep their weights elsewhere."""
-
-    def _get_torch_save_params(self):
-        return [], []
-
-
-class SavesNoOptimizer(SAC):
-    def _get_torch_save_params(self):
-        return ["policy", "actor.optimizer", "ent_coef_optimizer"], ["log_ent_coef"]
-
-
-class SavesNoTensor(SAC):
-    def _setup_model(self):
-        super()._setup_model()
-        self.scales = {"actions": [torch.rand(2)]}
-
-
-class SavesNoModule(SAC):
-    def _setup_model(self):
-        super()._setup_model()
-        self.curiosity = Ensemble()
-
-
-class SavesModules(SAC):
-    """And does what SavesNoModule should have done."""
-
-    def _setup_model(self):
-        super()._setup_model()
-        self.curiosity = torch.nn.Linear(3, 3)
-
-    def _get_torch_save_params(self):
-        names, variables = super()._get_torch_save_params()
-        return [*names, "curiosity"], variables
-
-
-class Ensemble:
-    def __init__(self):
-        self.members = (torch.nn.Linear(3, 3), torch.nn.BatchNorm1d(3))
-
-
-class NamesNothing(SAC):
-    def _get_torch_save_params(self):
-        return ["policy", "actr"], []
-
-
-class CannotBeSaved(SAC):
-    def _setup_model(self):
-        super()._setup_model()
-        self.lock = threading.Lock()
-
-
-class ActsFromElsewhere(SAC):
-    """All of its tensors are saved, and it acts by others, which are not torch's."""
-
-    def _setup_model(self):
-        super()._setup_model()
-        self.offset = np.random.rand()
-
-    def predict(self, *arguments, **keywords):
-        action, state = super().predict(*arguments, **keywords)
-        return action + self.offset, state
-
-
-class HasNoTorch(SAC):
-    """As sbx's classes: weights are arrays."""
-
-    def _setup_model(self):
-        super()._setup_model()
-        self.weights = np.random.rand(2)
-        for name in ("policy", "actor", "critic", "critic_target", "log_ent_coef", "ent_coef_optimizer"):
-            delattr(self, name)
-
-    def _get_torch_save_params(self):
-        return [], []
-
-    def predict(self, observation, *arguments, **keywords):
-        return np.tile(self.weights, (len(observation["observation"]), 1)), None

@@ -30,13 +30,6 @@ def save(directory, model, step, keep_last=2, best=None):
     return checkpoints.save(directory, model, Progress(step=step), best or directory / "no-best.zip", keep_last)
 
 
-def assert_same_parameters(one, two):
-    ours, theirs = one.get_parameters(), two.get_parameters()
-    assert ours.keys() == theirs.keys()
-    for name in ours:
-        torch.testing.assert_close(ours[name], theirs[name], rtol=0, atol=0)
-
-
 def assert_same_arrays(one, two):
     assert one.keys() == two.keys()
     for name in one:
@@ -44,14 +37,11 @@ def assert_same_arrays(one, two):
         assert one[name].tobytes() == two[name].tobytes(), name
 
 
-@pytest.mark.parametrize("algorithm", ["sac", "td3", "ddpg", "tqc", "crossq"])
-def test_model_optimizers_buffer_and_counters_come_back(tmp_path, algorithm):
-    model, fresh = trained(f"algorithm={algorithm}"), trained(f"algorithm={algorithm}", steps=0)
+def test_buffer_and_counters_come_back(tmp_path):
+    """And the model: tests/algorithms/test_contract.py shows that of every algorithm."""
+    model, fresh = trained(), trained(steps=0)
     folder = save(tmp_path, model, step=100)
     checkpoints.restore(folder, fresh, best=tmp_path / "best.zip")
-    assert_same_parameters(model, fresh)
-    if algorithm in {"sac", "tqc", "crossq"}:
-        assert torch.equal(model.log_ent_coef, fresh.log_ent_coef)
     for name in ("num_timesteps", "_n_updates", "_episode_num"):
         assert getattr(fresh, name) == getattr(model, name) > 0
     assert list(fresh.ep_success_buffer) == list(model.ep_success_buffer)

@@ -19,10 +19,10 @@ from support.runs import make_config, only_run, script, wait_for
 
 from parking_exp.algorithms import build
 from parking_exp.algorithms.build import build_model, greedy_policy
-from parking_exp.algorithms.fast.base import LeanTraining
+from parking_exp.algorithms.fast.base import FastTraining
 from parking_exp.envs import training_envs
 from parking_exp.envs.highway import make_env
-from parking_exp.envs.replay import Retraced
+from parking_exp.envs.replay import ReplayActions
 from parking_exp.errors import FailedRunError, InterruptedRunError
 from parking_exp.evaluation.evaluate import evaluate
 from parking_exp.evaluation.video import record
@@ -345,7 +345,7 @@ def test_rollout_state_is_restored_as_it_was_saved(kind):
 def test_an_env_of_highway_env_goes_on_from_its_state(option, steps):
     """At the start of an episode, in its middle, and after others; the next scenes are the same, too."""
     env_config = composed_once(f"env={option}", "env.training_duration=5", "algorithm.learning_starts=500").env
-    one, other = (Retraced(make_env(env_config, training=True)) for _ in range(2))
+    one, other = (ReplayActions(make_env(env_config, training=True)) for _ in range(2))
     actions = np.random.default_rng(0).uniform(-1, 1, (steps + 40, 2)).astype(np.float32)
     one.reset(seed=3)
     for action in actions[:steps]:
@@ -378,7 +378,7 @@ def test_restored_networks_lie_in_memory_as_training_lays_them(tmp_path):
     model.learn(100)
     folder = checkpoints.save(tmp_path, model, checkpoints.Progress(step=100), tmp_path / "none.zip", 1)
     checkpoints.restore(folder, fresh, tmp_path / "none.zip")
-    assert isinstance(fresh, LeanTraining)
+    assert isinstance(fresh, FastTraining)
     assert fresh._update.is_bound(fresh)
     assert fresh._update.flat.is_whole
 

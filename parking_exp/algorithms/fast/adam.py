@@ -1,4 +1,4 @@
-"""Adam and Polyak averaging on all parameters of a network at once, in one piece of memory."""
+"""Adam and Polyak averaging on all parameters of a network at once, flattened into one vector."""
 
 from collections.abc import Sequence
 
@@ -7,8 +7,8 @@ import torch
 BLOCK = 32
 
 
-class Flat:
-    """Tensors that lie side by side in one vector; an operation on the vector is one on each of them.
+class FlatTensors:
+    """Tensors whose data are views of one flat vector: one operation on the vector updates them all.
 
     They stay the same objects, in place: what reads, saves or loads them notices nothing. Torch computes in blocks of
     32 and rounds the rest of a vector otherwise; so tensors that fill whole blocks come first, and the small rest of a
@@ -35,21 +35,21 @@ class Flat:
 
     @property
     def is_whole(self) -> bool:
-        """Whether the tensors still lie in the vector; a copy or a move to a device takes them out."""
+        """Whether the tensors are still views of the vector; a copy or a move to a device replaces their data."""
         return all(tensor.data_ptr() == view.data_ptr() for tensor, view in zip(self.tensors, self.views, strict=True))
 
 
 class Adam:
-    """Steps a `torch.optim.Adam`, whose parameters are one `Flat`, with the operations of torch's own, in their order.
+    """Step a `torch.optim.Adam` whose parameters are one `FlatTensors`, with torch's own operations in their order.
 
-    The state stays the optimizer's, so it is saved and loaded as ever.
+    The state stays in the optimizer, which saves and loads it as usual.
 
     Attributes:
         gradient: to be written before `step`, one vector.
         gradients: the same in parts, in the order and shapes of the parameters.
     """
 
-    def __init__(self, optimizer: torch.optim.Optimizer, parameters: Flat) -> None:
+    def __init__(self, optimizer: torch.optim.Optimizer, parameters: FlatTensors) -> None:
         self.optimizer, self.parameters = optimizer, parameters
         self.gradient = torch.zeros_like(parameters.vector)
         self.gradients = parameters.split(self.gradient)
@@ -60,8 +60,8 @@ class Adam:
             state.setdefault("exp_avg_sq", torch.zeros_like(parameter))
         self._steps = [state["step"] for state in states]
         self._step = int(self._steps[0].item())
-        self._mean = Flat([state["exp_avg"] for state in states])
-        self._square = Flat([state["exp_avg_sq"] for state in states])
+        self._mean = FlatTensors([state["exp_avg"] for state in states])
+        self._square = FlatTensors([state["exp_avg_sq"] for state in states])
 
     @property
     def is_bound(self) -> bool:
@@ -93,12 +93,12 @@ class Adam:
         self.parameters.vector.addcdiv_(mean, denominator, value=-group["lr"] / (1 - beta1**self._step))
 
 
-def follow(target: Flat, source: Flat, tau: float) -> None:
-    """Move `target` towards `source` by Polyak averaging, as Stable-Baselines3 does."""
+def polyak_update(target: FlatTensors, source: FlatTensors, tau: float) -> None:
+    """Update target networks by Polyak averaging, as `stable_baselines3.common.utils.polyak_update` does."""
     target.vector.mul_(1 - tau).add_(source.vector, alpha=tau)
 
 
-def is_plain(optimizer: torch.optim.Optimizer) -> bool:
+def is_plain_adam(optimizer: torch.optim.Optimizer) -> bool:
     """Whether an optimizer is Adam as Stable-Baselines3 makes it by default: one group, on the CPU, no variants."""
     if type(optimizer) is not torch.optim.Adam or len(optimizer.param_groups) != 1:
         return False

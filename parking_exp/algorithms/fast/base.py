@@ -1,14 +1,14 @@
-"""What the lean SAC, TD3 and DDPG share: when to update by hand, and what is logged."""
+"""Mixin that gives SAC, TD3 and DDPG a faster `train`: when it applies, and what it logs."""
 
 from typing import Any, ClassVar, Protocol
 
 import torch
 
-from parking_exp.algorithms.fast.support import is_lean
+from parking_exp.algorithms.fast.support import is_supported
 
 
 class Update(Protocol):
-    """The update of one model's networks, written out."""
+    """The update of one model's networks, without autograd."""
 
     def __init__(self, model: Any) -> None: ...
 
@@ -16,21 +16,21 @@ class Update(Protocol):
         """Whether the networks and optimizers are still the model's."""
 
     def run(self, model: Any, gradient_steps: int, batch_size: int) -> dict[str, float]:
-        """Do the updates of a round and return the means of what Stable-Baselines3 logs."""
+        """Do `gradient_steps` updates and return the means of what Stable-Baselines3 logs."""
 
 
-class LeanTraining:
-    """Goes before an off-policy class of Stable-Baselines3 among a class's bases, and replaces its `train`.
+class FastTraining:
+    """Mixin that replaces the `train` of an off-policy class of Stable-Baselines3; it stands before that class.
 
-    What the lean update does not know (`support.is_lean`) is trained by Stable-Baselines3's own.
+    Models that the fast update does not support (`support.is_supported`) are trained by Stable-Baselines3's `train`.
     """
 
     update_class: ClassVar[type[Update]]
     _update: Update | None = None
 
     def train(self: Any, gradient_steps: int, batch_size: int = 64) -> None:
-        """Do the updates of one round."""
-        if not is_lean(self):
+        """Do `gradient_steps` updates on minibatches of the replay buffer."""
+        if not is_supported(self):
             super().train(gradient_steps, batch_size)  # type: ignore[misc]
             return
         optimizers = [self.actor.optimizer, self.critic.optimizer, getattr(self, "ent_coef_optimizer", None)]
@@ -43,11 +43,11 @@ class LeanTraining:
             self.logger.record(f"train/{name}", value)
 
     def bind(self: Any) -> None:
-        """Lay networks and optimizers out in memory as the update wants them, unless they are.
+        """Flatten the memory of networks and optimizers as the update needs it, unless it is already.
 
-        `train` does so by itself. Weights that were loaded elsewhere in memory may round otherwise until then.
+        `train` calls this. Restoring a model calls it too: weights elsewhere in memory may round differently.
         """
-        if is_lean(self) and (self._update is None or not self._update.is_bound(self)):
+        if is_supported(self) and (self._update is None or not self._update.is_bound(self)):
             with torch.no_grad():
                 self._update = self.update_class(self)
 

@@ -4,12 +4,12 @@ from typing import Any
 
 import torch
 
-from parking_exp.algorithms.fast.adam import Adam, Flat, follow
-from parking_exp.algorithms.fast.mlp import Perceptron, as_layers, parameters
+from parking_exp.algorithms.fast.adam import Adam, FlatTensors, polyak_update
+from parking_exp.algorithms.fast.mlp import MLP, as_layers, parameters
 
 
 class Critics:
-    """The Q-networks of a model, updated by hand.
+    """The Q-networks of a model, updated without autograd.
 
     Args:
         model: a Stable-Baselines3 model with `critic` and `critic_target`.
@@ -17,10 +17,10 @@ class Critics:
 
     def __init__(self, model: Any) -> None:
         networks, targets = model.critic.q_networks, model.critic_target.q_networks
-        self.networks = [Perceptron(as_layers(parameters(network))) for network in networks]
-        self.targets = [Perceptron(as_layers(parameters(network))) for network in targets]
-        self.flat = Flat([tensor for network in networks for tensor in parameters(network)])
-        self.flat_target = Flat([tensor for network in targets for tensor in parameters(network)])
+        self.networks = [MLP(as_layers(parameters(network))) for network in networks]
+        self.targets = [MLP(as_layers(parameters(network))) for network in targets]
+        self.flat = FlatTensors([tensor for network in networks for tensor in parameters(network)])
+        self.flat_target = FlatTensors([tensor for network in targets for tensor in parameters(network)])
         self.adam = Adam(model.critic.optimizer, self.flat)
 
     def is_bound(self, model: Any) -> bool:
@@ -47,7 +47,7 @@ class Critics:
         self.adam.step()
         return sum(losses[1:], losses[0]) * weight
 
-    def best_action(
+    def action_gradient(
         self, features: torch.Tensor, actions: torch.Tensor, first: bool
     ) -> tuple[torch.Tensor, torch.Tensor]:
         """Return the values of actions, and the gradient of minus their mean by the actions.
@@ -71,6 +71,6 @@ class Critics:
         ]
         return value, sum(gradients[1:], gradients[0])
 
-    def follow(self, tau: float) -> None:
-        """Move the targets towards the networks by Polyak averaging."""
-        follow(self.flat_target, self.flat, tau)
+    def polyak_update(self, tau: float) -> None:
+        """Update the target networks by Polyak averaging."""
+        polyak_update(self.flat_target, self.flat, tau)

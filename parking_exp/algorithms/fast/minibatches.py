@@ -1,4 +1,4 @@
-"""Minibatches of one round of updates, sampled together and turned into features once."""
+"""Minibatches of several updates, sampled from the replay buffer together and turned into features once."""
 
 from collections.abc import Iterator
 from typing import Any, NamedTuple
@@ -10,19 +10,19 @@ from stable_baselines3.her import HerReplayBuffer
 
 from parking_exp.buffers import HerBuffer
 
-# Their `sample` draws transitions independently, so that one large sample is as good as several small ones.
+# Their `sample` draws transitions independently, so one large sample has the distribution of several small ones.
 INDEPENDENT = (HerBuffer, HerReplayBuffer, ReplayBuffer, DictReplayBuffer)
-LARGEST = 64  # minibatches that are sampled together; a round after a long episode would not fit into memory
+LARGEST = 64  # minibatches sampled together: all updates after a long episode would not fit into memory
 
 
 class Minibatch(NamedTuple):
-    """What one update learns from: B transitions.
+    """A minibatch of B transitions.
 
     Attributes:
         features: of the observations, then of the next ones, shape (2 B, features).
         actions: shape (B, actions).
         rewards: shape (B, 1).
-        discounts: what the next value counts: gamma, or 0 where the episode terminated; shape (B, 1).
+        discounts: of the next state's value: gamma, or 0 where the episode terminated; shape (B, 1).
     """
 
     features: torch.Tensor
@@ -31,11 +31,11 @@ class Minibatch(NamedTuple):
     discounts: torch.Tensor
 
 
-def sample_round(model: OffPolicyAlgorithm, steps: int, batch_size: int) -> Iterator[Minibatch]:
-    """Sample all minibatches of a round, and yield them one by one.
+def sample_minibatches(model: OffPolicyAlgorithm, steps: int, batch_size: int) -> Iterator[Minibatch]:
+    """Sample the minibatches of `steps` updates, and yield them one by one.
 
-    Buffers known to draw independently are asked once for all of it. HER gives virtual transitions last; dealt out in
-    turn, each minibatch has its share of them, to within one transition.
+    Buffers known to draw independently are sampled once for all of them. HER returns virtual transitions last; dealt
+    out in turn, each minibatch has its share of them, to within one transition.
     """
     for first in range(0, steps, LARGEST):
         yield from _sample(model, min(LARGEST, steps - first), batch_size)
@@ -55,7 +55,7 @@ def _collate(model: Any, samples: list[Any], steps: int) -> Iterator[Minibatch]:
     actor = model.actor
 
     def dealt(parts: list[torch.Tensor]) -> torch.Tensor:
-        """Shape (G, B, ...): several minibatches as they are, one large one dealt out in turn."""
+        """Return shape (steps, B, ...): several minibatches as they are, one large one dealt out in turn."""
         if len(parts) == steps:
             return torch.stack(parts)
         (rows,) = parts

@@ -1,8 +1,8 @@
-"""Multilayer perceptrons, forwards and backwards by hand.
+"""Multilayer perceptrons with forward and backward passes that do not use autograd.
 
-Networks this small spend most of an update in autograd's bookkeeping, and a general backward pass computes gradients
-that nobody reads. Here the passes are written out, with the operations that autograd would use, so that results are
-the same to the last bit. Where torch's float32 matmul precision is not `highest`, wide layers go through oneDNN.
+Networks this small spend most of an update in autograd's overhead, and a general backward pass computes gradients
+that nothing reads. These passes use the operations that autograd would use, so results are the same to the last bit.
+Where torch's float32 matmul precision is not `highest`, wide layers go through oneDNN.
 """
 
 from itertools import pairwise
@@ -19,7 +19,7 @@ _onednn: Any = getattr(torch.ops.mkldnn, "_linear_pointwise", None) if torch.bac
 Layer = tuple[torch.Tensor, torch.Tensor]
 
 
-class Perceptron:
+class MLP:
     """Linear layers with ReLU between them, as `stable_baselines3.common.torch_layers.create_mlp` makes them.
 
     Args:
@@ -63,11 +63,11 @@ class Perceptron:
 
 
 def linear_layers(module: nn.Sequential, last: type[nn.Module] | None = None) -> list[nn.Linear] | None:
-    """Return the layers of a perceptron with ReLU between them, or None if it is something else.
+    """Return the layers of an MLP with ReLU between them, or None if the module is something else.
 
     Args:
-        module: what may be one.
-        last: another activation that must stand at its end.
+        module: the network.
+        last: the activation that must stand at its end, if any.
     """
     children = list(module)
     if last is not None and (not children or type(children.pop()) is not last):
@@ -81,7 +81,7 @@ def linear_layers(module: nn.Sequential, last: type[nn.Module] | None = None) ->
 
 
 def parameters(module: nn.Sequential) -> list[torch.Tensor]:
-    """Return weight, bias, weight, ... of a perceptron's layers."""
+    """Return weight, bias, weight, ... of an MLP's layers."""
     return [tensor for layer in module if isinstance(layer, nn.Linear) for tensor in (layer.weight, layer.bias)]
 
 

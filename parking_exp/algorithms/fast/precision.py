@@ -1,6 +1,6 @@
-"""Which float32 matmul precision updates a model faster on this machine: `medium` sends wide layers through oneDNN.
+"""Choose the faster float32 matmul precision on this machine; `medium` computes wide layers with oneDNN.
 
-That is up to twice as fast as MKL where the CPU has AVX-512, and slower on others.
+oneDNN is up to twice as fast as MKL where the CPU has AVX-512, and slower on others.
 """
 
 import statistics
@@ -10,9 +10,9 @@ from typing import Any
 
 import torch
 
-from parking_exp.algorithms.fast.base import LeanTraining
-from parking_exp.algorithms.fast.mlp import Layer, Perceptron, as_layers, is_wide, parameters
-from parking_exp.algorithms.fast.support import is_lean
+from parking_exp.algorithms.fast.base import FastTraining
+from parking_exp.algorithms.fast.mlp import MLP, Layer, as_layers, is_wide, parameters
+from parking_exp.algorithms.fast.support import is_supported
 from parking_exp.config.schema import Precision
 
 Timer = Callable[[Precision], float]
@@ -30,8 +30,8 @@ def faster_precision(model: Any) -> Precision:
 
     `highest` where it makes no difference: without wide layers, and where Stable-Baselines3's own code does the update.
     """
-    ours: Any = LeanTraining  # a mixin: mypy would take the model for nothing else
-    if not (isinstance(model, ours) and is_lean(model)):
+    ours: Any = FastTraining  # a mixin: mypy would take the model for nothing else
+    if not (isinstance(model, ours) and is_supported(model)):
         return "highest"
     layers = as_layers(parameters(model.critic.q_networks[0]))
     if not any(is_wide(weight) for weight, _ in layers):
@@ -66,7 +66,7 @@ def _seconds(precision: Precision, layers: list[Layer], batch: int) -> float:
     In CPU time: other processes on the same cores, such as the other runs of a sweep, would decide by the clock.
     """
     rows = min(batch, max(FEWEST_ROWS, MOST_PRODUCTS // sum(weight.numel() for weight, _ in layers)))
-    network, x, ones = Perceptron(layers), torch.ones(rows, layers[0][0].shape[1]), torch.ones(rows, 1)
+    network, x, ones = MLP(layers), torch.ones(rows, layers[0][0].shape[1]), torch.ones(rows, 1)
     gradients = [torch.empty_like(tensor) for layer in layers for tensor in layer]
     before = torch.get_float32_matmul_precision()
     torch.set_float32_matmul_precision(precision)

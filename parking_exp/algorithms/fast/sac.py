@@ -1,4 +1,4 @@
-"""Soft Actor-Critic with a lean update."""
+"""Soft Actor-Critic with a faster update."""
 
 import math
 from typing import Any
@@ -8,11 +8,11 @@ import torch
 from stable_baselines3.sac.policies import LOG_STD_MAX, LOG_STD_MIN
 from torch import nn
 
-from parking_exp.algorithms.fast.adam import Adam, Flat
-from parking_exp.algorithms.fast.base import LeanTraining
+from parking_exp.algorithms.fast.adam import Adam, FlatTensors
+from parking_exp.algorithms.fast.base import FastTraining
 from parking_exp.algorithms.fast.critics import Critics
-from parking_exp.algorithms.fast.minibatches import sample_round
-from parking_exp.algorithms.fast.mlp import Perceptron, as_layers, parameters
+from parking_exp.algorithms.fast.minibatches import sample_minibatches
+from parking_exp.algorithms.fast.mlp import MLP, as_layers, parameters
 
 LOG_SQRT_2_PI = math.log(math.sqrt(2 * math.pi))
 EPSILON = 1e-6  # of Stable-Baselines3's SquashedDiagGaussianDistribution
@@ -26,13 +26,13 @@ class _Update:
         body, mean, log_std = parameters(model.actor.latent_pi), model.actor.mu, model.actor.log_std
         assert isinstance(mean, nn.Linear)
         assert isinstance(log_std, nn.Linear)
-        self.actor = Perceptron(as_layers(body))
-        self.mean, self.log_std = (Perceptron([(head.weight, head.bias)]) for head in (mean, log_std))
-        self.flat = Flat([*body, mean.weight, mean.bias, log_std.weight, log_std.bias])
+        self.actor = MLP(as_layers(body))
+        self.mean, self.log_std = (MLP([(head.weight, head.bias)]) for head in (mean, log_std))
+        self.flat = FlatTensors([*body, mean.weight, mean.bias, log_std.weight, log_std.bias])
         self.adam = Adam(model.actor.optimizer, self.flat)
         self.ent_coef_adam: Adam | None = None
         if model.ent_coef_optimizer is not None:
-            self.ent_coef_adam = Adam(model.ent_coef_optimizer, Flat([model.log_ent_coef]))
+            self.ent_coef_adam = Adam(model.ent_coef_optimizer, FlatTensors([model.log_ent_coef]))
 
     def is_bound(self, model: Any) -> bool:
         """Whether the networks and optimizers are still the model's."""
@@ -41,12 +41,12 @@ class _Update:
         return mine and self.critics.is_bound(model)
 
     def run(self, model: Any, gradient_steps: int, batch_size: int) -> dict[str, float]:
-        """Do the updates of a round and return the means of what Stable-Baselines3 logs."""
+        """Do `gradient_steps` updates and return the means of what Stable-Baselines3 logs."""
         history: list[list[torch.Tensor]] = []
-        for step, batch in enumerate(sample_round(model, gradient_steps, batch_size)):
+        for step, batch in enumerate(sample_minibatches(model, gradient_steps, batch_size)):
             history.append(self._step(model, *batch))
             if step % model.target_update_interval == 0:
-                self.critics.follow(model.tau)
+                self.critics.polyak_update(model.tau)
         model._n_updates += gradient_steps
         names = ["ent_coef", "actor_loss", "critic_loss", "ent_coef_loss"]
         means = [torch.stack(column).mean().item() for column in zip(*history, strict=True)]
@@ -63,7 +63,7 @@ class _Update:
         # The actor is the same for the states and the next ones: one pass for both.
         values = self.actor.forward(both)
         hidden = values[-1].relu_()
-        policy = _Squashed(self.mean.forward(hidden)[-1], self.log_std.forward(hidden)[-1], noise.flatten(0, 1))
+        policy = _SquashedGaussian(self.mean.forward(hidden)[-1], self.log_std.forward(hidden)[-1], noise.flatten(0, 1))
         log_prob, next_log_prob = policy.log_prob[:batch], policy.log_prob[batch:]
         ent_coef, logged = self._update_ent_coef(model, log_prob)
 
@@ -71,7 +71,7 @@ class _Update:
         target = rewards + discounts * next_value
         critic_loss = self.critics.update(both[:batch], actions, target, weight=0.5)
 
-        value, by_action = self.critics.best_action(both[:batch], policy.actions[:batch], first=False)
+        value, by_action = self.critics.action_gradient(both[:batch], policy.actions[:batch], first=False)
         by_mean, by_log_std = policy.backward(batch, by_action, ent_coef * (1 / batch))
         self._update_actor([v[:batch] for v in values], by_mean, by_log_std)
         return [ent_coef.reshape(()), (ent_coef * log_prob - value).mean(), critic_loss, *logged]
@@ -97,7 +97,7 @@ class _Update:
         return ent_coef, [loss]
 
 
-class _Squashed:
+class _SquashedGaussian:
     """Actions of a Gaussian policy squashed by tanh, their log probabilities, and the gradients through both.
 
     The operations are those of Stable-Baselines3 and torch.distributions, in their order; terms that cancel but for
@@ -147,7 +147,7 @@ class _Squashed:
         return by_sample - by_offset, by_std * std * inside
 
 
-class SAC(LeanTraining, stable_baselines3.SAC):
+class SAC(FastTraining, stable_baselines3.SAC):
     """Stable-Baselines3's SAC, whose `train` does the same arithmetic in a fraction of the time.
 
     Same constructor, `save`, `load`, `predict` and logger keys.

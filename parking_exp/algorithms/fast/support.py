@@ -1,4 +1,4 @@
-"""What the lean update knows."""
+"""Which models the fast update supports."""
 
 from typing import Any, cast
 
@@ -8,18 +8,18 @@ from stable_baselines3.sac.policies import Actor as GaussianActor
 from stable_baselines3.td3.policies import Actor as DeterministicActor
 from torch import nn
 
-from parking_exp.algorithms.fast.adam import is_plain
+from parking_exp.algorithms.fast.adam import is_plain_adam
 from parking_exp.algorithms.fast.mlp import linear_layers
 from parking_exp.algorithms.features import EgoFrameExtractor
 
 EXTRACTORS = (EgoFrameExtractor, CombinedExtractor, FlattenExtractor)
 
 
-def is_lean(model: Any) -> bool:
-    """Whether the lean update knows everything in a SAC, TD3 or DDPG model.
+def is_supported(model: Any) -> bool:
+    """Whether the fast update supports everything in a SAC, TD3 or DDPG model.
 
-    It knows Stable-Baselines3's own actors and critics, perceptrons with ReLU, features that are computed and not
-    learned, plain Adam, the CPU; not gSDE.
+    It supports Stable-Baselines3's own actors and critics, MLPs with ReLU, features without parameters, plain Adam and
+    the CPU; not gSDE.
     """
     actor, critic = model.actor, model.critic
     if type(critic) is not ContinuousCritic or getattr(model, "use_sde", False):
@@ -34,14 +34,14 @@ def is_lean(model: Any) -> bool:
         and all(linear_layers(cast(nn.Sequential, network)) for network in critic.q_networks)
         and all(type(one.features_extractor) in EXTRACTORS for one in (actor, critic))
         and type(actor.features_extractor) is type(critic.features_extractor)
-        and all(_is_trained_whole(one) for one in (actor, critic))
-        and (ent_coef_optimizer is None or is_plain(ent_coef_optimizer))
+        and all(_is_fully_trained(one) for one in (actor, critic))
+        and (ent_coef_optimizer is None or is_plain_adam(ent_coef_optimizer))
     )
 
 
-def _is_trained_whole(network: Any) -> bool:
-    """Whether plain Adam trains all of a network's parameters, and the features have none."""
-    if not is_plain(network.optimizer) or next(network.features_extractor.parameters(), None) is not None:
+def _is_fully_trained(network: Any) -> bool:
+    """Whether plain Adam trains all of a network's parameters, and its features extractor has none."""
+    if not is_plain_adam(network.optimizer) or next(network.features_extractor.parameters(), None) is not None:
         return False
     (group,) = network.optimizer.param_groups
     return {id(tensor) for tensor in group["params"]} == {id(tensor) for tensor in network.parameters()}

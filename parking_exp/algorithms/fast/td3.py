@@ -1,15 +1,15 @@
-"""TD3 and DDPG with a lean update."""
+"""TD3 and DDPG with a faster update."""
 
 from typing import Any
 
 import stable_baselines3
 import torch
 
-from parking_exp.algorithms.fast.adam import Adam, Flat, follow
-from parking_exp.algorithms.fast.base import LeanTraining
+from parking_exp.algorithms.fast.adam import Adam, FlatTensors, polyak_update
+from parking_exp.algorithms.fast.base import FastTraining
 from parking_exp.algorithms.fast.critics import Critics
-from parking_exp.algorithms.fast.minibatches import sample_round
-from parking_exp.algorithms.fast.mlp import Perceptron, as_layers, parameters
+from parking_exp.algorithms.fast.minibatches import sample_minibatches
+from parking_exp.algorithms.fast.mlp import MLP, as_layers, parameters
 
 
 class _Update:
@@ -18,8 +18,8 @@ class _Update:
     def __init__(self, model: Any) -> None:
         self.critics = Critics(model)
         actor, target = parameters(model.actor.mu), parameters(model.actor_target.mu)
-        self.actor, self.target = Perceptron(as_layers(actor)), Perceptron(as_layers(target))
-        self.flat, self.flat_target = Flat(actor), Flat(target)
+        self.actor, self.target = MLP(as_layers(actor)), MLP(as_layers(target))
+        self.flat, self.flat_target = FlatTensors(actor), FlatTensors(target)
         self.adam = Adam(model.actor.optimizer, self.flat)
 
     def is_bound(self, model: Any) -> bool:
@@ -28,8 +28,8 @@ class _Update:
         return mine and self.critics.is_bound(model)
 
     def run(self, model: Any, gradient_steps: int, batch_size: int) -> dict[str, float]:
-        """Do the updates of a round and return the means of what Stable-Baselines3 logs."""
-        batches = sample_round(model, gradient_steps, batch_size)
+        """Do `gradient_steps` updates and return the means of what Stable-Baselines3 logs."""
+        batches = sample_minibatches(model, gradient_steps, batch_size)
         actor_losses, critic_losses = [], []
         for features, actions, rewards, discounts in batches:
             model._n_updates += 1
@@ -42,21 +42,21 @@ class _Update:
             critic_losses.append(self.critics.update(features[:batch], actions, target, weight=1.0))
             if model._n_updates % model.policy_delay == 0:
                 actor_losses.append(self._update_actor(features[:batch]))
-                self.critics.follow(model.tau)
-                follow(self.flat_target, self.flat, model.tau)
+                self.critics.polyak_update(model.tau)
+                polyak_update(self.flat_target, self.flat, model.tau)
         losses = {"actor_loss": actor_losses, "critic_loss": critic_losses}
         return {name: torch.stack(values).mean().item() for name, values in losses.items() if values}
 
     def _update_actor(self, features: torch.Tensor) -> torch.Tensor:
         values = self.actor.forward(features)
         actions = torch.tanh(values[-1])
-        value, gradient = self.critics.best_action(features, actions, first=True)
+        value, gradient = self.critics.action_gradient(features, actions, first=True)
         self.actor.backward(values, torch.ops.aten.tanh_backward(gradient, actions), self.adam.gradients)
         self.adam.step()
         return -value.mean()
 
 
-class TD3(LeanTraining, stable_baselines3.TD3):
+class TD3(FastTraining, stable_baselines3.TD3):
     """Stable-Baselines3's TD3, whose `train` does the same arithmetic in a fraction of the time.
 
     Same constructor, `save`, `load`, `predict` and logger keys.
@@ -65,7 +65,7 @@ class TD3(LeanTraining, stable_baselines3.TD3):
     update_class = _Update
 
 
-class DDPG(LeanTraining, stable_baselines3.DDPG):
-    """Stable-Baselines3's DDPG: TD3 with one critic, no delay and no noise on the target; lean likewise."""
+class DDPG(FastTraining, stable_baselines3.DDPG):
+    """Stable-Baselines3's DDPG: TD3 with one critic, no delay and no noise on the target."""
 
     update_class = _Update

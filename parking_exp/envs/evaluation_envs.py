@@ -1,4 +1,4 @@
-"""Start a batch of scenes, in highway-env or in the simulator."""
+"""Scenes for evaluation, started together in highway-env or in the simulator."""
 
 from collections.abc import Sequence
 
@@ -9,7 +9,7 @@ from parking_exp.envs.scenes import Scenes
 from parking_exp.envs.simulator import Simulator
 
 
-def start(config: EnvConfig, scenes: Sequence[int], simulator: Simulation | None = None) -> Batch:
+def start_scenes(config: EnvConfig, scenes: Sequence[int], simulator: Simulation | None = None) -> Batch:
     """Start scenes together; scene s is what `env.reset(seed=s)` of highway-env makes.
 
     Args:
