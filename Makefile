@@ -7,24 +7,40 @@ BIN := $(VENV)/bin
 TORCH ?= 2.13.0
 STORE := sqlite:///outputs/mlflow.db
 
+# uv installs: the one on the PATH, else one that pip puts into .venv. It reads none of pip's settings, so that what they
+# say of where packages are is passed on, as is that the newest version of all these places counts.
+UV := $(or $(shell uv --version >/dev/null 2>&1 && command -v uv),$(BIN)/uv)
+pip_setting = $(or $(PIP_$(1)),$(shell $(BIN)/pip config get global.$(2) 2>/dev/null))
+PLACES = $(addprefix --default-index=,$(call pip_setting,INDEX_URL,index-url)) \
+	$(addprefix --index=,$(call pip_setting,EXTRA_INDEX_URL,extra-index-url)) \
+	$(addprefix --find-links=,$(call pip_setting,FIND_LINKS,find-links)) --index-strategy=unsafe-best-match
+INSTALL = $(UV) pip install --python $(BIN)/python --constraint constraints.txt --build-constraint constraints.txt $(PLACES)
+
 .DEFAULT_GOAL := help
-.PHONY: help setup train test test-slow lint types check ui tensorboard benchmark lock clean
+.PHONY: help setup train test test-slow lint types docs check ui tensorboard benchmark lock clean
 
 help:  ## show this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):[^#]*## /\1\t/' | expand -t 14
 
 setup: $(VENV)/.installed  ## make .venv and install the package with pinned versions
 
-$(VENV)/.installed: pyproject.toml constraints.txt
-	@echo "setting up $(VENV), once; this takes a few minutes"
+$(BIN)/pip:
 	@$(or $(PYTHON),false) -c '$(FITS)' || { echo "no Python 3.11 to 3.13 found; name one: make PYTHON=/path/to/python" >&2; exit 2; }
-	$(PYTHON) -m venv $(VENV)
-	$(BIN)/pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[dev]'
+	@echo "making $(VENV) with $(PYTHON)"
+	@$(PYTHON) -m venv $(VENV)
+
+$(BIN)/uv: | $(BIN)/pip
+	@echo "installing uv into $(VENV), which installs the rest"
+	@$(BIN)/pip install --quiet --disable-pip-version-check --constraint constraints.txt uv
+
+$(VENV)/.installed: pyproject.toml constraints.txt | $(BIN)/pip $(UV)
+	@echo "installing the pinned packages into $(VENV), once; some 500 MB are downloaded where no cache has them"
+	@$(INSTALL) --editable '.[dev]'
 	@touch $@
 
 $(VENV)/.ui: $(VENV)/.installed
 	@echo "installing the full mlflow, once"
-	$(BIN)/pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[dev,ui]'
+	@$(INSTALL) --editable '.[dev,ui]'
 	@touch $@
 
 train: setup  ## train the default recipe (ARGS='key=value ...' to change it)
@@ -44,7 +60,10 @@ lint: setup  ## style, format, and imports between rooms
 types: setup  ## static types
 	$(BIN)/mypy
 
-check: lint types test  ## lint + types + tests, as CI runs them
+docs: setup  ## the documentation as a site, in site/; a broken link, anchor or reference fails
+	$(BIN)/zensical build --clean --strict
+
+check: lint types docs test  ## lint + types + docs + tests, as CI runs them
 
 benchmark: setup  ## speed, as ratios measured side by side
 	$(BIN)/python scripts/benchmark.py $(ARGS)
@@ -57,12 +76,11 @@ ui: $(VENV)/.ui  ## MLflow's web UI on our store
 tensorboard: setup  ## TensorBoard on all runs
 	$(BIN)/tensorboard --logdir outputs $(ARGS)
 
-lock:  ## write constraints.txt anew: the newest versions that fit (TORCH=VERSION chooses torch)
-	$(PYTHON) -m venv .venv-lock
-	.venv-lock/bin/pip install --quiet torch==$(TORCH) '.[dev,ui]'
-	echo '# Versions that were resolved and tested together (make lock writes this file).' > constraints.txt
-	.venv-lock/bin/pip freeze --exclude parking-exp | sed 's/+cpu$$//' >> constraints.txt
-	rm -rf .venv-lock
+lock: | $(BIN)/pip $(UV)  ## write constraints.txt anew: the newest versions that fit (TORCH=VERSION chooses torch)
+	@echo '# Versions that were resolved and tested together (make lock writes this file).' > constraints.new
+	printf 'torch==$(TORCH)\nuv\n' | $(UV) pip compile --quiet --python $(BIN)/python --extra dev --extra ui \
+		--no-header --no-annotate $(PLACES) pyproject.toml - | sed -E 's/\+cpu$$//; /^(-|--)/d' >> constraints.new
+	mv constraints.new constraints.txt
 
 clean:  ## delete .venv and caches; outputs/ stays
-	rm -rf $(VENV) .mypy_cache .pytest_cache .ruff_cache dist build *.egg-info
+	rm -rf $(VENV) .mypy_cache .pytest_cache .ruff_cache .cache site dist build *.egg-info
