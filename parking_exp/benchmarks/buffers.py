@@ -1,4 +1,4 @@
-"""The HER buffer: what a sample costs, in memory, and on the disk."""
+"""Benchmarks of the HER buffer: time of a sample, bytes in memory and on the disk."""
 
 import tempfile
 from pathlib import Path

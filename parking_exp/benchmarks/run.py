@@ -1,4 +1,4 @@
-"""Speed as ratios: each figure against a named peer, both measured in turn in one run on the same core."""
+"""Run the benchmarks and compare them with their targets: mostly ratios to a peer, measured in turn on one core."""
 
 import importlib.util
 import os
@@ -69,9 +69,9 @@ def validate_benchmark(config: DictConfig) -> BenchmarkConfig:
         if not any(key.startswith(name) for key in TARGETS):
             raise ConfigError(f"only={name}: no figure begins so{suggestion(name, TARGETS)}")
     if isinstance(settings.core, int) and hasattr(os, "sched_getaffinity"):
-        wanted, cores = settings.core, os.sched_getaffinity(0)
-        if wanted not in cores:
-            nearest = min(cores, key=lambda core: abs(core - wanted))
+        wanted, allowed = settings.core, os.sched_getaffinity(0)
+        if wanted not in allowed:
+            nearest = min(allowed, key=lambda core: abs(core - wanted))
             raise ConfigError(f"core={wanted}: this process may not run there; the closest is {nearest}")
     return settings
 

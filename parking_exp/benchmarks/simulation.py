@@ -1,4 +1,4 @@
-"""The simulator against highway-env, and evaluation in bulk."""
+"""Benchmarks of the simulator against highway-env, and of evaluation on many scenes."""
 
 import time
 from typing import Any

@@ -1,4 +1,4 @@
-"""Sweeps: what a second worker gives, what a run costs besides its training, and how fast a sweep is looked through."""
+"""Benchmarks of sweeps: scaling to two workers, overhead of a run, planning of a sweep that is done."""
 
 import contextlib
 import os

@@ -1,4 +1,4 @@
-"""Two sides measured in turn, so that a machine whose speed drifts slows both."""
+"""Time two sides in turn, so that a machine whose speed drifts slows both, and summarise the ratios."""
 
 import statistics
 import time
@@ -39,5 +39,5 @@ def spread(values: Sequence[float], name: str) -> dict[str, Any]:
 
 
 def rounded(value: float) -> float:
-    """Four digits."""
+    """Return a value rounded to four digits."""
     return float(f"{value:.4g}")

@@ -1,4 +1,4 @@
-"""Whole runs: the tutorial's recipe against plain Stable-Baselines3, and what a run costs besides training."""
+"""Benchmarks of whole runs: the tutorial's recipe against plain Stable-Baselines3, and the overhead of a run."""
 
 import statistics
 import subprocess

@@ -16,7 +16,14 @@ from parking_exp.errors import ConfigError, RunNotFoundError, UnsyncedError, plu
 from parking_exp.runs.directory import RunDirectory
 from parking_exp.runs.lookup import find_runs
 from parking_exp.runs.state import RunState, as_json, read_state
-from parking_exp.runs.state_tables import cell_table, damaged_lines, failure_lines, running_lines, stopped_lines
+from parking_exp.runs.state_tables import (
+    cell_table,
+    damaged_lines,
+    failure_lines,
+    running_lines,
+    stopped_lines,
+    version_lines,
+)
 from parking_exp.terminal import console, say
 from parking_exp.tracking.sync_all import sync_all
 
@@ -111,5 +118,5 @@ def _sync(request: StatusRequest) -> None:
 
 
 def _picture(states: list[RunState]) -> RenderableType:
-    lines = (running_lines, stopped_lines, failure_lines, damaged_lines)
+    lines = (running_lines, stopped_lines, failure_lines, damaged_lines, version_lines)
     return Group(cell_table(states), *(line for some in lines for line in some(states)))

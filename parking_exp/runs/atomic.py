@@ -1,4 +1,8 @@
-"""Atomic and durable writes of small files, and strict reads of JSON and YAML."""
+"""Atomic and durable writes of small files, and strict reads of JSON and YAML.
+
+Ours, since packages of atomic writes have neither a choice of durability nor names by process, and the write is ten
+lines.
+"""
 
 import hashlib
 import json

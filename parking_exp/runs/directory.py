@@ -136,7 +136,7 @@ class RunDirectory:
             OutputDirectoryError: it is such a directory.
         """
         if problem := self.version_problem:
-            raise OutputDirectoryError(problem)
+            raise OutputDirectoryError(f"{self.path}: {problem}")
 
     def update(self, **values: Any) -> None:
         """Change entries of status.json; None removes one."""
@@ -192,10 +192,8 @@ class RunDirectory:
         on the disk: after a power cut, the sweep that is typed again writes it anew.
 
         Raises:
-            OutputDirectoryError: the directory can't be written, or another version of this package has made it.
+            OutputDirectoryError: the directory can't be written.
         """
-        if self.status != "done":
-            self.check_version()
         if self.under_way:
             return
         with suppress(RunLockedError), self._held(SUPERVISOR_LOCK, LOCK_PATIENCE_S):
@@ -221,7 +219,7 @@ class RunDirectory:
             ConfigError: another version of this package has made the run, or `read_config` refuses what is there.
         """
         if problem := self.version_problem:
-            raise ConfigError(problem)
+            raise ConfigError(f"{self.path}: {problem}")
         return read_config(self.path, self.output_dir)
 
     def check_links(self) -> None:

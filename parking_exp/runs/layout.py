@@ -31,7 +31,7 @@ def other_version(entries: Mapping[str, Any]) -> str | None:
 
 
 def refusal(path: Path, maker: str) -> str:
-    """Say what to do with the run directory of another version, which only that version can go on with."""
+    """Return what to do with the run directory of another version."""
     commit = read_provenance(path / PROVENANCE_FILE)[1].get("git_commit")
-    way = f"`git checkout {commit[:12]}` gives the version that reads it" if commit else "that version reads it"
-    return f"{path} was made by {maker} and is left as it is: {way}; to train it anew with this one, move it away first"
+    way = f"`git checkout {commit[:12]}` gives the version that can use it" if commit else "that version can use it"
+    return f"it was made by {maker} and is left as it is: {way}; to train it anew with this one, move it away first"

@@ -57,7 +57,7 @@ def version_lines(states: Sequence[RunState]) -> Iterator[str]:
 def stopped_lines(states: Sequence[RunState]) -> Iterator[str]:
     """Yield a line for every run that was cut off, with the step that it goes on from."""
     for state in states:
-        if state.stage == "pending" and state.step:
+        if state.stage == "pending" and state.step and not state.other_version:
             yield f"stopped  {name(state)}: goes on from step {state.step} of {state.total_timesteps}"
 
 

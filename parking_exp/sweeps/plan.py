@@ -52,6 +52,7 @@ def plan(composed: Sequence[Composed], retry: str | None = None) -> list[Planned
 
     Raises:
         ConfigError: a run cannot be.
+        OutputDirectoryError: another version of this package has begun a run, and it is not done.
     """
     runs: dict[Path, PlannedRun] = {}
     cells: dict[int, tuple[RunConfig, Path]] = {}  # a cell is checked once for all its seeds
@@ -65,8 +66,10 @@ def plan(composed: Sequence[Composed], retry: str | None = None) -> list[Planned
         path = folder / f"seed={config.seed}"
         if path not in runs:
             label = _label(one, config) or folder.name
-            state, lacks_models = read_state(path), RunDirectory(path).can_make_models
-            runs[path] = PlannedRun(config, path, label, state, retry is not None, lacks_models)
+            state, directory = read_state(path), RunDirectory(path)
+            if state.other_version and state.stage != "done":
+                directory.check_version()
+            runs[path] = PlannedRun(config, path, label, state, retry is not None, directory.can_make_models)
     return list(runs.values())
 
 

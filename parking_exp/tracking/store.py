@@ -1,4 +1,4 @@
-"""Runs of an MLflow store: find, create, log, delete, and their artifacts; written to by many processes at a time."""
+"""Find, create, update and delete runs of an MLflow store, and their artifacts; many processes may write at a time."""
 
 import json
 import logging

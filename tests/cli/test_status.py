@@ -1,6 +1,7 @@
 """How far runs are, from their directories alone."""
 
 import json
+import math
 import time
 
 import pytest
@@ -10,6 +11,7 @@ from support.sweep_processes import SLOW, begin, statuses, wait_until
 from parking_exp.errors import RunNotFoundError
 from parking_exp.runs.atomic import read_json
 from parking_exp.runs.directory import RunDirectory
+from parking_exp.runs.layout import new_entries
 from parking_exp.runs.lookup import find_run
 from parking_exp.runs.state import read_state
 from parking_exp.runs.state_tables import duration
@@ -18,7 +20,9 @@ from parking_exp.runs.state_tables import duration
 def run_dir(output_dir, cell="cell-a", seed=0, **status):
     path = output_dir / "mine" / cell / f"seed={seed}"
     path.mkdir(parents=True)
-    (path / "status.json").write_text(json.dumps({"total_timesteps": 1000, "label": cell[-1], **status}))
+    (path / "status.json").write_text(
+        json.dumps({**new_entries(), "total_timesteps": 1000, "label": cell[-1], **status})
+    )
     return path
 
 
@@ -74,7 +78,15 @@ def test_an_entry_of_the_wrong_type_reads_as_absent_and_is_told(tmp_path, name):
 
 def test_a_status_that_is_damaged_is_one_runs_alone(tmp_path):
     whole = run_dir(tmp_path, "cell-a", 0, status="done", steps=1000, success_rate=0.5, run_id="abc")
-    contents = [json.dumps(WRONG), "{", "[]", '"x"', "[" * 100_000, '{"status": "done", "success_rate": NaN}', "\xff"]
+    contents = [
+        json.dumps(WRONG),
+        "{",
+        "[]",
+        '"x"',
+        "[" * 100_000,
+        json.dumps({**new_entries(), "status": "done", "success_rate": math.nan}),
+        "\xff",
+    ]
     for number, content in enumerate(contents):
         path = run_dir(tmp_path, "cell-b", number)
         (path / "status.json").write_bytes(content.encode("latin-1"))

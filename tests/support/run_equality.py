@@ -1,4 +1,4 @@
-"""Everything that a run left behind, less what a clock says, to be compared with another run bit for bit."""
+"""Compare all that two runs left behind bit for bit, without what a clock says."""
 
 import csv
 import io

@@ -30,6 +30,7 @@ from parking_exp.envs.geometry import SLOT_POSITIONS
 from parking_exp.evaluation.evaluate import summarise
 from parking_exp.runs.atomic import sha256, write_json
 from parking_exp.runs.directory import RunDirectory, RunResult
+from parking_exp.runs.layout import new_entries
 from parking_exp.runs.logs import append_episodes, copy_logs
 from parking_exp.runs.provenance import provenance
 from parking_exp.tracking.store import Store
@@ -314,7 +315,10 @@ def _insert(
             place.mkdir(parents=True)
             _write_artifacts(place, episodes, certified, look)
         directory.path.mkdir(parents=True, exist_ok=True)
-        write_json(directory.path / "status.json", {"status": look.status, "run_id": run_id, "tracking_uri": uri})
+        write_json(
+            directory.path / "status.json",
+            {**new_entries(), "status": look.status, "run_id": run_id, "tracking_uri": uri},
+        )
         place_in_store = {"run_uuid": run_id, "artifact_uri": artifact_uri, "experiment_id": int(experiment_id)}
         for name, rows in _rows(place_in_store, directory, config, look, lines).items():
             tables[names[name]] += rows

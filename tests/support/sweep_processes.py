@@ -1,4 +1,4 @@
-"""Sweeps in real processes, and what they leave."""
+"""Start sweeps in processes of their own, and look at their run directories and workers."""
 
 import subprocess
 import time

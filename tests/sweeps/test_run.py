@@ -117,7 +117,7 @@ def test_a_run_that_hangs_past_its_time_is_failed(tmp_path):
 
 def test_no_worker_outlives_a_sweep_that_is_killed_and_typed_again_it_goes_on(tmp_path):
     process = begin(tmp_path, "seeds=3", *SLOW, *TWO)
-    wait_until(lambda: len(list(tmp_path.glob("*/*/*/checkpoints/step=*"))) >= 2)
+    wait_until(lambda: len({path.parents[1] for path in tmp_path.glob("*/*/*/checkpoints/step=*")}) == 2)
     assert len(workers(tmp_path)) == 2
     process.kill()
     process.communicate()
@@ -161,7 +161,7 @@ def test_a_sweep_takes_over_what_another_one_leaves(tmp_path):
     other = begin(tmp_path, "seeds=2", *SLOW, *TWO)
     wait_until(lambda: stages(tmp_path).count("running") == 2)
     ours = begin(tmp_path, "seeds=2", *SLOW, *TWO)
-    wait_until(lambda: len(list(tmp_path.glob("*/*/*/checkpoints/step=*"))) >= 2)
+    wait_until(lambda: len({path.parents[1] for path in tmp_path.glob("*/*/*/checkpoints/step=*")}) == 2)
     time.sleep(3)
     assert ours.poll() is None  # it waits, though there is nothing for it to run
     other.kill()

@@ -20,6 +20,7 @@ from parking_exp.evaluation.stored_run import evaluate_run
 from parking_exp.results.frames import load
 from parking_exp.runs.atomic import read_json, write_json
 from parking_exp.runs.directory import RunDirectory, RunResult
+from parking_exp.runs.layout import new_entries
 from parking_exp.runs.logs import log_hashes
 from parking_exp.runs.lookup import find_runs
 from parking_exp.tracking.reader import Reader
@@ -464,7 +465,10 @@ def test_a_copy_without_artifacts_gets_new_ones(tmp_path):
 def test_one_damaged_status_does_not_keep_others_from_being_sent(output_dir):
     broken, nulls, whole = (run_in(output_dir, seed) for seed in range(3))
     stored_uri(broken, "sqlite:///a\0b.db")
-    write_json(nulls.path / "status.json", dict.fromkeys(nulls.read_status()) | {"tracking_uri": "sqlite:///mlflow.db"})
+    write_json(
+        nulls.path / "status.json",
+        dict.fromkeys(nulls.read_status()) | new_entries() | {"tracking_uri": "sqlite:///mlflow.db"},
+    )
     found = sync_all([broken, nulls, whole], [default_uri(output_dir)])
     assert [(directory, problem) for directory, problem in found] == [(nulls, None), (whole, None)]
 

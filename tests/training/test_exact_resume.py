@@ -1,4 +1,4 @@
-"""Proofs that take minutes: `make test-slow`."""
+"""Runs that are killed at any step end as if they had not been; these proofs take minutes (`make test-slow`)."""
 
 import contextlib
 import itertools

@@ -1,4 +1,4 @@
-"""What a person sees of a training."""
+"""The progress bar, lines and heartbeat of a training."""
 
 import io
 import re
