@@ -1,4 +1,4 @@
-"""The lean update against Stable-Baselines3's own `train`, sampling included."""
+"""The fast update against Stable-Baselines3's own `train`, sampling included."""
 
 from typing import Any
 
@@ -20,7 +20,7 @@ def updates(config: RunConfig, rounds: int, updates_a_slice: int, transitions: i
     Ours have the config's matmul precision, of which `auto` is decided once; the peer has torch's default.
     """
     _, gradient_steps = config.update_rounds()
-    ours, peer = filled(config, lean=True, transitions=transitions), filled(config, lean=False, transitions=transitions)
+    ours, peer = filled(config, fast=True, transitions=transitions), filled(config, fast=False, transitions=transitions)
     calls = max(1, updates_a_slice // gradient_steps)
     with torch_settings(config) as precision:
         pass
@@ -38,9 +38,9 @@ def updates(config: RunConfig, rounds: int, updates_a_slice: int, transitions: i
     return interleave(mine, lambda: side(peer), rounds) | about
 
 
-def filled(config: RunConfig, lean: bool, transitions: int = 10_000) -> Any:
+def filled(config: RunConfig, fast: bool, transitions: int = 10_000) -> Any:
     """Return a model whose replay buffer holds random transitions, made with our classes or with theirs."""
-    if not lean:
+    if not fast:
         config = theirs(config)
     model = build_model(config, make_training_envs(config.env, config.n_envs), seed=0)
     assert isinstance(model, getattr(stable_baselines3, config.algorithm.target.rpartition(".")[2]))
