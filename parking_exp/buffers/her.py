@@ -22,7 +22,7 @@ NO_GOALS = np.empty(0, np.int64)
 
 
 class Reward(Protocol):
-    """What the buffer must know of a reward to relabel by itself; `envs.reward.GoalReward` is one."""
+    """Reward function with which the buffer relabels without asking the env, such as `envs.reward.GoalReward`."""
 
     collision: float  # what a crash adds
     velocity: tuple[int, ...]  # which entries of a goal are a velocity
@@ -92,15 +92,10 @@ class HerBuffer(HerReplayBuffer):
             goal_selection_strategy = goal_selection_strategy.lower()  # type: ignore[assignment]
             if n_sampled_goal < 1:
                 raise ValueError(f"n_sampled_goal={n_sampled_goal} is below 1; for no virtual goals, give no strategy")
-        options = {
-            "goal_selection_strategy": (goal_selection_strategy, (*STRATEGIES, None)),
-            "relabel_collision": (relabel_collision, ("keep", "sb3")),
-            "relabel_terminated": (relabel_terminated, ("sb3", "goal", "goal_and_crash")),
-            "goal_velocity": (goal_velocity, ("achieved", "zero")),
-        }
-        for name, (value, choices) in options.items():
-            if value not in choices:
-                raise ValueError(f"{name}={value!r} is not one of {choices}")
+        _check_choice("goal_selection_strategy", goal_selection_strategy, (*STRATEGIES, None))
+        _check_choice("relabel_collision", relabel_collision, ("keep", "sb3"))
+        _check_choice("relabel_terminated", relabel_terminated, ("sb3", "goal", "goal_and_crash"))
+        _check_choice("goal_velocity", goal_velocity, ("achieved", "zero"))
         as_sb3 = relabel_collision == relabel_terminated == "sb3" and goal_velocity == "achieved"
         if reward is None and not as_sb3:
             raise ValueError(
@@ -131,7 +126,7 @@ class HerBuffer(HerReplayBuffer):
         return self.storage.nbytes + self.episodes.nbytes
 
     def virtual(self, batch_size: int) -> int:
-        """How many transitions of a batch get a virtual goal."""
+        """Return how many transitions of a batch get a virtual goal."""
         return int(self.her_ratio * batch_size)
 
     def reset(self) -> None:
@@ -193,9 +188,20 @@ class HerBuffer(HerReplayBuffer):
         self.sampled[1] += virtual
         taken, goal_index = self.storage.take(index), NO_GOALS
         if virtual:
-            chosen, record = index[-virtual:], self.episodes.table.take(taken.record_ids[-virtual:])
-            goal_index = STRATEGIES[str(self.goal_selection_strategy)](self.rng, self.episodes, chosen, record)
+            record = self.episodes.table.take(taken.record_ids[-virtual:])
+            goal_index = self.select_goals(index[-virtual:], record)
         return self._collect(taken, goal_index, env)
+
+    def select_goals(self, index: np.ndarray, record: np.ndarray) -> np.ndarray:
+        """Choose virtual goals: return the indices of the transitions whose next achieved goals they become.
+
+        A subclass may override this with a strategy of its own. `self.rng` is saved in checkpoints: draw with it.
+
+        Args:
+            index: of the transitions that get virtual goals, shape (n,).
+            record: their episodes: `start`, the row of the first transition, and `length`, shape (n,).
+        """
+        return STRATEGIES[str(self.goal_selection_strategy)](self.rng, self.episodes, index, record)
 
     def truncate_last_trajectory(self) -> None:
         """End the episodes under way as if by time, since the envs do not go on with them."""
@@ -303,3 +309,8 @@ class HerBuffer(HerReplayBuffer):
 
     def _tensor(self, array: np.ndarray) -> torch.Tensor:
         return torch.as_tensor(np.ascontiguousarray(array), device=self.device)
+
+
+def _check_choice(name: str, value: object, choices: tuple[str | None, ...]) -> None:
+    if value not in choices:
+        raise ValueError(f"{name}={value!r} is not one of {choices}")

@@ -1,4 +1,4 @@
-"""HER's strategies: from which transition a virtual goal is taken (Andrychowicz et al. 2017, section 4.5)."""
+"""HER strategies: the transitions that virtual goals are taken from (Andrychowicz et al. 2017, section 4.5)."""
 
 from collections.abc import Callable
 
@@ -10,7 +10,7 @@ Strategy = Callable[[np.random.Generator, EpisodeIndex, np.ndarray, np.ndarray],
 
 
 def future(rng: np.random.Generator, episodes: EpisodeIndex, index: np.ndarray, record: np.ndarray) -> np.ndarray:
-    """From the rest of the same episode, the transition itself included, as Stable-Baselines3 has it.
+    """Take goals from the rest of the same episode, the transition itself included, as Stable-Baselines3 has it.
 
     Args:
         rng: to draw with.
@@ -27,19 +27,20 @@ def future(rng: np.random.Generator, episodes: EpisodeIndex, index: np.ndarray, 
 
 
 def final(rng: np.random.Generator, episodes: EpisodeIndex, index: np.ndarray, record: np.ndarray) -> np.ndarray:
-    """The last of the same episode; arguments as for `future`."""
+    """Take the last goal of the same episode; arguments as for `future`."""
     last = record["length"].astype(np.int64) - 1
     return episodes.index(record["start"] + last, index % episodes.n_envs)
 
 
 def episode(rng: np.random.Generator, episodes: EpisodeIndex, index: np.ndarray, record: np.ndarray) -> np.ndarray:
-    """From anywhere in the same episode; arguments as for `future`."""
+    """Take goals from anywhere in the same episode; arguments as for `future`."""
     return episodes.index(record["start"] + rng.integers(record["length"]), index % episodes.n_envs)
 
 
 def random(rng: np.random.Generator, episodes: EpisodeIndex, index: np.ndarray, record: np.ndarray) -> np.ndarray:
-    """From everything that is stored, episodes under way included; arguments as for `future`."""
+    """Take goals from everything that is stored, episodes under way included; arguments as for `future`."""
     return episodes.draw_stored(rng, len(index))
 
 
 STRATEGIES: dict[str, Strategy] = {"future": future, "final": final, "episode": episode, "random": random}
+"""Values of `buffer.goal_selection_strategy`. A new one: a function, an entry here, and a file in conf/buffer."""

@@ -4,12 +4,12 @@ from collections.abc import Sequence
 
 from parking_exp.config.schema import EnvConfig, Simulation
 from parking_exp.envs.highway import HighwayBatch
-from parking_exp.envs.interface import Batch
+from parking_exp.envs.interface import SceneBatch
 from parking_exp.envs.scenes import Scenes
 from parking_exp.envs.simulator import Simulator
 
 
-def start_scenes(config: EnvConfig, scenes: Sequence[int], simulator: Simulation | None = None) -> Batch:
+def start_scenes(config: EnvConfig, scenes: Sequence[int], simulator: Simulation | None = None) -> SceneBatch:
     """Start scenes together; scene s is what `env.reset(seed=s)` of highway-env makes.
 
     Args:

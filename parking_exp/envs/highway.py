@@ -1,4 +1,4 @@
-"""parking-v0 as highway-env simulates it."""
+"""parking-v0 simulated by highway-env itself."""
 
 from collections.abc import Sequence
 from typing import Any

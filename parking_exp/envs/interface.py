@@ -1,4 +1,4 @@
-"""Interface of policies and of batches of scenes, whatever simulates them."""
+"""Types of policies, steps and batches of scenes that highway-env and the simulator share."""
 
 from collections.abc import Callable
 from typing import NamedTuple, Protocol
@@ -15,7 +15,7 @@ Policy = Callable[[Observation], np.ndarray]
 
 
 class Step(NamedTuple):
-    """What a step of n scenes gives.
+    """Result of one policy step of n scenes.
 
     Attributes:
         observation: Dict observation; each entry has shape (n, features).
@@ -31,8 +31,8 @@ class Step(NamedTuple):
     is_success: np.ndarray
 
 
-class Batch(Protocol):
-    """n scenes, none of which is ever reset by itself."""
+class SceneBatch(Protocol):
+    """n scenes that are stepped together, and never reset by themselves."""
 
     def __len__(self) -> int: ...
 
@@ -52,4 +52,4 @@ class Batch(Protocol):
         """Return x [m], y [m], heading [rad] and signed speed [m/s] of all cars, shape (n, 4)."""
 
     def close(self) -> None:
-        """Let go of what is held."""
+        """Free resources."""

@@ -1,4 +1,4 @@
-"""How an episode ended, and where the car stood: the one definition of success, crash, timeout and parked."""
+"""Outcome of an episode and final pose of the car: the definitions of success, crash, timeout and parked."""
 
 import math
 from dataclasses import dataclass
@@ -37,7 +37,7 @@ class Pose:
 
     @property
     def parked(self) -> bool:
-        """All four corners inside the slot's lines, heading within 10 degrees, slower than 0.5 m/s.
+        """Whether all four corners are inside the slot's lines, heading within 10 degrees, speed below 0.5 m/s.
 
         Stricter than highway-env's success, which allows 1.44 m, 33 degrees or any speed.
         """
@@ -63,7 +63,7 @@ def relative_pose(
 
 
 def outcome(crashed: bool, is_success: bool) -> Outcome:
-    """How a finished episode ended. A crash counts as a crash even where the goal was reached."""
+    """Return how a finished episode ended. A crash counts as a crash even where the goal was reached."""
     if crashed:
         return "crash"
     return "success" if is_success else "timeout"

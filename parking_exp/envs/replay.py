@@ -1,4 +1,4 @@
-"""highway-env has no state that could be saved; but an episode follows from how it started and what was done."""
+"""Save and restore the state of a highway-env env, which has none to save, by replaying the episode's actions."""
 
 from typing import Any
 
@@ -8,10 +8,10 @@ from gymnasium.utils import seeding
 
 
 class ReplayActions(gym.Wrapper):
-    """Remembers the episode under way, so that another env of the same kind can be brought to the same state.
+    """Record how the episode under way started and its actions; replay them in another env of the same kind.
 
-    What an episode depends on is the generator as it was before `reset`, and the actions since. At most one episode is
-    kept, and to restore it takes as long as it took to drive it.
+    The start is the random generator before `reset`. Only the episode under way is kept, and to restore it takes as
+    long as to drive it.
     """
 
     def __init__(self, env: gym.Env) -> None:
@@ -36,7 +36,7 @@ class ReplayActions(gym.Wrapper):
         return {"start": self._start, "actions": actions}
 
     def set_state(self, state: dict[str, Any]) -> None:
-        """Drive a saved episode again up to where it was; what follows is identical."""
+        """Replay a saved episode up to where it was; what follows is identical."""
         if state["start"] is None:
             return
         self.unwrapped.np_random.bit_generator.state = state["start"]

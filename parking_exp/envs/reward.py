@@ -1,4 +1,4 @@
-"""The reward of goals, collisions apart: highway-env's `compute_reward` for many goals at once."""
+"""Goal reward without collisions: highway-env's `compute_reward` for many goals at once."""
 
 from dataclasses import dataclass
 from typing import Self

@@ -1,7 +1,7 @@
-"""Scenes: how episodes of parking-v0 start.
+"""Scenes: the initial states of parking-v0.
 
 The car stands at the origin with some heading; one slot is its goal; other cars stand in other slots. Slots are
-numbered in highway-env's order (`lot.SLOT_POSITIONS`).
+numbered in highway-env's order (`geometry.SLOT_POSITIONS`).
 """
 
 from collections.abc import Sequence

@@ -1,4 +1,4 @@
-"""Training envs side by side, as Stable-Baselines3 wants them."""
+"""Training envs as a monitored Stable-Baselines3 VecEnv; their state, for exact resume."""
 
 import time
 from pathlib import Path

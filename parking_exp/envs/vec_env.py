@@ -14,7 +14,7 @@ from parking_exp.envs.simulator import Simulator
 
 
 class ParkingVecEnv(VecEnv):
-    """n parking envs in one, which start a new scene when an episode ends.
+    """VecEnv of n parking envs, simulated together; an env starts a new scene when its episode ends.
 
     After `seed(s)`, `reset()` starts highway-env's scenes s, s + 1, ..., as n envs of highway-env would. Later scenes
     are drawn from the same distribution by a generator seeded with s.

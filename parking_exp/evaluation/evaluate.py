@@ -9,7 +9,7 @@ import pandas as pd
 
 from parking_exp.config.schema import EnvConfig, Simulation
 from parking_exp.envs.evaluation_envs import start_scenes
-from parking_exp.envs.interface import Batch, Observation, Policy
+from parking_exp.envs.interface import Observation, Policy, SceneBatch
 from parking_exp.envs.outcomes import OUTCOMES, outcome
 from parking_exp.evaluation.trajectories import Recorder
 
@@ -96,7 +96,7 @@ def rollout(policy: Policy, env: gym.Env, scene: int) -> Iterator[tuple[Observat
 
 def _episodes(
     policy: Policy,
-    batch: Batch,
+    batch: SceneBatch,
     scenes: np.ndarray,
     on_step: Callable[[int], None] | None,
     recorder: Recorder | None,

@@ -18,12 +18,15 @@ from stable_baselines3.common.logger import Logger
 from stable_baselines3.common.save_util import load_from_pkl, save_to_pkl
 from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 from stable_baselines3.her import GoalSelectionStrategy
-from support.runs import make_config
+from support.runs import USER_CONF, make_config
+from support.user_buffers import NextSecondHer
 
 from parking_exp.algorithms.build import build_model
 from parking_exp.buffers import HerBuffer
 from parking_exp.buffers.her import NO_GOALS
 from parking_exp.buffers.strategies import STRATEGIES
+from parking_exp.config.compose import composed
+from parking_exp.config.validate import validate
 from parking_exp.envs.reward import GoalReward
 from parking_exp.envs.training_envs import make_training_envs
 from parking_exp.envs.vec_env import ParkingVecEnv
@@ -680,3 +683,27 @@ def test_the_models_seed_seeds_the_buffer():
         for seed in (3, 3, 4)
     ]
     assert states[0] == states[1] != states[2]
+
+
+@pytest.mark.parametrize("strategy", STRATEGIES)
+def test_every_strategy_is_an_option_of_the_config(strategy):
+    buffer = make_config(f"buffer=her_{strategy}").buffer
+    assert (buffer.name, buffer.arguments["goal_selection_strategy"]) == (f"her_{strategy}", strategy)
+
+
+def test_a_users_strategy_is_a_subclass_and_a_yaml_of_their_own():
+    """In the directory given with --config-dir. The whole example: tests/support/user_buffers.py and user_conf/buffer."""
+    (composed_config,) = composed("config", ["experiment=smoke", "buffer=her_next_second"], str(USER_CONF))
+    config = validate(composed_config)
+    model = build_model(config, make_training_envs(config.env, config.n_envs), seed=0)
+    model.set_logger(Logger(None, []))
+    model.learn(60)
+    assert type(model.replay_buffer) is NextSecondHer
+    assert model._n_updates > 0
+    ours = make(NextSecondHer, size=1000, n_envs=2)
+    transitions = Transitions(2, longest=40)
+    for _ in range(400):
+        ours.add(*next(transitions))
+    batch = ours.sample(500)
+    steps = batch.observations["desired_goal"][:, 2] - batch.observations["observation"][:, 2]
+    assert set(steps[100:].tolist()) == {1, 2, 3, 4, 5}

@@ -5,10 +5,14 @@ import highway_env
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
-from support.runs import make_config, options
+from support.runs import USER_CONF, make_config, options
 
+from parking_exp.config.compose import composed
 from parking_exp.config.schema import TRAINING_SCENES_START
+from parking_exp.config.validate import validate
 from parking_exp.envs.highway import make_env
+from parking_exp.envs.scenes import Scenes
+from parking_exp.envs.simulator import Simulator
 from parking_exp.envs.training_envs import make_training_envs
 from parking_exp.training.seeding import derive_seeds
 
@@ -101,3 +105,22 @@ def test_training_and_evaluation_scenes_never_meet(seed):
     assert 0 <= seeds.policy < 2**31
     assert derive_seeds(seed) == seeds
     assert derive_seeds(seed + 1).training_scenes != seeds.training_scenes
+
+
+def test_a_users_variant_is_a_yaml_of_their_own():
+    """In the directory given with --config-dir: tests/support/user_conf/env. Both simulators run it, and agree."""
+    (composed_config,) = composed("config", ["env=parking_slow"], str(USER_CONF))
+    config = validate(composed_config).env
+    simulator, env = Simulator(config, Scenes.from_seeds([3], config.vehicles_count)), make_env(config)
+    env.reset(seed=3)
+    for number in range(30):
+        action = np.array([1.0, 0.2 * (number > 10)], np.float32)
+        step = simulator.step(action[None])
+        observation, reward, terminated, *_ = env.step(action)
+        np.testing.assert_allclose(step.observation["observation"][0], observation["observation"], rtol=0, atol=1e-9)
+        assert (step.reward[0], step.terminated[0]) == (pytest.approx(reward, abs=1e-9), terminated)
+        if terminated:
+            break
+    assert len(env.unwrapped.road.vehicles) == 6
+    assert number > 15  # the car has been as fast as it may be
+    assert np.hypot(*observation["observation"][2:4]) * 5 < 4.1

@@ -13,6 +13,7 @@ from parking_exp.config.validate import validate
 from parking_exp.runs.directory import RunDirectory
 
 ROOT = Path(__file__).resolve().parents[2]
+USER_CONF = ROOT / "tests" / "support" / "user_conf"
 GROUPS = ("env", "algorithm", "buffer", "experiment")
 
 

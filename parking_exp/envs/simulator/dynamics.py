@@ -1,4 +1,4 @@
-"""Kinematics of highway-env's car: arrays in, arrays out, one entry for each car.
+"""Vehicle dynamics of highway-env's car, a kinematic bicycle model, for arrays of cars.
 
 The operations and their order are highway-env's (`Vehicle.step`, `ContinuousAction`), so that results agree to the
 last bit. Positions are in metres, headings and steering angles in radians, speeds in m/s.

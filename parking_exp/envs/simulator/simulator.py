@@ -1,8 +1,8 @@
-"""parking-v0 for many scenes at once, exactly as highway-env simulates it, with NumPy alone.
+"""Vectorized simulator of parking-v0: many scenes at once, exactly as highway-env simulates them, with NumPy alone.
 
-A policy step is a few simulation frames of constant action. Where nothing can be touched within the step, which is
-nearly everywhere, all frames are integrated for all scenes at once. The other scenes go frame by frame, with
-highway-env's order of things: limit the action, move, apply the impact of the frame before, look for collisions.
+A policy step is a few simulation frames of constant action. Scenes in which nothing can be touched within the step,
+nearly all, are integrated together. The others go frame by frame, in highway-env's order: limit the action, move, apply
+the impact of the frame before, detect collisions.
 """
 
 import numpy as np
@@ -21,7 +21,7 @@ from parking_exp.envs.interface import Step
 from parking_exp.envs.outcomes import Pose, relative_pose
 from parking_exp.envs.reward import GoalReward
 from parking_exp.envs.scenes import Scenes
-from parking_exp.envs.simulator.contacts import Contacts, extent
+from parking_exp.envs.simulator.collisions import Collisions, extent
 from parking_exp.envs.simulator.dynamics import Range, advance, limited_acceleration, scale, slip_angle
 from parking_exp.envs.simulator.state import State
 from parking_exp.errors import ConfigError
@@ -37,7 +37,7 @@ ROW_M = abs(float(SLOT_POSITIONS[0, 1]))
 
 
 class Simulator:
-    """n scenes of an env variant, stepped together.
+    """n scenes of an env variant, simulated together.
 
     The same scene and actions give highway-env's trajectory. Scenes are independent; none is ever reset by itself.
 
@@ -77,7 +77,7 @@ class Simulator:
         slots[:, 4], slots[:, 5] = np.cos(SLOT_HEADINGS), np.sin(SLOT_HEADINGS)
         self._slot_goals = slots / DEFAULT_SCALES
         self._slot_observed = slots[:, self.features] / self.scales
-        self._contacts = Contacts(self.dt, config.vehicles_count, walls=config.add_walls)
+        self._collisions = Collisions(self.dt, config.vehicles_count, walls=config.add_walls)
         self.start(scenes)
 
     def __len__(self) -> int:
@@ -226,7 +226,7 @@ class Simulator:
                 state.crashed |= state.hit[:, 0]
                 state.hit[:] = False
             state.direction = _direction(state.heading)
-            self._contacts.find(state)
+            self._collisions.resolve(state)
 
     def _pose(self, rows: np.ndarray | slice = slice(None)) -> np.ndarray:
         """Return x, y, vx, vy, cos_h, sin_h of the cars, shape (n, 6), in m and m/s."""

@@ -1,4 +1,4 @@
-"""The state of many scenes, as plain arrays."""
+"""State of many scenes as arrays."""
 
 from dataclasses import dataclass, fields
 from typing import Self
