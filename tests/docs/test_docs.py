@@ -4,6 +4,7 @@ import json
 import os
 import re
 import shlex
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -13,6 +14,7 @@ from support.runs import ROOT
 from support.store_factory import make_store
 
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", ROOT / "CHANGELOG.md", *sorted((ROOT / "docs").rglob("*.md"))]
+EXTENDING = ROOT / "docs" / "extending.md"
 FENCE = re.compile(r"^```(\w*)(?: title=\"([^\"]+)\")?\n(.*?)^```", re.MULTILINE | re.DOTALL)
 LINK = re.compile(r"\]\(([^)\s]+)\)")
 
@@ -22,7 +24,7 @@ RUN_COMMANDS = """
 import contextlib, importlib, io, json, sys, tomllib, traceback
 
 root, commands = sys.argv[1], json.loads(sys.argv[2])
-sys.path.insert(0, root)
+sys.path[:0] = [root, "."]
 with open(f"{root}/pyproject.toml", "rb") as file:
     entry_points = tomllib.load(file)["project"]["scripts"]
 done = {}
@@ -56,6 +58,9 @@ def commands(*pages):
     return list(dict.fromkeys(match[0].strip() for line in lines if (match := re.search(r"python scripts/.*", line))))
 
 
+COMMANDS = commands(*(page for page in PAGES if page != EXTENDING))  # its commands need the files of its examples
+
+
 def arguments(command):
     """A command's name and its arguments, with what makes it cheap."""
     script, *typed = shlex.split(command.removeprefix("python scripts/"), comments=True)
@@ -83,7 +88,7 @@ def run_commands(typed, cwd):
 
 @pytest.fixture(scope="module")
 def done(tmp_path_factory):
-    typed = {command: arguments(command) for command in commands(*PAGES) if "--config-dir" not in command}
+    typed = {command: arguments(command) for command in COMMANDS}
     return run_commands(typed, tmp_path_factory.mktemp("commands"))
 
 
@@ -124,11 +129,9 @@ def test_every_room_has_a_page_of_the_reference():
     assert pages - {"index"} == rooms - {"cli", "benchmarks"}
 
 
-@pytest.mark.parametrize("command", commands(*PAGES))
-def test_a_command_can_be_typed(command, request):
-    if "--config-dir" in command:
-        pytest.skip("run with the example's files, below")
-    code, output = request.getfixturevalue("done")[command]
+@pytest.mark.parametrize("command", COMMANDS)
+def test_a_command_can_be_typed(done, command):
+    code, output = done[command]
     assert code == 0, output
 
 
@@ -144,3 +147,44 @@ def test_python_examples_run(name, output_dir, tmp_path, monkeypatch):
     for title, text in blocks(ROOT / name, "python"):
         if not title:
             exec(compile(text, name, "exec"), {})
+
+
+@pytest.fixture(scope="module")
+def extended(tmp_path_factory):
+    """A copy of the repository with the examples of docs/extending.md in it, and their commands' outcomes."""
+    copy = tmp_path_factory.mktemp("extended")
+    for part in ("parking_exp", "conf", "scripts"):
+        shutil.copytree(ROOT / part, copy / part, ignore=shutil.ignore_patterns("__pycache__"))
+    shutil.copy(ROOT / "pyproject.toml", copy)
+    for language in ("python", "yaml"):
+        for title, text in blocks(EXTENDING, language):
+            add(copy / title, text)
+    typed = {command: shlex.split(command.removeprefix("python scripts/")) for command in commands(EXTENDING)}
+    for command, (script, *typed_arguments) in typed.items():
+        typed[command] = [script.removesuffix(".py"), *typed_arguments]
+    return copy, run_commands(typed, copy)
+
+
+def add(path, text):
+    """Add a block to a file: behind the line that it begins with, or at its end."""
+    first, rest = text.split("\n", 1)
+    old = path.read_text() if path.exists() else ""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    line = f"{first}\n"
+    path.write_text(old.replace(line, line + rest) if line in old else f"{old}\n\n{text}" if old else text)
+
+
+@pytest.mark.parametrize("command", commands(EXTENDING))
+def test_what_extending_shows_runs(extended, command):
+    code, output = extended[1][command]
+    assert code == 0, output
+
+
+def test_the_examples_of_extending_show_in_what_they_extend(extended):
+    outputs = extended[0] / "outputs"
+    assert len(list(outputs.glob("smoke/parking-fading_sac-*"))) == 1
+    assert len(list(outputs.glob("smoke/parking_crowded-*"))) == 1
+    assert len(list(outputs.glob("smoke/*-her_late-*"))) == 1
+    (result,) = outputs.glob("centred/*/*/result.json")
+    assert "certified/centred_rate" in result.read_text()
+    assert "How many seeds" in (outputs / "reports" / "centred" / "index.html").read_text()
