@@ -55,7 +55,8 @@ def blocks(page, language):
 def commands(*pages):
     """What pages say to type at one of our scripts, without what goes before it, such as `time`."""
     lines = [line for page in pages for _, text in blocks(page, "sh") for line in text.replace("\\\n", "").split("\n")]
-    return list(dict.fromkeys(match[0].strip() for line in lines if (match := re.search(r"python scripts/.*", line))))
+    found = (match[1] for line in lines if (match := re.search(r"python scripts/(.*)", line)))
+    return list(dict.fromkeys(shlex.join(shlex.split(typed, comments=True)) for typed in found))
 
 
 COMMANDS = commands(*(page for page in PAGES if page != EXTENDING))  # its commands need the files of its examples
@@ -63,11 +64,11 @@ COMMANDS = commands(*(page for page in PAGES if page != EXTENDING))  # its comma
 
 def arguments(command):
     """A command's name and its arguments, with what makes it cheap."""
-    script, *typed = shlex.split(command.removeprefix("python scripts/"), comments=True)
+    script, *typed = shlex.split(command)
     name = script.removesuffix(".py")
     shows = "--cfg" in typed or "--help" in typed
     cheap = [] if shows else ["dry_run=true"] if name == "train" else ["--cfg", "job"]
-    return [name, *typed, *(argument for argument in cheap if argument not in typed)]
+    return [name, *(argument for argument in cheap if argument not in typed), *typed]
 
 
 def anchors(page):
@@ -159,19 +160,17 @@ def extended(tmp_path_factory):
     for language in ("python", "yaml"):
         for title, text in blocks(EXTENDING, language):
             add(copy / title, text)
-    typed = {command: shlex.split(command.removeprefix("python scripts/")) for command in commands(EXTENDING)}
-    for command, (script, *typed_arguments) in typed.items():
-        typed[command] = [script.removesuffix(".py"), *typed_arguments]
+    typed = {command: shlex.split(command.replace(".py", "", 1)) for command in commands(EXTENDING)}
     return copy, run_commands(typed, copy)
 
 
 def add(path, text):
-    """Add a block to a file: behind the line that it begins with, or at its end."""
-    first, rest = text.split("\n", 1)
-    old = path.read_text() if path.exists() else ""
+    """Write a block as a new file, or add it to an old one, behind the line that it begins with."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    line = f"{first}\n"
-    path.write_text(old.replace(line, line + rest) if line in old else f"{old}\n\n{text}" if old else text)
+    line = text[: text.index("\n") + 1]
+    old = path.read_text() if path.exists() else line
+    assert line in old
+    path.write_text(old.replace(line, text))
 
 
 @pytest.mark.parametrize("command", commands(EXTENDING))
