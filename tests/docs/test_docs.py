@@ -1,0 +1,189 @@
+"""README and the pages of docs/: their links lead somewhere, their commands and examples run."""
+
+import json
+import os
+import re
+import shlex
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from support.runs import ROOT
+from support.store_factory import make_store
+
+PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", ROOT / "CHANGELOG.md", *sorted((ROOT / "docs").rglob("*.md"))]
+EXTENDING = ROOT / "docs" / "extending.md"
+FENCE = re.compile(r"^```(\w*)(?: title=\"([^\"]+)\")?\n(.*?)^```", re.MULTILINE | re.DOTALL)
+LINK = re.compile(r"\]\(([^)\s]+)\)")
+
+# One process for all commands: each is given to the entry point of its script, as a command line is. A training prints
+# its plan, except where all of it is cheap; of the others Hydra prints the config.
+RUN_COMMANDS = """
+import contextlib, importlib, io, json, sys, tomllib, traceback
+
+root, commands = sys.argv[1], json.loads(sys.argv[2])
+sys.path[:0] = [root, "."]
+with open(f"{root}/pyproject.toml", "rb") as file:
+    entry_points = tomllib.load(file)["project"]["scripts"]
+done = {}
+for command, arguments in commands.items():
+    module, function = entry_points[f"parking-{arguments[0]}"].split(":")
+    sys.argv, output, code = arguments, io.StringIO(), 0
+    with contextlib.redirect_stdout(output), contextlib.redirect_stderr(output):
+        try:
+            getattr(importlib.import_module(module), function)()
+        except SystemExit as left:
+            code = left.code or 0
+        except BaseException:
+            code = traceback.format_exc()
+    done[command] = code, output.getvalue()
+print("\\n" + json.dumps(done))
+"""
+
+
+def names(pages):
+    return [str(page.relative_to(ROOT)) for page in pages]
+
+
+def blocks(page, language):
+    """Fenced blocks of a page: (title, text)."""
+    return [(title, text) for found, title, text in FENCE.findall(page.read_text()) if found == language]
+
+
+def commands(*pages):
+    """What pages say to type at one of our scripts, without what goes before it, such as `time`."""
+    lines = [line for page in pages for _, text in blocks(page, "sh") for line in text.replace("\\\n", "").split("\n")]
+    found = (match[1] for line in lines if (match := re.search(r"python scripts/(.*)", line)))
+    return list(dict.fromkeys(shlex.join(shlex.split(typed, comments=True)) for typed in found))
+
+
+COMMANDS = commands(*(page for page in PAGES if page != EXTENDING))  # its commands need the files of its examples
+
+
+def arguments(command):
+    """A command's name and its arguments, with what makes it cheap."""
+    script, *typed = shlex.split(command)
+    name = script.removesuffix(".py")
+    shows = "--cfg" in typed or "--help" in typed
+    cheap = [] if shows else ["dry_run=true"] if name == "train" else ["--cfg", "job"]
+    return [name, *(argument for argument in cheap if argument not in typed), *typed]
+
+
+def anchors(page):
+    """Ids of a page's headings."""
+    text = FENCE.sub("", page.read_text())
+    headings = re.findall(r"^#+ (.+)$", text, re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", heading.lower()).strip().replace(" ", "-") for heading in headings}
+
+
+def run_commands(typed, cwd):
+    """Run command lines in one process: {command: (exit status, output)}."""
+    script = [sys.executable, "-c", RUN_COMMANDS, str(ROOT), json.dumps(typed)]
+    environment = {**os.environ, "PYTHONPATH": str(cwd)}
+    done = subprocess.run(script, cwd=cwd, env=environment, check=False, capture_output=True, text=True, timeout=900)
+    assert done.returncode == 0, done.stderr
+    return json.loads(done.stdout.rsplit("\n", 2)[-2])
+
+
+@pytest.fixture(scope="module")
+def done(tmp_path_factory):
+    typed = {command: arguments(command) for command in COMMANDS}
+    return run_commands(typed, tmp_path_factory.mktemp("commands"))
+
+
+def test_the_readme_has_at_most_180_lines():
+    assert len((ROOT / "README.md").read_text().splitlines()) <= 180
+
+
+@pytest.mark.parametrize("name", names(PAGES))
+def test_no_line_is_longer_than_120_characters(name):
+    lines = (ROOT / name).read_text().splitlines()
+    assert [number for number, line in enumerate(lines, 1) if len(line) > 120] == []
+
+
+@pytest.mark.parametrize("name", names(PAGES))
+def test_relative_links_and_their_anchors_resolve(name):
+    page = ROOT / name
+    for target in LINK.findall(FENCE.sub("", page.read_text())):
+        if target.startswith(("http://", "https://")):
+            continue
+        path, _, anchor = target.partition("#")
+        linked = (page.parent / path).resolve() if path else page
+        assert linked.exists(), target
+        assert not anchor or anchor in anchors(linked), target
+
+
+def test_tests_that_the_threat_model_names_exist():
+    text = (ROOT / "docs" / "threat_model.md").read_text()
+    for path in re.findall(r"`(tests/\S+\.py)`", text):
+        assert (ROOT / path).exists(), path
+    tests = "\n".join(path.read_text() for path in (ROOT / "tests").rglob("test_*.py"))
+    for name in re.findall(r"`(test_\w+)\*?`", text):
+        assert f"def {name}" in tests, name
+
+
+def test_every_room_has_a_page_of_the_reference():
+    rooms = {path.parent.name for path in (ROOT / "parking_exp").glob("*/__init__.py")}
+    pages = {path.stem for path in (ROOT / "docs" / "api").glob("*.md")}
+    assert pages - {"index"} == rooms - {"cli", "benchmarks"}
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_a_command_can_be_typed(done, command):
+    code, output = done[command]
+    assert code == 0, output
+
+
+@pytest.mark.parametrize(
+    "name",
+    [name for name, page in zip(names(PAGES), PAGES, strict=True) if any(not t for t, _ in blocks(page, "python"))],
+)
+def test_python_examples_run(name, output_dir, tmp_path, monkeypatch):
+    if "load(" in (ROOT / name).read_text():
+        make_store(output_dir, "her_ablation", {"four": ["buffer.n_sampled_goal=4"]}, seeds=range(1))
+    monkeypatch.chdir(tmp_path)
+    Path("outputs").symlink_to(output_dir)
+    for title, text in blocks(ROOT / name, "python"):
+        if not title:
+            exec(compile(text, name, "exec"), {})
+
+
+@pytest.fixture(scope="module")
+def extended(tmp_path_factory):
+    """A copy of the repository with the examples of docs/extending.md in it, and their commands' outcomes."""
+    copy = tmp_path_factory.mktemp("extended")
+    for part in ("parking_exp", "conf", "scripts"):
+        shutil.copytree(ROOT / part, copy / part, ignore=shutil.ignore_patterns("__pycache__"))
+    shutil.copy(ROOT / "pyproject.toml", copy)
+    for language in ("python", "yaml"):
+        for title, text in blocks(EXTENDING, language):
+            add(copy / title, text)
+    typed = {command: shlex.split(command.replace(".py", "", 1)) for command in commands(EXTENDING)}
+    return copy, run_commands(typed, copy)
+
+
+def add(path, text):
+    """Write a block as a new file, or add it to an old one, behind the line that it begins with."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    line = text[: text.index("\n") + 1]
+    old = path.read_text() if path.exists() else line
+    assert line in old
+    path.write_text(old.replace(line, text))
+
+
+@pytest.mark.parametrize("command", commands(EXTENDING))
+def test_what_extending_shows_runs(extended, command):
+    code, output = extended[1][command]
+    assert code == 0, output
+
+
+def test_the_examples_of_extending_show_in_what_they_extend(extended):
+    outputs = extended[0] / "outputs"
+    assert len(list(outputs.glob("smoke/parking-fading_sac-*"))) == 1
+    assert len(list(outputs.glob("smoke/parking_crowded-*"))) == 1
+    assert len(list(outputs.glob("smoke/*-her_late-*"))) == 1
+    (result,) = outputs.glob("centred/*/*/result.json")
+    assert "certified/centred_rate" in result.read_text()
+    assert "How many seeds" in (outputs / "reports" / "centred" / "index.html").read_text()
