@@ -13,7 +13,7 @@ from parking_exp.config.validate import validate
 from parking_exp.runs.directory import RunDirectory
 
 ROOT = Path(__file__).resolve().parents[2]
-GROUPS = ("env", "algorithm", "buffer", "experiment")
+GROUPS = ("env", "algorithm", "buffer", "budget", "evaluation", "checkpoint", "tracking", "experiment")
 
 
 def options(group):
