@@ -16,8 +16,9 @@ from parking_exp.algorithms.fast.precision import faster_precision
 from parking_exp.algorithms.features import EgoFrameExtractor
 from parking_exp.algorithms.startup import spare_dynamo
 from parking_exp.buffers import HerBuffer
-from parking_exp.config.arguments import CLASS_ARGUMENTS
+from parking_exp.config.arguments import CLASS_ARGUMENTS, ignored_features
 from parking_exp.config.schema import Precision, RunConfig
+from parking_exp.config.signatures import policy_signature
 from parking_exp.envs.interface import Policy
 from parking_exp.envs.reward import GoalReward
 from parking_exp.envs.training_envs import is_parking, make_training_envs
@@ -62,9 +63,13 @@ def build_model(config: RunConfig, env: VecEnv, seed: int, *, for_training: bool
             objects["replay_buffer_kwargs"]["reward"] = GoalReward.of(config.env)
     spare_dynamo()
     try:
-        return build(**objects)
+        model = build(**objects)
     except (TypeError, ValueError, KeyError, AssertionError) as error:
         raise ConfigError(f"algorithm: {config.algorithm.target} refuses its arguments: {error}") from error
+    modules = model.policy.modules()
+    if config.algorithm.features == "ego" and not any(isinstance(one, EgoFrameExtractor) for one in modules):
+        raise ConfigError(ignored_features(config.algorithm))
+    return model
 
 
 def greedy_policy(model: OffPolicyAlgorithm) -> Policy:
@@ -77,7 +82,9 @@ def _policy_kwargs(config: RunConfig) -> dict[str, Any]:
     if config.algorithm.features == "ego":
         policy_kwargs["features_extractor_class"] = EgoFrameExtractor
         policy_kwargs["features_extractor_kwargs"] = {"scales": list(config.env.observation.scales)}
-    else:
+    elif (policy := policy_signature(config.algorithm.target, "MultiInputPolicy")) is None or policy.takes(
+        "features_extractor_class"
+    ):
         # What a MultiInputPolicy has by default, except CrossQ's.
         policy_kwargs["features_extractor_class"] = CombinedExtractor
     given = config.algorithm.arguments.get("policy_kwargs") or {}

@@ -157,7 +157,7 @@ def _runs(compose_lines: Compose, typed: dict[str, list[str]], seeds: list[int] 
     if "seed" in typed or "seed" in in_blocks:
         seeds = None
     runs, cells = [], set()
-    all_points = points(blocks, typed, lambda key, point: _has(compose_lines, key, point))
+    all_points = points(blocks, typed, lambda key, point: _has(compose_lines, key, point), base.experiment_name)
     check_number(len(all_points) * len(seeds or [None]), f"{len(all_points)} cells x {len(seeds or [None])} seeds")
     for point, label in zip(all_points, labels(all_points), strict=True):
         cell = compose_lines(*point).config

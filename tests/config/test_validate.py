@@ -237,7 +237,7 @@ def test_stores_that_mlflow_knows_are_taken(uri):
             "algorithm.policy_kwargs.optimizer_kwargs.lr is set by the run itself; use algorithm.learning_rate",
         ),
         (
-            "+algorithm.policy_kwargs.features_extractor_class=parking_exp.features.EgoFrameExtractor",
+            "+algorithm.policy_kwargs.features_extractor_class=parking_exp.algorithms.features.EgoFrameExtractor",
             "algorithm.policy_kwargs.features_extractor_class takes the place of algorithm.features=ego; set algorithm.features=raw",
         ),
         (
