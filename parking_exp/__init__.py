@@ -1,3 +1,52 @@
-"""Hydra-configured experiment sweeps for goal-conditioned parking."""
+"""Hydra-configured experiment sweeps for goal-conditioned parking.
+
+`compose` makes the checked config of a run, `train` trains it, and `load` reads the results of many runs:
+
+    from parking_exp import compose, load, train
+
+    result = train(compose("experiment=smoke"))
+    frames = load("smoke")
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from parking_exp.config.compose import compose
+    from parking_exp.results import load
+    from parking_exp.training.run import train
 
 __version__ = "0.1.0"
+__all__ = ["compose", "load", "train"]
+
+_HOMES = {"compose": "parking_exp.config.compose", "load": "parking_exp.results", "train": "parking_exp.training.run"}
+
+# All that a `_target_` or the documentation names. These paths stay: a `_target_` is part of a run's key.
+PUBLIC_PATHS = (
+    "parking_exp.compose",
+    "parking_exp.load",
+    "parking_exp.train",
+    "parking_exp.algorithms.DDPG",
+    "parking_exp.algorithms.SAC",
+    "parking_exp.algorithms.TD3",
+    "parking_exp.algorithms.crossq.CrossQ",
+    "parking_exp.algorithms.features.EgoFrameExtractor",
+    "parking_exp.buffers.HerBuffer",
+    "parking_exp.envs.reward.GoalReward",
+    "parking_exp.envs.scenes.Scenes",
+    "parking_exp.envs.simulator.Simulator",
+    "parking_exp.envs.vec_env.VectorizedParking",
+    "parking_exp.results.load",
+    "parking_exp.statistics",
+)
+
+
+def __getattr__(name: str) -> Any:
+    """Import a function when it is first asked for: torch and pandas take seconds."""
+    if name in _HOMES:
+        return getattr(import_module(_HOMES[name]), name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

@@ -6,7 +6,7 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from parking_exp.cli.main import status
+from parking_exp.cli.status import main
 
 if __name__ == "__main__":
-    status()
+    main()

@@ -16,8 +16,9 @@ from torch import nn
 from parking_exp.algorithms.fast.precision import faster_precision
 from parking_exp.algorithms.features import EgoFrameExtractor
 from parking_exp.buffers import HerBuffer
-from parking_exp.config.arguments import CLASS_ARGUMENTS
+from parking_exp.config.arguments import CLASS_ARGUMENTS, ignored_features
 from parking_exp.config.schema import Precision, RunConfig
+from parking_exp.config.signatures import policy_signature
 from parking_exp.envs.interface import Policy
 from parking_exp.envs.reward import GoalReward
 from parking_exp.envs.training_envs import is_parking, make_training_envs
@@ -66,9 +67,7 @@ def build_model(config: RunConfig, env: VecEnv, seed: int, *, for_training: bool
     except (TypeError, ValueError, KeyError, AssertionError) as error:
         raise ConfigError(f"algorithm: {config.algorithm.target} refuses its arguments: {error}") from error
     if config.algorithm.features == "ego" and not _computes_ego_features(model):
-        raise ConfigError(
-            f"algorithm.features=ego is ignored by the policy of {config.algorithm.target}; use algorithm.features=raw"
-        )
+        raise ConfigError(ignored_features(config.algorithm))
     return model
 
 
@@ -100,7 +99,9 @@ def _policy_kwargs(config: RunConfig) -> dict[str, Any]:
     if config.algorithm.features == "ego":
         policy_kwargs["features_extractor_class"] = EgoFrameExtractor
         policy_kwargs["features_extractor_kwargs"] = {"scales": list(config.env.observation.scales)}
-    else:
+    elif (policy := policy_signature(config.algorithm.target, "MultiInputPolicy")) is None or policy.takes(
+        "features_extractor_class"
+    ):
         # What a MultiInputPolicy has by default, except CrossQ's.
         policy_kwargs["features_extractor_class"] = CombinedExtractor
     given = config.algorithm.arguments.get("policy_kwargs") or {}

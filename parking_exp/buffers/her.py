@@ -3,7 +3,7 @@
 import json
 import warnings
 from collections.abc import Mapping
-from typing import Any, Literal, Protocol
+from typing import Any, Protocol, get_args
 
 import numpy as np
 import torch
@@ -17,6 +17,7 @@ from stable_baselines3.her import GoalSelectionStrategy
 from parking_exp.buffers.episode_index import NONE, EpisodeIndex
 from parking_exp.buffers.storage import Observation, Storage, Transitions
 from parking_exp.buffers.strategies import STRATEGIES
+from parking_exp.config.hindsight import GoalStrategy, GoalVelocity, RelabelCollision, RelabelTerminated
 
 NO_GOALS = np.empty(0, np.int64)
 
@@ -75,11 +76,11 @@ class HerBuffer(HerReplayBuffer):
         optimize_memory_usage: bool = False,
         handle_timeout_termination: bool = True,
         n_sampled_goal: int = 4,
-        goal_selection_strategy: Literal["future", "final", "episode", "random"] | None = "future",
+        goal_selection_strategy: GoalStrategy | None = "future",
         copy_info_dict: bool = False,
-        relabel_collision: Literal["keep", "sb3"] = "sb3",
-        relabel_terminated: Literal["sb3", "goal", "goal_and_crash"] = "sb3",
-        goal_velocity: Literal["achieved", "zero"] = "achieved",
+        relabel_collision: RelabelCollision = "sb3",
+        relabel_terminated: RelabelTerminated = "sb3",
+        goal_velocity: GoalVelocity = "achieved",
         reward: Reward | None = None,
     ) -> None:
         # Not HerReplayBuffer's own: it would allocate 400 bytes a transition, empty dicts among them.
@@ -93,9 +94,9 @@ class HerBuffer(HerReplayBuffer):
             if n_sampled_goal < 1:
                 raise ValueError(f"n_sampled_goal={n_sampled_goal} is below 1; for no virtual goals, give no strategy")
         _check_choice("goal_selection_strategy", goal_selection_strategy, (*STRATEGIES, None))
-        _check_choice("relabel_collision", relabel_collision, ("keep", "sb3"))
-        _check_choice("relabel_terminated", relabel_terminated, ("sb3", "goal", "goal_and_crash"))
-        _check_choice("goal_velocity", goal_velocity, ("achieved", "zero"))
+        _check_choice("relabel_collision", relabel_collision, get_args(RelabelCollision))
+        _check_choice("relabel_terminated", relabel_terminated, get_args(RelabelTerminated))
+        _check_choice("goal_velocity", goal_velocity, get_args(GoalVelocity))
         as_sb3 = relabel_collision == relabel_terminated == "sb3" and goal_velocity == "achieved"
         if reward is None and not as_sb3:
             raise ValueError(

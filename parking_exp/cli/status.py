@@ -1,4 +1,4 @@
-"""How far are the runs? A look at their directories; nothing is opened that is large, and no library that is slow."""
+"""`scripts/status.py` and `parking-status`: how far runs are, from small files of their directories."""
 
 import time
 from pathlib import Path
@@ -9,6 +9,7 @@ from pydantic import Field
 from rich.console import Group, RenderableType
 from rich.live import Live
 
+from parking_exp.cli.command import for_each, run_command
 from parking_exp.config.paths import default_uri, directory_path
 from parking_exp.config.schema import Name, Section, StoreConfig
 from parking_exp.config.validate import parse
@@ -28,6 +29,17 @@ from parking_exp.terminal import console, say
 from parking_exp.tracking.sync_all import sync_all
 
 WATCH_S = 2.0
+FLAGS = {"--json": "json=true", "--watch": "watch=true", "--sync": "sync=true"}
+
+
+def main() -> None:
+    """Run the command."""
+    run_command("status", for_each("status", validate_status, show), show, flags=FLAGS, read=status_overrides)
+
+
+def status_overrides(words: list[str]) -> list[str]:
+    """Write `experiment=NAME`, here what was run, as `experiment_name=NAME`: in our tree it is a group."""
+    return [f"experiment_name={word[11:]}" if word.startswith("experiment=") else word for word in words]
 
 
 class StatusRequest(Section):

@@ -1,4 +1,4 @@
-"""What of a stored config may be executed: it may come from elsewhere, and Hydra calls whatever a `_target_` names."""
+"""The allow-list of classes that a stored config may name: it may come from elsewhere, and Hydra calls each."""
 
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -45,8 +45,8 @@ def check_trust(config: RunConfig, source: Path) -> None:
     for key, target in [*_targets(config.plain()), vehicles]:
         if not is_trusted(target):
             raise UntrustedError(
-                f"{key}={target} in {source} is no class of a kind that runs are made of, and evaluating would execute "
-                "it; add trust=true if you know where this run comes from"
+                f"{key}={target} in {source} is not on the allow-list; evaluating this run would execute it "
+                "(trust=true allows it)"
             )
 
 

@@ -10,6 +10,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, TypeAdapter, ValidationError
 
+from parking_exp.config.hindsight import RELABEL_OPTIONS, GoalStrategy
 from parking_exp.config.messages import no_target, sentence
 from parking_exp.config.schema import (
     AlgorithmConfig,
@@ -54,10 +55,8 @@ RANGES: dict[str, Any] = {
     "stats_window_size": Positive,
     "top_quantiles_to_drop_per_net": Count,
     "n_sampled_goal": Positive,
-    "goal_selection_strategy": Literal["future", "final", "episode", "random"],
-    "relabel_collision": Literal["keep", "sb3"],
-    "relabel_terminated": Literal["sb3", "goal", "goal_and_crash"],
-    "goal_velocity": Literal["achieved", "zero"],
+    "goal_selection_strategy": GoalStrategy,
+    **RELABEL_OPTIONS,
     "policy": Literal["MultiInputPolicy"],
     "n_critics": Annotated[int, Field(ge=1, le=100)],
     "n_quantiles": Annotated[int, Field(ge=1, le=10_000)],
@@ -130,6 +129,14 @@ def check_arguments(run: RunConfig) -> list[str]:
     ]
 
 
+def ignored_features(algorithm: AlgorithmConfig) -> str:
+    """Say that an algorithm's policy computes no features of ours."""
+    return (
+        f"algorithm.features={algorithm.features}: the policy of {algorithm.target} has no features extractor and "
+        "would ignore it; set algorithm.features=raw"
+    )
+
+
 def class_path(value: object) -> object:
     """Return the dotted path that a class argument names: itself, that of its `_target_`, or what that looks up."""
     if not isinstance(value, Mapping):
@@ -181,6 +188,8 @@ def _check_policy(algorithm: AlgorithmConfig) -> list[str]:
     expected = policy_signature(algorithm.target, policy)
     if expected is None:
         return []
+    if algorithm.features != "raw" and not expected.takes("features_extractor_class"):
+        return [ignored_features(algorithm)]
     problems = _check_call(key, policy, expected, given, FED_TO_POLICY)
     if problems:
         return problems

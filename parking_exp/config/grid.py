@@ -1,4 +1,4 @@
-"""Experiment files: from axes to cells, and from cells to runs.
+"""From the axes of an experiment file to its cells, and from seeds to runs.
 
 `cells` of a config is a list of blocks; a block maps keys or groups to values, and stands for their product. `seeds` is
 how many seeds, or which, each cell gets.
@@ -16,7 +16,12 @@ Point = list[str]
 MOST_RUNS = 100_000
 
 
-def points(blocks: Sequence[Block], typed: Mapping[str, list[str]], has: Callable[[str, Point], bool]) -> list[Point]:
+def points(
+    blocks: Sequence[Block],
+    typed: Mapping[str, list[str]],
+    has: Callable[[str, Point], bool],
+    experiment: str = "",
+) -> list[Point]:
     """Return the overrides of every cell.
 
     Values that are typed narrow the blocks where they stand, and a block that is left with none is left out. A value
@@ -27,6 +32,7 @@ def points(blocks: Sequence[Block], typed: Mapping[str, list[str]], has: Callabl
         blocks: of the experiment file; none: a single cell.
         typed: the values that stand on the command line for each key, in Hydra's syntax.
         has: whether the config that a point composes to has a key.
+        experiment: its name, for the error.
 
     Raises:
         ConfigError: no cell is left.
@@ -53,8 +59,18 @@ def points(blocks: Sequence[Block], typed: Mapping[str, list[str]], has: Callabl
         check_number(len(found) + math.prod(map(len, lines)), "what is swept over")
         found |= dict.fromkeys(itertools.product(*lines))
     if not found:
-        raise ConfigError("no cell is left of the experiment; what is typed contradicts its cells")
+        raise ConfigError(_no_cell(typed, listed, experiment))
     return [list(point) for point in found]
+
+
+def _no_cell(typed: Mapping[str, list[str]], listed: Mapping[str, set[str]], experiment: str) -> str:
+    """Say which of the typed values match no cell, and which values the cells have."""
+    conditions = {key: values for key, values in typed.items() if key in listed}
+    alone = {key: values for key, values in conditions.items() if listed[key].isdisjoint(values)}
+    keys = alone or conditions
+    asked = " ".join(f"{key}={','.join(values)}" for key, values in keys.items())
+    there = " and ".join(f"{key}={','.join(sorted(listed[key]))}" for key in keys)
+    return f"no cell of experiment {experiment} matches {asked}; its values are {there}"
 
 
 def labels(cells: Sequence[Point]) -> list[str]:

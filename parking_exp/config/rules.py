@@ -5,6 +5,7 @@ from collections.abc import Mapping
 from importlib.metadata import entry_points
 from itertools import pairwise
 
+from parking_exp.config.hindsight import HER_OPTIONS
 from parking_exp.config.messages import no_target
 from parking_exp.config.schema import DEFAULT_FEATURES, DEFAULT_SCALES, TRAINING_SCENES_START, EnvConfig, RunConfig
 from parking_exp.config.signatures import UnknownTarget, signature
@@ -13,7 +14,6 @@ from parking_exp.resources import total_memory
 STORES = ("sqlite", "http", "https", "postgresql", "mysql", "mssql", "databricks")  # MLflow's own
 # What is needed at least: `HerBuffer` takes 113 bytes a transition, other buffers and a batch of tensors more.
 TRANSITION_BYTES, SCENE_BYTES = 113, 1000
-HER_OPTIONS = ("n_sampled_goal", "relabel_collision", "relabel_terminated", "goal_velocity")
 
 
 def check_env(env: EnvConfig) -> list[str]:

@@ -1,11 +1,9 @@
-"""The schema: what a run's config may contain, in which types and ranges.
+"""The schema of a run's config: its keys, their types and ranges.
 
-Values and their comments stand in `conf/`; this module says which are valid. Our own knobs are typed fields;
-arguments of third-party classes stay under the library's own names (`validation` checks them).
+Values and their comments stand in `conf/`. Our own keys are typed fields; arguments of third-party classes stay under
+the library's own names, and `config.arguments` checks them.
 """
 
-import hashlib
-import json
 import math
 import re
 from fractions import Fraction
@@ -14,19 +12,18 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
+from parking_exp.config.hindsight import GOAL_STRATEGIES
 from parking_exp.config.paths import directory_path
+from parking_exp.config.run_key import result_part, short_hash
 
 DEFAULT_FEATURES = ["x", "y", "vx", "vy", "cos_h", "sin_h"]
 DEFAULT_SCALES = [100, 100, 5, 5, 1, 1]
 # Seeds of training scenes start here; evaluation scenes lie below, so the two never meet.
 TRAINING_SCENES_START = 2**31
 
-# Keys that change no result; besides them `evaluation.video_episodes`.
-WITHOUT_RESULT = frozenset({"experiment_name", "output_dir", "tracking", "checkpoint", "timeout_s"})
-
 # Names that our options have: they say what runs, and follow the keys that change it. Any other name is the user's own.
 ALGORITHM_NAMES = frozenset({"sac", "td3", "ddpg", "tqc", "crossq"})
-BUFFER_NAMES = frozenset({"her_future", "her_final", "her_episode", "her_random", "replay"})
+BUFFER_NAMES = frozenset({"replay", *(f"her_{strategy}" for strategy in GOAL_STRATEGIES)})
 ENV_NAMES = frozenset({"parking", "parking_sparse", "parking_parked", "parking_action_repeat", "parking_2021"})
 REPLAY_CLASSES = ("HerBuffer", "HerReplayBuffer", "DictReplayBuffer")  # ours and Stable-Baselines3's
 
@@ -270,12 +267,12 @@ class RunConfig(Section):
     @property
     def cell_key(self) -> str:
         """Short hash of everything that can change a result, but the seed."""
-        return short_hash({key: value for key, value in self._result().items() if key != "seed"})
+        return short_hash({key: value for key, value in result_part(self.plain()).items() if key != "seed"})
 
     @property
     def run_key(self) -> str:
         """Short hash of everything that can change a result, the seed included."""
-        return short_hash(self._result())
+        return short_hash(result_part(self.plain()))
 
     @property
     def cell(self) -> str:
@@ -304,13 +301,3 @@ class RunConfig(Section):
         if gradient_steps is None:
             gradient_steps = math.ceil(per_vec_step * train_freq)
         return train_freq, gradient_steps
-
-    def _result(self) -> dict[str, Any]:
-        plain = {key: value for key, value in self.plain().items() if key not in WITHOUT_RESULT}
-        plain["evaluation"] = {k: v for k, v in plain["evaluation"].items() if k != "video_episodes"}
-        return plain
-
-
-def short_hash(value: Any) -> str:
-    """Return a short hash of plain containers, whatever the order of their keys."""
-    return hashlib.sha256(json.dumps(value, sort_keys=True).encode()).hexdigest()[:10]

@@ -60,6 +60,10 @@ class Signature:
     parameters: dict[str, Parameter]
     open: bool
 
+    def takes(self, name: str) -> bool:
+        """Whether an argument may be given."""
+        return self.open or name in self.parameters
+
 
 class UnknownTarget(LookupError):
     """A dotted path that names nothing; `known` are the names that stand beside it."""

@@ -9,6 +9,7 @@ from pydantic import Field
 from parking_exp.config.allowlist import check_trust
 from parking_exp.config.paths import default_uri, directory_path, is_same_store, without_password
 from parking_exp.config.rules import check_env
+from parking_exp.config.run_key import short_hash
 from parking_exp.config.schema import (
     TRAINING_SCENES_START,
     Count,
@@ -20,7 +21,6 @@ from parking_exp.config.schema import (
     Section,
     Simulation,
     StoreConfig,
-    short_hash,
 )
 from parking_exp.config.validate import parse
 from parking_exp.errors import ConfigError, DamagedModelError, ModelError, RunNotFoundError, plural

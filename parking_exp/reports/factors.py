@@ -8,7 +8,7 @@ import math
 from collections.abc import Hashable, Mapping, Sequence
 from typing import Any
 
-from parking_exp.config.schema import WITHOUT_RESULT
+from parking_exp.config.run_key import changes_results
 from parking_exp.reports.data import Design, Factor, Setting
 from parking_exp.reports.formats import setting
 
@@ -32,7 +32,7 @@ def differing(configs: Sequence[Config]) -> list[str]:
 
 def can_matter(key: str) -> bool:
     """Whether a key can change a result, and is no seed."""
-    return key.partition(".")[0] not in {*WITHOUT_RESULT, "seed"} and key != "evaluation.video_episodes"
+    return key != "seed" and changes_results(key)
 
 
 def find_factors(

@@ -10,7 +10,8 @@ from hydra.core.plugins import Plugins
 from hydra.types import HydraContext, RunMode
 from omegaconf import DictConfig
 
-from parking_exp.config.compose import hydra_overrides, hydra_ready, in_quotes
+from parking_exp.config.compose import hydra_ready
+from parking_exp.config.overrides import hydra_overrides, in_quotes
 from parking_exp.errors import ConfigError, ParkingError, suggestion
 from parking_exp.sweeps.supervisor import WorkerResult, supervise_job
 
@@ -79,6 +80,8 @@ def _refuse_unknown_keys(overrides: list[str]) -> None:
     Raises:
         ConfigError: with the closest one.
     """
+    if not any(override.startswith("hydra.launcher.") for override in overrides):
+        return
     chosen = [override for override in overrides if override.lstrip("+~").startswith("hydra/launcher")]
     loader = GlobalHydra.instance().config_loader()
     whole = loader.load_configuration("worker", ["run=none", *chosen], RunMode.MULTIRUN)

@@ -191,3 +191,33 @@ print(model._n_updates > 0, sorted({"torch._dynamo", "scipy.stats"} & set(sys.mo
         [sys.executable, "-c", code], check=True, capture_output=True, text=True, cwd=Path(__file__).parents[1]
     )
     assert done.stdout == "True []\n"
+
+
+OWN_POLICY = """
+from stable_baselines3 import SAC
+from stable_baselines3.sac.policies import MultiInputPolicy
+
+class {name}Policy(MultiInputPolicy):
+    def __init__(self, observation_space, action_space, lr_schedule, net_arch=None, use_sde=False{more}):
+        super().__init__(observation_space, action_space, lr_schedule, net_arch=net_arch, use_sde=use_sde)
+
+class {name}(SAC):
+    policy_aliases = {{"MultiInputPolicy": {name}Policy}}
+"""
+
+
+@pytest.mark.parametrize(("name", "more", "when"), [("Strict", "", "composed"), ("Open", ", **ignored", "built")])
+def test_features_that_a_policy_would_ignore_are_refused_before_training(name, more, when, tmp_path, monkeypatch):
+    (tmp_path / f"own_{when}.py").write_text(OWN_POLICY.format(name=name, more=more))
+    monkeypatch.syspath_prepend(tmp_path)
+    target = f"algorithm._target_=own_{when}.{name}"
+    message = rf"^algorithm.features=ego: the policy of own_{when}.{name} .* set algorithm.features=raw$"
+    if when == "composed":
+        with pytest.raises(ConfigError, match=message):
+            make_config("experiment=smoke", target)
+    else:
+        config = make_config("experiment=smoke", target)
+        with pytest.raises(ConfigError, match=message):
+            build_model(config, make_training_envs(config.env, 1), seed=0, for_training=False)
+    raw = make_config("experiment=smoke", target, "algorithm.features=raw")
+    assert build_model(raw, make_training_envs(raw.env, 1), seed=0, for_training=False)

@@ -14,7 +14,7 @@ from support.runs import make_config
 
 from parking_exp.algorithms.build import build_model
 from parking_exp.algorithms.weights import load_weights, read_weights, replacing, save_model
-from parking_exp.cli.main import _fail
+from parking_exp.cli.command import fail
 from parking_exp.envs.training_envs import make_training_envs
 from parking_exp.errors import DamagedModelError, ModelError
 from parking_exp.training import checkpoints
@@ -163,7 +163,7 @@ def test_names_in_a_file_do_not_reach_the_terminal_as_they_are(model, content, t
         load_weights(tmp_path / "model.zip", model)
     assert str(refusal.value).endswith("(it has \x1b[31mred\x07\n besides)")
     with pytest.raises(SystemExit):
-        _fail(refusal.value)
+        fail(refusal.value)
     said = capsys.readouterr().err
     assert said.endswith(r"(it has \x1b[31mred\x07\n besides)" + "\n")
     assert said.count("\n") == 1

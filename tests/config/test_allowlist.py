@@ -70,7 +70,7 @@ def test_what_is_not_of_a_run_is_refused_and_not_even_imported(from_elsewhere, h
     named = key if at_node else f"{key}.0._target_" if key == "buffer.deep" else f"{key}._target_"
     with pytest.raises(UntrustedError) as refusal:
         evaluate(directory)
-    assert str(refusal.value).startswith(f"{named}={target} in {directory / 'config.yaml'} is no class")
+    assert str(refusal.value).startswith(f"{named}={target} in {directory / 'config.yaml'} is not on the allow-list; ")
     assert "trust=true" in str(refusal.value)
     assert "\n" not in str(refusal.value)
     assert not hostile.exists()

@@ -49,6 +49,19 @@ def test_blocks_are_products_that_the_command_line_narrows(typed, expected):
     assert points(BLOCKS, typed, lambda key, point: "buffer=replay" not in point) == expected
 
 
+def test_where_no_cell_matches_the_values_that_there_are_are_told():
+    blocks = [{"buffer": "replay", "buffer.n_sampled_goal": 2}]
+    with pytest.raises(
+        ConfigError, match=r"^no cell of experiment mine matches buffer=her_final; its values are buffer=replay$"
+    ):
+        points(blocks, {"buffer": ["her_final"]}, has, "mine")
+    blocks = [{"a": "x", "b": [1, 2]}, {"a": "y", "b": [3]}]
+    with pytest.raises(
+        ConfigError, match=r"^no cell of experiment mine matches a=x b=3; its values are a=x,y and b=1,2,3$"
+    ):
+        points(blocks, {"a": ["x"], "b": ["3"]}, has, "mine")
+
+
 def test_without_blocks_what_is_typed_is_the_product():
     assert points([], {}, has) == [[]]
     assert points([], {"a": ["1", "2"], "b": ["x"]}, has) == [["a=1", "b=x"], ["a=2", "b=x"]]

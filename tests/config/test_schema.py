@@ -2,9 +2,13 @@
 
 import pytest
 from highway_env.envs.parking_env import ParkingEnv
-from support.runs import make_config
+from support.runs import make_config, options
 
-from parking_exp.config.schema import RunConfig
+from parking_exp.buffers.strategies import STRATEGIES
+from parking_exp.config.hindsight import GOAL_STRATEGIES, HER_OPTIONS
+from parking_exp.config.run_key import changes_results, result_part
+from parking_exp.config.schema import BUFFER_NAMES, RunConfig
+from parking_exp.config.signatures import signature
 from parking_exp.config.validate import validate
 
 
@@ -72,6 +76,36 @@ def test_the_run_key_changes_with_what_can_change_results(override):
     assert make_config(override).run_key != make_config().run_key
 
 
+@pytest.mark.parametrize(
+    ("key", "changes"),
+    [
+        ("seed", True), ("env.duration", True), ("evaluation.n_scenes", True), ("evaluation.video_episodes", False),
+        ("tracking.uri", False), ("checkpoint", False), ("timeout_s", False), ("algorithm.tracking", True),
+    ],
+)  # fmt: skip
+def test_keys_that_change_results_are_told_by_name(key, changes):
+    assert changes_results(key) is changes
+
+
+def test_the_run_key_is_of_the_keys_that_change_results():
+    plain = make_config().plain()
+    flat = {key for key in _dotted(result_part(plain)) if not changes_results(key)}
+    assert flat == set()
+    assert _dotted(plain) - _dotted(result_part(plain)) == {key for key in _dotted(plain) if not changes_results(key)}
+
+
+def _dotted(node, prefix=""):
+    if not isinstance(node, dict):
+        return {prefix.removesuffix(".")}
+    return {key for name, value in node.items() for key in _dotted(value, f"{prefix}{name}.")}
+
+
+def test_strategies_and_their_options_have_one_name_everywhere():
+    assert tuple(STRATEGIES) == GOAL_STRATEGIES
+    assert {f"her_{strategy}" for strategy in GOAL_STRATEGIES} | {"replay"} == set(options("buffer")) == BUFFER_NAMES
+    assert set(HER_OPTIONS) <= set(signature("parking_exp.buffers.HerBuffer").parameters)
+
+
 def test_run_directories_are_absolute_and_readable(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     config = make_config("experiment=smoke", "seed=3")
@@ -82,7 +116,7 @@ def test_run_directories_are_absolute_and_readable(tmp_path, monkeypatch):
     ("overrides", "expected"),
     [
         ("algorithm._target_=sb3_contrib.TQC", "parking-tqc-her_future"),
-        ("algorithm._target_=misbehaving.Lingers", "parking-lingers-her_future"),
+        ("algorithm._target_=support.failing_algorithms.Lingers", "parking-lingers-her_future"),
         ("algorithm._target_=stable_baselines3.SAC", "parking-sac-her_future"),
         ("algorithm=td3 algorithm._target_=stable_baselines3.TD3", "parking-td3-her_future"),
         ("algorithm.name=td3", "parking-sac-her_future"),

@@ -2,6 +2,7 @@
 
 import re
 
+import hydra
 import pytest
 from hydra import initialize_config_dir
 from hydra.core.global_hydra import GlobalHydra
@@ -41,7 +42,10 @@ ARTICLE = {
 def test_every_option_of_every_group_composes_and_validates(group, option):
     for composed_config in composed("config", [f"{group}={option}"]):
         config = validate(composed_config)
-        assert (config.experiment_name if group == "experiment" else getattr(config, group).name) == option
+        if group in ("env", "algorithm", "buffer"):
+            assert getattr(config, group).name == option
+        if group == "experiment":
+            assert config.experiment_name == option
 
 
 def test_the_expected_options_are_there():
@@ -49,6 +53,10 @@ def test_the_expected_options_are_there():
         "env": ["parking", "parking_2021", "parking_action_repeat", "parking_parked", "parking_sparse"],
         "algorithm": ["crossq", "ddpg", "sac", "td3", "tqc"],
         "buffer": ["her_episode", "her_final", "her_future", "her_random", "replay"],
+        "budget": ["full", "small"],
+        "evaluation": ["default"],
+        "checkpoint": ["default"],
+        "tracking": ["default"],
         "experiment": ["article", "her_ablation", "her_traps", "smoke"],
     }
 
@@ -229,7 +237,7 @@ def test_stores_that_mlflow_knows_are_taken(uri):
             "algorithm.policy_kwargs.optimizer_kwargs.lr is set by the run itself; use algorithm.learning_rate",
         ),
         (
-            "+algorithm.policy_kwargs.features_extractor_class=parking_exp.features.EgoFrameExtractor",
+            "+algorithm.policy_kwargs.features_extractor_class=parking_exp.algorithms.features.EgoFrameExtractor",
             "algorithm.policy_kwargs.features_extractor_class takes the place of algorithm.features=ego; set algorithm.features=raw",
         ),
         (
@@ -395,6 +403,34 @@ def test_nested_targets_are_checked_too():
     noise = "{_target_: stable_baselines3.common.noise.NormalActionNoise, mean: [0, 0]}"
     with pytest.raises(ConfigError, match=r"algorithm.action_noise.sigma is missing"):
         make_config(f"algorithm.action_noise={noise}")
+
+
+def test_several_keys_of_a_group_can_be_set_at_once():
+    config = make_config("tracking={csv: false, log_interval: 3}", "checkpoint={every_n_steps: null}")
+    assert (config.tracking.csv, config.tracking.log_interval, config.tracking.tensorboard) == (False, 3, True)
+    assert (config.checkpoint.every_n_steps, config.checkpoint.keep_last) == (None, 2)
+
+
+def test_a_users_own_options_of_every_group_are_taken(tmp_path):
+    (tmp_path / "evaluation").mkdir()
+    (tmp_path / "evaluation" / "long.yaml").write_text("defaults: [default]\nn_scenes: 50\n")
+    (config,) = composed("config", ["evaluation=long", "evaluation.first_scene=7"], str(tmp_path))
+    assert (config.evaluation.n_scenes, config.evaluation.first_scene, config.evaluation.final_n_scenes) == (50, 7, 100)
+
+
+def test_configs_that_are_composed_together_are_apart():
+    one, other = composed("config", ["evaluation.n_scenes=5,10", "total_timesteps=7"])
+    assert (one.evaluation.n_scenes, other.evaluation.n_scenes) == (5, 10)
+    article, smoke = composed("config", ["experiment=article,smoke"])
+    assert (article.checkpoint.every_n_steps, smoke.checkpoint.every_n_steps) == (1000, 100)
+
+
+def test_one_cell_is_composed_once_more_than_its_options(monkeypatch):
+    lines = []
+    compose = hydra.compose
+    monkeypatch.setattr(hydra, "compose", lambda name, line, **more: lines.append(line) or compose(name, line, **more))
+    composed("config", ["algorithm=td3", "seed=1"])
+    assert lines == [[], ["algorithm=td3"], ["algorithm=td3", "seed=1"]]
 
 
 def test_options_can_be_swept_by_pattern():

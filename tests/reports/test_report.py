@@ -15,8 +15,7 @@ import pytest
 from support.runs import run_script
 from support.store_factory import Look, make_store
 
-from parking_exp.cli import main
-from parking_exp.cli.main import report_arguments
+from parking_exp.cli.report import main, report_overrides
 from parking_exp.errors import ConfigError
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -35,7 +34,7 @@ def report(output_dir, *arguments, code=0):
         patch.chdir(output_dir)
         patch.setattr(sys, "argv", ["report.py", *arguments, f"output_dir={output_dir}"])
         try:
-            main.report()
+            main()
         except SystemExit as end:
             status = end.code
     assert status == code, err.getvalue()
@@ -88,7 +87,7 @@ def test_a_report_has_a_page_markdown_tables_figures_and_every_number(made):
 def test_neither_torch_nor_the_simulators_are_imported(made):
     code = (
         "import sys; sys.argv = ['report.py', 'experiment=one', sys.argv[1]]\n"
-        "from parking_exp.cli.main import report; report()\n"
+        "from parking_exp.cli.report import main; main()\n"
         "print([name for name in ('torch', 'gymnasium', 'highway_env', 'stable_baselines3') if name in sys.modules])"
     )
     command = [sys.executable, "-c", code, f"output_dir={made}"]
@@ -236,19 +235,15 @@ def test_words_without_a_key_of_the_command_name_cells():
         "buffer.n_sampled_goal=1,4",
         "baseline=x, y=1",
         "report=quick",
-        "--config-dir",
-        "d",
     ]
-    assert report_arguments(typed) == [
+    assert report_overrides(typed) == [
         "experiment_name=['a','b']",
         "baseline='x, y=1'",
         "report=quick",
-        "--config-dir",
-        "d",
         "cells=['her_*','buffer.n_sampled_goal=1,4']",
     ]
     with pytest.raises(ConfigError, match=r"name cells either as words or as cells=\[...\]"):
-        report_arguments(["her", "cells=[x]"])
+        report_overrides(["her", "cells=[x]"])
 
 
 @pytest.mark.parametrize("name", ["../../elsewhere", "/elsewhere", "größe <b>"])

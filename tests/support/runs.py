@@ -14,7 +14,7 @@ from parking_exp.runs.directory import RunDirectory
 
 ROOT = Path(__file__).resolve().parents[2]
 USER_CONF = ROOT / "tests" / "support" / "user_conf"
-GROUPS = ("env", "algorithm", "buffer", "experiment")
+GROUPS = ("env", "algorithm", "buffer", "budget", "evaluation", "checkpoint", "tracking", "experiment")
 
 
 def options(group):

@@ -6,17 +6,19 @@ import subprocess
 import sys
 
 import pytest
-from support.runs import ROOT, options, run_script
+from support.runs import ROOT, options, run_script, script
 
-from parking_exp.config.compose import composed, quoted
+from parking_exp.cli.command import _parse
+from parking_exp.config.compose import composed
+from parking_exp.config.overrides import quoted
 
 IMPORTS = """
 import sys
 sys.argv = {argv!r}
 sys.path.insert(0, {root!r})
-from parking_exp import cli
+from parking_exp.cli.{name} import main
 try:
-    cli.{name}()
+    main()
 finally:
     print("heavy:", sorted({{"torch", "mlflow", "stable_baselines3", "pandas"}} & set(sys.modules)), file=sys.stderr)
 """
@@ -68,7 +70,7 @@ def test_help_lists_the_groups_that_the_command_has_with_their_options():
     start = lines.index("Groups (group=option)") + 1
     listed = {line.partition(": ")[0]: line.partition(": ")[2] for line in lines[start : lines.index("", start)]}
     launchers = listed.pop("hydra/launcher")
-    groups = ("env", "algorithm", "buffer", "budget", "experiment")
+    groups = ("env", "algorithm", "buffer", "budget", "evaluation", "checkpoint", "tracking", "experiment")
     assert listed == {group: ", ".join(options(group)) for group in groups}
     assert launchers.startswith("basic, local, ray, slurm ")
 
@@ -86,6 +88,43 @@ def test_help_names_groups_keys_and_examples():
         done = run_script(name, "--help")
         assert done.returncode == 0
         assert [word for word in words if word not in done.stdout] == []
+
+
+@pytest.mark.parametrize(
+    ("name", "arguments", "message"),
+    [
+        ("status", ["--jsn"], "--jsn: there is no such flag; did you mean '--json'?"),
+        ("report", ["experiment=x", "--quik"], "--quik: there is no such flag; did you mean '--quick'?"),
+        ("train", ["--seed=1", "n_envs=0"], "--seed: there is no such flag; write KEY=VALUE, without dashes"),
+        ("train", ["--cfg"], "--cfg/-c: expected one argument"),
+        ("train", ["--cfg", "job", "-m"], "Only one of --run, --multirun, --cfg, --info and --shell_completion can be specified"),
+        ("train", ["--experimental-rerun", "x"], "--experimental-rerun: Hydra keeps no jobs here; type the command again, which goes on"),
+    ],
+)  # fmt: skip
+def test_a_flag_that_cannot_be_is_refused_in_a_sentence(name, arguments, message, tmp_path):
+    done = run_script(name, *arguments, cwd=tmp_path)
+    assert (done.returncode, done.stderr, done.stdout) == (2, f"error: {message}\n", "")
+
+
+@pytest.mark.parametrize(
+    ("flags", "words", "expected"),
+    [
+        ({"--json": "json=true"}, ["a=1", "--json", "b=2"], ["a=1", "b=2", "json=true"]),
+        ({}, ["a=1", "--config-dir", "mine", "b=2"], ["a=1", "b=2"]),
+        ({}, ["her_final, n_sampled_goal=8", "-1"], ["her_final, n_sampled_goal=8", "-1"]),
+    ],
+)
+def test_flags_stand_anywhere_between_the_words(flags, words, expected):
+    assert _parse(words, flags)[1].overrides == expected
+
+
+@pytest.mark.parametrize("arguments", [["--help"], ["--cfg", "all"]])
+def test_what_is_shown_may_be_cut_off_by_a_pipe(arguments):
+    command, keywords = script("train", *arguments)
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, **keywords)
+    process.stdout.close()
+    assert process.stderr.read() == ""
+    assert process.wait(60) == 1
 
 
 def test_an_output_directory_that_cannot_be_made_gets_a_sentence(tmp_path):
@@ -192,7 +231,7 @@ def test_a_built_wheel_works_from_any_directory(tmp_path):
     subprocess.run(unpack, check=True, capture_output=True, timeout=300)
     elsewhere = tmp_path / "elsewhere"
     elsewhere.mkdir()
-    code = f"import sys; sys.path.insert(0, {str(site)!r}); from parking_exp import cli, composition; print(composition.config_dir()); cli.train()"
+    code = f"import sys; sys.path.insert(0, {str(site)!r}); from parking_exp.cli.train import main; from parking_exp.config.compose import config_dir; print(config_dir()); main()"
     done = subprocess.run(
         [sys.executable, "-c", code, "experiment=smoke", "total_timesteps=60", "evaluation.video_episodes=0", "hydra/launcher=local"],
         check=False, capture_output=True, text=True, cwd=elsewhere, timeout=180,

@@ -1,0 +1,64 @@
+"""What may be imported: public paths, and what importing the package costs."""
+
+import re
+import subprocess
+import sys
+from importlib import import_module
+
+import pytest
+from support.runs import ROOT
+
+import parking_exp
+from parking_exp import PUBLIC_PATHS, compose
+from parking_exp.config.schema import RunConfig
+from parking_exp.errors import ConfigError
+
+TARGET = re.compile(r"_target_: (parking_exp\.[\w.]+)")
+NAMED = re.compile(r"\bparking_exp(?:\.\w+)+")
+IMPORTED = re.compile(r"^from (parking_exp[\w.]*) import ([\w, ]+)", re.MULTILINE)
+ROOMS = {path.parent.name for path in (ROOT / "parking_exp").glob("*/__init__.py")}
+
+
+@pytest.mark.parametrize("path", PUBLIC_PATHS)
+def test_every_public_path_resolves(path):
+    module, _, name = path.rpartition(".")
+    assert hasattr(import_module(module), name) or import_module(path)
+
+
+def test_every_target_of_ours_in_conf_is_a_public_path():
+    found = {name for path in (ROOT / "conf").rglob("*.yaml") for name in TARGET.findall(path.read_text())}
+    assert found
+    assert found <= set(PUBLIC_PATHS)
+
+
+@pytest.mark.parametrize("document", sorted((ROOT / "docs").glob("*.md")), ids=lambda path: path.name)
+def test_documents_name_public_paths_and_rooms_alone(document):
+    text = document.read_text(encoding="utf-8")
+    found = {f"{module}.{name.strip()}" for module, names in IMPORTED.findall(text) for name in names.split(",")}
+    found |= set(NAMED.findall(IMPORTED.sub("", text)))
+    assert found - set(PUBLIC_PATHS) - {f"parking_exp.{room}" for room in ROOMS} == set()
+
+
+def test_importing_the_package_imports_nothing_heavy():
+    code = (
+        "import sys, parking_exp; print(sorted({'torch', 'mlflow', 'pandas', 'hydra', 'pydantic'} & set(sys.modules)))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, check=True, capture_output=True, text=True)
+    assert done.stdout == "[]\n"
+
+
+def test_the_functions_for_python_are_attributes_of_the_package():
+    assert {"compose", "load", "train"} <= set(dir(parking_exp))
+    assert parking_exp.load.__module__.startswith("parking_exp.results")
+    with pytest.raises(AttributeError, match="has no attribute 'lod'"):
+        _ = parking_exp.lod
+
+
+def test_a_composed_config_is_checked_and_of_one_run():
+    config = compose("experiment=smoke", "seed=3")
+    assert isinstance(config, RunConfig)
+    assert (config.experiment_name, config.seed) == ("smoke", 3)
+    with pytest.raises(ConfigError, match="stand for 2 runs"):
+        compose("seed=1,2")
+    with pytest.raises(ConfigError, match=r"n_envs=0 is out of range"):
+        compose("n_envs=0")
