@@ -12,7 +12,7 @@ from parking_exp.envs.geometry import N_SLOTS
 from parking_exp.errors import RunNotFoundError, plural
 from parking_exp.reports import findings, warnings
 from parking_exp.reports.curves import Courses
-from parking_exp.reports.data import Cell, Content, Design, Factor, Importance, Interaction, MainEffect
+from parking_exp.reports.data import Cell, Design, Factor, Importance, Interaction, MainEffect, ReportData
 from parking_exp.reports.effects import importance, interactions, main_effects
 from parking_exp.reports.factors import design
 from parking_exp.reports.pairs import compare_pairs
@@ -48,7 +48,7 @@ class Question:
     command: str = ""
 
 
-def compare(results: Results, question: Question, states: Mapping[str, RunState]) -> Content:
+def compare(results: Results, question: Question, states: Mapping[str, RunState]) -> ReportData:
     """Return everything that a report says.
 
     Args:
@@ -73,7 +73,7 @@ def compare(results: Results, question: Question, states: Mapping[str, RunState]
     family = compare_pairs(cells, baseline)
     unheard = [] if question.cells else not_in_store(results.runs, states)
     origin = provenance(groups, chosen.left_out, without_password(results.uri), unheard)
-    return Content(
+    return ReportData(
         title=" and ".join(question.experiments),
         experiments=list(question.experiments),
         made=datetime.now(UTC).isoformat(timespec="seconds"),

@@ -1,4 +1,4 @@
-"""What a report says, as plain data: computed by `comparison`; the others make words, pictures, tables and pages of it.
+"""What a report says, as plain data: computed by `build`; the others make findings, figures, tables and pages of it.
 
 Rates are shares in 0 ... 1, differences are differences of shares. What is not known is None. Every field can go into
 `report.json` as it is.
@@ -135,7 +135,7 @@ class SlotRate:
     """What happened in the scenes with one goal slot.
 
     Attributes:
-        slot: 0 ... 27, as in `lot.SLOT_POSITIONS`.
+        slot: 0 ... 27, as in `geometry.SLOT_POSITIONS`.
         n: episodes, all seeds together (they say where, not how sure).
         success, crash, timeout: shares of them; None without episodes.
     """
@@ -388,7 +388,7 @@ class Provenance:
 
 
 @dataclass(frozen=True)
-class Content:
+class ReportData:
     """A whole report.
 
     Attributes:
@@ -439,6 +439,12 @@ class Content:
     def cell(self, cell_id: str) -> Cell:
         """Return a cell by its id."""
         return next(cell for cell in self.cells if cell.id == cell_id)
+
+    @property
+    def shown_cells(self) -> list[Cell]:
+        """The cells that figures show, in their order."""
+        by_id = {cell.id: cell for cell in self.cells}
+        return [by_id[cell_id] for cell_id in self.shown if cell_id in by_id]
 
     def plain(self) -> dict[str, Any]:
         """Return everything as JSON can hold it."""

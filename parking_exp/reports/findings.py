@@ -1,4 +1,4 @@
-"""A report's numbers in sentences: what they show. `cautions` has what stands in the way."""
+"""The findings of a report, in sentences. `warnings` has what stands in the way of them."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from typing import NamedTuple
@@ -22,7 +22,7 @@ VERDICTS = {"better": "is better than", "worse": "is worse than", "same": "can't
 
 
 class Gap(NamedTuple):
-    """How far a cell is from another one, and the p of that."""
+    """The difference of one cell from another, and its p value."""
 
     label: str
     points: Interval
@@ -35,7 +35,7 @@ class Gap(NamedTuple):
 
 
 def claims(cells: Sequence[Cell], family: Family) -> Iterator[str]:
-    """Yield what the comparison shows, the most important first: which is better, by how much, how sure, the cost."""
+    """Yield the findings on cells, the most important first: which is better, by how much, how sure, the cost."""
     having = sorted((cell for cell in cells if cell.success.value is not None), key=_rank)
     if not having:
         if any(cell.counts["done"] for cell in cells):
@@ -66,7 +66,7 @@ def about_factors(
     interactions: Sequence[Interaction],
     importance: Sequence[Importance],
 ) -> Iterator[str]:
-    """Yield what single factors do."""
+    """Yield the findings on single factors."""
     names = {factor.key: factor.name for factor in factors}
     if any(not effect.complete for effect in effects):
         yield "Not all combinations of the factors are there: their levels are means of different cells."
@@ -80,7 +80,7 @@ def about_factors(
 
 
 def _importance(importance: Sequence[Importance], names: Mapping[str, str]) -> Iterator[str]:
-    """Say which hyperparameters matter; p is corrected (Bonferroni) for how many were looked at."""
+    """Yield which hyperparameters matter; p is corrected (Bonferroni) for how many were looked at."""
     shown = [one for one in importance if one.p is not None and one.p * len(importance) < SIGNIFICANT]
     for one in shown:
         way = "" if not one.direction else ", larger is better" if one.direction > 0 else ", smaller is better"

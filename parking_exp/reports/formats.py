@@ -1,4 +1,4 @@
-"""Numbers and names as a reader sees them: in a page, in Markdown, in LaTeX."""
+"""Number formatting, and escaping for Markdown, LaTeX and CSV."""
 
 import math
 import re

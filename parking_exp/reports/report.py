@@ -21,7 +21,7 @@ from parking_exp.errors import ConfigError, ResultsError, did_you_mean, plural
 from parking_exp.terminal import say
 
 if TYPE_CHECKING:
-    from parking_exp.reports.data import Content
+    from parking_exp.reports.data import ReportData
     from parking_exp.reports.figures.pdf import Printer
     from parking_exp.results.frames import Results
     from parking_exp.runs.state import RunState
@@ -115,15 +115,15 @@ def report(config: DictConfig) -> Path:
         say("reading the store")
         results = _load(request)
         say(f"comparing {plural(len(results.runs), 'run')}")
-        content = _compare(request, results)
+        data = _compare(request, results)
         say("drawing")
         from parking_exp.reports.render.files import write  # with matplotlib: not before there is something to draw
 
-        folder = request.output_path / "reports" / (request.name or _folder_name(content.experiments))
+        folder = request.output_path / "reports" / (request.name or _folder_name(data.experiments))
         folder.mkdir(parents=True, exist_ok=True)
         with FileLock(folder / ".lock"):
-            write(content, folder, request.report.formats, printer)
-    _print(content, folder)
+            write(data, folder, request.report.formats, printer)
+    _print(data, folder)
     return folder
 
 
@@ -152,7 +152,7 @@ def _progress() -> Iterator[Callable[[str], None]]:
         yield say
 
 
-def _compare(request: ReportRequest, results: "Results") -> "Content":
+def _compare(request: ReportRequest, results: "Results") -> "ReportData":
     from parking_exp.reports.build import Question, compare
 
     having = list(dict.fromkeys(results.runs["experiment"]))
@@ -223,8 +223,8 @@ def _command(request: ReportRequest, experiments: Sequence[str]) -> str:
     return shlex.join(words)
 
 
-def _print(content: "Content", folder: Path) -> None:
+def _print(data: "ReportData", folder: Path) -> None:
     """Say on the terminal what the report says in its first lines."""
-    say(*content.claims, *content.missing)
-    say(*(f"warning: {sentence}" for sentence in content.warnings), stderr=True)
+    say(*data.claims, *data.missing)
+    say(*(f"warning: {sentence}" for sentence in data.warnings), stderr=True)
     say(f"report         {folder / 'index.html'}")

@@ -1,4 +1,4 @@
-"""What stands in the way of a report's claims, in sentences: few seeds, mixed conditions, missing runs."""
+"""The warnings of a report, in sentences: few seeds, mixed conditions, missing runs."""
 
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence

@@ -39,9 +39,9 @@ def by_name(pictures):
 
 @pytest.fixture(scope="module")
 def three(tmp_path_factory):
-    """Three cells of ten seeds: content, folder, pictures by name."""
-    content, folder = report_factory.content(3, 10), tmp_path_factory.mktemp("three") / "figures"
-    return content, folder, by_name(draw(content, folder))
+    """Three cells of ten seeds: report, folder, pictures by name."""
+    report, folder = report_factory.report(3, 10), tmp_path_factory.mktemp("three") / "figures"
+    return report, folder, by_name(draw(report, folder))
 
 
 def test_every_picture_is_written_in_every_format(three):
@@ -72,8 +72,8 @@ def test_text_in_pdfs_stays_text_in_truetype_fonts(three):
 
 
 def test_same_content_gives_same_bytes(three, tmp_path):
-    content, folder, pictures = three
-    again = by_name(draw(content, tmp_path))
+    report, folder, pictures = three
+    again = by_name(draw(report, tmp_path))
     assert again == pictures
     for path in folder.iterdir():
         assert path.read_bytes() == (tmp_path / path.name).read_bytes(), path.name
@@ -90,21 +90,21 @@ def test_users_settings_neither_change_pictures_nor_are_changed(three, tmp_path)
 def test_drawing_imports_neither_pyplot_nor_torch(tmp_path):
     code = (
         "import sys; sys.path.insert(0, 'tests'); from support import report_factory; from pathlib import Path;"
-        "from parking_exp.reports.figures import draw; draw(report_factory.content(2, 3), Path(sys.argv[1]));"
+        "from parking_exp.reports.figures.draw import draw; draw(report_factory.report(2, 3), Path(sys.argv[1]));"
         "assert not {'matplotlib.pyplot', 'torch'} & set(sys.modules)"
     )
     subprocess.run([sys.executable, "-c", code, str(tmp_path)], check=True)
 
 
 def test_a_cell_keeps_its_colour_in_every_picture_and_selection(three):
-    content, _, pictures = three
-    for cell, colour in zip(content.cells, ("#0072b2", "#d55e00", "#009e73"), strict=True):
+    report, _, pictures = three
+    for cell, colour in zip(report.cells, ("#0072b2", "#d55e00", "#009e73"), strict=True):
         assert style.cell_style(cell.id).colour.lower() == colour
         for name in LIST[:3]:
             assert colour in pictures[name].svg
-    few = replace(content, shown=["c2"])
-    sheet, _ = cells.final_success(few)
-    assert {line.get_color() for line in sheet.figure.axes[0].lines} == {"#009E73", style.INK}
+    few = replace(report, shown=["c2"])
+    canvas, _ = cells.final_success(few)
+    assert {line.get_color() for line in canvas.figure.axes[0].lines} == {"#009E73", style.INK}
 
 
 def test_no_two_of_forty_cells_look_the_same():
@@ -114,8 +114,8 @@ def test_no_two_of_forty_cells_look_the_same():
 
 
 def test_values_under_the_pointer_are_the_contents_own(three):
-    content, _, pictures = three
-    cell = content.cells[0]
+    report, _, pictures = three
+    cell = report.cells[0]
     seed = cell.seeds[3]
     rate = f"{100 * seed.success:.1f}"
     text = f"sac, seed 3: {rate} % [{100 * seed.low:.0f}, {100 * seed.high:.0f}]"
@@ -139,8 +139,8 @@ def test_shares_are_written_as_percentages(value, text):
 
 
 def test_every_seed_point_lies_under_its_value(three):
-    content, _, pictures = three
-    seeds = [seed for cell in content.cells for seed in cell.seeds]
+    report, _, pictures = three
+    seeds = [seed for cell in report.cells for seed in cell.seeds]
     circles = [
         e for e in ET.fromstring(pictures["final_success"].svg).iter(f"{SVG}circle") if "seed " in e.get("data-tip")
     ]
@@ -152,8 +152,8 @@ def test_every_seed_point_lies_under_its_value(three):
 
 
 def test_a_pair_reads_the_same_both_ways_round(three):
-    content, _, pictures = three
-    pair = content.pairs[1]
+    report, _, pictures = three
+    pair = report.pairs[1]
     assert (pair.a, pair.b, pair.verdict) == ("c0", "c2", "a")
     value, low, high = (formats.points(v) for v in (pair.difference.value, pair.difference.low, pair.difference.high))
     found = tips(pictures["pairwise"])
@@ -165,19 +165,19 @@ def test_a_pair_reads_the_same_both_ways_round(three):
 
 
 def test_with_a_baseline_differences_are_from_it(three, tmp_path):
-    content = replace(three[0], baseline="c1", reference="c1")
-    picture = by_name(draw(content, tmp_path, []))["pairwise"]
+    report = replace(three[0], baseline="c1", reference="c1")
+    picture = by_name(draw(report, tmp_path, []))["pairwise"]
     assert "baseline, td3," in picture.caption
     assert [t.partition(":")[0] for t in tips(picture) if " minus " in t] == ["sac minus td3", "ddpg minus td3"]
 
 
 def test_real_share_stands_under_the_columns_and_gaps_stay_empty(tmp_path):
-    content = report_factory.her_ablation(3)
-    table = content.interactions[0]
+    report = report_factory.her_ablation(3)
+    table = report.interactions[0]
     mean = [list(row) for row in table.mean]
     mean[0][0] = None
-    content = replace(content, interactions=[replace(table, mean=mean, given="env=parking_sparse")])
-    picture = by_name(draw(content, tmp_path, []))["interaction_1"]
+    report = replace(report, interactions=[replace(table, mean=mean, given="env=parking_sparse")])
+    picture = by_name(draw(report, tmp_path, []))["interaction_1"]
     texts = [e.text for e in ET.fromstring(picture.svg).iter(f"{SVG}text")]
     assert {"real share", "50 %", "33 %", "20 %", "11 %", "6 %", "env=parking_sparse"} <= set(texts)
     assert "her_future × 1: no finished runs" in tips(picture)  # noqa: RUF001
@@ -185,7 +185,7 @@ def test_real_share_stands_under_the_columns_and_gaps_stay_empty(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "content",
+    "report",
     [
         report_factory.one_seed(),
         report_factory.all_succeed(),
@@ -195,8 +195,8 @@ def test_real_share_stands_under_the_columns_and_gaps_stay_empty(tmp_path):
     ],
     ids=["one seed", "all succeed", "failed cell", "non-ascii", "many cells"],
 )
-def test_unusual_contents_are_drawn_without_a_warning(content, tmp_path):
-    pictures = draw(content, tmp_path, ["png"])
+def test_unusual_contents_are_drawn_without_a_warning(report, tmp_path):
+    pictures = draw(report, tmp_path, ["png"])
     assert pictures[0].name == "final_success"
     for picture in pictures:
         ET.fromstring(picture.svg)
@@ -209,30 +209,30 @@ def test_a_cell_without_results_has_a_row_that_says_so(tmp_path):
 
 def test_nothing_to_draw_gives_no_picture(tmp_path):
     failed = report_factory.with_failed_cell().cells[2]
-    empty = replace(report_factory.content(1, 1), cells=[failed], shown=[failed.id], pairs=())
+    empty = replace(report_factory.report(1, 1), cells=[failed], shown=[failed.id], pairs=())
     assert draw(empty, tmp_path) == []
     assert draw(replace(empty, cells=[], shown=[]), tmp_path) == []
     assert list(tmp_path.iterdir()) == []
 
 
 def test_unknown_numbers_leave_gaps(tmp_path):
-    content = report_factory.content(2, 4)
-    cell = content.cells[0]
+    report = report_factory.report(2, 4)
+    cell = report.cells[0]
     curve = replace(cell.curve, mean=[None, *cell.curve.mean[1:]], low=[None] * 20, high=[None] * 20, crash=[None] * 20)
     seeds = [replace(cell.seeds[0], success=None, low=None, high=None), *cell.seeds[1:]]
     slots = [replace(cell.slots[0], n=0, success=None, crash=None, timeout=None), *cell.slots[1:]]
     cell = replace(cell, curve=curve, seeds=seeds, slots=slots, success=Interval(None), survival=None)
-    pictures = by_name(draw(replace(content, cells=[cell, content.cells[1]]), tmp_path, []))
+    pictures = by_name(draw(replace(report, cells=[cell, report.cells[1]]), tmp_path, []))
     assert len([t for t in tips(pictures["final_success"]) if "sac, seed" in t]) == 3
     assert not any(t.startswith("sac, 2,000 env steps") for t in tips(pictures["learning_curves"]))
     assert "sac, slot 0: no episodes" in tips(pictures["scene_map"])
 
 
 def test_hostile_names_are_shown_and_do_nothing(tmp_path):
-    content = report_factory.hostile()
+    report = report_factory.hostile()
     nasty = "a\x00b\x1b[31m\u202eevil \ud800 <script>alert(1)</script>"
-    content = replace(content, cells=[replace(content.cells[0], label=nasty), *content.cells[1:]])
-    pictures = draw(content, tmp_path)
+    report = replace(report, cells=[replace(report.cells[0], label=nasty), *report.cells[1:]])
+    pictures = draw(report, tmp_path)
     for picture in pictures:
         for text in (picture.svg, (tmp_path / f"{picture.name}.svg").read_text()):
             root = ET.fromstring(re.sub(r"<!DOCTYPE.*?>", "", text, flags=re.S))
@@ -255,8 +255,8 @@ def test_hostile_names_are_shown_and_do_nothing(tmp_path):
 
 
 def test_mathematics_in_labels_is_written_as_it_is(tmp_path):
-    content = report_factory.content(1, 2, labels=[r"$\frac{x}{0} a_b^c \n"])
-    picture = draw(content, tmp_path)[0]
+    report = report_factory.report(1, 2, labels=[r"$\frac{x}{0} a_b^c \n"])
+    picture = draw(report, tmp_path)[0]
     assert r"$\frac{x}{0} a_b^c \n" in [e.text for e in ET.fromstring(picture.svg).iter(f"{SVG}text")]
 
 
@@ -268,7 +268,7 @@ def test_pages_show_characters_that_the_drawings_font_lacks(tmp_path):
 
 
 def test_long_labels_are_shortened_in_the_middle_and_stay_different():
-    cells = report_factory.content(3, 1, labels=["same " + "x" * 300 + end for end in ("one", "two", "two")]).cells
+    cells = report_factory.report(3, 1, labels=["same " + "x" * 300 + end for end in ("one", "two", "two")]).cells
     short = style.labels(cells, 100)
     assert len(set(short.values())) == 3
     assert short["c0"].startswith("same x") and short["c0"].endswith("xone") and "…" in short["c0"]

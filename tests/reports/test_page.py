@@ -26,6 +26,7 @@ class Picture(NamedTuple):
     title: str
     caption: str
     svg: str
+    section: str
 
 
 class Style(NamedTuple):
@@ -33,12 +34,18 @@ class Style(NamedTuple):
     marker: str
 
 
-NAMES = ("final_success", "learning_curves", "time_to_90", "pairwise", "scene_map", "trajectories")
+SECTIONS = {
+    "final_success": "results", "learning_curves": "curves", "time_to_90": "time", "pairwise": "pairs",
+    "scene_map": "scenes", "trajectories": "trajectories",
+}  # fmt: skip
 SVG = (
     '<svg viewBox="0 0 490 200" width="100%"><path d="M10 190H480" stroke="var(--ink)"/>'
     '<circle cx="90" cy="80" r="20" fill="#0072B2" data-tip="SAC seed 3: 98.6 % &lt;b&gt;not bold&lt;/b&gt;"/></svg>'
 )
-PICTURES = [Picture(name, name.replace("_", " ").capitalize(), "Each point is a seed.", SVG) for name in NAMES]
+PICTURES = [
+    Picture(name, name.replace("_", " ").capitalize(), "Each point is a seed.", SVG, section)
+    for name, section in SECTIONS.items()
+]
 
 
 @pytest.fixture(scope="session")
@@ -64,9 +71,9 @@ def files(tmp_path_factory):
     def written(name, *arguments):
         path = folder / f"{name}.html"
         if not path.exists():
-            content = getattr(report_factory, name)(*arguments)
-            styles = {cell: Style("#0072B2", "s") for cell in content.shown}
-            path.write_text(page(content, PICTURES, styles), encoding="utf-8")
+            report = getattr(report_factory, name)(*arguments)
+            styles = {cell: Style("#0072B2", "s") for cell in report.shown}
+            path.write_text(page(report, PICTURES, styles), encoding="utf-8")
         return path
 
     return written
@@ -124,10 +131,10 @@ def contrast(tab, selector):
 
 @pytest.mark.parametrize("name", ["one_seed", "all_succeed", "with_failed_cell", "her_ablation", "search", "non_ascii"])
 def test_page_is_no_wider_than_the_window(show, name):
-    content = getattr(report_factory, name)()
+    report = getattr(report_factory, name)()
     tab = show(name, 360)
-    assert tab.locator("h1").inner_text() == content.title
-    assert tab.locator("#table-headline tbody tr").count() == len(content.cells)
+    assert tab.locator("h1").inner_text() == report.title
+    assert tab.locator("#table-headline tbody tr").count() == len(report.cells)
     assert tab.evaluate("document.scrollingElement.scrollWidth") <= 360
     tab.set_viewport_size({"width": 1280, "height": 900})
     assert tab.evaluate("document.scrollingElement.scrollWidth") <= 1280
@@ -157,11 +164,11 @@ def test_headings_sort_by_key_and_text_sorts_by_the_numbers_in_it(show, key):
 
 def test_filter_leaves_rows_with_all_words(show):
     tab = show("her_ablation")
-    listing = tab.locator(".listing", has=tab.locator("#table-headline"))
-    listing.locator("input").fill("FINAL goal=4")
+    table = tab.locator(".table", has=tab.locator("#table-headline"))
+    table.locator("input").fill("FINAL goal=4")
     assert column(tab, "headline", 0) == ["her_final, n_sampled_goal=4"]
-    assert listing.locator("output").inner_text() == "1 of 20"
-    listing.locator("input").fill("")
+    assert table.locator("output").inner_text() == "1 of 20"
+    table.locator("input").fill("")
     assert len(column(tab, "headline", 0)) == 20
 
 
@@ -179,7 +186,7 @@ def test_hostile_names_are_text(show):
 
 def test_inline_script_that_got_in_would_not_run(browser, files):
     tab = browser.new_page()
-    tab.goto(files("content").as_uri())
+    tab.goto(files("report").as_uri())
     tab.evaluate("document.body.append(Object.assign(document.createElement('script'), {text: 'window.pwned = 1'}))")
     assert tab.evaluate("window.pwned") is None
     tab.close()
@@ -196,7 +203,7 @@ def test_text_stands_out_in_both_themes(show, scheme):
 
 
 def test_toggle_changes_the_theme_and_is_remembered(show):
-    tab = show("content", color_scheme="light")
+    tab = show("report", color_scheme="light")
     light = tab.evaluate("getComputedStyle(document.body).backgroundColor")
     tab.locator("#theme").click()
     assert tab.evaluate("getComputedStyle(document.body).backgroundColor") != light
@@ -206,7 +213,7 @@ def test_toggle_changes_the_theme_and_is_remembered(show):
 
 
 def test_values_show_under_the_pointer(show):
-    tab = show("content")
+    tab = show("report")
     point = tab.locator("#figure-final_success [data-tip]")
     tip = tab.locator("#tip")
     assert tip.is_hidden()
@@ -217,7 +224,7 @@ def test_values_show_under_the_pointer(show):
 
 
 def test_values_show_on_a_tap(show):
-    tab = show("content", 360, has_touch=True, is_mobile=True)
+    tab = show("report", 360, has_touch=True, is_mobile=True)
     tab.locator("#figure-final_success [data-tip]").tap()
     assert tab.locator("#tip").inner_text() == TIP
     box = tab.locator("#tip").bounding_box()
@@ -226,7 +233,7 @@ def test_values_show_on_a_tap(show):
 
 
 def test_print_opens_what_is_folded(show, tmp_path):
-    tab = show("content")
+    tab = show("report")
     assert not tab.locator("#table-seeds").is_visible()
     tab.pdf(path=tmp_path / "folded.pdf")
     tab.evaluate("dispatchEvent(new Event('beforeprint'))")

@@ -3,6 +3,7 @@
 import csv
 import re
 from dataclasses import replace
+from operator import itemgetter
 from typing import NamedTuple
 
 import pandas as pd
@@ -11,12 +12,14 @@ from support import report_factory
 
 from parking_exp.reports import formats
 from parking_exp.reports.data import Interval, Share
-from parking_exp.reports.render.listings import Column, Entry, Listing, listings
+from parking_exp.reports.render.files import write_tables
 from parking_exp.reports.render.markdown import markdown
-from parking_exp.reports.render.tables import latex, tables, write_tables
+from parking_exp.reports.sections import provenance_tables, report_tables
+from parking_exp.reports.tables.model import Column, Entry, Table
+from parking_exp.reports.tables.writers import latex
 
 EXAMPLES = [
-    report_factory.content,
+    report_factory.report,
     report_factory.one_seed,
     report_factory.all_succeed,
     report_factory.with_failed_cell,
@@ -30,6 +33,11 @@ EXAMPLES = [
 def read(path):
     with path.open(encoding="utf-8", newline="") as file:
         return list(csv.DictReader(file))
+
+
+def in_csv(report):
+    """Tables of CSV that have rows, by the name of their file."""
+    return {table.stem: table for table in report_tables(report, report.cells) if table.rows and table.csv}
 
 
 def unescaped(text, characters):
@@ -114,42 +122,41 @@ def test_what_is_no_formula_stays(value):
 
 @pytest.mark.parametrize("example", EXAMPLES)
 def test_headline_has_a_row_for_each_cell(example):
-    content = example()
-    frame = tables(content)["headline"]
-    assert list(frame["label"]) == [cell.label for cell in content.cells]
-    assert list(frame["success"].astype(float).fillna(-1)) == [
-        -1 if cell.success.value is None else cell.success.value for cell in content.cells
-    ]
+    report = example()
+    table = in_csv(report)["headline"]
+    for key, values in (
+        ("label", [cell.label for cell in report.cells]),
+        ("success", [cell.success.value for cell in report.cells]),
+    ):
+        assert [table.csv[key](row) for row in table.rows] == values
 
 
 def test_tables_have_every_number():
-    content = report_factory.her_ablation()
-    found = tables(content)
-    assert list(found) == [
-        "headline", "seeds", "pairs", "curves", "survival", "effects", "interactions", "slots", "config", "versions",
-    ]  # fmt: skip
-    assert {name: len(frame) for name, frame in found.items()} == {
+    report = report_factory.her_ablation()
+    found = in_csv(report)
+    assert {name: len(table.rows) for name, table in found.items()} == {
         "headline": 20,
         "seeds": 200,
         "pairs": 190,
         "curves": 400,
-        "survival": sum(len(s.time) + len(s.censored) for c in content.cells for s in (c.survival, c.survival_cpu)),
+        "survival": sum(len(s.time) + len(s.censored) for c in report.cells for s in (c.survival, c.survival_cpu)),
         "effects": 9,
         "interactions": 20,
         "slots": 560,
         "config": 20,
         "versions": 5,
     }
-    first = found["interactions"].iloc[0]
+    table = found["interactions"]
+    first = {key: get(table.rows[0]) for key, get in table.csv.items()}
     assert (first["row"], first["column"], first["real_share"]) == ("her_future", 1, 0.5)
-    assert first["success"] == content.cells[0].success.value
-    assert list(found["headline"]["seeds"]) == [10] * 20
+    assert first["success"] == report.cells[0].success.value
+    assert [found["headline"].csv["seeds"](cell) for cell in report.cells] == [10] * 20
 
 
 def test_unknown_numbers_are_empty(tmp_path):
-    content = report_factory.with_failed_cell()
-    odd = replace(content.cells[1], cpu_s=Interval(float("nan"), float("-inf"), float("inf")))
-    write_tables(replace(content, cells=[content.cells[0], odd, content.cells[2]]), tmp_path)
+    report = report_factory.with_failed_cell()
+    odd = replace(report.cells[1], cpu_s=Interval(float("nan"), float("-inf"), float("inf")))
+    write_tables(replace(report, cells=[report.cells[0], odd, report.cells[2]]), tmp_path)
     rows = read(tmp_path / "headline.csv")
     assert [rows[1][name] for name in ("cpu_s", "cpu_s_low", "cpu_s_high")] == ["", "", ""]
     assert [rows[2][name] for name in ("success", "success_low", "steps_to_90_median", "share_reaching_90")] == [""] * 4
@@ -162,12 +169,12 @@ def test_unknown_numbers_are_empty(tmp_path):
 
 @pytest.mark.parametrize("example", EXAMPLES)
 def test_files_are_written_and_read_again(example, tmp_path):
-    content = example()
-    files = write_tables(content, tmp_path)
+    report = example()
+    files = write_tables(report, tmp_path)
     assert {path.name for path in files} == {path.name for path in tmp_path.iterdir()}
-    for name, frame in tables(content).items():
+    for name, table in in_csv(report).items():
         again = pd.read_csv(tmp_path / f"{name}.csv", keep_default_na=False)
-        assert again.shape == frame.shape
+        assert again.shape == (len(table.rows), len(table.csv))
         assert "nan" not in (tmp_path / f"{name}.csv").read_text(encoding="utf-8").replace("is nan", "")
     for path in tmp_path.glob("*.tex"):
         text = path.read_text(encoding="utf-8")
@@ -181,20 +188,16 @@ def test_files_are_written_and_read_again(example, tmp_path):
 
 
 def test_hostile_names_in_csv_keep_their_text(tmp_path):
-    content = report_factory.hostile()
-    write_tables(content, tmp_path)
+    report = report_factory.hostile()
+    write_tables(report, tmp_path)
     labels = [row["label"] for row in read(tmp_path / "headline.csv")]
     assert labels == [*report_factory.HOSTILE[:4], f"'{report_factory.HOSTILE[4]}"]
 
 
 def test_latex_table_is_exact():
-    listing = Listing(
-        "pairs",
-        "Gain of 5 %.",
-        [Column("Cell"), Column("Success (%)", numeric=True)],
-        [[Entry("a_b"), Entry("94.4 [91.2, 97.1]", 0.944)], [Entry("[c]"), Entry("")]],
-    )
-    assert latex(listing) == (
+    columns = [Column("Cell", itemgetter(0)), Column("Success (%)", itemgetter(1), numeric=True)]
+    rows = [[Entry("a_b"), Entry("94.4 [91.2, 97.1]", 0.944)], [Entry("[c]"), Entry("")]]
+    assert latex(Table("pairs", columns, rows, "Gain of 5 %.")) == (
         "\\begin{table}[htbp]\n"
         "\\centering\n"
         "\\caption{Gain of 5 \\%.}\n"
@@ -212,21 +215,24 @@ def test_latex_table_is_exact():
 
 
 def test_paper_has_the_cells_of_the_figures(tmp_path):
-    content = report_factory.content(80, 3)
-    write_tables(content, tmp_path)
+    report = report_factory.report(80, 3)
+    write_tables(report, tmp_path)
     text = (tmp_path / "headline.tex").read_text()
     assert text.count("\\\\\n") == 1 + 12
     assert len(read(tmp_path / "headline.csv")) == 80
 
 
 def test_config_goes_down_the_page_along_its_longer_side():
-    wide, long = report_factory.content(3), report_factory.her_ablation()
-    assert [column.title for column in listings(wide)["config"].columns] == ["Cell", "algorithm"]
+    def read(report):
+        return provenance_tables(report, report.cells)["config"]
+
+    wide, long = report_factory.report(3), report_factory.her_ablation()
+    assert [column.title for column in read(wide).headings] == ["Cell", "algorithm"]
     two = replace(wide.provenance, difference={f"key{i}": [1, None, True] for i in range(4)})
-    turned = listings(replace(wide, provenance=two))["config"]
-    assert [column.title for column in turned.columns] == ["Setting", "sac", "td3", "ddpg"]
-    assert [entry.text for entry in turned.rows[0]] == ["key0", "1", "null", "true"]
-    assert len(listings(long)["config"].rows) == 20
+    turned = read(replace(wide, provenance=two))
+    assert [column.title for column in turned.headings] == ["Setting", "sac", "td3", "ddpg"]
+    assert [entry.text for entry in turned.entries()[0]] == ["key0", "1", "null", "true"]
+    assert len(read(long).rows) == 20
 
 
 class Picture(NamedTuple):
@@ -247,10 +253,10 @@ def test_markdown_tables_have_as_many_cells_in_every_row():
 
 
 def test_markdown_says_what_the_page_says():
-    content = replace(
-        report_factory.content(3, 5), quick=True, missing=["7 runs are under way."], warnings=["Mixed versions."]
+    report = replace(
+        report_factory.report(3, 5), quick=True, missing=["7 runs are under way."], warnings=["Mixed versions."]
     )
-    text = markdown(content, [Picture("final_success", "Final success", "Each point is a seed.")])
+    text = markdown(report, [Picture("final_success", "Final success", "Each point is a seed.")])
     assert text.startswith("# algorithms\n\n**Preliminary**")
     for part in (
         "**Exploratory**: fewer than 10 seeds",
@@ -258,7 +264,7 @@ def test_markdown_says_what_the_page_says():
         "- Mixed versions.",
         "![Final success](figures/final_success.png)\n\nEach point is a seed.",
         "| Cell | Seeds | Success (%) |",
-        content.claims[0],
+        report.claims[0],
         "    python scripts/report.py experiment=algorithms",
         "| highway-env | 1.12.1 | 15 |",
     ):
@@ -266,4 +272,4 @@ def test_markdown_says_what_the_page_says():
 
 
 def test_long_tables_in_markdown_say_what_they_leave_out():
-    assert "12 of 50 rows; `tables/` holds them all." in markdown(report_factory.content(50, 2))
+    assert "12 of 50 rows; `tables/` holds them all." in markdown(report_factory.report(50, 2))

@@ -9,7 +9,6 @@ from scipy import stats
 from parking_exp.envs.geometry import SLOT_POSITIONS
 from parking_exp.reports.data import (
     Cell,
-    Content,
     Curve,
     Factor,
     FailedRun,
@@ -21,6 +20,7 @@ from parking_exp.reports.data import (
     Pair,
     Path,
     Provenance,
+    ReportData,
     Seed,
     Share,
     SlotRate,
@@ -41,7 +41,7 @@ HOSTILE = (
 )
 
 
-def content(n_cells=3, n_seeds=10, labels=None, **changes):
+def report(n_cells=3, n_seeds=10, labels=None, **changes):
     """A few algorithms compared; `labels` are other names for the cells, `changes` replace fields."""
     rng = np.random.default_rng(n_cells * 1000 + n_seeds)
     names = ("SAC", "TD3", "DDPG", "TQC", "CrossQ")
@@ -56,24 +56,24 @@ def content(n_cells=3, n_seeds=10, labels=None, **changes):
     ]
     cells = [_cell(i, labels[i], settings[i], means[i], n_seeds, rng) for i in range(n_cells)]
     factors = [] if n_cells == 1 else [Factor("algorithm", "algorithm", [*names[:n_cells]], numeric=False)]
-    made = _content(cells, factors, "single" if n_cells == 1 else "list")
+    made = _report(cells, factors, "single" if n_cells == 1 else "list")
     return replace(made, **changes)
 
 
 def one_seed():
     """One cell, one seed: nothing can be said about how sure it is."""
-    return replace(content(1, 1), exploratory=True)
+    return replace(report(1, 1), exploratory=True)
 
 
 def all_succeed():
     """Every seed of every cell at 100 %."""
-    made = content(2, 10)
+    made = report(2, 10)
     return replace(made, cells=[_constant(cell, 1.0) for cell in made.cells], pairs=[_same("c0", "c1")])
 
 
 def with_failed_cell():
     """Two cells with results, and one all of whose runs have failed."""
-    made = content(3, 10)
+    made = report(3, 10)
     nothing = Interval(None)
     failed = replace(
         made.cells[2],
@@ -132,7 +132,7 @@ def her_ablation(n_seeds=10):
         ], complete=True)
         for factor, means in zip(factors, (by_row, by_column), strict=True)
     ]  # fmt: skip
-    return replace(_content(cells, factors, "factorial"), effects=effects, interactions=[table])
+    return replace(_report(cells, factors, "factorial"), effects=effects, interactions=[table])
 
 
 def search(n_cells=30):
@@ -163,13 +163,13 @@ def search(n_cells=30):
         Importance("algorithm.batch_size", 0.02, 0.71, 0.08),
         Importance("buffer", 0.01, 0.9, None),
     ]
-    made = _content(cells, factors, "search", baseline="c0")
+    made = _report(cells, factors, "search", baseline="c0")
     return replace(made, importance=importance, exploratory=True)
 
 
 def hostile():
     """Names that want to run as HTML, JavaScript, Jinja, LaTeX, Markdown or a spreadsheet's formula."""
-    made = content(len(HOSTILE), 5, labels=list(HOSTILE))
+    made = report(len(HOSTILE), 5, labels=list(HOSTILE))
     bad = HOSTILE[0]
     provenance = replace(
         made.provenance,
@@ -191,15 +191,15 @@ def hostile():
 def non_ascii():
     """Names in several scripts."""
     labels = ["Größe α 学習", "Вариант Б, γ=0,95", "🚗 naïve Δt ≤ 5 µs"]  # noqa: RUF001
-    return content(3, 10, labels=labels, title="Straße 駐車")
+    return report(3, 10, labels=labels, title="Straße 駐車")
 
 
 def many(n_cells=500, n_seeds=2):
     """More cells than figures can show."""
-    return content(n_cells, n_seeds)
+    return report(n_cells, n_seeds)
 
 
-def _content(cells, factors, design, baseline=None):
+def _report(cells, factors, design, baseline=None):
     seeds = max(len(cell.seeds) for cell in cells)
     if len(cells) > 40:
         baseline = "c0"
@@ -211,7 +211,7 @@ def _content(cells, factors, design, baseline=None):
             f"{best[0].label} and {best[1].label} can't be told apart.",
             f"{best[0].label} is better than {best[-1].label}.",
         ]
-    return Content(
+    return ReportData(
         title="algorithms",
         experiments=["algorithms"],
         made="2026-11-02T09:30:00Z",

@@ -1,4 +1,4 @@
-"""A sheet of paper to draw a picture on, in inches: axes, labels, legends, and the values under the pointer."""
+"""The canvas of a figure, laid out in inches: axes, labels, legends, and values under the pointer."""
 
 from collections.abc import Sequence
 from io import BytesIO
@@ -23,12 +23,12 @@ PNG_DPI = 200
 _ROW_PT = 11.0
 
 
-class Sheet:
-    """One picture in the making.
+class Canvas:
+    """A figure that is being drawn.
 
     Attributes:
-        figure: matplotlib's, without a pyplot around it: nothing is left behind.
-        width, height: of the sheet [in].
+        figure: matplotlib's, without pyplot, which would keep it open.
+        width, height: of the figure [in].
     """
 
     def __init__(self, width: float, height: float) -> None:
@@ -74,7 +74,7 @@ class Sheet:
         axes.set(ylim=(len(texts) - 0.5, -0.5), yticks=[])
 
     def legend(self, cells: Sequence[Cell], width: float) -> None:
-        """Show each cell's line, marker and label, one a row, at the right of the sheet; `width` in inches."""
+        """Show each cell's line, marker and label, one a row, at the right of the canvas; `width` in inches."""
         left, top = self.width - width, self.height - 0.1
         height = _ROW_PT * len(cells) / 72
         axes = self.blank(left, top - height, width, height)
@@ -145,12 +145,12 @@ class Sheet:
 
 
 def legend_width(cells: Sequence[Cell]) -> float:
-    """How wide a legend must be for its labels [in]; longer ones are shortened."""
+    """Return the width of a legend [in]; longer labels are shortened."""
     return min(2.2, widest([cell.label for cell in cells], SMALL_PT) / 72 + 0.42)
 
 
 def legend_height(cells: Sequence[Cell]) -> float:
-    """How high a legend is [in]."""
+    """Return the height of a legend [in]."""
     return _ROW_PT * len(cells) / 72
 
 

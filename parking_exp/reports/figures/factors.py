@@ -1,4 +1,4 @@
-"""Pictures of factors: levels of one, and two of them crossed."""
+"""Figures of factors: levels of one, and two of them crossed."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 
 from parking_exp.reports import formats
-from parking_exp.reports.data import Content, Factor, Interaction, Interval, MainEffect, Setting
-from parking_exp.reports.figures.canvas import Sheet, numbers, text_on, tiles
+from parking_exp.reports.data import Factor, Interaction, Interval, MainEffect, ReportData, Setting
+from parking_exp.reports.figures.canvas import Canvas, numbers, text_on, tiles
 from parking_exp.reports.figures.style import (
     COLUMN_IN,
     FULL_IN,
@@ -25,10 +25,10 @@ from parking_exp.reports.figures.style import (
 from parking_exp.reports.formats import points, rate_interval
 
 
-def main_effects(content: Content) -> tuple[Sheet, str] | None:
+def main_effects(report: ReportData) -> tuple[Canvas, str] | None:
     """Draw each factor's levels, averaged over the other factors."""
-    factors = {factor.key: factor for factor in content.factors}
-    effects = [e for e in content.effects if e.factor in factors and any(v.effect.value is not None for v in e.levels)]
+    factors = {factor.key: factor for factor in report.factors}
+    effects = [e for e in report.effects if e.factor in factors and any(v.effect.value is not None for v in e.levels)]
     if not effects:
         return None
     columns = min(4, len(effects))
@@ -41,7 +41,7 @@ def main_effects(content: Content) -> tuple[Sheet, str] | None:
     inner = 72 * (step - 0.2)
     turned = {key: not _fits(texts[key], places[key], inner) for key in texts}
     foot = max([0.12, *(widest(texts[key], SMALL_PT) / 72 for key, needed in turned.items() if needed)]) + 0.3
-    sheet = Sheet(width, rows * (1.45 + foot) + 0.1)
+    canvas = Canvas(width, rows * (1.45 + foot) + 0.1)
     values = [
         100 * b
         for e in effects
@@ -54,26 +54,26 @@ def main_effects(content: Content) -> tuple[Sheet, str] | None:
     for index, effect in enumerate(effects):
         row, column = divmod(index, columns)
         bottom = (rows - 1 - row) * (1.45 + foot) + foot
-        axes = sheet.axes(0.55 + column * step, bottom, step - 0.2, 1.4, grid="y")
+        axes = canvas.axes(0.55 + column * step, bottom, step - 0.2, 1.4, grid="y")
         axes.set_ylim(limits)
         if column == 0:
             axes.set_ylabel("success (%)")
         else:
             axes.set_yticklabels([])
-        _effect_panel(sheet, axes, effect, places[effect.factor], texts[effect.factor], turned[effect.factor])
+        _effect_panel(canvas, axes, effect, places[effect.factor], texts[effect.factor], turned[effect.factor])
         name = elided(factors[effect.factor].name, inner) + ("" if effect.complete else " *")
         place = axes.get_xaxis_transform()
-        sheet.text(axes, 0.5 * sum(axes.get_xlim()), -(foot - 0.08) / 1.4, name, transform=place, ha="center")
+        canvas.text(axes, 0.5 * sum(axes.get_xlim()), -(foot - 0.08) / 1.4, name, transform=place, ha="center")
     partial = "" if all(e.complete for e in effects) else " *: not all combinations have been run."
     caption = (
         "Mean final success by level of each factor, averaged over the levels of the other factors, with 95 % "
         f"intervals where there are any.{partial}"
     )
-    return sheet, caption
+    return canvas, caption
 
 
 def _positions(factor: Factor, levels: Sequence[Setting]) -> np.ndarray:
-    """Where levels stand along an axis: numbers by value or its logarithm, others side by side. Shape (n,)."""
+    """Return where levels stand along an axis: numbers by value or its logarithm, others side by side. Shape (n,)."""
     plain = [v for v in levels if isinstance(v, int | float) and not isinstance(v, bool) and np.isfinite(v)]
     if not factor.numeric or len(plain) < len(levels) or len(levels) < 2:
         return np.arange(len(levels), dtype=float)
@@ -83,7 +83,7 @@ def _positions(factor: Factor, levels: Sequence[Setting]) -> np.ndarray:
 
 
 def _fits(texts: Sequence[str], places: np.ndarray, width: float) -> bool:
-    """Whether labels side by side have room on an axis that is `width` points long."""
+    """Return whether labels side by side have room on an axis that is `width` points long."""
     if len(texts) < 2:
         return True
     order = np.argsort(places)
@@ -93,7 +93,7 @@ def _fits(texts: Sequence[str], places: np.ndarray, width: float) -> bool:
 
 
 def _effect_panel(
-    sheet: Sheet, axes: Any, effect: MainEffect, places: np.ndarray, texts: Sequence[str], turned: bool
+    canvas: Canvas, axes: Any, effect: MainEffect, places: np.ndarray, texts: Sequence[str], turned: bool
 ) -> None:
     span = max(float(np.ptp(places)), 1e-12) if len(places) > 1 else 1.0
     axes.set_xlim(places.min() - span / 8, places.max() + span / 8)
@@ -111,33 +111,33 @@ def _effect_panel(
             continue  # levels that stand closer than lines of text; their values are under the pointer
         last = at
         style = {"rotation": 90 if turned else 0, "ha": "center", "va": "top", "fontsize": SMALL_PT}
-        sheet.text(axes, place, -0.05, text, transform=transform, **style)
+        canvas.text(axes, place, -0.05, text, transform=transform, **style)
     known = [(x, y, v) for x, y, v in zip(places, mean, effect.levels, strict=True) if np.isfinite(y)]
     tips = [
         f"{effect.factor} = {formats.level(v.level)}: {rate_interval(v.effect)}, {_cells(v.cells)}" for _, _, v in known
     ]
-    sheet.tip_points(axes, [x for x, _, _ in known], [y for _, y, _ in known], tips, radius=5)
+    canvas.tip_points(axes, [x for x, _, _ in known], [y for _, y, _ in known], tips, radius=5)
 
 
 def _cells(n: int) -> str:
     return f"{n} cell" if n == 1 else f"{n} cells"
 
 
-def interactions(content: Content) -> list[tuple[Sheet, str]]:
-    """Draw two factors crossed, one picture per table, all on the same scale."""
+def interactions(report: ReportData) -> list[tuple[Canvas, str]]:
+    """Draw two factors crossed, one figure per table, all on the same scale."""
     from matplotlib import colormaps
 
-    tables = [t for t in content.interactions if any(v is not None for row in t.mean for v in row)]
+    tables = [t for t in report.interactions if any(v is not None for row in t.mean for v in row)]
     values = [100 * v for table in tables for row in table.mean for v in row if v is not None]
     if not values:
         return []
     low, high = 5 * np.floor(min(values) / 5), 5 * np.ceil(max(values) / 5)
     low, high = (max(0.0, high - 10), max(10.0, high)) if high - low < 10 else (low, high)
-    names = {factor.key: factor.name for factor in content.factors}
+    names = {factor.key: factor.name for factor in report.factors}
     return [_heat_map(table, names, (colormaps["cividis"], float(low), float(high))) for table in tables]
 
 
-def _heat_map(table: Interaction, names: dict[str, str], scale: tuple[Any, float, float]) -> tuple[Sheet, str]:
+def _heat_map(table: Interaction, names: dict[str, str], scale: tuple[Any, float, float]) -> tuple[Canvas, str]:
     rows = [elided(formats.level(level), 1.3 * 72, SMALL_PT) for level in table.rows]
     left = widest(rows, SMALL_PT) / 72 + 0.36
     width = COLUMN_IN if left + 0.48 * len(table.columns) + 0.7 <= COLUMN_IN else FULL_IN
@@ -146,33 +146,33 @@ def _heat_map(table: Interaction, names: dict[str, str], scale: tuple[Any, float
     share = table.real_share is not None and any(value is not None for value in table.real_share)
     head, foot = (0.28 if table.given else 0.08), (0.62 if share else 0.46)
     tall, wide = 0.36 * len(rows), step * len(columns)
-    sheet = Sheet(left + wide + 0.7, foot + tall + head)
-    axes = sheet.axes(left, foot, wide, tall)
-    sheet.row_labels(axes, rows, SMALL_PT)
+    canvas = Canvas(left + wide + 0.7, foot + tall + head)
+    axes = canvas.axes(left, foot, wide, tall)
+    canvas.row_labels(axes, rows, SMALL_PT)
     axes.set(xlim=(-0.5, len(columns) - 0.5), xticks=[])
     axes.spines[["left", "bottom"]].set_visible(False)
-    canvas = sheet.blank(0, 0, sheet.width, sheet.height)
+    background = canvas.blank(0, 0, canvas.width, canvas.height)
     for column, text in enumerate(columns):
         x = 72 * (left + (column + 0.5) * step)
-        sheet.text(canvas, x, 72 * foot - 8, text, ha="center", fontsize=SMALL_PT)
+        canvas.text(background, x, 72 * foot - 8, text, ha="center", fontsize=SMALL_PT)
         if share and table.real_share and table.real_share[column] is not None:
             real = f"{100 * (table.real_share[column] or 0):.0f} %"
-            sheet.text(canvas, x, 72 * foot - 19, real, ha="center", fontsize=TINY_PT, alpha=0.8)
+            canvas.text(background, x, 72 * foot - 19, real, ha="center", fontsize=TINY_PT, alpha=0.8)
     if share:
-        sheet.text(canvas, 72 * left - 4, 72 * foot - 19, "real share", ha="right", fontsize=TINY_PT, alpha=0.8)
+        canvas.text(background, 72 * left - 4, 72 * foot - 19, "real share", ha="right", fontsize=TINY_PT, alpha=0.8)
     row_name, column_name = (names.get(key, key) for key in (table.row, table.column))
-    sheet.text(canvas, 72 * (left + wide / 2), 8, elided(column_name, 72 * wide + 40), ha="center")
-    sheet.text(canvas, 8, 72 * (foot + tall / 2), elided(row_name, 72 * tall + 40), rotation=90, ha="center")
+    canvas.text(background, 72 * (left + wide / 2), 8, elided(column_name, 72 * wide + 40), ha="center")
+    canvas.text(background, 8, 72 * (foot + tall / 2), elided(row_name, 72 * tall + 40), rotation=90, ha="center")
     if table.given:
-        sheet.text(canvas, 72 * left, 72 * sheet.height - 9, elided(table.given, 72 * (sheet.width - left)))
-    _fill_heat_map(sheet, axes, table, scale)
-    sheet.colour_bar((left + wide + 0.12, foot, 0.1, tall), *scale, "success (%)")
+        canvas.text(background, 72 * left, 72 * canvas.height - 9, elided(table.given, 72 * (canvas.width - left)))
+    _fill_heat_map(canvas, axes, table, scale)
+    canvas.colour_bar((left + wide + 0.12, foot, 0.1, tall), *scale, "success (%)")
     given = f" for {clean(table.given)}" if table.given else ""
     real = " Below the columns: measured share of real transitions in batches." if share else ""
     counts = _counts(table)
     many = f"{seeds_text(counts.pop())} each" if len(counts) == 1 else "seeds as written"
     caption = f"Mean final success by {row_name} and {column_name}{given}, in %, with 95 % intervals; {many}.{real}"
-    return sheet, clean(caption)
+    return canvas, clean(caption)
 
 
 def _counts(table: Interaction) -> set[int]:
@@ -180,7 +180,7 @@ def _counts(table: Interaction) -> set[int]:
     return {int(n) for n in np.asarray(table.n)[known]}
 
 
-def _fill_heat_map(sheet: Sheet, axes: Any, table: Interaction, scale: tuple[Any, float, float]) -> None:
+def _fill_heat_map(canvas: Canvas, axes: Any, table: Interaction, scale: tuple[Any, float, float]) -> None:
     colours, lowest, highest = scale
     counts = _counts(table)
     boxes, fills = [], []
@@ -190,13 +190,13 @@ def _fill_heat_map(sheet: Sheet, axes: Any, table: Interaction, scale: tuple[Any
             where = f"{formats.level(row)} × {formats.level(column)}"  # noqa: RUF001
             box = (c - 0.5, r - 0.5, 1, 1)
             if mean.value is None:
-                sheet.tip_box(axes, *box, f"{where}: no finished runs")
+                canvas.tip_box(axes, *box, f"{where}: no finished runs")
                 continue
             boxes.append(box)
             fills.append(colours((100 * mean.value - lowest) / (highest - lowest)))
             residual = table.residual[r][c]
             rest = "" if residual is None else f"; {points(residual)} points beside the main effects"
-            sheet.tip_box(axes, *box, f"{where}: {rate_interval(mean)}, {seeds_text(mean.n)}{rest}")
+            canvas.tip_box(axes, *box, f"{where}: {rate_interval(mean)}, {seeds_text(mean.n)}{rest}")
             style = {"ha": "center", "va": "center", "color": text_on(fills[-1])}
             small = [] if mean.low is None or mean.high is None else [f"[{100 * mean.low:.0f}, {100 * mean.high:.0f}]"]
             small += [f"n={mean.n}"] if len(counts) > 1 else []

@@ -1,12 +1,12 @@
-"""Pictures of pairs: every cell against every other one, or against one."""
+"""Figures of pairs of cells: all against all, or all against one."""
 
 from collections.abc import Sequence
 from typing import Any
 
 from parking_exp.errors import quoted_label
-from parking_exp.reports.data import Cell, Content, Interval, Pair
-from parking_exp.reports.figures.canvas import Sheet, text_on, tiles
-from parking_exp.reports.figures.cells import label_widths, row_sheet, shown_cells
+from parking_exp.reports.data import Cell, Interval, Pair, ReportData
+from parking_exp.reports.figures.canvas import Canvas, text_on, tiles
+from parking_exp.reports.figures.cells import row_canvas, row_labels
 from parking_exp.reports.figures.style import (
     COLUMN_IN,
     FULL_IN,
@@ -27,15 +27,15 @@ _MOST_WITH_P = 12
 _MOST_WITH_TEXT = 20
 
 
-def pairwise(content: Content) -> tuple[Sheet, str] | None:
+def pairwise(report: ReportData) -> tuple[Canvas, str] | None:
     """Draw differences of final success: from the one cell that all are compared with, or between all cells."""
-    return _pair_matrix(content) if content.reference is None else _from_reference(content)
+    return _pair_matrix(report) if report.reference is None else _from_reference(report)
 
 
-def _differences(content: Content) -> dict[tuple[str, str], Pair]:
-    """Every pair that is known, both ways round."""
+def _differences(report: ReportData) -> dict[tuple[str, str], Pair]:
+    """Return every pair that has a difference, both ways round."""
     found = {}
-    for pair in content.pairs:
+    for pair in report.pairs:
         if pair.difference.value is not None:
             found[pair.a, pair.b], found[pair.b, pair.a] = pair, pair.turned()
     return found
@@ -60,9 +60,9 @@ def _difference(interval: Interval) -> str:
     return f"{value} [{points(interval.low)}, {points(interval.high)}]"
 
 
-def _pair_matrix(content: Content) -> tuple[Sheet, str] | None:
-    known = _differences(content)
-    cells = [cell for cell in shown_cells(content) if any(cell.id in pair for pair in known)]
+def _pair_matrix(report: ReportData) -> tuple[Canvas, str] | None:
+    known = _differences(report)
+    cells = [cell for cell in report.shown_cells if any(cell.id in pair for pair in known)]
     shown = {(a.id, b.id) for a in cells for b in cells} & set(known)
     if not shown:
         return None
@@ -74,29 +74,29 @@ def _pair_matrix(content: Content) -> tuple[Sheet, str] | None:
     row = min(0.34, max(0.24, step))
     across = all(width_pt(text, SMALL_PT) < 72 * step - 4 for text in texts)
     head = 0.25 if across else widest(texts, SMALL_PT) / 72 + 0.12
-    sheet = Sheet(left + n * step + 0.75, 0.12 + n * row + head)
-    axes = sheet.axes(left, 0.12, n * step, n * row)
-    sheet.row_labels(axes, texts, SMALL_PT)
+    canvas = Canvas(left + n * step + 0.75, 0.12 + n * row + head)
+    axes = canvas.axes(left, 0.12, n * step, n * row)
+    canvas.row_labels(axes, texts, SMALL_PT)
     axes.set(xlim=(-0.5, n - 0.5), xticks=[])
     axes.spines[["left", "bottom"]].set_visible(False)
     for column, text in enumerate(texts):
         style = {"va": "bottom", "ha": "center", "rotation": 0 if across else 90, "fontsize": SMALL_PT}
-        sheet.text(axes, column, -0.62, text, **style)
+        canvas.text(axes, column, -0.62, text, **style)
     most = max(5.0, *(abs(100 * (known[key].difference.value or 0)) for key in shown))
     colours = _diverging()
-    _fill_matrix(sheet, axes, cells, known, (colours, most))
+    _fill_matrix(canvas, axes, cells, known, (colours, most))
     tall = min(n * row, 2.2)
     place = (left + n * step + 0.12, 0.12 + (n * row - tall) / 2, 0.1, tall)
     unit = "row − column (points)" if tall > 1.3 else "points"  # noqa: RUF001
-    sheet.colour_bar(place, colours, -most, most, unit)
+    canvas.colour_bar(place, colours, -most, most, unit)
     marks = "▲ the row is better, ▼ the column is, ≈ they can't be told apart, ? too few seeds"
     second = f"Second line: {marks}, with p corrected by Holm's method. " if n <= _MOST_WITH_P else ""
-    caption = f"Final success of the row's cell less the column's, in percentage points. {second}{content.family}"
-    return sheet, caption.strip()
+    caption = f"Final success of the row's cell less the column's, in percentage points. {second}{report.family}"
+    return canvas, caption.strip()
 
 
 def _fill_matrix(
-    sheet: Sheet, axes: Any, cells: Sequence[Cell], known: dict[tuple[str, str], Pair], scale: tuple[Any, float]
+    canvas: Canvas, axes: Any, cells: Sequence[Cell], known: dict[tuple[str, str], Pair], scale: tuple[Any, float]
 ) -> None:
     colours, most = scale
     boxes, fills, n = [], [], len(cells)
@@ -108,7 +108,7 @@ def _fill_matrix(
                 continue
             boxes.append((column - 0.5, row - 0.5, 1, 1))
             fills.append(colours(0.5 + 50 * pair.difference.value / most))
-            sheet.tip_box(axes, *boxes[-1], _pair_tip(a, b, pair))
+            canvas.tip_box(axes, *boxes[-1], _pair_tip(a, b, pair))
             text = points(pair.difference.value)
             if n <= _MOST_WITH_P:
                 text += f"\n{_VERDICTS[pair.verdict]} {_short_p(pair.p_holm)}".rstrip()
@@ -131,14 +131,14 @@ def _diverging() -> Any:
     return LinearSegmentedColormap.from_list("differences", ["#B35806", "#F1A340", "#F7F7F7", "#67A9CF", "#2166AC"])
 
 
-def _from_reference(content: Content) -> tuple[Sheet, str] | None:
-    known = _differences(content)
-    base = content.cell(content.reference or "")
-    name = "the baseline" if content.baseline else "the highest mean"
-    rows = [(cell, known[cell.id, base.id]) for cell in shown_cells(content) if (cell.id, base.id) in known]
+def _from_reference(report: ReportData) -> tuple[Canvas, str] | None:
+    known = _differences(report)
+    base = report.cell(report.reference or "")
+    name = "the baseline" if report.baseline else "the highest mean"
+    rows = [(cell, known[cell.id, base.id]) for cell in report.shown_cells if (cell.id, base.id) in known]
     if not rows:
         return None
-    sheet, axes, _ = row_sheet(label_widths([cell for cell, _ in rows]), right=2.0)
+    canvas, axes, _ = row_canvas(row_labels([cell for cell, _ in rows]), right=2.0)
     bounds = [(p.difference.value, p.difference.low, p.difference.high) for _, p in rows]
     edge = max(1.0, *(100 * abs(bound) for three in bounds for bound in three if bound is not None))
     lowest = min(0.0, *(100 * bound for three in bounds for bound in three if bound is not None))
@@ -151,13 +151,13 @@ def _from_reference(content: Content) -> tuple[Sheet, str] | None:
         if difference.low is not None and difference.high is not None:
             axes.plot([100 * difference.low, 100 * difference.high], [row] * 2, color=look.colour, lw=1.6)
         axes.plot([value], [row], marker=look.marker, ms=5, color=look.colour, mec=PAPER, mew=0.6)
-        sheet.tip_points(axes, [value], [row], [_pair_tip(cell, base, pair)], radius=5)
+        canvas.tip_points(axes, [value], [row], [_pair_tip(cell, base, pair)], radius=5)
         text = f"{_difference(difference)}   {_VERDICTS[pair.verdict]} {p_value(pair.p_holm)}"
         style = {"transform": axes.get_yaxis_transform(), "fontsize": SMALL_PT, "va": "center_baseline"}
-        sheet.text(axes, 1.02, row, text.strip(), **style)
+        canvas.text(axes, 1.02, row, text.strip(), **style)
     caption = (
         f"Final success less {name}, {quoted_label(clean(base.label))}, in percentage points, with 95 % intervals. "
         "▲ better than that cell, ▼ worse, ≈ can't be told apart, ? too few seeds; p corrected by Holm's method. "
-        f"{content.family}"
+        f"{report.family}"
     )
-    return sheet, caption.strip()
+    return canvas, caption.strip()

@@ -9,7 +9,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Self
 
-from parking_exp.reports.data import Content
+from parking_exp.reports.data import ReportData
 
 PACKAGE_PARENT = Path(__file__).resolve().parents[3]
 
@@ -38,10 +38,10 @@ class Printer:
         self._process.kill()
         self._process.communicate()
 
-    def draw(self, content: Content, folder: Path) -> None:
+    def draw(self, report: ReportData, folder: Path) -> None:
         """Begin to draw all pictures into a folder."""
         assert self._process.stdin is not None
-        pickle.dump((content, folder), self._process.stdin, protocol=pickle.HIGHEST_PROTOCOL)
+        pickle.dump((report, folder), self._process.stdin, protocol=pickle.HIGHEST_PROTOCOL)
         self._process.stdin.flush()
 
     def wait(self) -> None:
@@ -61,10 +61,10 @@ def main() -> None:
 
     gc.disable()  # everything made here stays to the end
     try:
-        content, folder = pickle.load(sys.stdin.buffer)
+        report, folder = pickle.load(sys.stdin.buffer)
     except EOFError:  # it has come to nothing
         return
-    draw(content, folder, ["pdf"])
+    draw(report, folder, ["pdf"])
     gc.freeze()
 
 

@@ -1,4 +1,4 @@
-"""Pictures of the lot from above: where episodes fail, and how the car went."""
+"""Figures of the parking lot from above: failures by goal slot, and sampled trajectories."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -17,9 +17,8 @@ from parking_exp.envs.geometry import (
 )
 from parking_exp.envs.outcomes import OUTCOMES
 from parking_exp.errors import quoted_label
-from parking_exp.reports.data import Cell, Content, Path, SlotRate
-from parking_exp.reports.figures.canvas import Sheet, text_on, tiles
-from parking_exp.reports.figures.cells import shown_cells
+from parking_exp.reports.data import Cell, Path, ReportData, SlotRate
+from parking_exp.reports.figures.canvas import Canvas, text_on, tiles
 from parking_exp.reports.figures.style import COLUMN_IN, FULL_IN, GRID, INK, SMALL_PT, TINY_PT, labels, width_pt
 from parking_exp.reports.formats import rate_text
 from parking_exp.training.learning_curves import COLOURS
@@ -30,11 +29,11 @@ _MOST_PATHS = 6  # a panel
 _MOST_POINTS = 150  # a path
 
 
-class _Lots:
-    """A grid of lots on one pair of axes in metres: many axes would take ten times as long to draw.
+class _LotGrid:
+    """A grid of parking lots on one pair of axes in metres: many axes would take ten times as long to draw.
 
     Attributes:
-        sheet, axes: what they are drawn on.
+        canvas, axes: what they are drawn on.
         origins: centre of each panel [m], row by row. Shape (n, 2).
         scale: points per metre.
     """
@@ -46,8 +45,8 @@ class _Lots:
         self.scale = 72 * wide / (LOT_LENGTH_M + 2)
         tall = (LOT_WIDTH_M + 2) * self.scale / 72
         height = top + rows * (tall + gap) + 0.42
-        self.sheet = Sheet(width, height)
-        self.axes = self.sheet.axes(0, 0, width, height)
+        self.canvas = Canvas(width, height)
+        self.axes = self.canvas.axes(0, 0, width, height)
         self.axes.set_axis_off()
         per_metre = self.scale / 72
         self.axes.set(xlim=(0, width / per_metre), ylim=(-height / per_metre, 0))
@@ -104,115 +103,115 @@ def _around(x: float, y: float, width: float, height: float) -> tuple[float, flo
     return x - width / 2, y - height / 2, width, height
 
 
-def scene_map(content: Content) -> tuple[Sheet, str] | None:
+def scene_map(report: ReportData) -> tuple[Canvas, str] | None:
     """Draw, for each goal slot, the share of episodes that failed, and where failed episodes ended."""
     from matplotlib import colormaps
 
-    cells = [cell for cell in shown_cells(content) if any(_failed(slot) is not None for slot in cell.slots)]
+    cells = [cell for cell in report.shown_cells if any(_failed(slot) is not None for slot in cell.slots)]
     if not cells:
         return None
     columns = min(len(cells), 2 if len(cells) <= 4 else 3 if len(cells) <= 12 else 4)
-    lots = _Lots(len(cells), columns, right=0.7, gap=0.22)
-    lots.ground()
+    grid = _LotGrid(len(cells), columns, right=0.7, gap=0.22)
+    grid.ground()
     worst = max(_failed(slot) or 0.0 for cell in cells for slot in cell.slots)
     top = max(10.0, 5 * np.ceil(20 * worst))
     colours = colormaps["Purples"]
-    short = labels(cells, LOT_LENGTH_M * lots.scale)
-    for cell, (ox, oy) in zip(cells, lots.origins, strict=True):
-        y = oy + LOT_WIDTH_M / 2 + 1 + 7 / lots.scale
-        lots.sheet.text(lots.axes, ox - LOT_LENGTH_M / 2 - 1, y, short[cell.id])
-        _slots(lots, cell, (ox, oy), (colours, top))
-    _ends(lots, cells)
-    tall = min(1.8, lots.sheet.height - 0.68)
-    right = (lots.origins[:, 0].max() + LOT_LENGTH_M / 2 + 1) * lots.scale / 72
-    place = (right + 0.12, lots.sheet.height - 0.22 - tall, 0.1, tall)
-    lots.sheet.colour_bar(place, colours, 0, top, "failed episodes (%)")
+    short = labels(cells, LOT_LENGTH_M * grid.scale)
+    for cell, (ox, oy) in zip(cells, grid.origins, strict=True):
+        y = oy + LOT_WIDTH_M / 2 + 1 + 7 / grid.scale
+        grid.canvas.text(grid.axes, ox - LOT_LENGTH_M / 2 - 1, y, short[cell.id])
+        _slots(grid, cell, (ox, oy), (colours, top))
+    _ends(grid, cells)
+    tall = min(1.8, grid.canvas.height - 0.68)
+    right = (grid.origins[:, 0].max() + LOT_LENGTH_M / 2 + 1) * grid.scale / 72
+    place = (right + 0.12, grid.canvas.height - 0.22 - tall, 0.1, tall)
+    grid.canvas.colour_bar(place, colours, 0, top, "failed episodes (%)")
     shown_ends = any(cell.failures for cell in cells)
     ends = " × where crashes, ○ where timeouts ended (a sample)." if shown_ends else ""  # noqa: RUF001
     caption = (
         "The lot from above: share of episodes with that goal slot that failed (crash or timeout), in %, all seeds "
         f"together.{ends}"
     )
-    return lots.sheet, caption
+    return grid.canvas, caption
 
 
 def _failed(slot: SlotRate) -> float | None:
     return None if slot.crash is None or slot.timeout is None or not slot.n else slot.crash + slot.timeout
 
 
-def _slots(lots: _Lots, cell: Cell, origin: tuple[float, float], scale: tuple[Any, float]) -> None:
+def _slots(grid: _LotGrid, cell: Cell, origin: tuple[float, float], scale: tuple[Any, float]) -> None:
     colours, top = scale
     boxes, fills = [], []
     for slot in cell.slots:
         x, y = SLOT_POSITIONS[slot.slot] + origin
         box, share = _around(x, y, SLOT_WIDTH_M, SLOT_LENGTH_M), _failed(slot)
         if share is None:
-            lots.sheet.tip_box(lots.axes, *box, f"{quoted_label(cell.label)}, slot {slot.slot}: no episodes")
+            grid.canvas.tip_box(grid.axes, *box, f"{quoted_label(cell.label)}, slot {slot.slot}: no episodes")
             continue
         boxes.append(box)
         fills.append(colours(100 * share / top))
         number = str(round(100 * share))
-        if width_pt("88", TINY_PT) < SLOT_WIDTH_M * lots.scale - 0.4 and len(number) < 3:
+        if width_pt("88", TINY_PT) < SLOT_WIDTH_M * grid.scale - 0.4 and len(number) < 3:
             style = {"ha": "center", "va": "center_baseline", "fontsize": TINY_PT}
-            lots.axes.text(x, y, number, color=text_on(fills[-1]), zorder=4, **style)
+            grid.axes.text(x, y, number, color=text_on(fills[-1]), zorder=4, **style)
         parts = f"{rate_text(slot.crash)} crash, {rate_text(slot.timeout)} timeout"
         tip = f"{quoted_label(cell.label)}, slot {slot.slot}: {rate_text(share)} failed ({parts}), {slot.n:,} episodes"
-        lots.sheet.tip_box(lots.axes, *box, tip)
+        grid.canvas.tip_box(grid.axes, *box, tip)
     if boxes:
-        tiles(lots.axes, boxes, fills, linewidths=0.4, edgecolors=GRID, zorder=2)
+        tiles(grid.axes, boxes, fills, linewidths=0.4, edgecolors=GRID, zorder=2)
 
 
-def _ends(lots: _Lots, cells: Sequence[Cell]) -> None:
+def _ends(grid: _LotGrid, cells: Sequence[Cell]) -> None:
     looks: dict[str, dict[str, Any]] = {
         "crash": {"marker": "x", "ms": 2.6, "mew": 0.6, "color": COLOURS["crash"]},
         "timeout": {"marker": "o", "ms": 2.6, "mew": 0.6, "mfc": "none", "color": COLOURS["timeout"]},
     }
     for outcome, look in looks.items():
         places = []
-        for cell, origin in zip(cells, lots.origins, strict=True):
-            sampled = _spread(cell.failures, _MOST_ENDS if lots.columns < 3 else _MOST_ENDS // 2)
+        for cell, origin in zip(cells, grid.origins, strict=True):
+            sampled = _spread(cell.failures, _MOST_ENDS if grid.columns < 3 else _MOST_ENDS // 2)
             places += [(x + origin[0], y + origin[1]) for x, y, how in sampled if how == outcome]
-        lots.axes.plot([x for x, _ in places], [y for _, y in places], ls="", alpha=0.6, zorder=3, **look)
+        grid.axes.plot([x for x, _ in places], [y for _, y in places], ls="", alpha=0.6, zorder=3, **look)
 
 
 def _spread(items: Sequence[Any], most: int) -> list[Any]:
-    """At most so many items, evenly spaced, the same each time."""
+    """Return at most so many items, evenly spaced, the same each time."""
     if len(items) <= most:
         return list(items)
     return [items[k] for k in np.linspace(0, len(items) - 1, most).round().astype(int)]
 
 
-def trajectories(content: Content) -> tuple[Sheet, str] | None:
+def trajectories(report: ReportData) -> tuple[Canvas, str] | None:
     """Draw sampled episodes from above, a row per cell, a column per outcome."""
-    having = sorted((cell for cell in shown_cells(content) if cell.paths), key=lambda cell: -(cell.success.value or 0))
+    having = sorted((cell for cell in report.shown_cells if cell.paths), key=lambda cell: -(cell.success.value or 0))
     best = having[:_MOST_ROWS]
-    cells = [cell for cell in shown_cells(content) if any(cell is one for one in best)]
+    cells = [cell for cell in report.shown_cells if any(cell is one for one in best)]
     if not cells:
         return None
-    lots = _Lots(3 * len(cells), 3, right=0.05, gap=0.24, top=0.16)
-    lots.ground()
-    for (x, _), outcome in zip(lots.origins, OUTCOMES, strict=False):
-        lots.axes.text(x, -8 / lots.scale, outcome, ha="center", va="center")
+    grid = _LotGrid(3 * len(cells), 3, right=0.05, gap=0.24, top=0.16)
+    grid.ground()
+    for (x, _), outcome in zip(grid.origins, OUTCOMES, strict=False):
+        grid.axes.text(x, -8 / grid.scale, outcome, ha="center", va="center")
     width = (FULL_IN - 0.55) * 72
     short = labels(cells, width)
     for row, cell in enumerate(cells):
-        x, y = lots.origins[3 * row] + (-LOT_LENGTH_M / 2 - 1, LOT_WIDTH_M / 2 + 1 + 7 / lots.scale)
-        lots.sheet.text(lots.axes, x, y, short[cell.id])
+        x, y = grid.origins[3 * row] + (-LOT_LENGTH_M / 2 - 1, LOT_WIDTH_M / 2 + 1 + 7 / grid.scale)
+        grid.canvas.text(grid.axes, x, y, short[cell.id])
         for column, outcome in enumerate(OUTCOMES):
             paths = [path for path in cell.paths if path.outcome == outcome and len(path.x_m)]
-            origin = lots.origins[3 * row + column]
+            origin = grid.origins[3 * row + column]
             if not paths:
-                lots.axes.text(*origin, "none", ha="center", va="center", alpha=0.7, style="italic")
-            _paths(lots, cell, paths[:_MOST_PATHS], origin)
+                grid.axes.text(*origin, "none", ha="center", va="center", alpha=0.7, style="italic")
+            _paths(grid, cell, paths[:_MOST_PATHS], origin)
     caption = (
         "Sampled episodes from above, by how they ended: path of the car from its start (arrow) to its outline where "
         "it ended; the goal slot is shaded, parked cars are grey."
         + (f" The {len(cells)} of {len(having)} cells with the highest success." if len(cells) < len(having) else "")
     )
-    return lots.sheet, caption
+    return grid.canvas, caption
 
 
-def _paths(lots: _Lots, cell: Cell, paths: Sequence[Path], origin: np.ndarray) -> None:
+def _paths(grid: _LotGrid, cell: Cell, paths: Sequence[Path], origin: np.ndarray) -> None:
     lines, cars, arrows = [], [], []
     parked: set[int] = set()
     goals: set[int] = set()
@@ -231,19 +230,19 @@ def _paths(lots: _Lots, cell: Cell, paths: Sequence[Path], origin: np.ndarray) -
         steps = len(path.x_m) - 1
         which = f"{quoted_label(cell.label)}, seed {path.seed}, scene {path.scene}"
         tip = f"{which}: {path.outcome} after {steps} steps, slot {path.slot}"
-        lots.sheet.tip_line(lots.axes, thinned[:: max(1, len(thinned) // 40), :2], tip)
+        grid.canvas.tip_line(grid.axes, thinned[:: max(1, len(thinned) // 40), :2], tip)
     if not lines:
         return
     colour = COLOURS[paths[0].outcome]
     places = [SLOT_POSITIONS[slot] + origin for slot in sorted(goals)]
     boxes = [_around(x, y, SLOT_WIDTH_M, SLOT_LENGTH_M) for x, y in places]
-    tiles(lots.axes, boxes, [colour], alpha=0.3, zorder=2)
+    tiles(grid.axes, boxes, [colour], alpha=0.3, zorder=2)
     others = [_placed(_CAR, (*(SLOT_POSITIONS[slot] + origin), np.pi / 2)) for slot in sorted(parked - goals)]
     if others:
-        lots.shapes(others, facecolors="#9aa0a6", edgecolors="none", zorder=2)
-    lots.segments(lines, color=colour, lw=1.0, zorder=3)
-    lots.shapes(cars, facecolors="none", edgecolors=INK, linewidths=0.8, zorder=4)
-    lots.shapes(arrows, facecolors=INK, edgecolors="none", zorder=4)
+        grid.shapes(others, facecolors="#9aa0a6", edgecolors="none", zorder=2)
+    grid.segments(lines, color=colour, lw=1.0, zorder=3)
+    grid.shapes(cars, facecolors="none", edgecolors=INK, linewidths=0.8, zorder=4)
+    grid.shapes(arrows, facecolors=INK, edgecolors="none", zorder=4)
 
 
 _CAR = np.array([(1, 1), (1, -1), (-1, -1), (-1, 1)]) * (CAR_LENGTH_M / 2, CAR_WIDTH_M / 2)
@@ -251,7 +250,7 @@ _ARROW = np.array([(4.0, 0.0), (0.0, 1.2), (0.8, 0.0), (0.0, -1.2)])
 
 
 def _placed(shape: np.ndarray, pose: Any) -> np.ndarray:
-    """A shape (n, 2) turned and moved to a pose (x, y, heading)."""
+    """Return a shape (n, 2) turned and moved to a pose (x, y, heading)."""
     x, y, heading = pose
     cos, sin = np.cos(heading), np.sin(heading)
     return shape @ np.array([(cos, sin), (-sin, cos)]) + (x, y)

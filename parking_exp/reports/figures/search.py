@@ -1,4 +1,4 @@
-"""Pictures of random and tuned searches: every point that was tried, and which hyperparameters matter."""
+"""Figures of a hyperparameter search: every point that was tried, and which hyperparameters matter."""
 
 from typing import Any
 
@@ -6,9 +6,9 @@ import numpy as np
 
 from parking_exp.errors import quoted_label
 from parking_exp.reports import formats
-from parking_exp.reports.data import Cell, Content, Factor
-from parking_exp.reports.figures.canvas import Sheet
-from parking_exp.reports.figures.cells import row_sheet
+from parking_exp.reports.data import Cell, Factor, ReportData
+from parking_exp.reports.figures.canvas import Canvas
+from parking_exp.reports.figures.cells import row_canvas
 from parking_exp.reports.figures.style import FULL_IN, INK, PAPER, SMALL_PT, TEXT_PT, elided
 from parking_exp.reports.formats import p_value, rate_text
 
@@ -16,19 +16,19 @@ _MOST_AXES = 8
 _BAR = "#0072B2"
 
 
-def parallel_coordinates(content: Content) -> tuple[Sheet, str] | None:
+def parallel_coordinates(report: ReportData) -> tuple[Canvas, str] | None:
     """Draw each cell of a search as a line across its hyperparameters to its success."""
     from matplotlib import colormaps
     from matplotlib.collections import LineCollection
 
-    order = {item.factor: rank for rank, item in enumerate(content.importance)}
-    factors = sorted(content.factors, key=lambda factor: order.get(factor.key, len(order)))[:_MOST_AXES]
-    tried = [(cell, 100 * cell.success.value) for cell in content.cells if cell.success.value is not None]
-    if content.design != "search" or not tried or not factors:
+    order = {item.factor: rank for rank, item in enumerate(report.importance)}
+    factors = sorted(report.factors, key=lambda factor: order.get(factor.key, len(order)))[:_MOST_AXES]
+    tried = [(cell, 100 * cell.success.value) for cell in report.cells if cell.success.value is not None]
+    if report.design != "search" or not tried or not factors:
         return None
     tried.sort(key=lambda pair: pair[1])
-    sheet = Sheet(FULL_IN, 2.75)
-    axes = sheet.axes(0.75, 0.16, FULL_IN - 1.2, 2.15)
+    canvas = Canvas(FULL_IN, 2.75)
+    axes = canvas.axes(0.75, 0.16, FULL_IN - 1.2, 2.15)
     axes.set_axis_off()
     axes.set(xlim=(0, len(factors)), ylim=(-0.04, 1.04))
     low, high = 10 * np.floor(tried[0][1] / 10), 10 * np.ceil(tried[-1][1] / 10)
@@ -49,20 +49,20 @@ def parallel_coordinates(content: Content) -> tuple[Sheet, str] | None:
     colours[:, 3] = alphas
     axes.add_collection(LineCollection(lines, colors=colours, linewidths=widths), autolim=False)
     for (cell, rate), line in zip(tried, lines, strict=True):
-        sheet.tip_line(axes, line[np.isfinite(line[:, 1])], _tip(cell, rate, factors), width=3)
+        canvas.tip_line(axes, line[np.isfinite(line[:, 1])], _tip(cell, rate, factors), width=3)
     room = 72 * (FULL_IN - 1.2) / len(factors) - 6
     for column, scale in enumerate(scales):
-        _upright(sheet, axes, column, scale.ticks(), (elided(scale.factor.name, room), room))
+        _upright(canvas, axes, column, scale.ticks(), (elided(scale.factor.name, room), room))
     rates = np.arange(low, high + 1, 10 if high - low <= 60 else 20)
     ticks = [((rate - low) / (high - low), f"{rate:.0f}") for rate in rates]
-    _upright(sheet, axes, len(factors), ticks, ("success (%)", room), right=True)
-    left_out = len(content.factors) - len(factors)
+    _upright(canvas, axes, len(factors), ticks, ("success (%)", room), right=True)
+    left_out = len(report.factors) - len(factors)
     caption = (
         f"Every cell of the search ({len(tried)}) as a line across its hyperparameters to its mean final success; "
         "brighter is better, thick lines are the best tenth."
         + (f" {left_out} less important hyperparameters are left out." if left_out else "")
     )
-    return sheet, caption
+    return canvas, caption
 
 
 def _tip(cell: Cell, rate: float, factors: list[Factor]) -> str:
@@ -71,22 +71,22 @@ def _tip(cell: Cell, rate: float, factors: list[Factor]) -> str:
 
 
 def _upright(
-    sheet: Sheet, axes: Any, x: float, ticks: list[tuple[float, str]], name: tuple[str, float], right: bool = False
+    canvas: Canvas, axes: Any, x: float, ticks: list[tuple[float, str]], name: tuple[str, float], right: bool = False
 ) -> None:
     """Draw one of the parallel axes: its line, ticks [(height, text)] and name."""
     axes.plot([x, x], [0, 1], color=INK, lw=0.8, clip_on=False)
     axes.plot([x] * len(ticks), [at for at, _ in ticks], ls="", marker="_", ms=4, color=INK, clip_on=False)
-    sheet.text(axes, x, 1.1, name[0], ha="center", va="bottom", fontsize=TEXT_PT)
+    canvas.text(axes, x, 1.1, name[0], ha="center", va="bottom", fontsize=TEXT_PT)
     offset = 72 * (FULL_IN - 1.2) / (axes.get_xlim()[1] or 1)
     for at, text in ticks:
         place = x + (5 if right else -5) / offset
         side = "left" if right else "right"
         behind = {"facecolor": PAPER, "edgecolor": "none", "pad": 0.6, "alpha": 0.75}
-        sheet.text(axes, place, at, elided(text, 0.62 * name[1], SMALL_PT), ha=side, fontsize=SMALL_PT, bbox=behind)
+        canvas.text(axes, place, at, elided(text, 0.62 * name[1], SMALL_PT), ha=side, fontsize=SMALL_PT, bbox=behind)
 
 
 class _Scale:
-    """Where a factor's levels stand on an axis from 0 to 1."""
+    """The scale of a factor on an axis from 0 to 1."""
 
     def __init__(self, factor: Factor, cells: list[Cell]) -> None:
         self.factor = factor
@@ -124,14 +124,14 @@ class _Scale:
         return [(k / 4, f"{10**v:.2g}" if self.log else f"{v:.3g}") for k, v in enumerate(at)]
 
 
-def importance(content: Content) -> tuple[Sheet, str] | None:
+def importance(report: ReportData) -> tuple[Canvas, str] | None:
     """Draw how much of the variance of success each hyperparameter explains alone."""
-    names = {factor.key: factor.name for factor in content.factors}
-    found = sorted(content.importance, key=lambda item: -item.share)[:16]
+    names = {factor.key: factor.name for factor in report.factors}
+    found = sorted(report.importance, key=lambda item: -item.share)[:16]
     if not found:
         return None
     texts = [elided(names.get(item.factor, item.factor), 2 * 72) for item in found]
-    sheet, axes, width = row_sheet(texts, right=0.45)
+    canvas, axes, width = row_canvas(texts, right=0.45)
     shares = [100 * item.share for item in found]
     axes.set(xlabel="variance of success explained alone (%)")
     axes.barh(range(len(found)), shares, height=0.62, color=_BAR)
@@ -141,13 +141,13 @@ def importance(content: Content) -> tuple[Sheet, str] | None:
     for row, item in enumerate(found):
         arrow = "" if not item.direction else " ↑" if item.direction > 0 else " ↓"
         text = f"{p_value(item.p)}{arrow}".strip()
-        sheet.text(axes, shares[row] + 0.02 * axes.get_xlim()[1], row, text, fontsize=SMALL_PT, va="center_baseline")
+        canvas.text(axes, shares[row] + 0.02 * axes.get_xlim()[1], row, text, fontsize=SMALL_PT, va="center_baseline")
         rank = "" if item.direction is None else f"; rank correlation {item.direction:+.2f}"
         p = f", {p_value(item.p)}" if item.p is not None else ""
         tip = f"{item.factor}: {rate_text(item.share)} of the variance{p}{rank}"
-        sheet.tip_box(axes, 0, row - 0.5, axes.get_xlim()[1], 1, tip)
+        canvas.tip_box(axes, 0, row - 0.5, axes.get_xlim()[1], 1, tip)
     caption = (
         "Share of the variance of final success over the cells of the search that each hyperparameter explains "
         "alone, with p of a permutation test; ↑: larger values do better, ↓: worse."
     )
-    return sheet, caption
+    return canvas, caption

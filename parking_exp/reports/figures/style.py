@@ -1,4 +1,4 @@
-"""How pictures look: the colour, marker and line of each cell, fonts, and text that no font or parser stumbles over."""
+"""The style of figures: colour, marker and line of each cell, fonts, and text that fits and can be drawn."""
 
 import re
 import unicodedata
@@ -59,7 +59,7 @@ _RC = {
 
 @dataclass(frozen=True)
 class CellStyle:
-    """What tells a cell apart, with or without colour vision: matplotlib's `color`, `marker` and `linestyle`."""
+    """The style of a cell, told apart with or without colour vision: matplotlib's `color`, `marker` and `linestyle`."""
 
     colour: str
     marker: str
@@ -106,7 +106,7 @@ def _characters() -> frozenset[int]:
 
 @lru_cache(maxsize=4096)
 def _advance(character: str) -> float:
-    """Width of a character over the font's size, which is what its em dash is wide."""
+    """Return the width of a character over the font's size, which is what its em dash is wide."""
     font = _font()
     return font.load_char(ord(character)).linearHoriAdvance / font.load_char(ord("—")).linearHoriAdvance
 
@@ -117,7 +117,7 @@ def drawable(text: str) -> str:
 
 
 def width_pt(text: str, size: float = TEXT_PT) -> float:
-    """Width of one line of text [pt]."""
+    """Return the width of one line of text [pt]."""
     return size * sum(_advance(c) for c in drawable(text))
 
 
@@ -163,7 +163,7 @@ def _narrowed(text: str, width: float, size: float) -> str:
 
 
 def widest(texts: Sequence[str], size: float = TEXT_PT) -> float:
-    """Width of the widest of some texts [pt]; 0 without any."""
+    """Return the width of the widest of some texts [pt]; 0 without any."""
     return max((width_pt(text, size) for text in texts), default=0.0)
 
 

@@ -1,49 +1,63 @@
-"""A report as files. Each is whole or not there; what an earlier report of this name left and this one has not goes."""
+"""Write a report's files, each atomically, and delete those that an earlier report of this name has left."""
 
 import json
 from collections.abc import Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from parking_exp.reports.data import Content
+from parking_exp.reports.data import ReportData
 from parking_exp.reports.figures.draw import draw
 from parking_exp.reports.figures.pdf import Printer
 from parking_exp.reports.figures.style import cell_style
 from parking_exp.reports.render.markdown import markdown
 from parking_exp.reports.render.page import page
-from parking_exp.reports.render.tables import write_tables
+from parking_exp.reports.sections import SECTIONS, Section, report_tables
+from parking_exp.reports.tables.writers import csv, latex
 from parking_exp.runs.atomic import write_atomically
 
 PARTS = ("figures", "tables")
 MADE = ".made-"  # what a report has put into a folder: only that is its to delete
 
 
-def write(content: Content, folder: Path, formats: Sequence[str], printer: Printer | None = None) -> None:
+def write(report: ReportData, folder: Path, formats: Sequence[str], printer: Printer | None = None) -> None:
     """Write all files of a report; the page is the last.
 
     Args:
-        content: what it says.
+        report: what it says.
         folder: made if it is not there; other files in it stay as they are.
         formats: of the figures.
         printer: draws PDFs meanwhile; None: they are drawn here.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    numbers = json.dumps(content.plain(), ensure_ascii=False, allow_nan=False, indent=1)
+    numbers = json.dumps(report.plain(), ensure_ascii=False, allow_nan=False, indent=1)
     with TemporaryDirectory(prefix=".new-", dir=folder) as new:
         figures = _made(Path(new) / "figures")
         if printer is not None:
-            printer.draw(content, figures)
-        pictures = draw(content, figures, [one for one in formats if printer is None or one != "pdf"])
-        write_tables(content, _made(Path(new) / "tables"))
-        html = page(content, pictures, {name: cell_style(name) for name in content.shown})
+            printer.draw(report, figures)
+        pictures = draw(report, figures, [one for one in formats if printer is None or one != "pdf"])
+        write_tables(report, _made(Path(new) / "tables"))
+        html = page(report, pictures, {name: cell_style(name) for name in report.shown})
         linked = next((one for one in ("png", "svg") if one in formats), None)
-        text = markdown(content, pictures if linked else (), linked or "")
+        text = markdown(report, pictures if linked else (), linked or "")
         if printer is not None:
             printer.wait()
         for part in PARTS:
             _replace(Path(new) / part, _made(folder / part))
     for name, written in (("report.json", numbers), ("report.md", text), ("index.html", html)):
         write_atomically(folder / name, written)
+
+
+def write_tables(report: ReportData, folder: Path, sections: Sequence[Section] = SECTIONS) -> list[Path]:
+    """Write every table as CSV and those fit for a paper as LaTeX (`\\usepackage{booktabs}`); return the files."""
+    folder.mkdir(parents=True, exist_ok=True)
+    texts = {f"{t.stem}.csv": csv(t) for t in report_tables(report, report.cells, sections) if t.rows and t.csv}
+    for table in report_tables(report, report.shown_cells, sections):
+        if table.latex and table.readable:
+            name = f"{table.stem}.tex"
+            texts[name] = "\n".join(filter(None, (texts.get(name), latex(table))))
+    for name, text in texts.items():
+        write_atomically(folder / name, text, durable=False)
+    return [folder / name for name in texts]
 
 
 def _replace(new: Path, folder: Path) -> None:

@@ -1,8 +1,8 @@
-"""How a report's numbers were made, in sentences: only what it uses."""
+"""The statistical methods of a report, in sentences: only those that it uses."""
 
 from collections.abc import Iterator
 
-from parking_exp.reports.data import Content, Interval
+from parking_exp.reports.data import Interval, ReportData
 from parking_exp.statistics import unseen_share
 from parking_exp.statistics.intervals import BOOTSTRAP, EXACT, NONE, SCORE, T
 
@@ -24,7 +24,7 @@ REFERENCES = (
 )
 
 
-def methods(content: Content) -> Iterator[str]:
+def methods(report: ReportData) -> Iterator[str]:
     """Yield what a reader has to know of each kind of number that the report has."""
     yield (
         "The replicate is the training seed. Each run's last policy, deterministic, is evaluated on fixed scenes of "
@@ -36,7 +36,7 @@ def methods(content: Content) -> Iterator[str]:
     )
     used = {
         interval.method
-        for cell in content.cells
+        for cell in report.cells
         for interval in vars(cell).values()
         if isinstance(interval, Interval) and interval.n
     }
@@ -46,30 +46,30 @@ def methods(content: Content) -> Iterator[str]:
         "times to 90 % count what came before."
     )
     yield "All intervals are at 95 %. Shares of scenes and of seeds have Wilson's."
-    fewest = min((cell.success.n for cell in content.cells if cell.success.n), default=0)
+    fewest = min((cell.success.n for cell in report.cells if cell.success.n), default=0)
     if fewest > 1:
         yield (
             f"Recipes that collapse now and then can hide it: {fewest} seeds without a collapse leave room for "
             f"{100 * unseen_share(fewest):.0f} % of seeds that do."
         )
-    if content.pairs:
+    if report.pairs:
         yield (
-            f"{content.family} The probability of improvement is that a seed of A does better than one of B, ties "
+            f"{report.family} The probability of improvement is that a seed of A does better than one of B, ties "
             "counted half; its interval is Newcombe's."
         )
-    if any(cell.survival for cell in content.cells):
+    if any(cell.survival for cell in report.cells):
         yield (
             "Time to 90 %: the first step from which three evaluations in a row had 90 % success. Seeds that have not "
             "got there are right-censored: shares by Kaplan and Meier with Greenwood's interval on the log-log scale, "
             "comparisons by the log-rank test, with Holm's correction, means up to the time that all were watched."
         )
-    if content.effects:
+    if report.effects:
         yield (
             "Main effects are means of cell means; their intervals, and the difference of the best and the worst "
             "level, are those of linear contrasts (Welch), p is Bonferroni's over the pairs of levels. Interactions: "
             "F test, p is Holm's over the tables."
         )
-    if content.importance:
+    if report.importance:
         yield (
             "Importance is the share of the variance between cells that a quadratic in the ranks of one parameter, or "
             "its groups, explains alone, adjusted for chance; p by permutation."

@@ -1,4 +1,4 @@
-"""The report as one HTML file that needs nothing else: no network, no library, and no script to be read."""
+"""The report as one HTML file: no network, no library, readable without JavaScript."""
 
 import base64
 import hashlib
@@ -6,15 +6,16 @@ import re
 from collections.abc import Mapping, Sequence
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
 from parking_exp.reports import formats
-from parking_exp.reports.data import Cell, Content
-from parking_exp.reports.render.listings import Listing, listings
+from parking_exp.reports.data import Cell, ReportData
 from parking_exp.reports.render.methods import REFERENCES, methods
+from parking_exp.reports.sections import SECTIONS, Section, provenance_tables, section_tables
+from parking_exp.reports.tables.model import Table
 
 if TYPE_CHECKING:
     from parking_exp.reports.figures.draw import Picture
@@ -25,32 +26,6 @@ MAX_ROWS = 3000
 """A longer table is left to `tables/*.csv`, where its part about the cells in the figures is longer too."""
 
 
-class Section(NamedTuple):
-    """A part of the page: what it asks, and the names of the figures and tables that answer.
-
-    A name that ends in `*` stands for all that begin so.
-    """
-
-    id: str
-    title: str
-    pictures: Sequence[str] = ()
-    listings: Sequence[str] = ()
-
-
-SECTIONS = (
-    Section("results", "Which is better", ["final_success*"], ["headline"]),
-    Section("curves", "Learning curves", ["learning_curves*", "curves*"]),
-    Section("time", "Time to 90 %", ["time_to_90*", "survival*"], ["times"]),
-    Section("pairs", "Pair by pair", ["pair*"], ["pairs"]),
-    Section(
-        "factors", "What each factor does", ["main_effects*", "effects*", "interaction*"], ["effects", "interactions*"]
-    ),
-    Section("scenes", "Where episodes fail", ["scene*", "failure*"]),
-    Section("trajectories", "Seen from above", ["trajector*", "paths*"]),
-    Section("search", "Hyperparameters", ["importance*", "parallel*", "hyperparameter*"], ["importance"]),
-    Section("more", "More figures", ["*"]),
-    Section("seeds", "Every seed", [], ["seeds"]),
-)
 MARKERS = {
     "o": "M5 .8a4.2 4.2 0 1 1 0 8.4a4.2 4.2 0 1 1 0-8.4z",
     "s": "M1.2 1.2h7.6v7.6h-7.6z",
@@ -62,32 +37,36 @@ MARKERS = {
 }
 
 
-def page(content: Content, pictures: Sequence["Picture"] = (), styles: "Mapping[str, CellStyle] | None" = None) -> str:
+def page(
+    report: ReportData,
+    pictures: Sequence["Picture"] = (),
+    styles: "Mapping[str, CellStyle] | None" = None,
+    sections: Sequence[Section] = SECTIONS,
+) -> str:
     """Return `index.html`.
 
     Args:
-        content: what to say; everything in it is escaped.
+        report: what to say; everything in it is escaped.
         pictures: figures; their SVG goes in as it is.
         styles: of the cells in the figures, by id; drawn beside their names.
+        sections: its parts.
     """
     style, script = (TEMPLATES.joinpath(name).read_text(encoding="utf-8") for name in ("page.css", "page.js"))
-    found, cut = _listings(content)
     return (
         _environment()
         .get_template("index.html.j2")
         .render(
-            content=content,
+            report=report,
             style=Markup(style),
             script=Markup(script),
             script_hash=base64.b64encode(hashlib.sha256(script.encode()).digest()).decode(),
-            sections=_sections(pictures, found),
-            listings=found,
-            cut=cut,
+            sections=[part for section in sections if (part := _section(section, report, pictures))],
+            provenance=provenance_tables(report, report.cells),
             swatches={cell: _swatch(style) for cell, style in (styles or {}).items()},
-            badges=_badges(content),
-            methods=list(methods(content)),
+            badges=_badges(report),
+            methods=list(methods(report)),
             references=REFERENCES,
-            stages=_stages(content.cells),
+            stages=_stages(report.cells),
         )
     )
 
@@ -110,30 +89,27 @@ def _environment() -> Environment:
     return environment
 
 
-def _listings(content: Content) -> tuple[dict[str, Listing], set[str]]:
-    """Return all tables, and which of them are about the cells in the figures alone because they would be too long."""
-    found = listings(content)
-    long = {name for name, listing in found.items() if len(listing.rows) > MAX_ROWS}
-    if long:
-        short = listings(content, content.shown)
-        found |= {name: short[name] for name in long if name in short}
-    return found, long
+def _section(section: Section, report: ReportData, pictures: Sequence["Picture"]) -> dict[str, Any] | None:
+    """Return what the template needs of a section; None where it has nothing to say."""
+    drawn = [
+        {"name": p.name, "title": p.title, "caption": p.caption, "svg": Markup(p.svg), "width": _width(p.svg)}
+        for p in pictures
+        if p.section == section.id
+    ]
+    found = [_cut(table, section, report) for table in section_tables(section, report, report.cells) if table.readable]
+    text = section.text(report)
+    if not (drawn or found or text):
+        return None
+    return {"section": section, "text": text, "pictures": drawn, "tables": found}
 
 
-def _sections(pictures: Sequence["Picture"], found: Mapping[str, Listing]) -> list[dict[str, Any]]:
-    left = list(pictures)
-    made = []
-    for section in SECTIONS:
-        mine = [picture for picture in left if _matches(picture.name, section.pictures)]
-        left = [picture for picture in left if picture not in mine]
-        tables = [listing for name, listing in found.items() if _matches(name, section.listings)]
-        drawn = [
-            {"name": p.name, "title": p.title, "caption": p.caption, "svg": Markup(p.svg), "width": _width(p.svg)}
-            for p in mine
-        ]
-        if drawn or tables:
-            made.append({"id": section.id, "title": section.title, "pictures": drawn, "listings": tables})
-    return made
+def _cut(table: Table, section: Section, report: ReportData) -> tuple[Table, str]:
+    """Return a table, of the cells in the figures alone if it would be too long, and a note that says so."""
+    if len(table.rows) <= MAX_ROWS:
+        return table, ""
+    shorter = section_tables(section, report, report.shown_cells)
+    table = next(one for one in shorter if one.name == table.name and one.caption)
+    return table, f" Only the cells that the figures show: the whole table is in tables/{table.stem}.csv."
 
 
 def _width(svg: str) -> int:
@@ -142,17 +118,13 @@ def _width(svg: str) -> int:
     return round(float(found[1]) * 96 / 72) if found else 0
 
 
-def _matches(name: str, patterns: Sequence[str]) -> bool:
-    return any(name == pattern or (pattern[-1] == "*" and name.startswith(pattern[:-1])) for pattern in patterns)
-
-
-def _badges(content: Content) -> list[tuple[str, str]]:
+def _badges(report: ReportData) -> list[tuple[str, str]]:
     badges = []
-    if content.quick:
+    if report.quick:
         badges.append(("preliminary", "made while runs may still have been under way"))
-    if content.exploratory:
+    if report.exploratory:
         badges.append(("exploratory", "fewer than 10 seeds in some cell"))
-    if n := len(content.warnings):
+    if n := len(report.warnings):
         badges.append((f"{n} warning{'s' if n > 1 else ''}", "about what makes numbers hard to compare"))
     return badges
 

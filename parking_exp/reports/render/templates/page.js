@@ -54,8 +54,8 @@ function addSorting(table) {
   });
 }
 
-function addFilter(listing) {
-  const table = listing.querySelector("table");
+function addFilter(block) {
+  const table = block.querySelector("table");
   const rows = [...table.tBodies[0].rows].map((row) => [row, row.textContent.toLowerCase()]);
   const label = document.createElement("label");
   const input = document.createElement("input");
@@ -73,7 +73,7 @@ function addFilter(listing) {
     }
     count.textContent = words.length ? `${left} of ${rows.length}` : "";
   });
-  listing.prepend(label);
+  block.prepend(label);
 }
 
 function addTips() {
@@ -118,8 +118,8 @@ function openTarget() {
 
 document.addEventListener("DOMContentLoaded", () => {
   addToggle();
-  document.querySelectorAll(".listing table").forEach(addSorting);
-  document.querySelectorAll('.listing[data-filter]:not([data-filter=""])').forEach(addFilter);
+  document.querySelectorAll(".table table").forEach(addSorting);
+  document.querySelectorAll('.table[data-filter]:not([data-filter=""])').forEach(addFilter);
   addTips();
   openForPrint();
   openTarget();

@@ -1,0 +1,133 @@
+"""The sections of a report, in order: what each has to say, its figures and its tables."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from parking_exp.reports.data import Cell, ReportData
+from parking_exp.reports.figures import cells, factors, pairs, scenes, search
+from parking_exp.reports.figures.canvas import Canvas
+from parking_exp.reports.tables import cells as cell_tables
+from parking_exp.reports.tables import factors as factor_tables
+from parking_exp.reports.tables import pairs as pair_tables
+from parking_exp.reports.tables import provenance
+from parking_exp.reports.tables.model import MakeTables, Table
+
+Drawn = tuple[Canvas, str]
+"""A figure and its caption."""
+
+
+@dataclass(frozen=True)
+class Figure:
+    """A figure of a section.
+
+    Attributes:
+        name: stem of its files; `{}` in it becomes the number of each, where `draw` gives several.
+        title: a few words.
+        draw: data -> the figure and its caption, a list of them, or None without data for it.
+    """
+
+    name: str
+    title: str
+    draw: Callable[[ReportData], Drawn | Sequence[Drawn] | None]
+
+
+@dataclass(frozen=True)
+class Section:
+    """A part of the page and of `report.md`. It is left out where it has nothing to say.
+
+    Attributes:
+        id: its anchor.
+        title: its heading.
+        text: data -> paragraphs.
+        figures: in order; Markdown has those of all sections together.
+        tables: what makes its tables, see `tables`.
+        tables_first: whether the page has tables before figures.
+        in_markdown: whether its text and tables are in `report.md` too.
+    """
+
+    id: str
+    title: str
+    text: Callable[[ReportData], Sequence[str]] = lambda report: ()
+    figures: Sequence[Figure] = ()
+    tables: Sequence[MakeTables] = ()
+    tables_first: bool = False
+    in_markdown: bool = True
+
+
+SECTIONS = (
+    Section(
+        "results",
+        "Which is better",
+        figures=[Figure("final_success", "Final success, every seed", cells.final_success)],
+        tables=[cell_tables.headline],
+        tables_first=True,
+    ),
+    Section(
+        "curves",
+        "Learning curves",
+        figures=[Figure("learning_curves", "Learning curves", cells.learning_curves)],
+        tables=[cell_tables.curves],
+    ),
+    Section(
+        "time",
+        "Time to 90 %",
+        figures=[Figure("time_to_90", "Time to 90 %", cells.time_to_90)],
+        tables=[cell_tables.times, cell_tables.survival],
+    ),
+    Section(
+        "pairs",
+        "Pair by pair",
+        text=lambda report: [report.family] if report.pairs else [],
+        figures=[Figure("pairwise", "Differences between cells", pairs.pairwise)],
+        tables=[pair_tables.pairs],
+    ),
+    Section(
+        "factors",
+        "What each factor does",
+        figures=[
+            Figure("main_effects", "Main effects", factors.main_effects),
+            Figure("interaction_{}", "Interaction", factors.interactions),
+        ],
+        tables=[factor_tables.effects, factor_tables.interactions],
+    ),
+    Section(
+        "scenes",
+        "Where episodes fail",
+        figures=[Figure("scene_map", "Where on the lot episodes fail", scenes.scene_map)],
+        tables=[cell_tables.slots],
+    ),
+    Section(
+        "trajectories",
+        "Seen from above",
+        figures=[Figure("trajectories", "Sampled episodes from above", scenes.trajectories)],
+    ),
+    Section(
+        "search",
+        "Hyperparameters",
+        figures=[
+            Figure("parallel_coordinates", "What was tried", search.parallel_coordinates),
+            Figure("importance", "Which hyperparameters matter", search.importance),
+        ],
+        tables=[factor_tables.importance],
+    ),
+    Section("seeds", "Every seed", tables=[cell_tables.seeds], in_markdown=False),
+)
+PROVENANCE = (provenance.config, provenance.common, provenance.versions, provenance.unfinished)
+"""The tables of what was run, which page and Markdown arrange themselves."""
+
+
+def section_tables(section: Section, report: ReportData, cells: Sequence[Cell]) -> list[Table]:
+    """Return a section's tables, with rows for these cells."""
+    return [table for make in section.tables for table in make(report, cells)]
+
+
+def provenance_tables(report: ReportData, cells: Sequence[Cell]) -> dict[str, Table]:
+    """Return the tables of what was run that have something to read, by name."""
+    made = [table for make in PROVENANCE for table in make(report, cells)]
+    return {table.name: table for table in made if table.readable}
+
+
+def report_tables(report: ReportData, cells: Sequence[Cell], sections: Sequence[Section] = SECTIONS) -> list[Table]:
+    """Return all tables of a report."""
+    made = [table for section in sections for table in section_tables(section, report, cells)]
+    return [*made, *(table for make in PROVENANCE for table in make(report, cells))]

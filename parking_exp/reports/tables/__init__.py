@@ -1,0 +1,1 @@
+"""Tables of a report: their model, what each of them says, and writers that know none of them."""
