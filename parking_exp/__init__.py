@@ -35,7 +35,7 @@ PUBLIC_PATHS = (
     "parking_exp.envs.reward.GoalReward",
     "parking_exp.envs.scenes.Scenes",
     "parking_exp.envs.simulator.Simulator",
-    "parking_exp.envs.vec_env.VectorizedParking",
+    "parking_exp.envs.vec_env.ParkingVecEnv",
     "parking_exp.results.load",
     "parking_exp.statistics",
 )

@@ -5,7 +5,8 @@ import json
 import pytest
 from support.runs import make_config, run_script
 
-from parking_exp.config.compose import composed, composed_runs, in_quotes
+from parking_exp.config.compose import composed, composed_runs
+from parking_exp.config.overrides import in_quotes
 from parking_exp.config.paths import default_uri
 from parking_exp.errors import ConfigError, OutputDirectoryError
 from parking_exp.evaluation.stored_run import evaluate_run
