@@ -22,7 +22,7 @@ from parking_exp.terminal import say
 
 if TYPE_CHECKING:
     from parking_exp.reports.data import ReportData
-    from parking_exp.reports.figures.pdf import Printer
+    from parking_exp.reports.figures.pdf import PdfProcess
     from parking_exp.results.frames import Results
     from parking_exp.runs.state import RunState
 
@@ -111,7 +111,7 @@ def report(config: DictConfig) -> Path:
         RunNotFoundError: none of the runs is done.
     """
     request = validate_report(config)
-    with _pdfs(request) as printer, _progress() as say:
+    with _pdfs(request) as pdf_process, _progress() as say:
         say("reading the store")
         results = _load(request)
         say(f"comparing {plural(len(results.runs), 'run')}")
@@ -122,16 +122,16 @@ def report(config: DictConfig) -> Path:
         folder = request.output_path / "reports" / (request.name or _folder_name(data.experiments))
         folder.mkdir(parents=True, exist_ok=True)
         with FileLock(folder / ".lock"):
-            write(data, folder, request.report.formats, printer)
+            write(data, folder, request.report.formats, pdf_process)
     _print(data, folder)
     return folder
 
 
-def _pdfs(request: ReportRequest) -> "AbstractContextManager[Printer | None]":
+def _pdfs(request: ReportRequest) -> "AbstractContextManager[PdfProcess | None]":
     """Start what draws PDFs beside this process, if there are any to draw and a core to do it."""
-    from parking_exp.reports.figures.pdf import Printer
+    from parking_exp.reports.figures.pdf import PdfProcess
 
-    return Printer() if "pdf" in request.report.formats and (os.cpu_count() or 1) > 1 else nullcontext()
+    return PdfProcess() if "pdf" in request.report.formats and (os.cpu_count() or 1) > 1 else nullcontext()
 
 
 @contextmanager

@@ -17,6 +17,7 @@ from parking_exp.reports import formats
 from parking_exp.reports.data import Interval
 from parking_exp.reports.figures import cells, style
 from parking_exp.reports.figures.draw import draw
+from parking_exp.reports.sections import SECTIONS
 
 SVG = "{http://www.w3.org/2000/svg}"
 LIST = ["final_success", "learning_curves", "time_to_90", "pairwise", "scene_map", "trajectories"]
@@ -33,6 +34,11 @@ def tips(picture):
     return [e.get("data-tip") for e in ET.fromstring(picture.svg).iter() if e.get("data-tip") is not None]
 
 
+def sections(*ids):
+    """Some sections: to draw all of a report takes a second or more."""
+    return [section for section in SECTIONS if section.id in ids]
+
+
 def by_name(pictures):
     return {picture.name: picture for picture in pictures}
 
@@ -42,6 +48,18 @@ def three(tmp_path_factory):
     """Three cells of ten seeds: report, folder, pictures by name."""
     report, folder = report_factory.report(3, 10), tmp_path_factory.mktemp("three") / "figures"
     return report, folder, by_name(draw(report, folder))
+
+
+@pytest.fixture(scope="module")
+def ablation(tmp_path_factory):
+    """Pictures of two crossed factors, by name."""
+    return by_name(draw(report_factory.her_ablation(3), tmp_path_factory.mktemp("ablation"), []))
+
+
+@pytest.fixture(scope="module")
+def search(tmp_path_factory):
+    """Pictures of a search, by name."""
+    return by_name(draw(report_factory.search(5), tmp_path_factory.mktemp("search"), []))
 
 
 def test_every_picture_is_written_in_every_format(three):
@@ -57,11 +75,13 @@ def test_every_picture_is_written_in_every_format(three):
             assert image.width <= 6.8 * 200 + 1
 
 
-def test_factors_and_searches_have_pictures_of_their_own(tmp_path):
-    factorial = [picture.name for picture in draw(report_factory.her_ablation(3), tmp_path, [])]
-    assert factorial == [*LIST[:4], "main_effects", "interaction_1", *LIST[4:]]
-    search = [picture.name for picture in draw(report_factory.search(), tmp_path, [])]
-    assert search == [*LIST, "parallel_coordinates", "importance"]
+def test_factors_and_searches_have_pictures_of_their_own(ablation, search):
+    assert list(ablation) == [*LIST[:4], "main_effects", "interaction_1", *LIST[4:]]
+    assert list(search) == [*LIST, "parallel_coordinates", "importance"]
+
+
+def test_without_formats_nothing_is_written(tmp_path):
+    assert draw(report_factory.one_seed(), tmp_path, [], sections("results"))
     assert list(tmp_path.iterdir()) == []
 
 
@@ -90,7 +110,7 @@ def test_users_settings_neither_change_pictures_nor_are_changed(three, tmp_path)
 def test_drawing_imports_neither_pyplot_nor_torch(tmp_path):
     code = (
         "import sys; sys.path.insert(0, 'tests'); from support import report_factory; from pathlib import Path;"
-        "from parking_exp.reports.figures.draw import draw; draw(report_factory.report(2, 3), Path(sys.argv[1]));"
+        "from parking_exp.reports.figures.draw import draw; draw(report_factory.one_seed(), Path(sys.argv[1]));"
         "assert not {'matplotlib.pyplot', 'torch'} & set(sys.modules)"
     )
     subprocess.run([sys.executable, "-c", code, str(tmp_path)], check=True)
@@ -166,7 +186,7 @@ def test_a_pair_reads_the_same_both_ways_round(three):
 
 def test_with_a_baseline_differences_are_from_it(three, tmp_path):
     report = replace(three[0], baseline="c1", reference="c1")
-    picture = by_name(draw(report, tmp_path, []))["pairwise"]
+    picture = by_name(draw(report, tmp_path, [], sections("pairs")))["pairwise"]
     assert "baseline, td3," in picture.caption
     assert [t.partition(":")[0] for t in tips(picture) if " minus " in t] == ["sac minus td3", "ddpg minus td3"]
 
@@ -177,7 +197,7 @@ def test_real_share_stands_under_the_columns_and_gaps_stay_empty(tmp_path):
     mean = [list(row) for row in table.mean]
     mean[0][0] = None
     report = replace(report, interactions=[replace(table, mean=mean, given="env=parking_sparse")])
-    picture = by_name(draw(report, tmp_path, []))["interaction_1"]
+    picture = by_name(draw(report, tmp_path, [], sections("factors")))["interaction_1"]
     texts = [e.text for e in ET.fromstring(picture.svg).iter(f"{SVG}text")]
     assert {"real share", "50 %", "33 %", "20 %", "11 %", "6 %", "env=parking_sparse"} <= set(texts)
     assert "her_future × 1: no finished runs" in tips(picture)  # noqa: RUF001
@@ -203,7 +223,7 @@ def test_unusual_contents_are_drawn_without_a_warning(report, tmp_path):
 
 
 def test_a_cell_without_results_has_a_row_that_says_so(tmp_path):
-    picture = by_name(draw(report_factory.with_failed_cell(), tmp_path, []))["final_success"]
+    picture = by_name(draw(report_factory.with_failed_cell(), tmp_path, [], sections("results")))["final_success"]
     assert "no finished seeds" in picture.svg
 
 
@@ -222,7 +242,8 @@ def test_unknown_numbers_leave_gaps(tmp_path):
     seeds = [replace(cell.seeds[0], success=None, low=None, high=None), *cell.seeds[1:]]
     slots = [replace(cell.slots[0], n=0, success=None, crash=None, timeout=None), *cell.slots[1:]]
     cell = replace(cell, curve=curve, seeds=seeds, slots=slots, success=Interval(None), survival=None)
-    pictures = by_name(draw(replace(report, cells=[cell, report.cells[1]]), tmp_path, []))
+    few = sections("results", "curves", "scenes")
+    pictures = by_name(draw(replace(report, cells=[cell, report.cells[1]]), tmp_path, [], few))
     assert len([t for t in tips(pictures["final_success"]) if "sac, seed" in t]) == 3
     assert not any(t.startswith("sac, 2,000 env steps") for t in tips(pictures["learning_curves"]))
     assert "sac, slot 0: no episodes" in tips(pictures["scene_map"])
@@ -256,12 +277,12 @@ def test_hostile_names_are_shown_and_do_nothing(tmp_path):
 
 def test_mathematics_in_labels_is_written_as_it_is(tmp_path):
     report = report_factory.report(1, 2, labels=[r"$\frac{x}{0} a_b^c \n"])
-    picture = draw(report, tmp_path)[0]
+    picture = draw(report, tmp_path, ["png", "pdf"], sections("results"))[0]
     assert r"$\frac{x}{0} a_b^c \n" in [e.text for e in ET.fromstring(picture.svg).iter(f"{SVG}text")]
 
 
 def test_pages_show_characters_that_the_drawings_font_lacks(tmp_path):
-    picture = draw(report_factory.non_ascii(), tmp_path)[0]
+    picture = draw(report_factory.non_ascii(), tmp_path, ["svg"], sections("results"))[0]
     texts = [e.text for e in ET.fromstring(picture.svg).iter(f"{SVG}text")]
     assert "Größe α 学習" in texts  # noqa: RUF001
     assert "Größe α □□" in (tmp_path / "final_success.svg").read_text()  # noqa: RUF001
@@ -276,12 +297,9 @@ def test_long_labels_are_shortened_in_the_middle_and_stay_different():
     assert all(style.width_pt(text) <= 100 for text in short.values())
 
 
-def test_ids_and_references_belong_to_one_picture(tmp_path):
+def test_ids_and_references_belong_to_one_picture(ablation, search):
     seen = set()
-    for picture in [
-        *draw(report_factory.her_ablation(3), tmp_path, []),
-        *draw(report_factory.search(5), tmp_path, [])[-2:],
-    ]:
+    for picture in [*ablation.values(), search["parallel_coordinates"], search["importance"]]:
         ids = re.findall(r'\bid="([^"]+)"', picture.svg)
         references = re.findall(r'href="#([^"]+)"', picture.svg) + re.findall(r"url\(#([^)]+)\)", picture.svg)
         assert all(identity.startswith(f"{picture.name}-") for identity in ids)

@@ -1,6 +1,7 @@
 """Example reports: realistic, made up, and the same each time."""
 
 from dataclasses import replace
+from functools import cache
 from itertools import combinations
 
 import numpy as np
@@ -60,17 +61,20 @@ def report(n_cells=3, n_seeds=10, labels=None, **changes):
     return replace(made, **changes)
 
 
+@cache
 def one_seed():
     """One cell, one seed: nothing can be said about how sure it is."""
     return replace(report(1, 1), exploratory=True)
 
 
+@cache
 def all_succeed():
     """Every seed of every cell at 100 %."""
     made = report(2, 10)
     return replace(made, cells=[_constant(cell, 1.0) for cell in made.cells], pairs=[_same("c0", "c1")])
 
 
+@cache
 def with_failed_cell():
     """Two cells with results, and one all of whose runs have failed."""
     made = report(3, 10)
@@ -100,6 +104,7 @@ def with_failed_cell():
     )
 
 
+@cache
 def her_ablation(n_seeds=10):
     """Strategy x n_sampled_goal."""
     rng = np.random.default_rng(7)
@@ -135,6 +140,7 @@ def her_ablation(n_seeds=10):
     return replace(_report(cells, factors, "factorial"), effects=effects, interactions=[table])
 
 
+@cache
 def search(n_cells=30):
     """Random search over four hyperparameters, three seeds a point."""
     rng = np.random.default_rng(3)
@@ -167,6 +173,7 @@ def search(n_cells=30):
     return replace(made, importance=importance, exploratory=True)
 
 
+@cache
 def hostile():
     """Names that want to run as HTML, JavaScript, Jinja, LaTeX, Markdown or a spreadsheet's formula."""
     made = report(len(HOSTILE), 5, labels=list(HOSTILE))
@@ -188,12 +195,14 @@ def hostile():
     )  # fmt: skip
 
 
+@cache
 def non_ascii():
     """Names in several scripts."""
     labels = ["Größe α 学習", "Вариант Б, γ=0,95", "🚗 naïve Δt ≤ 5 µs"]  # noqa: RUF001
     return report(3, 10, labels=labels, title="Straße 駐車")
 
 
+@cache
 def many(n_cells=500, n_seeds=2):
     """More cells than figures can show."""
     return report(n_cells, n_seeds)
@@ -424,12 +433,17 @@ def _constant(cell, rate):
     )
 
 
+@cache
+def _quantile(degrees):
+    return stats.t.ppf(0.975, degrees)
+
+
 def _mean(values):
     n = len(values)
     mean = float(np.mean(values))
     if n < 2 or np.ptp(values) == 0:
         return Interval(mean, n=n)
-    half = float(stats.t.ppf(0.975, n - 1) * np.std(values, ddof=1) / np.sqrt(n))
+    half = float(_quantile(n - 1) * np.std(values, ddof=1) / np.sqrt(n))
     return Interval(mean, mean - half, mean + half, n, "t")
 
 

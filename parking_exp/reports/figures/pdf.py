@@ -1,4 +1,8 @@
-"""PDFs, drawn by a second process: to embed their fonts takes as long as all other formats together."""
+"""Draw the PDFs in a second process.
+
+To embed their fonts takes as long as all other formats together: of a report on 34 cells with 30 seeds each, PDFs are
+3 to 6 of the 8 to 11 CPU-seconds that drawing and writing take.
+"""
 
 import gc
 import os
@@ -14,8 +18,8 @@ from parking_exp.reports.data import ReportData
 PACKAGE_PARENT = Path(__file__).resolve().parents[3]
 
 
-class Printer:
-    """The process, started before there is anything to draw, since its imports take a second.
+class PdfProcess:
+    """A process that draws PDFs, started before there is anything to draw, since its imports take a second.
 
     It ends with the `with` block at the latest.
     """

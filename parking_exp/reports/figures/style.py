@@ -117,7 +117,7 @@ def drawable(text: str) -> str:
 
 
 def width_pt(text: str, size: float = TEXT_PT) -> float:
-    """Return the width of one line of text [pt]."""
+    """Return the width of one line of text [pt], before there is a figure: its size follows from its labels."""
     return size * sum(_advance(c) for c in drawable(text))
 
 

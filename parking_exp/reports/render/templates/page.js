@@ -1,5 +1,5 @@
 "use strict";
-// Comforts alone: without this the page is whole.
+// Sorting, filtering, values under the pointer, theme: the page is complete without them. No library: this is 5 KB.
 const root = document.documentElement;
 
 const remembered = {
