@@ -1,4 +1,4 @@
-"""What this machine has to share out between workers: cores, memory, CUDA devices."""
+"""Cores, memory and CUDA devices of this machine, and their division between workers."""
 
 import itertools
 import os
@@ -19,7 +19,7 @@ def cores() -> list[int]:
 
 
 def shares(all_cores: Sequence[int], n_workers: int) -> list[list[int]]:
-    """Deal out cores: each worker gets as many as any other, give or take one, and at least one.
+    """Divide cores: each worker gets as many as any other, give or take one, and at least one.
 
     Where there are more workers than cores, several share one.
     """
@@ -36,7 +36,10 @@ def pin(some_cores: Sequence[int]) -> None:
 
 
 def free_memory(cgroup: Path = CGROUP) -> int:
-    """Return how many bytes can still be had: of the machine, and of the control group (a container, a Slurm job)."""
+    """Return how many bytes are free: of the machine, and of its control group in a container.
+
+    psutil alone knows the machine's: in a container, runs of some 0.6 GB each would be started until one is killed.
+    """
     free = psutil.virtual_memory().available
     limit, used = _read(cgroup / "memory.max"), _read(cgroup / "memory.current")
     if limit is not None and used is not None:

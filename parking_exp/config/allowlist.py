@@ -6,7 +6,8 @@ from typing import Any
 
 from parking_exp.config.arguments import CLASS_ARGUMENTS, class_path
 from parking_exp.config.schema import RunConfig
-from parking_exp.config.signatures import UnknownTarget, defined_in
+from parking_exp.config.signatures import defined_in
+from parking_exp.config.source import UnknownTarget
 from parking_exp.errors import UntrustedError
 
 # Packages and modules whose classes a run is made of. To construct one of them does nothing but make an object; other

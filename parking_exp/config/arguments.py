@@ -22,15 +22,8 @@ from parking_exp.config.schema import (
     Share,
     ThirdParty,
 )
-from parking_exp.config.signatures import (
-    Parameter,
-    Signature,
-    UnknownTarget,
-    base_names,
-    may_derive_from,
-    policy_signature,
-    signature,
-)
+from parking_exp.config.signatures import Parameter, Signature, base_names, may_derive_from, policy_signature, signature
+from parking_exp.config.source import UnknownTarget
 from parking_exp.errors import suggestion
 
 Decay = Annotated[float, Field(ge=0, lt=1)]

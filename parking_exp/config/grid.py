@@ -65,9 +65,7 @@ def points(
 
 def _no_cell(typed: Mapping[str, list[str]], listed: Mapping[str, set[str]], experiment: str) -> str:
     """Say which of the typed values match no cell, and which values the cells have."""
-    conditions = {key: values for key, values in typed.items() if key in listed}
-    alone = {key: values for key, values in conditions.items() if listed[key].isdisjoint(values)}
-    keys = alone or conditions
+    keys = {key: values for key, values in typed.items() if key in listed}
     asked = " ".join(f"{key}={','.join(values)}" for key, values in keys.items())
     there = " and ".join(f"{key}={','.join(sorted(listed[key]))}" for key in keys)
     return f"no cell of experiment {experiment} matches {asked}; its values are {there}"

@@ -4,7 +4,7 @@ from typing import Any
 
 from pydantic import BaseModel
 
-from parking_exp.config.signatures import UnknownTarget
+from parking_exp.config.source import UnknownTarget
 from parking_exp.errors import suggestion
 
 

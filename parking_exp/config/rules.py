@@ -8,7 +8,8 @@ from itertools import pairwise
 from parking_exp.config.hindsight import HER_OPTIONS
 from parking_exp.config.messages import no_target
 from parking_exp.config.schema import DEFAULT_FEATURES, DEFAULT_SCALES, TRAINING_SCENES_START, EnvConfig, RunConfig
-from parking_exp.config.signatures import UnknownTarget, signature
+from parking_exp.config.signatures import signature
+from parking_exp.config.source import UnknownTarget
 from parking_exp.resources import total_memory
 
 STORES = ("sqlite", "http", "https", "postgresql", "mysql", "mssql", "databricks")  # MLflow's own

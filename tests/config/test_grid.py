@@ -50,11 +50,6 @@ def test_blocks_are_products_that_the_command_line_narrows(typed, expected):
 
 
 def test_where_no_cell_matches_the_values_that_there_are_are_told():
-    blocks = [{"buffer": "replay", "buffer.n_sampled_goal": 2}]
-    with pytest.raises(
-        ConfigError, match=r"^no cell of experiment mine matches buffer=her_final; its values are buffer=replay$"
-    ):
-        points(blocks, {"buffer": ["her_final"]}, has, "mine")
     blocks = [{"a": "x", "b": [1, 2]}, {"a": "y", "b": [3]}]
     with pytest.raises(
         ConfigError, match=r"^no cell of experiment mine matches a=x b=3; its values are a=x,y and b=1,2,3$"

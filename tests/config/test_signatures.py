@@ -9,7 +9,8 @@ import pytest
 from hydra.utils import get_class
 from support.runs import make_config, options
 
-from parking_exp.config.signatures import Parameter, UnknownTarget, may_derive_from, policy_signature, signature
+from parking_exp.config.signatures import Parameter, may_derive_from, policy_signature, signature
+from parking_exp.config.source import UnknownTarget
 
 TARGETS = [
     "stable_baselines3.SAC",
