@@ -30,6 +30,7 @@ from support.runs import (
 )
 
 from parking_exp import __version__
+from parking_exp.algorithms import SAC
 from parking_exp.algorithms.build import build_model, greedy_policy
 from parking_exp.algorithms.weights import load_weights
 from parking_exp.config.compose import composed
@@ -456,7 +457,7 @@ def test_evaluate_refuses_a_model_that_is_not_its_configs(finished, key, value, 
     OmegaConf.update(config, key, value)
     OmegaConf.save(config, directory.path / "config.yaml")
     words = (
-        f"models/final.zip does not fit parking_exp.algorithms.fast.sac.SAC as its config.yaml describes it ({problem}); put back "
+        f"models/final.zip does not fit {SAC.__module__}.SAC as its config.yaml describes it ({problem}); put back "
         "the config.yaml that it was trained with, or try model=best, or delete it and type its training command again"
     )
     with pytest.raises(ModelError, match=re.escape(words)):
