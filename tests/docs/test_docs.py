@@ -161,8 +161,8 @@ def extended(tmp_path_factory):
         for title, text in blocks(EXTENDING, language):
             add(copy / title, text)
     typed = {command: shlex.split(command.replace(".py", "", 1)) for command in commands(EXTENDING)}
-    for command, typed_arguments in typed.items():  # of one run, which has all of them, not only the plan
-        typed_arguments += [] if "mine" in command else ["dry_run=true"]
+    for command in typed:
+        typed[command] += [] if "mine" in command else ["dry_run=true"]  # one run has all of them; of others the plan
     return copy, run_commands(typed, copy)
 
 
