@@ -161,6 +161,8 @@ def extended(tmp_path_factory):
         for title, text in blocks(EXTENDING, language):
             add(copy / title, text)
     typed = {command: shlex.split(command.replace(".py", "", 1)) for command in commands(EXTENDING)}
+    for command in typed:
+        typed[command] += [] if "mine" in command else ["dry_run=true"]  # one run has all of them; of others the plan
     return copy, run_commands(typed, copy)
 
 
@@ -181,9 +183,6 @@ def test_what_extending_shows_runs(extended, command):
 
 def test_the_examples_of_extending_show_in_what_they_extend(extended):
     outputs = extended[0] / "outputs"
-    assert len(list(outputs.glob("smoke/parking-fading_sac-*"))) == 1
-    assert len(list(outputs.glob("smoke/parking_crowded-*"))) == 1
-    assert len(list(outputs.glob("smoke/*-her_late-*"))) == 1
-    (result,) = outputs.glob("centred/*/*/result.json")
+    (result,) = outputs.glob("mine/parking_crowded-fading_sac-her_late-*/seed=0/result.json")
     assert "certified/centred_rate" in result.read_text()
-    assert "How many seeds" in (outputs / "reports" / "centred" / "index.html").read_text()
+    assert "How many seeds" in (outputs / "reports" / "mine" / "index.html").read_text()
