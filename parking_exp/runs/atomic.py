@@ -1,7 +1,6 @@
 """Atomic and durable writes of small files, and strict reads of JSON and YAML.
 
-Ours, since packages of atomic writes have neither a choice of durability nor names by process, and the write is ten
-lines.
+The write is ours, since it is ten lines and not every file needs to be durable.
 """
 
 import hashlib

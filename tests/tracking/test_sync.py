@@ -128,7 +128,7 @@ def stored_points(output_dir, run_id):
 
 
 def processes(command, paths, **env):
-    arguments = [sys.executable, str(ROOT / "tests" / "syncing_processes.py"), command, *map(str, paths)]
+    arguments = [sys.executable, str(ROOT / "tests" / "support" / "sync_processes.py"), command, *map(str, paths)]
     return subprocess.run(
         arguments, check=False, capture_output=True, text=True, timeout=300, env={**os.environ, **env}
     )
@@ -350,7 +350,7 @@ def test_an_error_of_ours_is_not_called_the_stores_and_stops_nothing(output_dir,
     path = directory.path / "sync_traceback.txt"
     assert problem.startswith("an error of parking_exp: ")
     assert problem.endswith(f"; its traceback is in {path}; please report it")
-    assert "syncing.py" in path.read_text()
+    assert "tracking/sync.py" in path.read_text()
     assert path.read_text().startswith("Traceback (most recent call last)")
     assert len(said) == 1
     monkeypatch.undo()
