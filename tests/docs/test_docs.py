@@ -68,6 +68,8 @@ def arguments(command):
     name = script.removesuffix(".py")
     shows = "--cfg" in typed or "--help" in typed
     cheap = [] if shows else ["dry_run=true"] if name == "train" else ["--cfg", "job"]
+    if "hydra/launcher=slurm" in typed:
+        cheap.append("hydra.launcher.executor=local")  # a cluster's commands are missing elsewhere
     return [name, *(argument for argument in cheap if argument not in typed), *typed]
 
 
