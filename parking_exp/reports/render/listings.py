@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 from parking_exp.reports import formats
 from parking_exp.reports.data import Cell, Content, Interaction, Interval, Setting, Share, Survival
+from parking_exp.reports.summaries import FURTHER, REPORTED
 
 PERCENT = "with 95 % intervals over seeds in brackets"
 
@@ -83,10 +84,12 @@ def headline(content: Content, wanted: Collection[str]) -> Listing:
         row.append(_reaching(cell.reaching_90))
         if timed:
             row.append(_time(cell.survival))
-        rows.append([*row, _number(cell.episode_steps, 1), _whole(cell.total_timesteps), _number(cell.cpu_s)])
-    titles = ["Success (%)", "Parked (%)", "Crash (%)", "Timeout (%)", "Seeds ≥ 90 %"]
+        row += [_number(cell.episode_steps, 1), _whole(cell.total_timesteps), _number(cell.cpu_s)]
+        rows.append([*row, *(_further(cell.further[name], name) for name in FURTHER)])
+    titles = [REPORTED[name].heading for name in ("success", "parked", "crash", "timeout")] + ["Seeds ≥ 90 %"]
     titles += ["Steps to hold 90 %"] if timed else []
-    titles += ["Steps an episode", "Env steps", "CPU (s)"]
+    titles += [REPORTED["episode_steps"].heading, "Env steps", "CPU (s)"]
+    titles += [REPORTED[name].heading for name in FURTHER]
     return Listing(
         "headline",
         f"Final evaluation: means over seeds, {PERCENT}; how many seeds ended at 90 % or above, with Wilson's interval "
@@ -299,6 +302,10 @@ def _time(survival: Survival | None) -> Entry:
 
 def _number(spread: Interval, digits: int = 0) -> Entry:
     return Entry(formats.number(spread.value, digits), formats.finite(spread.value))
+
+
+def _further(spread: Interval, name: str) -> Entry:
+    return _rate(spread, bar=False) if REPORTED[name].is_rate else _number(spread, 2)
 
 
 def _counted(spread: Interval) -> Entry:

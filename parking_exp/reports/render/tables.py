@@ -118,6 +118,8 @@ def _headline(cell: Cell) -> Row:
     row["env_steps"] = cell.total_timesteps
     for name in ("success", "parked", "crash", "timeout", "episode_steps", "cpu_s", "area"):
         row |= _spread(name, getattr(cell, name))
+    for name, interval in cell.further.items():
+        row |= _spread(name, interval)
     row["success_method"] = cell.success.method
     row |= _share("seeds_reaching_90", "share_reaching_90", cell.reaching_90)
     for name, survival in (("steps_to_90", cell.survival), ("cpu_s_to_90", cell.survival_cpu)):
@@ -138,7 +140,8 @@ def _time(name: str, survival: Survival | None) -> Row:
 def _seeds(content: Content) -> Iterator[Row]:
     for cell in content.cells:
         for seed in cell.seeds:
-            yield {**_who(cell), **vars(seed)}
+            values = vars(seed)
+            yield {**_who(cell), **{name: value for name, value in values.items() if name != "further"}, **seed.further}
 
 
 def _pairs(content: Content) -> Iterator[Row]:
