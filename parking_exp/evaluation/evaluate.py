@@ -1,4 +1,4 @@
-"""Policy and scenes in, a table of episodes out. Scene s is what `env.reset(seed=s)` of highway-env makes."""
+"""Evaluate a policy on fixed scenes: one episode each. Scene s is what `env.reset(seed=s)` of highway-env makes."""
 
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
@@ -10,10 +10,10 @@ import pandas as pd
 from parking_exp.config.schema import EnvConfig, Simulation
 from parking_exp.envs.evaluation_envs import start_scenes
 from parking_exp.envs.interface import Observation, Policy, SceneBatch
-from parking_exp.envs.outcomes import OUTCOMES, outcome
+from parking_exp.envs.outcomes import outcome
+from parking_exp.evaluation.metrics import EPISODE_COLUMNS, METRICS, RANKING, Episode
 from parking_exp.evaluation.trajectories import Recorder
 
-EPISODE_COLUMNS = ["scene", "outcome", "parked", "steps", "return", "distance_m", "heading_error_rad", "speed_mps"]
 SIDE_BY_SIDE = 250  # scenes that are stepped together; more are no faster, and between two steps one can stop
 TOLERANCE = 1e-9  # of continuous columns, between two simulators
 
@@ -39,9 +39,7 @@ def evaluate(
         recorder: is given the cars of all scenes at the start and after each step.
 
     Returns:
-        Frame with the columns EPISODE_COLUMNS: `outcome` is success, crash or timeout; `parked` is the strict
-        definition of `outcomes.Pose`; `return` is the undiscounted sum of rewards; `heading_error_rad` and
-        `speed_mps` are absolute values at the end.
+        Frame with the columns `metrics.EPISODE_COLUMNS`.
     """
     rows: list[dict[str, Any]] = []
     for first in range(0, len(scenes), SIDE_BY_SIDE):
@@ -70,16 +68,14 @@ def differences(episodes: pd.DataFrame, certified: pd.DataFrame) -> list[str]:
 
 
 def summarise(episodes: pd.DataFrame) -> dict[str, float]:
-    """Return rates and means of an episodes table: success_rate, crash_rate, ..., speed_mps_mean."""
-    rates = {f"{name}_rate": float((episodes["outcome"] == name).mean()) for name in OUTCOMES}
-    rates["parked_rate"] = float(episodes["parked"].mean())
-    means = ["return", "steps", "distance_m", "heading_error_rad", "speed_mps"]
-    return rates | {f"{name}_mean": float(episodes[name].mean()) for name in means}
+    """Return the rate or mean of every metric over an episodes table: success_rate, ..., speed_mps_mean."""
+    return {metric.key: float(metric.values(episodes).mean()) for metric in METRICS}
 
 
-def rank(summary: dict[str, float]) -> tuple[float, float, float]:
-    """Sort key of an evaluation: by success rate, then by fewer crashes, then by fewer steps. Larger is better."""
-    return summary["success_rate"], -summary["crash_rate"], -summary["steps_mean"]
+def rank(summary: dict[str, float]) -> tuple[float, ...]:
+    """Return the sort key of an evaluation: success rate, then fewer crashes, then fewer steps. Larger is better."""
+    ranked = [next(metric for metric in METRICS if metric.name == name) for name in RANKING]
+    return tuple(summary[metric.key] if metric.higher_is_better else -summary[metric.key] for metric in ranked)
 
 
 def rollout(policy: Policy, env: gym.Env, scene: int) -> Iterator[tuple[Observation, dict[str, Any], bool]]:
@@ -115,17 +111,11 @@ def _episodes(
         totals += step.reward
         done = step.terminated | step.truncated
         for row in np.flatnonzero(done):
-            end = batch.pose(int(row))
-            yield {
-                "scene": int(scenes[row]),
-                "outcome": outcome(bool(step.crashed[row]), bool(step.is_success[row])),
-                "parked": end.parked,
-                "steps": steps,
-                "return": float(totals[row]),
-                "distance_m": end.distance_m,
-                "heading_error_rad": abs(end.heading_error_rad),
-                "speed_mps": abs(end.speed_mps),
-            }
+            ending = outcome(bool(step.crashed[row]), bool(step.is_success[row]))
+            episode = Episode(ending, steps, float(totals[row]), batch.pose(int(row)))
+            values: dict[str, Any] = {metric.name: metric.of(episode) for metric in METRICS}
+            values |= {"scene": int(scenes[row]), "outcome": ending}
+            yield {name: values[name] for name in EPISODE_COLUMNS}
         observation = step.observation
         if done.any():
             finished += int(done.sum())

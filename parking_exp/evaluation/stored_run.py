@@ -1,5 +1,7 @@
 """Evaluate a stored run on real highway-env: rates with intervals, an episodes table, a video."""
 
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -133,8 +135,7 @@ def _ways_out(directory: RunDirectory, model: str, again: str) -> str:
 def _evaluate(
     request: EvaluationRequest, run: RunConfig, env: EnvConfig, weights: Path, folder: Path, precision: object
 ) -> None:
-    from rich.console import Console
-    from rich.progress import Progress
+    """Load the model, evaluate it, write the results into a folder, and print them."""
     from stable_baselines3.common.vec_env import DummyVecEnv
 
     from parking_exp.algorithms.build import build_model, greedy_policy, torch_settings
@@ -150,13 +151,9 @@ def _evaluate(
     load_weights(weights, model)
     policy = greedy_policy(model)
     scenes = range(request.first_scene, request.first_scene + request.episodes)
-    with torch_settings(run, precision), Progress(console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task(f"{plural(request.episodes, 'episode')} of {env.name}", total=request.episodes)
-
-        def report(finished: int) -> None:
-            bar.update(task, completed=finished)
-
-        episodes = evaluate(policy, env, scenes, on_step=report)
+    what = f"{plural(request.episodes, 'episode')} of {env.name}"
+    with torch_settings(run, precision), _progress(what, request.episodes) as update:
+        episodes = evaluate(policy, env, scenes, on_step=update)
     folder.mkdir(parents=True, exist_ok=True)
     for stale in folder.glob("video.*"):
         stale.unlink()
@@ -175,7 +172,23 @@ def _evaluate(
     )
     say(*describe(episodes).split("\n"))
     if request.video:
-        record(policy, env, scenes[: request.video], folder / "video.mp4", gif=request.gif)
+        with _progress(f"video of {plural(request.video, 'episode')}", request.video) as update:
+            record(policy, env, scenes[: request.video], folder / "video.mp4", request.gif, on_episode=update)
+
+
+@contextmanager
+def _progress(what: str, total: int) -> Iterator[Callable[[int], None]]:
+    """Show a progress bar, and yield what moves it."""
+    from rich.console import Console
+    from rich.progress import Progress
+
+    with Progress(console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task(what, total=total)
+
+        def update(finished: int) -> None:
+            bar.update(task, completed=finished)
+
+        yield update
 
 
 def _store(request: EvaluationRequest, directory: RunDirectory, output_dir: Path) -> None:

@@ -1,14 +1,14 @@
-"""An episodes table in words."""
+"""Sentences and intervals about an episodes table."""
 
 import pandas as pd
 
-from parking_exp.envs.outcomes import OUTCOMES
 from parking_exp.evaluation.evaluate import summarise
+from parking_exp.evaluation.metrics import METRICS
 from parking_exp.statistics import wilson_interval
 
 
 def intervals(episodes: pd.DataFrame) -> dict[str, tuple[float, float]]:
-    """Return Wilson 95 % intervals of success_rate, crash_rate, timeout_rate and parked_rate."""
+    """Return the Wilson 95 % interval of each rate: of success_rate, crash_rate, timeout_rate and parked_rate."""
     return {f"{name}_rate": wilson_interval(count, len(episodes)) for name, count in _counts(episodes).items()}
 
 
@@ -21,20 +21,16 @@ def describe(episodes: pd.DataFrame) -> str:
         note = "  (strict: inside the lines, within 10 degrees, standing)" if name == "parked" else ""
         lines.append(f"{name:<8}{count / n:7.1%}   95 % interval {low:.1%} to {high:.1%}   {count} of {n}{note}")
     means = summarise(episodes)
-    lines.append(
-        f"mean     {means['steps_mean']:.1f} steps, return {means['return_mean']:.2f}; at the end "
-        f"{means['distance_m_mean']:.2f} m from the slot's centre, {means['heading_error_rad_mean']:.3f} rad off, "
-        f"{means['speed_mps_mean']:.2f} m/s"
-    )
+    phrases = [metric.summary.format(means[metric.key]) for metric in METRICS if metric.summary]
+    lines.append(f"mean     {', '.join(phrases)}")
     return "\n".join(lines)
 
 
 def success_line(summary: dict[str, float], step: int) -> str:
     """Return one line about an evaluation during training."""
-    rates = ", ".join(f"{name} {summary[f'{name}_rate']:.0%}" for name in (*OUTCOMES, "parked"))
+    rates = ", ".join(f"{metric.name} {summary[metric.key]:.0%}" for metric in METRICS if metric.is_rate)
     return f"evaluation at step {step}: {rates}"
 
 
 def _counts(episodes: pd.DataFrame) -> dict[str, int]:
-    outcomes: dict[str, int] = {name: int((episodes["outcome"] == name).sum()) for name in OUTCOMES}
-    return {**outcomes, "parked": int(episodes["parked"].sum())}
+    return {metric.name: int(metric.values(episodes).sum()) for metric in METRICS if metric.is_rate}

@@ -1,4 +1,4 @@
-"""Where the car was, step by step: recorded by an evaluation, kept as `trajectories.npz`, which `results` reads."""
+"""Record the car's trajectories of an evaluation as `trajectories.npz`, which `results` reads."""
 
 from pathlib import Path
 

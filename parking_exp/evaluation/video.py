@@ -1,7 +1,7 @@
-"""Episodes as a video. Rendering is headless: pygame draws on surfaces in memory."""
+"""Record episodes as a video. Rendering is headless: pygame draws on surfaces in memory."""
 
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -20,11 +20,26 @@ from parking_exp.evaluation.evaluate import rollout
 HOLD_S = 1.0  # how long the end of an episode stays in sight
 
 
-def record(policy: Policy, env: EnvConfig, scenes: Sequence[int], path: Path, gif: bool = False) -> int:
+def record(
+    policy: Policy,
+    env: EnvConfig,
+    scenes: Sequence[int],
+    path: Path,
+    gif: bool = False,
+    on_episode: Callable[[int], None] | None = None,
+) -> int:
     """Record one episode of each scene in one mp4 (and, besides it, a GIF of the same name).
 
     A second of video is a second of driving: frames come at `simulation_frequency`, one for the start of each
     episode, one for each simulation frame, and `HOLD_S` seconds of the end.
+
+    Args:
+        policy: what is recorded.
+        env: the `env` group.
+        scenes: seeds of `env.reset`.
+        path: of the mp4.
+        gif: whether to make a GIF as well.
+        on_episode: called after each episode with the number that are recorded.
 
     Returns:
         The number of frames.
@@ -37,7 +52,7 @@ def record(policy: Policy, env: EnvConfig, scenes: Sequence[int], path: Path, gi
     with _headless():
         video: Any = iio.get_writer(temporary, format="FFMPEG", fps=rate, codec="libx264", macro_block_size=2)
         with video:
-            for number, frame in enumerate(_frames(policy, env, scenes), start=1):
+            for number, frame in enumerate(_frames(policy, env, scenes, on_episode), start=1):
                 video.append_data(frame)
                 if gif and number % stride == 1 % stride:
                     kept.append(Image.fromarray(frame).quantize(64))
@@ -65,7 +80,9 @@ class _IntermediateFrames:
         return taken
 
 
-def _frames(policy: Policy, config: EnvConfig, scenes: Sequence[int]) -> Iterator[np.ndarray]:
+def _frames(
+    policy: Policy, config: EnvConfig, scenes: Sequence[int], on_episode: Callable[[int], None] | None
+) -> Iterator[np.ndarray]:
     env = make_env(config, render_mode="rgb_array")
     try:
         env.reset()
@@ -73,7 +90,7 @@ def _frames(policy: Policy, config: EnvConfig, scenes: Sequence[int]) -> Iterato
         env.unwrapped.viewer.window_position = lambda: np.zeros(2)
         between = _IntermediateFrames(env)
         env.unwrapped.set_record_video_wrapper(between)
-        for scene in scenes:
+        for number, scene in enumerate(scenes, start=1):
             for _, info, done in rollout(policy, env, scene):
                 frame = env.render()
                 for image in [*between.take(), frame]:
@@ -81,6 +98,8 @@ def _frames(policy: Policy, config: EnvConfig, scenes: Sequence[int]) -> Iterato
                 if done:
                     end = _captioned(frame, f"scene {scene}: {outcome(info['crashed'], info['is_success'])}")
                     yield from [end] * round(HOLD_S * config.simulation_frequency)
+            if on_episode is not None:
+                on_episode(number)
     finally:
         env.close()
 

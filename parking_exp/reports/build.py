@@ -1,6 +1,6 @@
-"""Frames of results -> a whole report's numbers and words."""
+"""Build the data of a report from the frames of results."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 
@@ -16,15 +16,15 @@ from parking_exp.reports.data import Cell, Design, Factor, Importance, Interacti
 from parking_exp.reports.effects import importance, interactions, main_effects
 from parking_exp.reports.factors import design
 from parking_exp.reports.pairs import compare_pairs
-from parking_exp.reports.provenance import not_in_store, provenance
+from parking_exp.reports.provenance import provenance
 from parking_exp.reports.scene_map import sample
 from parking_exp.reports.selection import Group, choose, group, one_cell, relabelled
 from parking_exp.reports.summaries import real_share, shared_horizons, summarise
-from parking_exp.reports.validity import valid
+from parking_exp.reports.untracked import with_untracked
 from parking_exp.results.frames import Results
+from parking_exp.results.invalid_values import within_bounds
 from parking_exp.runs.state import RunState
 
-STATUS = {"running": "running", "failed": "failed", "pending": "interrupted", "done": "done"}
 MOST_PROBLEMS = 5
 SHOWN_WHOLE, SHOWN = 16, 12  # cells in pictures: all of up to 16, else the 12 best
 
@@ -48,20 +48,24 @@ class Question:
     command: str = ""
 
 
-def compare(results: Results, question: Question, states: Mapping[str, RunState]) -> ReportData:
+def build(
+    results: Results, question: Question, untracked: Sequence[RunState] = (), unsynced: Sequence[str] = ()
+) -> ReportData:
     """Return everything that a report says.
 
     Args:
         results: of the experiments.
         question: which of them.
-        states: how far runs are that lie on this machine, by run directory.
+        untracked: runs in the output directory that the store does not have, see `untracked.find_untracked`.
+        unsynced: a sentence for each thing that kept the store from being brought up to date.
 
     Raises:
         ConfigError: a cell or baseline that there is not.
         RunNotFoundError: none of the runs is done, and `quick` is not asked for.
     """
-    results, impossible = valid(results)
-    chosen = _choose(_up_to_date(results.runs, states), question)
+    results, impossible = within_bounds(results)
+    runs, others = with_untracked(results.runs, untracked)
+    chosen = _choose(runs, question)
     groups, factors, baseline = chosen.groups, chosen.factors, chosen.baseline
     courses = Courses.of(results)
     horizons = shared_horizons(groups, courses)
@@ -71,8 +75,9 @@ def compare(results: Results, question: Question, states: Mapping[str, RunState]
     kind = design(factors, [one.settings for one in groups])
     parts = _factor_parts(kind, cells, groups, factors, courses)
     family = compare_pairs(cells, baseline)
-    unheard = [] if question.cells else not_in_store(results.runs, states)
-    origin = provenance(groups, chosen.left_out, without_password(results.uri), unheard)
+    if question.cells:
+        others = []
+    origin = provenance(groups, chosen.left_out, without_password(results.uri), others)
     return ReportData(
         title=" and ".join(question.experiments),
         experiments=list(question.experiments),
@@ -99,10 +104,10 @@ def compare(results: Results, question: Question, states: Mapping[str, RunState]
             warnings.warnings(groups, cells, origin),
             warnings.same_runs(groups),
             warnings.narrow_pairs(cells, family.pairs),
-            _few([*impossible, *results.problems, *problems]),
+            _few([*unsynced, *impossible, *results.problems, *problems]),
         ),
         missing=warnings.together(
-            warnings.missing(cells, unheard), warnings.without_runs(question.experiments, results.runs["experiment"])
+            warnings.missing(cells, others), warnings.without_runs(question.experiments, results.runs["experiment"])
         ),
         provenance=origin,
         notes=_notes(results, chosen, cells, shown, crossed=bool(parts.effects)),
@@ -136,36 +141,6 @@ def _choose(runs: pd.DataFrame, question: Question) -> _Chosen:
     place = next((number for number, one in enumerate(asked) if one is reference), None)
     left_out = [one.label for one in everything if not any(one is chosen for chosen in asked)]
     return _Chosen(groups, factors, None if place is None else f"c{place}", left_out)
-
-
-def _up_to_date(runs: pd.DataFrame, states: Mapping[str, RunState]) -> pd.DataFrame:
-    """Return runs with the status and reason that their directories have, where these lie on this machine.
-
-    Runs that the store has not heard of are added to cells that it knows.
-    """
-    rows = runs[["run_dir", "status", "error"]].astype(object).itertuples(index=False)
-    found = []
-    for run_dir, status, error in rows:
-        state = None if status == "done" else states.get(str(run_dir))
-        found.append((STATUS[state.stage], state.reason or error) if state else (status, error))
-    runs = runs.assign(status=[status for status, _ in found], error=[error for _, error in found])
-    known, added = set(runs["run_dir"]), []
-    for path, state in states.items():
-        if path in known or state.stage == "done":
-            continue
-        cell = runs[(runs["experiment"] == state.experiment) & (runs["cell"] == state.cell)]
-        if len(cell):
-            added.append(_planned(cell.iloc[:1], path, state))
-    return pd.concat([runs, *added], ignore_index=True)
-
-
-def _planned(like: pd.DataFrame, path: str, state: RunState) -> pd.DataFrame:
-    """Return the row of a run that the store has not heard of, with the config of another one of its cell."""
-    config = [str(column) for column in like if str(column).startswith("config.")]
-    row = like[["experiment", "cell", "name", *config]].assign(
-        run_id="", run_dir=path, seed=state.seed, status=state.stage, error=state.reason, steps=0
-    )
-    return row.reindex(columns=like.columns).astype(like.dtypes.to_dict())
 
 
 @dataclass(frozen=True)

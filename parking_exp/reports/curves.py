@@ -1,4 +1,4 @@
-"""Curves and final episodes of each run, as arrays: a thousand look-ups in frames are slow."""
+"""Evaluation curves and certified episodes of each run, as arrays: a thousand look-ups in frames are slow."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""What a report says, as plain data: computed by `build`; the others make findings, figures, tables and pages of it.
+"""The data of a report: numbers and sentences, computed by `build` and turned into pages, tables and figures elsewhere.
 
 Rates are shares in 0 ... 1, differences are differences of shares. What is not known is None. Every field can go into
 `report.json` as it is.
@@ -60,6 +60,7 @@ class Seed:
             which that could have been seen, and False.
         cpu_s_to_90: CPU seconds at that step.
         area: normalised area under its curve.
+        further: other metrics that reports have, by name.
     """
 
     seed: int
@@ -78,6 +79,7 @@ class Seed:
     reached_90: bool
     cpu_s_to_90: float | None
     area: float | None
+    further: Mapping[str, float | None] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -187,6 +189,7 @@ class Cell:
         failures: (x_m, y_m, outcome) where crashes and timeouts ended, of runs that keep trajectories.
         paths: sampled trajectories.
         note: a sentence about an interval that is known to be too narrow or missing; None if all is well.
+        further: means of other metrics that reports have, by name.
     """
 
     id: str
@@ -212,6 +215,7 @@ class Cell:
     failures: Sequence[tuple[float, float, str]] = ()
     paths: Sequence[Path] = ()
     note: str | None = None
+    further: Mapping[str, Interval] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -447,5 +451,10 @@ class ReportData:
         return [by_id[cell_id] for cell_id in self.shown if cell_id in by_id]
 
     def plain(self) -> dict[str, Any]:
-        """Return everything as JSON can hold it."""
-        return asdict(self)
+        """Return everything as JSON can hold it; further metrics of cells and seeds stand beside the others."""
+        found = asdict(self)
+        for cell in found["cells"]:
+            cell.update(cell.pop("further"))
+            for seed in cell["seeds"]:
+                seed.update(seed.pop("further"))
+        return found

@@ -1,4 +1,4 @@
-"""What single factors do: main effects and interactions of crossed ones, importance in a search."""
+"""Main effects and interactions of crossed factors, importance of hyperparameters in a search."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""What sets cells apart: from their configs to factors, levels, labels and the kind of design.
+"""Factors of a comparison: what differs in the configs of cells, their labels, and the kind of design.
 
 The store keeps resolved configs, not what was typed. A group's option (`algorithm=td3`) changes many keys at once:
 those that follow from it alone are no factors of their own. Keys that always change together count once.

@@ -1,4 +1,4 @@
-"""Cells against each other: which pairs, their numbers, and the correction for how many there are."""
+"""Pairwise comparisons of cells, corrected for how many there are."""
 
 from collections.abc import Sequence
 from dataclasses import replace

@@ -1,30 +1,24 @@
-"""Where results come from: versions, commits, machines, configs, and the runs that have none."""
+"""Provenance of a report: versions, commits, machines, configs, and the runs without a result."""
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import pandas as pd
 
 from parking_exp.reports.data import FailedRun, Provenance
 from parking_exp.reports.factors import can_matter, differing
 from parking_exp.reports.selection import Group
-from parking_exp.runs.state import RunState
+from parking_exp.reports.untracked import REASONS
 
 VERSION = "version."
 SHORT_COMMIT = 10
-WORDS = {
-    "running": "under way",
-    "interrupted": "cut off; it goes on when the sweep is typed again",
-    "pending": "not begun",
-    "done": "the store lacks it; python scripts/status.py sync=true sends it",
-}
 
 
 def provenance(
     groups: Sequence[Group],
     left_out: Sequence[str],
     uri: str,
-    unheard: Sequence[FailedRun],
+    untracked: Sequence[FailedRun],
 ) -> Provenance:
     """Return what exactly was run.
 
@@ -32,7 +26,7 @@ def provenance(
         groups: the cells of the report.
         left_out: labels of the other cells of the experiments.
         uri: of the store, without passwords.
-        unheard: runs that the store has not heard of.
+        untracked: runs of other cells that the store does not have.
     """
     runs = pd.concat([group.runs for group in groups])
     versions = {
@@ -50,7 +44,7 @@ def provenance(
         machines=_counts(runs["cpu"]),
         difference=difference,
         common={key: value for key, value in common.items() if can_matter(key)},
-        unfinished=[*(run for group in groups for run in _unfinished(group)), *unheard],
+        unfinished=[*(run for group in groups for run in _unfinished(group)), *untracked],
         uri=uri,
         left_out=list(left_out),
         first=started.min().isoformat(timespec="seconds") if len(started) else None,
@@ -58,28 +52,11 @@ def provenance(
     )
 
 
-def not_in_store(runs: pd.DataFrame, states: Mapping[str, RunState]) -> list[FailedRun]:
-    """Return runs on this machine that a store lacks: all of the cells that it does not know, and those that are done.
-
-    Args:
-        runs: all that the store has of the experiments.
-        states: of runs on this machine, by run directory.
-    """
-    cells, paths = set(zip(runs["experiment"], runs["cell"], strict=True)), set(runs["run_dir"])
-    found = []
-    for path, state in states.items():
-        unknown = (state.experiment, state.cell) not in cells
-        if unknown or (state.stage == "done" and path not in paths):
-            reason = state.reason or WORDS.get(state.stage, "no reason is known")
-            found.append(FailedRun(state.label, state.seed, state.stage, reason, path))
-    return found
-
-
 def _unfinished(group: Group) -> list[FailedRun]:
     found = []
     for run in group.runs[group.runs["status"] != "done"].to_dict("records"):
         status = str(run["status"])
-        reason = _text(run["error"]) or WORDS.get(status, "no reason is known")
+        reason = _text(run["error"]) or REASONS.get(status, "no reason is known")
         found.append(FailedRun(group.label, int(run["seed"]), status, reason, _text(run["run_dir"])))
     return found
 

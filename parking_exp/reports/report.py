@@ -1,4 +1,4 @@
-"""Compare the cells of an experiment, and write it down: page, Markdown, tables, figures, JSON."""
+"""The report command: sync the store, read it, compare the cells of experiments, write page, tables and figures."""
 
 import os
 import re
@@ -13,8 +13,8 @@ from omegaconf import DictConfig
 from pydantic import Field
 
 from parking_exp.config.compose import composed
-from parking_exp.config.paths import directory_path, without_password
-from parking_exp.config.schema import NAME, Section, StoreConfig
+from parking_exp.config.paths import absolute, database, default_uri, directory_path, is_same_store, without_password
+from parking_exp.config.schema import Section, StoreConfig
 from parking_exp.config.signatures import signature
 from parking_exp.config.validate import parse
 from parking_exp.errors import ConfigError, ResultsError, did_you_mean, plural
@@ -24,7 +24,6 @@ if TYPE_CHECKING:
     from parking_exp.reports.data import ReportData
     from parking_exp.reports.figures.pdf import PdfProcess
     from parking_exp.results.frames import Results
-    from parking_exp.runs.state import RunState
 
 Format = Literal["svg", "pdf", "png"]
 ALIKE = 0.8  # from how similar on a word is a misspelt key
@@ -111,12 +110,14 @@ def report(config: DictConfig) -> Path:
         RunNotFoundError: none of the runs is done.
     """
     request = validate_report(config)
-    with _pdfs(request) as pdf_process, _progress() as say:
-        say("reading the store")
+    with _pdfs(request) as pdf_process, _progress() as show:
+        show("syncing the store")
+        unsynced = _sync(request)
+        show("reading the store")
         results = _load(request)
-        say(f"comparing {plural(len(results.runs), 'run')}")
-        data = _compare(request, results)
-        say("drawing")
+        show(f"comparing {plural(len(results.runs), 'run')}")
+        data = _build(request, results, unsynced)
+        show("drawing")
         from parking_exp.reports.render.files import write  # with matplotlib: not before there is something to draw
 
         folder = request.output_path / "reports" / (request.name or _folder_name(data.experiments))
@@ -136,7 +137,7 @@ def _pdfs(request: ReportRequest) -> "AbstractContextManager[PdfProcess | None]"
 
 @contextmanager
 def _progress() -> Iterator[Callable[[str], None]]:
-    """Yield what says, on a terminal, what is being done."""
+    """Yield a function that shows on a terminal what is being done."""
     from rich.progress import Progress, SpinnerColumn, TextColumn
 
     from parking_exp.terminal import console
@@ -146,14 +147,15 @@ def _progress() -> Iterator[Callable[[str], None]]:
     with Progress(*columns, console=screen, transient=True, disable=not screen.is_terminal) as bar:
         task = bar.add_task("")
 
-        def say(what: str) -> None:
+        def show(what: str) -> None:
             bar.update(task, description=what)
 
-        yield say
+        yield show
 
 
-def _compare(request: ReportRequest, results: "Results") -> "ReportData":
-    from parking_exp.reports.build import Question, compare
+def _build(request: ReportRequest, results: "Results", unsynced: Sequence[str]) -> "ReportData":
+    from parking_exp.reports.build import Question, build
+    from parking_exp.reports.untracked import find_untracked
 
     having = list(dict.fromkeys(results.runs["experiment"]))
     if request.experiment_name is None and len(having) > 1:
@@ -165,7 +167,7 @@ def _compare(request: ReportRequest, results: "Results") -> "ReportData":
         quick=request.report.quick,
         command=_command(request, _experiments(request) or having),
     )
-    return compare(results, question, _states(request.output_path, having))
+    return build(results, question, find_untracked(results.runs, request.output_path, having), unsynced)
 
 
 def _experiments(request: ReportRequest) -> list[str] | None:
@@ -178,24 +180,54 @@ def _folder_name(experiments: Sequence[str]) -> str:
     return re.sub(r"[^\w.+-]|^\.", "_", "+".join(experiments))
 
 
-def _states(output_dir: Path, experiments: Sequence[str]) -> "dict[str, RunState]":
-    """Return how far runs are that lie here, by run directory: newer than what the store knows."""
-    from parking_exp.runs.lookup import find_runs
-    from parking_exp.runs.state import read_state
+def _sync(request: ReportRequest) -> list[str]:
+    """Send what the embedded store lacks of the runs in the output directory; say what it still lacks.
 
-    ours = [name for name in experiments if re.fullmatch(NAME, name)]
-    return {str(path): read_state(path) for name in ours for path in find_runs(output_dir, name)}
+    Nothing is sent to a store that is typed.
+    """
+    from parking_exp.reports.untracked import run_paths
+    from parking_exp.runs.directory import RunDirectory
+    from parking_exp.tracking.sync import recorded_in_step
+    from parking_exp.tracking.sync_all import sync_all
+    from parking_exp.tracking.tracker import later
+
+    embedded = default_uri(request.output_path)
+    uri = absolute(request.tracking.uri) if request.tracking.uri else embedded
+    lost = (path := database(uri)) is not None and not path.exists()
+    behind = [
+        directory
+        for directory in map(RunDirectory, run_paths(request.output_path, _experiments(request)))
+        if (own := directory.tracking_uri) and is_same_store(own, uri) and (lost or not recorded_in_step(directory))
+    ]
+    if not is_same_store(uri, embedded):
+        older = f"The store has an older state of {plural(len(behind), 'run')} in {request.output_path}"
+        return [f"{older}; {later(request.output_path, uri)}."] if behind else []
+    problems: dict[str, list[RunDirectory]] = {}
+    for directory, problem in sync_all(behind, [uri]):
+        if problem is not None:
+            problems.setdefault(problem, []).append(directory)
+    return [
+        f"The store has not got all of {plural(len(runs), 'run')}, e.g. {runs[0].path}: {problem}."
+        for problem, runs in problems.items()
+    ]
 
 
 def _load(request: ReportRequest) -> "Results":
+    """Load the results.
+
+    Raises:
+        ResultsError: there are none; it says how far the runs in the output directory are.
+    """
+    from parking_exp.reports.untracked import run_paths
     from parking_exp.results.frames import load
+    from parking_exp.runs.state import read_state
     from parking_exp.runs.state_tables import name
 
     experiments = _experiments(request)
     try:
         return load(experiments, uri=request.tracking.uri, output_dir=request.output_path)
     except ResultsError as error:
-        here = _states(request.output_path, experiments or []).values()
+        here = [read_state(path) for path in run_paths(request.output_path, experiments or [])]
         if failed := [state for state in here if state.stage == "failed"]:
             reason = f"{plural(len(failed), 'run')} of it failed, e.g. {name(failed[0])}: {failed[0].reason}"
             raise ResultsError(f"{error}; {reason}") from error

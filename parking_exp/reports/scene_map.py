@@ -1,4 +1,4 @@
-"""Where on the lot episodes went: by goal slot, the ends of those that failed, and some of them whole."""
+"""The scene map: outcomes by goal slot, where failed episodes ended, sampled trajectories."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""Which runs a report is about: runs -> cells with labels, and the ones that were asked for."""
+"""Group runs into labelled cells, and select those that were asked for."""
 
 import math
 import re

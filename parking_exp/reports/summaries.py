@@ -1,12 +1,13 @@
-"""A cell's runs -> its numbers: seeds, means, curves, times to 90 %, scene map."""
+"""Summary of a cell over its seeds: means, learning curve, times to 90 %, scene map."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import fields
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
-from parking_exp.envs.outcomes import OUTCOMES
+from parking_exp.evaluation.metrics import METRICS, SHARE, Metric
 from parking_exp.reports.curves import Course, Courses
 from parking_exp.reports.data import Cell, Curve, Interval, Seed, Share, Survival
 from parking_exp.reports.formats import finite
@@ -28,8 +29,13 @@ from parking_exp.statistics import (
 GOOD = 0.9
 HOLD = 3
 STAGES = {"interrupted": "pending"}  # as MLflow's index has it, and as a run directory
-RATES = {name: f"{name}_rate" for name in (*OUTCOMES, "parked")}
-RUN_COLUMNS = ["run_id", "run_dir", "seed", "n_scenes", "episode_steps", "cpu_s", *RATES.values()]
+REPORTED: dict[str, Metric] = {
+    metric.name if metric.is_rate else metric.run_column: metric for metric in METRICS if metric.in_reports
+}
+"""Metrics of reports by their names in `Cell` and `Seed`."""
+FURTHER = [name for name in REPORTED if name not in {field.name for field in fields(Seed)}]
+"""Those without a field of their own."""
+RUN_COLUMNS = ["run_id", "run_dir", "seed", "n_scenes", "cpu_s", *(metric.run_column for metric in REPORTED.values())]
 
 
 def summarise(
@@ -46,7 +52,8 @@ def summarise(
     """
     runs: list[dict[str, Any]] = group.done[RUN_COLUMNS].to_dict("records")  # type: ignore[assignment]
     seeds = [_seed(run, courses) for run in runs]
-    success = _mean([seed.success for seed in seeds])
+    means = _means(runs)
+    own: dict[str, Any] = {name: mean for name, mean in means.items() if name not in FURTHER}
     times = [(seed.steps_to_90, seed.reached_90) for seed in seeds]
     cpu_times = [(seed.cpu_s_to_90, seed.reached_90) for seed in seeds]
     return Cell(
@@ -57,11 +64,7 @@ def summarise(
         settings=group.settings,
         counts=_counts(group.runs["status"]),
         total_timesteps=_whole(group.config.get("total_timesteps")),
-        success=success,
-        crash=_mean([seed.crash for seed in seeds]),
-        timeout=_mean([seed.timeout for seed in seeds]),
-        parked=_mean([seed.parked for seed in seeds]),
-        episode_steps=_mean([seed.episode_steps for seed in seeds], bounds=None),
+        **own,
         cpu_s=_mean([seed.cpu_s for seed in seeds], bounds=None),
         area=_mean([seed.area for seed in seeds]),
         reaching_90=_reaching([seed.success for seed in seeds]),
@@ -71,6 +74,7 @@ def summarise(
         survival_cpu=_survival("CPU-seconds", cpu_times, horizons[1]),
         slots=slot_rates([courses.certified[seed.run_id] for seed in seeds if seed.run_id in courses.certified]),
         note=_note([seed.success for seed in seeds]),
+        further={name: mean for name, mean in means.items() if name in FURTHER},
     )
 
 
@@ -91,28 +95,40 @@ def real_share(group: Group, courses: Courses) -> float | None:
 
 
 def _seed(run: dict[str, Any], courses: Courses) -> Seed:
-    rates = {name: finite(run[column]) for name, column in RATES.items()}
+    values = _values(run)
     episodes, curve = courses.certified.get(run["run_id"]), courses.curves.get(run["run_id"])
     n_scenes = len(episodes.scene) if episodes is not None else _whole(run["n_scenes"])
     low = high = None
-    if rates["success"] is not None and n_scenes:
-        low, high = wilson_interval(round(rates["success"] * n_scenes), n_scenes)
+    if values["success"] is not None and n_scenes:
+        low, high = wilson_interval(round(values["success"] * n_scenes), n_scenes)
     steps, reached, cpu_s, area = _course(curve) if curve is not None else (None, False, None, None)
     return Seed(
         seed=int(run["seed"]),
         run_id=run["run_id"],
         run_dir=run["run_dir"],
-        **rates,
+        **{name: value for name, value in values.items() if name not in FURTHER},
         n_scenes=n_scenes,
         low=low,
         high=high,
-        episode_steps=finite(run["episode_steps"]),
         cpu_s=finite(run["cpu_s"]),
         steps_to_90=steps,
         reached_90=reached,
         cpu_s_to_90=cpu_s,
         area=area,
+        further={name: value for name, value in values.items() if name in FURTHER},
     )
+
+
+def _values(run: Mapping[str, Any]) -> dict[str, float | None]:
+    """Return the metrics of a run by their names in reports."""
+    return {name: finite(run[metric.run_column]) for name, metric in REPORTED.items()}
+
+
+def _means(runs: Sequence[Mapping[str, Any]]) -> dict[str, Interval]:
+    """Return the means of metrics over runs, rates with intervals inside 0 ... 1."""
+    found = [_values(run) for run in runs]
+    bounds = {name: SHARE if metric.is_rate else None for name, metric in REPORTED.items()}
+    return {name: _mean([one[name] for one in found], bounds[name]) for name in REPORTED}
 
 
 def _course(curve: Course) -> tuple[float, bool, float | None, float | None]:

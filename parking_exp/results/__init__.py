@@ -1,4 +1,56 @@
-"""Results of runs: from the MLflow store to tidy pandas frames; nothing here imports torch."""
+"""Results of runs: from the MLflow store to tidy pandas frames. Nothing here imports torch.
+
+    from parking_exp.results import load
+
+    results = load("her_ablation")
+    results.runs.groupby("cell")["success_rate"].mean()
+
+`runs` has one row per run, by experiment, cell and seed:
+
+    run_id, name, experiment, cell, run_key    str       MLflow run id and name; what it belongs to; hash of all that
+                                                         can change its result
+    seed                                       int64
+    status                                     category  done, running, failed, interrupted: as far as the store knows
+    error                                      str       why it failed, in one line; missing for others
+    total_timesteps, n_scenes, first_scene,    Int64     as configured: env steps; scenes of the final evaluation, from
+    eval_n_scenes                                        which on; scenes of the evaluations during training
+    steps                                      int64     env steps trained, as far as the store knows
+    success_rate, crash_rate, timeout_rate,    float64   of the final model on real highway-env, over all its episodes;
+    parked_rate                                          NaN unless the run is done
+    episode_steps, episode_return, distance_m, float64   means over the same episodes; the last three are absolute
+    heading_error_rad, speed_mps                         values at their end
+    cpu_s, wall_s                              float64   what it took so far
+    started, ended                             datetime64[ms, UTC]; a running one has not ended
+    run_dir, artifact_uri                      str       where its files are
+    git_commit, git_dirty, cpu                 str, boolean, str: of the process that trained; whether files differed
+    version.PACKAGE                            str       as many as there are
+    config.KEY                                 the config by dotted keys: int64, float64, bool, str; Int64 and boolean
+                                               where it is missing or null in some runs; object where words and numbers
+                                               are mixed, or all is null. Lists are text. MLflow keeps 6,000 characters
+
+`curves` has one row per evaluation during training and at its end, by run and step:
+
+    run_id                                     str
+    step                                       int64     env steps trained
+    success_rate, crash_rate, timeout_rate,    float64   over the evaluation's episodes
+    parked_rate, steps_mean, return_mean
+    cpu_s                                      float64   CPU time until then
+    real_share                                 float64   real transitions among those sampled; NaN without HER
+
+`episodes` has one row per evaluation episode of the runs that are over, in the order of `runs`:
+
+    run_id                                     category
+    phase                                      category  eval: during training; final: after it; certified: the final
+                                                         ones again, on real highway-env
+    step, scene                                int64     env steps trained; start
+    outcome                                    category  success, crash, timeout
+    parked                                     bool      the strict definition of success
+    steps, return                              int64, float64: length; sum of rewards
+    distance_m, heading_error_rad, speed_mps   float64   absolute values at its end
+
+A column that the table of a run of an earlier version does not have is missing in its rows: NaN, or <NA> in `parked`
+and `steps`, which are boolean and Int64 then. phase, step, scene and outcome are always there.
+"""
 
 from parking_exp.results.frames import Results, load
 

@@ -1,4 +1,4 @@
-"""Texts of a store -> columns of one type each."""
+"""Conversion of a store's texts to typed columns."""
 
 import re
 from collections.abc import Iterable, Sequence

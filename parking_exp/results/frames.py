@@ -1,56 +1,4 @@
-"""Results of runs: MLflow store -> tidy frames. Nothing here imports torch.
-
-    from parking_exp.results import load
-
-    results = load("her_ablation")
-    results.runs.groupby("cell")["success_rate"].mean()
-
-`runs` has one row per run, by experiment, cell and seed:
-
-    run_id, name, experiment, cell, run_key    str       MLflow run id and name; what it belongs to; hash of all that
-                                                         can change its result
-    seed                                       int64
-    status                                     category  done, running, failed, interrupted: as far as the store knows
-    error                                      str       why it failed, in one line; missing for others
-    total_timesteps, n_scenes, first_scene,    Int64     as configured: env steps; scenes of the final evaluation, from
-    eval_n_scenes                                        which on; scenes of the evaluations during training
-    steps                                      int64     env steps trained, as far as the store knows
-    success_rate, crash_rate, timeout_rate,    float64   of the final model on real highway-env, over all its episodes;
-    parked_rate                                          NaN unless the run is done
-    episode_steps, episode_return, distance_m, float64   means over the same episodes; the last three are absolute
-    heading_error_rad, speed_mps                         values at their end
-    cpu_s, wall_s                              float64   what it took so far
-    started, ended                             datetime64[ms, UTC]; a running one has not ended
-    run_dir, artifact_uri                      str       where its files are
-    git_commit, git_dirty, cpu                 str, boolean, str: of the process that trained; whether files differed
-    version.PACKAGE                            str       as many as there are
-    config.KEY                                 the config by dotted keys: int64, float64, bool, str; Int64 and boolean
-                                               where it is missing or null in some runs; object where words and numbers
-                                               are mixed, or all is null. Lists are text. MLflow keeps 6,000 characters
-
-`curves` has one row per evaluation during training and at its end, by run and step:
-
-    run_id                                     str
-    step                                       int64     env steps trained
-    success_rate, crash_rate, timeout_rate,    float64   over the evaluation's episodes
-    parked_rate, return_mean, steps_mean
-    cpu_s                                      float64   CPU time until then
-    real_share                                 float64   real transitions among those sampled; NaN without HER
-
-`episodes` has one row per evaluation episode of the runs that are over, in the order of `runs`:
-
-    run_id                                     category
-    phase                                      category  eval: during training; final: after it; certified: the final
-                                                         ones again, on real highway-env
-    step, scene                                int64     env steps trained; start
-    outcome                                    category  success, crash, timeout
-    parked                                     bool      the strict definition of success
-    steps, return                              int64, float64: length; sum of rewards
-    distance_m, heading_error_rad, speed_mps   float64   absolute values at its end
-
-A column that the table of a run of an earlier version does not have is missing in its rows: NaN, or <NA> in `parked`
-and `steps`, which are boolean and Int64 then. phase, step, scene and outcome are always there.
-"""
+"""Load the results of runs from an MLflow store."""
 
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -64,6 +12,7 @@ import pandas as pd
 
 from parking_exp.config.paths import default_uri, directory_path, without_password
 from parking_exp.errors import ResultsError, first_few, plural, suggestion
+from parking_exp.evaluation.metrics import METRICS, RUN_METRICS
 from parking_exp.evaluation.trajectories import TRAJECTORIES_FILE
 from parking_exp.results.columns import TEXT, column, flags, integers, text, times, typed
 from parking_exp.results.invalid_values import sound_points, sound_runs
@@ -72,7 +21,6 @@ from parking_exp.tracking.failures import is_store_failure, reason
 from parking_exp.tracking.reader import Point, Reader, StoredRun
 
 STATUSES = ("done", "running", "failed", "interrupted")
-RATES = ("success_rate", "crash_rate", "timeout_rate", "parked_rate")
 # Parameters and metrics, and their columns.
 CONFIGURED = {
     "total_timesteps": "total_timesteps",
@@ -80,16 +28,10 @@ CONFIGURED = {
     "evaluation.first_scene": "first_scene",
     "evaluation.n_scenes": "eval_n_scenes",
 }
-FINAL = {f"certified/{name}": name for name in RATES} | {
-    "certified/steps_mean": "episode_steps",
-    "certified/return_mean": "episode_return",
-    "certified/distance_m_mean": "distance_m",
-    "certified/heading_error_rad_mean": "heading_error_rad",
-    "certified/speed_mps_mean": "speed_mps",
-}
-COST = {"time/cpu_s": "cpu_s", "time/wall_s": "wall_s"}
-CURVE = {f"eval/{name}": name for name in (*RATES, "return_mean", "steps_mean")}
-BESIDE_A_CURVE = {"time/cpu_s": "cpu_s", "buffer/real_share": "real_share"}
+FINAL = {f"certified/{metric.key}": metric.run_column for metric in METRICS}
+COST = {metric.key: metric.name for metric in RUN_METRICS if metric.in_runs}
+CURVE = {f"eval/{metric.key}": metric.key for metric in METRICS if metric.in_curves}
+BESIDE_A_CURVE = {metric.key: metric.name for metric in RUN_METRICS if metric.in_curves}
 
 RUN_COLUMNS = (
     "run_id", "name", "experiment", "cell", "run_key", "seed", "status", "error", *CONFIGURED.values(), "steps",
@@ -108,7 +50,7 @@ class Results:
     """What a store knows of some experiments.
 
     Attributes:
-        runs, curves, episodes: the frames that the module's docstring describes.
+        runs, curves, episodes: the frames that `help(parking_exp.results)` describes.
         uri: the store.
         problems: a sentence for each thing that is missing or broken; the frames have the rest.
         ignored: how many runs were left out, as they are none of this package's.

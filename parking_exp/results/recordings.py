@@ -1,4 +1,4 @@
-"""What an evaluation has recorded -> frames: `episodes.csv` and `trajectories.npz`."""
+"""Parsers of `episodes.csv` and `trajectories.npz`, into frames."""
 
 import io
 import zipfile
@@ -11,6 +11,7 @@ import pandas as pd
 
 from parking_exp.config.schema import TRAINING_SCENES_START
 from parking_exp.envs.outcomes import OUTCOMES
+from parking_exp.evaluation.metrics import DTYPES
 from parking_exp.evaluation.trajectories import CAR_COLUMNS
 
 PHASES = ("eval", "final", "certified")
@@ -19,13 +20,9 @@ EPISODES: dict[str, Any] = {
     "step": "int64",
     "scene": "int64",
     "outcome": pd.CategoricalDtype([*OUTCOMES]),
-    "parked": "bool",
-    "steps": "int64",
-    "return": "float64",
-    "distance_m": "float64",
-    "heading_error_rad": "float64",
-    "speed_mps": "float64",
+    **DTYPES,
 }
+"""Columns of `Results.episodes` after the run id, and their types."""
 REQUIRED = ("phase", "step", "scene", "outcome")
 """Columns without which a row means nothing. Others may be missing in runs of earlier versions."""
 NULLABLE = {"bool": "boolean", "int64": "Int64"}

@@ -1,4 +1,4 @@
-"""What every function here refuses, in a sentence."""
+"""Checks of arguments that all functions share."""
 
 import numpy as np
 from numpy.typing import ArrayLike

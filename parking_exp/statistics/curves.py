@@ -1,4 +1,4 @@
-"""A learning curve in one number."""
+"""Area under a learning curve."""
 
 import numpy as np
 from numpy.typing import ArrayLike

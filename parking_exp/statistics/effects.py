@@ -1,4 +1,4 @@
-"""What a factor does, in a sweep over several."""
+"""Main effects, contrasts and interactions of crossed factors."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ class InteractionCell:
 
 
 @dataclass(frozen=True)
-class Interaction:
+class InteractionTable:
     """All combinations, row by row; `complete` says whether none is missing, and `p` how well a sum of two effects
     explains them all: NaN where seeds do not scatter or nothing is left to explain.
     """
@@ -108,7 +108,7 @@ def interaction(
     confidence: float = 0.95,
     seed: int = 0,
     bounds: tuple[float, float] | None = (0.0, 1.0),
-) -> Interaction:
+) -> InteractionTable:
     """Return the mean of every combination of two factors, by `mean_interval`, and what is left of it beside their sum.
 
     `frame` has one row per seed; factors that are not named are averaged over its rows. The residual is cell mean -
@@ -145,7 +145,7 @@ def interaction(
             )
         )
     p = _interaction_p(groups, design)
-    return Interaction(tuple(rows), tuple(columns), tuple(cells), len(groups) == len(cells), p)
+    return InteractionTable(tuple(rows), tuple(columns), tuple(cells), len(groups) == len(cells), p)
 
 
 def contrast(

@@ -1,4 +1,4 @@
-"""Which hyperparameters a random or tuned sweep says matter."""
+"""Importance of hyperparameters in a random or tuned search: variance explained by each alone."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ FEWEST_ROWS = 5
 
 
 @dataclass(frozen=True)
-class Importance:
+class ParameterImportance:
     """What one parameter explains alone; `spearman` and `direction` (-1, 0, 1) are None where it is no number or
     constant."""
 
@@ -30,7 +30,7 @@ class Importance:
 
 def importance(
     frame: pd.DataFrame, parameters: Sequence[str], response: str, seed: int = 0, permutations: int = 999
-) -> list[Importance]:
+) -> list[ParameterImportance]:
     """Return, for every parameter, the share of the response's variance that it explains alone, in the order given.
 
     `frame` has one row per configuration. Numbers: adjusted R^2 of a quadratic in the parameter's ranks, so that a
@@ -56,14 +56,14 @@ def importance(
     return [_importance(frame[name], centred, shuffled) for name in parameters]
 
 
-def _importance(column: pd.Series, centred: np.ndarray, shuffled: np.ndarray) -> Importance:
+def _importance(column: pd.Series, centred: np.ndarray, shuffled: np.ndarray) -> ParameterImportance:
     name, total, n = str(column.name), float(centred @ centred), len(centred)
     numeric = column.dtype.kind in "iuf"
     kind = "number" if numeric else "category"
     if numeric and not np.isfinite(column.to_numpy(dtype=float)).all():
         raise ValueError(f"column {name!r} holds NaN or infinity; drop those runs first")
     if column.nunique(dropna=False) < 2 or total <= 1e-24 * n:
-        return Importance(name, 0.0, 1.0, None, None, kind)
+        return ParameterImportance(name, 0.0, 1.0, None, None, kind)
     spearman, direction = None, None
     if numeric:
         ranks = column.rank().to_numpy(dtype=float)
@@ -80,7 +80,7 @@ def _importance(column: pd.Series, centred: np.ndarray, shuffled: np.ndarray) ->
     p = (1 + int(np.count_nonzero(by_chance >= explained - 1e-9))) / (1 + len(shuffled))
     left = n - 1 - rank
     share = max(0.0, 1 - (1 - explained) * (n - 1) / left) if left > 0 else 0.0
-    return Importance(name, min(share, 1.0), p, spearman, direction, kind)
+    return ParameterImportance(name, min(share, 1.0), p, spearman, direction, kind)
 
 
 def _basis(design: np.ndarray) -> tuple[np.ndarray, int]:

@@ -1,9 +1,9 @@
-"""Means over seeds, and how sure they are.
+"""Confidence intervals of means over seeds.
 
 The replicate is the training seed. Rates of good cells pile up below 1 with a tail to the left, and there the
 t-interval covers far less than it says (81 % for 5 seeds around 0.9 with a deviation of 0.15) and BCa hardly more,
-with 20 seeds too (91 %). The studentised bootstrap
-holds its 95 % from 5 seeds on, except where seeds collapse (`coverage_note`); `tests/covering.py` is the simulation.
+with 20 seeds too (91 %). The studentised bootstrap holds its 95 % from 5 seeds on, except where seeds collapse
+(`coverage_note`); `tests/support/coverage_simulation.py` is the simulation.
 """
 
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""Where an interval is known to promise more than it keeps."""
+"""Notes on intervals that are known to cover less than they say."""
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -16,10 +16,10 @@ def coverage_note(values: ArrayLike, other: ArrayLike | None = None) -> str | No
     """Return a sentence where seeds look like those whose 95 % interval covered less than 93 % in simulation, or None.
 
     `values`, shape (seeds,), are rates in 0 ... 1. With `other`, a second cell's, it speaks of the two together as
-    well: of Welch's interval of their difference. The simulation is `tests/covering.py`, the percentages are its. It
-    cannot speak of what left no trace: ten good seeds of a recipe that collapses one time in ten look like ten of one
-    that never does, as 35 % of draws are. `unseen_share` says how much room they leave. For `restricted_mean`, give it
-    min(time, horizon) / horizon.
+    well: of Welch's interval of their difference. The percentages are those of
+    `tests/support/coverage_simulation.py`. It cannot speak of what left no trace: ten good seeds of a recipe that
+    collapses one time in ten look like ten of one that never does, as 35 % of draws are. `unseen_share` says
+    how much room they leave. For `restricted_mean`, give it min(time, horizon) / horizon.
 
     Raises:
         ValueError: a side is empty or holds NaN.

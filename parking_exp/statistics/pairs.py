@@ -1,4 +1,4 @@
-"""Two cells side by side. Seeds of different cells are not paired."""
+"""Comparison of two cells: Welch's test, probability of improvement, Holm's correction. Seeds are not paired."""
 
 import math
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""Shares of countable things: episodes of one run, seeds of one cell."""
+"""Proportions with intervals: of the episodes of a run, of the seeds of a cell."""
 
 import math
 from dataclasses import dataclass
@@ -11,7 +11,7 @@ from parking_exp.statistics.checks import finite
 
 
 @dataclass(frozen=True)
-class Share:
+class Proportion:
     """`k` of `n`, with an interval of the share."""
 
     k: int
@@ -37,7 +37,7 @@ def wilson_interval(successes: int, trials: int, confidence: float = 0.95) -> tu
     return (0.0 if successes == 0 else centre - half), (1.0 if successes == trials else centre + half)
 
 
-def share_reaching(values: ArrayLike, threshold: float = 0.9, confidence: float = 0.95) -> Share:
+def share_reaching(values: ArrayLike, threshold: float = 0.9, confidence: float = 0.95) -> Proportion:
     """Return how many of `values`, one per seed, are at least `threshold`, with Wilson's interval of the share.
 
     Raises:
@@ -45,7 +45,7 @@ def share_reaching(values: ArrayLike, threshold: float = 0.9, confidence: float 
     """
     rates = finite(values, "a share of seeds")
     k = int(np.count_nonzero(rates >= threshold))
-    return Share(k, len(rates), *wilson_interval(k, len(rates), confidence))
+    return Proportion(k, len(rates), *wilson_interval(k, len(rates), confidence))
 
 
 def unseen_share(n: int, confidence: float = 0.95) -> float:

@@ -1,4 +1,4 @@
-"""When a threshold is reached, with runs that never do."""
+"""Time to a threshold, with runs that never reach it as censored: Kaplan-Meier, log-rank, restricted mean."""
 
 import math
 from dataclasses import dataclass
@@ -13,7 +13,7 @@ from parking_exp.statistics.rates import wilson_interval
 
 
 @dataclass(frozen=True)
-class Survival:
+class SurvivalCurve:
     """The share of runs that have reached the threshold by each of `times` (1 - S); before the first of them, none
     has."""
 
@@ -65,7 +65,7 @@ def steps_to(steps: ArrayLike, rates: ArrayLike, threshold: float = 0.9, hold: i
     return float(at[-hold]), False
 
 
-def kaplan_meier(times: ArrayLike, observed: ArrayLike, confidence: float = 0.95) -> Survival:
+def kaplan_meier(times: ArrayLike, observed: ArrayLike, confidence: float = 0.95) -> SurvivalCurve:
     """Return the product-limit estimate of the share that has reached (Kaplan & Meier 1958), at every distinct time.
 
     `times` and `observed`, shape (runs,), as `steps_to` gives them. The interval is Greenwood's on the log-log scale.
@@ -90,7 +90,7 @@ def kaplan_meier(times: ArrayLike, observed: ArrayLike, confidence: float = 0.95
             spread = z * math.sqrt(square) / abs(math.log(share))
             low[i], high[i] = 1 - share ** math.exp(-spread), 1 - share ** math.exp(spread)
     halfway = np.flatnonzero(survival <= 0.5 + 1e-12)
-    return Survival(
+    return SurvivalCurve(
         times=tuple(at.tolist()),
         reached=tuple((1 - survival).tolist()),
         low=tuple(low.tolist()),

@@ -16,12 +16,11 @@ from support.runs import in_memory, store
 from support.store_factory import Look, compose, make_store
 
 from parking_exp.errors import ConfigError, RunNotFoundError
-from parking_exp.reports.build import Question, compare
+from parking_exp.reports.build import Question, build
 from parking_exp.reports.curves import Courses
 from parking_exp.reports.selection import choose, group, one_cell
+from parking_exp.reports.untracked import find_untracked
 from parking_exp.results.frames import load
-from parking_exp.runs.lookup import find_runs
-from parking_exp.runs.state import read_state
 from parking_exp.statistics import steps_to
 
 ENDS = {"sac": [0.8, 1.0, 0.8, 1.0, 1.0], "td3": [0.4, 0.2, 0.4, 0.6, 0.4]}
@@ -30,8 +29,9 @@ ALGORITHMS = {name: [f"algorithm={name}"] for name in ENDS}
 
 
 def content(output_dir, experiment="one", **changes):
-    states = {str(path): read_state(path) for path in find_runs(output_dir, experiment)}
-    return compare(load(experiment, output_dir=output_dir), Question(experiments=[experiment], **changes), states)
+    results = load(experiment, output_dir=output_dir)
+    untracked = find_untracked(results.runs, output_dir, [experiment])
+    return build(results, Question(experiments=[experiment], **changes), untracked)
 
 
 @pytest.fixture(scope="module")
@@ -444,7 +444,7 @@ def test_of_two_runs_with_the_same_seed_the_one_that_is_done_counts(output_dir):
     results = load("one", output_dir=output_dir)
     again = results.runs.assign(seed=0)
     again.loc[again["success_rate"] == 0.2, "status"] = "failed"
-    found = compare(replace(results, runs=again), Question(experiments=["one"]), {})
+    found = build(replace(results, runs=again), Question(experiments=["one"]))
     assert [seed.success for seed in found.cells[0].seeds] == [0.8]
     assert "“sac, her_future”: a run was left out, since another one has the same seed." in found.warnings
 
@@ -546,24 +546,17 @@ def test_an_evaluation_without_a_rate_does_not_count_as_holding(two):
     assert course.watched(3) == (course.step[1], course.cpu_s[1])
 
 
-def test_runs_are_as_their_directories_say_where_these_are_here(output_dir):
-    runs = make_store(
-        output_dir, "one", {"sac": []}, range(3), lambda label, seed: Look(status="done" if seed == 0 else "running")
-    )
-    runs["sac", 1].update(status="failed", error="it was killed")
-    found = content(output_dir)
-    assert found.cells[0].counts == {"done": 1, "running": 0, "failed": 1, "pending": 1}
-    assert [(run.seed, run.status, run.reason) for run in found.provenance.unfinished] == [
-        (1, "failed", "it was killed"),
-        (2, "interrupted", "cut off; it goes on when the sweep is typed again"),
-    ]
+def test_what_a_sync_cannot_send_is_warned_of(two):
+    said = ["The store has not got all of 1 run, e.g. x: no space left on device."]
+    found = build(load("one", output_dir=two), Question(["one"]), unsynced=said)
+    assert said[0] in found.warnings
 
 
 def test_cells_of_other_experiments_with_the_same_name_are_left_out_by_name(output_dir):
     for experiment in ("one", "two"):
         made(output_dir, experiment, ALGORITHMS, [0])
     results = load(["one", "two"], output_dir=output_dir)
-    found = compare(results, Question(experiments=["one", "two"], cells=["one"]), {})
+    found = build(results, Question(experiments=["one", "two"], cells=["one"]))
     assert [cell.experiment for cell in found.cells] == ["one", "one"]
     assert sorted(found.provenance.left_out) == ["two, sac", "two, td3"]
 
@@ -582,10 +575,9 @@ def test_cells_are_narrowed_by_the_end_of_a_key_by_lists_and_by_other_ways_to_wr
 
 def test_infinite_values_of_a_config_are_words(two):
     results = load("one", output_dir=two)
-    found = compare(
+    found = build(
         replace(results, runs=results.runs.assign(**{"config.env.x": [math.inf] * 5 + [1.0] * 5})),
         Question(["one"]),
-        {},
     )
     assert found.provenance.difference["env.x"] == ["inf", 1.0]
 
@@ -594,8 +586,8 @@ def test_runs_that_are_done_here_and_not_in_the_store_are_missing(output_dir):
     runs = make_store(output_dir, "one", {"sac": []}, range(2))
     results = load("one", output_dir=output_dir)
     gone = results.runs["run_id"] == runs["sac", 1].run_id
-    states = {str(path): read_state(path) for path in find_runs(output_dir, "one")}
-    found = compare(replace(results, runs=results.runs[~gone]), Question(["one"]), states)
+    left = results.runs[~gone]
+    found = build(replace(results, runs=left), Question(["one"]), find_untracked(left, output_dir, ["one"]))
     assert found.missing == [
         "1 more run is done here, but not in the store; `python scripts/status.py sync=true` sends what is missing."
     ]
@@ -604,7 +596,7 @@ def test_runs_that_are_done_here_and_not_in_the_store_are_missing(output_dir):
 def test_the_same_config_in_two_experiments_is_said_to_be_the_same_runs(output_dir):
     for experiment in ("one", "two"):
         made(output_dir, experiment, {"sac": []}, [0])
-    found = compare(load(["one", "two"], output_dir=output_dir), Question(["one", "two"]), {})
+    found = build(load(["one", "two"], output_dir=output_dir), Question(["one", "two"]))
     assert (
         "one and two have the same config: equal seeds are equal runs, and they are not independent." in found.warnings
     )

@@ -17,6 +17,7 @@ from support.store_factory import Look, make_store
 
 from parking_exp.cli.report import main, report_overrides
 from parking_exp.errors import ConfigError
+from parking_exp.results import load
 
 ROOT = Path(__file__).resolve().parents[2]
 ALGORITHMS = {"sac": [], "td3": ["algorithm=td3"]}
@@ -290,3 +291,50 @@ def test_a_run_that_fails_before_it_trains_is_told_with_its_reason(tmp_path):
     assert run["status"] == "failed"
     assert "torch finds no CUDA device" in run["reason"]
     assert stored["missing"][0] == "0 of 1 run is done: 1 failed."
+
+
+def stored(output_dir, name="one"):
+    """The numbers of a report."""
+    return json.loads((output_dir / "reports" / name / "report.json").read_text())
+
+
+def test_a_report_sends_what_the_store_lacks_and_reads_it_there(output_dir):
+    def look(label, seed):
+        return Look(status="done" if seed == 0 else "running")
+
+    runs = make_store(output_dir, "one", {"sac": []}, range(3), look)
+    runs["sac", 1].update(status="failed", error="it was killed")
+    assert set(load("one", output_dir=output_dir).runs["status"]) == {"done", "running"}
+    report(output_dir, "experiment=one", "report=quick")
+    assert load("one", output_dir=output_dir).runs["status"].tolist() == ["done", "failed", "interrupted"]
+    (cell,) = stored(output_dir)["cells"]
+    assert cell["counts"] == {"done": 1, "running": 0, "failed": 1, "pending": 1}
+    assert [(run["seed"], run["status"], run["reason"]) for run in stored(output_dir)["provenance"]["unfinished"]] == [
+        (1, "failed", "it was killed"),
+        (2, "interrupted", "cut off; it goes on when the sweep is typed again"),
+    ]
+
+
+def test_a_store_that_was_lost_is_made_again_for_a_report(output_dir):
+    make_store(output_dir, "one", {"sac": []}, range(2))
+    (output_dir / "mlflow.db").unlink()
+    command = [sys.executable, "scripts/report.py", "experiment=one", "report=quick", f"output_dir={output_dir}"]
+    subprocess.run(command, cwd=ROOT, check=True, timeout=120)  # MLflow opens a store once a process
+    assert stored(output_dir)["cells"][0]["counts"]["done"] == 2
+
+
+def test_a_store_that_is_typed_is_left_as_it_is_and_older_states_are_said(output_dir, tmp_path):
+    uri = f"sqlite:///{output_dir}/mlflow.db"
+    runs = make_store(tmp_path, "one", {"sac": []}, range(2), uri=uri)
+    runs["sac", 1].update(status="failed", error="it was killed")
+    done = report(tmp_path, "experiment=one", "report=quick", f"tracking.uri={uri}")
+    assert load("one", uri=uri).runs["status"].tolist() == ["done", "done"]
+    assert f"The store has an older state of 1 run in {tmp_path}; `python scripts/status.py sync=true" in done.stderr
+
+
+def test_a_run_that_cannot_be_sent_is_said_and_the_others_are_reported(output_dir):
+    runs = make_store(output_dir, "one", {"sac": []}, range(2))
+    runs["sac", 1].update(status="failed", error="it was killed")
+    (runs["sac", 1].path / "config.yaml").write_text("no config")
+    done = report(output_dir, "experiment=one", "report=quick")
+    assert f"The store has not got all of 1 run, e.g. {runs['sac', 1].path}: " in done.stderr

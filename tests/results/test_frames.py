@@ -17,9 +17,10 @@ from support.mlflow_servers import closed_port, mlflow_server, needs_server
 from support.runs import ROOT, in_memory, run_script, store
 from support.store_factory import STARTED_MS, Look, compose, made_episodes, made_trajectories, make_store
 
+import parking_exp.results
 from parking_exp.config.paths import default_uri
 from parking_exp.errors import ResultsError
-from parking_exp.evaluation import evaluate
+from parking_exp.evaluation.metrics import EPISODE_COLUMNS
 from parking_exp.results import frames, load
 from parking_exp.results.columns import column, times, typed
 from parking_exp.results.recordings import EPISODES
@@ -78,7 +79,7 @@ def test_frames_have_the_columns_and_types_of_the_schema(ablation):
     assert all(name.startswith(("version.", "config.")) for name in others)
     assert tuple(found.curves.columns) == frames.CURVE_COLUMNS
     assert tuple(found.episodes.columns) == frames.EPISODE_COLUMNS
-    assert ["phase", "step", *evaluate.EPISODE_COLUMNS] == list(EPISODES)
+    assert ["phase", "step", *EPISODE_COLUMNS] == list(EPISODES)
     types = {name: str(dtype) for name, dtype in found.runs.dtypes.items()}
     integers = ("total_timesteps", "n_scenes", "first_scene", "eval_n_scenes")
     numbers = ("success_rate", "episode_steps", "cpu_s", "wall_s", "speed_mps")
@@ -95,7 +96,7 @@ def test_frames_have_the_columns_and_types_of_the_schema(ablation):
     assert [str(dtype) for dtype in found.curves.dtypes] == ["str", "int64"] + 8 * ["float64"]
     assert [str(found.episodes[name].dtype) for name in ("run_id", "phase", "outcome", "parked", "steps", "return")] == [
         "category", "category", "category", "bool", "int64", "float64"]  # fmt: skip
-    documented = frames.__doc__
+    documented = parking_exp.results.__doc__
     for name in (*frames.RUN_COLUMNS, *frames.CURVE_COLUMNS, *frames.EPISODE_COLUMNS):
         assert re.search(rf"\b{name}\b", documented), name
 

@@ -28,13 +28,14 @@ from parking_exp.config.paths import default_uri
 from parking_exp.config.schema import RunConfig
 from parking_exp.envs.geometry import SLOT_POSITIONS
 from parking_exp.evaluation.evaluate import summarise
+from parking_exp.evaluation.metrics import EPISODE_COLUMNS
 from parking_exp.runs.atomic import sha256, write_json
 from parking_exp.runs.directory import RunDirectory, RunResult
 from parking_exp.runs.layout import new_entries
 from parking_exp.runs.logs import append_episodes, copy_logs
 from parking_exp.runs.provenance import provenance
 from parking_exp.tracking.store import Store
-from parking_exp.tracking.sync import LONGEST_PARAM, MLFLOW_STATUS, flatten, sync
+from parking_exp.tracking.sync import LONGEST_PARAM, MLFLOW_STATUS, SYNCED_FILE, flatten, sync
 
 STARTED_MS = 1_700_000_000_000
 WALL_S = 600.0
@@ -144,7 +145,7 @@ def made_episodes(look: Look, success: float, scenes: range, seed: int) -> pd.Da
     outcome = np.array(["success"] * succeed + ["crash"] * crash + ["timeout"] * (n - succeed - crash))
     parked = np.arange(n) < min(round(look.parked * n), succeed)
     order = rng.permutation(n)
-    return pd.DataFrame(
+    table = pd.DataFrame(
         {
             "scene": list(scenes),
             "outcome": outcome[order],
@@ -156,6 +157,7 @@ def made_episodes(look: Look, success: float, scenes: range, seed: int) -> pd.Da
             "speed_mps": np.round(rng.uniform(0, 2, n), 6),
         }
     )
+    return table.assign(**{name: rng.uniform(0, 1, n) for name in EPISODE_COLUMNS if name not in table})
 
 
 def made_trajectories(episodes: pd.DataFrame) -> dict[str, np.ndarray]:
@@ -319,6 +321,7 @@ def _insert(
             directory.path / "status.json",
             {**new_entries(), "status": look.status, "run_id": run_id, "tracking_uri": uri},
         )
+        _record_as_synced(directory, look, run_id, uri)
         place_in_store = {"run_uuid": run_id, "artifact_uri": artifact_uri, "experiment_id": int(experiment_id)}
         for name, rows in _rows(place_in_store, directory, config, look, lines).items():
             tables[names[name]] += rows
@@ -330,6 +333,13 @@ def _insert(
             if rows:
                 connection.execute(insert(model.__table__), rows)
     engine.dispose()
+
+
+def _record_as_synced(directory: RunDirectory, look: Look, run_id: str, uri: str) -> None:
+    """Write what `sync` leaves in a run directory, so that nothing tries to send it."""
+    status = "interrupted" if look.status == "running" else look.status  # no process holds it
+    sent = {"uri": uri, "run_id": run_id, "status": status, "error": "", "note": None, "files": {}}
+    write_json(directory.path / SYNCED_FILE, sent)
 
 
 def _rows(

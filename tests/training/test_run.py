@@ -44,7 +44,8 @@ from parking_exp.errors import (
     RunLockedError,
     RunNotFoundError,
 )
-from parking_exp.evaluation.evaluate import EPISODE_COLUMNS, evaluate
+from parking_exp.evaluation.evaluate import evaluate
+from parking_exp.evaluation.metrics import EPISODE_COLUMNS
 from parking_exp.evaluation.stored_run import evaluate_run
 from parking_exp.runs.atomic import read_json, sha256, write_json
 from parking_exp.runs.directory import RunDirectory

@@ -1,11 +1,12 @@
 """Tables about cells and their seeds: final results, times to 90 %, curves, goal slots."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from operator import attrgetter, itemgetter
 from typing import Any
 
 from parking_exp.reports import formats
 from parking_exp.reports.data import Cell, Interval, ReportData, Share, Survival
+from parking_exp.reports.summaries import FURTHER, REPORTED
 from parking_exp.reports.tables.model import (
     PERCENT,
     Column,
@@ -40,13 +41,14 @@ def headline(report: ReportData, cells: Sequence[Cell]) -> Iterator[Table]:
             Column("Seeds", _finished, {"seeds": lambda cell: len(cell.seeds)}, numeric=True),
             Column(csv={f"runs_{stage}": _count(stage) for stage in stages}),
             column("Env steps", whole, "env_steps", attrgetter("total_timesteps"), order=2),
-            spread("Success (%)", rate_bar, "success"),
-            spread("Parked (%)", rate, "parked"),
-            spread("Crash (%)", rate, "crash"),
-            spread("Timeout (%)", rate, "timeout"),
-            spread("Steps an episode", lambda mean: number(mean.value, 1), "episode_steps", order=1),
+            spread(REPORTED["success"].heading, rate_bar, "success"),
+            spread(REPORTED["parked"].heading, rate, "parked"),
+            spread(REPORTED["crash"].heading, rate, "crash"),
+            spread(REPORTED["timeout"].heading, rate, "timeout"),
+            spread(REPORTED["episode_steps"].heading, lambda mean: number(mean.value, 1), "episode_steps", order=1),
             spread("CPU (s)", lambda mean: number(mean.value), "cpu_s", order=3),
             Column(csv=bounds("area", attrgetter("area"))),
+            *(spread(REPORTED[name].heading, _entry(name), name, _further(name), order=4) for name in FURTHER),
             Column(csv={"success_method": lambda cell: cell.success.method}),
             Column("Seeds ≥ 90 %", lambda cell: _reaching(cell.reaching_90), _reaching_csv(), numeric=True),
             Column(
@@ -118,6 +120,7 @@ def seeds(report: ReportData, cells: Sequence[Cell]) -> Iterator[Table]:
             column("CPU (s)", number, "cpu_s", of("cpu_s"), order=3),
             Column("Steps to 90 %", reached, {"steps_to_90": of("steps_to_90")}, numeric=True, order=2),
             Column(csv={name: of(name) for name in ("reached_90", "cpu_s_to_90", "area")}),
+            Column(csv={name: _further(name, itemgetter(1)) for name in FURTHER}),
         ],
         [(cell, seed) for cell in cells for seed in cell.seeds],
         "Finished runs: final rates over the certified scenes, with Wilson's 95 % interval in brackets.",
@@ -162,6 +165,15 @@ def slots(report: ReportData, cells: Sequence[Cell]) -> Iterator[Table]:
 
 
 _STEPS, _CPU = attrgetter("survival"), attrgetter("survival_cpu")
+
+
+def _entry(name: str) -> Callable[[Interval], Entry]:
+    return rate if REPORTED[name].is_rate else lambda mean: number(mean.value, 2)
+
+
+def _further(name: str, owner: Getter = lambda row: row) -> Getter:
+    """Return what gets a further metric of the registry from a cell or a seed."""
+    return lambda row: owner(row).further[name]
 
 
 def _label(cell: Getter = lambda row: row) -> Column:

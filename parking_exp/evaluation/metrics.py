@@ -1,0 +1,194 @@
+"""The registry of metrics: each is declared once, here.
+
+Evaluation, `episodes.csv`, the store, the frames of `parking_exp.results` and the tables of reports read it. To add a
+metric, add an entry to METRICS: every evaluation then computes it, and runs that were evaluated before lack it (NaN).
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Literal
+
+from parking_exp.envs.outcomes import OUTCOMES, Outcome, Pose
+
+Bounds = tuple[float, float]
+
+SHARE: Bounds = (0.0, 1.0)
+SIZE: Bounds = (0.0, 1e9)
+SECONDS: Bounds = (0.0, 1e12)
+
+
+@dataclass(frozen=True)
+class Episode:
+    """An evaluation episode that has ended.
+
+    Attributes:
+        outcome: success, crash or timeout.
+        steps: its length in policy steps.
+        total_reward: undiscounted sum of its rewards.
+        end: the car relative to its goal slot at the end.
+    """
+
+    outcome: Outcome
+    steps: int
+    total_reward: float
+    end: Pose
+
+
+@dataclass(frozen=True, kw_only=True)
+class Metric:
+    """A metric of evaluation episodes, of which an evaluation has the rate (of a bool) or the mean (of a number).
+
+    Attributes:
+        name: its column in `episodes.csv`; outcomes share the column `outcome`.
+        of: its value, computed from an episode that has ended.
+        dtype: of the column in frames.
+        label: heading in tables.
+        unit: shown behind the label; empty for none.
+        summary: format of a sentence's part about its mean; empty: sentences leave it out.
+        higher_is_better: None where neither is.
+        bounds: lowest and highest possible value; others count as missing in reports.
+        column: in `Results.runs`; None: `NAME_rate` or the name.
+        in_curves: whether `Results.curves` has it.
+        in_reports: whether reports have its mean over seeds.
+    """
+
+    name: str
+    of: Callable[[Episode], bool | int | float]
+    dtype: Literal["bool", "int64", "float64"] = "float64"
+    label: str
+    unit: str = ""
+    summary: str = ""
+    higher_is_better: bool | None = None
+    bounds: Bounds = SIZE
+    column: str | None = None
+    in_curves: bool = False
+    in_reports: bool = False
+
+    @property
+    def is_rate(self) -> bool:
+        """Whether an evaluation has the share of episodes in which it is true."""
+        return self.dtype == "bool"
+
+    @property
+    def key(self) -> str:
+        """Name in the summary of an evaluation, e.g. `success_rate`; the store has it as `certified/success_rate`."""
+        return f"{self.name}_{'rate' if self.is_rate else 'mean'}"
+
+    @property
+    def run_column(self) -> str:
+        """Name of its rate or mean over the final episodes in `Results.runs`."""
+        return self.column or (self.key if self.is_rate else self.name)
+
+    @property
+    def heading(self) -> str:
+        """Label and unit."""
+        unit = "%" if self.is_rate else self.unit
+        return f"{self.label} ({unit})" if unit else self.label
+
+    def values(self, episodes: Any) -> Any:
+        """Return its value in each row of a frame of episodes."""
+        return episodes["outcome"] == self.name if self.name in OUTCOMES else episodes[self.name]
+
+
+def _rate(name: str, of: Callable[[Episode], bool], *, higher_is_better: bool) -> Metric:
+    """Return a metric of which the store, curves and reports have the rate."""
+    return Metric(
+        name=name,
+        of=of,
+        dtype="bool",
+        label=name.capitalize(),
+        higher_is_better=higher_is_better,
+        bounds=SHARE,
+        in_curves=True,
+        in_reports=True,
+    )
+
+
+def _ended_as(name: Outcome) -> Callable[[Episode], bool]:
+    return lambda episode: episode.outcome == name
+
+
+METRICS: tuple[Metric, ...] = (
+    *(_rate(name, _ended_as(name), higher_is_better=name == "success") for name in OUTCOMES),
+    _rate("parked", lambda episode: episode.end.parked, higher_is_better=True),
+    Metric(
+        name="steps",
+        of=lambda episode: episode.steps,
+        dtype="int64",
+        label="Steps an episode",
+        summary="{:.1f} steps",
+        higher_is_better=False,
+        column="episode_steps",  # `steps` are the env steps trained
+        in_curves=True,
+        in_reports=True,
+    ),
+    Metric(
+        name="return",
+        of=lambda episode: episode.total_reward,
+        label="Return",
+        summary="return {:.2f}",
+        higher_is_better=True,
+        bounds=(-1e9, 1e9),
+        column="episode_return",
+        in_curves=True,
+    ),
+    Metric(
+        name="distance_m",
+        of=lambda episode: episode.end.distance_m,
+        label="Distance at the end",
+        unit="m",
+        summary="at the end {:.2f} m from the slot's centre",
+        higher_is_better=False,
+    ),
+    Metric(
+        name="heading_error_rad",
+        of=lambda episode: abs(episode.end.heading_error_rad),
+        label="Heading error at the end",
+        unit="rad",
+        summary="{:.3f} rad off",
+        higher_is_better=False,
+    ),
+    Metric(
+        name="speed_mps",
+        of=lambda episode: abs(episode.end.speed_mps),
+        label="Speed at the end",
+        unit="m/s",
+        summary="{:.2f} m/s",
+        higher_is_better=False,
+    ),
+)
+
+RANKING = ("success", "crash", "steps")
+"""By which metrics the best model is chosen: the second where the first is equal, and so on."""
+
+EPISODE_COLUMNS = ["scene", "outcome", *(metric.name for metric in METRICS if metric.name not in OUTCOMES)]
+"""Columns of an episodes table; `episodes.csv` has phase and step before them."""
+
+DTYPES: dict[str, str] = {metric.name: metric.dtype for metric in METRICS if metric.name not in OUTCOMES}
+"""Types of its columns, but for scene and outcome."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunMetric:
+    """A metric that a training logs with each evaluation, about the run so far.
+
+    Attributes:
+        name: column in frames.
+        key: its name in `metrics.jsonl` and in the store.
+        bounds: lowest and highest possible value; others count as missing in reports.
+        in_runs: whether `Results.runs` has its last value.
+        in_curves: whether `Results.curves` has it.
+    """
+
+    name: str
+    key: str
+    bounds: Bounds
+    in_runs: bool = False
+    in_curves: bool = False
+
+
+RUN_METRICS: tuple[RunMetric, ...] = (
+    RunMetric(name="cpu_s", key="time/cpu_s", bounds=SECONDS, in_runs=True, in_curves=True),
+    RunMetric(name="wall_s", key="time/wall_s", bounds=SECONDS, in_runs=True),
+    RunMetric(name="real_share", key="buffer/real_share", bounds=SHARE, in_curves=True),
+)
