@@ -43,7 +43,7 @@ from support.store_factory import compose, make_store
 from parking_exp.evaluation.evaluate import evaluate, summarise
 from parking_exp.evaluation.summary import describe
 from parking_exp.reports.build import Question, build
-from parking_exp.reports.render.tables import write_tables
+from parking_exp.reports.render.files import write_tables
 from parking_exp.results import load
 from parking_exp.runs.logs import append_episodes
 from parking_exp.tracking.reader import Reader
