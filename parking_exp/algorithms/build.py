@@ -13,10 +13,10 @@ from stable_baselines3.common.torch_layers import CombinedExtractor
 from stable_baselines3.common.vec_env import VecEnv
 from torch import nn
 
-from parking_exp.algorithms.fast.precision import faster_precision
+from parking_exp.algorithms.fast.matmul_precision import faster_precision
 from parking_exp.algorithms.features import EgoFrameExtractor
 from parking_exp.buffers import HerBuffer
-from parking_exp.config.arguments import CLASS_ARGUMENTS, ignored_features
+from parking_exp.config.constructor_arguments import CLASS_ARGUMENTS, ignored_features
 from parking_exp.config.schema import Precision, RunConfig
 from parking_exp.config.signatures import policy_signature
 from parking_exp.envs.interface import Policy

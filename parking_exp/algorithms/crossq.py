@@ -1,4 +1,4 @@
-"""CrossQ on goal observations."""
+"""CrossQ for goal (Dict) observations."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager

@@ -11,7 +11,7 @@ from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from stable_baselines3.common.vec_env import VecEnv
 
 from parking_exp.algorithms.build import build_model, greedy_policy
-from parking_exp.algorithms.weights import (
+from parking_exp.algorithms.model_files import (
     BUFFER_ENTRIES,
     PROVEN,
     apply_weights,

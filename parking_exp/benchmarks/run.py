@@ -15,7 +15,7 @@ from parking_exp.config.schema import Positive, Section
 from parking_exp.config.validate import parse
 from parking_exp.errors import ConfigError, suggestion
 from parking_exp.resources import cores
-from parking_exp.runs.atomic import read_json, write_json
+from parking_exp.runs.files import read_json, write_json
 from parking_exp.terminal import say
 
 ALGORITHMS, NETS = ("sac", "td3", "ddpg"), {"3x256": "[256,256,256]", "2x64": "[64,64]"}

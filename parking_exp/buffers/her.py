@@ -1,4 +1,4 @@
-"""Hindsight Experience Replay: a buffer in the place of Stable-Baselines3's `HerReplayBuffer`."""
+"""HER replay buffer that replaces Stable-Baselines3's `HerReplayBuffer`."""
 
 import json
 import warnings
@@ -17,7 +17,7 @@ from stable_baselines3.her import GoalSelectionStrategy
 from parking_exp.buffers.episode_index import NONE, EpisodeIndex
 from parking_exp.buffers.storage import Observation, Storage, Transitions
 from parking_exp.buffers.strategies import STRATEGIES
-from parking_exp.config.hindsight import GoalStrategy, GoalVelocity, RelabelCollision, RelabelTerminated
+from parking_exp.config.her_options import GoalStrategy, GoalVelocity, RelabelCollision, RelabelTerminated
 
 NO_GOALS = np.empty(0, np.int64)
 

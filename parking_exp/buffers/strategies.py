@@ -1,4 +1,4 @@
-"""HER strategies: the transitions that virtual goals are taken from (Andrychowicz et al. 2017, section 4.5)."""
+"""Goal-selection strategies of HER: future, final, episode, random (Andrychowicz et al. 2017, section 4.5)."""
 
 from collections.abc import Callable
 

@@ -1,1 +1,1 @@
-"""Command lines: what is typed becomes one call, errors become sentences."""
+"""Command-line entry points: parse, make one call, report errors as sentences."""

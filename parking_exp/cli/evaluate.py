@@ -1,7 +1,7 @@
 """`scripts/evaluate.py` and `parking-evaluate`: evaluate a trained agent."""
 
 from parking_exp.cli.command import for_each, run_command
-from parking_exp.evaluation.stored_run import evaluate_run, validate_request
+from parking_exp.evaluation.evaluate_run import evaluate_run, validate_request
 
 
 def main() -> None:

@@ -9,7 +9,7 @@ from parking_exp.cli.command import run_command
 from parking_exp.config.compose import composed
 from parking_exp.config.overrides import in_quotes
 from parking_exp.errors import ConfigError
-from parking_exp.reports.report import report, validate_report
+from parking_exp.reports.run import report, validate_report
 
 KEYS = {"experiment_name", "cells", "baseline", "output_dir", "name", "tracking", "report", "hydra"}
 

@@ -1,4 +1,4 @@
-"""`scripts/status.py` and `parking-status`: how far runs are, from small files of their directories."""
+"""The status command: show the progress of runs, read from their directories."""
 
 import time
 from pathlib import Path

@@ -17,7 +17,7 @@ def main() -> None:
 
 def train(overrides: list[str], extra_config_dir: str | None) -> None:
     """Train what the overrides stand for: a single run here, several as a sweep."""
-    from parking_exp.sweeps.launching import Launch
+    from parking_exp.sweeps.hydra_launcher import Launch
     from parking_exp.sweeps.plan import plan
     from parking_exp.sweeps.run import sweep
 

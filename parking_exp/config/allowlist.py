@@ -1,13 +1,13 @@
-"""The allow-list of classes that a stored config may name: it may come from elsewhere, and Hydra calls each."""
+"""Allow-list of classes that a stored config may instantiate, since it may come from anywhere."""
 
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from parking_exp.config.arguments import CLASS_ARGUMENTS, class_path
+from parking_exp.config.constructor_arguments import CLASS_ARGUMENTS, class_path
 from parking_exp.config.schema import RunConfig
 from parking_exp.config.signatures import defined_in
-from parking_exp.config.source import UnknownTarget
+from parking_exp.config.source_lookup import UnknownTarget
 from parking_exp.errors import UntrustedError
 
 # Packages and modules whose classes a run is made of. To construct one of them does nothing but make an object; other

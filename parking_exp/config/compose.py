@@ -1,4 +1,4 @@
-"""Compose the configs that command-line overrides stand for, with Hydra, from `conf/`."""
+"""Compose configs from `conf/` and command-line overrides with Hydra."""
 
 import copy
 import sys

@@ -1,4 +1,4 @@
-"""From the axes of an experiment file to its cells, and from seeds to runs.
+"""Expand an experiment's cells from their axes, and cells into runs by seed.
 
 `cells` of a config is a list of blocks; a block maps keys or groups to values, and stands for their product. `seeds` is
 how many seeds, or which, each cell gets.

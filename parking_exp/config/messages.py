@@ -1,10 +1,10 @@
-"""Messages about config values: what pydantic complains about, and targets that name nothing."""
+"""Error messages for pydantic failures and for a `_target_` that cannot be found."""
 
 from typing import Any
 
 from pydantic import BaseModel
 
-from parking_exp.config.source import UnknownTarget
+from parking_exp.config.source_lookup import UnknownTarget
 from parking_exp.errors import suggestion
 
 

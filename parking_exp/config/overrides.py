@@ -10,7 +10,7 @@ from omegaconf import DictConfig
 
 from parking_exp.config.grid import seeds_of, written
 from parking_exp.config.signatures import signature
-from parking_exp.config.source import UnknownTarget
+from parking_exp.config.source_lookup import UnknownTarget
 from parking_exp.errors import ConfigError, suggestion
 
 

@@ -1,15 +1,15 @@
-"""Rules between the keys of a config. Each broken one is a sentence with the closest valid choice."""
+"""Rules between the keys of a config; each error suggests the closest valid choice."""
 
 import re
 from collections.abc import Mapping
 from importlib.metadata import entry_points
 from itertools import pairwise
 
-from parking_exp.config.hindsight import HER_OPTIONS
+from parking_exp.config.her_options import HER_OPTIONS
 from parking_exp.config.messages import no_target
 from parking_exp.config.schema import DEFAULT_FEATURES, DEFAULT_SCALES, TRAINING_SCENES_START, EnvConfig, RunConfig
 from parking_exp.config.signatures import signature
-from parking_exp.config.source import UnknownTarget
+from parking_exp.config.source_lookup import UnknownTarget
 from parking_exp.resources import total_memory
 
 STORES = ("sqlite", "http", "https", "postgresql", "mysql", "mssql", "databricks")  # MLflow's own

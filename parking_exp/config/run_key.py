@@ -1,4 +1,4 @@
-"""Which keys of a run's config change its results: only these go into its key, and set cells apart in reports."""
+"""Key of a run: a hash of the config keys that change its results."""
 
 import hashlib
 import json

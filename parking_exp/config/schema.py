@@ -12,7 +12,7 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from parking_exp.config.hindsight import GOAL_STRATEGIES
+from parking_exp.config.her_options import GOAL_STRATEGIES
 from parking_exp.config.paths import directory_path
 from parking_exp.config.run_key import result_part, short_hash
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
-from parking_exp.config.source import class_of, definition_of, lineage, module_name, parent_of, resolve_base
+from parking_exp.config.source_lookup import class_of, definition_of, lineage, module_name, parent_of, resolve_base
 
 SIMPLE_TYPES: dict[str, tuple[type, ...]] = {
     "int": (int,),

@@ -1,4 +1,4 @@
-"""Is a config one that can run? Types and ranges, third-party arguments, and the rules between keys.
+"""Validate a config: types and ranges, third-party arguments, rules between keys.
 
 Every complaint is one sentence that names the key, what is wrong and the closest valid choice. Nothing here imports
 torch or mlflow: a typo is refused in well under two seconds.
@@ -11,7 +11,7 @@ from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import MissingMandatoryValue, OmegaConfBaseException
 from pydantic import BaseModel, ValidationError
 
-from parking_exp.config.arguments import check_arguments
+from parking_exp.config.constructor_arguments import check_arguments
 from parking_exp.config.messages import sentence
 from parking_exp.config.rules import check_rules
 from parking_exp.config.schema import RunConfig, SweepOptions

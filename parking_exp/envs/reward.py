@@ -1,4 +1,4 @@
-"""Goal reward without collisions: highway-env's `compute_reward` for many goals at once."""
+"""Goal reward of highway-env without the collision term, for many goals at once."""
 
 from dataclasses import dataclass
 from typing import Self

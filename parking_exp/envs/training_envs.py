@@ -8,8 +8,8 @@ from stable_baselines3.common.monitor import ResultsWriter
 from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv, VecMonitor
 
 from parking_exp.config.schema import EnvConfig
+from parking_exp.envs.action_replay import ReplayActions
 from parking_exp.envs.highway import make_env
-from parking_exp.envs.replay import ReplayActions
 from parking_exp.envs.vec_env import ParkingVecEnv
 
 MONITORED = ("is_success", "crashed")

@@ -1,4 +1,7 @@
-"""Evaluate a policy on fixed scenes: one episode each. Scene s is what `env.reset(seed=s)` of highway-env makes."""
+"""Evaluate a policy on scenes and return one row per episode.
+
+Scene s is what `env.reset(seed=s)` of highway-env makes.
+"""
 
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
@@ -8,9 +11,9 @@ import numpy as np
 import pandas as pd
 
 from parking_exp.config.schema import EnvConfig, Simulation
-from parking_exp.envs.evaluation_envs import start_scenes
 from parking_exp.envs.interface import Observation, Policy, SceneBatch
 from parking_exp.envs.outcomes import outcome
+from parking_exp.envs.scene_batches import start_scenes
 from parking_exp.evaluation.metrics import EPISODE_COLUMNS, METRICS, RANKING, Episode
 from parking_exp.evaluation.trajectories import Recorder
 

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from parking_exp.runs.atomic import fsync
+from parking_exp.runs.files import fsync
 
 TRAJECTORIES_FILE = "trajectories.npz"
 CAR_COLUMNS = ("x_m", "y_m", "heading_rad", "speed_mps")

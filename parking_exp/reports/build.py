@@ -1,4 +1,4 @@
-"""Build the data of a report from the frames of results."""
+"""Compute the data of a report from result frames."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -11,13 +11,13 @@ from parking_exp.config.paths import without_password
 from parking_exp.envs.geometry import N_SLOTS
 from parking_exp.errors import RunNotFoundError, plural
 from parking_exp.reports import findings, warnings
+from parking_exp.reports.comparisons import compare_pairs
 from parking_exp.reports.curves import Courses
-from parking_exp.reports.data import Cell, Design, Factor, Importance, Interaction, MainEffect, ReportData
 from parking_exp.reports.effects import importance, interactions, main_effects
 from parking_exp.reports.factors import design
-from parking_exp.reports.pairs import compare_pairs
+from parking_exp.reports.lot_map import sample
 from parking_exp.reports.provenance import provenance
-from parking_exp.reports.scene_map import sample
+from parking_exp.reports.report_data import Cell, Design, Factor, Importance, Interaction, MainEffect, ReportData
 from parking_exp.reports.selection import Group, choose, group, one_cell, relabelled
 from parking_exp.reports.summaries import real_share, shared_horizons, summarise
 from parking_exp.reports.untracked import with_untracked

@@ -9,7 +9,8 @@ import numpy as np
 import pandas as pd
 
 from parking_exp import statistics
-from parking_exp.reports.data import (
+from parking_exp.reports.formats import finite, setting, within
+from parking_exp.reports.report_data import (
     Cell,
     Factor,
     Importance,
@@ -19,7 +20,6 @@ from parking_exp.reports.data import (
     MainEffect,
     Setting,
 )
-from parking_exp.reports.formats import finite, setting, within
 
 RESPONSE = "success"
 MOST_TABLES = 6

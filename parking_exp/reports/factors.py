@@ -9,8 +9,8 @@ from collections.abc import Hashable, Mapping, Sequence
 from typing import Any
 
 from parking_exp.config.run_key import changes_results
-from parking_exp.reports.data import Design, Factor, Setting
 from parking_exp.reports.formats import setting
+from parking_exp.reports.report_data import Design, Factor, Setting
 
 Config = Mapping[str, Setting]
 """Dotted keys -> values of one cell."""

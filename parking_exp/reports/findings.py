@@ -4,7 +4,9 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 from parking_exp.errors import plural, quoted_label
-from parking_exp.reports.data import (
+from parking_exp.reports.comparisons import SIGNIFICANT, Family
+from parking_exp.reports.formats import p_value, points_interval, rate_interval, setting
+from parking_exp.reports.report_data import (
     Cell,
     Design,
     Factor,
@@ -14,8 +16,6 @@ from parking_exp.reports.data import (
     MainEffect,
     Pair,
 )
-from parking_exp.reports.formats import p_value, points_interval, rate_interval, setting
-from parking_exp.reports.pairs import SIGNIFICANT, Family
 from parking_exp.reports.warnings import FEW_NAMES, named
 
 VERDICTS = {"better": "is better than", "worse": "is worse than", "same": "can't be told apart from"}

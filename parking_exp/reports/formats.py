@@ -5,7 +5,7 @@ import re
 from numbers import Real
 from typing import Any
 
-from parking_exp.reports.data import Interval, Share
+from parking_exp.reports.report_data import Interval, Share
 
 CONTROL = re.compile(r"[\x00-\x1f\x7f-\x9f\u2028\u2029]+")
 

@@ -3,9 +3,9 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from parking_exp.reports.data import Cell, ReportData
-from parking_exp.reports.figures import cells, factors, pairs, scenes, search
+from parking_exp.reports.figures import cells, factors, lot, pairs, search
 from parking_exp.reports.figures.canvas import Canvas
+from parking_exp.reports.report_data import Cell, ReportData
 from parking_exp.reports.tables import cells as cell_tables
 from parking_exp.reports.tables import factors as factor_tables
 from parking_exp.reports.tables import pairs as pair_tables
@@ -93,13 +93,13 @@ SECTIONS = (
     Section(
         "scenes",
         "Where episodes fail",
-        figures=[Figure("scene_map", "Where on the lot episodes fail", scenes.scene_map)],
+        figures=[Figure("scene_map", "Where on the lot episodes fail", lot.scene_map)],
         tables=[cell_tables.slots],
     ),
     Section(
         "trajectories",
         "Seen from above",
-        figures=[Figure("trajectories", "Sampled episodes from above", scenes.trajectories)],
+        figures=[Figure("trajectories", "Sampled episodes from above", lot.trajectories)],
     ),
     Section(
         "search",

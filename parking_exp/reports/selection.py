@@ -12,10 +12,10 @@ import numpy as np
 import pandas as pd
 
 from parking_exp.errors import ConfigError, suggestion
-from parking_exp.reports.data import Factor, Setting
 from parking_exp.reports.factors import GROUPS, Config, can_matter, find_factors, label, unique
 from parking_exp.reports.formats import setting
-from parking_exp.results.columns import typed
+from parking_exp.reports.report_data import Factor, Setting
+from parking_exp.results.dtypes import typed
 
 CONFIG = "config."
 

@@ -9,9 +9,9 @@ import pandas as pd
 
 from parking_exp.evaluation.metrics import METRICS, SHARE, Metric
 from parking_exp.reports.curves import Course, Courses
-from parking_exp.reports.data import Cell, Curve, Interval, Seed, Share, Survival
 from parking_exp.reports.formats import finite
-from parking_exp.reports.scene_map import slot_rates
+from parking_exp.reports.lot_map import slot_rates
+from parking_exp.reports.report_data import Cell, Curve, Interval, Seed, Share, Survival
 from parking_exp.reports.selection import Group
 from parking_exp.statistics import (
     Estimate,

@@ -10,7 +10,7 @@ from pathlib import Path
 import pandas as pd
 
 from parking_exp.config.schema import NAME
-from parking_exp.reports.data import FailedRun
+from parking_exp.reports.report_data import FailedRun
 from parking_exp.runs.lookup import find_runs
 from parking_exp.runs.state import RunState, read_state
 

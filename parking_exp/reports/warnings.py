@@ -4,8 +4,8 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 
 from parking_exp.errors import plural, quoted_label
-from parking_exp.reports.data import Cell, FailedRun, Pair, Provenance
 from parking_exp.reports.formats import setting
+from parking_exp.reports.report_data import Cell, FailedRun, Pair, Provenance
 from parking_exp.reports.selection import Group
 
 ENOUGH_SEEDS = 10

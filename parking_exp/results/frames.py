@@ -14,7 +14,7 @@ from parking_exp.config.paths import default_uri, directory_path, without_passwo
 from parking_exp.errors import ResultsError, first_few, plural, suggestion
 from parking_exp.evaluation.metrics import METRICS, RUN_METRICS
 from parking_exp.evaluation.trajectories import TRAJECTORIES_FILE
-from parking_exp.results.columns import TEXT, column, flags, integers, text, times, typed
+from parking_exp.results.dtypes import TEXT, column, flags, integers, text, times, typed
 from parking_exp.results.invalid_values import sound_points, sound_runs
 from parking_exp.results.recordings import EPISODES, read_episodes, read_trajectories
 from parking_exp.tracking.failures import is_store_failure, reason

@@ -1,4 +1,4 @@
-"""Impossible values in a store: they count as missing, and a sentence names their run.
+"""Treat impossible values in a store as missing, and warn about them.
 
 `load` drops values that are not of their column's type: SQLite keeps whatever is written into a column, so that a time
 may be a word. Reports drop numbers out of bounds as well, such as a rate of 7.5.

@@ -22,11 +22,11 @@ from pydantic import TypeAdapter, ValidationError
 from parking_exp.config.paths import absolute, directory_path, lies_inside, relative
 from parking_exp.config.schema import RunConfig
 from parking_exp.errors import ConfigError, OutputDirectoryError, RunLockedError, UntrustedError
-from parking_exp.runs.atomic import read_object, write_json
-from parking_exp.runs.layout import new_entries, other_version, refusal
+from parking_exp.runs.files import read_object, write_json
+from parking_exp.runs.layout_version import new_entries, other_version, refusal
 from parking_exp.runs.locks import hold, is_held
 from parking_exp.runs.provenance import typed_command
-from parking_exp.runs.status_file import Status, StatusEntries, read_entries
+from parking_exp.runs.status_schema import Status, StatusEntries, read_entries
 from parking_exp.runs.stored_config import CONFIG_FILE, OUTPUT_DIR, read_config, write_config
 
 STATUS_FILE, RESULT_FILE, HEARTBEAT_FILE = "status.json", "result.json", "beat.json"

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any, Literal
 
 from parking_exp.runs.directory import HEARTBEAT_FILE, STATUS_FILE, RunDirectory
-from parking_exp.runs.layout import other_version
-from parking_exp.runs.status_file import HeartbeatEntries, StatusEntries, read_entries
+from parking_exp.runs.layout_version import other_version
+from parking_exp.runs.status_schema import HeartbeatEntries, StatusEntries, read_entries
 
 Stage = Literal["done", "running", "failed", "pending"]
 STAGES: tuple[Stage, ...] = ("done", "running", "failed", "pending")

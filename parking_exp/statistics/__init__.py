@@ -1,10 +1,12 @@
-"""Statistics over seeds and cells: intervals, tests, survival curves, effects of factors. Pure functions.
+"""Statistics of runs: intervals, comparisons, effects, survival. Pure functions without I/O.
 
 Every training imports this package, and scipy.stats takes 0.5 s and more to import, so that only `log_rank` imports it,
 when called. That is why Wilson's and Welch's intervals and Kaplan and Meier's estimate are computed here. scipy's
 differ in the last bit, and take 20 (Welch) to 400 (Wilson) times as long; tests compare with them.
 """
 
+from parking_exp.statistics.comparisons import Difference, Improvement, holm, probability_of_improvement, welch
+from parking_exp.statistics.coverage import coverage_note
 from parking_exp.statistics.curves import normalised_area
 from parking_exp.statistics.effects import (
     InteractionCell,
@@ -17,8 +19,6 @@ from parking_exp.statistics.effects import (
 )
 from parking_exp.statistics.hyperparameters import FEWEST_ROWS, ParameterImportance, importance
 from parking_exp.statistics.intervals import Estimate, mean_band, mean_interval
-from parking_exp.statistics.notes import coverage_note
-from parking_exp.statistics.pairs import Difference, Improvement, holm, probability_of_improvement, welch
 from parking_exp.statistics.rates import Proportion, share_reaching, unseen_share, wilson_interval
 from parking_exp.statistics.survival import (
     RestrictedMean,

@@ -11,8 +11,8 @@ import numpy as np
 from scipy.special import fdtrc, stdtr, stdtrit
 
 from parking_exp.statistics.checks import confident
+from parking_exp.statistics.comparisons import Difference
 from parking_exp.statistics.intervals import NONE, mean_interval
-from parking_exp.statistics.pairs import Difference
 
 if TYPE_CHECKING:  # a training imports this package and needs no frames of ours
     from collections.abc import Mapping, Sequence

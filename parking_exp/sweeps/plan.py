@@ -16,7 +16,7 @@ from parking_exp.runs.directory import RunDirectory
 from parking_exp.runs.lookup import find_runs
 from parking_exp.runs.state import RunState, counts, read_state
 from parking_exp.runs.state_tables import cell_table, damaged_lines, duration, version_lines
-from parking_exp.sweeps.launching import Launch
+from parking_exp.sweeps.hydra_launcher import Launch
 
 
 @dataclass(frozen=True)

@@ -81,7 +81,7 @@ def supervise(
 
 def _make_models(directory: RunDirectory) -> None:
     """Make models that are gone again. That is a copy, and takes no process of its own; the run stays done."""
-    from parking_exp.training.recovery import make_models
+    from parking_exp.training.rebuild_models import make_models
 
     try:
         say(make_models(directory), stderr=True)

@@ -1,4 +1,4 @@
-"""Sync one run directory to an MLflow store: the directory is the truth, the store is its index.
+"""Sync one run directory to an MLflow store; the directory is the source of truth.
 
 `sync` needs nothing but a run directory, in any state that a kill can leave it in, and does what is missing: after each
 checkpoint, at the end, and later for a run whose store was down or that was killed.
@@ -25,9 +25,9 @@ from filelock import FileLock
 from parking_exp.config.paths import absolute, database, relative, relative_path
 from parking_exp.config.schema import RunConfig
 from parking_exp.errors import DamagedFileError
-from parking_exp.runs.atomic import fingerprint, read_object, write_json
 from parking_exp.runs.directory import RunDirectory, Status
-from parking_exp.runs.logs import damaged_logs, has_whole_logs, read_metrics
+from parking_exp.runs.files import fingerprint, read_object, write_json
+from parking_exp.runs.metric_logs import damaged_logs, has_whole_logs, read_metrics
 from parking_exp.runs.provenance import PROVENANCE_FILE, read_provenance
 from parking_exp.tracking import artifacts
 from parking_exp.tracking.failures import is_store_failure, reason

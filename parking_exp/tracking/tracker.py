@@ -1,4 +1,4 @@
-"""Track a training in its store; a store that fails never fails the training."""
+"""Log a training to its store; a store that fails does not stop it."""
 
 import shlex
 import time
@@ -7,8 +7,8 @@ from pathlib import Path
 
 from parking_exp.config.paths import default_uri, store_uri, without_password
 from parking_exp.config.schema import RunConfig
-from parking_exp.runs.atomic import write_json
 from parking_exp.runs.directory import RunDirectory
+from parking_exp.runs.files import write_json
 from parking_exp.runs.provenance import PROVENANCE_FILE, provenance, read_provenance
 from parking_exp.tracking.sync import try_sync
 

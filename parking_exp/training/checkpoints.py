@@ -20,12 +20,12 @@ from stable_baselines3.common.buffers import ReplayBuffer
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 
 from parking_exp.algorithms.fast.base import FastTraining
-from parking_exp.algorithms.weights import check_saved, load_weights
+from parking_exp.algorithms.model_files import check_saved, load_weights
 from parking_exp.buffers import HerBuffer
 from parking_exp.errors import DamagedFileError, DamagedModelError, ModelError
-from parking_exp.runs.atomic import fsync, read_json, sha256, write_json
-from parking_exp.runs.layout import new_entries, other_version
-from parking_exp.runs.logs import copy_logs
+from parking_exp.runs.files import fsync, read_json, sha256, write_json
+from parking_exp.runs.layout_version import new_entries, other_version
+from parking_exp.runs.metric_logs import copy_logs
 from parking_exp.training import rollout_state, serialization
 
 log = logging.getLogger(__name__)

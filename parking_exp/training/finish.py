@@ -2,14 +2,14 @@
 
 import pandas as pd
 
-from parking_exp.algorithms.weights import save_model
+from parking_exp.algorithms.model_files import save_model
 from parking_exp.errors import CertificationError
+from parking_exp.evaluation.description import success_line
 from parking_exp.evaluation.evaluate import differences
-from parking_exp.evaluation.summary import success_line
 from parking_exp.evaluation.trajectories import TRAJECTORIES_FILE, Recorder
 from parking_exp.evaluation.video import record
-from parking_exp.training.learning_curves import learning_curves
 from parking_exp.training.loop import TrainingLoop
+from parking_exp.training.plot_curves import learning_curves
 
 
 def finish(loop: TrainingLoop) -> pd.DataFrame:

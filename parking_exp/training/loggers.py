@@ -19,7 +19,7 @@ from tensorboard.summary.writer.record_writer import RecordWriter
 from torch.utils.tensorboard.summary import scalar
 
 from parking_exp.config.schema import TrackingConfig
-from parking_exp.runs.logs import MetricsLog
+from parking_exp.runs.metric_logs import MetricsLog
 
 
 def make_logger(tracking: TrackingConfig, run_dir: Path, metrics: MetricsLog, step: int) -> Logger:

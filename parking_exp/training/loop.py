@@ -7,16 +7,16 @@ from typing import Any
 import pandas as pd
 
 from parking_exp.algorithms.build import build_model, greedy_policy
-from parking_exp.algorithms.weights import save_model
+from parking_exp.algorithms.model_files import save_model
 from parking_exp.buffers import HerBuffer
 from parking_exp.config.schema import RunConfig, Simulation
 from parking_exp.envs.training_envs import make_training_envs
 from parking_exp.errors import InterruptedRunError
+from parking_exp.evaluation.description import success_line
 from parking_exp.evaluation.evaluate import evaluate, rank, summarise
-from parking_exp.evaluation.summary import success_line
 from parking_exp.evaluation.trajectories import Recorder
 from parking_exp.runs.directory import RunDirectory
-from parking_exp.runs.logs import MetricsLog, append_episodes
+from parking_exp.runs.metric_logs import MetricsLog, append_episodes
 from parking_exp.tracking.tracker import Tracker
 from parking_exp.training import checkpoints, rollout_state
 from parking_exp.training.callbacks import RolloutCallback

@@ -19,10 +19,10 @@ from parking_exp.algorithms.save_check import check_saving
 from parking_exp.config.schema import RunConfig
 from parking_exp.config.validate import validate
 from parking_exp.errors import ConfigError, FailedRunError, InterruptedRunError
-from parking_exp.evaluation.summary import describe
-from parking_exp.runs.atomic import write_atomically
+from parking_exp.evaluation.description import describe
 from parking_exp.runs.directory import RunDirectory, RunResult
-from parking_exp.runs.logs import log_hashes, restore_logs
+from parking_exp.runs.files import write_atomically
+from parking_exp.runs.metric_logs import log_hashes, restore_logs
 from parking_exp.runs.provenance import typed_command
 from parking_exp.terminal import say
 from parking_exp.tracking.tracker import Tracker, later, open_tracker
@@ -31,7 +31,7 @@ from parking_exp.training.checkpoints import Progress
 from parking_exp.training.finish import finish
 from parking_exp.training.loop import TrainingLoop
 from parking_exp.training.progress import TrainingProgress
-from parking_exp.training.recovery import make_models
+from parking_exp.training.rebuild_models import make_models
 from parking_exp.training.signals import StopRequest, stop_on_signal
 
 

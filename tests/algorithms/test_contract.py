@@ -15,12 +15,12 @@ from support.sweep_processes import statuses, sweep
 from parking_exp.algorithms import save_check
 from parking_exp.algorithms.build import build_model
 from parking_exp.algorithms.features import EgoFrameExtractor
+from parking_exp.algorithms.model_files import PROVEN, class_path, load_weights
 from parking_exp.algorithms.save_check import check_saving, model_state, sample_observations
-from parking_exp.algorithms.weights import PROVEN, class_path, load_weights
 from parking_exp.config.compose import composed
 from parking_exp.envs.training_envs import make_training_envs
 from parking_exp.errors import ConfigError, FailedRunError, ModelError
-from parking_exp.evaluation.stored_run import evaluate_run
+from parking_exp.evaluation.evaluate_run import evaluate_run
 from parking_exp.training import checkpoints, rollout_state
 from parking_exp.training.run import train
 

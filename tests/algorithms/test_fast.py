@@ -13,9 +13,9 @@ from support.runs import make_config
 
 from parking_exp.algorithms import build, fast
 from parking_exp.algorithms.build import build_model, torch_settings
-from parking_exp.algorithms.fast import precision
+from parking_exp.algorithms.fast import matmul_precision
 from parking_exp.algorithms.fast.minibatches import sample_minibatches
-from parking_exp.algorithms.fast.support import is_supported
+from parking_exp.algorithms.fast.supported import is_supported
 from parking_exp.envs.training_envs import make_training_envs
 
 ALGORITHMS = ("SAC", "TD3", "DDPG")
@@ -126,14 +126,14 @@ def test_wide_networks_are_the_same_too(name):
 
 
 @pytest.fixture
-def matmul_precision():
+def set_precision():
     before = torch.get_float32_matmul_precision()
     yield torch.set_float32_matmul_precision
     torch.set_float32_matmul_precision(before)
 
 
 @pytest.mark.parametrize("name", ALGORITHMS)
-def test_medium_precision_is_the_same_update_but_for_rounding(name, matmul_precision):
+def test_medium_precision_is_the_same_update_but_for_rounding(name, set_precision):
     """After one update, which Adam's first step magnifies; after 100, roundings would have grown beyond comparing.
 
     Adam's first step is as long for a gradient that is almost zero, whose sign is a matter of rounding. On CPUs with AMX
@@ -141,9 +141,9 @@ def test_medium_precision_is_the_same_update_but_for_rounding(name, matmul_preci
     """
     samples = batches(1, 256, 0)
     theirs, ours = pair(name, "algorithm.net_arch=[256,256,256]", "algorithm.features=raw")
-    matmul_precision("highest")
+    set_precision("highest")
     update(theirs, samples, calls=1)
-    matmul_precision("medium")
+    set_precision("medium")
     update(ours, samples, calls=1)
     pairs = zip(ours.policy.parameters(), theirs.policy.parameters(), strict=True)
     close = [(mine - other).abs() < 1e-5 for mine, other in pairs]
@@ -176,7 +176,7 @@ def test_a_runs_threads_and_precision_hold_while_it_runs():
     ],
 )
 def test_medium_is_chosen_where_it_is_a_tenth_faster(highest, medium, expected):
-    assert precision.decide(highest, medium) == expected
+    assert matmul_precision.decide(highest, medium) == expected
 
 
 WIDE = ("algorithm.net_arch=[256,256,256]", "algorithm.features=raw")
@@ -202,7 +202,7 @@ def test_auto_asks_the_clock_where_our_update_has_wide_layers(monkeypatch, overr
         asked.append(([tuple(weight.shape) for weight, _ in layers], batch))
         return medium_s if mode == "medium" else 1.0
 
-    monkeypatch.setattr(precision, "_seconds", seconds)
+    monkeypatch.setattr(matmul_precision, "_seconds", seconds)
     config = make_config("precision=auto", "algorithm.batch_size=128", *overrides)
     threads, before = torch.get_num_threads(), torch.get_float32_matmul_precision()
     with torch_settings(config) as chosen:
@@ -217,7 +217,7 @@ def test_auto_measures_real_passes_and_leaves_torch_as_it_was():
     model = make_model("SAC", *WIDE)
     weights = [tensor.clone() for tensor in model.policy.parameters()]
     generator, before = torch.get_rng_state(), torch.get_float32_matmul_precision()
-    assert precision.faster_precision(model) in ("highest", "medium")
+    assert matmul_precision.faster_precision(model) in ("highest", "medium")
     assert torch.equal(torch.get_rng_state(), generator)
     assert torch.get_float32_matmul_precision() == before
     assert all(torch.equal(one, other) for one, other in zip(model.policy.parameters(), weights, strict=True))

@@ -13,7 +13,7 @@ from support.run_equality import leaves, parameters
 from support.runs import make_config
 
 from parking_exp.algorithms.build import build_model
-from parking_exp.algorithms.weights import load_weights, read_weights, replacing, save_model
+from parking_exp.algorithms.model_files import load_weights, read_weights, replacing, save_model
 from parking_exp.cli.command import fail
 from parking_exp.envs.training_envs import make_training_envs
 from parking_exp.errors import DamagedModelError, ModelError

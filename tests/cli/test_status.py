@@ -9,9 +9,9 @@ from support.runs import run_script
 from support.sweep_processes import SLOW, begin, statuses, wait_until
 
 from parking_exp.errors import RunNotFoundError
-from parking_exp.runs.atomic import read_json
 from parking_exp.runs.directory import RunDirectory
-from parking_exp.runs.layout import new_entries
+from parking_exp.runs.files import read_json
+from parking_exp.runs.layout_version import new_entries
 from parking_exp.runs.lookup import find_run
 from parking_exp.runs.state import read_state
 from parking_exp.runs.state_tables import duration

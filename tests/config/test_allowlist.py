@@ -12,7 +12,7 @@ from parking_exp.config.allowlist import check_trust, is_trusted
 from parking_exp.config.compose import composed
 from parking_exp.config.validate import validate
 from parking_exp.errors import UntrustedError
-from parking_exp.evaluation.stored_run import evaluate_run
+from parking_exp.evaluation.evaluate_run import evaluate_run
 
 SIDE_EFFECT = "from pathlib import Path\nPath({path!r}).touch()\ndef make(**_):\n    Path({path!r}).touch()\n    raise LookupError\nclass Made: pass\n"
 

@@ -5,7 +5,7 @@ from highway_env.envs.parking_env import ParkingEnv
 from support.runs import make_config, options
 
 from parking_exp.buffers.strategies import STRATEGIES
-from parking_exp.config.hindsight import GOAL_STRATEGIES, HER_OPTIONS
+from parking_exp.config.her_options import GOAL_STRATEGIES, HER_OPTIONS
 from parking_exp.config.run_key import changes_results, result_part
 from parking_exp.config.schema import BUFFER_NAMES, RunConfig
 from parking_exp.config.signatures import signature

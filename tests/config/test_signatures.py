@@ -10,7 +10,7 @@ from hydra.utils import get_class
 from support.runs import make_config, options
 
 from parking_exp.config.signatures import Parameter, may_derive_from, policy_signature, signature
-from parking_exp.config.source import UnknownTarget
+from parking_exp.config.source_lookup import UnknownTarget
 
 TARGETS = [
     "stable_baselines3.SAC",

@@ -12,7 +12,7 @@ from support.runs import GROUPS, make_config, options
 from parking_exp.config.compose import composed, config_dir
 from parking_exp.config.validate import validate
 from parking_exp.errors import ConfigError
-from parking_exp.evaluation.stored_run import validate_request
+from parking_exp.evaluation.evaluate_run import validate_request
 from parking_exp.resources import total_memory
 
 ARTICLE = {

@@ -6,8 +6,8 @@ from support.runs import make_config, options
 from support.simulator_equality import KINDS, actions_of, compare, different_scenes
 
 from parking_exp.config.schema import EnvConfig
-from parking_exp.envs.evaluation_envs import start_scenes
 from parking_exp.envs.highway import HighwayBatch, make_env
+from parking_exp.envs.scene_batches import start_scenes
 from parking_exp.envs.scenes import Scenes, start_slot
 from parking_exp.envs.simulator import Simulator
 from parking_exp.errors import ConfigError

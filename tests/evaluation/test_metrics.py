@@ -8,7 +8,7 @@ from pathlib import Path
 import pandas as pd
 
 from parking_exp.evaluation.metrics import METRICS, RANKING
-from parking_exp.runs.logs import append_episodes
+from parking_exp.runs.metric_logs import append_episodes
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -41,11 +41,11 @@ exec(compile(source, path, "exec"), metrics.__dict__)
 import numpy as np
 from support.store_factory import compose, make_store
 from parking_exp.evaluation.evaluate import evaluate, summarise
-from parking_exp.evaluation.summary import describe
+from parking_exp.evaluation.description import describe
 from parking_exp.reports.build import Question, build
 from parking_exp.reports.render.files import write_tables
 from parking_exp.results import load
-from parking_exp.runs.logs import append_episodes
+from parking_exp.runs.metric_logs import append_episodes
 from parking_exp.tracking.reader import Reader
 
 folder = Path(sys.argv[1])

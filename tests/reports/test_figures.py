@@ -14,9 +14,9 @@ from PIL import Image
 from support import report_factory
 
 from parking_exp.reports import formats
-from parking_exp.reports.data import Interval
 from parking_exp.reports.figures import cells, style
-from parking_exp.reports.figures.draw import draw
+from parking_exp.reports.figures.export import draw
+from parking_exp.reports.report_data import Interval
 from parking_exp.reports.sections import SECTIONS
 
 SVG = "{http://www.w3.org/2000/svg}"
@@ -110,7 +110,7 @@ def test_users_settings_neither_change_pictures_nor_are_changed(three, tmp_path)
 def test_drawing_imports_neither_pyplot_nor_torch(tmp_path):
     code = (
         "import sys; sys.path.insert(0, 'tests'); from support import report_factory; from pathlib import Path;"
-        "from parking_exp.reports.figures.draw import draw; draw(report_factory.one_seed(), Path(sys.argv[1]));"
+        "from parking_exp.reports.figures.export import draw; draw(report_factory.one_seed(), Path(sys.argv[1]));"
         "assert not {'matplotlib.pyplot', 'torch'} & set(sys.modules)"
     )
     subprocess.run([sys.executable, "-c", code, str(tmp_path)], check=True)

@@ -5,7 +5,7 @@ import csv
 from support import report_factory
 
 from parking_exp.reports.figures.canvas import Canvas
-from parking_exp.reports.figures.draw import draw
+from parking_exp.reports.figures.export import draw
 from parking_exp.reports.render.files import write_tables
 from parking_exp.reports.render.markdown import markdown
 from parking_exp.reports.render.page import page

@@ -22,7 +22,7 @@ from parking_exp.config.paths import default_uri
 from parking_exp.errors import ResultsError
 from parking_exp.evaluation.metrics import EPISODE_COLUMNS
 from parking_exp.results import frames, load
-from parking_exp.results.columns import column, times, typed
+from parking_exp.results.dtypes import column, times, typed
 from parking_exp.results.recordings import EPISODES
 from parking_exp.tracking.reader import Reader
 

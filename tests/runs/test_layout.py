@@ -9,10 +9,10 @@ from parking_exp.config.compose import composed, composed_runs
 from parking_exp.config.overrides import in_quotes
 from parking_exp.config.paths import default_uri
 from parking_exp.errors import ConfigError, OutputDirectoryError
-from parking_exp.evaluation.stored_run import evaluate_run
-from parking_exp.runs.atomic import read_json
+from parking_exp.evaluation.evaluate_run import evaluate_run
 from parking_exp.runs.directory import RunDirectory, RunResult
-from parking_exp.runs.layout import LAYOUT
+from parking_exp.runs.files import read_json
+from parking_exp.runs.layout_version import LAYOUT
 from parking_exp.runs.state import read_state
 from parking_exp.sweeps.plan import plan
 from parking_exp.tracking.sync_all import sync_all

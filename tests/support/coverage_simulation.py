@@ -11,8 +11,8 @@ import numpy as np
 from scipy import stats
 
 from parking_exp.statistics import coverage_note, restricted_mean, wilson_interval
+from parking_exp.statistics.comparisons import newcombe, welch_half
 from parking_exp.statistics.intervals import interval_rows
-from parking_exp.statistics.pairs import newcombe, welch_half
 
 DRAWS = 2000
 SCENES = 100

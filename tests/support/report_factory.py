@@ -8,7 +8,7 @@ import numpy as np
 from scipy import stats
 
 from parking_exp.envs.geometry import SLOT_POSITIONS
-from parking_exp.reports.data import (
+from parking_exp.reports.report_data import (
     Cell,
     Curve,
     Factor,

@@ -16,13 +16,13 @@ from support.sync_processes import grow
 from parking_exp.config.compose import composed
 from parking_exp.config.paths import absolute, default_uri, directory_path, is_same_store, relative, store_uri
 from parking_exp.errors import ConfigError, ParkingError, StoreError, UntrustedError
-from parking_exp.evaluation.stored_run import evaluate_run
+from parking_exp.evaluation.evaluate_run import evaluate_run
 from parking_exp.results.frames import load
-from parking_exp.runs.atomic import read_json, write_json
 from parking_exp.runs.directory import RunDirectory, RunResult
-from parking_exp.runs.layout import new_entries
-from parking_exp.runs.logs import log_hashes
+from parking_exp.runs.files import read_json, write_json
+from parking_exp.runs.layout_version import new_entries
 from parking_exp.runs.lookup import find_runs
+from parking_exp.runs.metric_logs import log_hashes
 from parking_exp.tracking.reader import Reader
 from parking_exp.tracking.sync import sync
 from parking_exp.tracking.sync_all import sync_all

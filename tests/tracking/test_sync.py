@@ -28,10 +28,10 @@ from support.runs import (
 from support.sync_processes import KEYS, grow, sync
 
 from parking_exp.config.paths import default_uri
-from parking_exp.runs.atomic import write_json
 from parking_exp.runs.directory import RunDirectory, RunResult
-from parking_exp.runs.logs import log_hashes, restore_logs
+from parking_exp.runs.files import write_json
 from parking_exp.runs.lookup import find_runs
+from parking_exp.runs.metric_logs import log_hashes, restore_logs
 from parking_exp.runs.provenance import provenance
 from parking_exp.tracking import artifacts as sent_files
 from parking_exp.tracking import sync as syncing

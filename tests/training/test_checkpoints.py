@@ -12,7 +12,7 @@ from support.runs import make_config
 from parking_exp.algorithms.build import build_model
 from parking_exp.envs.training_envs import make_training_envs
 from parking_exp.errors import DamagedFileError
-from parking_exp.runs.logs import APPENDED, copy_logs, damaged_logs, log_hashes, read_metrics, restore_logs
+from parking_exp.runs.metric_logs import APPENDED, copy_logs, damaged_logs, log_hashes, read_metrics, restore_logs
 from parking_exp.training import checkpoints
 from parking_exp.training.checkpoints import Progress
 

@@ -21,12 +21,12 @@ from parking_exp.algorithms import build
 from parking_exp.algorithms.build import build_model, greedy_policy
 from parking_exp.algorithms.fast.base import FastTraining
 from parking_exp.envs import training_envs
+from parking_exp.envs.action_replay import ReplayActions
 from parking_exp.envs.highway import make_env
-from parking_exp.envs.replay import ReplayActions
 from parking_exp.errors import FailedRunError, InterruptedRunError
 from parking_exp.evaluation.evaluate import evaluate
 from parking_exp.evaluation.video import record
-from parking_exp.runs.atomic import read_json
+from parking_exp.runs.files import read_json
 from parking_exp.training import checkpoints, finish, loop, rollout_state, serialization
 from parking_exp.training.callbacks import RolloutCallback
 from parking_exp.training.loop import TrainingLoop

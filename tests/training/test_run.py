@@ -32,7 +32,7 @@ from support.runs import (
 from parking_exp import __version__
 from parking_exp.algorithms import SAC
 from parking_exp.algorithms.build import build_model, greedy_policy
-from parking_exp.algorithms.weights import load_weights
+from parking_exp.algorithms.model_files import load_weights
 from parking_exp.config.compose import composed
 from parking_exp.envs.reward import GoalReward
 from parking_exp.envs.training_envs import make_training_envs
@@ -45,10 +45,10 @@ from parking_exp.errors import (
     RunNotFoundError,
 )
 from parking_exp.evaluation.evaluate import evaluate
+from parking_exp.evaluation.evaluate_run import evaluate_run
 from parking_exp.evaluation.metrics import EPISODE_COLUMNS
-from parking_exp.evaluation.stored_run import evaluate_run
-from parking_exp.runs.atomic import read_json, sha256, write_json
 from parking_exp.runs.directory import RunDirectory
+from parking_exp.runs.files import read_json, sha256, write_json
 from parking_exp.runs.lookup import find_run
 from parking_exp.tracking.sync import flatten
 from parking_exp.training import checkpoints, loop
@@ -257,7 +257,7 @@ def test_a_saved_model_is_a_plain_stable_baselines3_zip(smoke):
     from stable_baselines3 import SAC
 
     from parking_exp.algorithms.build import build_model, greedy_policy
-    from parking_exp.algorithms.weights import load_weights
+    from parking_exp.algorithms.model_files import load_weights
     from parking_exp.envs.training_envs import make_training_envs
 
     directory, _, _ = smoke

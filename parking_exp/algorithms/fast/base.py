@@ -4,7 +4,7 @@ from typing import Any, ClassVar, Protocol
 
 import torch
 
-from parking_exp.algorithms.fast.support import is_supported
+from parking_exp.algorithms.fast.supported import is_supported
 
 
 class Update(Protocol):

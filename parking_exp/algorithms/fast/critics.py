@@ -4,8 +4,8 @@ from typing import Any
 
 import torch
 
-from parking_exp.algorithms.fast.adam import Adam, FlatTensors, polyak_update
 from parking_exp.algorithms.fast.mlp import MLP, as_layers, parameters
+from parking_exp.algorithms.fast.optimizer import Adam, FlatTensors, polyak_update
 
 
 class Critics:

@@ -8,11 +8,11 @@ import torch
 from stable_baselines3.sac.policies import LOG_STD_MAX, LOG_STD_MIN
 from torch import nn
 
-from parking_exp.algorithms.fast.adam import Adam, FlatTensors
 from parking_exp.algorithms.fast.base import FastTraining
 from parking_exp.algorithms.fast.critics import Critics
 from parking_exp.algorithms.fast.minibatches import sample_minibatches
 from parking_exp.algorithms.fast.mlp import MLP, as_layers, parameters
+from parking_exp.algorithms.fast.optimizer import Adam, FlatTensors
 
 LOG_SQRT_2_PI = math.log(math.sqrt(2 * math.pi))
 EPSILON = 1e-6  # of Stable-Baselines3's SquashedDiagGaussianDistribution

@@ -5,11 +5,11 @@ from typing import Any
 import stable_baselines3
 import torch
 
-from parking_exp.algorithms.fast.adam import Adam, FlatTensors, polyak_update
 from parking_exp.algorithms.fast.base import FastTraining
 from parking_exp.algorithms.fast.critics import Critics
 from parking_exp.algorithms.fast.minibatches import sample_minibatches
 from parking_exp.algorithms.fast.mlp import MLP, as_layers, parameters
+from parking_exp.algorithms.fast.optimizer import Adam, FlatTensors, polyak_update
 
 
 class _Update:

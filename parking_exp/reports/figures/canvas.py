@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from parking_exp.reports.data import Cell
+from parking_exp.reports.figures.page_svg import Tip, page_svg
 from parking_exp.reports.figures.style import (
     INK,
     SMALL_PT,
@@ -17,7 +17,7 @@ from parking_exp.reports.figures.style import (
     labels,
     widest,
 )
-from parking_exp.reports.figures.svg import Tip, page_svg
+from parking_exp.reports.report_data import Cell
 
 PNG_DPI = 200
 _ROW_PT = 11.0

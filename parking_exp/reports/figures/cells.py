@@ -6,7 +6,6 @@ from typing import Any
 import numpy as np
 
 from parking_exp.errors import quoted_label
-from parking_exp.reports.data import Cell, Curve, ReportData, Seed, Survival
 from parking_exp.reports.figures.canvas import Canvas, legend_height, legend_width, line_90, numbers
 from parking_exp.reports.figures.style import (
     COLUMN_IN,
@@ -19,6 +18,7 @@ from parking_exp.reports.figures.style import (
     widest,
 )
 from parking_exp.reports.formats import rate_interval, rate_text
+from parking_exp.reports.report_data import Cell, Curve, ReportData, Seed, Survival
 
 _GOLDEN = 0.6180339887498949
 _MOST_SEED_LINES = 4  # cells; with more, lines of seeds hide the means

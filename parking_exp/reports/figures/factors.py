@@ -6,7 +6,6 @@ from typing import Any
 import numpy as np
 
 from parking_exp.reports import formats
-from parking_exp.reports.data import Factor, Interaction, Interval, MainEffect, ReportData, Setting
 from parking_exp.reports.figures.canvas import Canvas, numbers, text_on, tiles
 from parking_exp.reports.figures.style import (
     COLUMN_IN,
@@ -23,6 +22,7 @@ from parking_exp.reports.figures.style import (
     width_pt,
 )
 from parking_exp.reports.formats import points, rate_interval
+from parking_exp.reports.report_data import Factor, Interaction, Interval, MainEffect, ReportData, Setting
 
 
 def main_effects(report: ReportData) -> tuple[Canvas, str] | None:

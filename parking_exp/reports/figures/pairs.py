@@ -4,7 +4,6 @@ from collections.abc import Sequence
 from typing import Any
 
 from parking_exp.errors import quoted_label
-from parking_exp.reports.data import Cell, Interval, Pair, ReportData
 from parking_exp.reports.figures.canvas import Canvas, text_on, tiles
 from parking_exp.reports.figures.cells import row_canvas, row_labels
 from parking_exp.reports.figures.style import (
@@ -21,6 +20,7 @@ from parking_exp.reports.figures.style import (
     width_pt,
 )
 from parking_exp.reports.formats import p_value, points
+from parking_exp.reports.report_data import Cell, Interval, Pair, ReportData
 
 _VERDICTS = {"a": "▲", "b": "▼", "same": "≈", "unknown": "?"}
 _MOST_WITH_P = 12

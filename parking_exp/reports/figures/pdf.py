@@ -13,7 +13,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Self
 
-from parking_exp.reports.data import ReportData
+from parking_exp.reports.report_data import ReportData
 
 PACKAGE_PARENT = Path(__file__).resolve().parents[3]
 
@@ -61,7 +61,7 @@ class PdfProcess:
 
 def main() -> None:
     """Draw what comes in as a pickle from the process that started this one."""
-    from parking_exp.reports.figures.draw import draw
+    from parking_exp.reports.figures.export import draw
 
     gc.disable()  # everything made here stays to the end
     try:

@@ -6,11 +6,11 @@ import numpy as np
 
 from parking_exp.errors import quoted_label
 from parking_exp.reports import formats
-from parking_exp.reports.data import Cell, Factor, ReportData
 from parking_exp.reports.figures.canvas import Canvas
 from parking_exp.reports.figures.cells import row_canvas
 from parking_exp.reports.figures.style import FULL_IN, INK, PAPER, SMALL_PT, TEXT_PT, elided
 from parking_exp.reports.formats import p_value, rate_text
+from parking_exp.reports.report_data import Cell, Factor, ReportData
 
 _MOST_AXES = 8
 _BAR = "#0072B2"

@@ -10,7 +10,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-from parking_exp.reports.data import Cell
+from parking_exp.reports.report_data import Cell
 
 COLUMN_IN, FULL_IN = 3.3, 6.8
 TEXT_PT, SMALL_PT, TINY_PT = 8.0, 7.0, 6.0

@@ -1,1 +1,1 @@
-"""Rendering a report: HTML page, Markdown, LaTeX, CSV."""
+"""The files of a report: HTML page, Markdown, tables and figures on disk."""

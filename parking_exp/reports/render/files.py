@@ -5,15 +5,15 @@ from collections.abc import Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from parking_exp.reports.data import ReportData
-from parking_exp.reports.figures.draw import draw
+from parking_exp.reports.figures.export import draw
 from parking_exp.reports.figures.pdf import PdfProcess
 from parking_exp.reports.figures.style import cell_style
 from parking_exp.reports.render.markdown import markdown
 from parking_exp.reports.render.page import page
+from parking_exp.reports.report_data import ReportData
 from parking_exp.reports.sections import SECTIONS, Section, report_tables
 from parking_exp.reports.tables.writers import csv, latex
-from parking_exp.runs.atomic import write_atomically
+from parking_exp.runs.files import write_atomically
 
 PARTS = ("figures", "tables")
 MADE = ".made-"  # what a report has put into a folder: only that is its to delete

@@ -4,13 +4,13 @@ from collections.abc import Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING
 
 from parking_exp.reports import formats
-from parking_exp.reports.data import Cell, ReportData
-from parking_exp.reports.render.methods import REFERENCES, methods
+from parking_exp.reports.methods import REFERENCES, methods
+from parking_exp.reports.report_data import Cell, ReportData
 from parking_exp.reports.sections import SECTIONS, Section, provenance_tables, section_tables
 from parking_exp.reports.tables.writers import markdown as table_text
 
 if TYPE_CHECKING:
-    from parking_exp.reports.figures.draw import Picture
+    from parking_exp.reports.figures.export import Picture
 
 FIGURES_BEFORE = "pairs"
 """The section that all figures stand before."""

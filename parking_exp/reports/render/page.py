@@ -12,13 +12,13 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
 from parking_exp.reports import formats
-from parking_exp.reports.data import Cell, ReportData
-from parking_exp.reports.render.methods import REFERENCES, methods
+from parking_exp.reports.methods import REFERENCES, methods
+from parking_exp.reports.report_data import Cell, ReportData
 from parking_exp.reports.sections import SECTIONS, Section, provenance_tables, section_tables
 from parking_exp.reports.tables.model import Table
 
 if TYPE_CHECKING:
-    from parking_exp.reports.figures.draw import Picture
+    from parking_exp.reports.figures.export import Picture
     from parking_exp.reports.figures.style import CellStyle
 
 TEMPLATES = Path(__file__).parent / "templates"

@@ -1,1 +1,1 @@
-"""Tables of a report: their model, what each of them says, and writers that know none of them."""
+"""Tables of a report: the model, the tables, and generic writers for Markdown, LaTeX and CSV."""

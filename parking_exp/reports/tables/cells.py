@@ -5,7 +5,7 @@ from operator import attrgetter, itemgetter
 from typing import Any
 
 from parking_exp.reports import formats
-from parking_exp.reports.data import Cell, Interval, ReportData, Share, Survival
+from parking_exp.reports.report_data import Cell, Interval, ReportData, Share, Survival
 from parking_exp.reports.summaries import FURTHER, REPORTED
 from parking_exp.reports.tables.model import (
     PERCENT,

@@ -4,7 +4,7 @@ from collections.abc import Iterator, Sequence
 from operator import itemgetter
 
 from parking_exp.reports import formats
-from parking_exp.reports.data import Cell, Interaction, Interval, ReportData
+from parking_exp.reports.report_data import Cell, Interaction, Interval, ReportData
 from parking_exp.reports.tables.model import (
     PERCENT,
     Column,

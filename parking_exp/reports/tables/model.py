@@ -6,7 +6,7 @@ from operator import attrgetter
 from typing import Any, NamedTuple
 
 from parking_exp.reports import formats
-from parking_exp.reports.data import Cell, Interval, ReportData, Setting, Share
+from parking_exp.reports.report_data import Cell, Interval, ReportData, Setting, Share
 
 Getter = Callable[[Any], Any]
 PERCENT = "with 95 % intervals over seeds in brackets"

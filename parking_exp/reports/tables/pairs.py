@@ -5,7 +5,7 @@ from operator import attrgetter
 from typing import Any
 
 from parking_exp.reports import formats
-from parking_exp.reports.data import Cell, Interval, ReportData
+from parking_exp.reports.report_data import Cell, Interval, ReportData
 from parking_exp.reports.tables.model import (
     Column,
     Entry,

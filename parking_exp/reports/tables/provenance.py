@@ -4,7 +4,7 @@ from collections.abc import Iterator, Sequence
 from operator import itemgetter
 from typing import Any
 
-from parking_exp.reports.data import Cell, ReportData
+from parking_exp.reports.report_data import Cell, ReportData
 from parking_exp.reports.tables.model import (
     Column,
     Entry,

@@ -1,4 +1,4 @@
-"""Notes on intervals that are known to cover less than they say."""
+"""Warn where an interval's real coverage is below its nominal level."""
 
 import numpy as np
 from numpy.typing import ArrayLike

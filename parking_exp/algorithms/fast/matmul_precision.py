@@ -12,7 +12,7 @@ import torch
 
 from parking_exp.algorithms.fast.base import FastTraining
 from parking_exp.algorithms.fast.mlp import MLP, Layer, as_layers, is_wide, parameters
-from parking_exp.algorithms.fast.support import is_supported
+from parking_exp.algorithms.fast.supported import is_supported
 from parking_exp.config.schema import Precision
 
 Timer = Callable[[Precision], float]

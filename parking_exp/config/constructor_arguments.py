@@ -1,4 +1,4 @@
-"""Constructor arguments of third-party classes: what is given in a config, held against signatures and ranges.
+"""Check constructor arguments of third-party classes against their signatures and ranges.
 
 Nested ones, too: nodes with a `_target_`, `policy_kwargs`, and the arguments of optimizer and features extractor.
 """
@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, TypeAdapter, ValidationError
 
-from parking_exp.config.hindsight import RELABEL_OPTIONS, GoalStrategy
+from parking_exp.config.her_options import RELABEL_OPTIONS, GoalStrategy
 from parking_exp.config.messages import no_target, sentence
 from parking_exp.config.schema import (
     AlgorithmConfig,
@@ -23,7 +23,7 @@ from parking_exp.config.schema import (
     ThirdParty,
 )
 from parking_exp.config.signatures import Parameter, Signature, base_names, may_derive_from, policy_signature, signature
-from parking_exp.config.source import UnknownTarget
+from parking_exp.config.source_lookup import UnknownTarget
 from parking_exp.errors import suggestion
 
 Decay = Annotated[float, Field(ge=0, lt=1)]

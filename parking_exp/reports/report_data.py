@@ -1,4 +1,4 @@
-"""The data of a report: numbers and sentences, computed by `build` and turned into pages, tables and figures elsewhere.
+"""Dataclasses of a report's content; `build` fills them, renderers read them.
 
 Rates are shares in 0 ... 1, differences are differences of shares. What is not known is None. Every field can go into
 `report.json` as it is.

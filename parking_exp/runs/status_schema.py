@@ -1,11 +1,11 @@
-"""Schemas of `status.json` and `beat.json` (the heartbeat). Both files may be damaged, or come from anywhere."""
+"""Schemas of `status.json` and `beat.json`; what they hold is checked, since they may be damaged or untrusted."""
 
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from parking_exp.runs.atomic import read_json
+from parking_exp.runs.files import read_json
 
 Status = Literal["pending", "running", "done", "failed", "interrupted"]
 """What status.json says. `running` may be out of date: the process may be gone (`read_state` looks)."""

@@ -8,8 +8,8 @@ from stable_baselines3.sac.policies import Actor as GaussianActor
 from stable_baselines3.td3.policies import Actor as DeterministicActor
 from torch import nn
 
-from parking_exp.algorithms.fast.adam import is_plain_adam
 from parking_exp.algorithms.fast.mlp import linear_layers
+from parking_exp.algorithms.fast.optimizer import is_plain_adam
 from parking_exp.algorithms.features import EgoFrameExtractor
 
 EXTRACTORS = (EgoFrameExtractor, CombinedExtractor, FlattenExtractor)

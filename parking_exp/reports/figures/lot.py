@@ -17,11 +17,11 @@ from parking_exp.envs.geometry import (
 )
 from parking_exp.envs.outcomes import OUTCOMES
 from parking_exp.errors import quoted_label
-from parking_exp.reports.data import Cell, Path, ReportData, SlotRate
 from parking_exp.reports.figures.canvas import Canvas, text_on, tiles
 from parking_exp.reports.figures.style import COLUMN_IN, FULL_IN, GRID, INK, SMALL_PT, TINY_PT, labels, width_pt
 from parking_exp.reports.formats import rate_text
-from parking_exp.training.learning_curves import COLOURS
+from parking_exp.reports.report_data import Cell, Path, ReportData, SlotRate
+from parking_exp.training.plot_curves import COLOURS
 
 _MOST_ENDS = 150
 _MOST_ROWS = 6

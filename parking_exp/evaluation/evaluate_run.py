@@ -26,8 +26,8 @@ from parking_exp.config.schema import (
 )
 from parking_exp.config.validate import parse
 from parking_exp.errors import ConfigError, DamagedModelError, ModelError, RunNotFoundError, plural
-from parking_exp.runs.atomic import write_json
 from parking_exp.runs.directory import RunDirectory
+from parking_exp.runs.files import write_json
 from parking_exp.runs.lookup import find_run
 from parking_exp.terminal import say
 
@@ -139,11 +139,11 @@ def _evaluate(
     from stable_baselines3.common.vec_env import DummyVecEnv
 
     from parking_exp.algorithms.build import build_model, greedy_policy, torch_settings
+    from parking_exp.algorithms.model_files import load_weights
     from parking_exp.algorithms.save_check import check_saving
-    from parking_exp.algorithms.weights import load_weights
     from parking_exp.envs.highway import make_env
+    from parking_exp.evaluation.description import describe, intervals
     from parking_exp.evaluation.evaluate import evaluate, summarise
-    from parking_exp.evaluation.summary import describe, intervals
     from parking_exp.evaluation.video import record
 
     check_saving(run)

@@ -1,4 +1,4 @@
-"""Sentences and intervals about an episodes table."""
+"""Describe an episodes table in sentences, with confidence intervals."""
 
 import pandas as pd
 

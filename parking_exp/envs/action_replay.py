@@ -1,4 +1,4 @@
-"""Save and restore the state of a highway-env env, which has none to save, by replaying the episode's actions."""
+"""Save and restore a highway-env env by replaying its episode's actions, as its state cannot be saved."""
 
 from typing import Any
 

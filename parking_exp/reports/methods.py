@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 
-from parking_exp.reports.data import Interval, ReportData
+from parking_exp.reports.report_data import Interval, ReportData
 from parking_exp.statistics import unseen_share
 from parking_exp.statistics.intervals import BOOTSTRAP, EXACT, NONE, SCORE, T
 

@@ -4,8 +4,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from parking_exp.reports.data import ReportData
 from parking_exp.reports.figures.style import clean, report_style
+from parking_exp.reports.report_data import ReportData
 from parking_exp.reports.sections import SECTIONS, Drawn, Figure, Section
 
 

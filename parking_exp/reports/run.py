@@ -1,4 +1,4 @@
-"""The report command: sync the store, read it, compare the cells of experiments, write page, tables and figures."""
+"""Generate a report that compares an experiment's cells: page, Markdown, tables, figures, JSON."""
 
 import os
 import re
@@ -21,8 +21,8 @@ from parking_exp.errors import ConfigError, ResultsError, did_you_mean, plural
 from parking_exp.terminal import say
 
 if TYPE_CHECKING:
-    from parking_exp.reports.data import ReportData
     from parking_exp.reports.figures.pdf import PdfProcess
+    from parking_exp.reports.report_data import ReportData
     from parking_exp.results.frames import Results
 
 Format = Literal["svg", "pdf", "png"]

@@ -7,8 +7,8 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from parking_exp.reports.data import Cell, Interval, Pair, Survival
 from parking_exp.reports.formats import finite, within
+from parking_exp.reports.report_data import Cell, Interval, Pair, Survival
 from parking_exp.statistics import coverage_note, holm, log_rank, probability_of_improvement, welch
 
 ALL_PAIRS_UP_TO = 12  # cells: 66 pairs

@@ -4,7 +4,7 @@ import json
 import zipfile
 from pathlib import Path
 
-from parking_exp.algorithms.weights import BUFFER_ENTRIES, replacing
+from parking_exp.algorithms.model_files import BUFFER_ENTRIES, replacing
 from parking_exp.errors import DamagedFileError
 from parking_exp.evaluation.evaluate import rank
 from parking_exp.runs.directory import MODELS, RunDirectory

@@ -1,4 +1,4 @@
-"""Names of the HER options: strategies, and what relabelling changes."""
+"""Allowed values of the HER options: goal strategies, relabelling of collision, termination and velocity."""
 
 from typing import Any, Literal, get_args
 
