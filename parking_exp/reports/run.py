@@ -1,10 +1,9 @@
 """Generate a report that compares an experiment's cells: page, Markdown, tables, figures, JSON."""
 
-import os
 import re
 import shlex
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import AbstractContextManager, contextmanager, nullcontext
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -21,7 +20,6 @@ from parking_exp.errors import ConfigError, ResultsError, did_you_mean, plural
 from parking_exp.terminal import say
 
 if TYPE_CHECKING:
-    from parking_exp.reports.figures.pdf import PdfProcess
     from parking_exp.reports.report_data import ReportData
     from parking_exp.results.frames import Results
 
@@ -110,7 +108,7 @@ def report(config: DictConfig) -> Path:
         RunNotFoundError: none of the runs is done.
     """
     request = validate_report(config)
-    with _pdfs(request) as pdf_process, _progress() as show:
+    with _progress() as show:
         show("syncing the store")
         unsynced = _sync(request)
         show("reading the store")
@@ -123,16 +121,9 @@ def report(config: DictConfig) -> Path:
         folder = request.output_path / "reports" / (request.name or _folder_name(data.experiments))
         folder.mkdir(parents=True, exist_ok=True)
         with FileLock(folder / ".lock"):
-            write(data, folder, request.report.formats, pdf_process)
+            write(data, folder, request.report.formats)
     _print(data, folder)
     return folder
-
-
-def _pdfs(request: ReportRequest) -> "AbstractContextManager[PdfProcess | None]":
-    """Start what draws PDFs beside this process, if there are any to draw and a core to do it."""
-    from parking_exp.reports.figures.pdf import PdfProcess
-
-    return PdfProcess() if "pdf" in request.report.formats and (os.cpu_count() or 1) > 1 else nullcontext()
 
 
 @contextmanager

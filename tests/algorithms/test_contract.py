@@ -85,7 +85,7 @@ def test_loaded_into_another_model_it_has_the_same_weights_and_actions(trained):
 def test_restored_from_a_checkpoint_its_next_updates_are_the_same(trained, tmp_path):
     """Parameters, target networks, optimizers, coefficients and actions."""
     other = built(trained.config, seed=1)
-    rollout_state.restore(other, checkpoints.restore(trained.folder, other, tmp_path / "best.zip"))
+    rollout_state.set_state(other, checkpoints.restore(trained.folder, other, tmp_path / "best.zip"))
     assert differences(trained.saved, state(other)) == []
     other.train(2, other.batch_size)
     assert differences(trained.saved, trained.updated) != []

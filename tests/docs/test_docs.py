@@ -80,9 +80,9 @@ def anchors(page):
     return {re.sub(r"[^\w\- ]", "", heading.lower()).strip().replace(" ", "-") for heading in headings}
 
 
-def run_commands(typed, cwd):
-    """Run command lines in one process: {command: (exit status, output)}."""
-    script = [sys.executable, "-c", RUN_COMMANDS, str(ROOT), json.dumps(typed)]
+def run_commands(typed, cwd, root=ROOT):
+    """Run command lines of a checkout in one process: {command: (exit status, output)}."""
+    script = [sys.executable, "-c", RUN_COMMANDS, str(root), json.dumps(typed)]
     environment = {**os.environ, "PYTHONPATH": str(cwd)}
     done = subprocess.run(script, cwd=cwd, env=environment, check=False, capture_output=True, text=True, timeout=900)
     assert done.returncode == 0, done.stderr
@@ -165,7 +165,7 @@ def extended(tmp_path_factory):
     typed = {command: shlex.split(command.replace(".py", "", 1)) for command in commands(EXTENDING)}
     for command in typed:
         typed[command] += [] if "mine" in command else ["dry_run=true"]  # one run has all of them; of others the plan
-    return copy, run_commands(typed, copy)
+    return copy, run_commands(typed, copy, copy)
 
 
 def add(path, text):

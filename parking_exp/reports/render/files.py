@@ -6,7 +6,6 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from parking_exp.reports.figures.export import draw
-from parking_exp.reports.figures.pdf import PdfProcess
 from parking_exp.reports.figures.style import cell_style
 from parking_exp.reports.render.markdown import markdown
 from parking_exp.reports.render.page import page
@@ -19,28 +18,23 @@ PARTS = ("figures", "tables")
 MADE = ".made-"  # what a report has put into a folder: only that is its to delete
 
 
-def write(report: ReportData, folder: Path, formats: Sequence[str], pdf_process: PdfProcess | None = None) -> None:
+def write(report: ReportData, folder: Path, formats: Sequence[str]) -> None:
     """Write all files of a report; the page is the last.
 
     Args:
         report: what it says.
         folder: made if it is not there; other files in it stay as they are.
         formats: of the figures.
-        pdf_process: draws PDFs meanwhile; None: they are drawn here.
     """
     folder.mkdir(parents=True, exist_ok=True)
     numbers = json.dumps(report.plain(), ensure_ascii=False, allow_nan=False, indent=1)
     with TemporaryDirectory(prefix=".new-", dir=folder) as new:
         figures = _made(Path(new) / "figures")
-        if pdf_process is not None:
-            pdf_process.draw(report, figures)
-        pictures = draw(report, figures, [one for one in formats if pdf_process is None or one != "pdf"])
+        pictures = draw(report, figures, formats)
         write_tables(report, _made(Path(new) / "tables"))
         html = page(report, pictures, {name: cell_style(name) for name in report.shown})
         linked = next((one for one in ("png", "svg") if one in formats), None)
         text = markdown(report, pictures if linked else (), linked or "")
-        if pdf_process is not None:
-            pdf_process.wait()
         for part in PARTS:
             _replace(Path(new) / part, _made(folder / part))
     for name, written in (("report.json", numbers), ("report.md", text), ("index.html", html)):
