@@ -12,7 +12,7 @@ from parking_exp.envs.geometry import N_SLOTS
 from parking_exp.errors import RunNotFoundError, plural
 from parking_exp.reports import findings, warnings
 from parking_exp.reports.comparisons import compare_pairs
-from parking_exp.reports.curves import Courses
+from parking_exp.reports.curves import RunEvaluations
 from parking_exp.reports.effects import importance, interactions, main_effects
 from parking_exp.reports.factors import design
 from parking_exp.reports.lot_map import sample
@@ -67,13 +67,13 @@ def build(
     runs, others = with_untracked(results.runs, untracked)
     chosen = _choose(runs, question)
     groups, factors, baseline = chosen.groups, chosen.factors, chosen.baseline
-    courses = Courses.of(results)
-    horizons = shared_horizons(groups, courses)
-    cells = [summarise(one, number, courses, horizons, question.quick) for number, one in enumerate(groups)]
+    evaluations = RunEvaluations.of(results)
+    horizons = shared_horizons(groups, evaluations)
+    cells = [summarise(one, number, evaluations, horizons, question.quick) for number, one in enumerate(groups)]
     shown = _shown(cells, baseline)
-    cells, problems = _with_places(cells, shown, groups, results, courses)
+    cells, problems = _with_lot_maps(cells, shown, groups, results, evaluations)
     kind = design(factors, [one.settings for one in groups])
-    parts = _factor_parts(kind, cells, groups, factors, courses)
+    parts = _factor_parts(kind, cells, groups, factors, evaluations)
     family = compare_pairs(cells, baseline)
     if question.cells:
         others = []
@@ -151,18 +151,18 @@ class _FactorParts:
 
 
 def _factor_parts(
-    kind: Design, cells: Sequence[Cell], groups: Sequence[Group], factors: Sequence[Factor], courses: Courses
+    kind: Design, cells: Sequence[Cell], groups: Sequence[Group], factors: Sequence[Factor], evaluations: RunEvaluations
 ) -> _FactorParts:
     if kind == "search":
         return _FactorParts(importance=importance(cells, factors))
     if kind != "factorial":
         return _FactorParts()
-    shares = {cell.id: real_share(one, courses) for cell, one in zip(cells, groups, strict=True)}
+    shares = {cell.id: real_share(one, evaluations) for cell, one in zip(cells, groups, strict=True)}
     return _FactorParts(main_effects(cells, factors), interactions(cells, factors, shares))
 
 
-def _with_places(
-    cells: Sequence[Cell], shown: Sequence[str], groups: Sequence[Group], results: Results, courses: Courses
+def _with_lot_maps(
+    cells: Sequence[Cell], shown: Sequence[str], groups: Sequence[Group], results: Results, evaluations: RunEvaluations
 ) -> tuple[list[Cell], list[str]]:
     """Return the cells, those that are shown with trajectories, and what is wrong with some recordings."""
     found, problems = [], []
@@ -173,9 +173,9 @@ def _with_places(
         runs = [(seed.seed, seed.run_id) for seed in cell.seeds]
         vehicles = one.config.get("env.vehicles_count")
         parked = vehicles if type(vehicles) is int and 0 < vehicles < N_SLOTS else 0
-        places = sample(runs, results, courses.certified, parked)
-        found.append(replace(cell, paths=places.paths, failures=places.failures))
-        problems += places.problems
+        lot_map = sample(runs, results, evaluations.certified, parked)
+        found.append(replace(cell, paths=lot_map.paths, failures=lot_map.failures))
+        problems += lot_map.problems
     return found, problems
 
 

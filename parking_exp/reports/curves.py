@@ -10,7 +10,7 @@ from parking_exp.results.frames import Results
 
 
 @dataclass(frozen=True)
-class Course:
+class EvaluationCurve:
     """A run's evaluations during training, shape (n,) each, n >= 1; NaN: not logged.
 
     Attributes:
@@ -45,22 +45,25 @@ class Certified:
 
 
 @dataclass(frozen=True)
-class Courses:
-    """Of each run that has them, by run id."""
+class RunEvaluations:
+    """Evaluation curves and certified episodes by run id, of the runs that have them."""
 
-    curves: dict[str, Course]
+    curves: dict[str, EvaluationCurve]
     certified: dict[str, Certified]
 
     @staticmethod
-    def of(results: Results) -> "Courses":
+    def of(results: Results) -> "RunEvaluations":
         """Split the frames of some results."""
         rated = results.curves.loc[results.curves["success_rate"].notna(), "run_id"]
         curves = results.curves[results.curves["run_id"].isin(rated)]
         names = ("step", "success_rate", "crash_rate", "cpu_s", "real_share")
         episodes = results.episodes[results.episodes["phase"] == "certified"]
         outcome = episodes["outcome"].cat.codes
-        return Courses(
-            {run: Course(*parts) for run, parts in _split(curves["run_id"], *(curves[name] for name in names))},
+        return RunEvaluations(
+            {
+                run: EvaluationCurve(*parts)
+                for run, parts in _split(curves["run_id"], *(curves[name] for name in names))
+            },
             {run: Certified(*parts) for run, parts in _split(episodes["run_id"], episodes["scene"], outcome)},
         )
 

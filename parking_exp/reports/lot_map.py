@@ -20,7 +20,7 @@ SEEDS = 10  # whose trajectories are looked at
 
 
 @dataclass(frozen=True)
-class Places:
+class LotMap:
     """Where episodes of a cell went.
 
     Attributes:
@@ -58,7 +58,7 @@ def _goal(scene: int) -> int:
 
 def sample(
     runs: Sequence[tuple[int, str]], results: Results, certified: Mapping[str, Certified], vehicles_count: int
-) -> Places:
+) -> LotMap:
     """Return some trajectories of each outcome, and where crashes and timeouts ended.
 
     Which ones is drawn at random, the same ones each time: of a few runs, from as many different ones as there are.
@@ -71,7 +71,7 @@ def sample(
         vehicles_count: parked cars in each scene.
     """
     rng = np.random.default_rng(0)
-    found = Places([], [], [])
+    found = LotMap([], [], [])
     drawn: dict[Outcome, list[tuple[int, Path]]] = {outcome: [] for outcome in OUTCOMES}
     wanted = 1 if vehicles_count else PATHS_AN_OUTCOME
     for index in rng.permutation(len(runs))[:SEEDS]:

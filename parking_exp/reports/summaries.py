@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 
 from parking_exp.evaluation.metrics import METRICS, SHARE, Metric
-from parking_exp.reports.curves import Course, Courses
+from parking_exp.reports.curves import EvaluationCurve, RunEvaluations
 from parking_exp.reports.formats import finite
 from parking_exp.reports.lot_map import slot_rates
 from parking_exp.reports.report_data import Cell, Curve, Interval, Seed, Share, Survival
@@ -39,19 +39,23 @@ RUN_COLUMNS = ["run_id", "run_dir", "seed", "n_scenes", "cpu_s", *(metric.run_co
 
 
 def summarise(
-    group: Group, number: int, courses: Courses, horizons: tuple[float | None, float | None], unfinished: bool
+    group: Group,
+    number: int,
+    evaluations: RunEvaluations,
+    horizons: tuple[float | None, float | None],
+    unfinished: bool,
 ) -> Cell:
     """Return a cell's numbers.
 
     Args:
         group: its runs.
         number: of the cell in the report.
-        courses: curves and certified episodes of the runs.
+        evaluations: curves and certified episodes of the runs.
         horizons: up to which env step, and CPU-second, times to 90 % are averaged; see `shared_horizons`.
         unfinished: whether learning curves show runs that are not done, too.
     """
     runs: list[dict[str, Any]] = group.done[RUN_COLUMNS].to_dict("records")  # type: ignore[assignment]
-    seeds = [_seed(run, courses) for run in runs]
+    seeds = [_seed(run, evaluations) for run in runs]
     means = _means(runs)
     own: dict[str, Any] = {name: mean for name, mean in means.items() if name not in FURTHER}
     times = [(seed.steps_to_90, seed.reached_90) for seed in seeds]
@@ -69,34 +73,36 @@ def summarise(
         area=_mean([seed.area for seed in seeds]),
         reaching_90=_reaching([seed.success for seed in seeds]),
         seeds=seeds,
-        curve=_curve(group.runs if unfinished else group.done, courses),
+        curve=_curve(group.runs if unfinished else group.done, evaluations),
         survival=_survival("env steps", times, horizons[0]),
         survival_cpu=_survival("CPU-seconds", cpu_times, horizons[1]),
-        slots=slot_rates([courses.certified[seed.run_id] for seed in seeds if seed.run_id in courses.certified]),
+        slots=slot_rates(
+            [evaluations.certified[seed.run_id] for seed in seeds if seed.run_id in evaluations.certified]
+        ),
         note=_note([seed.success for seed in seeds]),
         further={name: mean for name, mean in means.items() if name in FURTHER},
     )
 
 
-def shared_horizons(groups: Sequence[Group], courses: Courses) -> tuple[float | None, float | None]:
+def shared_horizons(groups: Sequence[Group], evaluations: RunEvaluations) -> tuple[float | None, float | None]:
     """Return the env step and the CPU-second up to which every finished run was watched."""
     ids = [run for group in groups for run in group.done["run_id"].tolist()]
-    curves = [courses.curves[run] for run in ids if run in courses.curves]
+    curves = [evaluations.curves[run] for run in ids if run in evaluations.curves]
     ends = [curve.watched(HOLD) for curve in curves]
     cpu_s = [seconds for _, seconds in ends if np.isfinite(seconds)]
     return min((step for step, _ in ends), default=None), min(cpu_s, default=None)
 
 
-def real_share(group: Group, courses: Courses) -> float | None:
+def real_share(group: Group, evaluations: RunEvaluations) -> float | None:
     """Return the mean share of real transitions in a cell's batches, as the buffer measured it."""
-    curves = [courses.curves[run].real_share for run in group.done["run_id"].tolist() if run in courses.curves]
+    curves = [evaluations.curves[run].real_share for run in group.done["run_id"].tolist() if run in evaluations.curves]
     last = [float(known[-1]) for curve in curves if len(known := curve[~np.isnan(curve)])]
     return float(np.mean(last)) if last else None
 
 
-def _seed(run: dict[str, Any], courses: Courses) -> Seed:
+def _seed(run: dict[str, Any], evaluations: RunEvaluations) -> Seed:
     values = _values(run)
-    episodes, curve = courses.certified.get(run["run_id"]), courses.curves.get(run["run_id"])
+    episodes, curve = evaluations.certified.get(run["run_id"]), evaluations.curves.get(run["run_id"])
     n_scenes = len(episodes.scene) if episodes is not None else _whole(run["n_scenes"])
     low = high = None
     if values["success"] is not None and n_scenes:
@@ -131,7 +137,7 @@ def _means(runs: Sequence[Mapping[str, Any]]) -> dict[str, Interval]:
     return {name: _mean([one[name] for one in found], bounds[name]) for name in REPORTED}
 
 
-def _course(curve: Course) -> tuple[float, bool, float | None, float | None]:
+def _course(curve: EvaluationCurve) -> tuple[float, bool, float | None, float | None]:
     """Return time to 90 % in env steps, whether it was reached, the same in CPU-seconds, and the area."""
     time, reached = steps_to(curve.step, curve.success, GOOD, HOLD)
     cpu_s = curve.cpu_s[np.searchsorted(curve.step, time)] if reached else curve.watched(HOLD)[1]
@@ -139,10 +145,10 @@ def _course(curve: Course) -> tuple[float, bool, float | None, float | None]:
     return time, reached, finite(cpu_s), area
 
 
-def _curve(runs: pd.DataFrame, courses: Courses) -> Curve | None:
+def _curve(runs: pd.DataFrame, evaluations: RunEvaluations) -> Curve | None:
     """Return the learning curve over all runs that have one."""
     pairs = zip(runs["run_id"].tolist(), runs["seed"].tolist(), strict=True)
-    known = {int(seed): courses.curves[run] for run, seed in pairs if run in courses.curves}
+    known = {int(seed): evaluations.curves[run] for run, seed in pairs if run in evaluations.curves}
     if not known:
         return None
     steps = np.unique(np.concatenate([curve.step for curve in known.values()]))

@@ -17,7 +17,7 @@ from support.store_factory import Look, compose, make_store
 
 from parking_exp.errors import ConfigError, RunNotFoundError
 from parking_exp.reports.build import Question, build
-from parking_exp.reports.curves import Courses
+from parking_exp.reports.curves import RunEvaluations
 from parking_exp.reports.selection import choose, group, one_cell
 from parking_exp.reports.untracked import find_untracked
 from parking_exp.results.frames import load
@@ -541,7 +541,7 @@ def test_an_evaluation_without_a_rate_does_not_count_as_holding(two):
     results = load("one", output_dir=two)
     run = results.runs["run_id"][0]
     curve = results.curves[results.curves["run_id"] == run].iloc[:4].assign(success_rate=[0.95, math.nan, 0.95, 0.95])
-    course = Courses.of(replace(results, curves=curve)).curves[run]
+    course = RunEvaluations.of(replace(results, curves=curve)).curves[run]
     assert steps_to(course.step, course.success) == (course.step[1], False)
     assert course.watched(3) == (course.step[1], course.cpu_s[1])
 
