@@ -152,7 +152,7 @@ def test_stores_that_mlflow_knows_are_taken(uri):
             "algorithm._target_=stable_baselines3.SACC: there is no 'SACC' in stable_baselines3; did you mean 'SAC'?",
         ),
         ("algorithm._target_=nowhere.SAC", "algorithm._target_=nowhere.SAC: the package 'nowhere' is not installed"),
-        ("evaluation=often", "evaluation='often' is not a group of keys; it holds every_n_steps, n_scenes, final_n_scenes, first_scene, video_episodes"),
+        ("evaluation=often", "evaluation=often: there is no such option; choose from default"),
         ("algorithm.gamma=null", "algorithm.gamma=None has the wrong type; parking_exp.algorithms.SAC takes float"),
         ("algorithm.batch_size=[9]", "algorithm.batch_size=[9] has the wrong type; parking_exp.algorithms.SAC takes int"),
         ("algorithm.ent_coef=atuo", "algorithm.ent_coef=atuo is not a valid choice; choose from auto and a number"),
