@@ -83,6 +83,7 @@ def test_workers_side_by_side_have_cores_threads_and_devices_of_their_own(tmp_pa
         assert one["torch"] == len(mine)
 
 
+@pytest.mark.slow
 def test_where_memory_is_short_one_run_waits_for_the_other(tmp_path):
     first, second = sorted(
         one["time"] for one in told(tmp_path, "hydra.launcher.memory_gb=100000", "hydra.launcher.n_jobs=2")

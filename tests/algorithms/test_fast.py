@@ -9,6 +9,7 @@ import torch
 from stable_baselines3.common.logger import Logger
 from stable_baselines3.common.torch_layers import CombinedExtractor
 from stable_baselines3.common.type_aliases import DictReplayBufferSamples
+from support.marks import slow_but
 from support.runs import make_config
 
 from parking_exp.algorithms import build, fast
@@ -76,7 +77,7 @@ def update(model, samples, calls=100, seed=0):
 
 
 @pytest.mark.parametrize("features", ["ego", "raw"])
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", slow_but([0], range(4)))
 @pytest.mark.parametrize("name", ALGORITHMS)
 def test_100_updates_give_the_parameters_of_stable_baselines3(name, seed, features):
     theirs, ours = pair(name, f"algorithm.features={features}", seed=seed)
@@ -116,7 +117,7 @@ def test_options_change_both_alike(name, override):
     assert furthest(ours, theirs) < 1e-5
 
 
-@pytest.mark.parametrize("name", ALGORITHMS)
+@pytest.mark.parametrize("name", slow_but(["DDPG"], ALGORITHMS))
 def test_wide_networks_are_the_same_too(name):
     theirs, ours = pair(name, "algorithm.net_arch=[256,256,256]", "algorithm.features=raw")
     samples = batches(100, 256, 0)
@@ -361,6 +362,7 @@ def test_very_many_minibatches_are_sampled_in_parts():
     assert model._n_updates == 130
 
 
+@pytest.mark.slow
 def test_a_short_learning_run_works_on_highway_env_too():
     model = make_model("TD3", "env.simulator=highway_env", "env.training_duration=2", "algorithm.learning_starts=200")
     model.learn(400)

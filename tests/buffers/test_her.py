@@ -18,6 +18,7 @@ from stable_baselines3.common.logger import Logger
 from stable_baselines3.common.save_util import load_from_pkl, save_to_pkl
 from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 from stable_baselines3.her import GoalSelectionStrategy
+from support.marks import slow_but
 from support.runs import USER_CONF, make_config
 from support.user_buffers import NextSecondHer
 
@@ -141,7 +142,7 @@ def test_given_the_same_indices_batches_are_stable_baselines3s(n_envs, steps):
 
 
 @pytest.mark.parametrize("simulator", ["vectorized", "highway_env"])
-@pytest.mark.parametrize("option", ["parking", "parking_sparse"])
+@pytest.mark.parametrize("option", slow_but(["parking"], ["parking", "parking_sparse"]))
 def test_with_real_episodes_too(option, simulator):
     """200 steps of 3 envs; with highway-env, its own compute_reward is what Stable-Baselines3 asks."""
     config = make_config(f"env={option}", f"env.simulator={simulator}", "env.training_duration=3")

@@ -169,6 +169,7 @@ def test_hydras_own_config_dir_adds_options(tmp_path):
     assert refused.stderr == "error: n_envs=0 is out of range; the closest valid choice is 1\n"
 
 
+@pytest.mark.slow
 def test_the_benchmark_measures_and_writes(tmp_path):
     done = run_script(
         "benchmark",
@@ -210,6 +211,7 @@ def test_a_benchmark_that_cannot_be_is_refused(argument, message, tmp_path):
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.slow
 def test_a_multirun_runs_every_point(tmp_path):
     done = run_script(
         "train", "-m", "experiment=smoke", "seed=0,1", "total_timesteps=60", "tracking.mlflow=false",

@@ -4,6 +4,7 @@ import re
 from collections import Counter
 
 import pytest
+from support.marks import slow_but
 from support.runs import run_script
 
 from parking_exp.config.compose import composed, composed_runs
@@ -151,6 +152,7 @@ def test_a_cell_may_name_its_seeds():
     )
 
 
+@pytest.mark.slow
 def test_one_run_of_a_sweep_is_the_run_that_was_asked_for(tmp_path):
     """One seed and one cell: the run that was checked is the one that is trained."""
     arguments = (
@@ -187,7 +189,7 @@ def test_the_her_traps_are_the_relabelling_options_where_they_can_make_a_differe
     assert len(found) == 12
 
 
-@pytest.mark.parametrize("experiment", ["her_ablation", "her_traps"])
+@pytest.mark.parametrize("experiment", slow_but(["her_traps"], ["her_ablation", "her_traps"]))
 @pytest.mark.parametrize(("budget", "steps"), [("small", 20_000), ("full", 60_000)])
 def test_every_cell_has_as_many_env_steps_and_updates(experiment, budget, steps):
     """Whatever differs, it is the buffer or the reward: the same steps, updates, networks and evaluation."""
@@ -204,6 +206,7 @@ def test_ten_seeds_and_the_small_budget_unless_said_otherwise():
     assert {run.total_timesteps for run in found} == {20_000}
 
 
+@pytest.mark.slow
 def test_a_sweep_goes_on_after_a_run_that_failed(tmp_path):
     """The second of three runs cannot make its directory; the others are done, and the exit status tells."""
     blocked = tmp_path / "default"

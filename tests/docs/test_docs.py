@@ -177,12 +177,14 @@ def add(path, text):
     path.write_text(old.replace(line, text))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("command", commands(EXTENDING))
 def test_what_extending_shows_runs(extended, command):
     code, output = extended[1][command]
     assert code == 0, output
 
 
+@pytest.mark.slow
 def test_the_examples_of_extending_show_in_what_they_extend(extended):
     outputs = extended[0] / "outputs"
     (result,) = outputs.glob("mine/parking_crowded-fading_sac-her_late-*/seed=0/result.json")

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from support.marks import slow_but
 from support.runs import make_config, options
 from support.simulator_equality import KINDS, actions_of, compare, different_scenes
 
@@ -43,8 +44,8 @@ def env_config(*overrides) -> EnvConfig:
     return make_config(*overrides, "algorithm.learning_starts=100000").env
 
 
-@pytest.mark.parametrize("kind", [kind for kind in KINDS if kind != "trained"])
-@pytest.mark.parametrize("option", options("env"))
+@pytest.mark.parametrize("kind", slow_but(["biased"], [kind for kind in KINDS if kind != "trained"]))
+@pytest.mark.parametrize("option", slow_but(["parking", "parking_sparse", "parking_action_repeat"], options("env")))
 def test_trajectories_are_highway_envs(option, kind):
     config = env_config(f"env={option}", *([] if "repeat" in option else ["env.duration=10"]))
     rng = np.random.default_rng(0)
@@ -53,7 +54,7 @@ def test_trajectories_are_highway_envs(option, kind):
     assert mismatches == []
 
 
-@pytest.mark.parametrize("name", VARIANTS)
+@pytest.mark.parametrize("name", slow_but(["no effect", "no walls", "speed limits"], VARIANTS))
 def test_every_option_is_simulated(name):
     config = env_config(*VARIANTS[name])
     size = config.action.longitudinal + config.action.lateral
@@ -71,7 +72,7 @@ def test_what_is_not_simulated_is_refused_by_name():
         make_config("env.action.dynamical=true")
 
 
-@pytest.mark.parametrize("parked", [0, 10, 26])
+@pytest.mark.parametrize("parked", slow_but([10], [0, 10, 26]))
 def test_scenes_are_highway_envs_bit_for_bit(parked):
     assert different_scenes(range(200), parked) == []
 

@@ -50,6 +50,7 @@ def test_until_the_first_reset_it_equals_highway_env_in_a_dummy_vec_env(config):
             np.testing.assert_array_equal(mine["terminal_observation"][key], value)
 
 
+@pytest.mark.slow
 def test_crashes_and_their_terminal_observations_equal_those_of_a_dummy_vec_env():
     """Full throttle until each env has crashed once, at different times; what comes after is another scene."""
     config = make_config("env=parking_parked", "env.training_duration=20").env

@@ -379,6 +379,7 @@ def test_scenes_are_mapped_to_their_goal_slots_and_some_episodes_are_drawn(two):
     assert content(two).cells[0].paths == sac.paths  # the same ones again
 
 
+@pytest.mark.slow
 def test_hundreds_of_cells_are_compared_with_one_and_the_best_are_shown(output_dir):
     base, configs = compose(), {}
     for label in map(str, range(300)):

@@ -263,6 +263,7 @@ def test_everything_is_there_without_javascript(show):
     assert tab.locator("#table-seeds").is_visible()
 
 
+@pytest.mark.slow
 def test_five_hundred_cells(show, files):
     tab = show("many")
     assert files("many").stat().st_size < 5e6

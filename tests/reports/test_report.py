@@ -123,6 +123,7 @@ def test_a_quick_report_shows_what_there_is_and_says_what_is_missing(output_dir)
     assert "1 of 4 runs are done" in page
 
 
+@pytest.mark.slow
 def test_several_experiments_make_one_report(made):
     make_store(made, "two", {"sac": []}, range(2), bulk=True)
     report(made, "experiment=one,two")
@@ -130,6 +131,7 @@ def test_several_experiments_make_one_report(made):
     assert [cell["label"] for cell in stored["cells"]] == ["one, sac", "one, td3", "two, sac"]
 
 
+@pytest.mark.slow
 def test_any_store_can_be_reported_on(made, tmp_path):
     report(tmp_path, "experiment=one", f"tracking.uri=sqlite:///{made}/mlflow.db", "name=theirs")
     assert (tmp_path / "reports" / "theirs" / "index.html").exists()
@@ -282,6 +284,7 @@ def test_markdown_shows_figures_that_are_there(made):
     assert "figures/" not in (made / "reports" / "one" / "report.md").read_text()
 
 
+@pytest.mark.slow
 def test_a_run_that_fails_before_it_trains_is_told_with_its_reason(tmp_path):
     run_script("train", "experiment=smoke", "timeout_s=100", "device=cuda", f"output_dir={tmp_path}")
     assert "of its 1 run, none is done" in report(tmp_path, "experiment=smoke", code=2).stderr
@@ -315,6 +318,7 @@ def test_a_report_sends_what_the_store_lacks_and_reads_it_there(output_dir):
     ]
 
 
+@pytest.mark.slow
 def test_a_store_that_was_lost_is_made_again_for_a_report(output_dir):
     make_store(output_dir, "one", {"sac": []}, range(2))
     (output_dir / "mlflow.db").unlink()

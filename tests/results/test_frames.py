@@ -568,6 +568,7 @@ def test_a_server_gives_the_same_frames_as_a_database(tmp_path, ablation, monkey
         assert len(Reader(uri).histories([directory.run_id], ["eval/success_rate"])["eval/success_rate"]) == 3
 
 
+@pytest.mark.slow
 def test_a_store_that_was_lost_is_made_again_from_all_run_directories(output_dir):
     make_store(output_dir, "her", HER, range(2))
     before = load("her", output_dir=output_dir).runs

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import psutil
 import pytest
+from support.marks import slow_but
 from support.sweep_processes import FAILING, SLOW, begin, stages, statuses, sweep, trained, wait_until
 
 RAY = Path(sys.executable).with_name("ray")
@@ -15,7 +16,7 @@ LOCAL = ("hydra/launcher=local",)
 BASIC = ("hydra/launcher=basic",)
 SLURM = ("hydra/launcher=slurm", "hydra.launcher.executor=local", "hydra.launcher.n_jobs=2")
 RAY_CLUSTER = ("hydra/launcher=ray",)
-LAUNCHERS = [LOCAL, BASIC, SLURM, pytest.param(RAY_CLUSTER, marks=pytest.mark.slow)]
+LAUNCHERS = slow_but([LOCAL, SLURM], [LOCAL, BASIC, SLURM, RAY_CLUSTER])
 
 
 def ray(*arguments):

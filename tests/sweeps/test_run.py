@@ -82,6 +82,7 @@ def test_every_way_to_fail_is_told_and_the_others_go_on(tmp_path):
     assert "5 runs: 1 done, 4 to run" in again.stdout
 
 
+@pytest.mark.slow
 def test_retry_runs_a_failed_run_again(tmp_path):
     """What made it fail is mended in between: here, another module of the same name."""
     for name, base in {"broken": "support.failing_algorithms.Raises", "mended": "parking_exp.algorithms.SAC"}.items():
@@ -115,6 +116,7 @@ def test_a_run_that_hangs_past_its_time_is_failed(tmp_path):
     assert "killed" not in status
 
 
+@pytest.mark.slow
 def test_no_worker_outlives_a_sweep_that_is_killed_and_typed_again_it_goes_on(tmp_path):
     process = begin(tmp_path, "seeds=3", *SLOW, *TWO)
     wait_until(lambda: len({path.parents[1] for path in tmp_path.glob("*/*/*/checkpoints/step=*")}) == 2)
@@ -147,6 +149,7 @@ def test_ctrl_c_saves_checkpoints_and_leaves_within_ten_seconds(tmp_path):
     assert len(list(tmp_path.glob("*/*/*/checkpoints/step=*"))) == 2
 
 
+@pytest.mark.slow
 def test_two_sweeps_at_once_share_the_work(tmp_path):
     both = [begin(tmp_path, "seeds=4", "hydra.launcher.n_jobs=1", *SLOW[:1], "total_timesteps=100") for _ in range(2)]
     wait_until(lambda: stages(tmp_path).count("running") == 2)  # with one job at a time each
@@ -157,6 +160,7 @@ def test_two_sweeps_at_once_share_the_work(tmp_path):
     assert trained(tmp_path) == [1] * 4
 
 
+@pytest.mark.slow
 def test_a_sweep_takes_over_what_another_one_leaves(tmp_path):
     other = begin(tmp_path, "seeds=2", *SLOW, *TWO)
     wait_until(lambda: stages(tmp_path).count("running") == 2)
@@ -244,6 +248,7 @@ def test_who_looks_at_a_run_does_not_keep_it_from_being_frozen_or_claimed(tmp_pa
         looking.join()
 
 
+@pytest.mark.slow
 def test_a_supervisor_that_stalls_after_it_has_started_its_worker_loses_nothing(tmp_path):
     process = begin(tmp_path, "seeds=[0]", "hydra/launcher=local")
     wait_until(lambda: workers(tmp_path))
@@ -255,6 +260,7 @@ def test_a_supervisor_that_stalls_after_it_has_started_its_worker_loses_nothing(
     assert stages(tmp_path) == ["done"]
 
 
+@pytest.mark.slow
 def test_names_and_reasons_with_markup_are_printed_as_they_are(tmp_path):
     output_dir = tmp_path / "out [/q] :warning: 'x'"
     done = sweep(output_dir, "seeds=2", r"algorithm._target_=support.failing_algorithms.Raises")

@@ -10,6 +10,7 @@ from threading import Thread
 
 import pytest
 import yaml
+from support.marks import slow_but
 from support.runs import artifacts, make_config, run_script, store
 from support.sync_processes import grow
 
@@ -94,7 +95,7 @@ def everything_moved(smoke, tmp_path):
     return move
 
 
-@pytest.mark.parametrize("how", ["moved", "copied"])
+@pytest.mark.parametrize("how", slow_but(["copied"], ["moved", "copied"]))
 def test_an_output_directory_elsewhere_works_there_and_touches_nothing_else(everything_moved, how):
     old, new = everything_moved(how)
     before = snapshot(old) if how == "copied" else None
@@ -473,6 +474,7 @@ def test_one_damaged_status_does_not_keep_others_from_being_sent(output_dir):
     assert [(directory, problem) for directory, problem in found] == [(nulls, None), (whole, None)]
 
 
+@pytest.mark.slow
 def test_an_experiment_that_was_deleted_is_said_with_what_to_type(output_dir):
     directory = run_in(output_dir)
     client = store(output_dir)

@@ -142,6 +142,7 @@ def content(output_dir):
     return dump, [(path, path.stat().st_mtime_ns, path.stat().st_ino) for path in files]
 
 
+@pytest.mark.slow
 def test_sixteen_processes_write_into_a_fresh_store_at_once_and_each_number_arrives_once(fresh_dir):
     directories = [written_run(fresh_dir, seed) for seed in range(16)]
     done = processes("at-once", [directory.path for directory in directories])
@@ -155,6 +156,7 @@ def test_sixteen_processes_write_into_a_fresh_store_at_once_and_each_number_arri
             "step=0000000180", "step=0000000180", "step=0000000360", "step=0000000360"]  # fmt: skip
 
 
+@pytest.mark.slow
 def test_a_sync_that_is_killed_anywhere_is_made_whole_by_the_next_one(output_dir):
     first, *directories = [written_run(output_dir, seed) for seed in range(11)]
     for directory in (first, *directories):
@@ -568,6 +570,7 @@ def test_a_store_that_fails_in_the_middle_gets_the_rest_later(output_dir, capsys
     assert_store_is_whole(output_dir, 400)
 
 
+@pytest.mark.slow
 def test_a_run_whose_store_is_down_is_done_and_the_store_gets_all_of_it_later(smoke, tmp_path):
     """The same run as `smoke`, whose store was healthy."""
     healthy, _, healthy_dir = smoke

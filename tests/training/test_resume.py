@@ -14,6 +14,7 @@ import torch
 from gymnasium import spaces
 from omegaconf import OmegaConf
 from stable_baselines3.common.logger import Logger
+from support.marks import slow_but
 from support.run_equality import differences, exact
 from support.runs import make_config, only_run, script, wait_for
 
@@ -128,7 +129,7 @@ def uninterrupted(tmp_path_factory):
     return run(tmp_path_factory.mktemp("uninterrupted"))
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", slow_but([kind for kind in KINDS if "highway_env" not in kind], KINDS))
 def test_a_run_that_was_cut_off_twice_is_the_one_that_was_not(tmp_path, kind):
     """Between checkpoints, in the middle of episodes; before the first update and later."""
     whole = run(tmp_path / "whole", *KINDS[kind])
@@ -252,6 +253,7 @@ def test_a_run_that_was_told_to_stop_at_an_odd_step(uninterrupted, tmp_path, in_
     assert differences(uninterrupted, only_run(tmp_path).path) == []
 
 
+@pytest.mark.slow
 def test_killed_processes_leave_nothing_that_shows(tmp_path):
     """A real kill in real processes, TensorBoard's events included."""
     arguments = [*SMOKE, HIGHWAY, "checkpoint.every_n_steps=40", "tracking.tensorboard=true", "total_timesteps=250"]
@@ -340,7 +342,7 @@ def test_rollout_state_is_restored_as_it_was_saved(kind):
     assert draws(other) == expected
 
 
-@pytest.mark.parametrize("steps", [0, 7, 30])
+@pytest.mark.parametrize("steps", slow_but([7], [0, 7, 30]))
 @pytest.mark.parametrize("option", ["parking_sparse", "parking_parked"])
 def test_an_env_of_highway_env_goes_on_from_its_state(option, steps):
     """At the start of an episode, in its middle, and after others; the next scenes are the same, too."""
