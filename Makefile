@@ -9,11 +9,13 @@ STORE := sqlite:///outputs/mlflow.db
 
 # uv installs: the one on the PATH, else one that pip puts into .venv. It reads none of pip's settings, so that what they
 # say of where packages are is passed on, as is that the newest version of all these places counts.
-UV := $(or $(shell uv --version >/dev/null 2>&1 && command -v uv),$(BIN)/uv)
+UV_ON_PATH := $(shell uv --version >/dev/null 2>&1 && echo uv)
+UV := $(or $(UV_ON_PATH),$(BIN)/uv)
 pip_setting = $(or $(PIP_$(1)),$(shell $(BIN)/pip config get global.$(2) 2>/dev/null))
-PLACES = $(addprefix --default-index=,$(call pip_setting,INDEX_URL,index-url)) \
-	$(addprefix --index=,$(call pip_setting,EXTRA_INDEX_URL,extra-index-url)) \
-	$(addprefix --find-links=,$(call pip_setting,FIND_LINKS,find-links)) --index-strategy=unsafe-best-match
+PLACES = $(patsubst %,--default-index='%',$(call pip_setting,INDEX_URL,index-url)) \
+	$(patsubst %,--index='%',$(call pip_setting,EXTRA_INDEX_URL,extra-index-url)) \
+	$(patsubst %,--find-links='%',$(call pip_setting,FIND_LINKS,find-links)) \
+	$(if $(filter 1 true yes on,$(call pip_setting,NO_INDEX,no-index)),--no-index) --index-strategy=unsafe-best-match
 INSTALL = $(UV) pip install --python $(BIN)/python --constraint constraints.txt --build-constraint constraints.txt $(PLACES)
 
 .DEFAULT_GOAL := help
@@ -33,7 +35,7 @@ $(BIN)/uv: | $(BIN)/pip
 	@echo "installing uv into $(VENV), which installs the rest"
 	@$(BIN)/pip install --quiet --disable-pip-version-check --constraint constraints.txt uv
 
-$(VENV)/.installed: pyproject.toml constraints.txt | $(BIN)/pip $(UV)
+$(VENV)/.installed: pyproject.toml constraints.txt | $(BIN)/pip $(if $(UV_ON_PATH),,$(UV))
 	@echo "installing the pinned packages into $(VENV), once; some 500 MB are downloaded where no cache has them"
 	@$(INSTALL) --editable '.[dev]'
 	@touch $@
@@ -76,11 +78,12 @@ ui: $(VENV)/.ui  ## MLflow's web UI on our store
 tensorboard: setup  ## TensorBoard on all runs
 	$(BIN)/tensorboard --logdir outputs $(ARGS)
 
-lock: | $(BIN)/pip $(UV)  ## write constraints.txt anew: the newest versions that fit (TORCH=VERSION chooses torch)
-	@echo '# Versions that were resolved and tested together (make lock writes this file).' > constraints.new
-	printf 'torch==$(TORCH)\nuv\n' | $(UV) pip compile --quiet --python $(BIN)/python --extra dev --extra ui \
-		--no-header --no-annotate $(PLACES) pyproject.toml - | sed -E 's/\+cpu$$//; /^(-|--)/d' >> constraints.new
-	mv constraints.new constraints.txt
+lock: | $(BIN)/pip $(if $(UV_ON_PATH),,$(UV))  ## write constraints.txt anew: the newest versions that fit (TORCH=VERSION chooses torch)
+	@rm -f $(VENV)/resolved.txt
+	printf 'torch==$(TORCH)\nuv\n' | $(UV) pip compile --quiet --python $(BIN)/python --extra dev --extra ui --no-header \
+		--no-annotate $(PLACES) --output-file $(VENV)/resolved.txt pyproject.toml - >/dev/null
+	@echo '# Versions that were resolved and tested together (make lock writes this file).' > constraints.txt
+	sed -E 's/\+cpu$$//; /^(-|--)/d' $(VENV)/resolved.txt >> constraints.txt
 
 clean:  ## delete .venv and caches; outputs/ stays
 	rm -rf $(VENV) .mypy_cache .pytest_cache .ruff_cache .cache site dist build *.egg-info

@@ -38,6 +38,8 @@ PUBLIC_PATHS = (
     "parking_exp.envs.vec_env.ParkingVecEnv",
     "parking_exp.results.load",
     "parking_exp.statistics",
+    "hydra_plugins.parking_launcher.LocalLauncher",
+    "hydra_plugins.parking_launcher.SlurmLauncher",
 )
 
 

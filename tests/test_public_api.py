@@ -13,7 +13,7 @@ from parking_exp import PUBLIC_PATHS, compose
 from parking_exp.config.schema import RunConfig
 from parking_exp.errors import ConfigError
 
-TARGET = re.compile(r"_target_: (parking_exp\.[\w.]+)")
+TARGET = re.compile(r"_target_: ((?:parking_exp|hydra_plugins\.parking_launcher)\.[\w.]+)")
 NAMED = re.compile(r"\bparking_exp(?:\.\w+)+")
 IMPORTED = re.compile(r"^from (parking_exp[\w.]*) import ([\w, ]+)", re.MULTILINE)
 ROOMS = {path.parent.name for path in (ROOT / "parking_exp").glob("*/__init__.py")}

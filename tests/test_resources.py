@@ -72,6 +72,7 @@ def told(tmp_path, *arguments):
     return [json.loads(path.read_text()) for path in tmp_path.glob("*.json")]
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not hasattr(os, "sched_getaffinity") or len(cores()) < 2, reason="needs two cores to pin to")
 def test_workers_side_by_side_have_cores_threads_and_devices_of_their_own(tmp_path):
     found = sorted(told(tmp_path, "hydra.launcher.n_jobs=2"), key=lambda one: one["cores"])

@@ -32,7 +32,8 @@ from parking_exp.runs.files import fsync
 VARIABLES = "pytorch_variables"
 # Entries of the pickled part that a HER buffer wants an env for: without them `SAC.load(path)` is enough.
 BUFFER_ENTRIES = ("replay_buffer_class", "replay_buffer_kwargs")
-# What a model refers to and is not made of. Distributions hold the last sample, and gSDE's matrices (see `streams`).
+# What a model refers to and is not made of. Distributions hold the last sample, and gSDE's matrices, which
+# `training/rollout_state.py` saves.
 NOT_WEIGHTS = (gym.Env, VecEnv, BaseBuffer, BaseCallback, Logger, Distribution, torch.distributions.Distribution)
 MODULE_DICTS = {"_modules", "_parameters", "_buffers"}  # of torch.nn.Module: left out of the names
 

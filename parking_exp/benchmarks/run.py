@@ -11,7 +11,7 @@ from omegaconf import DictConfig
 from pydantic import Field
 
 from parking_exp.config.paths import directory_path
-from parking_exp.config.schema import Positive, Section
+from parking_exp.config.schema import ConfigModel, Positive
 from parking_exp.config.validate import parse
 from parking_exp.errors import ConfigError, suggestion
 from parking_exp.resources import cores
@@ -48,7 +48,7 @@ NEEDS = ("highway_env", "stable_baselines3")
 Figures = dict[str, Callable[[], dict[str, Any]]]
 
 
-class BenchmarkConfig(Section):
+class BenchmarkConfig(ConfigModel):
     """The config of scripts/benchmark.py."""
 
     output_dir: str

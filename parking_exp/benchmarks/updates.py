@@ -8,6 +8,7 @@ from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 
 from parking_exp.algorithms.build import build_model, torch_settings
 from parking_exp.benchmarks.timing import interleave
+from parking_exp.config.her_options import RELABEL_OPTIONS
 from parking_exp.config.schema import RunConfig
 from parking_exp.envs.training_envs import make_training_envs
 
@@ -56,8 +57,6 @@ def theirs(config: RunConfig) -> RunConfig:
     algorithm = config.algorithm.model_copy(
         update={"target": f"stable_baselines3.{config.algorithm.target.rpartition('.')[2]}"}
     )
-    plain = config.buffer.model_dump(
-        by_alias=True, exclude={"relabel_collision", "relabel_terminated", "goal_velocity"}
-    )
+    plain = config.buffer.model_dump(by_alias=True, exclude=set(RELABEL_OPTIONS))
     buffer = type(config.buffer).model_validate(plain | {"_target_": "stable_baselines3.HerReplayBuffer"})
     return config.model_copy(update={"algorithm": algorithm, "buffer": buffer})

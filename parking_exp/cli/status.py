@@ -11,7 +11,7 @@ from rich.live import Live
 
 from parking_exp.cli.command import for_each, run_command
 from parking_exp.config.paths import default_uri, directory_path
-from parking_exp.config.schema import Name, Section, StoreConfig
+from parking_exp.config.schema import ConfigModel, Name, StoreConfig
 from parking_exp.config.validate import parse
 from parking_exp.errors import ConfigError, RunNotFoundError, UnsyncedError, plural, suggestion
 from parking_exp.runs.directory import RunDirectory
@@ -42,7 +42,7 @@ def status_overrides(words: list[str]) -> list[str]:
     return [f"experiment_name={word[11:]}" if word.startswith("experiment=") else word for word in words]
 
 
-class StatusRequest(Section):
+class StatusRequest(ConfigModel):
     """The config of scripts/status.py."""
 
     experiment_name: Name | None
@@ -119,7 +119,7 @@ def _sync(request: StatusRequest) -> None:
     for directory, problem in sync_all(directories, uris):
         if problem is None:
             say(f"{directory.path}: the store has everything", stderr=True)
-        else:
+        elif directory.version_problem is None:  # else it stays as it is, and has a line of its own
             problems.setdefault(problem, []).append(directory)
     for problem, runs in problems.items():
         others = f" and {len(runs) - 1} more" if len(runs) > 1 else ""

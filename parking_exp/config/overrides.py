@@ -134,6 +134,8 @@ def _check_options(override: Override, options: list[str]) -> None:
     for value in values[0] if isinstance(values[0], list) else values:
         if value is None:
             raise ConfigError(f"{name}=null: leave it out, or choose from {', '.join(options)}")
+        if str(value).startswith("{"):  # several keys of the group, which Hydra takes as such
+            continue
         if str(value) not in options:
             raise ConfigError(f"{name}={value}: there is no such option{suggestion(str(value), options)}")
 

@@ -1,7 +1,7 @@
 """The schema of a run's config: its keys, their types and ranges.
 
 Values and their comments stand in `conf/`. Our own keys are typed fields; arguments of third-party classes stay under
-the library's own names, and `config.arguments` checks them.
+the library's own names, and `config.constructor_arguments` checks them.
 """
 
 import math
@@ -42,13 +42,13 @@ Scene = Annotated[int, Field(ge=0, lt=TRAINING_SCENES_START)]
 NumberOfScenes = Annotated[int, Field(ge=1, le=TRAINING_SCENES_START)]
 
 
-class Section(BaseModel):
+class ConfigModel(BaseModel):
     """A strict, frozen part of the config: unknown keys and wrong types are errors."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
 
 
-class ObservationConfig(Section):
+class ObservationConfig(ConfigModel):
     """highway-env's `observation` options."""
 
     type: Literal["KinematicsGoal"]
@@ -57,7 +57,7 @@ class ObservationConfig(Section):
     normalize: bool
 
 
-class ActionConfig(Section):
+class ActionConfig(ConfigModel):
     """highway-env's `action` options."""
 
     type: Literal["ContinuousAction"]
@@ -70,7 +70,7 @@ class ActionConfig(Section):
     clip: bool
 
 
-class EnvConfig(Section):
+class EnvConfig(ConfigModel):
     """The `env` group: highway-env's options under their own names, and four of ours."""
 
     name: Name
@@ -191,7 +191,7 @@ class BufferConfig(ThirdParty):
         return self.model_copy(update={"name": "replay" if strategy is None else f"her_{strategy}"})
 
 
-class EvaluationConfig(Section):
+class EvaluationConfig(ConfigModel):
     """Evaluation on fixed scenes, during training and at its end."""
 
     every_n_steps: Positive | None
@@ -201,20 +201,20 @@ class EvaluationConfig(Section):
     video_episodes: Count
 
 
-class CheckpointConfig(Section):
+class CheckpointConfig(ConfigModel):
     """Checkpoints of the whole training state."""
 
     every_n_steps: Positive | None
     keep_last: Positive
 
 
-class StoreConfig(Section):
+class StoreConfig(ConfigModel):
     """Another store than that of the output directory."""
 
     uri: str | None
 
 
-class TrackingConfig(Section):
+class TrackingConfig(ConfigModel):
     """Where metrics go."""
 
     mlflow: bool
@@ -226,14 +226,14 @@ class TrackingConfig(Section):
     progress_bar: bool
 
 
-class SweepOptions(Section):
+class SweepOptions(ConfigModel):
     """Keys beside a run's that say what a sweep does."""
 
     retry: Literal["failed"] | None
     dry_run: bool
 
 
-class RunConfig(Section):
+class RunConfig(ConfigModel):
     """One run, seed included."""
 
     experiment_name: Name

@@ -14,13 +14,13 @@ from parking_exp.config.rules import check_env
 from parking_exp.config.run_key import short_hash
 from parking_exp.config.schema import (
     TRAINING_SCENES_START,
+    ConfigModel,
     Count,
     EnvConfig,
     Name,
     NumberOfScenes,
     RunConfig,
     Scene,
-    Section,
     Simulation,
     StoreConfig,
 )
@@ -38,7 +38,7 @@ class ResultsTracking(StoreConfig):
     mlflow: bool
 
 
-class EvaluationRequest(Section):
+class EvaluationRequest(ConfigModel):
     """The config of scripts/evaluate.py."""
 
     run: Annotated[str, Field(min_length=1)]

@@ -13,7 +13,7 @@ from pydantic import Field
 
 from parking_exp.config.compose import composed
 from parking_exp.config.paths import absolute, database, default_uri, directory_path, is_same_store, without_password
-from parking_exp.config.schema import Section, StoreConfig
+from parking_exp.config.schema import ConfigModel, StoreConfig
 from parking_exp.config.signatures import signature
 from parking_exp.config.validate import parse
 from parking_exp.errors import ConfigError, ResultsError, did_you_mean, plural
@@ -27,14 +27,14 @@ Format = Literal["svg", "pdf", "png"]
 ALIKE = 0.8  # from how similar on a word is a misspelt key
 
 
-class ReportOptions(Section):
+class ReportOptions(ConfigModel):
     """The `report` group."""
 
     quick: bool
     formats: list[Format]
 
 
-class ReportRequest(Section):
+class ReportRequest(ConfigModel):
     """The config of scripts/report.py."""
 
     experiment_name: str | list[str] | None

@@ -107,7 +107,7 @@ def _seed(run: dict[str, Any], evaluations: RunEvaluations) -> Seed:
     low = high = None
     if values["success"] is not None and n_scenes:
         low, high = wilson_interval(round(values["success"] * n_scenes), n_scenes)
-    steps, reached, cpu_s, area = _course(curve) if curve is not None else (None, False, None, None)
+    steps, reached, cpu_s, area = _evaluation_curve(curve) if curve is not None else (None, False, None, None)
     return Seed(
         seed=int(run["seed"]),
         run_id=run["run_id"],
@@ -137,7 +137,7 @@ def _means(runs: Sequence[Mapping[str, Any]]) -> dict[str, Interval]:
     return {name: _mean([one[name] for one in found], bounds[name]) for name in REPORTED}
 
 
-def _course(curve: EvaluationCurve) -> tuple[float, bool, float | None, float | None]:
+def _evaluation_curve(curve: EvaluationCurve) -> tuple[float, bool, float | None, float | None]:
     """Return time to 90 % in env steps, whether it was reached, the same in CPU-seconds, and the area."""
     time, reached = steps_to(curve.step, curve.success, GOOD, HOLD)
     cpu_s = curve.cpu_s[np.searchsorted(curve.step, time)] if reached else curve.watched(HOLD)[1]

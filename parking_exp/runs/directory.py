@@ -121,7 +121,8 @@ class RunDirectory:
     def can_make_models(self) -> bool:
         """Whether the run is done, a model of its is gone, and the checkpoint is there that it can be made from."""
         # In this order, since a sweep asks this of every run.
-        return self.checkpoints.exists() and self.lacks_model and self.final_checkpoint.exists()
+        there = self.checkpoints.exists() and self.lacks_model and self.final_checkpoint.exists()
+        return there and self.version_problem is None
 
     @property
     def version_problem(self) -> str | None:

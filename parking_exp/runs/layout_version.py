@@ -1,5 +1,6 @@
 """The version of the layout of run directories, and recognition of runs made by another version of this package."""
 
+import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -32,6 +33,8 @@ def other_version(entries: Mapping[str, Any]) -> str | None:
 
 def refusal(path: Path, maker: str) -> str:
     """Return what to do with the run directory of another version."""
-    commit = read_provenance(path / PROVENANCE_FILE)[1].get("git_commit")
-    way = f"`git checkout {commit[:12]}` gives the version that can use it" if commit else "that version can use it"
+    commit = str(read_provenance(path / PROVENANCE_FILE)[1].get("git_commit", ""))
+    # The file may come from anywhere, and this is for typing.
+    known = re.fullmatch(r"[0-9a-f]{12,64}", commit)
+    way = f"`git checkout {commit[:12]}` gives the version that can use it" if known else "that version can use it"
     return f"it was made by {maker} and is left as it is: {way}; to train it anew with this one, move it away first"

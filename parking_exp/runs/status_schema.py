@@ -18,7 +18,7 @@ class _Entries(BaseModel):
 
 
 class StatusEntries(_Entries):
-    """How far a run is. `layout.py` says what `layout` is, `state.RunState` what the other entries mean."""
+    """How far a run is. `layout_version.py` says what `layout` is, `state.RunState` what the other entries mean."""
 
     layout: Count | None = None
     status: Status | None = None

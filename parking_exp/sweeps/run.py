@@ -109,7 +109,8 @@ def _sync(runs: Sequence[PlannedRun], monitor: Monitor) -> None:
     """Send what workers could not, because they were killed or their store was down."""
     uris = list({store_uri(run.config) for run in runs if run.config.tracking.mlflow})
     found = sync_all((RunDirectory(run.path) for run in runs), uris)
-    problems = [(directory, problem) for directory, problem in found if problem]
+    # The plan has told of runs of another version, which stay as they are.
+    problems = [(directory, problem) for directory, problem in found if problem and not directory.version_problem]
     if problems:
         directory, problem = problems[0]
         whose = f"{len(problems)} runs are" if len(problems) > 1 else "a run is"

@@ -119,7 +119,7 @@ class Reader:
         """Return the content of a run's artifact, None where it has none of that name.
 
         Raises:
-            Exception: it is there and can't be had; `store.reason` makes a sentence of it.
+            Exception: it is there and can't be had; `failures.reason` makes a sentence of it.
         """
         if not folder_uri:
             raise ResultsError("the store does not say where its artifacts are")

@@ -27,6 +27,7 @@ from parking_exp.config.schema import RunConfig
 from parking_exp.errors import DamagedFileError
 from parking_exp.runs.directory import RunDirectory, Status
 from parking_exp.runs.files import fingerprint, read_object, write_json
+from parking_exp.runs.layout_version import LAYOUT
 from parking_exp.runs.metric_logs import damaged_logs, has_whole_logs, read_metrics
 from parking_exp.runs.provenance import PROVENANCE_FILE, read_provenance
 from parking_exp.tracking import artifacts
@@ -194,6 +195,7 @@ def _tags(directory: RunDirectory, config: RunConfig, uri: str) -> dict[str, str
     run_dir = relative_path(directory.path, path.parent) if path else str(directory.path.absolute())
     return {
         **read_provenance(directory.path / PROVENANCE_FILE)[1],
+        "layout": str(LAYOUT),
         "experiment": config.experiment_name,
         "cell": config.cell,
         "seed": str(config.seed),

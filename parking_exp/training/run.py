@@ -60,7 +60,7 @@ def train(config: DictConfig | Mapping[str, Any] | RunConfig, *, supervised: boo
         if (result := directory.result()) is not None:
             say("already done; to train it afresh, change the seed or delete its directory")
             if directory.lacks_model:
-                say(make_models(directory))
+                say(directory.version_problem or make_models(directory))
             say(*_closing_lines(result, directory))
             return result
         directory.create(config)

@@ -64,7 +64,7 @@ def success_rate(model, episodes=50):
     return successes / episodes
 
 
-@pytest.mark.parametrize("algorithm", slow_but(["sac", "ddpg"], ["sac", "td3", "ddpg", "crossq"]))
+@pytest.mark.parametrize("algorithm", slow_but(["ddpg"], ["sac", "td3", "ddpg", "crossq"]))
 def test_each_algorithm_learns_to_reach_a_goal(algorithm):
     config = make_config(
         *SMALL, f"algorithm={algorithm}", "algorithm.features=raw", "algorithm.net_arch=[32,32]",

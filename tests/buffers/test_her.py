@@ -141,7 +141,7 @@ def test_given_the_same_indices_batches_are_stable_baselines3s(n_envs, steps):
     assert_equal(mine, joined)
 
 
-@pytest.mark.parametrize("simulator", ["vectorized", "highway_env"])
+@pytest.mark.parametrize("simulator", slow_but(["vectorized"], ["vectorized", "highway_env"]))
 @pytest.mark.parametrize("option", slow_but(["parking"], ["parking", "parking_sparse"]))
 def test_with_real_episodes_too(option, simulator):
     """200 steps of 3 envs; with highway-env, its own compute_reward is what Stable-Baselines3 asks."""

@@ -38,7 +38,14 @@ ARTICLE = {
 }
 
 
-@pytest.mark.parametrize(("group", "option"), [(group, option) for group in GROUPS for option in options(group)])
+@pytest.mark.parametrize(
+    ("group", "option"),
+    [
+        pytest.param(group, option, marks=pytest.mark.slow if option == "her_ablation" else ())
+        for group in GROUPS
+        for option in options(group)
+    ],
+)
 def test_every_option_of_every_group_composes_and_validates(group, option):
     for composed_config in composed("config", [f"{group}={option}"]):
         config = validate(composed_config)
@@ -479,3 +486,8 @@ def test_validating_does_not_change_the_config():
 def test_a_checked_config_survives_a_round_trip():
     config = make_config("experiment=smoke")
     assert validate(config.plain()) == config
+
+
+def test_a_sweep_over_several_keys_of_a_group_is_a_sweep():
+    found = composed("config", ["tracking={csv: false},{csv: true}"])
+    assert [config.tracking.csv for config in found] == [False, True]

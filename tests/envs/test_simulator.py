@@ -45,7 +45,7 @@ def env_config(*overrides) -> EnvConfig:
 
 
 @pytest.mark.parametrize("kind", slow_but(["biased"], [kind for kind in KINDS if kind != "trained"]))
-@pytest.mark.parametrize("option", slow_but(["parking", "parking_sparse", "parking_action_repeat"], options("env")))
+@pytest.mark.parametrize("option", slow_but(["parking", "parking_action_repeat"], options("env")))
 def test_trajectories_are_highway_envs(option, kind):
     config = env_config(f"env={option}", *([] if "repeat" in option else ["env.duration=10"]))
     rng = np.random.default_rng(0)
@@ -54,7 +54,7 @@ def test_trajectories_are_highway_envs(option, kind):
     assert mismatches == []
 
 
-@pytest.mark.parametrize("name", slow_but(["no effect", "no walls", "speed limits"], VARIANTS))
+@pytest.mark.parametrize("name", slow_but(["no effect"], VARIANTS))
 def test_every_option_is_simulated(name):
     config = env_config(*VARIANTS[name])
     size = config.action.longitudinal + config.action.lateral

@@ -75,6 +75,7 @@ def test_trajectories_lead_from_the_origin_to_where_the_episode_ended(simulator,
         assert abs(one.iloc[-1]["speed_mps"]) == pytest.approx(end["speed_mps"], abs=1e-6)
 
 
+@pytest.mark.slow
 def test_both_simulators_record_the_same_trajectories():
     env = make_config("env=parking_parked", "env.duration=4").env
     found = {}

@@ -12,7 +12,7 @@ from parking_exp.errors import ConfigError, OutputDirectoryError
 from parking_exp.evaluation.evaluate_run import evaluate_run
 from parking_exp.runs.directory import RunDirectory, RunResult
 from parking_exp.runs.files import read_json
-from parking_exp.runs.layout_version import LAYOUT
+from parking_exp.runs.layout_version import LAYOUT, refusal
 from parking_exp.runs.state import read_state
 from parking_exp.sweeps.plan import plan
 from parking_exp.tracking.sync_all import sync_all
@@ -130,3 +130,8 @@ def test_status_lists_runs_of_another_version_with_a_line_of_their_own(tmp_path)
     assert [line.split()[0] for line in done.stdout.splitlines()[2:]] == ["version"]
     assert "1 run made by an earlier version of parking_exp: " in done.stdout
     assert contents(tmp_path) == before
+
+
+def test_a_commit_that_is_none_is_not_to_be_typed(tmp_path):
+    (tmp_path / "provenance.json").write_text(json.dumps({"tags": {"git_commit": "x;rm -rf ~   "}}))
+    assert "git checkout" not in refusal(tmp_path, "an earlier version of parking_exp")

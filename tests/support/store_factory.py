@@ -31,7 +31,7 @@ from parking_exp.evaluation.evaluate import summarise
 from parking_exp.evaluation.metrics import EPISODE_COLUMNS
 from parking_exp.runs.directory import RunDirectory, RunResult
 from parking_exp.runs.files import sha256, write_json
-from parking_exp.runs.layout_version import new_entries
+from parking_exp.runs.layout_version import LAYOUT, new_entries
 from parking_exp.runs.metric_logs import append_episodes, copy_logs
 from parking_exp.runs.provenance import provenance
 from parking_exp.tracking.store import Store
@@ -348,6 +348,7 @@ def _rows(
     """Return a run's rows of MLflow's tables."""
     run, name = {"run_uuid": place["run_uuid"]}, f"{config.cell}-seed={config.seed}"
     tags = {
+        "layout": str(LAYOUT),
         "experiment": config.experiment_name,
         "cell": config.cell,
         "seed": str(config.seed),

@@ -16,7 +16,7 @@ LOCAL = ("hydra/launcher=local",)
 BASIC = ("hydra/launcher=basic",)
 SLURM = ("hydra/launcher=slurm", "hydra.launcher.executor=local", "hydra.launcher.n_jobs=2")
 RAY_CLUSTER = ("hydra/launcher=ray",)
-LAUNCHERS = slow_but([LOCAL, SLURM], [LOCAL, BASIC, SLURM, RAY_CLUSTER])
+LAUNCHERS = slow_but([LOCAL], [LOCAL, BASIC, SLURM, RAY_CLUSTER])
 
 
 def ray(*arguments):

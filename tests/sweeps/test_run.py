@@ -177,6 +177,7 @@ def test_a_sweep_takes_over_what_another_one_leaves(tmp_path):
     assert trained(tmp_path) == [2, 2]
 
 
+@pytest.mark.slow
 def test_a_relative_output_directory_means_the_same_to_a_worker_elsewhere(tmp_path, monkeypatch):
     (tmp_path / "here").mkdir()
     (tmp_path / "there").mkdir()
@@ -273,6 +274,7 @@ def test_names_and_reasons_with_markup_are_printed_as_they_are(tmp_path):
     assert str(output_dir) in told.stdout
 
 
+@pytest.mark.slow
 def test_a_worker_that_is_killed_is_failed_and_goes_on_when_typed_again(tmp_path):
     process = begin(tmp_path, "seeds=2", *SLOW)
     wait_until(lambda: len(list(tmp_path.glob("*/*/seed=0/checkpoints/step=*"))) >= 1)
@@ -287,6 +289,7 @@ def test_a_worker_that_is_killed_is_failed_and_goes_on_when_typed_again(tmp_path
     assert trained(tmp_path) == [1, 2]
 
 
+@pytest.mark.slow
 def test_what_waits_is_frozen(tmp_path):
     """The experiment file changes while the sweep runs: its queued runs do not, new ones would."""
     (tmp_path / "mine" / "experiment").mkdir(parents=True)

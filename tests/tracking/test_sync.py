@@ -609,6 +609,7 @@ def test_a_run_whose_store_is_down_is_done_and_the_store_gets_all_of_it_later(sm
     }
 
 
+@pytest.mark.slow
 def test_a_run_goes_on_without_its_server(tmp_path):
     with closed_port() as port:
         uri = f"http://127.0.0.1:{port}"

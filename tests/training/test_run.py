@@ -524,7 +524,8 @@ def test_a_killed_run_resumes_in_the_same_mlflow_run_with_no_step_twice(tmp_path
     assert not table.duplicated(["phase", "step", "scene"]).any()
 
 
-@pytest.mark.parametrize("signal_number", slow_but([signal.SIGTERM], [signal.SIGINT, signal.SIGTERM]))
+@pytest.mark.slow
+@pytest.mark.parametrize("signal_number", [signal.SIGINT, signal.SIGTERM])
 def test_a_signal_saves_a_checkpoint_and_the_same_command_goes_on(tmp_path, signal_number):
     output_dir = tmp_path / "outputs"
     arguments = ("experiment=smoke", f"output_dir={output_dir}", "checkpoint.every_n_steps=null",
@@ -599,6 +600,7 @@ def test_networks_that_can_not_be_are_refused_before_anything_is_made(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.slow
 def test_a_run_that_broke_and_goes_on_has_one_trajectory_in_the_store(tmp_path, monkeypatch):
     config = make_config("experiment=smoke", f"output_dir={tmp_path}", "checkpoint.every_n_steps=150",
                          "evaluation.video_episodes=0", "tracking.progress_bar=false")  # fmt: skip
@@ -658,6 +660,7 @@ def test_two_processes_do_not_work_on_one_run(tmp_path):
         train(config)
 
 
+@pytest.mark.slow
 def test_a_disk_that_fills_up_fails_the_run_and_keeps_what_was_there(tmp_path):
     """A file-size limit stands in for a full disk: the checkpoint's buffer does not fit."""
     output_dir = tmp_path / "outputs"

@@ -22,7 +22,7 @@ class Update(Protocol):
 class FastTraining:
     """Mixin that replaces the `train` of an off-policy class of Stable-Baselines3; it stands before that class.
 
-    Models that the fast update does not support (`support.is_supported`) are trained by Stable-Baselines3's `train`.
+    Models that the fast update does not support (`supported.is_supported`) are trained by Stable-Baselines3's `train`.
     """
 
     update_class: ClassVar[type[Update]]
