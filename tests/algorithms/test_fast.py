@@ -117,7 +117,8 @@ def test_options_change_both_alike(name, override):
     assert furthest(ours, theirs) < 1e-5
 
 
-@pytest.mark.parametrize("name", slow_but(["DDPG"], ALGORITHMS))
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ALGORITHMS)
 def test_wide_networks_are_the_same_too(name):
     theirs, ours = pair(name, "algorithm.net_arch=[256,256,256]", "algorithm.features=raw")
     samples = batches(100, 256, 0)

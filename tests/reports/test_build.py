@@ -349,6 +349,7 @@ def test_a_her_ablation_has_effects_interactions_and_the_real_share(output_dir):
     assert max(abs(r) for row in table.residual for r in row if r is not None) == pytest.approx(0, abs=1e-9)
 
 
+@pytest.mark.slow
 def test_a_search_says_what_each_hyperparameter_explains(output_dir):
     rng = np.random.default_rng(1)
     draws = [(float(10 ** -rng.uniform(2, 4)), float(rng.uniform(0.8, 0.99))) for _ in range(12)]

@@ -59,6 +59,7 @@ def test_typed_again_a_sweep_does_only_what_is_missing(tmp_path):
     assert re.search(r"6 runs: 2 done, 4 to run, about \d+ s", planned.stdout)
 
 
+@pytest.mark.slow
 def test_every_way_to_fail_is_told_and_the_others_go_on(tmp_path):
     kinds = ["Raises", "Exits", "IsKilled", "Vanishes"]
     targets = ",".join(["parking_exp.algorithms.SAC", *(f"support.failing_algorithms.{kind}" for kind in kinds)])

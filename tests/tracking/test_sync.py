@@ -196,6 +196,7 @@ def test_syncing_again_changes_nothing(output_dir):
     assert in_step(directory)
 
 
+@pytest.mark.slow
 def test_what_is_in_step_is_left_alone_and_a_store_that_was_lost_is_made_again(output_dir):
     directory = written_run(output_dir)
     finish(directory)

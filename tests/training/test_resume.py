@@ -343,7 +343,7 @@ def test_rollout_state_is_restored_as_it_was_saved(kind):
 
 
 @pytest.mark.parametrize("steps", slow_but([7], [0, 7, 30]))
-@pytest.mark.parametrize("option", ["parking_sparse", "parking_parked"])
+@pytest.mark.parametrize("option", slow_but(["parking_sparse"], ["parking_sparse", "parking_parked"]))
 def test_an_env_of_highway_env_goes_on_from_its_state(option, steps):
     """At the start of an episode, in its middle, and after others; the next scenes are the same, too."""
     env_config = composed_once(f"env={option}", "env.training_duration=5", "algorithm.learning_starts=500").env

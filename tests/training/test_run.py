@@ -385,6 +385,7 @@ def test_a_sweep_makes_models_again_and_its_plan_says_so(finished):
     assert "1 run: 1 done, 0 to run" in run_script("train", *arguments, "dry_run=true").stdout
 
 
+@pytest.mark.slow
 def test_without_a_checkpoint_a_run_stays_done_and_says_how_to_train_it_afresh(finished):
     directory, arguments = finished
     shutil.rmtree(directory.models), shutil.rmtree(directory.checkpoints)
@@ -432,6 +433,7 @@ def test_evaluate_says_how_to_get_a_model_that_is_gone(finished):
         evaluate_stored(directory)
 
 
+@pytest.mark.slow
 def test_evaluate_refuses_a_damaged_model_in_a_sentence(finished):
     """As a command, since nothing else shows that there is no traceback."""
     directory, _ = finished
@@ -790,6 +792,7 @@ def test_a_run_has_room_for_its_end_until_that_is_written(tmp_path, monkeypatch)
     assert not reserve.exists()
 
 
+@pytest.mark.slow
 def test_without_mlflow_everything_else_is_there(tmp_path):
     result = train(make_config("experiment=smoke", f"output_dir={tmp_path}", "tracking.mlflow=false",
                                "total_timesteps=100", "tracking.progress_bar=false"))  # fmt: skip
