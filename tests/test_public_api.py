@@ -1,4 +1,4 @@
-"""What may be imported: public paths, and what importing the package costs."""
+"""Tests of the public API: public paths, lazy imports, import cost."""
 
 import re
 import subprocess

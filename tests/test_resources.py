@@ -1,4 +1,4 @@
-"""What workers get of the machine."""
+"""Tests of cores, memory and CUDA devices, and how workers share them."""
 
 import json
 import os

@@ -1,4 +1,4 @@
-"""What comes from a run directory or a store does nothing to a terminal."""
+"""Tests of printing untrusted text to a terminal: control characters are escaped."""
 
 import io
 import logging

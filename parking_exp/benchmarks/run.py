@@ -138,27 +138,29 @@ def _rounds(settings: BenchmarkConfig) -> int:
     return min(settings.rounds, QUICK_ROUNDS) if settings.quick else settings.rounds
 
 
+def _stepping(settings: BenchmarkConfig, scenes: int, option: str) -> dict[str, Any]:
+    from parking_exp.benchmarks import simulation, training
+
+    env = training.run_config(f"env={option}").env
+    return simulation.stepping(env, scenes, _rounds(settings), seconds=0.1 if settings.quick else 0.5)
+
+
+def _update(settings: BenchmarkConfig, algorithm: str, net: str) -> dict[str, Any]:
+    from parking_exp.benchmarks import training, updates
+
+    quick, wide = settings.quick, "256" in net
+    options = ["algorithm.features=raw", "precision=auto"] if wide else []  # as experiment=article has it
+    config = training.run_config(
+        f"algorithm={algorithm}", f"algorithm.net_arch={net}", "algorithm.batch_size=256", *options
+    )
+    slices = (4 if quick else 16) if wide else (16 if quick else 80)
+    return updates.updates(config, _rounds(settings), slices, transitions=2000 if quick else 10_000)
+
+
 def _single_core(settings: BenchmarkConfig) -> Figures:
     """Return the figures of a single process."""
     quick, rounds = settings.quick, _rounds(settings)
     kept: dict[str, Any] = {}  # the policy trained for one figure serves another
-
-    def stepping(scenes: int, option: str) -> dict[str, Any]:
-        from parking_exp.benchmarks import simulation, training
-
-        env = training.run_config(f"env={option}").env
-        return simulation.stepping(env, scenes, rounds, seconds=0.1 if quick else 0.5)
-
-    def update(algorithm: str, net: str) -> dict[str, Any]:
-        from parking_exp.benchmarks import training, updates
-
-        wide = "256" in net
-        options = ["algorithm.features=raw", "precision=auto"] if wide else []  # as experiment=article has it
-        config = training.run_config(
-            f"algorithm={algorithm}", f"algorithm.net_arch={net}", "algorithm.batch_size=256", *options
-        )
-        slices = (4 if quick else 16) if wide else (16 if quick else 80)
-        return updates.updates(config, rounds, slices, transitions=2000 if quick else 10_000)
 
     def overhead() -> dict[str, Any]:
         from parking_exp.benchmarks import training
@@ -190,13 +192,13 @@ def _single_core(settings: BenchmarkConfig) -> Figures:
         return kept["buffers"]
 
     return {
-        "simulator.n512.ratio": lambda: stepping(512, "parking"),
-        "simulator.n8.ratio": lambda: stepping(8, "parking"),
-        "simulator.parked.n512.ratio": lambda: stepping(512, "parking_parked"),
+        "simulator.n512.ratio": lambda: _stepping(settings, 512, "parking"),
+        "simulator.n8.ratio": lambda: _stepping(settings, 8, "parking"),
+        "simulator.parked.n512.ratio": lambda: _stepping(settings, 512, "parking_parked"),
         "run.default.overhead": overhead,
         "evaluation.500_scenes.wall_s": evaluation,
         **{
-            f"update.{algorithm}.{name}.ratio": lambda algorithm=algorithm, net=net: update(algorithm, net)  # type: ignore[misc]
+            f"update.{algorithm}.{name}.ratio": lambda algorithm=algorithm, net=net: _update(settings, algorithm, net)  # type: ignore[misc]
             for name, net in NETS.items()
             for algorithm in ALGORITHMS
         },

@@ -147,7 +147,11 @@ def test_a_class_whose_models_are_the_same_for_every_seed_is_refused(monkeypatch
 
 
 def test_a_user_class_that_is_restored_exactly_passes_the_check():
-    check_saving(configured("a user's with an extra network"))
+    config = configured("a user's with an extra network")
+    assert class_path(get_class(config.algorithm.target)) not in PROVEN  # it is checked, and not passed by its name
+    check_saving(config)
+    model, other = built(config, 1), built(config, 2)
+    assert save_check.difference(model, other, model.get_env()) is None
 
 
 def test_features_that_the_policy_ignores_are_refused_instead_of_vanishing():

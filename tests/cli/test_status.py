@@ -1,4 +1,4 @@
-"""How far runs are, from their directories alone."""
+"""Tests of the status command: the progress of runs, read from their directories."""
 
 import json
 import math

@@ -1,4 +1,4 @@
-"""What a config may be, and what is said about one that can't run."""
+"""Tests of config validation: what is refused, and the sentence that says so."""
 
 import re
 

@@ -1,4 +1,4 @@
-"""From a store to what a report says."""
+"""Tests of report data, built from the results in a store."""
 
 import math
 import re

@@ -1,4 +1,4 @@
-"""What sets cells apart."""
+"""Tests of factors, levels and cell labels, read from the configs of cells."""
 
 from itertools import product
 

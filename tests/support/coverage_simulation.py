@@ -1,4 +1,4 @@
-"""How often intervals cover what they should, by simulation.
+"""Simulate the coverage of confidence intervals.
 
 A seed's true rate is drawn from a Beta distribution, or is 0 if the seed collapses; what is measured of it is the share of 100 scenes.
 `python tests/support/coverage_simulation.py` prints the whole table.
