@@ -6,6 +6,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 TORCH ?= 2.13.0
 STORE := sqlite:///outputs/mlflow.db
+STUDY ?= outputs/smoke/study.journal
 
 # uv installs: the one on the PATH, else one that pip puts into .venv. It reads none of pip's settings, so that what they
 # say of where packages are is passed on, as is that the newest version of all these places counts.
@@ -19,7 +20,7 @@ PLACES = $(patsubst %,--default-index='%',$(call pip_setting,INDEX_URL,index-url
 INSTALL = $(UV) pip install --python $(BIN)/python --constraint constraints.txt --build-constraint constraints.txt $(PLACES)
 
 .DEFAULT_GOAL := help
-.PHONY: help setup train test test-slow lint types docs check ui tensorboard benchmark lock clean
+.PHONY: help setup train test test-slow lint types docs check ui tensorboard dashboard benchmark lock clean
 
 help:  ## show this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):[^#]*## /\1\t/' | expand -t 14
@@ -41,7 +42,7 @@ $(VENV)/.installed: pyproject.toml constraints.txt | $(BIN)/pip $(if $(UV_ON_PAT
 	@touch $@
 
 $(VENV)/.ui: $(VENV)/.installed
-	@echo "installing the full mlflow, once"
+	@echo "installing the full mlflow and Optuna's dashboard, once"
 	@$(INSTALL) --editable '.[dev,ui]'
 	@touch $@
 
@@ -74,6 +75,9 @@ ui: $(VENV)/.ui  ## MLflow's web UI on our store
 	@echo "MLflow may open its GenAI view: choose 'Model training' at the top left, once, or open"
 	@echo "http://127.0.0.1:5000/#/experiments/1?workflowType=machine_learning"
 	MLFLOW_DISABLE_TELEMETRY=true $(BIN)/mlflow ui --backend-store-uri $(STORE) $(ARGS)
+
+dashboard: $(VENV)/.ui  ## Optuna's dashboard on a study (STUDY=outputs/NAME/study.journal)
+	$(BIN)/optuna-dashboard $(STUDY) $(ARGS)
 
 tensorboard: setup  ## TensorBoard on all runs
 	$(BIN)/tensorboard --logdir outputs $(ARGS)

@@ -1,8 +1,11 @@
 """The status command: show the progress of runs, read from their directories."""
 
+import json
 import time
+from collections.abc import Iterator
+from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 from omegaconf import DictConfig
 from pydantic import Field
@@ -13,10 +16,10 @@ from parking_exp.cli.command import for_each, run_command
 from parking_exp.config.paths import default_uri, directory_path
 from parking_exp.config.schema import ConfigModel, Name, StoreConfig
 from parking_exp.config.validate import parse
-from parking_exp.errors import ConfigError, RunNotFoundError, UnsyncedError, plural, suggestion
+from parking_exp.errors import ConfigError, RunNotFoundError, StoreError, UnsyncedError, plural, suggestion
 from parking_exp.runs.directory import RunDirectory
 from parking_exp.runs.lookup import find_runs
-from parking_exp.runs.state import RunState, as_json, read_state
+from parking_exp.runs.state import RunState, as_plain, read_state
 from parking_exp.runs.state_tables import (
     cell_table,
     damaged_lines,
@@ -27,6 +30,9 @@ from parking_exp.runs.state_tables import (
 )
 from parking_exp.terminal import console, say
 from parking_exp.tracking.sync_all import sync_all
+from parking_exp.tuning.search import SEARCH_FILE, study_in
+from parking_exp.tuning.tables import progress_lines, trial_table
+from parking_exp.tuning.trials import counts, rows
 
 WATCH_S = 2.0
 FLAGS = {"--json": "json=true", "--watch": "watch=true", "--sync": "sync=true"}
@@ -83,17 +89,17 @@ def show(config: DictConfig) -> None:
     states = _look(request)
     out = console()
     if request.as_json:
-        say(*as_json(states).split("\n"))
+        say(*json.dumps(as_plain(states) | {"searches": _searches_plain(request)}, indent=2).split("\n"))
     elif request.watch and out.is_terminal:
-        with Live(_picture(states), console=out, auto_refresh=False) as live:
+        with Live(_picture(request, states), console=out, auto_refresh=False) as live:
             while True:
                 time.sleep(WATCH_S)
-                live.update(_picture(_look(request)), refresh=True)
+                live.update(_picture(request, _look(request)), refresh=True)
     else:
-        out.print(_picture(states))
+        out.print(_picture(request, states))
         while request.watch:
             time.sleep(WATCH_S)
-            out.print(_picture(_look(request)))
+            out.print(_picture(request, _look(request)))
 
 
 def _look(request: StatusRequest) -> list[RunState]:
@@ -129,6 +135,42 @@ def _sync(request: StatusRequest) -> None:
         raise UnsyncedError(f"the store has not got all of {plural(failed, 'run')}; sync=true tries again")
 
 
-def _picture(states: list[RunState]) -> RenderableType:
+def _picture(request: StatusRequest, states: list[RunState]) -> RenderableType:
     lines = (running_lines, stopped_lines, failure_lines, damaged_lines, version_lines)
-    return Group(cell_table(states), *(line for some in lines for line in some(states)))
+    parts: list[RenderableType] = [cell_table(states), *(line for some in lines for line in some(states))]
+    return Group(*parts, *(part for folder in _searches(request) for part in _search_picture(folder)))
+
+
+def _searches(request: StatusRequest) -> list[Path]:
+    """Return the folders of experiments that are searches."""
+    return sorted(file.parent for file in request.output_path.glob(f"{request.experiment_name or '*'}/{SEARCH_FILE}"))
+
+
+def _search_picture(folder: Path) -> Iterator[RenderableType]:
+    """Yield the trials of a search, the best first, and how far it is."""
+    try:
+        if (found := study_in(folder)) is None:
+            return
+        settings, trials = found.search, rows(found.study, folder, found.n_trials)
+        yield ""
+        yield f"search {folder.name}"
+        yield trial_table(trials, settings)
+        yield from progress_lines(trials, settings, found.n_trials)
+    except (ConfigError, StoreError) as error:
+        yield f"search {folder.name}: {error}"
+
+
+def _searches_plain(request: StatusRequest) -> list[dict[str, Any]]:
+    """Return the searches and their trials as JSON can hold them."""
+    plain = []
+    for folder in _searches(request):
+        if (found := study_in(folder)) is not None:
+            trials = rows(found.study, folder, found.n_trials)
+            about: dict[str, Any] = {
+                "experiment": folder.name,
+                "n_trials": found.n_trials,
+                "objectives": found.search.objectives,
+            }
+            states: dict[str, Any] = dict(counts(trials).items())
+            plain.append(about | states | {"trials": [asdict(trial) for trial in trials]})
+    return plain

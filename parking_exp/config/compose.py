@@ -1,11 +1,14 @@
 """Compose configs from `conf/` and command-line overrides with Hydra."""
 
+import atexit
 import copy
+import shutil
 import sys
+import tempfile
 import warnings
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cache
 from operator import attrgetter
 from pathlib import Path
@@ -29,6 +32,7 @@ from parking_exp.config.overrides import (
     check_keys,
     expand_groups,
     first_values,
+    in_quotes,
     is_group,
     is_hydras,
     is_launchers,
@@ -51,12 +55,14 @@ class Composed:
         seed: takes the place of the cell's; None: the cell's own.
         label: what sets its cell apart from the others, e.g. `her_final, n_sampled_goal=8`; empty for a single cell.
         rank: 0 for a cell's first seed, 1 for its second, ...
+        options: group -> chosen option.
     """
 
     cell: DictConfig
     seed: int | None = None
     label: str = ""
     rank: int = 0
+    options: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def config(self) -> DictConfig:
@@ -70,12 +76,12 @@ class Composition:
 
     Attributes:
         config: without the node `hydra`.
-        groups: the groups that its defaults lists choose from.
+        options: the groups that its defaults lists choose from, and what is chosen.
         sweep: `hydra.sweeper.params`.
     """
 
     config: DictConfig
-    groups: set[str]
+    options: dict[str, str]
     sweep: Mapping[str, object]
 
 
@@ -112,12 +118,13 @@ def composed_runs(config_name: str, overrides: list[str], extra_config_dir: str 
     Raises:
         ConfigError: an override names no key or option, or the config does not compose.
     """
-    with hydra_ready(extra_config_dir):
+    overrides, folders = experiment_files(overrides)
+    with hydra_ready(extra_config_dir, *folders):
         loader = GlobalHydra.instance().config_loader()
         parser = OverridesParser.create(config_loader=loader)
         compose_lines = _compose_with(config_name)
         parsed = expand_groups(overrides, parser, loader)
-        groups = compose_lines().groups
+        groups = compose_lines().options.keys()
         check_groups(parsed, groups, loader)
         ours = [one for one in parsed if not is_launchers(one.key_or_group)]
         base = compose_lines(*first_values(one for one in ours if is_group(one, loader) or is_hydras(one.key_or_group)))
@@ -138,11 +145,11 @@ def _compose_with(config_name: str) -> Compose:
     @cache
     def compose_lines(*lines: str) -> Composition:
         config = hydra.compose(config_name, list(lines), return_hydra_config=True)
-        groups = {group for group in config.hydra.runtime.choices if not group.startswith("hydra")}
+        options = {str(k): v for k, v in config.hydra.runtime.choices.items() if not str(k).startswith("hydra")}
         sweep = _container(config.hydra.sweeper.get("params")) or {}
         with open_dict(config):
             del config["hydra"]
-        return Composition(config, groups, sweep)
+        return Composition(config, options, sweep)
 
     return compose_lines
 
@@ -151,20 +158,22 @@ def _runs(compose_lines: Compose, typed: dict[str, list[str]], seeds: list[int] 
     """Compose every cell of an experiment, and give it its seeds; all get their first before any its second."""
     base = compose_lines(*(f"{key}={typed[key][0]}" for key in ("experiment", "cells") if key in typed)).config
     blocks = check_blocks(_container(base.cells))
+    experiment = typed.get("experiment", [""])[0]
     in_blocks = {key for block in blocks for key in block}
     typed = {bare if (bare := key.lstrip("+")) in in_blocks else key: values for key, values in typed.items()}
     seeds = seeds or seeds_of(_container(base.seeds))
     if "seed" in typed or "seed" in in_blocks:
         seeds = None
     runs, cells = [], set()
-    all_points = points(blocks, typed, lambda key, point: _has(compose_lines, key, point), base.experiment_name)
+    all_points = points(blocks, typed, lambda key, point: _has(compose_lines, key, point), experiment)
     check_number(len(all_points) * len(seeds or [None]), f"{len(all_points)} cells x {len(seeds or [None])} seeds")
     for point, label in zip(all_points, labels(all_points), strict=True):
-        cell = compose_lines(*point).config
+        composition = compose_lines(*point)
+        cell = composition.config
         if (known := OmegaConf.to_yaml(cell)) in cells:  # blocks that differ may be the same once values are typed
             continue
         cells.add(known)
-        runs += [Composed(cell, seed, label, rank) for rank, seed in enumerate(seeds or [None])]
+        runs += [Composed(cell, seed, label, rank, composition.options) for rank, seed in enumerate(seeds or [None])]
     return sorted(runs, key=attrgetter("rank"))
 
 
@@ -216,8 +225,8 @@ class KeptFiles(CachingConfigRepository):
 
 
 @contextmanager
-def hydra_ready(extra_config_dir: str | None) -> Iterator[None]:
-    """Make Hydra ready to compose from our tree and, with `--config-dir`, from one of the user's.
+def hydra_ready(extra_config_dir: str | None, *more: str) -> Iterator[None]:
+    """Make Hydra ready to compose from our tree and, with `--config-dir` and experiment files, from the user's.
 
     Raises:
         ConfigError: what Hydra or OmegaConf complain about meanwhile, in their first sentence.
@@ -225,7 +234,7 @@ def hydra_ready(extra_config_dir: str | None) -> Iterator[None]:
     hydra.version.setbase(VERSION_BASE)
     instance = GlobalHydra.instance()
     outer = instance.hydra  # we may be called within a Hydra app, such as a benchmark or a user's own
-    ours = _set_up(str(Path(extra_config_dir).absolute()) if extra_config_dir else None)
+    ours = _set_up(*(str(Path(one).absolute()) for one in (extra_config_dir, *more) if one))
     plain = ours.config_loader.repository
     ours.config_loader.repository = KeptFiles(plain)
     instance.hydra = ours
@@ -244,16 +253,47 @@ def hydra_ready(extra_config_dir: str | None) -> Iterator[None]:
 
 
 @cache
-def _set_up(extra_config_dir: str | None) -> Any:
-    """Set Hydra up, once in a process for each directory of the user's."""
+def _set_up(*extra_config_dirs: str) -> Any:
+    """Set Hydra up, once in a process for the same directories of the user's."""
     # Hydra looks for launchers in `hydra_plugins` alone, and a checkout need not be installed.
     plugins = str(Path(__file__).resolve().parents[1] / "plugins")
     if plugins not in sys.path and Path(plugins).is_dir():
         sys.path.append(plugins)
     search_path = create_config_search_path(str(config_dir()))
-    if extra_config_dir:
-        search_path.prepend("command-line", extra_config_dir, anchor="schema")
+    for number, folder in enumerate(extra_config_dirs):
+        search_path.prepend(f"command-line {number}", folder, anchor="schema")
     return Hydra(task_name="parking_exp", config_loader=ConfigLoaderImpl(config_search_path=search_path))
+
+
+def experiment_files(overrides: list[str]) -> tuple[list[str], list[str]]:
+    """Replace `experiment=PATH.yaml` by the option of that name; return the overrides, and directories that have it.
+
+    Hydra takes options from directories alone, so that each file gets one, with a link to it.
+
+    Raises:
+        ConfigError: there is no such file.
+    """
+    found, folders = [], []
+    for line in overrides:
+        key, _, value = line.partition("=")
+        path = Path(value.strip("'\"")).expanduser()
+        if key == "experiment" and path.suffix == ".yaml":
+            if not path.is_file():
+                raise ConfigError(f"experiment={path}: there is no such file")
+            folders.append(_folder_of(path.resolve()))
+            line = f"experiment={in_quotes(path.stem)}"  # noqa: PLW2901
+        found.append(line)
+    return found, folders
+
+
+@cache
+def _folder_of(path: Path) -> str:
+    folder = tempfile.mkdtemp(prefix="parking_exp_")
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    link = Path(folder) / "experiment" / path.name
+    link.parent.mkdir()
+    link.symlink_to(path)
+    return folder
 
 
 def _first_sentence(error: Exception) -> str:

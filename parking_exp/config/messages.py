@@ -1,6 +1,6 @@
 """Error messages for pydantic failures and for a `_target_` that cannot be found."""
 
-from typing import Any
+from typing import Any, get_args, get_origin
 
 from pydantic import BaseModel
 
@@ -44,14 +44,23 @@ def sentence(item: Any, model: type[BaseModel] | None = None, prefix: str = "") 
             return f"device={value!r} is not a valid choice; choose from cpu, auto, cuda, cuda:N, mps"
         case "string_pattern_mismatch":
             return f"{key}={value!r} is not valid; it must match {context['pattern']}"
+        case "value_error":  # of a validator of ours, whose words name what is wrong
+            return f"{key} {context['error']}"
     problem = item["msg"][0].lower() + item["msg"][1:]
     return f"{key}={value!r}: {problem}"
 
 
 def _keys(model: type[BaseModel] | None, path: list[str]) -> list[str]:
     """Keys of the (nested) section at a path."""
+    node: Any = model
     for part in path:
-        field = model.model_fields.get(part) if model else None
-        annotation = field.annotation if field else None
-        model = annotation if isinstance(annotation, type) and issubclass(annotation, BaseModel) else None
-    return list(model.model_fields) if model else []
+        if get_origin(node) is dict:  # of sections by name
+            node = get_args(node)[1]
+        else:
+            field = node.model_fields.get(part) if _is_section(node) else None
+            node = field.annotation if field else None
+    return list(node.model_fields) if _is_section(node) else []
+
+
+def _is_section(node: Any) -> bool:
+    return isinstance(node, type) and issubclass(node, BaseModel)

@@ -117,12 +117,20 @@ def build(
 
 @dataclass(frozen=True)
 class _Chosen:
-    """The cells of a report, what sets them apart, the id of the baseline, and labels of the cells left out."""
+    """The cells of a report.
+
+    Attributes:
+        groups, factors: the cells, and what sets them apart.
+        baseline: id of one of them.
+        left_out: labels of cells that were not asked for.
+        pruned: how many cells are left out since a search has pruned all of their runs.
+    """
 
     groups: list[Group]
     factors: list[Factor]
     baseline: str | None
     left_out: list[str]
+    pruned: int
 
 
 def _choose(runs: pd.DataFrame, question: Question) -> _Chosen:
@@ -137,10 +145,13 @@ def _choose(runs: pd.DataFrame, question: Question) -> _Chosen:
             raise RunNotFoundError(
                 f"baseline={question.baseline}: of its {plural(len(reference.runs), 'run')}, none is done"
             )
+    left_out = [one.label for one in everything if not any(one is chosen for chosen in asked)]
+    kept = [one for one in asked if one is reference or set(one.runs["status"]) != {"pruned"}] or asked
+    pruned = len(asked) - len(kept)
+    asked = kept
     groups, factors = relabelled(asked)
     place = next((number for number, one in enumerate(asked) if one is reference), None)
-    left_out = [one.label for one in everything if not any(one is chosen for chosen in asked)]
-    return _Chosen(groups, factors, None if place is None else f"c{place}", left_out)
+    return _Chosen(groups, factors, None if place is None else f"c{place}", left_out, pruned)
 
 
 @dataclass(frozen=True)
@@ -217,6 +228,10 @@ def _notes(
             f"By what was asked for, {plural(len(chosen.left_out), 'more cell')} of the experiments "
             f"{'was' if len(chosen.left_out) == 1 else 'were'} left out; fewer pairs make smaller p."
         )
+    if chosen.pruned:
+        were, are = ("was", "it is") if chosen.pruned == 1 else ("were", "they are")
+        trials = plural(chosen.pruned, "trial")
+        notes.append(f"{trials} of the search {were} pruned before a run was done; {are} not among the cells.")
     if any(cell.seeds and not cell.paths for cell in cells if cell.id in shown):
         notes.append("Some cells have no trajectories to be drawn: their runs are older than these, or lost them.")
     if outside := [cell.label for cell in cells if None in cell.settings.values()] if crossed else []:

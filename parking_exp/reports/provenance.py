@@ -54,7 +54,7 @@ def provenance(
 
 def _unfinished(group: Group) -> list[FailedRun]:
     found = []
-    for run in group.runs[group.runs["status"] != "done"].to_dict("records"):
+    for run in group.runs[~group.runs["status"].isin(["done", "pruned"])].to_dict("records"):
         status = str(run["status"])
         reason = _text(run["error"]) or REASONS.get(status, "no reason is known")
         found.append(FailedRun(group.label, int(run["seed"]), status, reason, _text(run["run_dir"])))

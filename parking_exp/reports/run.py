@@ -146,6 +146,7 @@ def _progress() -> Iterator[Callable[[str], None]]:
 
 def _build(request: ReportRequest, results: "Results", unsynced: Sequence[str]) -> "ReportData":
     from parking_exp.reports.build import Question, build
+    from parking_exp.reports.tuning import with_search
     from parking_exp.reports.untracked import find_untracked
 
     having = list(dict.fromkeys(results.runs["experiment"]))
@@ -158,7 +159,8 @@ def _build(request: ReportRequest, results: "Results", unsynced: Sequence[str]) 
         quick=request.report.quick,
         command=_command(request, _experiments(request) or having),
     )
-    return build(results, question, find_untracked(results.runs, request.output_path, having), unsynced)
+    data = build(results, question, find_untracked(results.runs, request.output_path, having), unsynced)
+    return with_search(data, request.output_path)
 
 
 def _experiments(request: ReportRequest) -> list[str] | None:

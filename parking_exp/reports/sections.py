@@ -3,14 +3,16 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from parking_exp.reports.figures import cells, factors, lot, pairs, search
+from parking_exp.reports.figures import cells, factors, lot, pairs, search, tuning
 from parking_exp.reports.figures.canvas import Canvas
 from parking_exp.reports.report_data import Cell, ReportData
 from parking_exp.reports.tables import cells as cell_tables
 from parking_exp.reports.tables import factors as factor_tables
 from parking_exp.reports.tables import pairs as pair_tables
 from parking_exp.reports.tables import provenance
+from parking_exp.reports.tables import tuning as tuning_tables
 from parking_exp.reports.tables.model import MakeTables, Table
+from parking_exp.reports.tuning import retest_text, search_text
 
 Drawn = tuple[Canvas, str]
 """A figure and its caption."""
@@ -55,6 +57,28 @@ class Section:
 
 
 SECTIONS = (
+    Section(
+        "retest",
+        "The best on fresh seeds",
+        text=retest_text,
+        figures=[Figure("retest", "Tuning seeds and fresh seeds", tuning.retest)],
+        tables=[tuning_tables.retest],
+        tables_first=True,
+    ),
+    Section(
+        "tuning",
+        "The search",
+        text=search_text,
+        figures=[
+            Figure("optimisation_history", "Optimisation history", tuning.history),
+            Figure("pareto_front", "Pareto front", tuning.pareto_front),
+            Figure("parameter_importance", "Importance of parameters", tuning.importance),
+            Figure("slices_{}", "Value against each parameter", tuning.slices),
+            Figure("trial_coordinates_{}", "Trials across their parameters", tuning.parallel_coordinates),
+            Figure("budget", "Env steps of trials", tuning.budget),
+        ],
+        tables=[tuning_tables.trials],
+    ),
     Section(
         "results",
         "Which is better",

@@ -219,7 +219,8 @@ def _note(values: Sequence[float | None]) -> str | None:
 
 def _counts(status: pd.Series) -> dict[str, int]:
     stages = [STAGES.get(one, one) for one in status]
-    return {stage: stages.count(stage) for stage in ("done", "running", "failed", "pending")}
+    pruned = ["pruned"] if "pruned" in stages else []  # by a search
+    return {stage: stages.count(stage) for stage in ("done", "running", "failed", "pending", *pruned)}
 
 
 def _whole(value: Any) -> int | None:

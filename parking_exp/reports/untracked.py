@@ -36,13 +36,16 @@ def find_untracked(runs: pd.DataFrame, output_dir: Path, experiments: Iterable[s
 
 
 def with_untracked(runs: pd.DataFrame, untracked: Sequence[RunState]) -> tuple[pd.DataFrame, list[FailedRun]]:
-    """Return runs of the store with the unfinished ones that it lacks of its cells, and all others that it lacks."""
+    """Return runs of the store with the unfinished ones that it lacks of its cells, and all others that it lacks.
+
+    Runs that a search has pruned are over, and no part of the others.
+    """
     added, others = [], []
     for state in untracked:
         cell = runs[(runs["experiment"] == state.experiment) & (runs["cell"] == state.cell)]
         if len(cell) and state.stage != "done":
             added.append(_row(state, cell.iloc[:1]))
-        else:
+        elif state.stage != "pruned":
             reason = state.reason or REASONS.get(state.stage, "no reason is known")
             others.append(FailedRun(state.label, state.seed, state.stage, reason, state.run_dir))
     return pd.concat([runs, *added], ignore_index=True), others

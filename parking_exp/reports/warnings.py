@@ -56,7 +56,7 @@ def narrow_pairs(cells: Sequence[Cell], pairs: Sequence[Pair]) -> Iterator[str]:
 
 
 def missing(cells: Sequence[Cell], unheard: Sequence[FailedRun]) -> Iterator[str]:
-    """Yield which runs have no result.
+    """Yield which runs have no result. Those that a search has pruned are over, and do not count.
 
     Args:
         cells: of the report.
@@ -70,7 +70,7 @@ def missing(cells: Sequence[Cell], unheard: Sequence[FailedRun]) -> Iterator[str
     waiting = {"running": "under way", "failed": "failed", "pending": "cut off or not begun"}
     found = [f"{total[stage]} {words}" for stage, words in waiting.items() if total[stage]]
     if found:
-        everything = sum(total.values())
+        everything = sum(total.values()) - total["pruned"]
         are = "is" if everything == 1 else "are"
         yield f"{total['done']} of {plural(everything, 'run')} {are} done: {', '.join(found)}."
     if empty := [cell.label for cell in cells if not cell.counts["done"]]:

@@ -22,7 +22,7 @@ from parking_exp.runs.layout_version import other_version
 from parking_exp.tracking.failures import is_store_failure, reason
 from parking_exp.tracking.reader import Point, Reader, StoredRun
 
-STATUSES = ("done", "running", "failed", "interrupted")
+STATUSES = ("done", "running", "failed", "interrupted", "pruned")
 # Parameters and metrics, and their columns.
 CONFIGURED = {
     "total_timesteps": "total_timesteps",

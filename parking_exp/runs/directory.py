@@ -10,7 +10,7 @@ that is responsible for the run (its supervisor, or the one that trains it witho
 
 import os
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -39,7 +39,7 @@ WORKER_PATIENCE_S = 20.0
 STALE_S = 3600.0
 # Space that a run keeps while it trains, so that its end can be written down on a disk that is full by then.
 RESERVE, RESERVE_BYTES = ".reserve", 64 * 1024
-ENDS = ("done", "failed", "interrupted")
+ENDS = ("done", "failed", "interrupted", "pruned")
 
 
 @dataclass(frozen=True)
@@ -185,12 +185,21 @@ class RunDirectory:
             path.unlink(missing_ok=True)
             raise OutputDirectoryError(f"output_dir: {self.path} cannot be written: {error.strerror}") from error
 
-    def freeze(self, config: RunConfig, label: str, started: float | None, *, keep: bool = False) -> None:
+    def freeze(
+        self,
+        config: RunConfig,
+        label: str,
+        started: float | None,
+        *,
+        keep: bool = False,
+        entries: Mapping[str, Any] | None = None,
+    ) -> None:
         """Write down what is going to run, under which name in tables; nothing that is typed later changes it.
 
         A run that another process has taken up meanwhile is left as it is: one that is under way, or was begun at
         another time than `started`; with `keep`, also one that waits with a config. Nothing is waited for until it is
-        on the disk: after a power cut, the sweep that is typed again writes it anew.
+        on the disk: after a power cut, the sweep that is typed again writes it anew. `entries` go
+        into status.json as well.
 
         Raises:
             OutputDirectoryError: the directory can't be written.
@@ -205,8 +214,9 @@ class RunDirectory:
             if keep and status == "pending" and (self.path / CONFIG_FILE).exists():
                 return
             self._write_config(config, durable=False)
-            entries = {"label": label, "total_timesteps": config.total_timesteps, "command": typed_command()}
-            self._update({"status": "pending", "error": None, "killed": None, **entries}, durable=False)
+            known = {"label": label, "total_timesteps": config.total_timesteps, "command": typed_command()}
+            fresh = {"status": "pending", "error": None, "killed": None}
+            self._update({**fresh, **known, **(entries or {})}, durable=False)
 
     def heartbeat(self, **values: Any) -> None:
         """Write down how far the run is, for processes that watch it."""

@@ -1,6 +1,5 @@
-"""The state of runs (done, running, failed, pending), read from the small files of their directories."""
+"""The state of runs (done, running, failed, pending, pruned), read from the small files of their directories."""
 
-import json
 import time
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass
@@ -11,8 +10,8 @@ from parking_exp.runs.directory import HEARTBEAT_FILE, STATUS_FILE, RunDirectory
 from parking_exp.runs.layout_version import other_version
 from parking_exp.runs.status_schema import HeartbeatEntries, StatusEntries, read_entries
 
-Stage = Literal["done", "running", "failed", "pending"]
-STAGES: tuple[Stage, ...] = ("done", "running", "failed", "pending")
+Stage = Literal["done", "running", "failed", "pending", "pruned"]
+STAGES: tuple[Stage, ...] = ("done", "running", "failed", "pending", "pruned")
 
 
 @dataclass(frozen=True)
@@ -23,7 +22,8 @@ class RunState:
         run_dir: absolute run directory.
         experiment, cell, seed: what it belongs to.
         label: what sets its cell apart from others of its sweep; the cell's name where it was not part of one.
-        stage: done, running (a process holds one of its locks), failed, or pending, also after it was cut off.
+        stage: done, running (a process holds one of its locks), failed, pending, also after it was cut off, or
+            pruned by a search.
         step, total_timesteps: env steps done (pending: saved), and in all.
         steps_per_s: while training.
         left_s: until the training is over, at that rate.
@@ -94,7 +94,8 @@ def read_state(path: Path) -> RunState:
         killed = bool(status.get("killed"))
         reason = status.get("error")
         return RunState(**known, stage="failed", step=_saved_step(path), **where, reason=reason, killed=killed)
-    return RunState(**known, stage="pending", step=_saved_step(path))
+    stage: Stage = "pruned" if written == "pruned" else "pending"
+    return RunState(**known, stage=stage, step=_saved_step(path))
 
 
 def counts(states: Iterable[RunState]) -> dict[Stage, int]:
@@ -126,8 +127,8 @@ def _saved_step(path: Path) -> int:
     return max((int(name) for name in names if name.isdecimal()), default=0)
 
 
-def as_json(states: Sequence[RunState]) -> str:
-    """Return runs as JSON: how many are at which stage, in all and in each cell, and each run."""
+def as_plain(states: Sequence[RunState]) -> dict[str, Any]:
+    """Return runs as JSON can hold them: how many are at which stage, in all and in each cell, and each run."""
     cells = [
         {
             "experiment": experiment,
@@ -138,4 +139,5 @@ def as_json(states: Sequence[RunState]) -> str:
         }
         for (experiment, cell), runs in by_cell(states)
     ]
-    return json.dumps({**counts(states), "cells": cells}, indent=2)
+    found: dict[str, Any] = dict(counts(states).items())
+    return found | {"cells": cells}

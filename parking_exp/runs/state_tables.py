@@ -16,7 +16,8 @@ def cell_table(states: Sequence[RunState], labels: Sequence[str] | None = None) 
     names = dict(zip((state.run_dir for state in states), labels or [state.label for state in states], strict=True))
     table = Table(box=None, pad_edge=False)
     table.add_column("cell", overflow="fold")
-    for stage in STAGES:
+    stages = [stage for stage in STAGES if stage != "pruned" or counts(states)["pruned"]]
+    for stage in stages:
         table.add_column(stage, justify="right")
     table.add_column("success", justify="right")
     several = len({state.experiment for state in states}) > 1
@@ -25,10 +26,10 @@ def cell_table(states: Sequence[RunState], labels: Sequence[str] | None = None) 
         mean = f"{sum(rates) / len(rates):.0%}" if rates else ""
         name = names[runs[0].run_dir]
         table.add_row(
-            f"{experiment}: {name}" if several else name, *(str(n or "") for n in counts(runs).values()), mean
+            f"{experiment}: {name}" if several else name, *(str(counts(runs)[stage] or "") for stage in stages), mean
         )
     if len(list(by_cell(states))) > 1:
-        table.add_row("all", *(str(n or "") for n in counts(states).values()), "", style="bold")
+        table.add_row("all", *(str(counts(states)[stage] or "") for stage in stages), "", style="bold")
     return table
 
 

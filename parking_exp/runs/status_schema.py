@@ -7,7 +7,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from parking_exp.runs.files import read_json
 
-Status = Literal["pending", "running", "done", "failed", "interrupted"]
+Status = Literal["pending", "running", "done", "failed", "interrupted", "pruned"]
 """What status.json says. `running` may be out of date: the process may be gone (`read_state` looks)."""
 Count = Annotated[int, Field(ge=0, le=10**15)]
 Seconds = Annotated[float, Field(ge=0, le=1e12)]
@@ -38,6 +38,8 @@ class StatusEntries(_Entries):
     tracking_uri: Annotated[str, Field(pattern=r"^[^\x00-\x1f]+$")] | None = None
     unsynced: str | None = None
     command: str | None = None
+    search: str | None = None
+    trial: Count | None = None
     precision: Literal["highest", "medium"] | None = None
     logs: dict[str, str] | None = None
 

@@ -1,8 +1,8 @@
 """Set up the Hydra launcher of a command line, and have it train run directories."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import get_args
+from typing import Any, get_args
 
 from hydra._internal.callbacks import Callbacks
 from hydra.core.global_hydra import GlobalHydra
@@ -21,7 +21,8 @@ EXTRAS = {"slurm", "ray"}
 class Launch:
     """A launcher of Hydra's, set up as the command line says.
 
-    Any launcher will do: it is given one override a job, `run=PATH`, and a task that trains what lies there.
+    Any launcher will do: it is given one override a job, `run=PATH`, and a task that trains what lies there; a search
+    gives it jobs of its own, `study=PATH`, and another task.
 
     Raises:
         ConfigError: the launcher is not installed, or its config is wrong.
@@ -31,17 +32,22 @@ class Launch:
         config: its own config, `hydra.launcher`.
     """
 
-    def __init__(self, overrides: list[str], extra_config_dir: str | None = None) -> None:
+    def __init__(
+        self,
+        overrides: list[str],
+        extra_config_dir: str | None = None,
+        task: Callable[[DictConfig], object] | None = None,
+    ) -> None:
         self._overrides, self._extra = hydra_overrides(overrides), extra_config_dir
         with hydra_ready(self._extra):
             loader = GlobalHydra.instance().config_loader()
             _refuse_unknown_keys(self._overrides)
-            whole = loader.load_configuration("worker", ["run=none", *self._overrides], RunMode.MULTIRUN)
+            whole = loader.load_configuration("worker", self._overrides, RunMode.MULTIRUN)
             self.config: DictConfig = whole.hydra.launcher
             self.name: str = whole.hydra.runtime.choices["hydra/launcher"]
             context = HydraContext(config_loader=loader, callbacks=Callbacks(whole))
             try:
-                self._launcher = Plugins.instance().instantiate_launcher(context, train_run, whole)
+                self._launcher = Plugins.instance().instantiate_launcher(context, task or train_run, whole)
             except (ImportError, RuntimeError) as error:
                 words = str(error).splitlines()[0]
                 raise ConfigError(f"hydra/launcher={self.name}: {words}{_extra_of(self.name)}") from error
@@ -56,9 +62,23 @@ class Launch:
             ConfigError: a package is missing.
             InterruptedRunError: a signal stopped it.
         """
+        returns, problem = self.jobs([f"run={in_quotes(str(path))}" for path in paths])
+        values = dict(zip(paths, returns, strict=False))
+        return {path: value for path, value in values.items() if value in get_args(WorkerResult)}, problem
+
+    def jobs(self, lines: Sequence[str]) -> tuple[list[Any], str | None]:
+        """Run jobs, each with one override.
+
+        Returns:
+            What each has returned or raised; none where the launcher itself broke. And what broke, or None.
+
+        Raises:
+            ConfigError: a package is missing.
+            InterruptedRunError: a signal stopped it.
+        """
         with hydra_ready(self._extra):
             try:
-                returns = self._launcher.launch([[f"run={in_quotes(str(path))}"] for path in paths], 0)
+                returns = self._launcher.launch([[line] for line in lines], 0)
             except ImportError as error:
                 raise ConfigError(f"hydra/launcher={self.name}: {error}{_extra_of(self.name)}") from error
             except ParkingError:
@@ -66,12 +86,10 @@ class Launch:
             except Exception as error:  # a launcher may break in any way; run directories tell what became of the runs
                 words = (str(error) or type(error).__name__).splitlines()[0]
                 hint = "; `ray start --head` starts one here" if "running Ray instance" in words else ""
-                return {}, f"hydra/launcher={self.name} broke: {words.rstrip('.')}{hint}"
-        # Not `return_value`: that raises what a job has raised.
-        values = {path: one._return_value for path, one in zip(paths, returns, strict=True)}
-        broken = [value for value in values.values() if isinstance(value, BaseException)]
-        problem = f"{len(broken)} jobs broke; the first: {broken[0]}" if broken else None
-        return {path: value for path, value in values.items() if value in get_args(WorkerResult)}, problem
+                return [], f"hydra/launcher={self.name} broke: {words.rstrip('.')}{hint}"
+        values = [one._return_value for one in returns]  # not `return_value`: that raises what a job has raised
+        broken = [value for value in values if isinstance(value, BaseException)]
+        return values, f"{len(broken)} jobs broke; the first: {broken[0]}" if broken else None
 
 
 def _refuse_unknown_keys(overrides: list[str]) -> None:
@@ -84,7 +102,7 @@ def _refuse_unknown_keys(overrides: list[str]) -> None:
         return
     chosen = [override for override in overrides if override.lstrip("+~").startswith("hydra/launcher")]
     loader = GlobalHydra.instance().config_loader()
-    whole = loader.load_configuration("worker", ["run=none", *chosen], RunMode.MULTIRUN)
+    whole = loader.load_configuration("worker", chosen, RunMode.MULTIRUN)
     for override in overrides:
         key = override.partition("=")[0]
         node: object = whole.hydra.launcher

@@ -1,10 +1,10 @@
 """The local launcher: a pool of workers on this machine, each with cores and CUDA devices of its own."""
 
 import os
-import queue
 import subprocess
 import threading
 import time
+from collections import deque
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from pathlib import Path
@@ -13,7 +13,7 @@ from parking_exp.errors import InterruptedRunError
 from parking_exp.resources import cores, cuda_devices, free_memory, memory_of, shares
 from parking_exp.runs.directory import RunDirectory
 from parking_exp.runs.state import read_state
-from parking_exp.sweeps.supervisor import WorkerResources, WorkerResult, supervise
+from parking_exp.sweeps.supervisor import Stop, WorkerResources, WorkerResult, supervise
 from parking_exp.terminal import say
 from parking_exp.training.signals import stop_on_signal
 
@@ -22,14 +22,14 @@ DEFAULT_MEMORY = GIB  # of a run, before any has finished
 MEMORY_POLL_S = 0.5
 
 
+Train = Callable[[Path, Stop | None], WorkerResult | None]
+"""Trains the run of a directory with a worker's resources; None where all is stopped before it begins."""
+
+
 def launch(
     paths: Sequence[Path], n_jobs: int | None = None, memory_gb: float | None = None
 ) -> dict[Path, WorkerResult]:
     """Train runs, up to `n_jobs` at a time; return how each ended that was begun.
-
-    Each worker has cores of its own, and CUDA devices in turn where there are any. A run starts when there is memory
-    for it, or when no other is under way. The first SIGINT or SIGTERM stops them all, with their states saved; a second
-    one leaves at once.
 
     Args:
         paths: run directories with frozen configs.
@@ -41,9 +41,42 @@ def launch(
     """
     if not paths:
         return {}
-    pool = _Pool(paths, min(n_jobs or len(cores()), len(paths)), memory_gb)
+    waiting = deque(paths)
+
+    def work(train: Train) -> None:
+        while (path := _popleft(waiting)) is not None:
+            train(path, None)
+
+    return launch_workers(work, min(n_jobs or len(cores()), len(paths)), memory_gb)
+
+
+def _popleft(waiting: deque[Path]) -> Path | None:
+    try:
+        return waiting.popleft()
+    except IndexError:
+        return None
+
+
+def launch_workers(
+    work: Callable[[Train], None], n_workers: int, memory_gb: float | None = None
+) -> dict[Path, WorkerResult]:
+    """Have workers train what they choose; return how each run ended that was begun.
+
+    Each worker has cores of its own, and CUDA devices in turn where there are any. A run starts when there is memory
+    for it, or when no other is under way. The first SIGINT or SIGTERM stops them all, with their states saved; a second
+    one leaves at once.
+
+    Args:
+        work: what a worker does, given the function that trains; called in a thread for each of them.
+        n_workers: how many.
+        memory_gb: see `launch`.
+
+    Raises:
+        InterruptedRunError: a signal stopped it.
+    """
+    pool = _Pool(n_workers, memory_gb)
     with stop_on_signal("checkpoints", pool.stop.set, _leave) as request:
-        pool.run()
+        pool.run(work)
     if request.signal_number is not None:
         words = "stopped; what was under way is saved; type the same command to go on"
         raise InterruptedRunError(words, request.signal_number)
@@ -51,13 +84,10 @@ def launch(
 
 
 class _Pool:
-    """Queued runs, and the workers that take them."""
+    """Workers, and what they need to train runs side by side."""
 
-    def __init__(self, paths: Sequence[Path], n_workers: int, memory_gb: float | None) -> None:
+    def __init__(self, n_workers: int, memory_gb: float | None) -> None:
         self.memory_gb = memory_gb
-        self.waiting: queue.SimpleQueue[Path] = queue.SimpleQueue()
-        for path in paths:
-            self.waiting.put(path)
         self.stop = threading.Event()
         self.results: dict[Path, WorkerResult] = {}
         self._under_way: dict[int, int | None] = {}  # worker -> pid, once it has one
@@ -68,38 +98,50 @@ class _Pool:
             for number, some in enumerate(shares(cores(), n_workers))
         ]
 
-    def run(self) -> None:
-        """Work until nothing waits, or all is stopped."""
-        threads = [
-            threading.Thread(target=self._work, args=(worker,), daemon=True) for worker in range(len(self.workers))
-        ]
+    def run(self, work: Callable[[Train], None]) -> None:
+        """Have every worker do its work to the end; what one of them raises is raised then."""
+        errors: list[BaseException] = []
+
+        def run_one(worker: int) -> None:
+            try:
+                work(lambda path, stop: self._train(worker, path, stop))
+            except BaseException as error:
+                errors.append(error)
+
+        threads = [threading.Thread(target=run_one, args=(worker,), daemon=True) for worker in range(len(self.workers))]
         for thread in threads:
             thread.start()
         for thread in threads:
             while thread.is_alive():  # in short waits, so that signals are heard
                 thread.join(0.2)
+        if errors and not self.stop.is_set():
+            raise errors[0]
 
-    def _work(self, worker: int) -> None:
-        while (path := self._next(worker)) is not None:
-            try:
-                self.results[path] = supervise(path, self.workers[worker], self.stop, self._started(worker))
-            except Exception as error:  # its directory can't be written, say; the others go on
-                say(f"error: {path}: {type(error).__name__}: {error}", stderr=True)
-                self.results[path] = "failed"
-                with suppress(Exception):
-                    RunDirectory(path).update(status="failed", error=f"{type(error).__name__}: {error}")
-            finally:
-                self._under_way.pop(worker, None)
+    def _train(self, worker: int, path: Path, stop: Stop | None) -> WorkerResult | None:
+        if not self._admit(worker):
+            return None
+        try:
+            asked = self.stop.is_set if stop is None else lambda: self.stop.is_set() or stop()
+            result = supervise(path, self.workers[worker], asked, self._started(worker))
+        except Exception as error:  # its directory can't be written, say; the others go on
+            say(f"error: {path}: {type(error).__name__}: {error}", stderr=True)
+            result = "failed"
+            with suppress(Exception):
+                RunDirectory(path).update(status="failed", error=f"{type(error).__name__}: {error}")
+        finally:
+            self._under_way.pop(worker, None)
+        self.results[path] = result
+        return result
 
-    def _next(self, worker: int) -> Path | None:
-        """Wait for memory, and return the next run; None when there is none."""
+    def _admit(self, worker: int) -> bool:
+        """Wait until there is memory for one more run; return False where all is stopped before."""
         with self._entrance:  # one at a time: two could both count on the same free memory
-            while not self.stop.is_set() and not self.waiting.empty():
+            while not self.stop.is_set():
                 if self._has_memory():
                     self._under_way[worker] = None
-                    return self.waiting.get()
+                    return True
                 time.sleep(MEMORY_POLL_S)
-        return None
+        return False
 
     def _has_memory(self) -> bool:
         """Whether one more run fits beside those under way, when these have grown to their full size."""

@@ -1,9 +1,10 @@
 """The plan of a sweep: its runs, how far each is, which are due, and how long they may take."""
 
 import itertools
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 from rich.console import Console
 
@@ -18,6 +19,8 @@ from parking_exp.runs.state import RunState, counts, read_state
 from parking_exp.runs.state_tables import cell_table, damaged_lines, duration, version_lines
 from parking_exp.sweeps.hydra_launcher import Launch
 
+NO_RUN_YET = "; no run has finished yet to tell the time by"
+
 
 @dataclass(frozen=True)
 class PlannedRun:
@@ -30,6 +33,7 @@ class PlannedRun:
         state: how far it is.
         retried: whether it is run again if it has failed.
         lacks_models: whether it is done, and models of its are gone that can be made again.
+        entries: what goes into its status.json besides.
     """
 
     config: RunConfig
@@ -38,6 +42,7 @@ class PlannedRun:
     state: RunState
     retried: bool
     lacks_models: bool
+    entries: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def is_due(self) -> bool:
@@ -47,8 +52,14 @@ class PlannedRun:
         return self.state.stage != "done" or self.lacks_models
 
 
-def plan(composed: Sequence[Composed], retry: str | None = None) -> list[PlannedRun]:
+def plan(
+    composed: Sequence[Composed],
+    retry: str | None = None,
+    entries: Callable[[Composed], Mapping[str, Any]] = lambda one: {},
+) -> list[PlannedRun]:
     """Check every run of a sweep, and read its state; with `retry`, failed ones are due as well.
+
+    `entries` gives what goes into the status.json of a run besides.
 
     Raises:
         ConfigError: a run cannot be.
@@ -69,7 +80,9 @@ def plan(composed: Sequence[Composed], retry: str | None = None) -> list[Planned
             state, directory = read_state(path), RunDirectory(path)
             if state.other_version and state.stage != "done":
                 directory.check_version()
-            runs[path] = PlannedRun(config, path, label, state, retry is not None, directory.can_make_models)
+            runs[path] = PlannedRun(
+                config, path, label, state, retry is not None, directory.can_make_models, entries(one)
+            )
     return list(runs.values())
 
 
@@ -106,13 +119,9 @@ def _estimate(runs: Sequence[PlannedRun], due: Sequence[PlannedRun], launch: Lau
     """
     if not due:
         return ""
-    states = [run.state for run in runs if run.state.stage == "done"]
-    if not states:
-        here = runs[0].config
-        states = [s for s in map(read_state, itertools.islice(find_runs(here.output_path), 1000)) if s.stage == "done"]
-    rates = [(s.cell, s.wall_s / s.step) for s in states if s.wall_s and s.step]
+    rates = _rates([run.state for run in runs]) or _rates_in(runs[0].config)
     if not rates:
-        return "; no run has finished yet to tell the time by"
+        return NO_RUN_YET
     overall = sum(rate for _, rate in rates) / len(rates)
     of_cell = {cell: [rate for name, rate in rates if name == cell] for cell, _ in rates}
     seconds = 0.0
@@ -124,6 +133,25 @@ def _estimate(runs: Sequence[PlannedRun], due: Sequence[PlannedRun], launch: Lau
         return f", about {duration(seconds)} of work"
     shared = f" with {workers} at a time" if workers > 1 else ""
     return f", about {duration(seconds / min(workers, len(due)))}{shared}"
+
+
+def duration_estimate(config: RunConfig, steps: int, workers: int) -> str:
+    """Return in words how long so many env steps may take, from finished runs in the output directory."""
+    if not steps:
+        return ""
+    rates = _rates_in(config)
+    if not rates:
+        return NO_RUN_YET
+    return f", about {duration(steps * sum(rate for _, rate in rates) / len(rates) / workers)}"
+
+
+def _rates(states: Iterable[RunState]) -> list[tuple[str, float]]:
+    """Return cell and seconds an env step of each run that is done."""
+    return [(s.cell, s.wall_s / s.step) for s in states if s.stage == "done" and s.wall_s and s.step]
+
+
+def _rates_in(config: RunConfig) -> list[tuple[str, float]]:
+    return _rates(map(read_state, itertools.islice(find_runs(config.output_path), 1000)))
 
 
 def _workers(launch: Launch) -> int | None:

@@ -85,7 +85,7 @@ def _registered(folders: Iterable[Path]) -> Iterator[bool]:
 def _freeze(run: PlannedRun, keep: bool) -> bool:
     """Freeze a run's config, and return whether that was possible; the others go on without it."""
     try:
-        RunDirectory(run.path).freeze(run.config, run.label, run.state.started, keep=keep)
+        RunDirectory(run.path).freeze(run.config, run.label, run.state.started, keep=keep, entries=run.entries)
     except (OutputDirectoryError, OSError) as error:
         say(f"error: {error}", stderr=True)
         return False

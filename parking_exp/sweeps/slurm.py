@@ -6,7 +6,7 @@ import shutil
 import signal
 import threading
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
@@ -14,7 +14,7 @@ from typing import Any
 from parking_exp.errors import ConfigError, FailedRunError, suggestion
 from parking_exp.resources import cores
 from parking_exp.runs.directory import RunDirectory
-from parking_exp.sweeps.supervisor import GRACE_S, supervise_job
+from parking_exp.sweeps.supervisor import GRACE_S
 
 POLL_S = 0.2
 SLURM_POLL_S = 5.0
@@ -39,18 +39,24 @@ def check(executor: str) -> None:
 
 
 def launch(
-    paths: Sequence[Path], executor: str, n_jobs: int | None, folder: Path | None, parameters: Mapping[str, Any]
-) -> dict[Path, Any]:
-    """Train runs as jobs, wait for them, and return a WorkerResult for each, or the error of a job that broke.
+    task: Callable[[str], Any],
+    paths: Sequence[Path],
+    executor: str,
+    n_jobs: int | None,
+    folder: Path,
+    parameters: Mapping[str, Any],
+) -> list[Any]:
+    """Do a task for each path as jobs, wait for them, and return what each returned, or the error of one that broke.
 
     Ctrl-C cancels the jobs, which save their states. Jobs outlive a launcher that is killed, and the runs that they
     hold are left to them when the sweep is typed again.
 
     Args:
-        paths: run directories with frozen configs, on a file system that the nodes share.
+        task: called with a path, in a job.
+        paths: run directories with frozen configs, or folders of searches, on a file system that the nodes share.
         executor: `slurm`, or `local` for processes of this machine, as `check` lets through.
         n_jobs: how many at a time; None: as many as the cluster takes, or this machine has cores.
-        folder: for submitit's own scripts and logs; None: `.submitit` in the output directory.
+        folder: for submitit's own scripts and logs.
         parameters: of `submitit.AutoExecutor.update_parameters`.
 
     Raises:
@@ -60,39 +66,36 @@ def launch(
     import submitit
 
     try:
-        folder = folder or paths[0].parents[2] / ".submitit"
         jobs = submitit.AutoExecutor(folder=folder / "%j", cluster=executor)
         limit = {"slurm_array_parallelism": n_jobs} if executor == "slurm" and n_jobs else {}
         jobs.update_parameters(**{key: value for key, value in parameters.items() if value is not None}, **limit)
     except (RuntimeError, NameError, TypeError, ValueError) as error:
         raise ConfigError(f"hydra.launcher: submitit refuses its parameters: {error}") from error
-    waiting, submitted = list(paths), {}
+    texts, submitted = [str(path) for path in paths], []
     try:
         if executor == "slurm":  # one array, and Slurm keeps to its limit
             with _sigint_blocked():  # Ctrl-C is to find all that was submitted
-                submitted = dict(zip(paths, jobs.map_array(supervise_job, [str(path) for path in paths]), strict=True))
-            waiting = []
+                submitted += jobs.map_array(task, texts)
         elif n_jobs is None:
             n_jobs = len(cores())
-        while waiting or any(not job.done() for job in submitted.values()):
-            under_way = sum(not job.done() for job in submitted.values())
-            while waiting and (n_jobs is None or under_way < n_jobs):
-                path = waiting.pop(0)
+        while len(submitted) < len(texts) or any(not job.done() for job in submitted):
+            under_way = sum(not job.done() for job in submitted)
+            while len(submitted) < len(texts) and (n_jobs is None or under_way < n_jobs):
                 with _ignored_by_children():
-                    submitted[path] = jobs.submit(supervise_job, str(path))
+                    submitted.append(jobs.submit(task, texts[len(submitted)]))
                 under_way += 1
             time.sleep(SLURM_POLL_S if executor == "slurm" else POLL_S)
     except submitit.core.utils.FailedJobError as error:
         raise FailedRunError(f"submitit cannot submit: {error}") from error
     except BaseException:
-        _cancel(submitted, executor)
+        _cancel(submitted, paths, executor)
         raise
-    return {path: _result(job) for path, job in submitted.items()}
+    return [_result(job) for job in submitted]
 
 
-def _cancel(submitted: Mapping[Path, Any], executor: str) -> None:
+def _cancel(submitted: Sequence[Any], paths: Sequence[Path], executor: str) -> None:
     """Ask jobs to stop, and wait a while until their runs are saved."""
-    for job in submitted.values():
+    for job in submitted:
         if job.done():
             continue
         if executor == "local":  # its `cancel` kills within a second; SIGTERM is passed on to the run
@@ -101,7 +104,7 @@ def _cancel(submitted: Mapping[Path, Any], executor: str) -> None:
         else:
             job.cancel(check=False)
     deadline = time.monotonic() + GRACE_S + 1
-    while time.monotonic() < deadline and any(RunDirectory(path).under_way for path in submitted):
+    while time.monotonic() < deadline and any(RunDirectory(path).under_way for path in paths[: len(submitted)]):
         time.sleep(POLL_S)
 
 

@@ -12,8 +12,8 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any, Literal
@@ -34,6 +34,7 @@ KILLS = {signal.SIGKILL, signal.SIGTERM, signal.SIGINT, signal.SIGHUP}
 WorkerResult = Literal["done", "failed", "stopped", "elsewhere"]
 """How a run ended: done; failed, with the reason in status.json; stopped, on request; elsewhere: in another process."""
 OnStart = Callable[[subprocess.Popen[bytes]], None]
+Stop = Callable[[], bool]
 
 
 @dataclass(frozen=True)
@@ -54,7 +55,7 @@ class WorkerResources:
 def supervise(
     path: Path,
     resources: WorkerResources | None = None,
-    stop: threading.Event | None = None,
+    stop: Stop | None = None,
     started: OnStart | None = None,
 ) -> WorkerResult:
     """Train one run in a fresh process, and see to it that its directory says how that went.
@@ -62,7 +63,7 @@ def supervise(
     Args:
         path: the run directory, with its frozen config.
         resources: of the machine; None: all of it.
-        stop: once set, the run saves a checkpoint and leaves; after GRACE_S it is killed.
+        stop: asked again and again; once it is true, the run saves a checkpoint and leaves, or is killed after GRACE_S.
         started: called with the process.
     """
     directory = RunDirectory(path)
@@ -74,7 +75,7 @@ def supervise(
                 _make_models(directory)
             if status in ("done", "failed"):
                 return status  # by another sweep, since this one was planned
-            return _run(directory, resources or WorkerResources(), stop or threading.Event(), started)
+            return _run(directory, resources or WorkerResources(), stop or (lambda: False), started)
     except RunLockedError:
         return "elsewhere"
 
@@ -91,9 +92,7 @@ def _make_models(directory: RunDirectory) -> None:
         say(f"error: {directory.models} cannot be written: {error.strerror}", stderr=True)
 
 
-def _run(
-    directory: RunDirectory, resources: WorkerResources, stop: threading.Event, started: OnStart | None
-) -> WorkerResult:
+def _run(directory: RunDirectory, resources: WorkerResources, stop: Stop, started: OnStart | None) -> WorkerResult:
     try:
         config = directory.config()
         if config.run_dir != directory_path(directory.path):
@@ -113,26 +112,27 @@ def _run(
             directory.update(pid=process.pid)
             if started is not None:
                 started(process)
-            late = _wait(process, config.timeout_s, stop)
+            late, stopped = _wait(process, config.timeout_s, stop)
         finally:
             if process.poll() is None:  # an error here: no worker is left without a supervisor
                 _kill(process)
     past = f"ran past timeout_s={config.timeout_s:g}" if late else None
-    return _result(directory, process.returncode, past, stop.is_set())
+    return _result(directory, process.returncode, past, stopped)
 
 
-def _wait(process: subprocess.Popen[bytes], timeout_s: float | None, stop: threading.Event) -> bool:
-    """Wait for a worker, and end it if it is asked to stop or takes too long; return whether it took too long."""
-    begin, asked, late = time.monotonic(), None, False
+def _wait(process: subprocess.Popen[bytes], timeout_s: float | None, stop: Stop) -> tuple[bool, bool]:
+    """Wait for a worker, and end it if it is to stop or takes too long; return whether it was late, and stopped."""
+    begin, asked, late, stopped = time.monotonic(), None, False, False
     while process.poll() is None:
         time.sleep(POLL_S)
         late = late or (timeout_s is not None and time.monotonic() - begin > timeout_s)
-        if asked is None and (late or stop.is_set()):
+        stopped = stopped or stop()
+        if asked is None and (late or stopped):
             asked = time.monotonic()
             process.terminate()
         if asked is not None and time.monotonic() - asked > GRACE_S:
             _kill(process)
-    return late
+    return late, stopped
 
 
 def _kill(process: subprocess.Popen[bytes]) -> None:
@@ -189,16 +189,26 @@ def supervise_job(path: str) -> WorkerResult:
     Raises:
         KeyboardInterrupt: a signal to the job stopped it; the run's state is saved.
     """
-    stop = threading.Event()
+    with stop_of_job() as stop:
+        return supervise(Path(path), stop=stop)
+
+
+@contextmanager
+def stop_of_job() -> Iterator[Stop]:
+    """Yield a function that tells whether a signal has asked this job to stop.
+
+    Raises:
+        KeyboardInterrupt: at the end, if one has; no Exception, so that a launcher with one job after the other stops.
+    """
+    asked = threading.Event()
     before: dict[int, Any] = {}
     if threading.current_thread() is threading.main_thread():
         for signal_number in (signal.SIGTERM, signal.SIGINT, signal.SIGUSR2):  # the last is submitit's: time is short
-            before[signal_number] = signal.signal(signal_number, lambda *_: stop.set())
+            before[signal_number] = signal.signal(signal_number, lambda *_: asked.set())
     try:
-        result = supervise(Path(path), stop=stop)
+        yield asked.is_set
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
-    if stop.is_set():  # not an Exception: a launcher that goes through its jobs one by one is to stop, too
+    if asked.is_set():
         raise KeyboardInterrupt
-    return result

@@ -43,7 +43,13 @@ SYNCED_FILE, TRACEBACK_FILE = "synced.json", "sync_traceback.txt"
 LONGEST_PARAM = 6000
 LONGEST_ERROR = 500
 WAIT_S = 120  # for another process that syncs the same run
-MLFLOW_STATUS = {"running": "RUNNING", "done": "FINISHED", "failed": "FAILED", "interrupted": "KILLED"}
+MLFLOW_STATUS = {
+    "running": "RUNNING",
+    "done": "FINISHED",
+    "failed": "FAILED",
+    "interrupted": "KILLED",
+    "pruned": "KILLED",
+}
 
 
 def sync(directory: RunDirectory, uri: str) -> None:
@@ -191,7 +197,8 @@ def _run(store: Store, run: "Run | None", directory: RunDirectory, config: RunCo
 
 
 def _tags(directory: RunDirectory, config: RunConfig, uri: str) -> dict[str, str]:
-    path = database(uri)
+    path, status = database(uri), directory.read_status()
+    searched: dict[str, str] = {name: str(status[name]) for name in ("search", "trial") if name in status}
     run_dir = relative_path(directory.path, path.parent) if path else str(directory.path.absolute())
     return {
         **read_provenance(directory.path / PROVENANCE_FILE)[1],
@@ -201,6 +208,7 @@ def _tags(directory: RunDirectory, config: RunConfig, uri: str) -> dict[str, str
         "seed": str(config.seed),
         "run_key": config.run_key,
         "run_dir": run_dir,
+        **searched,
         "error": _error(directory),
     }
 

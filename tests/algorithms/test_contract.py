@@ -160,6 +160,7 @@ def test_features_that_the_policy_ignores_are_refused_instead_of_vanishing():
     check_saving(make_config(*SMOKE, f"{USER}.IgnoresFeatures", "algorithm.features=raw"))
 
 
+@pytest.mark.slow
 def test_in_a_sweep_the_refusal_is_the_reason_of_the_failure(tmp_path):
     assert sweep(tmp_path, f"{USER}.SavesNothing", "hydra/launcher=basic").returncode == 2
     (status,) = statuses(tmp_path).values()

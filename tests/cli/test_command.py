@@ -249,6 +249,7 @@ def test_a_built_wheel_works_from_any_directory(tmp_path):
         "parking-report",
         "parking-status",
         "parking-train",
+        "parking-tune",
     ]
 
 

@@ -14,6 +14,8 @@ from support.marks import slow_but
 from support.runs import ROOT
 from support.store_factory import make_store
 
+from parking_exp.tuning.search import Search
+
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", ROOT / "CHANGELOG.md", *sorted((ROOT / "docs").rglob("*.md"))]
 EXTENDING = ROOT / "docs" / "extending.md"
 FENCE = re.compile(r"^```(\w*)(?: title=\"([^\"]+)\")?\n(.*?)^```", re.MULTILINE | re.DOTALL)
@@ -68,7 +70,7 @@ def arguments(command):
     script, *typed = shlex.split(command)
     name = script.removesuffix(".py")
     shows = "--cfg" in typed or "--help" in typed
-    cheap = [] if shows else ["dry_run=true"] if name == "train" else ["--cfg", "job"]
+    cheap = [] if shows else ["dry_run=true"] if name in ("train", "tune") else ["--cfg", "job"]
     if "hydra/launcher=slurm" in typed:
         cheap.append("hydra.launcher.executor=local")  # a cluster's commands are missing elsewhere
     return [name, *(argument for argument in cheap if argument not in typed), *typed]
@@ -95,7 +97,11 @@ def done(request, tmp_path_factory):
     """What became of the commands that are tested now."""
     tested = {item.callspec.params.get("command") for item in request.session.items if hasattr(item, "callspec")}
     typed = {command: arguments(command) for command in COMMANDS if command in tested}
-    return run_commands(typed, tmp_path_factory.mktemp("commands"))
+    folder = tmp_path_factory.mktemp("commands")
+    for path in re.findall(r"experiment=(\S+\.yaml)", "\n".join(COMMANDS)):  # what a search would have left
+        (folder / path).parent.mkdir(parents=True, exist_ok=True)
+        (folder / path).write_text("# @package _global_\nexperiment_name: tuned\n")
+    return run_commands(typed, folder)
 
 
 def test_the_readme_has_at_most_180_lines():
@@ -154,6 +160,14 @@ def test_python_examples_run(name, output_dir, tmp_path, monkeypatch):
     assert examples
     for text in examples:
         exec(compile(text, name, "exec"), {})  # one that breaks raises
+
+
+def test_the_search_that_tuning_shows_can_be_searched(tmp_path):
+    ((title, text),) = blocks(ROOT / "docs" / "tuning.md", "yaml")
+    add(tmp_path / title, text)
+    search = Search(["search=mine"], str(tmp_path / "my_conf"))
+    search.check()
+    assert [trial.get("algorithm", "sac") for trial in ({}, *search.request.search.enqueue)] == ["sac", "td3"]
 
 
 @pytest.fixture(scope="module")

@@ -190,6 +190,7 @@ def test_a_relative_output_directory_means_the_same_to_a_worker_elsewhere(tmp_pa
     assert list((tmp_path / "there").iterdir()) == []
 
 
+@pytest.mark.slow
 def test_a_frozen_config_that_is_broken_fails_its_run_alone(tmp_path):
     runs = plan(composed_runs("config", [*QUICK, "seeds=2", f"output_dir={tmp_path}"]))
     for run in runs:

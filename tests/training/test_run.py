@@ -295,6 +295,7 @@ def test_evaluate_prints_and_stores_episodes_and_a_video(smoke, tmp_path):
     pd.testing.assert_frame_equal(table.head(5), final[EPISODE_COLUMNS], rtol=1e-6)
 
 
+@pytest.mark.slow
 def test_evaluate_takes_a_directory_another_env_and_the_best_model(smoke):
     directory, _, _ = smoke
     done = run_script("evaluate", f"run={directory.path}", "episodes=2", "env=parking_parked", "env.duration=2",
@@ -624,6 +625,7 @@ def test_a_run_that_broke_and_goes_on_has_one_trajectory_in_the_store(tmp_path, 
     assert_store_is_whole(tmp_path, 400)
 
 
+@pytest.mark.slow
 def test_a_relative_sqlite_uri_means_the_same_everywhere(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     config = make_config("experiment=smoke", "total_timesteps=60", "evaluation.video_episodes=0",

@@ -1,5 +1,7 @@
 """Figures of a hyperparameter search: every point that was tried, and which hyperparameters matter."""
 
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -10,59 +12,85 @@ from parking_exp.reports.figures.canvas import Canvas
 from parking_exp.reports.figures.cells import row_canvas
 from parking_exp.reports.figures.style import FULL_IN, INK, PAPER, SMALL_PT, TEXT_PT, elided
 from parking_exp.reports.formats import p_value, rate_text
-from parking_exp.reports.report_data import Cell, Factor, ReportData
+from parking_exp.reports.report_data import Cell, Factor, ReportData, Setting
 
-_MOST_AXES = 8
-_BAR = "#0072B2"
+MOST_AXES = 8
+BAR = "#0072B2"
+
+
+@dataclass(frozen=True)
+class Line:
+    """A line of parallel coordinates.
+
+    Attributes:
+        settings: the value of each factor.
+        height: where it ends on the last axis, 1 being the best.
+        tip: its value under the pointer.
+    """
+
+    settings: Mapping[str, Setting]
+    height: float
+    tip: str
 
 
 def parallel_coordinates(report: ReportData) -> tuple[Canvas, str] | None:
-    """Draw each cell of a search as a line across its hyperparameters to its success."""
-    from matplotlib import colormaps
-    from matplotlib.collections import LineCollection
-
+    """Draw each cell of a search as a line across its hyperparameters to its success; trials have a figure like it."""
     order = {item.factor: rank for rank, item in enumerate(report.importance)}
-    factors = sorted(report.factors, key=lambda factor: order.get(factor.key, len(order)))[:_MOST_AXES]
+    factors = sorted(report.factors, key=lambda factor: order.get(factor.key, len(order)))[:MOST_AXES]
     tried = [(cell, 100 * cell.success.value) for cell in report.cells if cell.success.value is not None]
-    if report.design != "search" or not tried or not factors:
+    if report.design != "search" or report.tuning is not None or not tried or not factors:
         return None
-    tried.sort(key=lambda pair: pair[1])
-    canvas = Canvas(FULL_IN, 2.75)
-    axes = canvas.axes(0.75, 0.16, FULL_IN - 1.2, 2.15)
-    axes.set_axis_off()
-    axes.set(xlim=(0, len(factors)), ylim=(-0.04, 1.04))
-    low, high = 10 * np.floor(tried[0][1] / 10), 10 * np.ceil(tried[-1][1] / 10)
-    low = min(low, high - 10)
-    scales = [_Scale(factor, [cell for cell, _ in tried]) for factor in factors]
-    success = (np.array([rate for _, rate in tried]) - low) / (high - low)
-    heights = np.column_stack([*([scale.height(cell) for cell, _ in tried] for scale in scales), success])
-    # Levels that many cells share are spread a little, so that lines don't hide one another.
-    for column, scale in enumerate(scales):
-        heights[:, column] += scale.spread * ((np.arange(len(tried)) * 0.618034) % 1 - 0.5)
-    best = np.arange(len(tried)) >= len(tried) - max(1, len(tried) // 10)
-    lines = [np.column_stack([np.arange(len(factors) + 1), row]) for row in heights]
-    widths, alphas = (
-        np.where(best, 1.8 if len(tried) < 100 else 1.0, 0.8 if len(tried) < 100 else 0.5),
-        np.where(best, 1.0, 0.45 if len(tried) < 100 else 0.25),
-    )
-    colours = colormaps["cividis"](0.05 + 0.9 * success)
-    colours[:, 3] = alphas
-    axes.add_collection(LineCollection(lines, colors=colours, linewidths=widths), autolim=False)
-    for (cell, rate), line in zip(tried, lines, strict=True):
-        canvas.tip_line(axes, line[np.isfinite(line[:, 1])], _tip(cell, rate, factors), width=3)
-    room = 72 * (FULL_IN - 1.2) / len(factors) - 6
-    for column, scale in enumerate(scales):
-        _upright(canvas, axes, column, scale.ticks(), (elided(scale.factor.name, room), room))
-    rates = np.arange(low, high + 1, 10 if high - low <= 60 else 20)
-    ticks = [((rate - low) / (high - low), f"{rate:.0f}") for rate in rates]
-    _upright(canvas, axes, len(factors), ticks, ("success (%)", room), right=True)
+    low, high, ticks = rate_axis([rate for _, rate in tried])
+    lines = [Line(cell.settings, (rate - low) / (high - low), _tip(cell, rate, factors)) for cell, rate in tried]
     left_out = len(report.factors) - len(factors)
     caption = (
         f"Every cell of the search ({len(tried)}) as a line across its hyperparameters to its mean final success; "
         "brighter is better, thick lines are the best tenth."
         + (f" {left_out} less important hyperparameters are left out." if left_out else "")
     )
-    return canvas, caption
+    return coordinates(lines, factors, ticks, "success (%)"), caption
+
+
+def rate_axis(rates: Sequence[float]) -> tuple[float, float, list[tuple[float, str]]]:
+    """Return ends of an axis that holds rates [%], and its ticks (height, text)."""
+    low, high = 10 * np.floor(min(rates) / 10), 10 * np.ceil(max(rates) / 10)
+    low, high = (max(0.0, high - 10), max(10.0, high)) if high - low < 10 else (low, high)
+    at = np.arange(low, high + 1, 10 if high - low <= 60 else 20)
+    return low, high, [((rate - low) / (high - low), f"{rate:.0f}") for rate in at]
+
+
+def coordinates(lines: Sequence[Line], factors: Sequence[Factor], ticks: list[tuple[float, str]], name: str) -> Canvas:
+    """Draw lines across one upright axis for each factor to a last one, which has a name and ticks (height, text)."""
+    from matplotlib import colormaps
+    from matplotlib.collections import LineCollection
+
+    lines = sorted(lines, key=lambda line: line.height)
+    canvas = Canvas(FULL_IN, 2.75)
+    axes = canvas.axes(0.75, 0.16, FULL_IN - 1.2, 2.15)
+    axes.set_axis_off()
+    axes.set(xlim=(0, len(factors)), ylim=(-0.04, 1.04))
+    scales = [Scale(factor, [line.settings for line in lines]) for factor in factors]
+    ends = np.array([line.height for line in lines])
+    heights = np.column_stack([*([scale.height(line.settings) for line in lines] for scale in scales), ends])
+    # Levels that many lines share are spread a little, so that lines don't hide one another.
+    for column, scale in enumerate(scales):
+        heights[:, column] += scale.spread * ((np.arange(len(lines)) * 0.618034) % 1 - 0.5)
+    best = np.arange(len(lines)) >= len(lines) - max(1, len(lines) // 10)
+    paths = [np.column_stack([np.arange(len(factors) + 1), row]) for row in heights]
+    widths, alphas = (
+        np.where(best, 1.8 if len(lines) < 100 else 1.0, 0.8 if len(lines) < 100 else 0.5),
+        np.where(best, 1.0, 0.45 if len(lines) < 100 else 0.25),
+    )
+    colours = colormaps["cividis"](0.05 + 0.9 * ends)
+    colours[:, 3] = alphas
+    axes.add_collection(LineCollection(paths, colors=colours, linewidths=widths), autolim=False)
+    for line, path in zip(lines, paths, strict=True):
+        canvas.tip_line(axes, path[np.isfinite(path[:, 1])], line.tip, width=3)
+    room = 72 * (FULL_IN - 1.2) / len(factors) - 6
+    for column, scale in enumerate(scales):
+        _upright(canvas, axes, column, scale.ticks(), (elided(scale.factor.name, room), room))
+    _upright(canvas, axes, len(factors), ticks, (name, room), right=True)
+    return canvas
 
 
 def _tip(cell: Cell, rate: float, factors: list[Factor]) -> str:
@@ -85,12 +113,12 @@ def _upright(
         canvas.text(axes, place, at, elided(text, 0.62 * name[1], SMALL_PT), ha=side, fontsize=SMALL_PT, bbox=behind)
 
 
-class _Scale:
-    """The scale of a factor on an axis from 0 to 1."""
+class Scale:
+    """The scale of a factor on an axis from 0 to 1, for these settings of cells or trials."""
 
-    def __init__(self, factor: Factor, cells: list[Cell]) -> None:
+    def __init__(self, factor: Factor, settings: Sequence[Mapping[str, Setting]]) -> None:
         self.factor = factor
-        values = [cell.settings.get(factor.key) for cell in cells]
+        values = [one.get(factor.key) for one in settings]
         plain = [v for v in values if isinstance(v, int | float) and not isinstance(v, bool) and np.isfinite(v)]
         self.numeric = factor.numeric and len(plain) > 0 and len(set(plain)) > 1
         self.log = self.numeric and factor.log and min(plain) > 0
@@ -98,15 +126,15 @@ class _Scale:
         if self.numeric:
             self.low, self.high = (self._at(v) for v in (min(plain), max(plain)))
             self.values = sorted(set(plain))
-        crowded = len(self.values if self.numeric else self.levels) < min(8, len(cells))
+        crowded = len(self.values if self.numeric else self.levels) < min(8, len(settings))
         self.spread = 0.03 if crowded else 0.0
 
     def _at(self, value: float) -> float:
         return float(np.log10(value)) if self.log else float(value)
 
-    def height(self, cell: Cell) -> float:
-        """NaN for a number that a cell doesn't have."""
-        value = cell.settings.get(self.factor.key)
+    def height(self, settings: Mapping[str, Setting]) -> float:
+        """NaN for a number that is not among these settings."""
+        value = settings.get(self.factor.key)
         if not self.numeric:
             return (self.levels.index(formats.level(value)) + 0.5) / len(self.levels)
         if not isinstance(value, int | float) or isinstance(value, bool) or not np.isfinite(value):
@@ -121,6 +149,8 @@ class _Scale:
         if len(self.values) <= 6:
             return [((self._at(v) - self.low) / (self.high - self.low), formats.level(v)) for v in self.values]
         at = np.linspace(self.low, self.high, 5)
+        if not self.log and all(isinstance(v, int) for v in self.values):
+            return [((v - self.low) / (self.high - self.low), f"{v:.0f}") for v in np.unique(np.round(at))]
         return [(k / 4, f"{10**v:.2g}" if self.log else f"{v:.3g}") for k, v in enumerate(at)]
 
 
@@ -134,7 +164,7 @@ def importance(report: ReportData) -> tuple[Canvas, str] | None:
     canvas, axes, width = row_canvas(texts, right=0.45)
     shares = [100 * item.share for item in found]
     axes.set(xlabel="variance of success explained alone (%)")
-    axes.barh(range(len(found)), shares, height=0.62, color=_BAR)
+    axes.barh(range(len(found)), shares, height=0.62, color=BAR)
     # The text after the longest bar needs some 55 points.
     axes.set_xlim(0, max(*shares, 1.0) * (1 + 66 / max(30, 72 * width - 66)))
     axes.set_xticks([tick for tick in axes.get_xticks() if tick <= 100])

@@ -3,7 +3,7 @@
 Hydra imports every module here at each start: what they need is imported when they launch.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,24 +15,30 @@ from omegaconf import DictConfig
 
 
 class _RunLauncher(Launcher):
-    """Base of both launchers: a job is a run directory, `run=PATH`; only a WorkerResult is returned."""
+    """Base of both launchers: a job is a run directory, `run=PATH`, or a worker of a search, `study=PATH`."""
 
     def setup(self, *, hydra_context: HydraContext, task_function: TaskFunction, config: DictConfig) -> None:
-        """Do nothing: the task is always `parking_exp.sweeps.supervisor.supervise`."""
+        """Do nothing: the task follows from the jobs."""
 
     def launch(self, job_overrides: Sequence[Sequence[str]], initial_job_idx: int) -> Sequence[JobReturn]:
-        """Train the runs and return how each ended, in JobReturn.return_value."""
-        paths = [Path(_run_of(overrides)) for overrides in job_overrides]
-        results = self.train(paths)
+        """Do the jobs; how a run ended is in JobReturn.return_value."""
+        jobs = [_job(overrides) for overrides in job_overrides]
+        paths = [path for _, path in jobs]
+        is_search = any(kind == "study" for kind, _ in jobs)
+        results = self.search(paths[0], len(paths)) if is_search else self.train(paths)
         returns = []
-        for overrides, path in zip(job_overrides, paths, strict=True):
+        for overrides, result in zip(job_overrides, results, strict=True):
             done = JobReturn(overrides=list(overrides), working_dir=str(Path.cwd()), status=JobStatus.COMPLETED)
-            done.return_value = results.get(path)
+            done.return_value = result
             returns.append(done)
         return returns
 
-    def train(self, paths: Sequence[Path]) -> Mapping[Path, Any]:
-        """Train the runs of these directories."""
+    def train(self, paths: Sequence[Path]) -> Sequence[Any]:
+        """Train the runs of these directories; return how each ended."""
+        raise NotImplementedError
+
+    def search(self, folder: Path, n_workers: int) -> Sequence[Any]:
+        """Have so many workers train the trials of a search."""
         raise NotImplementedError
 
 
@@ -44,11 +50,20 @@ class LocalLauncher(_RunLauncher):
         _check("memory_gb", memory_gb, int | float)
         self.n_jobs, self.memory_gb = n_jobs, memory_gb
 
-    def train(self, paths: Sequence[Path]) -> Mapping[Path, Any]:
-        """Train the runs of these directories."""
+    def train(self, paths: Sequence[Path]) -> Sequence[Any]:
+        """Train the runs of these directories; return how each ended."""
         from parking_exp.sweeps.local import launch
 
-        return launch(paths, self.n_jobs, self.memory_gb)
+        results = launch(paths, self.n_jobs, self.memory_gb)
+        return [results.get(path) for path in paths]
+
+    def search(self, folder: Path, n_workers: int) -> Sequence[Any]:
+        """Have so many workers train the trials of a search."""
+        from parking_exp.sweeps.local import launch_workers
+        from parking_exp.tuning.worker import work
+
+        launch_workers(lambda train: work(folder, train), n_workers, self.memory_gb)
+        return [None] * n_workers
 
 
 class SlurmLauncher(_RunLauncher):
@@ -61,11 +76,23 @@ class SlurmLauncher(_RunLauncher):
         _check("n_jobs", n_jobs, int)
         self.executor, self.n_jobs, self.folder, self.parameters = executor, n_jobs, folder, dict(parameters)
 
-    def train(self, paths: Sequence[Path]) -> Mapping[Path, Any]:
-        """Train the runs of these directories."""
+    def train(self, paths: Sequence[Path]) -> Sequence[Any]:
+        """Train the runs of these directories; return how each ended."""
+        from parking_exp.sweeps.supervisor import supervise_job
+
+        return self._launch(supervise_job, paths, paths[0].parents[2])
+
+    def search(self, folder: Path, n_workers: int) -> Sequence[Any]:
+        """Have so many workers train the trials of a search."""
+        from parking_exp.tuning.worker import work_job
+
+        return self._launch(work_job, [folder] * n_workers, folder.parent)
+
+    def _launch(self, task: Callable[[str], Any], paths: Sequence[Path], output_dir: Path) -> Sequence[Any]:
         from parking_exp.sweeps.slurm import launch
 
-        return launch(paths, self.executor, self.n_jobs, Path(self.folder) if self.folder else None, self.parameters)
+        folder = Path(self.folder) if self.folder else output_dir / ".submitit"
+        return launch(task, paths, self.executor, self.n_jobs, folder, self.parameters)
 
 
 def _check(name: str, value: Any, kind: Any) -> None:
@@ -76,8 +103,8 @@ def _check(name: str, value: Any, kind: Any) -> None:
         raise ConfigError(f"hydra.launcher.{name}={value} is not valid; give a number above 0, or null")
 
 
-def _run_of(overrides: Sequence[str]) -> str:
+def _job(overrides: Sequence[str]) -> tuple[str, Path]:
     for override in OverridesParser.create().parse_overrides(list(overrides)):
-        if override.key_or_group == "run":
-            return str(override.value())
+        if override.key_or_group in ("run", "study"):
+            return override.key_or_group, Path(str(override.value()))
     raise ValueError(f"this launcher trains run directories, and {list(overrides)} has no run=PATH")

@@ -1,0 +1,185 @@
+"""The end of a search: trial 0 and the best are trained on fresh seeds, and the winner becomes an experiment file."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from statistics import mean
+from typing import Any
+
+import yaml
+from omegaconf import OmegaConf
+from rich.console import Console
+from rich.table import Table
+
+from parking_exp.config.compose import Composed, composed_runs
+from parking_exp.config.run_key import changes_results
+from parking_exp.config.schema import RunConfig
+from parking_exp.config.validate import validate
+from parking_exp.errors import FailedRunError, plural
+from parking_exp.runs.directory import RunDirectory
+from parking_exp.runs.files import write_atomically, write_json
+from parking_exp.statistics.intervals import mean_interval
+from parking_exp.sweeps.hydra_launcher import Launch
+from parking_exp.sweeps.plan import plan
+from parking_exp.sweeps.run import sweep
+from parking_exp.tuning.objectives import describe, read_curve, run_value
+from parking_exp.tuning.schema import Objective
+from parking_exp.tuning.search import Search
+from parking_exp.tuning.study import HIGHER_IS_BETTER
+from parking_exp.tuning.trials import TrialRow, ranked
+from parking_exp.tuning.unit_costs import known_costs
+
+RETEST_FILE = "retest.json"
+GROUPS = ("env", "algorithm", "buffer")
+
+
+@dataclass(frozen=True)
+class Retested:
+    """A trial that was trained again on fresh seeds.
+
+    Attributes:
+        number, label, changes: of the trial.
+        tuning: its objective on each tuning seed.
+        test: its objective on each test seed.
+    """
+
+    number: int
+    label: str
+    changes: Mapping[str, Any]
+    tuning: Sequence[float]
+    test: Sequence[float]
+
+
+def retest(search: Search, trials: Sequence[TrialRow], launch: Launch) -> list[Retested]:
+    """Train trial 0 and the best trials on the test seeds, as a sweep, and return how they did, best first.
+
+    Raises:
+        FailedRunError: some of the runs failed.
+    """
+    settings = search.request.search
+    best = ranked(trials, settings.objectives)
+    zero = [trial for trial in best if trial.number == 0]
+    chosen = [*zero, *[trial for trial in best if trial.number != 0][: settings.n_retest]]
+    if not settings.n_retest or not chosen:
+        return []
+    cells = {trial.number: search.composed_with(trial.changes).cell for trial in chosen}
+    runs = [
+        Composed(cells[trial.number], seed, trial.label, rank)
+        for rank, seed in enumerate(settings.test_seeds)
+        for trial in chosen
+    ]
+    numbers = {id(cell): number for number, cell in cells.items()}
+
+    def entries(run: Composed) -> dict[str, Any]:
+        return {"search": search.folder.name, "trial": numbers[id(run.cell)]}
+
+    sweep(plan(runs, entries=entries), launch)
+    tested = [_retested(search, trial) for trial in chosen]
+    sign = -1 if HIGHER_IS_BETTER[settings.objectives[0]] else 1
+    tested.sort(key=lambda one: (sign * mean(one.test), one.number))
+    about = {"objective": settings.objectives[0], "tuning_seeds": settings.tuning_seeds}
+    found = [asdict(one) for one in tested]
+    write_json(search.folder / RETEST_FILE, {**about, "test_seeds": settings.test_seeds, "trials": found})
+    return tested
+
+
+def _retested(search: Search, trial: TrialRow) -> Retested:
+    config, objective = search.config(trial.changes), search.request.search.objectives[0]
+    units = known_costs(search.open(), config) if objective == "cost_to_95" else None
+
+    def values(seeds: Sequence[int]) -> list[float]:
+        runs = [config.model_copy(update={"seed": seed}) for seed in seeds]
+        return [run_value(objective, run, read_curve(RunDirectory(run.run_dir)), units) for run in runs]
+
+    settings = search.request.search
+    return Retested(
+        trial.number, trial.label, trial.changes, values(settings.tuning_seeds), values(settings.test_seeds)
+    )
+
+
+def write_winner(search: Search, tested: Sequence[Retested], out: Console) -> None:
+    """Print how the re-run trials did, and write the best of them as an experiment file.
+
+    Raises:
+        FailedRunError: the file does not compose to the winner's config.
+    """
+    if not tested:
+        return
+    settings = search.request.search
+    objective = settings.objectives[0]
+    out.print(retest_table(tested, objective))
+    winner = tested[0]
+    path = search.folder / f"tuned_{search.folder.name}.yaml"
+    write_atomically(path, _as_experiment(search, winner))
+    if search.config(winner.changes).cell_key != tuned_config(path, search.extra_config_dir).cell_key:
+        raise FailedRunError(f"{path} does not stand for the config of trial {winner.number}; please report it")
+    drop = mean(winner.tuning) - mean(winner.test)
+    out.print(
+        f"the winner is {winner.label}: {objective} {describe(objective, mean(winner.test), len(winner.test))} on "
+        f"{plural(len(winner.test), 'fresh seed')}; tuning minus test {_difference(objective, drop)}, and the best of "
+        f"{plural(len(tested), 'trial')} is a little too good to be true"
+    )
+    out.print(f"experiment     {path}")
+    out.print(f"train it with  python scripts/train.py experiment={path}")
+
+
+def retest_table(tested: Sequence[Retested], objective: Objective) -> Table:
+    """Return one row for each re-run trial: its objective on tuning and on fresh seeds, and the difference."""
+    table = Table(box=None, pad_edge=False)
+    table.add_column("trial", overflow="fold")
+    for title in (f"{objective}, tuning seeds", "fresh seeds", "tuning minus test"):
+        table.add_column(title, justify="right")
+    for one in tested:
+        interval = ""
+        if HIGHER_IS_BETTER[objective] and len(one.test) > 1:
+            estimate = mean_interval(one.test)
+            interval = f" [{100 * estimate.low:.1f}, {100 * estimate.high:.1f}]"
+        table.add_row(
+            one.label,
+            describe(objective, mean(one.tuning), len(one.tuning)),
+            describe(objective, mean(one.test), len(one.test)) + interval,
+            _difference(objective, mean(one.tuning) - mean(one.test)),
+        )
+    return table
+
+
+def _difference(objective: Objective, value: float) -> str:
+    return f"{100 * value:+.1f} points" if HIGHER_IS_BETTER[objective] else f"{value:+.1f} CPU-s"
+
+
+def _as_experiment(search: Search, winner: Retested) -> str:
+    """Return the YAML of an experiment: groups of the winner, and all keys in which it differs from their defaults."""
+    composed = search.composed_with(winner.changes)
+    options = {group: composed.options[group] for group in GROUPS}
+    plain = composed_runs("config", [f"{group}={option}" for group, option in options.items()], search.extra_config_dir)
+    default = OmegaConf.to_container(plain[0].cell, resolve=True)
+    config = search.config(winner.changes).plain()
+    changed = _changed(config | {"experiment_name": f"tuned_{search.folder.name}"}, default)
+    of = f"of search {search.folder.name}, of {search.request.n_trials} the best on fresh seeds."
+    head = ["# @package _global_", f"# Trial {winner.number} {of}"]
+    content = {"defaults": [{f"override /{group}": option} for group, option in options.items()], **changed}
+    return "\n".join(head) + "\n" + yaml.safe_dump(content, sort_keys=False)
+
+
+def _changed(config: Any, default: Any, prefix: str = "") -> dict[str, Any]:
+    """Return the keys of a config that change results, with values that differ from those of the default."""
+    found = {}
+    for key, value in config.items():
+        name = f"{prefix}{key}"
+        there = default.get(key) if isinstance(default, dict) else None
+        if value == there and isinstance(default, dict) and key in default:
+            continue
+        if not changes_results(name) and name not in ("experiment_name",):
+            continue
+        if isinstance(value, dict) and isinstance(there, dict):
+            found[key] = _changed(value, there, f"{name}.")
+        else:
+            found[key] = value
+    return {key: value for key, value in found.items() if key not in ("seed", "output_dir")}
+
+
+def tuned_config(path: Path, extra_config_dir: str | None) -> RunConfig:
+    """Return the config that an experiment file stands for."""
+    from parking_exp.config.overrides import in_quotes
+
+    return validate(composed_runs("config", [f"experiment={in_quotes(str(path))}"], extra_config_dir)[0].cell)

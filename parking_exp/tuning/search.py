@@ -1,0 +1,218 @@
+"""A search as its processes share it: its settings, the config of each trial, its study."""
+
+import threading
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from omegaconf import DictConfig, OmegaConf, open_dict
+
+from parking_exp.config.compose import Composed, composed_runs
+from parking_exp.config.schema import RunConfig
+from parking_exp.config.validate import check, parse, validate
+from parking_exp.errors import ConfigError, suggestion
+from parking_exp.runs.files import read_object, write_json
+from parking_exp.tuning.schema import TUNING_KEYS, SearchConfig, TuneRequest
+from parking_exp.tuning.space import base_value, in_order
+from parking_exp.tuning.study import load_study, open_study, storage_of
+
+if TYPE_CHECKING:
+    from optuna import Study
+
+SEARCH_FILE = "search.json"
+# Hydra's state is global: threads compose one after the other.
+_COMPOSING = threading.Lock()
+
+
+@dataclass(frozen=True)
+class Search:
+    """A search: the overrides that were typed, and Hydra's `--config-dir`.
+
+    What a trial changes is a mapping of keys and groups to values: `{"algorithm": "td3", "algorithm.gamma": 0.97}`.
+    """
+
+    overrides: Sequence[str]
+    extra_config_dir: str | None = None
+    _options: dict[tuple[str, ...], Composed] = field(default_factory=dict)
+
+    @property
+    def composed(self) -> Composed:
+        """The config that trials change, with the keys of scripts/tune.py.
+
+        Raises:
+            ConfigError: it does not compose, or the overrides stand for several configs.
+        """
+        return self._with_options([])
+
+    def _with_options(self, lines: Sequence[str]) -> Composed:
+        """Return the config with other options of groups; that takes Hydra some tenths of a second, and is kept."""
+        with _COMPOSING:
+            if (known := self._options.get(tuple(lines))) is not None:
+                return known
+            found = composed_runs("tune", [*self.overrides, *lines], self.extra_config_dir)
+            if len(found) > 1 or found[0].seed is not None:
+                raise ConfigError(
+                    "a search takes one value for each key, and no seeds; search.tuning_seeds are those of its trials"
+                )
+            self._options[tuple(lines)] = found[0]
+            return found[0]
+
+    @cached_property
+    def request(self) -> TuneRequest:
+        """The keys of scripts/tune.py, checked.
+
+        Raises:
+            ConfigError: with a sentence for each thing that is wrong.
+        """
+        cell = self.composed.cell
+        if "search" not in cell:
+            raise ConfigError("search is missing; write search=NAME, e.g. search=smoke")
+        return parse(TuneRequest, {key: cell[key] for key in TUNING_KEYS})
+
+    @cached_property
+    def base(self) -> RunConfig:
+        """The config that trials change, checked.
+
+        Raises:
+            ConfigError: it can't run.
+        """
+        assert self.request
+        return self.config({})
+
+    @property
+    def folder(self) -> Path:
+        """The experiment's folder, with the study."""
+        return self.base.output_path / self.base.experiment_name
+
+    def composed_with(self, changes: Mapping[str, Any]) -> Composed:
+        """Return the config of a trial as Hydra would compose it, without the keys of scripts/tune.py.
+
+        Raises:
+            ConfigError: it does not compose, or has no such key.
+        """
+        groups = self.composed.options.keys() & changes.keys()
+        composed = self._with_options([f"{group}={changes[group]}" for group in sorted(groups)])
+        cell = composed.cell.copy()
+        with open_dict(cell):
+            for key in TUNING_KEYS:
+                cell[key] = None
+        cell.experiment_name = composed.cell.experiment_name
+        for key, value in changes.items():
+            if key not in groups:
+                _set(cell, key, value)
+        OmegaConf.resolve(cell)
+        with open_dict(cell):
+            for key in TUNING_KEYS:
+                del cell[key]
+        return replace(composed, cell=cell)
+
+    def config(self, changes: Mapping[str, Any]) -> RunConfig:
+        """Return the checked config of a trial.
+
+        Raises:
+            ConfigError: it can't run.
+        """
+        return validate(self.composed_with(changes).cell)
+
+    def base_values(self) -> dict[str, Any]:
+        """Return the value of each key of the space in the config that trials change."""
+        composed = self.composed
+        return {key: base_value(composed.cell, composed.options, key) for key in self.request.search.space}
+
+    def check(self) -> None:
+        """Check the space: every key, both ends of each range, every choice, and what is enqueued.
+
+        Raises:
+            ConfigError: with a sentence for each of the first five things that are wrong.
+        """
+        search, problems = self.request.search, []
+        try:
+            dimensions = in_order(search)
+        except ValueError as error:
+            raise ConfigError(str(error)) from error
+        typed = {line.partition("=")[0].lstrip("+~") for line in self.overrides}
+        for key, dimension in dimensions:
+            if key in typed:
+                problems.append(f"{key} is typed, and search.space has it; leave one of them out")
+            context = {other: values[0] for other, values in dimension.when.items()}
+            for value in dimension.ends:
+                problems += self._problems({**context, key: value}, f"search.space.{key}")
+        for number, values in enumerate(search.enqueue):
+            problems += self._problems(values, f"search.enqueue.{number}")
+        if problems:
+            raise ConfigError("\n".join(dict.fromkeys(problems[:5])))
+
+    def _problems(self, values: Mapping[str, Any], where: str) -> list[str]:
+        try:
+            self.config(values)
+        except ConfigError as error:
+            return [f"{where}: {line}" for line in str(error).splitlines()]
+        return []
+
+    def open(self) -> "Study":
+        """Return the study, made if there is none yet; raises what `study.open_study` does."""
+        storage = storage_of(self.folder, self.request.storage)
+        return open_study(self.folder, self.request.search, self.base, self.base_values(), storage)
+
+    def save(self) -> None:
+        """Write down what workers and other commands need to find the study and compose the configs of trials."""
+        request, extra = self.request, self.extra_config_dir
+        typed = {"overrides": list(self.overrides), "extra_config_dir": extra and str(Path(extra).absolute())}
+        # The longest of several calls at once counts.
+        earlier = read_object(self.folder / SEARCH_FILE).get("n_trials", 0)
+        settings = {"storage": request.storage, "n_trials": max(request.n_trials, earlier)}
+        write_json(self.folder / SEARCH_FILE, {**typed, **settings, "search": request.search.model_dump(by_alias=True)})
+
+    @classmethod
+    def load(cls, folder: Path) -> "Search":
+        """Return the search of an experiment's folder, wherever the process runs that asks.
+
+        Raises:
+            ConfigError: there is none.
+        """
+        stored = read_object(folder / SEARCH_FILE)
+        if not isinstance(stored.get("overrides"), list):
+            raise ConfigError(f"{folder / SEARCH_FILE} can't be read; type the search again")
+        return cls(stored["overrides"], stored.get("extra_config_dir"))
+
+
+def _set(cell: DictConfig, key: str, value: Any) -> None:
+    """Set a key of a composed config; `+key` adds one.
+
+    Raises:
+        ConfigError: there is no such key.
+    """
+    added, bare = key.startswith("+"), key.lstrip("+")
+    parent, _, name = bare.rpartition(".")
+    node = OmegaConf.select(cell, parent) if parent else cell
+    if not isinstance(node, DictConfig) or (name not in node and not added):
+        known = [str(one) for one in node] if isinstance(node, DictConfig) else []
+        raise ConfigError(f"{bare}: there is no such key{suggestion(name, known)}")
+    OmegaConf.update(cell, bare, value, merge=True, force_add=added)
+
+
+@dataclass(frozen=True)
+class StoredSearch:
+    """A search as other commands find it in its folder: its settings, number of trials and study."""
+
+    search: SearchConfig
+    n_trials: int
+    study: "Study"
+
+
+def study_in(folder: Path) -> StoredSearch | None:
+    """Return the search of an experiment's folder, for reading; None without one.
+
+    Raises:
+        ConfigError: its settings can't be read.
+        StoreError: its storage fails.
+    """
+    stored = read_object(folder / SEARCH_FILE)
+    if "search" not in stored:
+        return None
+    settings = check(SearchConfig, stored["search"])
+    n_trials = stored.get("n_trials")
+    study = load_study(folder.name, storage_of(folder, stored.get("storage")))
+    return None if study is None else StoredSearch(settings, n_trials if isinstance(n_trials, int) else 0, study)

@@ -1,0 +1,145 @@
+"""The trials of a search as tables of them show them: state, parameters, values, what they took."""
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+from parking_exp.tuning.schema import Dimension
+from parking_exp.tuning.space import parameter
+from parking_exp.tuning.study import HIGHER_IS_BETTER, worked_on
+
+if TYPE_CHECKING:
+    from optuna import Study
+    from optuna.trial import FrozenTrial
+
+TrialState = Literal["done", "pruned", "failed", "running", "pending"]
+STATES: tuple[TrialState, ...] = ("done", "pruned", "failed", "running", "pending")
+
+
+@dataclass(frozen=True)
+class TrialRow:
+    """A trial.
+
+    Attributes:
+        number: 0 is the config as it stands.
+        state: done, pruned, failed, running, or pending, also after its worker was killed.
+        changes: what it changes in the search's config.
+        parameters: name -> value, as far as the space has them: numbers, or texts of choices.
+        values: of the objectives, mean over its seeds; none before it is done.
+        by_seed: the values of each seed.
+        runs: its run directories, relative to the output directory.
+        env_steps, cpu_s, cost: of all its runs; None where it is not known.
+        reason: why it failed.
+        seconds: from its begin to its end; None before that.
+    """
+
+    number: int
+    state: TrialState
+    changes: Mapping[str, Any]
+    parameters: Mapping[str, float | str]
+    values: Sequence[float]
+    by_seed: Sequence[Sequence[float]]
+    runs: Sequence[str]
+    env_steps: int | None
+    cpu_s: float | None
+    cost: float | None
+    reason: str | None
+    seconds: float | None
+
+    @property
+    def label(self) -> str:
+        """Its number and what it changes."""
+        changed = [
+            value if isinstance(value, str) else f"{key.rpartition('.')[2]}={value}"
+            for key, value in self.changes.items()
+        ]
+        return f"trial {self.number}: {', '.join(changed) or 'as it stands'}"
+
+
+def rows(study: "Study", folder: Path, n_trials: int) -> list[TrialRow]:
+    """Return the trials that have begun, or wait to, of the first `n_trials`."""
+    return [_row(frozen, folder) for frozen in study.get_trials(deepcopy=False)[:n_trials]]
+
+
+def _row(frozen: "FrozenTrial", folder: Path) -> TrialRow:
+    known = {"COMPLETE": "done", "PRUNED": "pruned", "FAIL": "failed", "WAITING": "pending"}
+    state: Any = known.get(frozen.state.name) or ("running" if worked_on(folder, frozen) else "pending")
+    attributes = frozen.user_attrs
+    done = frozen.state.name == "COMPLETE"
+    return TrialRow(
+        number=frozen.number,
+        state=state,
+        changes=attributes.get("changes", {}),
+        parameters={name: _plain(value) for name, value in frozen.params.items()},
+        values=list(frozen.values or []) if done else [],
+        by_seed=attributes.get("values_by_seed", []),
+        runs=attributes.get("runs", []),
+        env_steps=attributes.get("env_steps"),
+        cpu_s=attributes.get("cpu_s"),
+        cost=attributes.get("cost"),
+        reason=attributes.get("reason"),
+        seconds=frozen.duration.total_seconds() if frozen.duration else None,
+    )
+
+
+def _plain(value: Any) -> float | str:
+    """Return a parameter as tables show it: choices are kept as JSON."""
+    if not isinstance(value, str):
+        return value
+    choice = json.loads(value)
+    return choice if isinstance(choice, str | int | float) and not isinstance(choice, bool) else value
+
+
+def ranked(trials: Sequence[TrialRow], objectives: Sequence[str]) -> list[TrialRow]:
+    """Return the trials that are done, best first: by the objective, or Pareto front after Pareto front."""
+    done = [trial for trial in trials if trial.values]
+    losses = {
+        trial.number: [-v if HIGHER_IS_BETTER[name] else v for name, v in zip(objectives, trial.values, strict=True)]
+        for trial in done
+    }
+    if len(objectives) == 1:
+        return sorted(done, key=lambda trial: (losses[trial.number], trial.number))
+    left, found = list(done), []
+    while left:
+        front = [one for one in left if not any(_dominates(losses[other.number], losses[one.number]) for other in left)]
+        found += sorted(front, key=lambda trial: (losses[trial.number], trial.number))
+        left = [one for one in left if one not in front]
+    return found
+
+
+def front(trials: Sequence[TrialRow], objectives: Sequence[str]) -> list[TrialRow]:
+    """Return the trials that are done and that no other beats in all objectives."""
+    signs = [-1 if HIGHER_IS_BETTER[name] else 1 for name in objectives]
+    losses = [(trial, [s * v for s, v in zip(signs, trial.values, strict=True)]) for trial in trials if trial.values]
+    return [trial for trial, loss in losses if not any(_dominates(other, loss) for _, other in losses)]
+
+
+def _dominates(one: Sequence[float], other: Sequence[float]) -> bool:
+    return all(a <= b for a, b in zip(one, other, strict=True)) and list(one) != list(other)
+
+
+def counts(trials: Sequence[TrialRow]) -> dict[TrialState, int]:
+    """Return how many trials are in which state."""
+    found = [trial.state for trial in trials]
+    return {state: found.count(state) for state in STATES}
+
+
+def dimension_text(dimension: Dimension) -> str:
+    """Write a dimension for people."""
+    low, high = dimension.bounds
+    condition = ", ".join(f"{key}={'|'.join(map(str, values))}" for key, values in dimension.when.items())
+    if dimension.choices is not None:
+        text = " | ".join(map(str, dimension.choices))
+    else:
+        scale = {"log": ", log", "one_minus_log": ", log of 1 - x"}
+        form = next(name for name in ("log", "uniform", "one_minus_log", "whole") if getattr(dimension, name))
+        whole = ", whole" if form == "whole" else ""
+        text = f"{low:g} … {high:g}{scale.get(form, whole)}"
+    return f"{text}   if {condition}" if condition else text
+
+
+def parameter_names(space: Mapping[str, Dimension]) -> list[str]:
+    """Return the names that Optuna has for the keys of a space."""
+    return [parameter(key, dimension) for key, dimension in space.items()]

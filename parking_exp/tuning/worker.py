@@ -1,0 +1,245 @@
+"""A worker of a search: takes trials from the study in turn, trains each on its seeds, prunes, and tells the study."""
+
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from statistics import mean
+from typing import TYPE_CHECKING, Any, Literal
+
+from parking_exp.config.schema import RunConfig
+from parking_exp.errors import ConfigError, OutputDirectoryError, StoreError
+from parking_exp.runs.directory import RunDirectory
+from parking_exp.runs.metric_logs import read_metrics
+from parking_exp.runs.state import read_state
+from parking_exp.statistics.curves import normalised_area
+from parking_exp.sweeps.local import Train
+from parking_exp.sweeps.supervisor import Stop, WorkerResult, stop_of_job, supervise
+from parking_exp.terminal import say
+from parking_exp.tuning.objectives import (
+    RunCurve,
+    UnitCosts,
+    cost_at,
+    partial_value,
+    read_curve,
+    run_value,
+    updates_at,
+)
+from parking_exp.tuning.schema import SearchConfig
+from parking_exp.tuning.search import Search
+from parking_exp.tuning.study import Claim, claim
+from parking_exp.tuning.unit_costs import known_costs, unit_costs
+
+if TYPE_CHECKING:
+    from optuna import Study
+    from optuna.pruners import BasePruner
+
+ATTEMPTS = 3  # at a run whose process is killed
+LOOK_S, ELSEWHERE_POLL_S = 0.5, 1.0
+RUNS, CPU_S, STEPS, COST, SEED_VALUES, REASON = "runs", "cpu_s", "env_steps", "cost", "values_by_seed", "reason"
+Outcome = Literal["done", "pruned", "failed", "stopped"]
+
+
+def work_job(folder: str) -> None:
+    """Work on the search of a folder as a job of another launcher.
+
+    Raises:
+        KeyboardInterrupt: a signal to the job stopped it; what was under way is saved.
+    """
+    with stop_of_job() as asked:
+
+        def train(path: Path, stop: Stop | None) -> WorkerResult | None:
+            return None if asked() else supervise(path, stop=lambda: asked() or (stop is not None and stop()))
+
+        work(Path(folder), train)
+
+
+def work(folder: Path, train: Train) -> None:
+    """Train trials until none is left, or `train` says that all is stopped.
+
+    Raises:
+        StoreError: the study can't be read or written.
+    """
+    search = Search.load(folder)
+    study = search.open()
+    settings = search.request.search
+    study.pruner = make_pruner(settings, evaluations(search.base))
+    try:
+        while (taken := claim(study, folder, settings, search.request.n_trials)) is not None:
+            try:
+                if _Trial(search, study, taken, train).run() == "stopped":
+                    return
+            finally:
+                taken.release()
+    except (ConfigError, OutputDirectoryError, StoreError):
+        raise
+    except Exception as error:  # a database may fail in any way
+        raise StoreError(
+            f"the study {study.study_name} can't be written ({type(error).__name__}: {str(error).splitlines()[0]}); "
+            "runs are kept, and the same command goes on"
+        ) from error
+
+
+def make_pruner(search: SearchConfig, evaluations_a_run: int) -> "BasePruner":
+    """Return the pruner of a search; its steps are evaluations, counted through all seeds (of wilcoxon: seeds)."""
+    from optuna import pruners
+
+    whole = evaluations_a_run * len(search.tuning_seeds)
+    match search.pruner:
+        case "median":
+            return pruners.MedianPruner(n_startup_trials=5)
+        case "hyperband":
+            return pruners.HyperbandPruner(min_resource=max(1, evaluations_a_run // 3), max_resource=whole)
+        case "asha":
+            return pruners.SuccessiveHalvingPruner(min_resource=max(1, evaluations_a_run // 3), reduction_factor=3)
+        case "wilcoxon":
+            return pruners.WilcoxonPruner(p_threshold=0.1)
+    return pruners.NopPruner()
+
+
+def evaluations(config: RunConfig) -> int:
+    """Return how many evaluations a run has at most, the final one included."""
+    every = config.evaluation.every_n_steps
+    return config.total_timesteps // every + 2 if every else 1
+
+
+class _Trial:
+    """A trial that this worker has taken: trained on one seed after the other, and judged on the way."""
+
+    def __init__(self, search: Search, study: "Study", taken: Claim, train: Train) -> None:
+        self.search, self.settings = search, search.request.search
+        self.study, self.taken, self.train = study, taken, train
+        self.areas: list[float] = []  # under the curves of its finished runs
+        self.values: list[list[float]] = []  # of the objectives, of its finished runs
+        self.units: UnitCosts | None = None
+        self._reported = set(study.get_trials(deepcopy=False)[taken.number].intermediate_values)
+        self._problem: str | None = None  # why its progress can't be reported
+
+    def run(self) -> Outcome:
+        """Train it on its seeds, as far as that is not done, and tell the study how it went."""
+        try:
+            config = self.search.config(self.taken.changes)
+        except ConfigError as error:  # values that do not go together
+            return self._over("failed", reason=str(error).replace("\n", "; "))
+        if "cost_to_95" in self.settings.objectives:
+            unit_costs(self.study, [config])
+            self.units = known_costs(self.study, config)
+        seeds = self.settings.tuning_seeds
+        runs = [config.model_copy(update={"seed": seed}) for seed in seeds]
+        for number, run in enumerate(runs):
+            begun = runs[: number + 1]
+            self._note(RUNS, [str(one.run_dir.relative_to(one.output_path)) for one in begun])
+            outcome = self._run(run, number)
+            if outcome == "stopped":
+                return outcome
+            if outcome == "failed":
+                return self._over(outcome, begun, f"seed {run.seed}: {read_state(run.run_dir).reason or 'it failed'}")
+            if outcome == "pruned" or (self._judge_finished(run, number) and run is not runs[-1]):
+                return self._over("pruned", begun)
+        self._note(SEED_VALUES, self.values)
+        return self._over("done", runs)
+
+    def _note(self, name: str, value: Any) -> None:
+        self.taken.trial.set_user_attr(name, value)
+
+    def _over(self, outcome: Outcome, runs: Sequence[RunConfig] = (), reason: str | None = None) -> Outcome:
+        """Note what the trial took and why it failed, and tell the study that it is over.
+
+        Costs are CPU time as measured, env steps, and in unit costs.
+        """
+        from optuna.trial import TrialState
+
+        states = [read_state(run.run_dir) for run in runs]
+        self._note(CPU_S, sum(_cpu_s(state.run_dir) for state in states))
+        self._note(STEPS, sum(state.step for state in states))
+        if self.units is not None:
+            costs = [cost_at(run, state.step, self.units) for run, state in zip(runs, states, strict=True)]
+            self._note(COST, sum(costs))
+        if reason is not None:
+            self._note(REASON, reason)
+        if outcome == "done":
+            self.study.tell(self.taken.trial, [mean(column) for column in zip(*self.values, strict=True)])
+        else:
+            self.study.tell(self.taken.trial, state=TrialState.PRUNED if outcome == "pruned" else TrialState.FAIL)
+        return outcome
+
+    def _run(self, config: RunConfig, number: int) -> Outcome:
+        """Train the run of the `number`-th seed, unless that is over."""
+        directory, looked, prune = RunDirectory(config.run_dir), time.monotonic(), False
+
+        def stop() -> bool:
+            nonlocal looked, prune
+            if not prune and time.monotonic() - looked > LOOK_S:
+                looked = time.monotonic()
+                prune = self._judge_running(directory, config, number)
+            return prune
+
+        attempts = 0
+        while True:
+            state = read_state(directory.path)
+            if state.stage in ("done", "pruned"):
+                return "done" if state.stage == "done" else "pruned"
+            if state.stage == "failed" and (attempts == ATTEMPTS or not state.killed):
+                return "failed"
+            attempts += 1
+            entries = {"search": self.search.folder.name, "trial": self.taken.number}
+            directory.freeze(config, f"trial {self.taken.number}", state.started, entries=entries)
+            result = self.train(directory.path, stop)
+            if result == "elsewhere":  # another trial has the same config
+                while read_state(directory.path).stage == "running":
+                    time.sleep(ELSEWHERE_POLL_S)
+                    self.taken.sign()
+            elif result == "stopped" and prune:
+                directory.update(status="pruned")
+            elif result in (None, "stopped"):
+                return "stopped"
+
+    def _judge_running(self, directory: RunDirectory, config: RunConfig, number: int) -> bool:
+        """Report the evaluations so far, and return whether the trial is to be pruned.
+
+        A trial goes on where the study can't be reached.
+        """
+        try:
+            self.taken.sign()
+            return self.settings.pruner not in (None, "wilcoxon") and self._judge(config, number, read_curve(directory))
+        except Exception as error:  # a database may fail in any way
+            if self._problem is None:
+                say(f"trial {self.taken.number}: its progress can't be reported ({error}); it goes on", stderr=True)
+            self._problem = str(error)
+            return False
+
+    def _judge_finished(self, config: RunConfig, number: int) -> bool:
+        """Count a finished run in, and return whether the trial is to be pruned after it."""
+        curve = read_curve(RunDirectory(config.run_dir))
+        values = [run_value(name, config, curve, self.units) for name in self.settings.objectives]
+        pruned = False
+        if self.settings.pruner == "wilcoxon":
+            self._report(number, values[0])
+            pruned = self.taken.trial.should_prune()
+        elif self.settings.pruner is not None:
+            pruned = self._judge(config, number, curve)
+        self.areas.append(normalised_area(curve.steps, curve.success))
+        self.values.append(values)
+        return pruned
+
+    def _judge(self, config: RunConfig, number: int, curve: RunCurve) -> bool:
+        """Report the evaluations of a run, and return whether its trial is to be pruned, once it is old enough."""
+        first = number * evaluations(config)
+        for position in range(len(curve.steps)):
+            so_far = RunCurve(curve.steps[: position + 1], curve.success[: position + 1], {})
+            self._report(first + position, partial_value(self.settings.objectives[0], self.areas, so_far))
+        if not curve.steps or (number == 0 and updates_at(config, curve.steps[-1]) < self.settings.grace_updates):
+            return False
+        return self.taken.trial.should_prune()
+
+    def _report(self, step: int, value: float) -> None:
+        if step not in self._reported:
+            self.taken.trial.report(value, step)
+            self._reported.add(step)
+
+
+def _cpu_s(run_dir: str) -> float:
+    """Return the CPU seconds of a run so far, as its last evaluation has them."""
+    found: Any = 0.0
+    for record in read_metrics(Path(run_dir) / "metrics.jsonl"):
+        found = record["metrics"].get("time/cpu_s", found)
+    return float(found)

@@ -1,0 +1,32 @@
+"""Make searches, and train their trials without training."""
+
+from parking_exp.config.validate import check
+from parking_exp.tuning.schema import SearchConfig
+from support.runs import make_config
+
+SETTINGS = {
+    "name": "test",
+    "space": {"algorithm.gamma": {"one_minus_log": [0.9, 0.99]}},
+    "objective": "success_auc",
+    "sampler": "tpe",
+    "pruner": None,
+    "grace_updates": 0,
+    "tuning_seeds": [1001, 1002],
+    "test_seeds": [2001, 2002],
+    "n_retest": 1,
+    "enqueue": [],
+}
+QUICK = (
+    "search=smoke", "total_timesteps=60", "evaluation.final_n_scenes=3", "evaluation.every_n_steps=20",
+    "tracking.tensorboard=false", "search.n_retest=0",
+)  # fmt: skip
+
+
+def settings(**changes):
+    """A checked search."""
+    return check(SearchConfig, SETTINGS | changes)
+
+
+def base(tmp_path):
+    """The config that trials change."""
+    return make_config("experiment=smoke", "experiment_name=test", f"output_dir={tmp_path}")

@@ -1,0 +1,93 @@
+"""A search and the configs of its trials: as Hydra would compose them, and checked before anything starts."""
+
+import pytest
+import yaml
+from support.runs import make_config
+
+from parking_exp.errors import ConfigError
+from parking_exp.tuning.search import Search
+
+SMOKE = ("search=smoke",)
+
+
+def refused(search):
+    with pytest.raises(ConfigError) as error:
+        search.check()
+    return str(error.value)
+
+
+def of_user(tmp_path, **changes):
+    """A search in a directory of the user's own."""
+    (tmp_path / "search").mkdir()
+    defaults = ["shared/defaults@search", "_self_", {"override /experiment": "smoke"}]
+    text = yaml.safe_dump({"defaults": defaults, "search": {"name": "mine", **changes}})
+    (tmp_path / "search" / "mine.yaml").write_text(f"# @package _global_\n{text}")
+    return Search(["search=mine"], str(tmp_path))
+
+
+def test_a_trial_has_the_config_that_hydra_composes_from_the_same_keys(tmp_path):
+    search = Search([*SMOKE, f"output_dir={tmp_path}"])
+    changes = {"algorithm": "td3", "algorithm.learning_rate": 0.001, "algorithm.net_arch": [8, 8]}
+    config = search.config(changes | {"algorithm.policy_delay": 3})
+    words = ("algorithm=td3", "algorithm.learning_rate=0.001", "algorithm.net_arch=[8,8]", "algorithm.policy_delay=3")
+    plain = make_config(
+        "experiment=smoke", "total_timesteps=200", "evaluation.every_n_steps=50", "evaluation.video_episodes=0",
+        f"output_dir={tmp_path}", *words,
+    )  # fmt: skip
+    assert config.run_key == plain.run_key
+    assert config.algorithm.name == "td3"
+    assert search.folder == tmp_path / "smoke"
+
+
+def test_trial_0_is_the_config_with_what_is_typed():
+    search = Search([*SMOKE, "updates_per_step=0.25"])
+    assert search.base.updates_per_step == 0.25
+    assert search.base.experiment_name == "smoke"
+    assert search.base_values() == {
+        "algorithm": "sac",
+        "algorithm.learning_rate": {
+            "_target_": "stable_baselines3.common.utils.LinearSchedule",
+            "start": 0.002,
+            "end": 5e-05,
+            "end_fraction": 1.0,
+        },
+        "algorithm.gamma": 0.95,
+        "algorithm.net_arch": [16, 16],
+        "algorithm.policy_delay": None,
+    }
+
+
+def test_every_search_that_comes_with_the_package_can_be():
+    for name in ("smoke", "recipe"):
+        Search([f"search={name}"]).check()
+
+
+@pytest.mark.parametrize(
+    ("overrides", "words"),
+    [
+        ([], "search is missing; write search=NAME"),
+        (["search=smok"], "did you mean 'smoke'"),
+        ([*SMOKE, "search.samplr=tpe"], "did you mean 'sampler'"),
+        ([*SMOKE, "seeds=3"], "search.tuning_seeds are those of its trials"),
+        ([*SMOKE, "buffer=her_future,her_final"], "a search takes one value for each key"),
+        ([*SMOKE, "algorithm.gamma=0.9"], "algorithm.gamma is typed, and search.space has it"),
+        ([*SMOKE, "n_trials=0"], "n_trials=0 is out of range"),
+    ],
+)
+def test_what_is_typed_wrong_gets_a_sentence(overrides, words):
+    assert words in refused(Search(overrides))
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"space": {"algorithm.gama": {"uniform": [0.9, 0.99]}}}, "search.space.algorithm.gama: algorithm.gama: there is"),
+        ({"space": {"algorithm.gamma": {"uniform": [0.9, 1.5]}}}, "search.space.algorithm.gamma: algorithm.gamma=1.5"),
+        ({"space": {"algorithm.batch_size": {"int": [0, 64]}}}, "search.space.algorithm.batch_size: algorithm.batch_size=0"),
+        ({"space": {"algorithm": {"choices": ["sac", "ppo"]}}}, "search.space.algorithm: algorithm=ppo"),
+        ({"space": {"algorithm.gamma": {"uniform": [0.9, 0.99]}}, "enqueue": [{"algorithm.gamma": 2.0}]},
+         "search.enqueue.0: algorithm.gamma=2.0"),
+    ],
+)  # fmt: skip
+def test_a_space_that_can_not_be_is_refused_before_anything_starts(tmp_path, changes, words):
+    assert words in refused(of_user(tmp_path, **changes))

@@ -1,0 +1,233 @@
+"""The study of a search: who works on which trial, after kills, with several processes, and with other searches."""
+
+import json
+import multiprocessing
+import os
+import signal
+import time
+
+import optuna
+import pytest
+from support.searches import base, settings
+
+from parking_exp.errors import ConfigError, StoreError
+from parking_exp.tuning import study as module
+from parking_exp.tuning.study import LOST_S, SIGN_OF_LIFE, STUDY_FILE, claim, load_study, open_study, storage_of
+from parking_exp.tuning.trials import rows
+
+GAMMA = {"algorithm.gamma": 0.95}
+
+
+def opened(tmp_path, search=None, url=None):
+    folder = tmp_path / "test"
+    storage = storage_of(folder, url)
+    return open_study(folder, search or settings(), base(tmp_path), GAMMA, storage), folder
+
+
+def numbers_of(study, state):
+    return [trial.number for trial in study.get_trials() if trial.state.name == state]
+
+
+def test_trial_0_is_the_config_as_it_stands_and_what_is_enqueued_follows(tmp_path):
+    search = settings(enqueue=[{"algorithm.gamma": 0.98}, {"algorithm.batch_size": 64}])
+    study, folder = opened(tmp_path, search)
+    taken = [claim(study, folder, search, 4) for _ in range(4)]
+    assert [one.number for one in taken] == [0, 1, 2, 3]
+    assert [one.changes for one in taken[:3]] == [{}, {"algorithm.gamma": 0.98}, {"algorithm.batch_size": 64}]
+    assert 0.9 <= taken[3].changes["algorithm.gamma"] <= 0.99
+    params = [trial.params for trial in study.get_trials()]
+    assert params[:3] == [{"1 - algorithm.gamma": 0.05}, {"1 - algorithm.gamma": 0.02}, {"1 - algorithm.gamma": 0.05}]
+    assert claim(study, folder, search, 4) is None
+
+
+def test_no_trial_is_begun_beyond_n_trials_and_more_go_on_from_there(tmp_path):
+    study, folder = opened(tmp_path)
+    for _ in range(3):
+        one = claim(study, folder, settings(), 3)
+        study.tell(one.trial, 0.5)
+        one.release()
+    assert claim(study, folder, settings(), 3) is None
+    assert claim(study, folder, settings(), 4).number == 3
+
+
+def test_fewer_trials_than_are_enqueued_leave_the_others_waiting(tmp_path):
+    search = settings(enqueue=[{"algorithm.gamma": 0.98}])
+    study, folder = opened(tmp_path, search)
+    first = claim(study, folder, search, 1)
+    assert first.number == 0
+    assert claim(study, folder, search, 1) is None
+    assert numbers_of(study, "WAITING") == [1]
+
+
+def test_a_trial_that_was_left_is_taken_up_again_with_what_it_had(tmp_path):
+    study, folder = opened(tmp_path)
+    first = claim(study, folder, settings(), 2)
+    second = claim(study, folder, settings(), 2)
+    assert claim(study, folder, settings(), 2) is None
+    second.trial.report(0.25, 3)
+    second.release()
+    again = claim(study, folder, settings(), 2)
+    assert (again.number, again.changes) == (second.number, second.changes)
+    assert study.get_trials()[1].intermediate_values == {3: 0.25}
+    first.release()
+    assert claim(study, folder, settings(), 2).number == 0
+
+
+def test_a_trial_of_another_machine_is_left_to_it_while_it_shows_signs_of_life(tmp_path, monkeypatch):
+    study, folder = opened(tmp_path)
+    one = claim(study, folder, settings(), 1)
+    one.trial.set_user_attr(SIGN_OF_LIFE, {"host": "elsewhere", "time": time.time() - LOST_S + 60})
+    one.release()
+    assert claim(study, folder, settings(), 1) is None
+    assert rows(study, folder, 1)[0].state == "running"
+    monkeypatch.setattr(module, "LOST_S", 30.0)
+    assert rows(study, folder, 1)[0].state == "pending"
+    monkeypatch.setattr(module, "LOST_S", 0.0)  # its start is as old by then
+    assert claim(study, folder, settings(), 1).number == 0
+
+
+def _claim_and_hang(path, held):
+    study, folder = opened(path)
+    taken = claim(study, folder, settings(), 5)
+    held.send(taken.number)
+    time.sleep(600)
+    taken.release()
+
+
+def test_a_trial_whose_process_was_killed_is_free_at_once(tmp_path):
+    receive, send = multiprocessing.Pipe()
+    context = multiprocessing.get_context("spawn")
+    process = context.Process(target=_claim_and_hang, args=(tmp_path, send), daemon=True)
+    process.start()
+    assert receive.recv() == 0
+    study, folder = opened(tmp_path)
+    assert claim(study, folder, settings(), 1) is None
+    assert [row.state for row in rows(study, folder, 1)] == ["running"]
+    os.kill(process.pid, signal.SIGKILL)
+    process.join()
+    assert [row.state for row in rows(study, folder, 1)] == ["pending"]
+    assert claim(study, folder, settings(), 1).number == 0
+
+
+def _do_all(path, n_trials, done):
+    study, folder = opened(path)
+    while (one := claim(study, folder, settings(), n_trials)) is not None:
+        study.tell(one.trial, one.changes.get("algorithm.gamma", 0.0))
+        done.put(one.number)
+        one.release()
+
+
+@pytest.mark.slow
+def test_processes_that_share_a_study_do_each_trial_once(tmp_path):
+    context = multiprocessing.get_context("spawn")
+    done = context.Queue()
+    processes = [context.Process(target=_do_all, args=(tmp_path, 20, done), daemon=True) for _ in range(3)]
+    for process in processes:
+        process.start()
+    found = sorted(done.get(timeout=120) for _ in range(20))
+    for process in processes:
+        process.join()
+    assert found == list(range(20))
+    study, _ = opened(tmp_path)
+    assert numbers_of(study, "COMPLETE") == list(range(20))
+
+
+def test_trials_after_a_restart_are_not_those_before_it(tmp_path):
+    search = settings(sampler="random")
+    values = []
+    for _ in range(4):
+        study, folder = opened(tmp_path, search)  # a new process samples with a new sampler
+        one = claim(study, folder, search, 4)
+        values.append(one.changes.get("algorithm.gamma"))
+        study.tell(one.trial, 0.5)
+        one.release()
+    assert values[0] is None
+    assert len(set(values)) == 4
+
+
+def test_half_a_line_that_a_kill_left_in_the_journal_is_cut_off(tmp_path):
+    study, folder = opened(tmp_path)
+    first = claim(study, folder, settings(), 3)
+    before = (folder / STUDY_FILE).read_bytes()
+    with (folder / STUDY_FILE).open("ab") as file:
+        file.write(b'{"op_code":4,"worker_id"')
+    again, _ = opened(tmp_path)
+    assert (first.number, claim(again, folder, settings(), 3).number) == (0, 1)
+    assert (folder / STUDY_FILE).read_bytes().startswith(before)
+    assert all(json.loads(line) for line in (folder / STUDY_FILE).read_text().splitlines())
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"space": {"algorithm.gamma": {"one_minus_log": [0.9, 0.995]}}}, "search.space.algorithm.gamma was"),
+        ({"space": {"algorithm.tau": {"log": [0.01, 0.1]}}}, "(1 more keys differ)"),
+        ({"objective": "final_success"}, 'search.objective was ["success_auc"] and is ["final_success"]'),
+        ({"tuning_seeds": [1001, 1003]}, "search.tuning_seeds was [1001, 1002] and is [1001, 1003]"),
+    ],
+)
+def test_a_study_of_another_search_is_refused_with_what_differs(tmp_path, changes, words):
+    opened(tmp_path)
+    with pytest.raises(ConfigError) as error:
+        opened(tmp_path, settings(**changes))
+    assert words in str(error.value)
+    assert "experiment_name=OTHER" in str(error.value)
+
+
+def test_a_study_of_another_config_is_refused(tmp_path):
+    opened(tmp_path)
+    folder = tmp_path / "test"
+    other = base(tmp_path).model_copy(update={"total_timesteps": 401})
+    with pytest.raises(ConfigError, match="with other keys of the config"):
+        open_study(folder, settings(), other, GAMMA, storage_of(folder, None))
+
+
+def test_sampler_and_pruner_may_change_on_the_way(tmp_path):
+    opened(tmp_path)
+    opened(tmp_path, settings(sampler="random", pruner="median", grace_updates=7))
+
+
+def test_a_storage_that_can_not_be_reached_gets_a_sentence(tmp_path):
+    with pytest.raises(StoreError, match="can't be opened"):
+        storage_of(tmp_path / "test", f"sqlite:////{tmp_path}/nowhere/study.db")
+    assert load_study("none", storage_of(tmp_path / "test", None)) is None
+
+
+def test_a_study_in_a_database_is_shared_in_the_same_way(tmp_path):
+    url = f"sqlite:///{tmp_path}/study.db"
+    study, folder = opened(tmp_path, url=url)
+    one = claim(study, folder, settings(), 2)
+    study.tell(one.trial, 0.5)
+    again, _ = opened(tmp_path, url=url)
+    other = claim(again, folder, settings(), 2)
+    assert other.number == 1
+    assert [row.state for row in rows(again, folder, 2)] == ["done", "running"]
+
+
+def _optimum(params):
+    """A synthetic objective over five parameters, with its optimum at 0."""
+    return sum((value - 0.3 - 0.1 * place) ** 2 for place, value in enumerate(params))
+
+
+def _trials_to(level, sampler, seed, most=400):
+    from parking_exp.tuning.study import make_sampler
+
+    study = optuna.create_study()
+    search = settings(sampler=sampler)
+    for number in range(most):
+        study.sampler = make_sampler(search, seed * 1000 + number)
+        trial = study.ask()
+        value = _optimum([trial.suggest_float(str(place), 0, 1) for place in range(5)])
+        study.tell(trial, value)
+        if value < level:
+            return number + 1
+    return most
+
+
+@pytest.mark.slow
+def test_tpe_needs_six_tenths_of_the_trials_of_random_search_at_most():
+    medians = {}
+    for sampler in ("tpe", "random"):
+        needed = sorted(_trials_to(0.06, sampler, seed) for seed in range(20))
+        medians[sampler] = (needed[9] + needed[10]) / 2
+    assert medians["tpe"] <= 0.6 * medians["random"], medians
