@@ -164,12 +164,17 @@ def _searches_plain(request: StatusRequest) -> list[dict[str, Any]]:
     """Return the searches and their trials as JSON can hold them."""
     plain = []
     for folder in _searches(request):
-        if (found := study_in(folder)) is not None:
+        try:
+            found = study_in(folder)
+        except (ConfigError, StoreError) as error:
+            plain.append({"experiment": folder.name, "error": str(error)})
+            continue
+        if found is not None:
             trials = rows(found.study, folder, found.n_trials)
             about: dict[str, Any] = {
                 "experiment": folder.name,
                 "n_trials": found.n_trials,
-                "objectives": found.search.objectives,
+                "objectives": found.search.objective,
             }
             states: dict[str, Any] = dict(counts(trials).items())
             plain.append(about | states | {"trials": [asdict(trial) for trial in trials]})

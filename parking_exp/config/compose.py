@@ -1,10 +1,7 @@
 """Compose configs from `conf/` and command-line overrides with Hydra."""
 
-import atexit
 import copy
-import shutil
 import sys
-import tempfile
 import warnings
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
@@ -15,6 +12,7 @@ from pathlib import Path
 from typing import Any, cast
 
 import hydra
+import yaml
 from hydra._internal.config_loader_impl import ConfigLoaderImpl
 from hydra._internal.config_repository import CachingConfigRepository
 from hydra._internal.hydra import Hydra
@@ -26,13 +24,13 @@ from hydra.plugins.config_source import ConfigResult
 from omegaconf import DictConfig, ListConfig, OmegaConf, open_dict
 from omegaconf.errors import OmegaConfBaseException
 
+from parking_exp.config.experiment_files import experiment_files
 from parking_exp.config.grid import check_blocks, check_number, labels, points, seeds_of
 from parking_exp.config.overrides import (
     check_groups,
     check_keys,
     expand_groups,
     first_values,
-    in_quotes,
     is_group,
     is_hydras,
     is_launchers,
@@ -243,6 +241,8 @@ def hydra_ready(extra_config_dir: str | None, *more: str) -> Iterator[None]:
             # Our preset `ray` has the name of the launcher's own config, and may well be checked against it.
             warnings.filterwarnings("ignore", message=r"(?s).*validated against ConfigStore schema")
             yield
+    except yaml.YAMLError as error:
+        raise ConfigError(f"a YAML file can't be read: {' '.join(str(error).split())}") from error
     except (HydraException, OmegaConfBaseException) as error:
         if isinstance(error.__cause__, ParkingError):  # of ours, and wrapped by Hydra
             raise error.__cause__ from error
@@ -263,37 +263,6 @@ def _set_up(*extra_config_dirs: str) -> Any:
     for number, folder in enumerate(extra_config_dirs):
         search_path.prepend(f"command-line {number}", folder, anchor="schema")
     return Hydra(task_name="parking_exp", config_loader=ConfigLoaderImpl(config_search_path=search_path))
-
-
-def experiment_files(overrides: list[str]) -> tuple[list[str], list[str]]:
-    """Replace `experiment=PATH.yaml` by the option of that name; return the overrides, and directories that have it.
-
-    Hydra takes options from directories alone, so that each file gets one, with a link to it.
-
-    Raises:
-        ConfigError: there is no such file.
-    """
-    found, folders = [], []
-    for line in overrides:
-        key, _, value = line.partition("=")
-        path = Path(value.strip("'\"")).expanduser()
-        if key == "experiment" and path.suffix == ".yaml":
-            if not path.is_file():
-                raise ConfigError(f"experiment={path}: there is no such file")
-            folders.append(_folder_of(path.resolve()))
-            line = f"experiment={in_quotes(path.stem)}"  # noqa: PLW2901
-        found.append(line)
-    return found, folders
-
-
-@cache
-def _folder_of(path: Path) -> str:
-    folder = tempfile.mkdtemp(prefix="parking_exp_")
-    atexit.register(shutil.rmtree, folder, ignore_errors=True)
-    link = Path(folder) / "experiment" / path.name
-    link.parent.mkdir()
-    link.symlink_to(path)
-    return folder
 
 
 def _first_sentence(error: Exception) -> str:

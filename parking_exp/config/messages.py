@@ -59,7 +59,7 @@ def _keys(model: type[BaseModel] | None, path: list[str]) -> list[str]:
         else:
             field = node.model_fields.get(part) if _is_section(node) else None
             node = field.annotation if field else None
-    return list(node.model_fields) if _is_section(node) else []
+    return [field.alias or name for name, field in node.model_fields.items()] if _is_section(node) else []
 
 
 def _is_section(node: Any) -> bool:

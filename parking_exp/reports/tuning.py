@@ -30,10 +30,9 @@ from parking_exp.runs.state import read_state
 from parking_exp.statistics import mean_interval, welch
 from parking_exp.tuning.objectives import CENSORED_S, describe
 from parking_exp.tuning.retest import RETEST_FILE
-from parking_exp.tuning.schema import Dimension, SearchConfig
+from parking_exp.tuning.schema import HIGHER_IS_BETTER, Dimension, SearchConfig
 from parking_exp.tuning.search import SEARCH_FILE, study_in
 from parking_exp.tuning.space import parameter
-from parking_exp.tuning.study import HIGHER_IS_BETTER
 from parking_exp.tuning.trials import STATES, TrialRow, front, rows
 
 if TYPE_CHECKING:
@@ -101,7 +100,7 @@ def tuning_of(folder: Path, search: SearchConfig, n_trials: int, trials: Sequenc
         study: Optuna's.
     """
     n_seeds = len(search.tuning_seeds)
-    objectives = [_objective(name, n_seeds) for name in search.objectives]
+    objectives = [_objective(name, n_seeds) for name in search.objective]
     tried = dict(zip([parameter(key, one) for key, one in search.space.items()], search.space.values(), strict=True))
     names = _names(list(tried))
     known = [_parameter(key, names[key], dimension, trials) for key, dimension in tried.items()]
@@ -125,7 +124,7 @@ def tuning_of(folder: Path, search: SearchConfig, n_trials: int, trials: Sequenc
         parameters=[factor for factor in known if factor.levels],
         trials=_trials(trials, objectives),
         budget=budget(trials, lambda trial: _whole_steps(trial, folder.parent, n_seeds)),
-        front=[trial.number for trial in front(trials, search.objectives)] if len(objectives) > 1 else [],
+        front=[trial.number for trial in front(trials, search.objective)] if len(objectives) > 1 else [],
         importance=importance,
         retested=retested,
         retested_on=retested_on if retested else None,

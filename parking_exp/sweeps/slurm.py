@@ -104,7 +104,11 @@ def _cancel(submitted: Sequence[Any], paths: Sequence[Path], executor: str) -> N
         else:
             job.cancel(check=False)
     deadline = time.monotonic() + GRACE_S + 1
-    while time.monotonic() < deadline and any(RunDirectory(path).under_way for path in paths[: len(submitted)]):
+    begun = paths[: len(submitted)]
+    while time.monotonic() < deadline and (
+        any(RunDirectory(path).under_way for path in begun)
+        or (executor == "local" and any(not job.done() for job in submitted))
+    ):
         time.sleep(POLL_S)
 
 

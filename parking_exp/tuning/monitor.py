@@ -79,7 +79,7 @@ class TrialMonitor:
             self.console.print(f"started  {trial.label}", soft_wrap=True)
             return
         seeds = len(request.search.tuning_seeds)
-        values = zip(request.search.objectives, trial.values, strict=False)
+        values = zip(request.search.objective, trial.values, strict=False)
         words = ", ".join(f"{key} {describe(key, value, seeds)}" for key, value in values)
         steps = f"after {trial.env_steps:,} env steps" if trial.env_steps is not None else ""
         what = words or trial.reason or steps

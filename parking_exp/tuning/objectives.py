@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from statistics import mean
 
 from parking_exp.config.schema import RunConfig
 from parking_exp.runs.directory import RunDirectory
@@ -56,6 +55,12 @@ def read_curve(directory: RunDirectory) -> RunCurve:
     return RunCurve(steps, [found[step] for step in steps], result.metrics if result else {})
 
 
+def evaluations(config: RunConfig) -> int:
+    """Return how many evaluations a run has at most, the final one included."""
+    every = config.evaluation.every_n_steps
+    return config.total_timesteps // every + 2 if every else 1
+
+
 def updates_at(config: RunConfig, step: int) -> float:
     """Return how many gradient updates a run has made at an env step."""
     starts = config.algorithm.arguments.get("learning_starts", 0)
@@ -90,15 +95,16 @@ def run_value(objective: Objective, config: RunConfig, curve: RunCurve, units: U
     return CENSORED_S + whole * (2 - normalised_area(curve.steps, curve.success))
 
 
-def partial_value(objective: Objective, finished: Sequence[float], curve: RunCurve) -> float:
+def partial_value(objective: Objective, finished: Sequence[float], curve: RunCurve, share: float) -> float:
     """Return what pruning compares while a trial is under way: its mean area so far, lower being better for a cost.
 
     Args:
         objective: of the search.
         finished: areas of the trial's finished runs.
         curve: of the run under way, with at least one evaluation.
+        share: of the run under way that is over; it counts as much of a finished one.
     """
-    area = mean([*finished, normalised_area(curve.steps, curve.success)])
+    area = (sum(finished) + share * normalised_area(curve.steps, curve.success)) / (len(finished) + share)
     return 1 - area if objective == "cost_to_95" else area
 
 

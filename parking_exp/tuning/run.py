@@ -22,6 +22,7 @@ from parking_exp.tracking.tracker import later
 from parking_exp.tuning.monitor import TrialMonitor
 from parking_exp.tuning.retest import retest, write_winner
 from parking_exp.tuning.search import Search, study_in
+from parking_exp.tuning.study import storage_errors
 from parking_exp.tuning.tables import progress_lines, space_table, trial_table
 from parking_exp.tuning.trials import TrialRow, counts, rows
 from parking_exp.tuning.unit_costs import shapes, unit_costs
@@ -32,6 +33,7 @@ if TYPE_CHECKING:
     from optuna import Study
 
 WAIT_POLL_S = 1.0
+ENOUGH_SEEDS = 3
 TUNING_LOCK = ".tuning"  # in the experiment's folder, shared by all that work on the study from this machine
 
 
@@ -57,7 +59,7 @@ def tune(search: Search, launch: Launch, *, dry_run: bool = False) -> None:
         _describe(search, trials, n_workers, out)
         search.save()
         if _left(search, trials):
-            if "cost_to_95" in search.request.search.objectives:
+            if "cost_to_95" in search.request.search.objective:
                 out.print("measuring the cost of an update and of an env step, once for each shape of networks")
                 unit_costs(study, shapes(search.request.search, search.config))
             trials = _train(search, study, launch, n_workers)
@@ -66,6 +68,9 @@ def tune(search: Search, launch: Launch, *, dry_run: bool = False) -> None:
             out.print(line)
         if left := _left(search, trials):
             raise FailedRunError(f"{plural(left, 'trial')} not over; type the same command to go on")
+        if not counts(trials)["done"]:
+            reason = next((trial.reason for trial in trials if trial.reason), "all were pruned")
+            raise FailedRunError(f"no trial is done; the first reason: {reason}")
         tested = retest(search, trials, launch)
         write_winner(search, tested, out)
 
@@ -105,7 +110,8 @@ def _folder(search: Search) -> Iterator[None]:
 
 
 def _trials(search: Search, study: "Study") -> list[TrialRow]:
-    return rows(study, search.folder, search.request.n_trials)
+    with storage_errors(study.study_name):
+        return rows(study, search.folder, search.request.n_trials)
 
 
 def _left(search: Search, trials: list[TrialRow]) -> int:
@@ -119,13 +125,15 @@ def _describe(search: Search, trials: list[TrialRow], n_workers: int, out: Conso
     request, base = search.request, search.base
     settings = request.search
     out.print(space_table(settings))
-    what = " and ".join(settings.objectives)
+    what = " and ".join(settings.objective)
     enqueued = plural(len(settings.enqueue), "enqueued config")
     out.print(
         f"objective {what}; sampler {settings.sampler}, pruner {settings.pruner or 'none'}"
         + (f" after {settings.grace_updates:,} updates" if settings.pruner else "")
         + f"; trial 0 is the config as it stands{f', then {enqueued}' if settings.enqueue else ''}"
     )
+    if len(settings.tuning_seeds) < ENOUGH_SEEDS:
+        out.print(f"warning: seeds differ more than configs; fewer than {ENOUGH_SEEDS} tuning_seeds decide nothing")
     steps = len(settings.tuning_seeds) * base.total_timesteps
     left = _left(search, trials)
     fresh = (settings.n_retest + 1) * len(settings.test_seeds) if settings.n_retest else 0

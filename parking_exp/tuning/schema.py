@@ -8,6 +8,7 @@ from pydantic import BeforeValidator, Field, model_validator
 from parking_exp.config.schema import ConfigModel, Count, Name, Positive
 
 Objective = Literal["success_auc", "final_success", "final_parked", "cost_to_95"]
+HIGHER_IS_BETTER = {"success_auc": True, "final_success": True, "final_parked": True, "cost_to_95": False}
 Sampler = Literal["tpe", "random", "cmaes", "gp"]
 Pruner = Literal["median", "hyperband", "asha", "wilcoxon"]
 Value = bool | int | float | str | None | list[Any] | dict[str, Any]
@@ -97,16 +98,15 @@ class SearchConfig(ConfigModel):
                 raise ValueError(f"{name} has a seed twice")
         if "seed" in self.space or "seeds" in self.space:
             raise ValueError("space has seeds; tuning_seeds are those that every trial is trained on")
-        for key, dimension in self.space.items():
-            for other in dimension.when:
-                if other not in self.space:
-                    raise ValueError(f"space.{key}.when names {other}, which the space does not have")
-        if self.pruner and len(self.objectives) > 1:
+        self._check_conditions()
+        if self.pruner and len(self.objective) > 1:
             raise ValueError(
-                f"pruner={self.pruner} takes one objective, and there are {len(self.objectives)}; write null"
+                f"pruner={self.pruner} takes one objective, and there are {len(self.objective)}; write null"
             )
-        if self.sampler == "gp" and any(dimension.when for dimension in self.space.values()):
-            raise ValueError("sampler=gp has no conditions (when); write tpe or random")
+        if self.sampler in ("gp", "cmaes") and any(dimension.when for dimension in self.space.values()):
+            raise ValueError(f"sampler={self.sampler} has no conditions (when); write tpe or random")
+        if self.sampler == "cmaes" and len(self.objective) > 1:
+            raise ValueError("sampler=cmaes takes one objective; write tpe or random")
         if self.pruner == "wilcoxon" and len(self.tuning_seeds) < WILCOXON_SEEDS:
             raise ValueError(
                 f"pruner=wilcoxon compares seed by seed, and prunes nothing with fewer than {WILCOXON_SEEDS} "
@@ -114,10 +114,14 @@ class SearchConfig(ConfigModel):
             )
         return self
 
-    @property
-    def objectives(self) -> list[Objective]:
-        """The objectives, one or several."""
-        return self.objective
+    def _check_conditions(self) -> None:
+        for key, dimension in self.space.items():
+            for other, values in dimension.when.items():
+                if other not in self.space:
+                    raise ValueError(f"space.{key}.when names {other}, which the space does not have")
+                choices = self.space[other].choices
+                if choices is not None and (unknown := [one for one in values if one not in choices]):
+                    raise ValueError(f"space.{key}.when: {other} is never {unknown[0]}; its choices are {choices}")
 
 
 class TuneRequest(ConfigModel):

@@ -10,13 +10,17 @@ from typing import TYPE_CHECKING, Any
 from omegaconf import DictConfig, OmegaConf, open_dict
 
 from parking_exp.config.compose import Composed, composed_runs
+from parking_exp.config.experiment_files import with_absolute_path
+from parking_exp.config.overrides import in_quotes
+from parking_exp.config.paths import absolute
 from parking_exp.config.schema import RunConfig
 from parking_exp.config.validate import check, parse, validate
 from parking_exp.errors import ConfigError, suggestion
 from parking_exp.runs.files import read_object, write_json
+from parking_exp.tuning.objectives import HOLD, evaluations
 from parking_exp.tuning.schema import TUNING_KEYS, SearchConfig, TuneRequest
-from parking_exp.tuning.space import base_value, in_order
-from parking_exp.tuning.study import load_study, open_study, storage_of
+from parking_exp.tuning.space import base_value, in_order, parameter
+from parking_exp.tuning.study import known_parameters, load_study, open_study, storage_of
 
 if TYPE_CHECKING:
     from optuna import Study
@@ -116,10 +120,11 @@ class Search:
         """
         return validate(self.composed_with(changes).cell)
 
-    def base_values(self) -> dict[str, Any]:
-        """Return the value of each key of the space in the config that trials change."""
-        composed = self.composed
-        return {key: base_value(composed.cell, composed.options, key) for key in self.request.search.space}
+    def values(self, changes: Mapping[str, Any]) -> dict[str, Any]:
+        """Return the value of each key of the space in the config of a trial."""
+        composed = self.composed_with(changes)
+        options = {group: changes.get(group, option) for group, option in composed.options.items()}
+        return {key: base_value(composed.cell, options, key) for key in self.request.search.space}
 
     def check(self) -> None:
         """Check the space: every key, both ends of each range, every choice, and what is enqueued.
@@ -128,6 +133,7 @@ class Search:
             ConfigError: with a sentence for each of the first five things that are wrong.
         """
         search, problems = self.request.search, []
+        self.config({})  # what is wrong without any change is said once
         try:
             dimensions = in_order(search)
         except ValueError as error:
@@ -136,13 +142,33 @@ class Search:
         for key, dimension in dimensions:
             if key in typed:
                 problems.append(f"{key} is typed, and search.space has it; leave one of them out")
-            context = {other: values[0] for other, values in dimension.when.items()}
-            for value in dimension.ends:
-                problems += self._problems({**context, key: value}, f"search.space.{key}")
+            for context in _contexts(search, key):
+                for value in dimension.ends:
+                    problems += self._problems({**context, key: value}, f"search.space.{key}")
         for number, values in enumerate(search.enqueue):
             problems += self._problems(values, f"search.enqueue.{number}")
+        if not problems:
+            problems += self._unsuited()
         if problems:
             raise ConfigError("\n".join(dict.fromkeys(problems[:5])))
+
+    def _unsuited(self) -> list[str]:
+        """Say what the sampler or the objective can't do with this search."""
+        search = self.request.search
+        if "cost_to_95" in search.objective and evaluations(self.base) < HOLD:
+            return [f"evaluation.every_n_steps: cost_to_95 needs {HOLD} evaluations of a run at least"]
+        if search.sampler not in ("cmaes", "gp"):
+            return []
+        found = []
+        for number, changes in enumerate([{}, *search.enqueue]):
+            known = known_parameters(search, self.values(changes))
+            missing = [key for key, one in search.space.items() if parameter(key, one) not in known]
+            found += [
+                f"search.sampler={search.sampler} needs a value of every key in every trial, and the value of {key} in "
+                f"trial {number} is not in its range; widen that, or write search.sampler=tpe"
+                for key in missing[:1]
+            ]
+        return found
 
     def _problems(self, values: Mapping[str, Any], where: str) -> list[str]:
         try:
@@ -154,15 +180,18 @@ class Search:
     def open(self) -> "Study":
         """Return the study, made if there is none yet; raises what `study.open_study` does."""
         storage = storage_of(self.folder, self.request.storage)
-        return open_study(self.folder, self.request.search, self.base, self.base_values(), storage)
+        return open_study(self.folder, self.request.search, self.base, self.values, storage)
 
     def save(self) -> None:
         """Write down what workers and other commands need to find the study and compose the configs of trials."""
         request, extra = self.request, self.extra_config_dir
-        typed = {"overrides": list(self.overrides), "extra_config_dir": extra and str(Path(extra).absolute())}
+        # Workers may be started from another directory.
+        overrides = [with_absolute_path(line) for line in self.overrides]
+        typed = {"overrides": overrides, "extra_config_dir": extra and str(Path(extra).absolute())}
         # The longest of several calls at once counts.
         earlier = read_object(self.folder / SEARCH_FILE).get("n_trials", 0)
-        settings = {"storage": request.storage, "n_trials": max(request.n_trials, earlier)}
+        storage = absolute(request.storage) if request.storage else None
+        settings = {"storage": storage, "n_trials": max(request.n_trials, earlier)}
         write_json(self.folder / SEARCH_FILE, {**typed, **settings, "search": request.search.model_dump(by_alias=True)})
 
     @classmethod
@@ -175,7 +204,24 @@ class Search:
         stored = read_object(folder / SEARCH_FILE)
         if not isinstance(stored.get("overrides"), list):
             raise ConfigError(f"{folder / SEARCH_FILE} can't be read; type the search again")
-        return cls(stored["overrides"], stored.get("extra_config_dir"))
+        known = {"output_dir": str(folder.parent), "storage": stored.get("storage"), "n_trials": stored.get("n_trials")}
+        found = [
+            f"{key}={in_quotes(value) if isinstance(value, str) else value}" for key, value in known.items() if value
+        ]
+        return cls([*stored["overrides"], *found], stored.get("extra_config_dir"))
+
+
+def _contexts(search: SearchConfig, key: str) -> list[dict[str, Any]]:
+    """Return values of other keys with which a key is tried: of its conditions, and each option of its group."""
+    context: dict[str, Any] = {}
+    waiting = [key]
+    while waiting:
+        for other, values in search.space[waiting.pop()].when.items():
+            context[other] = values[0]
+            waiting.append(other)
+    group = key.partition(".")[0]
+    options = search.space[group].choices if group != key and group in search.space and group not in context else None
+    return [{group: option, **context} for option in options] if options else [context]
 
 
 def _set(cell: DictConfig, key: str, value: Any) -> None:

@@ -35,7 +35,8 @@ def suggest(trial: "Trial", name: str, dimension: Dimension) -> Any:
 def to_parameter(dimension: Dimension, value: Any) -> Any:
     """Return a config's value as Optuna's parameter; None where the dimension does not have it."""
     if dimension.choices is not None:
-        return json.dumps(value) if value in dimension.choices else None
+        same = (one for one in dimension.choices if one == value and isinstance(one, bool) == isinstance(value, bool))
+        return next(map(json.dumps, same), None)
     if isinstance(value, bool) or not isinstance(value, int | float) or (dimension.whole and value != int(value)):
         return None
     low, high = dimension.bounds
@@ -71,7 +72,7 @@ def in_order(search: SearchConfig) -> list[tuple[str, Dimension]]:
     while waiting:
         ready = [item for item in waiting if item[1].when.keys() <= found.keys()]
         if not ready:
-            raise ValueError(f"search.space.{waiting[0][0]}.when: conditions go round in a circle")
+            raise ValueError(f"search.space.{waiting[0][0]}.when: it depends on itself through other conditions")
         found |= dict(ready)
         waiting = [item for item in waiting if item[0] not in found]
     return list(found.items())

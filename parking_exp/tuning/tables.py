@@ -28,15 +28,15 @@ def trial_table(trials: Sequence[TrialRow], search: SearchConfig, most: int = SH
     table = Table(box=None, pad_edge=False)
     table.add_column("trial", justify="right")
     table.add_column("state")
-    for name in search.objectives:
+    for name in search.objective:
         table.add_column(name, justify="right")
     table.add_column("changes", overflow="fold")
-    best = ranked(trials, search.objectives)
+    best = ranked(trials, search.objective)
     others = [trial for trial in trials if trial.state in ("running", "failed")]
     for trial in [*best[: max(1, most - len(others))], *others[:most]]:
-        told = zip(search.objectives, trial.values, strict=False)  # a trial that is not over has no values
+        told = zip(search.objective, trial.values, strict=False)  # a trial that is not over has no values
         values = [describe(name, value, len(search.tuning_seeds)) for name, value in told]
-        values += [""] * (len(search.objectives) - len(values))
+        values += [""] * (len(search.objective) - len(values))
         changes = trial.reason or trial.label.partition(": ")[2]
         table.add_row(str(trial.number), trial.state, *values, changes)
     return table
@@ -48,8 +48,8 @@ def progress_lines(trials: Sequence[TrialRow], search: SearchConfig, n_trials: i
     pending = found["pending"] + n_trials - len(trials)
     parts = [f"{number} {state}" for state, number in {**found, "pending": pending}.items() if number]
     yield f"{plural(n_trials, 'trial')}: {', '.join(parts)}"
-    if best := ranked(trials, search.objectives):
-        values = zip(search.objectives, best[0].values, strict=True)
+    if best := ranked(trials, search.objective):
+        values = zip(search.objective, best[0].values, strict=True)
         words = ", ".join(f"{name} {describe(name, value, len(search.tuning_seeds))}" for name, value in values)
         yield f"best so far: {best[0].label} ({words})"
     if (left := left_s(trials, n_trials)) is not None:

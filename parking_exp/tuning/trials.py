@@ -6,9 +6,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from parking_exp.tuning.schema import Dimension
-from parking_exp.tuning.space import parameter
-from parking_exp.tuning.study import HIGHER_IS_BETTER, worked_on
+from parking_exp.tuning.claims import worked_on
+from parking_exp.tuning.schema import HIGHER_IS_BETTER, Dimension
 
 if TYPE_CHECKING:
     from optuna import Study
@@ -52,8 +51,7 @@ class TrialRow:
     def label(self) -> str:
         """Its number and what it changes."""
         changed = [
-            value if isinstance(value, str) else f"{key.rpartition('.')[2]}={value}"
-            for key, value in self.changes.items()
+            f"{key.rpartition('.')[2]}={value}" if "." in key else str(value) for key, value in self.changes.items()
         ]
         return f"trial {self.number}: {', '.join(changed) or 'as it stands'}"
 
@@ -94,18 +92,12 @@ def _plain(value: Any) -> float | str:
 
 def ranked(trials: Sequence[TrialRow], objectives: Sequence[str]) -> list[TrialRow]:
     """Return the trials that are done, best first: by the objective, or Pareto front after Pareto front."""
-    done = [trial for trial in trials if trial.values]
-    losses = {
-        trial.number: [-v if HIGHER_IS_BETTER[name] else v for name, v in zip(objectives, trial.values, strict=True)]
-        for trial in done
-    }
-    if len(objectives) == 1:
-        return sorted(done, key=lambda trial: (losses[trial.number], trial.number))
-    left, found = list(done), []
+    left, found = [trial for trial in trials if trial.values], []
     while left:
-        front = [one for one in left if not any(_dominates(losses[other.number], losses[one.number]) for other in left)]
-        found += sorted(front, key=lambda trial: (losses[trial.number], trial.number))
-        left = [one for one in left if one not in front]
+        best = front(left, objectives)
+        sign = -1 if HIGHER_IS_BETTER[objectives[0]] else 1
+        found += sorted(best, key=lambda trial: (sign * trial.values[0], trial.number))
+        left = [trial for trial in left if trial not in best]
     return found
 
 
@@ -138,8 +130,3 @@ def dimension_text(dimension: Dimension) -> str:
         whole = ", whole" if form == "whole" else ""
         text = f"{low:g} … {high:g}{scale.get(form, whole)}"
     return f"{text}   if {condition}" if condition else text
-
-
-def parameter_names(space: Mapping[str, Dimension]) -> list[str]:
-    """Return the names that Optuna has for the keys of a space."""
-    return [parameter(key, dimension) for key, dimension in space.items()]

@@ -23,9 +23,11 @@ if TYPE_CHECKING:
     from optuna import Study
 
 KEY = "unit_costs "
-# Arguments that change no cost of an update or a step.
-FREE = {"learning_rate", "gamma", "tau", "learning_starts", "train_freq", "gradient_steps", "action_noise"}
-FREE_OF_BUFFER = {"buffer_size", "n_sampled_goal"}
+# Keys that the cost of an update or a step depends on.
+ALGORITHM = ("_target_", "features", "net_arch", "policy", "policy_kwargs", "batch_size", "policy_delay", "use_sde")
+BUFFER = ("_target_", "goal_selection_strategy")
+ENV = ("simulator", "vehicles_count", "add_walls", "simulation_frequency", "policy_frequency")
+RUN = ("n_envs", "precision", "device", "torch_threads")
 REPEATS, SLICE_S = 7, 0.15
 MOST_SHAPES = 40
 
@@ -33,13 +35,8 @@ MOST_SHAPES = 40
 def shape(config: RunConfig) -> str:
     """Return a hash of what the cost of an update and of an env step depends on."""
     plain = config.plain()
-    return short_hash(
-        {
-            "algorithm": {key: value for key, value in plain["algorithm"].items() if key not in FREE},
-            "buffer": {key: value for key, value in plain["buffer"].items() if key not in FREE_OF_BUFFER},
-            **{key: plain[key] for key in ("env", "n_envs", "precision", "device", "torch_threads")},
-        }
-    )
+    sections = ((plain["algorithm"], ALGORITHM), (plain["buffer"], BUFFER), (plain["env"], ENV), (plain, RUN))
+    return short_hash([[section.get(key) for key in keys] for section, keys in sections])
 
 
 def known_costs(study: "Study", config: RunConfig) -> UnitCosts | None:
@@ -63,7 +60,8 @@ def unit_costs(study: "Study", configs: Iterable[RunConfig]) -> None:
     if done.returncode:
         raise FailedRunError(f"unit costs can't be measured: {(done.stderr.strip().splitlines() or ['no reason'])[-1]}")
     for name, line in zip(missing, done.stdout.splitlines(), strict=True):
-        study.set_user_attr(KEY + name, json.loads(line))
+        if KEY + name not in study.user_attrs:  # another worker may have been faster; the first counts
+            study.set_user_attr(KEY + name, json.loads(line))
 
 
 def shapes(search: SearchConfig, config_of: Callable[[dict[str, Any]], RunConfig]) -> Sequence[RunConfig]:

@@ -1,5 +1,7 @@
 """A worker of a search: takes trials from the study in turn, trains each on its seeds, prunes, and tells the study."""
 
+import errno
+import os
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -7,7 +9,7 @@ from statistics import mean
 from typing import TYPE_CHECKING, Any, Literal
 
 from parking_exp.config.schema import RunConfig
-from parking_exp.errors import ConfigError, OutputDirectoryError, StoreError
+from parking_exp.errors import ConfigError, OutputDirectoryError, ParkingError, StoreError
 from parking_exp.runs.directory import RunDirectory
 from parking_exp.runs.metric_logs import read_metrics
 from parking_exp.runs.state import read_state
@@ -15,10 +17,12 @@ from parking_exp.statistics.curves import normalised_area
 from parking_exp.sweeps.local import Train
 from parking_exp.sweeps.supervisor import Stop, WorkerResult, stop_of_job, supervise
 from parking_exp.terminal import say
+from parking_exp.tuning.claims import Claim, claim
 from parking_exp.tuning.objectives import (
     RunCurve,
     UnitCosts,
     cost_at,
+    evaluations,
     partial_value,
     read_curve,
     run_value,
@@ -26,7 +30,6 @@ from parking_exp.tuning.objectives import (
 )
 from parking_exp.tuning.schema import SearchConfig
 from parking_exp.tuning.search import Search
-from parking_exp.tuning.study import Claim, claim
 from parking_exp.tuning.unit_costs import known_costs, unit_costs
 
 if TYPE_CHECKING:
@@ -70,7 +73,7 @@ def work(folder: Path, train: Train) -> None:
                     return
             finally:
                 taken.release()
-    except (ConfigError, OutputDirectoryError, StoreError):
+    except (ParkingError, OSError):
         raise
     except Exception as error:  # a database may fail in any way
         raise StoreError(
@@ -96,12 +99,6 @@ def make_pruner(search: SearchConfig, evaluations_a_run: int) -> "BasePruner":
     return pruners.NopPruner()
 
 
-def evaluations(config: RunConfig) -> int:
-    """Return how many evaluations a run has at most, the final one included."""
-    every = config.evaluation.every_n_steps
-    return config.total_timesteps // every + 2 if every else 1
-
-
 class _Trial:
     """A trial that this worker has taken: trained on one seed after the other, and judged on the way."""
 
@@ -120,20 +117,22 @@ class _Trial:
             config = self.search.config(self.taken.changes)
         except ConfigError as error:  # values that do not go together
             return self._over("failed", reason=str(error).replace("\n", "; "))
-        if "cost_to_95" in self.settings.objectives:
+        if "cost_to_95" in self.settings.objective:
             unit_costs(self.study, [config])
             self.units = known_costs(self.study, config)
         seeds = self.settings.tuning_seeds
         runs = [config.model_copy(update={"seed": seed}) for seed in seeds]
+        before = sum(read_state(run.run_dir).started is not None for run in runs)  # begun by an earlier process
         for number, run in enumerate(runs):
-            begun = runs[: number + 1]
+            begun = runs[: max(number + 1, before)]
             self._note(RUNS, [str(one.run_dir.relative_to(one.output_path)) for one in begun])
             outcome = self._run(run, number)
             if outcome == "stopped":
                 return outcome
             if outcome == "failed":
                 return self._over(outcome, begun, f"seed {run.seed}: {read_state(run.run_dir).reason or 'it failed'}")
-            if outcome == "pruned" or (self._judge_finished(run, number) and run is not runs[-1]):
+            # A seed was judged before the next one began.
+            if outcome == "pruned" or (self._judge_finished(run, number) and number + 1 == len(begun) < len(runs)):
                 return self._over("pruned", begun)
         self._note(SEED_VALUES, self.values)
         return self._over("done", runs)
@@ -178,16 +177,20 @@ class _Trial:
             state = read_state(directory.path)
             if state.stage in ("done", "pruned"):
                 return "done" if state.stage == "done" else "pruned"
-            if state.stage == "failed" and (attempts == ATTEMPTS or not state.killed):
-                return "failed"
+            if state.stage == "failed":
+                on_full_disk = os.strerror(errno.ENOSPC) in (state.reason or "")
+                if on_full_disk and attempts:  # no fault of the trial's: it stays open
+                    raise OutputDirectoryError(f"trial {self.taken.number}: {state.reason}; {state.run_dir}")
+                if attempts == ATTEMPTS or not (state.killed or on_full_disk):
+                    return "failed"
             attempts += 1
             entries = {"search": self.search.folder.name, "trial": self.taken.number}
             directory.freeze(config, f"trial {self.taken.number}", state.started, entries=entries)
             result = self.train(directory.path, stop)
             if result == "elsewhere":  # another trial has the same config
-                while read_state(directory.path).stage == "running":
-                    time.sleep(ELSEWHERE_POLL_S)
-                    self.taken.sign()
+                time.sleep(ELSEWHERE_POLL_S)
+                self.taken.sign()
+                attempts -= 1
             elif result == "stopped" and prune:
                 directory.update(status="pruned")
             elif result in (None, "stopped"):
@@ -210,11 +213,11 @@ class _Trial:
     def _judge_finished(self, config: RunConfig, number: int) -> bool:
         """Count a finished run in, and return whether the trial is to be pruned after it."""
         curve = read_curve(RunDirectory(config.run_dir))
-        values = [run_value(name, config, curve, self.units) for name in self.settings.objectives]
+        values = [run_value(name, config, curve, self.units) for name in self.settings.objective]
         pruned = False
         if self.settings.pruner == "wilcoxon":
             self._report(number, values[0])
-            pruned = self.taken.trial.should_prune()
+            pruned = self._should_prune()
         elif self.settings.pruner is not None:
             pruned = self._judge(config, number, curve)
         self.areas.append(normalised_area(curve.steps, curve.success))
@@ -226,10 +229,16 @@ class _Trial:
         first = number * evaluations(config)
         for position in range(len(curve.steps)):
             so_far = RunCurve(curve.steps[: position + 1], curve.success[: position + 1], {})
-            self._report(first + position, partial_value(self.settings.objectives[0], self.areas, so_far))
+            share = min(1.0, curve.steps[position] / config.total_timesteps)
+            value = partial_value(self.settings.objective[0], self.areas, so_far, share)
+            self._report(first + position, value)
         if not curve.steps or (number == 0 and updates_at(config, curve.steps[-1]) < self.settings.grace_updates):
             return False
-        return self.taken.trial.should_prune()
+        return self._should_prune()
+
+    def _should_prune(self) -> bool:
+        """Whether the study's pruner gives the trial up; the config as it stands is always tried to its end."""
+        return self.taken.number > 0 and self.taken.trial.should_prune()
 
     def _report(self, step: int, value: float) -> None:
         if step not in self._reported:

@@ -53,6 +53,7 @@ def test_a_run_that_does_not_hold_95_costs_more_than_any_that_does_and_less_the_
 
 def test_pruning_compares_the_mean_area_so_far_and_for_a_cost_the_lower_the_better():
     half = RunCurve([1000, 2000], [0.0, 0.5], {})
-    assert partial_value("success_auc", [0.75], half) == 0.5
-    assert partial_value("cost_to_95", [0.75], half) == 0.5
-    assert partial_value("cost_to_95", [], half) == 0.75
+    assert partial_value("success_auc", [0.75], half, share=1.0) == 0.5
+    assert partial_value("success_auc", [0.75], half, share=0.25) == 0.65
+    assert partial_value("cost_to_95", [0.75], half, share=0.25) == 0.35
+    assert partial_value("cost_to_95", [], half, share=0.25) == 0.75

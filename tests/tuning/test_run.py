@@ -46,7 +46,7 @@ def test_a_dry_run_shows_space_budget_and_estimate_and_makes_nothing(tmp_path):
     assert done.returncode == 0, done.stderr
     assert re.search(r"^algorithm.policy_delay +1 … 3, whole   if algorithm=td3$", done.stdout, re.MULTILINE)
     assert "objective success_auc; sampler tpe, pruner median after 40 updates; trial 0 is the config" in done.stdout
-    assert "8 trials x 2 seeds x 60 env steps at most" in done.stdout
+    assert "8 trials x 3 seeds x 60 env steps at most" in done.stdout
     assert "0 trials over, 8 to do; no run has finished yet to tell the time by" in done.stdout
     assert list(tmp_path.iterdir()) == []
 
@@ -190,8 +190,8 @@ def test_a_trial_that_is_worse_than_the_median_is_pruned_and_stays_so(tmp_path):
     search.open()
     search.save()
     subprocess.run([sys.executable, "-c", source, str(search.folder)], check=True, timeout=300)
-    assert states(tmp_path) == ["pruned"] * 2
-    assert [len(trial.runs) for trial in trials(tmp_path)] == [1, 1]
+    assert states(tmp_path) == ["done", "pruned"]
+    assert [len(trial.runs) for trial in trials(tmp_path)] == [2, 1]
     again = tune(tmp_path, *options)
     assert again.returncode == 0, again.stderr
-    assert states(tmp_path) == ["pruned"] * 2
+    assert states(tmp_path) == ["done", "pruned"]

@@ -4,8 +4,10 @@ import pytest
 import yaml
 from support.runs import make_config
 
+from parking_exp.config.compose import compose
 from parking_exp.errors import ConfigError
 from parking_exp.tuning.search import Search
+from parking_exp.tuning.unit_costs import shape
 
 SMOKE = ("search=smoke",)
 
@@ -43,7 +45,7 @@ def test_trial_0_is_the_config_with_what_is_typed():
     search = Search([*SMOKE, "updates_per_step=0.25"])
     assert search.base.updates_per_step == 0.25
     assert search.base.experiment_name == "smoke"
-    assert search.base_values() == {
+    assert search.values({}) == {
         "algorithm": "sac",
         "algorithm.learning_rate": {
             "_target_": "stable_baselines3.common.utils.LinearSchedule",
@@ -55,6 +57,42 @@ def test_trial_0_is_the_config_with_what_is_typed():
         "algorithm.net_arch": [16, 16],
         "algorithm.policy_delay": None,
     }
+
+
+def test_a_condition_on_a_condition_is_checked_with_both(tmp_path):
+    space = {
+        "algorithm": {"choices": ["sac", "td3"]},
+        "algorithm.policy_delay": {"int": [1, 3], "when": {"algorithm": ["td3"]}},
+        "algorithm.tau": {"uniform": [0.01, 0.1], "when": {"algorithm.policy_delay": [2]}},
+    }
+    of_user(tmp_path, space=space).check()
+
+
+def test_a_worker_finds_the_search_from_another_directory(tmp_path, monkeypatch):
+    (tmp_path / "here").mkdir()
+    monkeypatch.chdir(tmp_path / "here")
+    search = Search([*SMOKE, "output_dir=out", "storage=sqlite:///study.db", "n_trials=7"])
+    search.open()
+    search.save()
+    monkeypatch.chdir(tmp_path)
+    found = Search.load(tmp_path / "here" / "out" / "smoke")
+    assert found.folder == tmp_path / "here" / "out" / "smoke"
+    assert found.request.storage == f"sqlite:///{tmp_path / 'here' / 'study.db'}"
+    assert found.request.n_trials == 7
+
+
+def test_unit_costs_are_those_of_all_configs_that_cost_the_same():
+    search = Search(SMOKE)
+    same = [{}, {"algorithm.gamma": 0.9}, {"env.collision_reward": -1.0}, {"algorithm.ent_coef": 0.1}]
+    assert len({shape(search.config(changes)) for changes in same}) == 1
+    others = [{"algorithm.batch_size": 64}, {"algorithm": "td3"}, {"n_envs": 1}, {"env": "parking_parked"}]
+    assert len({shape(search.config(changes)) for changes in [{}, *others]}) == 5
+
+
+def test_a_yaml_file_that_can_not_be_read_gets_a_sentence(tmp_path):
+    (tmp_path / "broken.yaml").write_text("a: [1,")
+    with pytest.raises(ConfigError, match="a YAML file can't be read"):
+        compose(f"experiment={tmp_path / 'broken.yaml'}")
 
 
 def test_every_search_that_comes_with_the_package_can_be():
@@ -87,6 +125,10 @@ def test_what_is_typed_wrong_gets_a_sentence(overrides, words):
         ({"space": {"algorithm": {"choices": ["sac", "ppo"]}}}, "search.space.algorithm: algorithm=ppo"),
         ({"space": {"algorithm.gamma": {"uniform": [0.9, 0.99]}}, "enqueue": [{"algorithm.gamma": 2.0}]},
          "search.enqueue.0: algorithm.gamma=2.0"),
+        ({"space": {"algorithm": {"choices": ["sac", "td3"]}, "algorithm.ent_coef": {"uniform": [0.1, 0.2]}}},
+         "search.space.algorithm.ent_coef: algorithm.ent_coef: there is no such key"),
+        ({"space": {"algorithm.learning_rate": {"log": [1.0e-4, 1.0e-2]}}, "sampler": "gp"},
+         "search.sampler=gp needs a value of every key in every trial"),
     ],
 )  # fmt: skip
 def test_a_space_that_can_not_be_is_refused_before_anything_starts(tmp_path, changes, words):

@@ -26,6 +26,7 @@ def dimension(**form):
         ({"choices": [256, 512]}, 512, "512"),
         ({"choices": [[8, 8], [16, 16]]}, [16, 16], "[16, 16]"),
         ({"choices": ["sac", None]}, None, "null"),
+        ({"choices": [0.5, 1, 2]}, 1.0, "1"),
     ],
 )
 def test_a_config_s_value_and_optuna_s_parameter_are_the_same_thing(form, value, stored):
@@ -42,6 +43,7 @@ def test_a_config_s_value_and_optuna_s_parameter_are_the_same_thing(form, value,
         ({"int": [1, 8]}, 2.5),
         ({"int": [0, 1]}, True),
         ({"choices": [256, 512]}, 300),
+        ({"choices": [0, 1]}, True),
     ],
 )
 def test_what_a_dimension_does_not_have_is_no_parameter(form, value):
@@ -91,7 +93,7 @@ def test_conditions_in_a_circle_are_refused():
             "algorithm.gamma": {"choices": [0.9, 0.95], "when": {"algorithm.tau": [0.1]}},
         }
     )
-    with pytest.raises(ValueError, match="circle"):
+    with pytest.raises(ValueError, match="depends on itself"):
         in_order(search)
 
 
@@ -106,6 +108,9 @@ def test_conditions_in_a_circle_are_refused():
         ({"space": {"algorithm.gamma": {"one_minus_log": [0.9, 1.0]}}}, "1.0 is not below 1"),
         ({"space": {"algorithm.gamma": {"logg": [0.9, 1.0]}}}, "did you mean 'log'"),
         ({"space": {"algorithm.tau": {"uniform": [0.1, 0.2], "when": {"algorithm": ["sac"]}}}}, "names algorithm, which"),
+        ({"space": {"algorithm.tau": {"uniform": [0.1, 0.2], "when": {"algorithm": ["ppo"]}},
+                    "algorithm": {"choices": ["sac", "td3"]}}}, "algorithm is never ppo"),
+        ({"objective": ["final_success", "final_parked"], "sampler": "cmaes"}, "cmaes takes one objective"),
         ({"space": {"seed": {"int": [0, 5]}}}, "space has seeds"),
         ({"tuning_seeds": [1, 2], "test_seeds": [2, 3]}, "seed 2 is among tuning_seeds and test_seeds"),
         ({"tuning_seeds": [1, 1]}, "tuning_seeds has a seed twice"),

@@ -11,17 +11,20 @@ import pytest
 from support.searches import base, settings
 
 from parking_exp.errors import ConfigError, StoreError
-from parking_exp.tuning import study as module
-from parking_exp.tuning.study import LOST_S, SIGN_OF_LIFE, STUDY_FILE, claim, load_study, open_study, storage_of
+from parking_exp.tuning import claims
+from parking_exp.tuning.claims import LOST_S, SIGN_OF_LIFE, claim, make_sampler
+from parking_exp.tuning.study import STUDY_FILE, load_study, open_study, storage_of
 from parking_exp.tuning.trials import rows
 
-GAMMA = {"algorithm.gamma": 0.95}
+
+def values(changes):
+    return {"algorithm.gamma": 0.95, **changes}
 
 
 def opened(tmp_path, search=None, url=None):
     folder = tmp_path / "test"
     storage = storage_of(folder, url)
-    return open_study(folder, search or settings(), base(tmp_path), GAMMA, storage), folder
+    return open_study(folder, search or settings(), base(tmp_path), values, storage), folder
 
 
 def numbers_of(study, state):
@@ -76,14 +79,42 @@ def test_a_trial_that_was_left_is_taken_up_again_with_what_it_had(tmp_path):
 def test_a_trial_of_another_machine_is_left_to_it_while_it_shows_signs_of_life(tmp_path, monkeypatch):
     study, folder = opened(tmp_path)
     one = claim(study, folder, settings(), 1)
-    one.trial.set_user_attr(SIGN_OF_LIFE, {"host": "elsewhere", "time": time.time() - LOST_S + 60})
+    one.trial.set_user_attr(
+        SIGN_OF_LIFE, {"host": "elsewhere", "folder": str(folder), "time": time.time() - LOST_S + 60}
+    )
     one.release()
     assert claim(study, folder, settings(), 1) is None
     assert rows(study, folder, 1)[0].state == "running"
-    monkeypatch.setattr(module, "LOST_S", 30.0)
+    monkeypatch.setattr(claims, "LOST_S", 30.0)
     assert rows(study, folder, 1)[0].state == "pending"
-    monkeypatch.setattr(module, "LOST_S", 0.0)  # its start is as old by then
+    monkeypatch.setattr(claims, "LOST_S", 0.0)  # its start is as old by then
     assert claim(study, folder, settings(), 1).number == 0
+
+
+def test_a_trial_that_ends_while_another_process_looks_is_not_taken_up(tmp_path, monkeypatch):
+    study, folder = opened(tmp_path)
+    first = claim(study, folder, settings(), 1)
+    look = claims._lock_if_lost
+
+    def ends_first(*arguments):
+        study.tell(first.trial, 0.5)
+        first.release()
+        return look(*arguments)
+
+    monkeypatch.setattr(claims, "_lock_if_lost", ends_first)
+    other, _ = opened(tmp_path)
+    assert claim(other, folder, settings(), 1) is None
+    assert not claims.worked_on(folder, other.get_trials()[0])
+
+
+def test_a_search_in_another_folder_leaves_trials_to_the_first_while_it_lives(tmp_path):
+    url = f"sqlite:///{tmp_path}/study.db"
+    study, folder = opened(tmp_path, url=url)
+    taken = claim(study, folder, settings(), 1)
+    other, elsewhere = opened(tmp_path / "other", url=url)
+    assert claim(other, elsewhere, settings(), 1) is None
+    assert rows(other, elsewhere, 1)[0].state == "running"
+    taken.release()
 
 
 def _claim_and_hang(path, held):
@@ -179,7 +210,7 @@ def test_a_study_of_another_config_is_refused(tmp_path):
     folder = tmp_path / "test"
     other = base(tmp_path).model_copy(update={"total_timesteps": 401})
     with pytest.raises(ConfigError, match="with other keys of the config"):
-        open_study(folder, settings(), other, GAMMA, storage_of(folder, None))
+        open_study(folder, settings(), other, values, storage_of(folder, None))
 
 
 def test_sampler_and_pruner_may_change_on_the_way(tmp_path):
@@ -210,8 +241,6 @@ def _optimum(params):
 
 
 def _trials_to(level, sampler, seed, most=400):
-    from parking_exp.tuning.study import make_sampler
-
     study = optuna.create_study()
     search = settings(sampler=sampler)
     for number in range(most):
