@@ -175,8 +175,10 @@ class _Trial:
         attempts = 0
         while True:
             state = read_state(directory.path)
-            if state.stage in ("done", "pruned"):
-                return "done" if state.stage == "done" else "pruned"
+            if state.stage == "done":
+                return "done"
+            if state.stage == "pruned" and self.taken.number > 0:  # trial 0 goes on where another was given up
+                return "pruned"
             if state.stage == "failed":
                 on_full_disk = os.strerror(errno.ENOSPC) in (state.reason or "")
                 if on_full_disk and attempts:  # no fault of the trial's: it stays open
