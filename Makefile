@@ -17,8 +17,9 @@ PLACES = $(patsubst %,--default-index='%',$(call pip_setting,INDEX_URL,index-url
 	$(patsubst %,--index='%',$(call pip_setting,EXTRA_INDEX_URL,extra-index-url)) \
 	$(patsubst %,--find-links='%',$(call pip_setting,FIND_LINKS,find-links)) \
 	$(if $(filter 1 true yes on,$(call pip_setting,NO_INDEX,no-index)),--no-index) --index-strategy=unsafe-best-match
-# Compiled at once: where PYTHONDONTWRITEBYTECODE is set, each process would compile torch and all else anew.
-INSTALL = $(UV) pip install --compile-bytecode --python $(BIN)/python --constraint constraints.txt --build-constraint constraints.txt $(PLACES)
+# Where Python may not write bytecode, each process would compile torch and all else anew.
+COMPILE = $(if $(PYTHONDONTWRITEBYTECODE),--compile-bytecode)
+INSTALL = $(UV) pip install $(COMPILE) --python $(BIN)/python --constraint constraints.txt --build-constraint constraints.txt $(PLACES)
 
 .DEFAULT_GOAL := help
 .PHONY: help setup train test test-slow lint types docs check ui tensorboard dashboard benchmark lock clean

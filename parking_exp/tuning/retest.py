@@ -110,8 +110,8 @@ def write_winner(search: Search, tested: Sequence[Retested], out: Console) -> No
         raise FailedRunError(f"{path} does not stand for the config of trial {winner.number}; please report it")
     out.print(
         f"the winner is {winner.label}: {objective} {describe(objective, mean(winner.test), len(winner.test))} on "
-        f"{plural(len(winner.test), 'fresh seed')}; tuning minus test {_difference(objective, winner)}; "
-        f"chosen as the best of {len(tested)}, its value is somewhat too high"
+        f"{plural(len(winner.test), 'fresh seed')}; tuning minus test {_difference(objective, winner)}"
+        + (f"; chosen as the best of {len(tested)}, its value is somewhat too high" if len(tested) > 1 else "")
     )
     out.print(f"experiment     {path}")
     out.print(f"train it with  python scripts/train.py experiment={path}")
