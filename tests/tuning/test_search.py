@@ -2,7 +2,7 @@
 
 import pytest
 import yaml
-from support.runs import make_config
+from support.runs import make_config, options
 
 from parking_exp.config.compose import compose
 from parking_exp.errors import ConfigError
@@ -65,7 +65,10 @@ def test_a_condition_on_a_condition_is_checked_with_both(tmp_path):
         "algorithm.policy_delay": {"int": [1, 3], "when": {"algorithm": ["td3"]}},
         "algorithm.tau": {"uniform": [0.01, 0.1], "when": {"algorithm.policy_delay": [2]}},
     }
-    of_user(tmp_path, space=space).check()
+    search = of_user(tmp_path, space=space)
+    search.check()
+    changes = {"algorithm": "td3", "algorithm.policy_delay": 2, "algorithm.tau": 0.05}
+    assert search.config(changes).algorithm.arguments["tau"] == 0.05
 
 
 def test_a_worker_finds_the_search_from_another_directory(tmp_path, monkeypatch):
@@ -96,8 +99,12 @@ def test_a_yaml_file_that_can_not_be_read_gets_a_sentence(tmp_path):
 
 
 def test_every_search_that_comes_with_the_package_can_be():
-    for name in ("smoke", "recipe"):
-        Search([f"search={name}"]).check()
+    names = options("search")
+    for name in names:
+        search = Search([f"search={name}"])
+        search.check()
+        assert search.folder.name == name
+    assert names == ["recipe", "smoke"]
 
 
 @pytest.mark.parametrize(

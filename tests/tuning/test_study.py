@@ -214,8 +214,11 @@ def test_a_study_of_another_config_is_refused(tmp_path):
 
 
 def test_sampler_and_pruner_may_change_on_the_way(tmp_path):
-    opened(tmp_path)
-    opened(tmp_path, settings(sampler="random", pruner="median", grace_updates=7))
+    study, folder = opened(tmp_path)
+    study.tell(claim(study, folder, settings(), 2).trial, 0.5)
+    other = settings(sampler="random", pruner="median", grace_updates=7)
+    again, _ = opened(tmp_path, other)
+    assert claim(again, folder, other, 2).number == 1
 
 
 def test_a_storage_that_can_not_be_reached_gets_a_sentence(tmp_path):
