@@ -11,13 +11,22 @@ from parking_exp.config.paths import without_password
 from parking_exp.envs.geometry import N_SLOTS
 from parking_exp.errors import RunNotFoundError, plural
 from parking_exp.reports import findings, warnings
-from parking_exp.reports.comparisons import compare_pairs
+from parking_exp.reports.comparisons import Family, compare_pairs
 from parking_exp.reports.curves import RunEvaluations
 from parking_exp.reports.effects import importance, interactions, main_effects
 from parking_exp.reports.factors import design
 from parking_exp.reports.lot_map import sample
 from parking_exp.reports.provenance import provenance
-from parking_exp.reports.report_data import Cell, Design, Factor, Importance, Interaction, MainEffect, ReportData
+from parking_exp.reports.report_data import (
+    Cell,
+    Design,
+    Factor,
+    Importance,
+    Interaction,
+    MainEffect,
+    Provenance,
+    ReportData,
+)
 from parking_exp.reports.selection import Group, choose, group, one_cell, relabelled
 from parking_exp.reports.summaries import real_share, shared_horizons, summarise
 from parking_exp.reports.untracked import with_untracked
@@ -100,12 +109,7 @@ def build(
             findings.claims(cells, family),
             findings.about_factors(kind, factors, parts.effects, parts.interactions, parts.importance),
         ),
-        warnings=warnings.together(
-            warnings.warnings(groups, cells, origin),
-            warnings.same_runs(groups),
-            warnings.narrow_pairs(cells, family.pairs),
-            _few([*unsynced, *impossible, *results.problems, *problems]),
-        ),
+        warnings=_warnings(groups, cells, origin, family, [*unsynced, *impossible, *results.problems, *problems]),
         missing=warnings.together(
             warnings.missing(cells, others), warnings.without_runs(question.experiments, results.runs["experiment"])
         ),
@@ -206,6 +210,17 @@ def _refuse_nothing_done(groups: Sequence[Group], question: Question) -> None:
     raise RunNotFoundError(
         f"experiment={','.join(question.experiments)}: of its {plural(runs, 'run')}, none is done; "
         "report=quick shows what there is so far"
+    )
+
+
+def _warnings(
+    groups: Sequence[Group], cells: Sequence[Cell], origin: Provenance, family: Family, problems: Sequence[str]
+) -> list[str]:
+    return warnings.together(
+        warnings.warnings(groups, cells, origin),
+        warnings.same_runs(groups),
+        warnings.narrow_pairs(cells, family.pairs),
+        _few(problems),
     )
 
 

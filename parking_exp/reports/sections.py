@@ -3,7 +3,7 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from parking_exp.reports.figures import cells, factors, lot, pairs, search, tuning
+from parking_exp.reports.figures import cells, factors, lot, pairs, retest, search, tuning
 from parking_exp.reports.figures.canvas import Canvas
 from parking_exp.reports.report_data import Cell, ReportData
 from parking_exp.reports.tables import cells as cell_tables
@@ -12,7 +12,7 @@ from parking_exp.reports.tables import pairs as pair_tables
 from parking_exp.reports.tables import provenance
 from parking_exp.reports.tables import tuning as tuning_tables
 from parking_exp.reports.tables.model import MakeTables, Table
-from parking_exp.reports.tuning import retest_text, search_text
+from parking_exp.reports.tuning_findings import retest_text, search_text
 
 Drawn = tuple[Canvas, str]
 """A figure and its caption."""
@@ -61,7 +61,7 @@ SECTIONS = (
         "retest",
         "The best on fresh seeds",
         text=retest_text,
-        figures=[Figure("retest", "Tuning seeds and fresh seeds", tuning.retest)],
+        figures=[Figure("retest", "Tuning seeds and fresh seeds", retest.retest)],
         tables=[tuning_tables.retest],
         tables_first=True,
     ),

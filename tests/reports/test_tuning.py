@@ -22,9 +22,11 @@ from parking_exp.reports.figures.export import draw
 from parking_exp.reports.render.files import write_tables
 from parking_exp.reports.render.markdown import markdown
 from parking_exp.reports.render.page import page
-from parking_exp.reports.report_data import Budget, Factor
+from parking_exp.reports.report_data import Factor
 from parking_exp.reports.sections import SECTIONS
-from parking_exp.reports.tuning import FEWEST_TRIALS, claims, retest_text, search_text, tuning_of, with_search
+from parking_exp.reports.tuning import FEWEST_TRIALS, tuning_of, with_search
+from parking_exp.reports.tuning_data import Budget
+from parking_exp.reports.tuning_findings import claims, retest_text, search_text
 from parking_exp.reports.untracked import find_untracked
 from parking_exp.results.frames import load
 from parking_exp.runs.files import write_json

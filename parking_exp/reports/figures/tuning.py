@@ -1,4 +1,4 @@
-"""Figures of a search's trials: history, parameters, budget, Pareto front, and values on tuning and on fresh seeds."""
+"""Figures of a search's trials: history, parameters, budget and Pareto front."""
 
 from collections.abc import Sequence
 from itertools import combinations, pairwise
@@ -10,6 +10,7 @@ from parking_exp.errors import plural
 from parking_exp.reports import formats
 from parking_exp.reports.figures.canvas import Canvas
 from parking_exp.reports.figures.cells import row_canvas
+from parking_exp.reports.figures.objective_scale import ObjectiveScale
 from parking_exp.reports.figures.search import BAR, MOST_AXES, Line, Scale, coordinates, rate_axis
 from parking_exp.reports.figures.style import (
     FULL_IN,
@@ -21,66 +22,13 @@ from parking_exp.reports.figures.style import (
     thousands,
     width_pt,
 )
-from parking_exp.reports.report_data import Factor, Interval, Objective, ReportData, Retested, Trial, Tuning
-from parking_exp.reports.tuning import difference_text, mean_text, named, value_text
+from parking_exp.reports.report_data import Factor, ReportData
+from parking_exp.reports.tuning_data import Objective, Trial, Tuning
+from parking_exp.reports.tuning_findings import value_text
 
 _BEST = "#D55E00"
 _COLUMNS, _MOST_PANELS = 4, 16
 _MARKS = {"pruned": "x", "failed": "+"}
-
-
-class _Values:
-    """How values of an objective are drawn: rates in %, costs as they are, trials whose seeds missed 95 % beyond them.
-
-    Attributes:
-        low, high: ends of the axis.
-        beyond: where trials are drawn that missed 95 % on some seed; None where there are none.
-    """
-
-    def __init__(self, objective: Objective, values: Sequence[float]) -> None:
-        self.objective = objective
-        known = [self._plain(value) for value in values if not objective.missed(value)]
-        low, high = (min(known), max(known)) if known else (0.0, 1.0)
-        least = 2.0 if objective.is_rate else 0.1 * abs(high)
-        if high - low < least:
-            low, high = max(0.0, low - least / 2), high + least / 2
-        span = high - low
-        self.beyond = high + 0.18 * span if len(known) < len(values) else None
-        self.known_until = min(high + 0.06 * span, 100.0 if objective.is_rate else np.inf) if known else -np.inf
-        self.low, self.high = low - 0.08 * span, (self.beyond or high) + 0.08 * span
-
-    def _plain(self, value: float) -> float:
-        return 100 * value if self.objective.is_rate else value
-
-    def at(self, value: float) -> float:
-        """Return where a value is drawn."""
-        return self.beyond if self.beyond is not None and self.objective.missed(value) else self._plain(value)
-
-    @property
-    def label(self) -> str:
-        """Name and unit."""
-        return f"{self.objective.name} ({'%' if self.objective.is_rate else 'CPU-s'})"
-
-    def fit(self, axes: Any, axis: str = "y", room: float = 0.0) -> None:
-        """Set limits, ticks and label of an axis, with some room at the worse end, as a share of its length."""
-        more = room * (self.high - self.low)
-        ends = (self.low - more, self.high) if self.objective.higher_is_better else (self.low, self.high + more)
-        axes.set(**{f"{axis}lim": ends})
-        self.ticks(axes, axis)
-        axes.set(**{f"{axis}label": self.label})
-
-    def ticks(self, axes: Any, axis: str) -> None:
-        """Set the ticks of an axis whose limits are set."""
-        found = [t for t in getattr(axes, f"get_{axis}ticks")() if max(0.0, self.low) <= t <= self.known_until]
-        texts = [f"{tick:.6g}" for tick in found]
-        if self.beyond is not None:
-            found, texts = [*found, self.beyond], [*texts, "missed"]
-        getattr(axes, f"set_{axis}ticks")(found, texts)
-
-    def height(self, value: float) -> float:
-        """Return where a value stands between the worst, 0, and the best, 1."""
-        share = (self.at(value) - self.low) / (self.high - self.low)
-        return share if self.objective.higher_is_better else 1 - share
 
 
 def _missed(tuning: Tuning, *objectives: Objective) -> str:
@@ -128,7 +76,7 @@ def history(report: ReportData) -> tuple[Canvas, str] | None:
 
 def _history_panel(canvas: Canvas, axes: Any, tuning: Tuning, place: int) -> None:
     done = tuning.done
-    scale = _Values(tuning.objectives[place], [trial.values[place] for trial in done])
+    scale = ObjectiveScale(tuning.objectives[place], [trial.values[place] for trial in done])
     last = max(trial.number for trial in tuning.trials)
     axes.set_xlim(-0.02 * (last + 1) - 0.3, 1.02 * last + 0.5)
     axes.locator_params(axis="x", integer=True)
@@ -198,7 +146,7 @@ def _slices(tuning: Tuning, place: int, factors: Sequence[Factor], left_out: str
     rows = -(-len(factors) // columns)
     inner, tall, foot = (FULL_IN - 0.85) / _COLUMNS - 0.16, 1.1, 0.5
     canvas = Canvas(0.75 + columns * (inner + 0.16), rows * (tall + foot) + 0.1)
-    values = _Values(objective, [trial.values[place] for trial in tuning.done])
+    values = ObjectiveScale(objective, [trial.values[place] for trial in tuning.done])
     for number, factor in enumerate(factors):
         row, column = divmod(number, columns)
         bottom = foot + (rows - 1 - row) * (tall + foot)
@@ -214,7 +162,7 @@ def _slices(tuning: Tuning, place: int, factors: Sequence[Factor], left_out: str
     return canvas, caption
 
 
-def _slice(canvas: Canvas, axes: Any, tuning: Tuning, place: int, drawn: tuple[Factor, _Values, float]) -> None:
+def _slice(canvas: Canvas, axes: Any, tuning: Tuning, place: int, drawn: tuple[Factor, ObjectiveScale, float]) -> None:
     """Draw one panel: its parameter, the scale of values, and its width [pt]."""
     factor, values, room = drawn
     trials = [trial for trial in tuning.done if factor.key in trial.settings]
@@ -285,7 +233,7 @@ def _heights(objective: Objective, values: Sequence[float]) -> tuple[list[float]
     if objective.is_rate:
         low, high, ticks = rate_axis([100 * value for value in values])
         return [(100 * value - low) / (high - low) for value in values], ticks
-    known, scale = [value for value in values if not objective.missed(value)], _Values(objective, values)
+    known, scale = [value for value in values if not objective.missed(value)], ObjectiveScale(objective, values)
     at = np.linspace(min(known), max(known), 5) if len(set(known)) > 1 else known[:1]
     ticks = [(scale.height(value), f"{value:.3g}") for value in at]
     missed = next((value for value in values if objective.missed(value)), None)
@@ -346,7 +294,7 @@ def pareto_front(report: ReportData) -> tuple[Canvas, str] | None:
 def _front_panel(canvas: Canvas, axes: Any, tuning: Tuning, across: int, up: int) -> None:
     places = []
     for place, axis in ((across, "x"), (up, "y")):
-        scale = _Values(tuning.objectives[place], [trial.values[place] for trial in tuning.done])
+        scale = ObjectiveScale(tuning.objectives[place], [trial.values[place] for trial in tuning.done])
         if axis == "x":
             axes.locator_params(axis="x", nbins=4)
         scale.fit(axes, axis)
@@ -359,53 +307,3 @@ def _front_panel(canvas: Canvas, axes: Any, tuning: Tuning, across: int, up: int
         axes.plot(x[best][order], y[best][order], color=_BEST, lw=0.8, alpha=0.7)
     axes.plot(x[best], y[best], ls="", marker="D", ms=4.4, color=_BEST, mec=PAPER, mew=0.6)
     canvas.tip_points(axes, x, y, [_trial_tip(tuning, trial) for trial in tuning.done])
-
-
-def retest(report: ReportData) -> tuple[Canvas, str] | None:
-    """Draw the means of re-run trials on tuning seeds and on fresh ones, with the difference in words."""
-    tuning = report.tuning
-    objective = tuning.retested_on if tuning else None
-    if tuning is None or objective is None:
-        return None
-    drawn = [one for one in tuning.retested if one.tuning_mean.value is not None or one.test_mean.value is not None]
-    if not drawn:
-        return None
-    canvas, axes, _ = row_canvas([f"trial {one.number}" for one in drawn], right=1.75)
-    factor, edge = (100, 100.0) if objective.is_rate else (1, np.inf)
-    bounds = [b for one in drawn for m in (one.tuning_mean, one.test_mean) for b in (m.value, m.low, m.high)]
-    known = [min(edge, factor * bound) for bound in bounds if bound is not None]
-    span = max(max(known) - min(known), 1.0)
-    unit = "%" if objective.is_rate else "CPU-s"
-    axes.set(xlim=(min(known) - 0.05 * span, max(known) + 0.05 * span), xlabel=f"{objective.name} ({unit})")
-    for row, one in enumerate(drawn):
-        _retested(canvas, axes, (row, factor), one, objective)
-    caption = (
-        f"{objective.name} of the trials that were trained again: mean and 95 % interval on tuning seeds (hollow), by "
-        "which they were chosen, and on fresh ones (filled). At the right: tuning minus test, with Welch's interval."
-    )
-    return canvas, caption
-
-
-def _retested(canvas: Canvas, axes: Any, place: tuple[int, int], one: Retested, objective: Objective) -> None:
-    """Draw one trial in a row, values times a factor."""
-    row, factor = place
-    seeds = (
-        (one.tuning_mean, one.tuning_missed, len(one.tuning), "tuning"),
-        (one.test_mean, one.test_missed, len(one.test), "fresh"),
-    )
-    for height, (found, missed, n, name) in zip((row - 0.16, row + 0.16), seeds, strict=True):
-        if found.value is None:
-            continue
-        _interval(axes, found, height, factor)
-        at, fill = factor * found.value, PAPER if name == "tuning" else BAR
-        axes.plot([at], [height], marker="o", ms=4.4, color=BAR, mfc=fill, mew=1.0)
-        text = f"{named(one.label)}, {plural(n, f'{name} seed')}: {mean_text(objective, found, missed, n)}"
-        canvas.tip_points(axes, [at], [height], [text], radius=5)
-    text = difference_text(objective, one.difference) or "missed 95 % on some seeds"
-    style = {"transform": axes.get_yaxis_transform(), "fontsize": SMALL_PT, "va": "center_baseline"}
-    canvas.text(axes, 1.03, row, text, **style)
-
-
-def _interval(axes: Any, found: Interval, height: float, factor: int) -> None:
-    if found.low is not None and found.high is not None:
-        axes.plot([factor * found.low, factor * found.high], [height] * 2, color=BAR, lw=1.2, marker="|", ms=4, mew=1.0)

@@ -2,9 +2,10 @@
 
 from collections.abc import Iterator, Sequence
 
-from parking_exp.reports.report_data import Cell, Factor, Interval, Objective, ReportData, Retested, Trial, Tuning
+from parking_exp.reports.report_data import Cell, Factor, Interval, ReportData
 from parking_exp.reports.tables.model import Column, Entry, Table, bounds, column, number, setting, values, whole, words
-from parking_exp.reports.tuning import difference_text, mean_text, value_text
+from parking_exp.reports.tuning_data import Objective, Retested, Trial, Tuning
+from parking_exp.reports.tuning_findings import difference_text, mean_text, value_text
 
 
 def trials(report: ReportData, cells: Sequence[Cell]) -> Iterator[Table]:
