@@ -20,9 +20,7 @@ def experiment_files(overrides: list[str]) -> tuple[list[str], list[str]]:
     """
     found, folders = [], []
     for line in overrides:
-        key, _, value = line.partition("=")
-        path = Path(value.strip("'\"")).expanduser()
-        if key == "experiment" and path.suffix in (".yaml", ".yml"):
+        if (path := _path_in(line)) is not None:
             if not path.is_file():
                 raise ConfigError(f"experiment={path}: there is no such file")
             folders.append(_folder_of(path.resolve()))
@@ -43,7 +41,12 @@ def _folder_of(path: Path) -> str:
 
 def with_absolute_path(line: str) -> str:
     """Return an override, with the path of an experiment file made absolute."""
+    path = _path_in(line)
+    return line if path is None else f"experiment={in_quotes(str(path.absolute()))}"
+
+
+def _path_in(line: str) -> Path | None:
+    """Return the path of an experiment file in an override; None where it has none."""
     key, _, value = line.partition("=")
-    path = Path(value.strip("'\""))
-    is_file = key == "experiment" and path.suffix in (".yaml", ".yml")
-    return f"{key}={in_quotes(str(path.expanduser().absolute()))}" if is_file else line
+    path = Path(value.strip("'\"")).expanduser()
+    return path if key == "experiment" and path.suffix in (".yaml", ".yml") else None
