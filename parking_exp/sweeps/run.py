@@ -19,8 +19,7 @@ from parking_exp.sweeps.hydra_launcher import Launch
 from parking_exp.sweeps.monitor import Monitor
 from parking_exp.sweeps.plan import PlannedRun, describe
 from parking_exp.terminal import console, say
-from parking_exp.tracking.sync_all import sync_all
-from parking_exp.tracking.tracker import later
+from parking_exp.tracking.sync_all import sync_problem
 
 WAIT_POLL_S = 1.0
 SWEEP_LOCK = ".sweeping"  # in an experiment's folder, held by every sweep of it: shared, so that they see each other
@@ -108,14 +107,8 @@ def _launch_all(due: list[Path], launch: Launch, monitor: Monitor) -> None:
 def _sync(runs: Sequence[PlannedRun], monitor: Monitor) -> None:
     """Send what workers could not, because they were killed or their store was down."""
     uris = list({store_uri(run.config) for run in runs if run.config.tracking.mlflow})
-    found = sync_all((RunDirectory(run.path) for run in runs), uris)
-    # The plan has told of runs of another version, which stay as they are.
-    problems = [(directory, problem) for directory, problem in found if problem and not directory.version_problem]
-    if problems:
-        directory, problem = problems[0]
-        whose = f"{len(problems)} runs are" if len(problems) > 1 else "a run is"
-        what_to_do = later(directory.output_dir, directory.tracking_uri)
-        monitor.say(f"{whose} not all in the store ({problem}); {what_to_do}")
+    if problem := sync_problem([RunDirectory(run.path) for run in runs], uris):
+        monitor.say(problem)
 
 
 def _wait(elsewhere: list[Path]) -> tuple[list[Path], list[Path]]:

@@ -3,10 +3,12 @@
 from collections.abc import Iterable, Iterator, Sequence
 
 from parking_exp.config.paths import absolute, database, is_same_store, without_password
+from parking_exp.errors import plural
 from parking_exp.runs.directory import RunDirectory
 from parking_exp.tracking.failures import is_store_failure, reason
 from parking_exp.tracking.store import Store
 from parking_exp.tracking.sync import present_status, recorded_in_step, try_sync
+from parking_exp.tracking.tracker import later
 
 
 def sync_all(directories: Iterable[RunDirectory], uris: Sequence[str]) -> Iterator[tuple[RunDirectory, str | None]]:
@@ -32,6 +34,19 @@ def sync_all(directories: Iterable[RunDirectory], uris: Sequence[str]) -> Iterat
         for directory in runs:
             if not recorded_in_step(directory):
                 yield directory, f"it is tracked in {place}, which was not named; tracking.uri={place} sends it there"
+
+
+def sync_problem(directories: Iterable[RunDirectory], uris: Sequence[str]) -> str | None:
+    """Sync all runs as `sync_all` does; return a sentence if a store has not got all of them, with what to type.
+
+    Runs of another version stay as they are, and are no problem: what lists the runs says so of them.
+    """
+    found = [(one, problem) for one, problem in sync_all(directories, uris) if problem and not one.version_problem]
+    if not found:
+        return None
+    directory, problem = found[0]
+    what_to_do = later(directory.output_dir, directory.tracking_uri)
+    return f"the store has not got all of {plural(len(found), 'run')} ({problem}); {what_to_do}"
 
 
 def in_step(directory: RunDirectory, known: dict[str, str]) -> bool:

@@ -15,7 +15,7 @@ from parking_exp.runs.files import read_json
 from parking_exp.runs.layout_version import LAYOUT, refusal
 from parking_exp.runs.state import read_state
 from parking_exp.sweeps.plan import plan
-from parking_exp.tracking.sync_all import sync_all
+from parking_exp.tracking.sync_all import sync_all, sync_problem
 from parking_exp.training.run import train
 
 COMMIT = "01fb74c84089c3686088e6eed2fc86f4a6c57eda"
@@ -119,7 +119,21 @@ def test_a_run_of_another_version_is_not_synced_and_not_changed(tmp_path):
     before = contents(directory.path)
     ((found, problem),) = sync_all([directory], [default_uri(tmp_path)])
     assert (found, problem) == (directory, directory.version_problem)
+    assert sync_problem([directory], [default_uri(tmp_path)]) is None
     assert contents(directory.path) == before
+
+
+def test_what_a_store_lacks_is_one_sentence_with_what_to_type(tmp_path):
+    other = made_by_another_version(tmp_path, "interrupted")
+    directories = [RunDirectory(tmp_path / "mine" / "cell" / f"seed={seed}") for seed in range(2)]
+    for directory in directories:
+        directory.path.mkdir(parents=True)
+        directory.update(status="done", tracking_uri="http://elsewhere:5000")
+    uri = "http://elsewhere:5000"
+    assert sync_problem([other, *directories], [default_uri(tmp_path)]) == (
+        f"the store has not got all of 2 runs (it is tracked in {uri}, which was not named; tracking.uri={uri} sends it "
+        f"there); `python scripts/status.py sync=true output_dir={tmp_path} tracking.uri={uri}` sends what is missing"
+    )
 
 
 def test_status_lists_runs_of_another_version_with_a_line_of_their_own(tmp_path):
