@@ -1,6 +1,6 @@
-"""Live view of a sweep: a rich table on a terminal, a line for each event elsewhere.
+"""Live views: a rich table on a terminal, a line for each event elsewhere.
 
-It only reads run directories, so that it is the same for every launcher.
+That of a sweep only reads run directories, so that it is the same for every launcher.
 """
 
 import threading
@@ -23,31 +23,18 @@ from parking_exp.terminal import console as make_console
 POLL_S = 1.0
 
 
-class Monitor:
-    """Watches runs until the sweep is over.
+class LiveView:
+    """Base of live views: looks every second, in a thread, until its block is left, and has a table on a terminal.
+
+    Subclasses initialise it last: rich renders the table at once.
 
     Args:
-        paths: their directories.
         console: where to print; None: the standard error stream.
     """
 
-    def __init__(self, paths: Sequence[Path], console: Console | None = None) -> None:
+    def __init__(self, console: Console | None) -> None:
         self.console = console or make_console(stderr=True)
-        self.states = {path: read_state(path) for path in paths}
-        self._written = dict.fromkeys(paths, 0)  # when status.json was last written, in ns
-        self._done_before = counts(self.states.values())["done"]
-        self._begin = time.monotonic()
-        self._steps_before = self._steps()
-        self._bar = Progress(
-            TextColumn("{task.description}"),
-            BarColumn(bar_width=20),
-            MofNCompleteColumn(),
-            TextColumn("runs"),
-            TimeElapsedColumn(),
-            TextColumn("{task.fields[left]}"),
-        )
-        self._task = self._bar.add_task("sweep", total=len(paths), left="")
-        self._live = Live(get_renderable=self._render, console=self.console, refresh_per_second=2, transient=True)
+        self._live = Live(get_renderable=self._render, console=self.console, refresh_per_second=1, transient=True)
         self._over = threading.Event()
         self._thread = threading.Thread(target=self._watch, daemon=True)
 
@@ -73,6 +60,40 @@ class Monitor:
     def _watch(self) -> None:
         while not self._over.wait(POLL_S):
             self._look()
+
+    def _look(self) -> None:
+        """Read again what may have changed, and print a line for each event."""
+        raise NotImplementedError
+
+    def _render(self) -> RenderableType:
+        """Return the table."""
+        raise NotImplementedError
+
+
+class Monitor(LiveView):
+    """Watches runs until the sweep is over.
+
+    Args:
+        paths: their directories.
+        console: where to print; None: the standard error stream.
+    """
+
+    def __init__(self, paths: Sequence[Path], console: Console | None = None) -> None:
+        self.states = {path: read_state(path) for path in paths}
+        self._written = dict.fromkeys(paths, 0)  # when status.json was last written, in ns
+        self._done_before = counts(self.states.values())["done"]
+        self._begin = time.monotonic()
+        self._steps_before = self._steps()
+        self._bar = Progress(
+            TextColumn("{task.description}"),
+            BarColumn(bar_width=20),
+            MofNCompleteColumn(),
+            TextColumn("runs"),
+            TimeElapsedColumn(),
+            TextColumn("{task.fields[left]}"),
+        )
+        self._task = self._bar.add_task("sweep", total=len(paths), left="")
+        super().__init__(console)
 
     def _look(self) -> None:
         """Read again the states that may have changed, and print a line for each that has."""

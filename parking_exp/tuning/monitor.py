@@ -1,16 +1,14 @@
 """Live view of a search: a table of its trials on a terminal, a line for each trial that is over elsewhere."""
 
-import threading
 from pathlib import Path
-from types import TracebackType
-from typing import TYPE_CHECKING, Self
+from typing import TYPE_CHECKING
 
 from rich.console import Console, Group, RenderableType
-from rich.live import Live
 
+from parking_exp.errors import ParkingError
 from parking_exp.runs.state import read_state
 from parking_exp.runs.state_tables import name, under_way
-from parking_exp.terminal import console as make_console
+from parking_exp.sweeps.monitor import LiveView
 from parking_exp.tuning.objectives import describe
 from parking_exp.tuning.search import Search
 from parking_exp.tuning.tables import progress_lines, trial_table
@@ -19,10 +17,8 @@ from parking_exp.tuning.trials import TrialRow, rows
 if TYPE_CHECKING:
     from optuna import Study
 
-POLL_S = 1.0
 
-
-class TrialMonitor:
+class TrialMonitor(LiveView):
     """Watches the trials of a search until it is over.
 
     Args:
@@ -33,39 +29,17 @@ class TrialMonitor:
 
     def __init__(self, search: Search, study: "Study", console: Console | None = None) -> None:
         self.search, self.study = search, study
-        self.console = console or make_console(stderr=True)
         self.trials = self._read()
-        self._live = Live(get_renderable=self._render, console=self.console, refresh_per_second=1, transient=True)
-        self._over = threading.Event()
-        self._thread = threading.Thread(target=self._watch, daemon=True)
-
-    def __enter__(self) -> Self:
-        if self.console.is_terminal:
-            self._live.start()
-        self._thread.start()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._over.set()
-        self._thread.join()
-        self._look()
-        if self.console.is_terminal:
-            self._live.stop()
+        super().__init__(console)
 
     def _read(self) -> list[TrialRow]:
         return rows(self.study, self.search.folder, self.search.request.n_trials)
-
-    def _watch(self) -> None:
-        while not self._over.wait(POLL_S):
-            self._look()
 
     def _look(self) -> None:
         before = {trial.number: trial.state for trial in self.trials}
         try:
             self.trials = self._read()
-        except Exception:  # a storage that fails: the workers meet it as well, and say so
+        except ParkingError:  # a storage that fails: the workers meet it as well, and say so
             return
         for trial in self.trials:
             if before.get(trial.number) != trial.state and trial.state != "pending":
@@ -76,14 +50,14 @@ class TrialMonitor:
         over = sum(one.state in ("done", "pruned", "failed") for one in self.trials)
         which = f"({over} of {request.n_trials})"
         if trial.state == "running":
-            self.console.print(f"started  {trial.label}", soft_wrap=True)
+            self.say(f"started  {trial.label}")
             return
         seeds = len(request.search.tuning_seeds)
         values = zip(request.search.objective, trial.values, strict=False)
         words = ", ".join(f"{key} {describe(key, value, seeds)}" for key, value in values)
         steps = f"after {trial.env_steps:,} env steps" if trial.env_steps is not None else ""
         what = words or trial.reason or steps
-        self.console.print(f"{trial.state:<8} {trial.label}: {what}  {which}", soft_wrap=True)
+        self.say(f"{trial.state:<8} {trial.label}: {what}  {which}")
 
     def _render(self) -> RenderableType:
         request = self.search.request
