@@ -165,12 +165,12 @@ def _searches_plain(request: StatusRequest) -> list[dict[str, Any]]:
     plain = []
     for folder in _searches(request):
         try:
-            found = study_in(folder)
+            if (found := study_in(folder)) is None:
+                continue
+            trials = rows(found.study, folder, found.n_trials)
         except (ConfigError, StoreError) as error:
             plain.append({"experiment": folder.name, "error": str(error)})
-            continue
-        if found is not None:
-            trials = rows(found.study, folder, found.n_trials)
+        else:
             about: dict[str, Any] = {
                 "experiment": folder.name,
                 "n_trials": found.n_trials,

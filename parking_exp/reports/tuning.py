@@ -10,9 +10,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from parking_exp.config.paths import without_password
 from parking_exp.config.schema import NAME
-from parking_exp.errors import StoreError, plural
+from parking_exp.errors import ParkingError, StoreError, plural
 from parking_exp.reports import formats
 from parking_exp.reports.report_data import Factor, Interval, ReportData, Setting
 from parking_exp.reports.tuning_data import Budget, Objective, Retested, Trial, Tuning
@@ -25,6 +24,7 @@ from parking_exp.tuning.retest import RETEST_FILE
 from parking_exp.tuning.schema import HIGHER_IS_BETTER, Dimension, SearchConfig
 from parking_exp.tuning.search import SEARCH_FILE, study_in
 from parking_exp.tuning.space import parameter
+from parking_exp.tuning.study import storage_errors
 from parking_exp.tuning.trials import TrialRow, front, rows
 
 if TYPE_CHECKING:
@@ -76,9 +76,8 @@ def read_tuning(folder: Path) -> Tuning | None:
             return None
         trials = rows(found.study, folder, found.n_trials)
         return tuning_of(folder, found.search, found.n_trials, trials, found.study)
-    except Exception as error:  # any driver of a database may be behind the study
-        reason = (str(error).splitlines() or [type(error).__name__])[0]
-        raise StoreError(without_password(reason).rstrip(".")) from error
+    except ParkingError as error:
+        raise StoreError(str(error).splitlines()[0].rstrip(".")) from error
 
 
 def tuning_of(folder: Path, search: SearchConfig, n_trials: int, trials: Sequence[TrialRow], study: "Study") -> Tuning:
@@ -214,7 +213,7 @@ def parameter_importance(study: "Study", trials: Sequence[TrialRow]) -> tuple[di
         return {}, [f"{left_out} all trials that are done have the same value."]
     from optuna.importance import PedAnovaImportanceEvaluator, get_param_importances
 
-    with warnings.catch_warnings():
+    with storage_errors(study.study_name), warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of parameters that few trials have
         found = get_param_importances(study, evaluator=PedAnovaImportanceEvaluator())
     return dict(sorted(found.items(), key=lambda item: (-item[1], item[0]))), []

@@ -22,7 +22,7 @@ class Launch:
     """A launcher of Hydra's, set up as the command line says.
 
     Any launcher will do: it is given one override a job, `run=PATH`, and a task that trains what lies there; a search
-    gives it jobs of its own, `study=PATH`, and another task.
+    gives it jobs of its own, `study=PATH n_trials=N`, and another task.
 
     Raises:
         ConfigError: the launcher is not installed, or its config is wrong.
@@ -62,12 +62,13 @@ class Launch:
             ConfigError: a package is missing.
             InterruptedRunError: a signal stopped it.
         """
-        returns, problem = self.jobs([f"run={in_quotes(str(path))}" for path in paths])
+        returns, problem = self.jobs([[f"run={in_quotes(str(path))}"] for path in paths])
+        # Not strict: a launcher that broke has returned nothing.
         values = dict(zip(paths, returns, strict=False))
         return {path: value for path, value in values.items() if value in get_args(WorkerResult)}, problem
 
-    def jobs(self, lines: Sequence[str]) -> tuple[list[Any], str | None]:
-        """Run jobs, each with one override.
+    def jobs(self, overrides: Sequence[Sequence[str]]) -> tuple[list[Any], str | None]:
+        """Run jobs, each with overrides of its own.
 
         Returns:
             What each has returned or raised; none where the launcher itself broke. And what broke, or None.
@@ -78,7 +79,7 @@ class Launch:
         """
         with hydra_ready(self._extra):
             try:
-                returns = self._launcher.launch([[line] for line in lines], 0)
+                returns = self._launcher.launch(overrides, 0)
             except ImportError as error:
                 raise ConfigError(f"hydra/launcher={self.name}: {error}{_extra_of(self.name)}") from error
             except ParkingError:

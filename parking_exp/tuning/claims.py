@@ -1,7 +1,7 @@
 """Which process works on which trial: claiming one, sampling its parameters, and finding those that were left.
 
 A process holds a lock file as long as it works on a trial, so that a trial whose worker was killed is found and goes
-on: here at once, on other machines once its last sign of life is old.
+on: here at once, on other machines once its last heartbeat is old.
 """
 
 import socket
@@ -17,16 +17,16 @@ from filelock import FileLock, Timeout
 from parking_exp.runs.locks import is_held
 from parking_exp.tuning.schema import SearchConfig
 from parking_exp.tuning.space import applies, in_order, parameter, suggest, to_value
-from parking_exp.tuning.study import CHANGES, ENQUEUED, claiming
+from parking_exp.tuning.study import CHANGES, ENQUEUED, HEARTBEAT, claiming
 
 if TYPE_CHECKING:
     from optuna import Study, Trial
     from optuna.samplers import BaseSampler
     from optuna.trial import FrozenTrial
 
-TRIALS_FOLDER, SIGN_OF_LIFE = ".trials", "alive"
-LOST_S = 180.0  # of a trial on another machine: no sign of life for so long
-SIGN_S = 30.0
+TRIALS_FOLDER = ".trials"
+LOST_S = 180.0  # of a trial on another machine: no heartbeat for so long
+HEARTBEAT_S = 30.0
 
 
 class Claim:
@@ -34,7 +34,7 @@ class Claim:
 
     def __init__(self, trial: "Trial", folder: Path, lock: FileLock) -> None:
         self.trial, self.folder, self._lock = trial, folder, lock
-        self._signed = 0.0
+        self._last_heartbeat = float("-inf")
 
     @property
     def number(self) -> int:
@@ -46,12 +46,12 @@ class Claim:
         """What the trial changes in the search's config."""
         return dict(self.trial.user_attrs[CHANGES])
 
-    def sign(self) -> None:
-        """Leave a sign of life for other machines, every SIGN_S at most."""
-        if time.monotonic() - self._signed > SIGN_S:
-            self._signed = time.monotonic()
+    def send_heartbeat(self) -> None:
+        """Leave a heartbeat for other machines, every HEARTBEAT_S at most."""
+        if time.monotonic() - self._last_heartbeat > HEARTBEAT_S:
+            self._last_heartbeat = time.monotonic()
             self.trial.set_user_attr(
-                SIGN_OF_LIFE, {"host": socket.gethostname(), "folder": str(self.folder), "time": time.time()}
+                HEARTBEAT, {"host": socket.gethostname(), "folder": str(self.folder), "time": time.time()}
             )
 
     def release(self) -> None:
@@ -76,8 +76,7 @@ def claim(study: "Study", folder: Path, search: SearchConfig, n_trials: int) -> 
             return None
         study.sampler = make_sampler(search, seed_of(study.study_name, len(trials)))
         trial = study.ask()
-        if trial.number >= n_trials:  # another machine was faster; what was begun here is not trained
-            study.tell(trial, state=optuna.trial.TrialState.FAIL)
+        if trial.number >= n_trials:  # another machine was faster; a call with more trials takes it up
             return None
         lock = _trial_lock(folder, trial.number)
         lock.acquire()
@@ -88,7 +87,7 @@ def _claimed(search: SearchConfig, trial: "Trial", folder: Path, lock: FileLock)
     """Sample what a trial has no value of yet, and write down what it changes."""
     taken = Claim(trial, folder, lock)
     try:
-        taken.sign()
+        taken.send_heartbeat()
         given = trial.user_attrs.get(ENQUEUED)
         chosen: dict[str, Any] = {}
         for key, dimension in in_order(search):
@@ -133,9 +132,9 @@ def _trial_lock(folder: Path, number: int) -> FileLock:
 
 def _lock_if_lost(folder: Path, frozen: "FrozenTrial") -> FileLock | None:
     """Lock a trial if no process works on it, else return None."""
-    alive = frozen.user_attrs.get(SIGN_OF_LIFE, {})
+    heartbeat = frozen.user_attrs.get(HEARTBEAT, {})
     began = frozen.datetime_start.timestamp() if frozen.datetime_start else 0.0
-    if _is_elsewhere(alive, folder) and time.time() - max(alive.get("time", 0.0), began) < LOST_S:
+    if _is_elsewhere(heartbeat, folder) and time.time() - max(heartbeat.get("time", 0.0), began) < LOST_S:
         return None
     lock = _trial_lock(folder, frozen.number)
     try:
@@ -147,12 +146,12 @@ def _lock_if_lost(folder: Path, frozen: "FrozenTrial") -> FileLock | None:
 
 def worked_on(folder: Path, frozen: "FrozenTrial") -> bool:
     """Whether a process works on a trial, as far as this machine can tell."""
-    alive = frozen.user_attrs.get(SIGN_OF_LIFE, {})
-    if _is_elsewhere(alive, folder):
-        return time.time() - alive.get("time", 0.0) < LOST_S
+    heartbeat = frozen.user_attrs.get(HEARTBEAT, {})
+    if _is_elsewhere(heartbeat, folder):
+        return time.time() - heartbeat.get("time", 0.0) < LOST_S
     return is_held(folder / TRIALS_FOLDER / f"{frozen.number:05d}.lock")
 
 
-def _is_elsewhere(alive: Mapping[str, Any], folder: Path) -> bool:
-    """Whether a sign of life is of another machine, or of a search in another folder, whose lock files are not ours."""
-    return bool(alive) and (alive.get("host"), alive.get("folder")) != (socket.gethostname(), str(folder))
+def _is_elsewhere(heartbeat: Mapping[str, Any], folder: Path) -> bool:
+    """Whether a heartbeat is of another machine, or of a search in another folder, whose lock files are not ours."""
+    return bool(heartbeat) and (heartbeat.get("host"), heartbeat.get("folder")) != (socket.gethostname(), str(folder))

@@ -1,10 +1,11 @@
 """The end of a search: trial 0 and the best are trained on fresh seeds, and the winner becomes an experiment file."""
 
+import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from statistics import mean
-from typing import Any
+from typing import TYPE_CHECKING, Any, cast
 
 import yaml
 from omegaconf import OmegaConf
@@ -12,7 +13,8 @@ from rich.console import Console
 from rich.table import Table
 
 from parking_exp.config.compose import Composed, composed_runs
-from parking_exp.config.run_key import changes_results
+from parking_exp.config.overrides import in_quotes
+from parking_exp.config.run_key import result_part
 from parking_exp.config.schema import RunConfig
 from parking_exp.config.validate import validate
 from parking_exp.errors import FailedRunError, plural
@@ -23,10 +25,13 @@ from parking_exp.sweeps.hydra_launcher import Launch
 from parking_exp.sweeps.plan import plan
 from parking_exp.sweeps.run import sweep
 from parking_exp.tuning.objectives import CENSORED_S, describe, read_curve, run_value
-from parking_exp.tuning.schema import HIGHER_IS_BETTER, Objective
+from parking_exp.tuning.schema import HIGHER_IS_BETTER, Objective, SearchConfig
 from parking_exp.tuning.search import Search
 from parking_exp.tuning.trials import TrialRow, ranked
 from parking_exp.tuning.unit_costs import known_costs
+
+if TYPE_CHECKING:
+    from optuna import Study
 
 RETEST_FILE = "retest.json"
 GROUPS = ("env", "algorithm", "buffer")
@@ -49,17 +54,15 @@ class Retested:
     test: Sequence[float]
 
 
-def retest(search: Search, trials: Sequence[TrialRow], launch: Launch) -> list[Retested]:
+def retest(search: Search, study: "Study", trials: Sequence[TrialRow], launch: Launch) -> list[Retested]:
     """Train trial 0 and the best trials on the test seeds, as a sweep, and return how they did, best first.
 
     Raises:
         FailedRunError: some of the runs failed.
     """
     settings = search.request.search
-    best = list({tuple(trial.runs): trial for trial in reversed(ranked(trials, settings.objective))}.values())[::-1]
-    chosen = [trial for trial in best if trial.number != 0][: settings.n_retest]
-    chosen = [*(trial for trial in best if trial.number == 0), *chosen]
-    if not settings.n_retest or not chosen:
+    chosen = _chosen(trials, settings)
+    if not chosen:
         return []
     cells = {trial.number: search.composed_with(trial.changes).cell for trial in chosen}
     runs = [
@@ -73,7 +76,7 @@ def retest(search: Search, trials: Sequence[TrialRow], launch: Launch) -> list[R
         return {"search": search.folder.name, "trial": numbers[id(run.cell)]}
 
     sweep(plan(runs, search.composed.cell.retry, entries), launch)
-    tested = [_retested(search, trial) for trial in chosen]
+    tested = [_retested(search, study, trial) for trial in chosen]
     sign = -1 if HIGHER_IS_BETTER[settings.objective[0]] else 1
     tested.sort(key=lambda one: (sign * mean(one.test), one.number))
     about = {"objective": settings.objective[0], "tuning_seeds": settings.tuning_seeds}
@@ -82,10 +85,21 @@ def retest(search: Search, trials: Sequence[TrialRow], launch: Launch) -> list[R
     return tested
 
 
-def _retested(search: Search, trial: TrialRow) -> Retested:
-    config, objective = search.config(trial.changes), search.request.search.objective[0]
-    units = known_costs(search.open(), config) if objective == "cost_to_95" else None
+def _chosen(trials: Sequence[TrialRow], settings: SearchConfig) -> list[TrialRow]:
+    """Return trial 0, if it is done, and the best of the others; of trials that share their runs, one."""
+    if not settings.n_retest:
+        return []
+    by_runs: dict[tuple[str, ...], TrialRow] = {}
+    for trial in ranked(trials, settings.objective):
+        by_runs.setdefault(tuple(trial.runs), trial)
+    first = [trial for trial in by_runs.values() if trial.number == 0]
+    others = [trial for trial in by_runs.values() if trial.number != 0]
+    return [*first, *others[: settings.n_retest]]
 
+
+def _retested(search: Search, study: "Study", trial: TrialRow) -> Retested:
+    config, objective = search.config(trial.changes), search.request.search.objective[0]
+    units = known_costs(study, config) if objective == "cost_to_95" else None
     runs = [config.model_copy(update={"seed": seed}) for seed in search.request.search.test_seeds]
     test = [run_value(objective, run, read_curve(RunDirectory(run.run_dir)), units) for run in runs]
     return Retested(trial.number, trial.label, trial.changes, [values[0] for values in trial.by_seed], test)
@@ -114,7 +128,8 @@ def write_winner(search: Search, tested: Sequence[Retested], out: Console) -> No
         + (f"; chosen as the best of {len(tested)}, its value is somewhat too high" if len(tested) > 1 else "")
     )
     out.print(f"experiment     {path}")
-    out.print(f"train it with  python scripts/train.py experiment={path}")
+    typed = ["--config-dir", search.extra_config_dir] if search.extra_config_dir else []
+    out.print(f"train it with  {shlex.join(['python', 'scripts/train.py', f'experiment={path}', *typed])}")
 
 
 def retest_table(tested: Sequence[Retested], objective: Objective) -> Table:
@@ -149,34 +164,30 @@ def _as_experiment(search: Search, winner: Retested, n_tested: int) -> str:
     composed = search.composed_with(winner.changes)
     options = {group: composed.options[group] for group in GROUPS}
     plain = composed_runs("config", [f"{group}={option}" for group, option in options.items()], search.extra_config_dir)
-    default = OmegaConf.to_container(plain[0].cell, resolve=True)
+    default = cast(dict[str, Any], OmegaConf.to_container(plain[0].cell, resolve=True))
     config = search.config(winner.changes).plain()
-    changed = _changed(config | {"experiment_name": f"tuned_{search.folder.name}"}, default)
+    del config["seed"]
+    changed = _changed(result_part(config), result_part(default))
     of = f"of search {search.folder.name}, the best of {n_tested} on fresh seeds."
     head = ["# @package _global_", f"# Trial {winner.number} {of}"]
-    content = {"defaults": [{f"override /{group}": option} for group, option in options.items()], **changed}
+    content = {
+        "defaults": [{f"override /{group}": option} for group, option in options.items()],
+        "experiment_name": f"tuned_{search.folder.name}",
+        **changed,
+    }
     return "\n".join(head) + "\n" + yaml.safe_dump(content, sort_keys=False)
 
 
-def _changed(config: Any, default: Any, prefix: str = "") -> dict[str, Any]:
-    """Return the keys of a config that change results, with values that differ from those of the default."""
+def _changed(config: Mapping[str, Any], default: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the keys of a config that its default does not have, or has with another value."""
     found = {}
     for key, value in config.items():
-        name = f"{prefix}{key}"
-        there = default.get(key) if isinstance(default, dict) else None
-        if value == there and isinstance(default, dict) and key in default:
-            continue
-        if not changes_results(name) and name != "experiment_name":
-            continue
-        if isinstance(value, dict) and isinstance(there, dict):
-            found[key] = _changed(value, there, f"{name}.")
-        else:
-            found[key] = value
-    return {key: value for key, value in found.items() if key not in ("seed", "output_dir")}
+        there = default.get(key)
+        if key not in default or value != there:
+            found[key] = _changed(value, there) if isinstance(value, dict) and isinstance(there, dict) else value
+    return found
 
 
 def tuned_config(path: Path, extra_config_dir: str | None) -> RunConfig:
     """Return the config that an experiment file stands for."""
-    from parking_exp.config.overrides import in_quotes
-
     return validate(composed_runs("config", [f"experiment={in_quotes(str(path))}"], extra_config_dir)[0].cell)

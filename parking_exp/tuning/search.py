@@ -15,7 +15,7 @@ from parking_exp.config.overrides import in_quotes
 from parking_exp.config.paths import absolute
 from parking_exp.config.schema import RunConfig
 from parking_exp.config.validate import check, parse, validate
-from parking_exp.errors import ConfigError, suggestion
+from parking_exp.errors import ConfigError, OutputDirectoryError, suggestion
 from parking_exp.runs.files import read_object, write_json
 from parking_exp.tuning.objectives import HOLD, evaluations
 from parking_exp.tuning.schema import TUNING_KEYS, SearchConfig, TuneRequest
@@ -99,17 +99,14 @@ class Search:
         groups = self.composed.options.keys() & changes.keys()
         composed = self._with_options([f"{group}={changes[group]}" for group in sorted(groups)])
         cell = composed.cell.copy()
+        cell.experiment_name = cell.experiment_name  # resolved while there is a search, whose name is the default
         with open_dict(cell):
             for key in TUNING_KEYS:
-                cell[key] = None
-        cell.experiment_name = composed.cell.experiment_name
+                del cell[key]
         for key, value in changes.items():
             if key not in groups:
                 _set(cell, key, value)
         OmegaConf.resolve(cell)
-        with open_dict(cell):
-            for key in TUNING_KEYS:
-                del cell[key]
         return replace(composed, cell=cell)
 
     def config(self, changes: Mapping[str, Any]) -> RunConfig:
@@ -178,7 +175,16 @@ class Search:
         return []
 
     def open(self) -> "Study":
-        """Return the study, made if there is none yet; raises what `study.open_study` does."""
+        """Return the study, made with its folder if there is none yet.
+
+        Raises:
+            OutputDirectoryError: the folder can't be made.
+            ConfigError, StoreError: see `study.open_study`.
+        """
+        try:
+            self.folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise OutputDirectoryError(f"output_dir: {self.folder} cannot be made: {error.strerror}") from error
         storage = storage_of(self.folder, self.request.storage)
         return open_study(self.folder, self.request.search, self.base, self.values, storage)
 
@@ -188,15 +194,13 @@ class Search:
         # Workers may be started from another directory.
         overrides = [with_absolute_path(line) for line in self.overrides]
         typed = {"overrides": overrides, "extra_config_dir": extra and str(Path(extra).absolute())}
-        # The longest of several calls at once counts.
-        earlier = read_object(self.folder / SEARCH_FILE).get("n_trials", 0)
         storage = absolute(request.storage) if request.storage else None
-        settings = {"storage": storage, "n_trials": max(request.n_trials, earlier)}
+        settings = {"storage": storage, "n_trials": request.n_trials}
         write_json(self.folder / SEARCH_FILE, {**typed, **settings, "search": request.search.model_dump(by_alias=True)})
 
     @classmethod
     def load(cls, folder: Path) -> "Search":
-        """Return the search of an experiment's folder, wherever the process runs that asks.
+        """Return the search of an experiment's folder as it was typed last, wherever the process runs that asks.
 
         Raises:
             ConfigError: there is none.
@@ -204,10 +208,8 @@ class Search:
         stored = read_object(folder / SEARCH_FILE)
         if not isinstance(stored.get("overrides"), list):
             raise ConfigError(f"{folder / SEARCH_FILE} can't be read; type the search again")
-        known = {"output_dir": str(folder.parent), "storage": stored.get("storage"), "n_trials": stored.get("n_trials")}
-        found = [
-            f"{key}={in_quotes(value) if isinstance(value, str) else value}" for key, value in known.items() if value
-        ]
+        known = {"output_dir": str(folder.parent), "storage": stored.get("storage")}
+        found = [f"{key}={in_quotes(value)}" for key, value in known.items() if value]
         return cls([*stored["overrides"], *found], stored.get("extra_config_dir"))
 
 

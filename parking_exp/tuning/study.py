@@ -24,8 +24,10 @@ if TYPE_CHECKING:
 
 STUDY_FILE, CLAIM_LOCK = "study.journal", ".claiming"
 Values = Callable[[Mapping[str, Any]], Mapping[str, Any]]
-DEFINITION = "definition"
-CHANGES, ENQUEUED = "changes", "enqueued"
+DEFINITION = "definition"  # attribute of a study
+# Attributes of a trial.
+CHANGES, ENQUEUED, HEARTBEAT, RUNS, REASON = "changes", "enqueued", "alive", "runs", "reason"
+SEED_VALUES, STEPS, CPU_S, COST = "values_by_seed", "env_steps", "cpu_s", "cost"
 CLAIM_PATIENCE_S = 120.0
 
 
@@ -39,12 +41,10 @@ class _JournalLock:
         """Wait for the lock, and cut off what a process that was killed, or a full disk, left of a line."""
         self._lock.acquire()
         with self._path.open("r+b") as file:
-            content_end = file.seek(0, os.SEEK_END)
-            start = max(0, content_end - 2**20)
-            file.seek(start)
-            tail = file.read()
-            if tail and not tail.endswith(b"\n"):
-                file.truncate(start + tail.rfind(b"\n") + 1)
+            file.seek(max(0, file.seek(0, os.SEEK_END) - 1))
+            if file.read() not in (b"", b"\n"):
+                file.seek(0)
+                file.truncate(file.read().rfind(b"\n") + 1)
         return True
 
     def release(self) -> None:

@@ -7,8 +7,8 @@ from rich.table import Table
 from parking_exp.errors import plural
 from parking_exp.runs.state_tables import duration
 from parking_exp.tuning.objectives import describe
-from parking_exp.tuning.schema import SearchConfig
-from parking_exp.tuning.trials import TrialRow, counts, dimension_text, ranked
+from parking_exp.tuning.schema import Dimension, SearchConfig
+from parking_exp.tuning.trials import TrialRow, counts, ranked
 
 SHOWN = 15
 
@@ -21,6 +21,20 @@ def space_table(search: SearchConfig) -> Table:
     for key, dimension in search.space.items():
         table.add_row(key, dimension_text(dimension))
     return table
+
+
+def dimension_text(dimension: Dimension) -> str:
+    """Write a dimension for people."""
+    low, high = dimension.bounds
+    condition = ", ".join(f"{key}={'|'.join(map(str, values))}" for key, values in dimension.when.items())
+    if dimension.choices is not None:
+        text = " | ".join(map(str, dimension.choices))
+    else:
+        scale = {"log": ", log", "one_minus_log": ", log of 1 - x"}
+        form = next(name for name in ("log", "uniform", "one_minus_log", "whole") if getattr(dimension, name))
+        whole = ", whole" if form == "whole" else ""
+        text = f"{low:g} … {high:g}{scale.get(form, whole)}"
+    return f"{text}   if {condition}" if condition else text
 
 
 def trial_table(trials: Sequence[TrialRow], search: SearchConfig, most: int = SHOWN) -> Table:

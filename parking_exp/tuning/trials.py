@@ -7,7 +7,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from parking_exp.tuning.claims import worked_on
-from parking_exp.tuning.schema import HIGHER_IS_BETTER, Dimension
+from parking_exp.tuning.schema import HIGHER_IS_BETTER
+from parking_exp.tuning.study import CHANGES, COST, CPU_S, REASON, RUNS, SEED_VALUES, STEPS, storage_errors
 
 if TYPE_CHECKING:
     from optuna import Study
@@ -57,8 +58,15 @@ class TrialRow:
 
 
 def rows(study: "Study", folder: Path, n_trials: int) -> list[TrialRow]:
-    """Return the trials that have begun, or wait to, of the first `n_trials`."""
-    return [_row(frozen, folder) for frozen in study.get_trials(deepcopy=False)[:n_trials]]
+    """Return the trials that have begun, or wait to, of the first `n_trials`.
+
+    Raises:
+        ConfigError: the study is damaged.
+        StoreError: its storage fails.
+    """
+    with storage_errors(study.study_name):
+        found = study.get_trials(deepcopy=False)[:n_trials]
+    return [_row(frozen, folder) for frozen in found]
 
 
 def _row(frozen: "FrozenTrial", folder: Path) -> TrialRow:
@@ -69,15 +77,15 @@ def _row(frozen: "FrozenTrial", folder: Path) -> TrialRow:
     return TrialRow(
         number=frozen.number,
         state=state,
-        changes=attributes.get("changes", {}),
+        changes=attributes.get(CHANGES, {}),
         parameters={name: _plain(value) for name, value in frozen.params.items()},
         values=list(frozen.values or []) if done else [],
-        by_seed=attributes.get("values_by_seed", []),
-        runs=attributes.get("runs", []),
-        env_steps=attributes.get("env_steps"),
-        cpu_s=attributes.get("cpu_s"),
-        cost=attributes.get("cost"),
-        reason=attributes.get("reason"),
+        by_seed=attributes.get(SEED_VALUES, []),
+        runs=attributes.get(RUNS, []),
+        env_steps=attributes.get(STEPS),
+        cpu_s=attributes.get(CPU_S),
+        cost=attributes.get(COST),
+        reason=attributes.get(REASON),
         seconds=frozen.duration.total_seconds() if frozen.duration else None,
     )
 
@@ -116,17 +124,3 @@ def counts(trials: Sequence[TrialRow]) -> dict[TrialState, int]:
     """Return how many trials are in which state."""
     found = [trial.state for trial in trials]
     return {state: found.count(state) for state in STATES}
-
-
-def dimension_text(dimension: Dimension) -> str:
-    """Write a dimension for people."""
-    low, high = dimension.bounds
-    condition = ", ".join(f"{key}={'|'.join(map(str, values))}" for key, values in dimension.when.items())
-    if dimension.choices is not None:
-        text = " | ".join(map(str, dimension.choices))
-    else:
-        scale = {"log": ", log", "one_minus_log": ", log of 1 - x"}
-        form = next(name for name in ("log", "uniform", "one_minus_log", "whole") if getattr(dimension, name))
-        whole = ", whole" if form == "whole" else ""
-        text = f"{low:g} … {high:g}{scale.get(form, whole)}"
-    return f"{text}   if {condition}" if condition else text

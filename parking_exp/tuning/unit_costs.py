@@ -45,7 +45,7 @@ def known_costs(study: "Study", config: RunConfig) -> UnitCosts | None:
     return UnitCosts(**found) if found else None
 
 
-def unit_costs(study: "Study", configs: Iterable[RunConfig]) -> None:
+def measure_unit_costs(study: "Study", configs: Iterable[RunConfig]) -> None:
     """Measure the unit costs of shapes that the study has not got, and keep them there.
 
     Raises:

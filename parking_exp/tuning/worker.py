@@ -30,7 +30,8 @@ from parking_exp.tuning.objectives import (
 )
 from parking_exp.tuning.schema import SearchConfig
 from parking_exp.tuning.search import Search
-from parking_exp.tuning.unit_costs import known_costs, unit_costs
+from parking_exp.tuning.study import COST, CPU_S, REASON, RUNS, SEED_VALUES, STEPS
+from parking_exp.tuning.unit_costs import known_costs, measure_unit_costs
 
 if TYPE_CHECKING:
     from optuna import Study
@@ -38,11 +39,10 @@ if TYPE_CHECKING:
 
 ATTEMPTS = 3  # at a run whose process is killed
 LOOK_S, ELSEWHERE_POLL_S = 0.5, 1.0
-RUNS, CPU_S, STEPS, COST, SEED_VALUES, REASON = "runs", "cpu_s", "env_steps", "cost", "values_by_seed", "reason"
 Outcome = Literal["done", "pruned", "failed", "stopped"]
 
 
-def work_job(folder: str) -> None:
+def work_job(folder: str, n_trials: int) -> None:
     """Work on the search of a folder as a job of another launcher.
 
     Raises:
@@ -53,11 +53,11 @@ def work_job(folder: str) -> None:
         def train(path: Path, stop: Stop | None) -> WorkerResult | None:
             return None if asked() else supervise(path, stop=lambda: asked() or (stop is not None and stop()))
 
-        work(Path(folder), train)
+        work(Path(folder), n_trials, train)
 
 
-def work(folder: Path, train: Train) -> None:
-    """Train trials until none is left, or `train` says that all is stopped.
+def work(folder: Path, n_trials: int, train: Train) -> None:
+    """Train the first `n_trials` trials until none is left, or `train` says that all is stopped.
 
     Raises:
         StoreError: the study can't be read or written.
@@ -67,7 +67,7 @@ def work(folder: Path, train: Train) -> None:
     settings = search.request.search
     study.pruner = make_pruner(settings, evaluations(search.base))
     try:
-        while (taken := claim(study, folder, settings, search.request.n_trials)) is not None:
+        while (taken := claim(study, folder, settings, n_trials)) is not None:
             try:
                 if _Trial(search, study, taken, train).run() == "stopped":
                     return
@@ -87,13 +87,15 @@ def make_pruner(search: SearchConfig, evaluations_a_run: int) -> "BasePruner":
     from optuna import pruners
 
     whole = evaluations_a_run * len(search.tuning_seeds)
+    # A third: the first rung is after take-off, and before a whole run has been spent on a trial.
+    first_rung = max(1, evaluations_a_run // 3)
     match search.pruner:
         case "median":
             return pruners.MedianPruner(n_startup_trials=5)
         case "hyperband":
-            return pruners.HyperbandPruner(min_resource=max(1, evaluations_a_run // 3), max_resource=whole)
+            return pruners.HyperbandPruner(min_resource=first_rung, max_resource=whole)
         case "asha":
-            return pruners.SuccessiveHalvingPruner(min_resource=max(1, evaluations_a_run // 3), reduction_factor=3)
+            return pruners.SuccessiveHalvingPruner(min_resource=first_rung, reduction_factor=3)
         case "wilcoxon":
             return pruners.WilcoxonPruner(p_threshold=0.1)
     return pruners.NopPruner()
@@ -118,7 +120,7 @@ class _Trial:
         except ConfigError as error:  # values that do not go together
             return self._over("failed", reason=str(error).replace("\n", "; "))
         if "cost_to_95" in self.settings.objective:
-            unit_costs(self.study, [config])
+            measure_unit_costs(self.study, [config])
             self.units = known_costs(self.study, config)
         seeds = self.settings.tuning_seeds
         runs = [config.model_copy(update={"seed": seed}) for seed in seeds]
@@ -191,7 +193,7 @@ class _Trial:
             result = self.train(directory.path, stop)
             if result == "elsewhere":  # another trial has the same config
                 time.sleep(ELSEWHERE_POLL_S)
-                self.taken.sign()
+                self.taken.send_heartbeat()
                 attempts -= 1
             elif result == "stopped" and prune:
                 directory.update(status="pruned")
@@ -204,7 +206,7 @@ class _Trial:
         A trial goes on where the study can't be reached.
         """
         try:
-            self.taken.sign()
+            self.taken.send_heartbeat()
             return self.settings.pruner not in (None, "wilcoxon") and self._judge(config, number, read_curve(directory))
         except Exception as error:  # a database may fail in any way
             if self._problem is None:

@@ -4,17 +4,22 @@ import json
 import math
 import time
 
+import optuna
 import pytest
 from support.runs import run_script
+from support.searches import SETTINGS
 from support.sweep_processes import SLOW, begin, statuses, wait_until
 
+from parking_exp.cli.status import show
+from parking_exp.config.compose import composed
 from parking_exp.errors import RunNotFoundError
 from parking_exp.runs.directory import RunDirectory
-from parking_exp.runs.files import read_json
+from parking_exp.runs.files import read_json, write_json
 from parking_exp.runs.layout_version import new_entries
 from parking_exp.runs.lookup import find_run
 from parking_exp.runs.state import read_state
 from parking_exp.runs.state_tables import duration
+from parking_exp.tuning.study import storage_of
 
 
 def run_dir(output_dir, cell="cell-a", seed=0, **status):
@@ -198,3 +203,22 @@ def test_a_running_run_is_told_with_step_rate_time_left_and_host(tmp_path):
 @pytest.mark.parametrize(("seconds", "words"), [(3.4, "3 s"), (99.6, "2 min"), (720, "12 min"), (19_200, "5 h 20 min")])
 def test_durations_in_words(seconds, words):
     assert duration(seconds) == words
+
+
+@pytest.mark.parametrize("as_json", [True, False])
+def test_a_search_whose_storage_fails_is_told_in_a_sentence(tmp_path, monkeypatch, capsys, as_json):
+    folder = run_dir(tmp_path, status="done").parents[1]
+    optuna.create_study(study_name="mine", storage=storage_of(folder, None))
+    write_json(folder / "search.json", {"n_trials": 3, "search": SETTINGS})
+
+    def fail(*_, **__):
+        raise OSError("it is gone")
+
+    monkeypatch.setattr(optuna.Study, "get_trials", fail)
+    (config,) = composed("status", [f"output_dir={tmp_path}", f"json={as_json}"])
+    show(config)
+    shown, words = capsys.readouterr().out, "the storage of study mine fails: it is gone; type it again later"
+    if as_json:
+        assert json.loads(shown)["searches"] == [{"experiment": "mine", "error": words}]
+    else:
+        assert shown.splitlines()[-1] == f"search mine: {words}"

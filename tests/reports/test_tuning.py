@@ -357,6 +357,26 @@ def test_a_storage_that_fails_leaves_the_report_as_it_is_with_a_warning_without_
     assert replace(found, warnings=plain.warnings) == plain
 
 
+def test_a_mistake_of_ours_is_not_told_as_a_storage_that_fails(begun, monkeypatch):
+    monkeypatch.setattr("parking_exp.reports.tuning.budget", lambda *_: 1 / 0)
+    with pytest.raises(ZeroDivisionError):
+        with_search(report("smoke"), begun.parent)
+
+
+@pytest.mark.parametrize("of", ["optuna.Study.get_trials", "optuna.importance.get_param_importances"])
+def test_a_storage_that_fails_later_leaves_the_search_out_as_well(begun, monkeypatch, of):
+    def fail(*_, **__):
+        raise OSError("it is gone")
+
+    monkeypatch.setattr("parking_exp.reports.tuning.FEWEST_TRIALS", 2)
+    monkeypatch.setattr(of, fail)
+    found = with_search(report("smoke"), begun.parent)
+    assert found.tuning is None
+    assert found.warnings == [
+        "The search of smoke is left out: the storage of study smoke fails: it is gone; type it again later."
+    ]
+
+
 def test_pruned_runs_are_neither_missing_nor_unfinished_and_cells_of_them_alone_are_left_out(output_dir):
     def look(label, seed):
         if label == "td3" or (label, seed) == ("ddpg", 1):

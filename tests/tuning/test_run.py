@@ -183,7 +183,7 @@ def test_a_trial_that_is_worse_than_the_median_is_pruned_and_stays_so(tmp_path):
         "from parking_exp.tuning import worker\n"
         "worker.make_pruner = lambda *_: optuna.pruners.ThresholdPruner(lower=0.5)\n"
         "from parking_exp.sweeps.supervisor import supervise\n"
-        "worker.work(Path(sys.argv[1]), lambda path, stop: supervise(path, stop=stop))\n"
+        "worker.work(Path(sys.argv[1]), 2, lambda path, stop: supervise(path, stop=stop))\n"
     )
     options = ["search.tuning_seeds=[1001,1002]", "tracking.mlflow=false", "search.grace_updates=0", "n_trials=2"]
     search = Search([*QUICK, *options, f"output_dir={tmp_path}"])

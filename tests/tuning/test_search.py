@@ -5,8 +5,8 @@ import yaml
 from support.runs import make_config, options
 
 from parking_exp.config.compose import compose
-from parking_exp.errors import ConfigError
-from parking_exp.tuning.search import Search
+from parking_exp.errors import ConfigError, OutputDirectoryError
+from parking_exp.tuning.search import Search, study_in
 from parking_exp.tuning.unit_costs import shape
 
 SMOKE = ("search=smoke",)
@@ -84,6 +84,22 @@ def test_a_worker_finds_the_search_from_another_directory(tmp_path, monkeypatch)
     assert found.request.n_trials == 7
 
 
+def test_the_number_of_trials_is_the_last_that_was_typed(tmp_path):
+    for n_trials in (7, 3):
+        search = Search([*SMOKE, f"output_dir={tmp_path}", f"n_trials={n_trials}"])
+        search.open()
+        search.save()
+    assert study_in(search.folder).n_trials == 3
+    assert Search.load(search.folder).request.n_trials == 3
+
+
+def test_a_folder_that_can_not_be_made_gets_a_sentence(tmp_path):
+    (tmp_path / "smoke").write_text("a file")
+    with pytest.raises(OutputDirectoryError) as error:
+        Search([*SMOKE, f"output_dir={tmp_path}"]).open()
+    assert str(error.value) == f"output_dir: {tmp_path / 'smoke'} cannot be made: File exists"
+
+
 def test_unit_costs_are_those_of_all_configs_that_cost_the_same():
     search = Search(SMOKE)
     same = [{}, {"algorithm.gamma": 0.9}, {"env.collision_reward": -1.0}, {"algorithm.ent_coef": 0.1}]
@@ -127,6 +143,8 @@ def test_what_is_typed_wrong_gets_a_sentence(overrides, words):
     ("changes", "words"),
     [
         ({"space": {"algorithm.gama": {"uniform": [0.9, 0.99]}}}, "search.space.algorithm.gama: algorithm.gama: there is"),
+        ({"space": {"search.sampler": {"choices": ["tpe"]}}}, "search.space.search.sampler: search.sampler: there is no"),
+        ({"space": {"n_trials": {"int": [1, 5]}}}, "search.space.n_trials: n_trials: there is no such key"),
         ({"space": {"algorithm.gamma": {"uniform": [0.9, 1.5]}}}, "search.space.algorithm.gamma: algorithm.gamma=1.5"),
         ({"space": {"algorithm.batch_size": {"int": [0, 64]}}}, "search.space.algorithm.batch_size: algorithm.batch_size=0"),
         ({"space": {"algorithm": {"choices": ["sac", "ppo"]}}}, "search.space.algorithm: algorithm=ppo"),

@@ -12,8 +12,8 @@ from support.searches import base, settings
 
 from parking_exp.errors import ConfigError, StoreError
 from parking_exp.tuning import claims
-from parking_exp.tuning.claims import LOST_S, SIGN_OF_LIFE, claim, make_sampler
-from parking_exp.tuning.study import STUDY_FILE, load_study, open_study, storage_of
+from parking_exp.tuning.claims import LOST_S, claim, make_sampler
+from parking_exp.tuning.study import HEARTBEAT, STUDY_FILE, load_study, open_study, storage_of
 from parking_exp.tuning.trials import rows
 
 
@@ -53,6 +53,23 @@ def test_no_trial_is_begun_beyond_n_trials_and_more_go_on_from_there(tmp_path):
     assert claim(study, folder, settings(), 4).number == 3
 
 
+def test_a_trial_that_is_begun_beyond_n_trials_waits_for_a_call_with_more(tmp_path, monkeypatch):
+    study, folder = opened(tmp_path, settings(enqueue=[{"algorithm.gamma": 0.98}]))
+    other, _ = opened(tmp_path, settings(enqueue=[{"algorithm.gamma": 0.98}]))
+    ask = study.ask
+
+    def ask_second():  # another machine is faster by a moment
+        other.tell(other.ask(), 0.5)
+        return ask()
+
+    monkeypatch.setattr(study, "ask", ask_second)
+    assert claim(study, folder, settings(), 1) is None
+    assert (numbers_of(study, "COMPLETE"), numbers_of(study, "RUNNING")) == ([0], [1])
+    assert [row.state for row in rows(study, folder, 2)] == ["done", "pending"]
+    taken = claim(study, folder, settings(), 2)
+    assert (taken.number, taken.changes) == (1, {"algorithm.gamma": 0.98})
+
+
 def test_fewer_trials_than_are_enqueued_leave_the_others_waiting(tmp_path):
     search = settings(enqueue=[{"algorithm.gamma": 0.98}])
     study, folder = opened(tmp_path, search)
@@ -76,12 +93,10 @@ def test_a_trial_that_was_left_is_taken_up_again_with_what_it_had(tmp_path):
     assert claim(study, folder, settings(), 2).number == 0
 
 
-def test_a_trial_of_another_machine_is_left_to_it_while_it_shows_signs_of_life(tmp_path, monkeypatch):
+def test_a_trial_of_another_machine_is_left_to_it_while_its_heartbeat_goes_on(tmp_path, monkeypatch):
     study, folder = opened(tmp_path)
     one = claim(study, folder, settings(), 1)
-    one.trial.set_user_attr(
-        SIGN_OF_LIFE, {"host": "elsewhere", "folder": str(folder), "time": time.time() - LOST_S + 60}
-    )
+    one.trial.set_user_attr(HEARTBEAT, {"host": "elsewhere", "folder": str(folder), "time": time.time() - LOST_S + 60})
     one.release()
     assert claim(study, folder, settings(), 1) is None
     assert rows(study, folder, 1)[0].state == "running"
@@ -176,12 +191,13 @@ def test_trials_after_a_restart_are_not_those_before_it(tmp_path):
     assert len(set(values)) == 4
 
 
-def test_half_a_line_that_a_kill_left_in_the_journal_is_cut_off(tmp_path):
+@pytest.mark.parametrize("half", [b'{"op_code":4,"worker_id"', b"{" + 2**21 * b"x"], ids=["short", "long"])
+def test_half_a_line_that_a_kill_left_in_the_journal_is_cut_off(tmp_path, half):
     study, folder = opened(tmp_path)
     first = claim(study, folder, settings(), 3)
     before = (folder / STUDY_FILE).read_bytes()
     with (folder / STUDY_FILE).open("ab") as file:
-        file.write(b'{"op_code":4,"worker_id"')
+        file.write(half)
     again, _ = opened(tmp_path)
     assert (first.number, claim(again, folder, settings(), 3).number) == (0, 1)
     assert (folder / STUDY_FILE).read_bytes().startswith(before)
@@ -225,6 +241,18 @@ def test_a_storage_that_can_not_be_reached_gets_a_sentence(tmp_path):
     with pytest.raises(StoreError, match="can't be opened"):
         storage_of(tmp_path / "test", f"sqlite:////{tmp_path}/nowhere/study.db")
     assert load_study("none", storage_of(tmp_path / "test", None)) is None
+
+
+def test_a_storage_that_fails_while_trials_are_read_gets_a_sentence(tmp_path, monkeypatch):
+    study, folder = opened(tmp_path)
+
+    def fail(**_):
+        raise OSError("postgresql://me:secret@here is gone\nand more")
+
+    monkeypatch.setattr(study, "get_trials", fail)
+    with pytest.raises(StoreError) as error:
+        rows(study, folder, 1)
+    assert str(error.value) == "the storage of study test fails: postgresql://***@here is gone; type it again later"
 
 
 def test_a_study_in_a_database_is_shared_in_the_same_way(tmp_path):

@@ -4,6 +4,7 @@ Hydra imports every module here at each start: what they need is imported when t
 """
 
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,7 @@ from omegaconf import DictConfig
 
 
 class _RunLauncher(Launcher):
-    """Base of both launchers: a job is a run directory, `run=PATH`, or a worker of a search, `study=PATH`."""
+    """Base of both launchers: a job is a run, `run=PATH`, or a worker of a search, `study=PATH n_trials=N`."""
 
     def setup(self, *, hydra_context: HydraContext, task_function: TaskFunction, config: DictConfig) -> None:
         """Do nothing: the task follows from the jobs."""
@@ -23,9 +24,10 @@ class _RunLauncher(Launcher):
     def launch(self, job_overrides: Sequence[Sequence[str]], initial_job_idx: int) -> Sequence[JobReturn]:
         """Do the jobs; how a run ended is in JobReturn.return_value."""
         jobs = [_job(overrides) for overrides in job_overrides]
-        paths = [path for _, path in jobs]
-        is_search = any(kind == "study" for kind, _ in jobs)
-        results = self.search(paths[0], len(paths)) if is_search else self.train(paths)
+        if "study" in jobs[0]:
+            results = self.search(Path(jobs[0]["study"]), jobs[0]["n_trials"], len(jobs))
+        else:
+            results = self.train([Path(job["run"]) for job in jobs])
         returns = []
         for overrides, result in zip(job_overrides, results, strict=True):
             done = JobReturn(overrides=list(overrides), working_dir=str(Path.cwd()), status=JobStatus.COMPLETED)
@@ -37,8 +39,8 @@ class _RunLauncher(Launcher):
         """Train the runs of these directories; return how each ended."""
         raise NotImplementedError
 
-    def search(self, folder: Path, n_workers: int) -> Sequence[Any]:
-        """Have so many workers train the trials of a search."""
+    def search(self, folder: Path, n_trials: int, n_workers: int) -> Sequence[Any]:
+        """Have so many workers train the first trials of a search."""
         raise NotImplementedError
 
 
@@ -57,12 +59,12 @@ class LocalLauncher(_RunLauncher):
         results = launch(paths, self.n_jobs, self.memory_gb)
         return [results.get(path) for path in paths]
 
-    def search(self, folder: Path, n_workers: int) -> Sequence[Any]:
-        """Have so many workers train the trials of a search."""
+    def search(self, folder: Path, n_trials: int, n_workers: int) -> Sequence[Any]:
+        """Have so many workers train the first trials of a search."""
         from parking_exp.sweeps.local import launch_workers
         from parking_exp.tuning.worker import work
 
-        launch_workers(lambda train: work(folder, train), n_workers, self.memory_gb)
+        launch_workers(lambda train: work(folder, n_trials, train), n_workers, self.memory_gb)
         return [None] * n_workers
 
 
@@ -82,11 +84,11 @@ class SlurmLauncher(_RunLauncher):
 
         return self._launch(supervise_job, paths, paths[0].parents[2])
 
-    def search(self, folder: Path, n_workers: int) -> Sequence[Any]:
-        """Have so many workers train the trials of a search."""
+    def search(self, folder: Path, n_trials: int, n_workers: int) -> Sequence[Any]:
+        """Have so many workers train the first trials of a search."""
         from parking_exp.tuning.worker import work_job
 
-        return self._launch(work_job, [folder] * n_workers, folder.parent)
+        return self._launch(partial(work_job, n_trials=n_trials), [folder] * n_workers, folder.parent)
 
     def _launch(self, task: Callable[[str], Any], paths: Sequence[Path], output_dir: Path) -> Sequence[Any]:
         from parking_exp.sweeps.slurm import launch
@@ -103,8 +105,9 @@ def _check(name: str, value: Any, kind: Any) -> None:
         raise ConfigError(f"hydra.launcher.{name}={value} is not valid; give a number above 0, or null")
 
 
-def _job(overrides: Sequence[str]) -> tuple[str, Path]:
-    for override in OverridesParser.create().parse_overrides(list(overrides)):
-        if override.key_or_group in ("run", "study"):
-            return override.key_or_group, Path(str(override.value()))
-    raise ValueError(f"this launcher trains run directories, and {list(overrides)} has no run=PATH")
+def _job(overrides: Sequence[str]) -> dict[str, Any]:
+    parsed = OverridesParser.create().parse_overrides(list(overrides))
+    job = {override.key_or_group: override.value() for override in parsed}
+    if not {"run", "study"} & job.keys():
+        raise ValueError(f"this launcher trains run directories, and {list(overrides)} has no run=PATH")
+    return job
