@@ -1,10 +1,14 @@
 """Fixtures of all tests: output directories with a store, and a finished run."""
 
+import json
+import os
 import shutil
+import subprocess
 from pathlib import Path
 
 import pytest
 import torch
+from filelock import FileLock
 from support.runs import in_memory, only_run, run_script
 
 torch.set_num_threads(1)  # networks this small gain nothing from more, and other processes do
@@ -31,8 +35,16 @@ def output_dir(empty):
 
 @pytest.fixture(scope="session")
 def smoke(tmp_path_factory):
-    """A finished smoke run: (its directory, the completed process, its output directory)."""
-    output_dir = tmp_path_factory.mktemp("smoke") / "outputs"
-    process = run_script("train", "experiment=smoke", f"output_dir={output_dir}")
-    assert process.returncode == 0, process.stderr
-    return only_run(output_dir), process, output_dir
+    """A finished smoke run: (its directory, the completed process, its output directory).
+
+    All workers of a test session share it: tests read it, and change copies.
+    """
+    folder = tmp_path_factory.getbasetemp()
+    folder = folder.parent if "PYTEST_XDIST_WORKER" in os.environ else folder
+    output_dir, told = folder / "smoke" / "outputs", folder / "smoke" / "process.json"
+    with FileLock(folder / "smoke.lock"):
+        if not told.exists():
+            done = run_script("train", "experiment=smoke", f"output_dir={output_dir}")
+            assert done.returncode == 0, done.stderr
+            told.write_text(json.dumps([done.args, done.returncode, done.stdout, done.stderr]))
+    return only_run(output_dir), subprocess.CompletedProcess(*json.loads(told.read_text())), output_dir

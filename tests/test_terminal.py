@@ -5,7 +5,7 @@ import logging
 
 import pytest
 from rich.table import Table
-from support.runs import run_script
+from support.runs import type_here
 
 from parking_exp.terminal import LogFormatter, Screen, console, printable, say
 
@@ -48,7 +48,7 @@ def test_an_error_that_names_a_hostile_directory_shows_it(tmp_path):
     path = tmp_path / "mine\x1b]0;t\x07" / "cell" / "seed=0"
     path.mkdir(parents=True)
     (path / "status.json").write_text("{}")
-    done = run_script("evaluate", f"run={path}", f"output_dir={tmp_path}")
+    done = type_here("evaluate", f"run={path}", f"output_dir={tmp_path}")
     assert done.returncode == 2
     assert done.stderr.isprintable() is False  # its line break
     assert done.stderr.strip().isprintable()

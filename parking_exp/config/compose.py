@@ -5,8 +5,8 @@ import sys
 import warnings
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, field
-from functools import cache
+from dataclasses import dataclass, field, replace
+from functools import cache, lru_cache
 from operator import attrgetter
 from pathlib import Path
 from typing import Any, cast
@@ -14,11 +14,13 @@ from typing import Any, cast
 import hydra
 import yaml
 from hydra._internal.config_loader_impl import ConfigLoaderImpl
-from hydra._internal.config_repository import CachingConfigRepository
+from hydra._internal.config_repository import CachingConfigRepository, IConfigRepository
 from hydra._internal.hydra import Hydra
 from hydra._internal.utils import create_config_search_path
+from hydra.core.config_search_path import ConfigSearchPath
 from hydra.core.global_hydra import GlobalHydra
 from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.core.override_parser.types import Override
 from hydra.errors import HydraException, OverrideParseException
 from hydra.plugins.config_source import ConfigResult
 from omegaconf import DictConfig, ListConfig, OmegaConf, open_dict
@@ -42,6 +44,7 @@ from parking_exp.config.validate import validate
 from parking_exp.errors import ConfigError, ParkingError
 
 VERSION_BASE = "1.3"
+MOST_KEPT = 100  # compositions, of some 100 KB each
 
 
 @dataclass(frozen=True)
@@ -125,7 +128,9 @@ def composed_runs(config_name: str, overrides: list[str], extra_config_dir: str 
         groups = compose_lines().options.keys()
         check_groups(parsed, groups, loader)
         ours = [one for one in parsed if not is_launchers(one.key_or_group)]
-        base = compose_lines(*first_values(one for one in ours if is_group(one, loader) or is_hydras(one.key_or_group)))
+        chosen = first_values(one for one in ours if is_group(one, loader) or is_hydras(one.key_or_group))
+        base = compose_lines(*chosen)
+        _repository().keep(config_name, {(): compose_lines(), tuple(chosen): base})
         check_keys(base.config, parsed, groups, loader)
         swept = parser.parse_overrides([f"{key}={value}" for key, value in base.sweep.items()])
         typed = typed_values([one for one in [*swept, *parsed] if not is_hydras(one.key_or_group)])
@@ -139,9 +144,20 @@ def composed_runs(config_name: str, overrides: list[str], extra_config_dir: str 
 
 def _compose_with(config_name: str) -> Compose:
     """Return a function that composes a config with some overrides; what it has composed before, it returns again."""
+    repository = _repository()
+    parser = OverridesParser.create()
 
     @cache
     def compose_lines(*lines: str) -> Composition:
+        if (kept := repository.compositions.get((config_name, lines))) is not None:
+            return copy.deepcopy(kept)
+        values = [one for one in parser.parse_overrides(list(lines)) if _is_value(one, repository)]
+        if values:  # Hydra, too, applies them at its end; what comes before takes some ten times as long
+            typed = {one.input_line for one in values}
+            plain = compose_lines(*(line for line in lines if line not in typed))
+            changed = copy.deepcopy(plain.config)
+            ConfigLoaderImpl._apply_overrides_to_config(values, changed)
+            return replace(plain, config=changed)
         config = hydra.compose(config_name, list(lines), return_hydra_config=True)
         options = {str(k): v for k, v in config.hydra.runtime.choices.items() if not str(k).startswith("hydra")}
         sweep = _container(config.hydra.sweeper.get("params")) or {}
@@ -150,6 +166,12 @@ def _compose_with(config_name: str) -> Compose:
         return Composition(config, options, sweep)
 
     return compose_lines
+
+
+def _is_value(override: Override, repository: IConfigRepository) -> bool:
+    """Whether an override sets a key, and neither chooses an option nor is Hydra's."""
+    is_choice = repository.group_exists(override.key_or_group) and not isinstance(override.value(), dict)
+    return not (is_choice or override.is_sweep_override() or is_hydras(override.key_or_group))
 
 
 def _runs(compose_lines: Compose, typed: dict[str, list[str]], seeds: list[int] | None) -> list[Composed]:
@@ -207,15 +229,32 @@ def config_dir() -> Path:
 
 
 class KeptFiles(CachingConfigRepository):
-    """The YAML files of the tree, each read once.
+    """The YAML files of the tree, each read once, and what options alone compose to.
 
     Hydra reads them anew for each config that it composes, which is most of the time that this takes:
     the 12 cells of experiment=her_traps compose in 3.9 s of CPU time so, and in 2.3 s with the files kept.
     """
 
+    def __init__(self, delegate: IConfigRepository) -> None:
+        """Wrap Hydra's own repository."""
+        super().__init__(delegate)
+        self.compositions: dict[tuple[str, tuple[str, ...]], Composition] = {}
+
+    def keep(self, config_name: str, compositions: Mapping[tuple[str, ...], Composition]) -> None:
+        """Keep what lines compose to, for the next call in this process."""
+        for lines, composition in compositions.items():
+            is_hydras = any(line.lstrip("+~").startswith("hydra") for line in lines)
+            if (config_name, lines) not in self.compositions and len(self.compositions) < MOST_KEPT and not is_hydras:
+                self.compositions[config_name, lines] = copy.deepcopy(composition)
+
     def load_config(self, config_path: str) -> ConfigResult | None:
         """Return a copy of a file's content: what Hydra merges into it must not stay."""
         return copy.deepcopy(super().load_config(config_path))
+
+    def initialize_sources(self, config_search_path: ConfigSearchPath) -> None:
+        """Look elsewhere from now on (`hydra.searchpath`), which the next call must not do."""
+        _kept_files.cache_clear()
+        super().initialize_sources(config_search_path)
 
     def __deepcopy__(self, memo: object) -> "KeptFiles":
         """Return itself: Hydra takes a copy for each config, and would lose what that one has read."""
@@ -232,9 +271,11 @@ def hydra_ready(extra_config_dir: str | None, *more: str) -> Iterator[None]:
     hydra.version.setbase(VERSION_BASE)
     instance = GlobalHydra.instance()
     outer = instance.hydra  # we may be called within a Hydra app, such as a benchmark or a user's own
-    ours = _set_up(*(str(Path(one).absolute()) for one in (extra_config_dir, *more) if one))
+    extra = [str(Path(one).absolute()) for one in (extra_config_dir, *more) if one]
+    ours = _set_up(*extra)
     plain = ours.config_loader.repository
-    ours.config_loader.repository = KeptFiles(plain)
+    # The user's own directories may be large, and are read anew in each call.
+    ours.config_loader.repository = KeptFiles(plain) if extra else _kept_files(plain, _state_of_tree())
     instance.hydra = ours
     try:
         with warnings.catch_warnings():
@@ -250,6 +291,21 @@ def hydra_ready(extra_config_dir: str | None, *more: str) -> Iterator[None]:
     finally:
         ours.config_loader.repository = plain
         instance.hydra = outer
+
+
+def _repository() -> KeptFiles:
+    return cast(KeptFiles, cast(ConfigLoaderImpl, GlobalHydra.instance().config_loader()).repository)
+
+
+@lru_cache(maxsize=1)
+def _kept_files(plain: IConfigRepository, state: frozenset[tuple[Path, int]]) -> KeptFiles:
+    """Return our tree's files as they are in this state: several calls in one process read and compose them once."""
+    return KeptFiles(plain)
+
+
+def _state_of_tree() -> frozenset[tuple[Path, int]]:
+    """Return the files of our tree and when each was changed."""
+    return frozenset((path, path.stat().st_mtime_ns) for path in config_dir().rglob("*.yaml"))
 
 
 @cache

@@ -109,6 +109,7 @@ def test_a_damaged_file_is_refused_and_changes_nothing(model, content, tmp_path,
     assert state(model) == before
 
 
+@pytest.mark.slow
 def test_any_byte_may_be_flipped(model, content):
     """All of what describes the zip, and some of the rest: the same weights, or a refusal; never other ones."""
     with zipfile.ZipFile(io.BytesIO(content)) as archive:

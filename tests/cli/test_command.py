@@ -4,24 +4,36 @@ import json
 import re
 import subprocess
 import sys
+from functools import cache
 
 import pytest
-from support.runs import ROOT, options, run_script, script
+from support.marks import slow_but
+from support.runs import ROOT, options, run_script, script, type_here
 
 from parking_exp.cli.command import _parse
 from parking_exp.config.compose import composed
 from parking_exp.config.overrides import quoted
 
+# One process for all command lines: what one of them imports is there in those behind it, too.
 IMPORTS = """
-import sys
-sys.argv = {argv!r}
+import importlib, json, os, sys
 sys.path.insert(0, {root!r})
-from parking_exp.cli.{name} import main
-try:
-    main()
-finally:
-    print("heavy:", sorted({{"torch", "mlflow", "stable_baselines3", "pandas"}} & set(sys.modules)), file=sys.stderr)
+done = []
+for name, argument in json.loads(sys.argv[1]):
+    sys.argv = [name, argument]
+    try:
+        importlib.import_module(f"parking_exp.cli.{{name}}").main()
+    except SystemExit:
+        pass
+    heavy = sorted({{"torch", "mlflow", "stable_baselines3", "pandas"}} & set(sys.modules))
+    done.append([name, argument, heavy, os.listdir()])
+print(json.dumps(done), file=sys.stderr)
 """
+LIGHT = [
+    ("train", "--help"), ("train", "sead=1"), ("train", "algorithm.gamma=2"),
+    ("evaluate", "--help"), ("evaluate", "episodes=0"), ("evaluate", "run=nowhere"),
+    ("benchmark", "--help"), ("benchmark", "rounds=0"),
+]  # fmt: skip
 
 
 @pytest.mark.parametrize(
@@ -42,7 +54,7 @@ finally:
     ],
 )
 def test_a_bad_command_line_gets_a_sentence_and_leaves_nothing_behind(tmp_path, arguments, message):
-    done = run_script("train", *arguments, cwd=tmp_path)
+    done = type_here("train", *arguments, cwd=tmp_path)
     assert done.returncode == 2
     assert done.stderr.startswith(message)
     assert "Traceback" not in done.stderr
@@ -50,23 +62,29 @@ def test_a_bad_command_line_gets_a_sentence_and_leaves_nothing_behind(tmp_path, 
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize(
-    ("name", "argument"),
-    [
-        ("train", "--help"), ("train", "sead=1"), ("train", "algorithm.gamma=2"),
-        ("evaluate", "--help"), ("evaluate", "episodes=0"), ("evaluate", "run=nowhere"),
-        ("benchmark", "--help"), ("benchmark", "rounds=0"),
-    ],
-)  # fmt: skip
-def test_help_and_refusals_import_nothing_heavy(tmp_path, name, argument):
-    code = IMPORTS.format(argv=[name, argument], root=str(ROOT), name=name)
-    done = subprocess.run([sys.executable, "-c", code], check=False, capture_output=True, text=True, cwd=tmp_path)
-    assert done.stderr.endswith("heavy: []\n")
-    assert list(tmp_path.iterdir()) == []
+@pytest.fixture(scope="module")
+def imported(tmp_path_factory):
+    """What command lines have imported, and what then lies in their directory: {command line: (modules, files)}."""
+    command = [sys.executable, "-c", IMPORTS.format(root=str(ROOT)), json.dumps(LIGHT)]
+    folder = tmp_path_factory.mktemp("light")
+    done = subprocess.run(command, check=False, capture_output=True, text=True, cwd=folder)
+    assert done.returncode == 0, done.stderr
+    found = json.loads(done.stderr.splitlines()[-1])
+    return {(name, argument): (heavy, files) for name, argument, heavy, files in found}
+
+
+@pytest.mark.parametrize(("name", "argument"), LIGHT)
+def test_help_and_refusals_import_nothing_heavy(imported, name, argument):
+    assert imported[name, argument] == ([], [])
+
+
+@cache
+def help_of(name):
+    return run_script(name, "--help")
 
 
 def test_help_lists_the_groups_that_the_command_has_with_their_options():
-    lines = run_script("train", "--help").stdout.splitlines()
+    lines = help_of("train").stdout.splitlines()
     start = lines.index("Groups (group=option)") + 1
     listed = {line.partition(": ")[0]: line.partition(": ")[2] for line in lines[start : lines.index("", start)]}
     launchers = listed.pop("hydra/launcher")
@@ -85,7 +103,7 @@ def test_help_names_groups_keys_and_examples():
         ],
         "evaluate": ["run: latest", "episodes: 100", "python scripts/evaluate.py run=latest video=5 gif=true"],
     }.items():
-        done = run_script(name, "--help")
+        done = help_of(name)
         assert done.returncode == 0
         assert [word for word in words if word not in done.stdout] == []
 
@@ -102,7 +120,7 @@ def test_help_names_groups_keys_and_examples():
     ],
 )  # fmt: skip
 def test_a_flag_that_cannot_be_is_refused_in_a_sentence(name, arguments, message, tmp_path):
-    done = run_script(name, *arguments, cwd=tmp_path)
+    done = type_here(name, *arguments, cwd=tmp_path)
     assert (done.returncode, done.stderr, done.stdout) == (2, f"error: {message}\n", "")
 
 
@@ -118,7 +136,7 @@ def test_flags_stand_anywhere_between_the_words(flags, words, expected):
     assert _parse(words, flags)[1].overrides == expected
 
 
-@pytest.mark.parametrize("arguments", [["--help"], ["--cfg", "all"]])
+@pytest.mark.parametrize("arguments", slow_but([["--help"]], [["--help"], ["--cfg", "all"]]))
 def test_what_is_shown_may_be_cut_off_by_a_pipe(arguments):
     command, keywords = script("train", *arguments)
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, **keywords)
@@ -129,7 +147,7 @@ def test_what_is_shown_may_be_cut_off_by_a_pipe(arguments):
 
 def test_an_output_directory_that_cannot_be_made_gets_a_sentence(tmp_path):
     (tmp_path / "file").touch()
-    done = run_script("train", "experiment=smoke", f"output_dir={tmp_path / 'file' / 'outputs'}")
+    done = type_here("train", "experiment=smoke", f"output_dir={tmp_path / 'file' / 'outputs'}")
     assert done.returncode == 2
     assert re.match(r"error: output_dir: .* cannot be made: Not a directory$", done.stderr)
     assert done.stderr.count("\n") == 1
@@ -165,7 +183,7 @@ def test_hydras_own_config_dir_adds_options(tmp_path):
     assert "name: short" in done.stdout
     joined = run_script("train", f"--config-dir={tmp_path / 'mine'}", "env=short", "--cfg", "job", cwd=tmp_path)
     assert joined.stdout == done.stdout
-    refused = run_script("train", *arguments, "n_envs=0", cwd=tmp_path)
+    refused = type_here("train", *arguments, "n_envs=0", cwd=tmp_path)
     assert refused.stderr == "error: n_envs=0 is out of range; the closest valid choice is 1\n"
 
 
@@ -205,7 +223,7 @@ def test_the_benchmark_measures_and_writes(tmp_path):
     ],
 )
 def test_a_benchmark_that_cannot_be_is_refused(argument, message, tmp_path):
-    done = run_script("benchmark", argument, cwd=tmp_path)
+    done = type_here("benchmark", argument, cwd=tmp_path)
     assert done.returncode == 2
     assert done.stderr.startswith(message)
     assert not list(tmp_path.iterdir())
@@ -222,6 +240,7 @@ def test_a_multirun_runs_every_point(tmp_path):
     assert found == ["seed=0", "seed=1"]
 
 
+@pytest.mark.slow
 def test_a_built_wheel_works_from_any_directory(tmp_path):
     """The wheel carries conf/ inside the package; what it prints shows that it is the wheel's."""
     build = [sys.executable, "-m", "pip", "wheel", "--quiet", "--no-deps", "--no-build-isolation",

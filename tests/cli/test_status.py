@@ -6,7 +6,7 @@ import time
 
 import optuna
 import pytest
-from support.runs import run_script
+from support.runs import run_script, type_here
 from support.searches import SETTINGS
 from support.sweep_processes import SLOW, begin, statuses, wait_until
 
@@ -96,7 +96,7 @@ def test_a_status_that_is_damaged_is_one_runs_alone(tmp_path):
         path = run_dir(tmp_path, "cell-b", number)
         (path / "status.json").write_bytes(content.encode("latin-1"))
         (path / "beat.json").write_text(json.dumps({"time": "x", "step": [], "steps_per_s": {}, "doing": 1}))
-    told = run_script("status", f"output_dir={tmp_path}")
+    told = type_here("status", f"output_dir={tmp_path}")
     assert told.returncode == 0, told.stderr
     lines = told.stdout.splitlines()
     assert [line.split() for line in lines[1:4]] == [["a", "1", "50%"], ["cell-b", "1", "6"], ["all", "2", "6"]]
@@ -114,7 +114,7 @@ def test_a_status_that_is_damaged_is_one_runs_alone(tmp_path):
         find_run("lates", tmp_path, "x")
     with pytest.raises(RunNotFoundError, match=r"; the latest is /"):
         find_run("None", tmp_path, "x")
-    found = json.loads(run_script("status", f"output_dir={tmp_path}", "--json").stdout)
+    found = json.loads(type_here("status", f"output_dir={tmp_path}", "--json").stdout)
     assert [run["damaged"] for run in found["cells"][1]["runs"]][5] == "status.json has no valid success_rate"
     process = RunDirectory(tmp_path / "mine" / "cell-b" / "seed=0")
     with process.supervisor_lock():
@@ -127,8 +127,8 @@ def test_text_of_a_foreign_run_does_nothing_to_the_terminal(tmp_path):
     held = RunDirectory(run_dir(tmp_path, "cell-b", 1, status="running", host=evil, started=time.time() - 1))
     with held.supervisor_lock():
         held.heartbeat(step=1, steps_per_s=0.0, doing=evil)
-        told = run_script("status", f"output_dir={tmp_path}")
-        plain = run_script("status", f"output_dir={tmp_path}", "--json")
+        told = type_here("status", f"output_dir={tmp_path}")
+        plain = type_here("status", f"output_dir={tmp_path}", "--json")
     assert told.returncode == plain.returncode == 0
     shown = r"x\x1b]0;t\x07\x9b31m\r\x7f\u202e\nfailed   other"
     assert all(line.isprintable() for line in told.stdout.split("\n"))
@@ -161,7 +161,7 @@ def test_status_tells_every_cell_in_a_table_and_as_json(tmp_path):
         ["all", "2", "1", "1"],
         ["failed", "b", "seed=0:", "killed", "by", "SIGKILL", str(failed)],
     ]
-    found = json.loads(run_script("status", f"output_dir={tmp_path}", "--json").stdout)
+    found = json.loads(type_here("status", f"output_dir={tmp_path}", "--json").stdout)
     assert [found[stage] for stage in ("done", "running", "failed", "pending")] == [2, 0, 1, 1]
     assert [(cell["cell"], cell["done"], cell["failed"]) for cell in found["cells"]] == [
         ("cell-a", 2, 0),
@@ -181,7 +181,7 @@ def test_status_tells_every_cell_in_a_table_and_as_json(tmp_path):
 def test_status_refuses_in_a_sentence(tmp_path, arguments, message):
     if arguments:
         run_dir(tmp_path, status="done")
-    done = run_script("status", f"output_dir={tmp_path}", *arguments)
+    done = type_here("status", f"output_dir={tmp_path}", *arguments)
     assert done.returncode == 2
     assert done.stderr.startswith(message)
     assert done.stderr.count("\n") == 1
@@ -190,7 +190,7 @@ def test_status_refuses_in_a_sentence(tmp_path, arguments, message):
 def test_a_running_run_is_told_with_step_rate_time_left_and_host(tmp_path):
     process = begin(tmp_path, "seeds=1", "hydra/launcher=local", *SLOW)
     wait_until(lambda: any(read_json(path).get("step", 0) > 60 for path in tmp_path.glob("*/*/*/beat.json")))
-    told = run_script("status", f"output_dir={tmp_path}").stdout
+    told = type_here("status", f"output_dir={tmp_path}").stdout
     (status,) = statuses(tmp_path).values()
     process.kill()
     process.communicate()

@@ -6,7 +6,7 @@ import sys
 
 import pytest
 from omegaconf import OmegaConf
-from support.runs import make_config, options, run_script
+from support.runs import make_config, options, type_here
 
 from parking_exp.config.allowlist import check_trust, is_trusted
 from parking_exp.config.compose import composed
@@ -135,7 +135,7 @@ def test_with_the_users_word_it_is_executed(from_elsewhere, hostile):
 
 def test_on_the_command_line_it_is_one_sentence(from_elsewhere, tmp_path):
     directory = from_elsewhere("algorithm.learning_rate", {"_target_": "os.mkdir", "path": str(tmp_path / "made")})
-    done = run_script("evaluate", f"run={directory}", "episodes=1")
+    done = type_here("evaluate", f"run={directory}", "episodes=1")
     assert done.returncode == 2
     assert done.stderr.startswith("error: algorithm.learning_rate._target_=os.mkdir in ")
     assert done.stderr.count("\n") == 1

@@ -127,6 +127,7 @@ def test_what_is_no_sweep_is_refused_in_a_sentence(overrides, message):
         runs(*overrides)
 
 
+@pytest.mark.slow
 def test_what_is_typed_applies_to_every_cell_that_has_it():
     found = runs("experiment=her_traps", "seeds=1", "algorithm.features=raw")
     assert {run.algorithm.features for run in found} == {"raw"}
@@ -166,6 +167,7 @@ def test_one_run_of_a_sweep_is_the_run_that_was_asked_for(tmp_path):
     assert result.parents[1].name.startswith("parking-td3-")
 
 
+@pytest.mark.slow
 def test_the_her_ablation_is_every_strategy_with_every_share_and_a_control_on_both_rewards():
     found = runs("experiment=her_ablation", "seeds=2")
     cells = Counter((run.env.reward, run.buffer.name, run.buffer.arguments.get("n_sampled_goal")) for run in found)

@@ -1,6 +1,7 @@
 """Tests of config validation: what is refused, and the sentence that says so."""
 
 import re
+import shutil
 
 import hydra
 import pytest
@@ -9,6 +10,7 @@ from hydra.core.global_hydra import GlobalHydra
 from omegaconf import OmegaConf
 from support.runs import GROUPS, make_config, options
 
+from parking_exp.config import compose as composing
 from parking_exp.config.compose import composed, config_dir
 from parking_exp.config.validate import validate
 from parking_exp.errors import ConfigError
@@ -41,7 +43,7 @@ ARTICLE = {
 @pytest.mark.parametrize(
     ("group", "option"),
     [
-        pytest.param(group, option, marks=pytest.mark.slow if option == "her_ablation" else ())
+        pytest.param(group, option, marks=pytest.mark.slow if option in ("her_ablation", "her_traps") else ())
         for group in GROUPS
         for option in options(group)
     ],
@@ -432,12 +434,76 @@ def test_configs_that_are_composed_together_are_apart():
     assert (article.checkpoint.every_n_steps, smoke.checkpoint.every_n_steps) == (1000, 100)
 
 
-def test_one_cell_is_composed_once_more_than_its_options(monkeypatch):
+@pytest.fixture
+def nothing_kept():
+    """As in a new process."""
+    for kept in (composing._kept_files, composing._set_up):
+        kept.cache_clear()
+    yield
+    for kept in (composing._kept_files, composing._set_up):
+        kept.cache_clear()
+
+
+@pytest.mark.usefixtures("nothing_kept")
+def test_options_are_composed_once_in_a_process_and_keys_are_set_without_hydra(monkeypatch):
     lines = []
     compose = hydra.compose
     monkeypatch.setattr(hydra, "compose", lambda name, line, **more: lines.append(line) or compose(name, line, **more))
     composed("config", ["algorithm=td3", "seed=1"])
-    assert lines == [[], ["algorithm=td3"], ["algorithm=td3", "seed=1"]]
+    assert lines == [[], ["algorithm=td3"]]
+    (other,) = composed("config", ["algorithm=td3", "seed=2"])
+    assert (other.algorithm.name, other.seed) == ("td3", 2)
+    assert lines == [[], ["algorithm=td3"]]
+
+
+@pytest.mark.parametrize(
+    "lines",
+    [
+        ["experiment=smoke", "seed=1", "output_dir='/a b'"],
+        ["algorithm=td3", "+algorithm.policy_kwargs.n_critics=3", "~buffer.n_sampled_goal", "++algorithm.new=[1,2]"],
+        ["env=parking_sparse", "env={duration: 7}", "algorithm.learning_rate={_target_: a.b, c: 1}"],
+        ["buffer=replay", "algorithm.gamma=0.9,0.95", "seeds=2"],
+        ["algorithm.gamma=1", "algorithm.gamma=0.5", "experiment_name=${algorithm.name}"],
+        ["seed.x=1"],
+        ["+seed=1"],
+        ["~seed=7"],
+        ["env@x=parking"],
+    ],
+)
+def test_keys_that_are_set_without_hydra_are_set_as_hydra_sets_them(lines, monkeypatch):
+    def found():
+        try:
+            return [OmegaConf.to_yaml(config) for config in composed("config", lines)]
+        except ConfigError as error:
+            return str(error)
+
+    ours = found()
+    monkeypatch.setattr(composing, "_is_value", lambda *_: False)
+    assert found() == ours
+
+
+@pytest.mark.usefixtures("nothing_kept")
+def test_files_that_have_changed_are_composed_anew_in_the_same_process(tmp_path, monkeypatch):
+    tree = tmp_path / "conf"
+    shutil.copytree(config_dir(), tree)
+    monkeypatch.setattr(composing, "config_dir", lambda: tree)
+    (before,) = composed("config", ["env=parking"])
+    before.env.duration = -1  # what a caller does to one is done to no other
+    assert composed("config", ["env=parking"])[0].env.duration == 100
+    (tree / "env" / "parking.yaml").write_text(
+        (tree / "env" / "parking.yaml").read_text().replace("duration: 100", "duration: 101")
+    )
+    (tree / "env" / "mine.yaml").write_text("defaults: [parking]\nname: mine\n")
+    for option in ("parking", "mine"):
+        assert composed("config", [f"env={option}"])[0].env.duration == 101
+
+
+def test_directories_that_one_call_searches_are_not_searched_by_the_next(tmp_path):
+    (tmp_path / "env").mkdir()
+    (tmp_path / "env" / "mine.yaml").write_text("defaults: [parking]\nname: mine\n")
+    composed("config", [f"hydra.searchpath=[{tmp_path}]"])
+    with pytest.raises(ConfigError, match=r"^env=mine: there is no such option"):
+        composed("config", ["env=mine"])
 
 
 def test_options_can_be_swept_by_pattern():

@@ -147,10 +147,11 @@ def test_a_command_can_be_typed(done, command):
     assert code == 0, output
 
 
-@pytest.mark.parametrize(
-    "name",
-    [name for name, page in zip(names(PAGES), PAGES, strict=True) if any(not t for t, _ in blocks(page, "python"))],
-)
+EXAMPLES = names(page for page in PAGES if any(not title for title, _ in blocks(page, "python")))
+THAT_TRAIN = ["README.md", "docs/configuration.md"]
+
+
+@pytest.mark.parametrize("name", slow_but([name for name in EXAMPLES if name not in THAT_TRAIN], EXAMPLES))
 def test_python_examples_run(name, output_dir, tmp_path, monkeypatch):
     if "load(" in (ROOT / name).read_text():
         make_store(output_dir, "her_ablation", {"four": ["buffer.n_sampled_goal=4"]}, seeds=range(1))

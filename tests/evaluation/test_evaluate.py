@@ -5,7 +5,6 @@ import math
 import numpy as np
 import pandas as pd
 import pytest
-from support.marks import slow_but
 from support.runs import make_config
 
 from parking_exp.envs.geometry import SLOT_POSITIONS
@@ -45,7 +44,8 @@ def test_an_episode_does_not_depend_on_its_neighbours():
     pd.testing.assert_series_equal(together.loc[37], alone.loc[37])
 
 
-@pytest.mark.parametrize("option", slow_but(["parking"], ["parking", "parking_parked", "parking_sparse"]))
+@pytest.mark.slow
+@pytest.mark.parametrize("option", ["parking", "parking_parked", "parking_sparse"])
 def test_both_simulators_give_the_same_table(option):
     env = make_config(f"env={option}", "env.duration=4").env
     ours, theirs = (evaluate(straight_on, env, range(30), simulator=name) for name in ("vectorized", "highway_env"))

@@ -6,6 +6,7 @@ import sys
 from pathlib import Path
 
 import pandas as pd
+import pytest
 
 from parking_exp.evaluation.metrics import METRICS, RANKING
 from parking_exp.runs.metric_logs import append_episodes
@@ -75,6 +76,7 @@ print(json.dumps({
 """
 
 
+@pytest.mark.slow
 def test_a_metric_that_is_declared_is_in_episodes_summaries_store_frames_and_reports(output_dir):
     command = [sys.executable, "-c", EXAMPLE, str(output_dir), ENTRY]
     path = {"PYTHONPATH": f"{ROOT}:{ROOT / 'tests'}", "PATH": "/usr/bin:/bin"}

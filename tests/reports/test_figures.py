@@ -75,6 +75,7 @@ def test_every_picture_is_written_in_every_format(three):
             assert image.width <= 6.8 * 200 + 1
 
 
+@pytest.mark.slow
 def test_factors_and_searches_have_pictures_of_their_own(ablation, search):
     assert list(ablation) == [*LIST[:4], "main_effects", "interaction_1", *LIST[4:]]
     assert list(search) == [*LIST, "parallel_coordinates", "importance"]
@@ -91,6 +92,7 @@ def test_text_in_pdfs_stays_text_in_truetype_fonts(three):
     assert b"/Type3" not in pdf
 
 
+@pytest.mark.slow
 def test_same_content_gives_same_bytes(three, tmp_path):
     report, folder, pictures = three
     again = by_name(draw(report, tmp_path))
@@ -107,6 +109,7 @@ def test_users_settings_neither_change_pictures_nor_are_changed(three, tmp_path)
     assert drawn == three[2]
 
 
+@pytest.mark.slow
 def test_drawing_imports_neither_pyplot_nor_torch(tmp_path):
     code = (
         "import sys; sys.path.insert(0, 'tests'); from support import report_factory; from pathlib import Path;"
@@ -250,6 +253,7 @@ def test_unknown_numbers_leave_gaps(tmp_path):
     assert "sac, slot 0: no episodes" in tips(pictures["scene_map"])
 
 
+@pytest.mark.slow
 def test_hostile_names_are_shown_and_do_nothing(tmp_path):
     report = report_factory.hostile()
     nasty = "a\x00b\x1b[31m\u202eevil \ud800 <script>alert(1)</script>"

@@ -96,6 +96,7 @@ def test_neither_torch_nor_the_simulators_are_imported(made):
     assert done.stdout.splitlines()[-1] == "[]"
 
 
+@pytest.mark.slow
 def test_a_report_made_again_leaves_nothing_of_the_last_one_and_keeps_other_files(made):
     report(made, "experiment=one")
     folder = made / "reports" / "one"

@@ -503,6 +503,7 @@ def test_reading_changes_nothing_in_the_store(ablation):
     assert content() == before
 
 
+@pytest.mark.slow
 def test_results_are_read_without_torch_and_simulators(ablation):
     code = (
         "import sys; from parking_exp.results import load; found = load('her', output_dir=sys.argv[1]); "

@@ -3,7 +3,7 @@
 import json
 
 import pytest
-from support.runs import make_config, run_script
+from support.runs import make_config, type_here
 
 from parking_exp.config.compose import composed, composed_runs
 from parking_exp.config.overrides import in_quotes
@@ -139,7 +139,7 @@ def test_what_a_store_lacks_is_one_sentence_with_what_to_type(tmp_path):
 def test_status_lists_runs_of_another_version_with_a_line_of_their_own(tmp_path):
     made_by_another_version(tmp_path, "interrupted")
     before = contents(tmp_path)
-    done = run_script("status", f"output_dir={tmp_path}")
+    done = type_here("status", f"output_dir={tmp_path}")
     assert done.returncode == 0
     assert [line.split()[0] for line in done.stdout.splitlines()[2:]] == ["version"]
     assert "1 run made by an earlier version of parking_exp: " in done.stdout

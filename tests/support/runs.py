@@ -1,12 +1,19 @@
-"""Compose configs, run scripts in processes, and read what their runs left."""
+"""Compose configs, run scripts in processes or here, and read what their runs left."""
 
+import contextlib
+import gc
+import importlib
+import io
 import json
+import logging
 import os
 import subprocess
 import sys
 import tempfile
 import time
 from pathlib import Path
+
+import pytest
 
 from parking_exp.config.compose import composed
 from parking_exp.config.validate import validate
@@ -38,6 +45,25 @@ def run_script(name, *arguments, cwd=None, env=None, timeout=180):
     """Run a script to its end."""
     command, keywords = script(name, *arguments, cwd=cwd, env=env)
     return subprocess.run(command, check=False, capture_output=True, timeout=timeout, **keywords)
+
+
+def type_here(name, *arguments, cwd=None):
+    """Do in this process what `python scripts/NAME.py ...` does: for what says or writes the same in any process."""
+    main = importlib.import_module(f"parking_exp.cli.{name}").main
+    output, errors, code = io.StringIO(), io.StringIO(), 0
+    with contextlib.ExitStack() as stack:
+        stack.enter_context(pytest.MonkeyPatch.context()).setattr(sys, "argv", [name, *arguments])
+        stack.enter_context(contextlib.chdir(cwd or Path.cwd()))
+        stack.enter_context(contextlib.redirect_stdout(output))
+        stack.enter_context(contextlib.redirect_stderr(errors))
+        stack.callback(logging.lastResort.setFormatter, logging.lastResort.formatter)
+        stack.callback(gc.enable)
+        stack.callback(gc.unfreeze)
+        try:
+            main()
+        except SystemExit as left:
+            code = left.code
+    return subprocess.CompletedProcess([name, *arguments], code or 0, output.getvalue(), errors.getvalue())
 
 
 def in_memory():

@@ -8,7 +8,6 @@ from pathlib import Path
 
 import psutil
 import pytest
-from support.marks import slow_but
 from support.sweep_processes import FAILING, SLOW, begin, stages, statuses, sweep, trained, wait_until
 
 RAY = Path(sys.executable).with_name("ray")
@@ -16,7 +15,7 @@ LOCAL = ("hydra/launcher=local",)
 BASIC = ("hydra/launcher=basic",)
 SLURM = ("hydra/launcher=slurm", "hydra.launcher.executor=local", "hydra.launcher.n_jobs=2")
 RAY_CLUSTER = ("hydra/launcher=ray",)
-LAUNCHERS = slow_but([LOCAL], [LOCAL, BASIC, SLURM, RAY_CLUSTER])
+LAUNCHERS = [LOCAL, BASIC, SLURM, RAY_CLUSTER]
 
 
 def ray(*arguments):
@@ -43,6 +42,7 @@ def launcher(request):
     return request.param
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("launcher", LAUNCHERS, indirect=True, ids=lambda value: value[0])
 def test_every_run_is_trained_a_failure_is_told_and_nothing_is_done_twice(tmp_path, launcher):
     targets = "algorithm._target_=parking_exp.algorithms.SAC,support.failing_algorithms.Raises,support.failing_algorithms.IsKilled"

@@ -10,7 +10,7 @@ import threading
 import time
 
 import pytest
-from support.runs import ROOT, run_script, script
+from support.runs import ROOT, run_script, script, type_here
 from support.sweep_processes import QUICK, SLOW, begin, stages, statuses, sweep, trained, wait_until, workers
 
 from parking_exp.config.compose import composed_runs
@@ -50,12 +50,12 @@ def test_typed_again_a_sweep_does_only_what_is_missing(tmp_path):
     assert [line.split()[0] for line in first.stderr.splitlines()] == ["started", "started", "done", "done"]
     assert trained(tmp_path) == [1, 1]
     before = statuses(tmp_path)
-    again = sweep(tmp_path, "seeds=2")
+    again = type_here("train", *QUICK, f"output_dir={tmp_path}", "seeds=2")
     assert again.returncode == 0
     assert again.stderr == ""
     assert "1 cell x 2 seeds = 2 runs: 2 done, 0 to run" in again.stdout
     assert statuses(tmp_path) == before
-    planned = sweep(tmp_path, "seeds=3", "algorithm=sac,td3", "dry_run=true")
+    planned = type_here("train", *QUICK, f"output_dir={tmp_path}", "seeds=3", "algorithm=sac,td3", "dry_run=true")
     assert re.search(r"6 runs: 2 done, 4 to run, about \d+ s", planned.stdout)
 
 
@@ -137,6 +137,7 @@ def test_no_worker_outlives_a_sweep_that_is_killed_and_typed_again_it_goes_on(tm
     assert trained(tmp_path) == [1, 2, 2]
 
 
+@pytest.mark.slow
 def test_ctrl_c_saves_checkpoints_and_leaves_within_ten_seconds(tmp_path):
     process = begin(tmp_path, "seeds=2", *SLOW[:2], "checkpoint.every_n_steps=null", *TWO)
     wait_until(lambda: len(list(tmp_path.glob("*/*/*/metrics.jsonl"))) == 2)
@@ -240,7 +241,7 @@ def test_who_looks_at_a_run_does_not_keep_it_from_being_frozen_or_claimed(tmp_pa
     looking = threading.Thread(target=look)
     looking.start()
     try:
-        for number in range(200):
+        for number in range(100):
             (run.path / "config.yaml").unlink(missing_ok=True)
             directory.freeze(run.config, f"label {number}", None)
             assert read_state(run.path).label == f"label {number}"
@@ -331,7 +332,7 @@ def test_what_waits_is_frozen(tmp_path):
     ],
 )
 def test_a_sweep_that_cannot_be_is_refused_before_anything_is_made(tmp_path, argument, message):
-    done = sweep(tmp_path / "outputs", "seeds=2", argument)
+    done = type_here("train", *QUICK, f"output_dir={tmp_path / 'outputs'}", "seeds=2", argument)
     assert done.returncode == 2
     assert done.stderr.startswith(message)
     assert done.stderr.count("\n") == 1

@@ -10,7 +10,7 @@ from threading import Thread
 
 import pytest
 import yaml
-from support.runs import artifacts, make_config, run_script, store
+from support.runs import artifacts, make_config, run_script, store, type_here
 from support.sync_processes import grow
 
 from parking_exp.config.compose import composed
@@ -152,8 +152,8 @@ def test_a_result_is_where_its_directory_is_now(tmp_path):
     assert moved.result().run_dir == str(moved.path)
 
 
-def test_a_copy_of_a_run_that_is_tracked_elsewhere_gets_a_run_of_its_own(tmp_path):
-    uri = f"sqlite:///{tmp_path / 'central.db'}"
+def test_a_copy_of_a_run_that_is_tracked_elsewhere_gets_a_run_of_its_own(empty, tmp_path):
+    uri = f"sqlite:///{shutil.copy(empty / 'mlflow.db', tmp_path / 'central.db')}"
     original = run_in(tmp_path / "one", uri=uri)
     sync(original, uri)
     shutil.copytree(tmp_path / "one", tmp_path / "two")
@@ -223,10 +223,18 @@ def stored_uri(directory, uri):
     write_json(directory.path / "status.json", {**directory.read_status(), "tracking_uri": uri})
 
 
+@pytest.fixture
+def secrets(monkeypatch):
+    """What must not get out, in the environment."""
+    for name, secret in SECRETS.items():
+        monkeypatch.setenv(name, secret)
+
+
+@pytest.mark.usefixtures("secrets")
 def test_evaluating_does_not_connect_to_where_a_run_directory_says(foreign, listener, tmp_path):
     uri, heard = listener
     stored_uri(foreign, uri)
-    done = run_script("evaluate", f"run={foreign.path}", *EVALUATE, env=SECRETS, cwd=tmp_path)
+    done = type_here("evaluate", f"run={foreign.path}", *EVALUATE, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert heard == []
     assert sorted(path.name for path in tmp_path.iterdir()) == ["theirs"]
@@ -261,7 +269,7 @@ def test_syncing_does_not_connect_to_where_run_directories_say(output_dir, liste
     (found,) = sync_all([directory], [default_uri(output_dir)])
     assert found == (directory, f"it is tracked in {uri}, which was not named; tracking.uri={uri} sends it there")
     assert heard == []
-    done = run_script("status", f"output_dir={output_dir}", "sync=true")
+    done = type_here("status", f"output_dir={output_dir}", "sync=true")
     assert done.returncode == 2
     assert f"{directory.path}: it is tracked in {uri}" in done.stderr
     assert heard == []
@@ -269,9 +277,8 @@ def test_syncing_does_not_connect_to_where_run_directories_say(output_dir, liste
 
 @pytest.mark.parametrize("value", ["${oc.env:AWS_SECRET_ACCESS_KEY}", "a ${seed}", "${", "${hydra:runtime.cwd}"])
 @pytest.mark.parametrize("key", ["algorithm.policy_kwargs.secret", "env.other_vehicles_type", "buffer.deep.list"])
-def test_an_interpolation_in_a_stored_config_is_refused_and_not_resolved(foreign, key, value, monkeypatch):
-    for name, secret in SECRETS.items():
-        monkeypatch.setenv(name, secret)
+@pytest.mark.usefixtures("secrets")
+def test_an_interpolation_in_a_stored_config_is_refused_and_not_resolved(foreign, key, value):
     config = yaml.safe_load((foreign.path / "config.yaml").read_text())
     node, *_, last = config, *key.split(".")
     for part in key.split(".")[:-1]:
@@ -286,13 +293,14 @@ def test_an_interpolation_in_a_stored_config_is_refused_and_not_resolved(foreign
     )
 
 
+@pytest.mark.usefixtures("secrets")
 def test_an_interpolation_on_the_command_line_is_one_sentence_and_nothing_is_written(foreign, tmp_path):
     text = (foreign.path / "config.yaml").read_text()
     (foreign.path / "config.yaml").write_text(
         text.replace("policy_kwargs: {}", "policy_kwargs: ${oc.env:AWS_SECRET_ACCESS_KEY}")
     )
     before = snapshot(tmp_path)
-    done = run_script("evaluate", f"run={foreign.path}", *EVALUATE, "trust=true", env=SECRETS, cwd=tmp_path)
+    done = type_here("evaluate", f"run={foreign.path}", *EVALUATE, "trust=true", cwd=tmp_path)
     assert done.returncode == 2
     assert "is an interpolation" in done.stderr
     assert done.stderr.count("\n") == 1
@@ -496,7 +504,7 @@ def test_an_experiment_that_was_deleted_is_said_with_what_to_type(output_dir):
 
 
 def test_mlflows_own_experiment_is_no_place_for_runs(tmp_path):
-    done = run_script("train", "experiment=smoke", "experiment_name=Default", cwd=tmp_path)
+    done = type_here("train", "experiment=smoke", "experiment_name=Default", cwd=tmp_path)
     assert done.returncode == 2
     assert done.stderr.startswith("error: experiment_name=Default is MLflow's own")
     assert list(tmp_path.iterdir()) == []

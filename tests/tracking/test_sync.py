@@ -550,6 +550,7 @@ def test_names_in_a_checkpoint_are_those_that_training_writes():
         assert getattr(sent_files, name) == getattr(checkpoints, name)
 
 
+@pytest.mark.slow
 def test_a_store_that_fails_in_the_middle_gets_the_rest_later(output_dir, capsys):
     connect(default_uri(output_dir))
     with closing(sqlite3.connect(output_dir / "mlflow.db")) as database:

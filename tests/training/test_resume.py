@@ -129,7 +129,7 @@ def uninterrupted(tmp_path_factory):
     return run(tmp_path_factory.mktemp("uninterrupted"))
 
 
-@pytest.mark.parametrize("kind", slow_but(["sac", "sac with gSDE", "td3, random goals, a full buffer"], KINDS))
+@pytest.mark.parametrize("kind", slow_but(["sac"], KINDS))
 def test_a_run_that_was_cut_off_twice_is_the_one_that_was_not(tmp_path, kind):
     """Between checkpoints, in the middle of episodes; before the first update and later."""
     whole = run(tmp_path / "whole", *KINDS[kind])
@@ -144,9 +144,13 @@ DAMAGE = {
 }
 
 
-@pytest.mark.parametrize("kind", DAMAGE)
-@pytest.mark.parametrize("name", ["metrics.jsonl", "episodes.csv", "monitor.csv"])
-def test_a_log_that_was_damaged_before_a_resume_is_whole_again(uninterrupted, tmp_path, capsys, name, kind):
+DAMAGED = [(name, kind) for name in ("metrics.jsonl", "episodes.csv", "monitor.csv") for kind in DAMAGE]
+FAST = [("metrics.jsonl", "cut"), ("episodes.csv", "flipped"), ("monitor.csv", "gone")]
+
+
+@pytest.mark.parametrize("damaged", slow_but(FAST, DAMAGED), ids="-".join)
+def test_a_log_that_was_damaged_before_a_resume_is_whole_again(uninterrupted, tmp_path, capsys, damaged):
+    name, kind = damaged
     config = configured(tmp_path, "tracking.progress_bar=true")
     with cut_at(137), pytest.raises(FailedRunError):
         train(config)
@@ -156,7 +160,7 @@ def test_a_log_that_was_damaged_before_a_resume_is_whole_again(uninterrupted, tm
     assert f"{name} was damaged; it is taken from the checkpoint" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("kind", DAMAGE)
+@pytest.mark.parametrize("kind", slow_but(["cut"], DAMAGE))
 def test_a_run_goes_on_without_its_other_files(uninterrupted, tmp_path, kind):
     """What is not in a checkpoint, and only says something about the run."""
     config = configured(tmp_path, "tracking.mlflow=true", f"tracking.uri=sqlite:///{tmp_path / 'file'}/x.db")
@@ -195,7 +199,7 @@ def test_a_run_that_was_cut_off_in_an_evaluation(uninterrupted, tmp_path, first)
     assert differences(uninterrupted, run(tmp_path, cuts=[in_evaluation])) == []
 
 
-@pytest.mark.parametrize("overrides", [("algorithm=td3",), ("algorithm.use_sde=true",)])
+@pytest.mark.parametrize("overrides", slow_but([("algorithm=td3",)], [("algorithm=td3",), ("algorithm.use_sde=true",)]))
 def test_a_run_that_was_cut_off_between_its_end_and_its_result(tmp_path, overrides):
     """Nothing is left to be learned then, and its state is the same all the same."""
     cuts = [cut(finish, "_certify", lambda *_: True) for _ in range(2)]
@@ -402,6 +406,7 @@ def test_a_tree_comes_back_with_its_types():
         serialization.split({"a": [spaces.Box(0, 1)]})
 
 
+@pytest.mark.slow
 def test_a_resumed_run_keeps_the_precision_that_it_began_with(tmp_path, monkeypatch):
     """Another machine, or another moment, would choose otherwise."""
     wide = ("algorithm.net_arch=[128,128]", "precision=auto")

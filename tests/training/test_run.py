@@ -16,7 +16,6 @@ import pytest
 import torch
 from omegaconf import OmegaConf
 from PIL import Image, ImageSequence
-from support.marks import slow_but
 from support.run_equality import parameters
 from support.runs import (
     artifacts,
@@ -27,8 +26,10 @@ from support.runs import (
     run_script,
     script,
     store,
+    type_here,
     wait_for,
 )
+from support.sweep_processes import FAILING
 
 from parking_exp import __version__
 from parking_exp.algorithms import SAC
@@ -180,7 +181,7 @@ def test_the_final_evaluation_is_certified_on_highway_env(smoke):
     assert len([name for name in metrics if name.startswith("certified/")]) == 9
 
 
-def test_a_simulator_that_differs_from_highway_env_fails_the_run(tmp_path, monkeypatch):
+def test_a_simulator_that_differs_from_highway_env_fails_the_run(output_dir, monkeypatch):
     """Here ours is taught other rewards for the final scenes: the run fails, and says so; both tables are stored."""
     original = GoalReward.__call__
 
@@ -189,20 +190,22 @@ def test_a_simulator_that_differs_from_highway_env_fails_the_run(tmp_path, monke
         return reward - 1e-6, reached
 
     monkeypatch.setattr(GoalReward, "__call__", other)
-    config = make_config("experiment=smoke", f"output_dir={tmp_path}", "evaluation.video_episodes=0", "n_envs=1")
+    config = make_config("experiment=smoke", f"output_dir={output_dir}", "evaluation.video_episodes=0", "n_envs=1",
+                         "total_timesteps=100")  # fmt: skip
     with pytest.raises(FailedRunError, match=r"5 of 5 final episodes differ .* scene 0: return -\d"):
         train(config)
-    directory = only_run(tmp_path)
+    directory = only_run(output_dir)
     assert directory.status == "failed"
     assert directory.result() is None
-    run = store(tmp_path).get_run(directory.run_id)
+    run = store(output_dir).get_run(directory.run_id)
     assert run.info.status == "FAILED"
     # The run goes on from its last checkpoint when it is typed again: what came after that is not final.
     assert not {"final/return_mean", "certified/return_mean"} & set(run.data.metrics)
-    stored = pd.read_csv(store(tmp_path).download_artifacts(directory.run_id, "episodes.csv"))
+    stored = pd.read_csv(store(output_dir).download_artifacts(directory.run_id, "episodes.csv"))
     assert set(stored["phase"]) == {"eval", "final", "certified"}
 
 
+@pytest.mark.slow
 def test_trained_on_highway_env_a_run_is_certified_as_it_is(tmp_path):
     config = make_config(
         "experiment=smoke", f"output_dir={tmp_path}", "env.simulator=highway_env", "total_timesteps=100",
@@ -247,7 +250,7 @@ def test_sb3s_own_logs_are_there(smoke):
 def test_a_finished_run_is_not_run_again(smoke):
     directory, _, output_dir = smoke
     before = (directory.path / "metrics.jsonl").read_bytes()
-    again = run_script("train", "experiment=smoke", f"output_dir={output_dir}")
+    again = type_here("train", "experiment=smoke", f"output_dir={output_dir}")
     assert again.returncode == 0
     assert again.stdout.startswith("already done")
     assert (directory.path / "metrics.jsonl").read_bytes() == before
@@ -271,8 +274,15 @@ def test_a_saved_model_is_a_plain_stable_baselines3_zip(smoke):
     assert (plain.predict(observation, deterministic=True)[0] == greedy_policy(ours)(observation)).all()
 
 
-def test_evaluate_prints_and_stores_episodes_and_a_video(smoke, tmp_path):
-    directory, _, output_dir = smoke
+@pytest.fixture
+def finished(smoke, tmp_path):
+    """A finished run of its own: its directory, and the arguments of its training."""
+    shutil.copytree(smoke[2], tmp_path / "outputs")
+    return only_run(tmp_path / "outputs"), ("experiment=smoke", f"output_dir={tmp_path / 'outputs'}")
+
+
+def test_evaluate_prints_and_stores_episodes_and_a_video(finished, tmp_path):
+    directory, output_dir = finished[0], tmp_path / "outputs"
     done = run_script(
         "evaluate", f"run={directory.run_id}", f"output_dir={output_dir}", "episodes=6", "video=2", "gif=true"
     )
@@ -296,20 +306,13 @@ def test_evaluate_prints_and_stores_episodes_and_a_video(smoke, tmp_path):
 
 
 @pytest.mark.slow
-def test_evaluate_takes_a_directory_another_env_and_the_best_model(smoke):
-    directory, _, _ = smoke
+def test_evaluate_takes_a_directory_another_env_and_the_best_model(finished):
+    directory, _ = finished
     done = run_script("evaluate", f"run={directory.path}", "episodes=2", "env=parking_parked", "env.duration=2",
                       "model=best", "tracking.mlflow=false", "name=parked")  # fmt: skip
     assert done.returncode == 0, done.stderr
     assert "best model on 2 scenes of parking_parked" in done.stdout
     assert len(pd.read_csv(directory.path / "evaluations" / "parked" / "episodes.csv")) == 2
-
-
-@pytest.fixture
-def finished(smoke, tmp_path):
-    """A finished run of its own: its directory, and the arguments of its training."""
-    shutil.copytree(smoke[2], tmp_path / "outputs")
-    return only_run(tmp_path / "outputs"), ("experiment=smoke", f"output_dir={tmp_path / 'outputs'}")
 
 
 def evaluate_stored(directory, *arguments):
@@ -486,30 +489,29 @@ def test_evaluate_refuses_a_model_that_is_not_its_configs(finished, key, value, 
     ],
 )
 def test_evaluate_refuses_in_a_sentence(smoke, arguments, message):
-    done = run_script("evaluate", f"output_dir={smoke[2]}", *arguments)
+    done = type_here("evaluate", f"output_dir={smoke[2]}", *arguments)
     assert done.returncode == 2
     assert done.stderr.startswith(f"error: {message}")
     assert done.stderr.count("\n") == 1
 
 
-def test_a_killed_run_resumes_in_the_same_mlflow_run_with_no_step_twice(tmp_path):
-    output_dir = tmp_path / "outputs"
+def test_a_killed_run_resumes_in_the_same_mlflow_run_with_no_step_twice(output_dir):
     arguments = (
         "experiment=smoke", f"output_dir={output_dir}", "total_timesteps=400", "evaluation.video_episodes=0",
-        "env.simulator=highway_env",  # slow enough to be killed on the way
+        "algorithm._target_=support.failing_algorithms.Lingers",  # slow enough to be killed on the way
     )  # fmt: skip
-    command, keywords = script("train", *arguments)
+    command, keywords = script("train", *arguments, env=FAILING)
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, **keywords)
     checkpoints = lambda: sorted(path.name for path in output_dir.glob("*/*/*/checkpoints/step=*"))  # noqa: E731
     wait_for(lambda: len(checkpoints()) == 2, process)
-    time.sleep(1.0)  # into the steps after a checkpoint
+    time.sleep(0.5)  # into the steps after a checkpoint
     process.kill()
     process.wait()
     directory = only_run(output_dir)
     killed_at, run_id = checkpoints()[-1], directory.run_id
     assert directory.status == "running"
 
-    done = run_script("train", *arguments)
+    done = run_script("train", *arguments, env=FAILING)
     assert done.returncode == 0, done.stderr
     assert f"resuming at step {int(killed_at.removeprefix('step='))}" in done.stderr
     assert directory.run_id == run_id
@@ -578,13 +580,13 @@ def test_a_corrupt_checkpoint_is_passed_over_with_a_warning(tmp_path):
     assert_store_is_whole(output_dir, 300)
 
 
-def test_a_run_that_fails_is_failed_in_the_store_with_its_traceback(tmp_path):
+def test_a_run_that_fails_is_failed_in_the_store_with_its_traceback(output_dir):
     config = make_config(
-        "experiment=smoke", f"output_dir={tmp_path}", "algorithm._target_=support.failing_algorithms.Raises"
+        "experiment=smoke", f"output_dir={output_dir}", "algorithm._target_=support.failing_algorithms.Raises"
     )
     with pytest.raises(FailedRunError, match=r"the run failed: .*; its traceback is in .*traceback\.txt"):
         train(config)
-    directory, client = RunDirectory(config.run_dir), store(tmp_path)
+    directory, client = RunDirectory(config.run_dir), store(output_dir)
     assert directory.status == "failed"
     run = client.get_run(directory.run_id)
     assert (run.info.status, run.data.tags["status"]) == ("FAILED", "failed")
@@ -711,7 +713,8 @@ def assert_failed_on_a_full_disk(path, reason="No space left on device"):
     assert not [file for file in path.rglob(".*") if file.name.endswith((".tmp", ".zip"))]
 
 
-@pytest.mark.parametrize("kib", slow_but([250], [100, 250]))
+@pytest.mark.slow
+@pytest.mark.parametrize("kib", [100, 250])
 def test_on_a_full_disk_a_run_leaves_its_reason_and_its_traceback(small_disk, kib):
     """What fills it first: the best model, and a checkpoint."""
     disk = small_disk(kib)
@@ -720,7 +723,7 @@ def test_on_a_full_disk_a_run_leaves_its_reason_and_its_traceback(small_disk, ki
     assert "Traceback" not in failed.stderr
     assert "error: the run failed: OSError: [Errno 28] No space left on device" in failed.stderr
     assert_failed_on_a_full_disk(only_run(disk).path)
-    told = run_script("status", f"output_dir={disk}").stdout
+    told = type_here("status", f"output_dir={disk}").stdout
     assert re.search(
         r"^failed   parking-sac-her_future-\w+ seed=0: OSError: \[Errno 28\] No space left", told, re.MULTILINE
     )

@@ -41,6 +41,7 @@ def states(output_dir):
     return [trial.state for trial in trials(output_dir)]
 
 
+@pytest.mark.slow
 def test_a_dry_run_shows_space_budget_and_estimate_and_makes_nothing(tmp_path):
     done = tune(tmp_path / "outputs", "n_trials=8", "--dry-run")
     assert done.returncode == 0, done.stderr
