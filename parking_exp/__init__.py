@@ -31,6 +31,7 @@ PUBLIC_PATHS = (
     "parking_exp.algorithms.TD3",
     "parking_exp.algorithms.crossq.CrossQ",
     "parking_exp.algorithms.features.EgoFrameExtractor",
+    "parking_exp.algorithms.features.FineEgoFrameExtractor",
     "parking_exp.buffers.HerBuffer",
     "parking_exp.envs.reward.GoalReward",
     "parking_exp.envs.scenes.Scenes",

@@ -14,7 +14,7 @@ from stable_baselines3.common.vec_env import VecEnv
 from torch import nn
 
 from parking_exp.algorithms.fast.matmul_precision import faster_precision
-from parking_exp.algorithms.features import EgoFrameExtractor
+from parking_exp.algorithms.features import EgoFrameExtractor, FineEgoFrameExtractor
 from parking_exp.buffers import HerBuffer
 from parking_exp.config.constructor_arguments import CLASS_ARGUMENTS, ignored_features
 from parking_exp.config.schema import Precision, RunConfig
@@ -66,7 +66,7 @@ def build_model(config: RunConfig, env: VecEnv, seed: int, *, for_training: bool
         model = build(**objects)
     except (TypeError, ValueError, KeyError, AssertionError) as error:
         raise ConfigError(f"algorithm: {config.algorithm.target} refuses its arguments: {error}") from error
-    if config.algorithm.features == "ego" and not _computes_ego_features(model):
+    if config.algorithm.features != "raw" and not _computes_ego_features(model):
         raise ConfigError(ignored_features(config.algorithm))
     return model
 
@@ -99,6 +99,12 @@ def _policy_kwargs(config: RunConfig) -> dict[str, Any]:
     if config.algorithm.features == "ego":
         policy_kwargs["features_extractor_class"] = EgoFrameExtractor
         policy_kwargs["features_extractor_kwargs"] = {"scales": list(config.env.observation.scales)}
+    elif config.algorithm.features == "ego_fine":
+        policy_kwargs["features_extractor_class"] = FineEgoFrameExtractor
+        policy_kwargs["features_extractor_kwargs"] = {
+            "scales": list(config.env.observation.scales),
+            "reward_weights": list(config.env.reward_weights),
+        }
     elif (policy := policy_signature(config.algorithm.target, "MultiInputPolicy")) is None or policy.takes(
         "features_extractor_class"
     ):

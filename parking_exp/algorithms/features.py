@@ -8,7 +8,7 @@ from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 
 from parking_exp.envs.geometry import LOT_LENGTH_M, LOT_WIDTH_M
 
-GOAL_SCALE_M = 10.0
+GOAL_SCALE_M, NEAR_M = 10.0, 2.0
 
 
 class EgoFrameExtractor(BaseFeaturesExtractor):
@@ -51,3 +51,46 @@ class EgoFrameExtractor(BaseFeaturesExtractor):
             ),
             dim=-1,
         )
+
+
+class FineEgoFrameExtractor(EgoFrameExtractor):
+    """Ego-frame features with the goal also at the scale of a slot, in a lot that is turned to the goal's side.
+
+    Turned by 180 degrees the lot is the same: pose and heading are turned where the goal's y is negative. That halves
+    what is to be learned, and changes no action. The last metre to the goal is a tenth of a feature in units of 10 m,
+    and the reward has a cusp there: goal and reward come at that scale, too.
+
+    Output, shape (batch, 13), or (batch, 14) where the reward weighs velocity: the features of `EgoFrameExtractor`;
+    goal ahead and to the side, as tanh of their distance / 2 m; the root of the weighted distance, which is minus the
+    dense reward; the goal's signed speed (observation units).
+
+    Args:
+        observation_space: parking-v0's, with the features x, y, vx, vy, cos_h, sin_h.
+        scales: metres (or m/s) that stand for 1 in each of them: `env.observation.scales`.
+        reward_weights: of each of them in the reward: `env.reward_weights`.
+    """
+
+    def __init__(
+        self, observation_space: spaces.Dict, scales: Sequence[float], reward_weights: Sequence[float]
+    ) -> None:
+        super().__init__(observation_space, scales)
+        self.reward_weights = [float(weight) for weight in reward_weights]
+        # Virtual goals may move and real ones stand: without need, networks had better not see that.
+        self.moving_goals = any(self.reward_weights[2:4])
+        self._features_dim = 14 if self.moving_goals else 13
+
+    def forward(self, observations: dict[str, torch.Tensor]) -> torch.Tensor:
+        """Return features of shape (batch, 13 or 14) for observations of shape (batch, 6) each."""
+        features = super().forward(observations)
+        observation, goal = observations["observation"], observations["desired_goal"]
+        side = torch.where(goal[:, 1:2] < 0, -1.0, 1.0).to(features)
+        distance = torch.sqrt((observation - goal).abs() @ features.new_tensor(self.reward_weights)[:, None])
+        parts = [
+            features[:, :6],
+            features[:, 6:] * side,
+            torch.tanh(features[:, :2] * (GOAL_SCALE_M / NEAR_M)),
+            distance,
+        ]
+        if self.moving_goals:
+            parts.append((goal[:, 2:4] * goal[:, 4:6]).sum(-1, keepdim=True))
+        return torch.cat(parts, dim=-1)

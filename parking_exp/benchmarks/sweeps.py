@@ -22,7 +22,14 @@ BARE = (
     "evaluation.n_scenes=1",
     "evaluation.video_episodes=0",
 )
-MOMENT = ("env.duration=4", "env.training_duration=2", "algorithm.learning_starts=100", "total_timesteps=108")
+MOMENT = (
+    "n_envs=8",
+    "updates_per_step=1",
+    "env.duration=4",
+    "env.training_duration=2",
+    "algorithm.learning_starts=100",
+    "total_timesteps=108",
+)
 
 
 def scaling(rounds: int, steps: int | None, all_cores: Sequence[int]) -> dict[str, Any]:

@@ -42,25 +42,11 @@ def run_config(*overrides: str) -> RunConfig:
 def article(rounds: int, steps: int) -> dict[str, Any]:
     """Compare training steps a second of the tutorial's recipe, `steps` in all on each side after the warm-up."""
     config = run_config("experiment=article", "torch_threads=1")
-    arguments = config.algorithm.arguments
     ours = build_model(config, make_training_envs(config.env, config.n_envs), seed=0)
-    peer = SAC(
-        "MultiInputPolicy",
-        Monitor(make_env(config.env)),
-        learning_rate=arguments["learning_rate"],
-        learning_starts=arguments["learning_starts"],
-        batch_size=arguments["batch_size"],
-        gamma=arguments["gamma"],
-        policy_kwargs={"net_arch": list(config.algorithm.net_arch)},
-        buffer_size=config.buffer.buffer_size,
-        replay_buffer_class=HerReplayBuffer,
-        replay_buffer_kwargs=theirs(config).buffer.arguments,
-        seed=0,
-        device="cpu",
-    )
+    peer = tutorial_model(config, seed=0)
     for model in (ours, peer):
         model.set_logger(Logger(None, []))
-        model.learn(arguments["learning_starts"])
+        model.learn(config.algorithm.arguments["learning_starts"])
     with torch_settings(config) as precision:
         pass
 
@@ -75,6 +61,25 @@ def article(rounds: int, steps: int) -> dict[str, Any]:
         "steps": steps,
         "precision": precision,
     }
+
+
+def tutorial_model(config: RunConfig, seed: int) -> SAC:
+    """Return the model of the tutorial's recipe, experiment=article, in plain Stable-Baselines3 + highway-env."""
+    arguments = config.algorithm.arguments
+    return SAC(
+        "MultiInputPolicy",
+        Monitor(make_env(config.env)),
+        learning_rate=arguments["learning_rate"],
+        learning_starts=arguments["learning_starts"],
+        batch_size=arguments["batch_size"],
+        gamma=arguments["gamma"],
+        policy_kwargs={"net_arch": list(config.algorithm.net_arch)},
+        buffer_size=config.buffer.buffer_size,
+        replay_buffer_class=HerReplayBuffer,
+        replay_buffer_kwargs=theirs(config).buffer.arguments,
+        seed=seed,
+        device="cpu",
+    )
 
 
 def overhead(rounds: int, steps: int, slice_steps: int, *changes: str) -> tuple[dict[str, Any], Policy]:
@@ -113,7 +118,8 @@ def overhead(rounds: int, steps: int, slice_steps: int, *changes: str) -> tuple[
         evaluation_s = statistics.median(_seconds(loop.evaluate) for _ in range(rounds))
         checkpoint_s = statistics.median(_checkpoint_seconds(loop) for _ in range(rounds))
         policy = loop.policy
-        end_s = _seconds(lambda: finish(loop))
+        with loop.evaluated_policy():
+            end_s = _seconds(lambda: finish(loop))
         loop.directory.update(status="done")
         loop.tracker.close()
         if problem := loop.directory.unsynced:  # then its checkpoints and its end have cost too little

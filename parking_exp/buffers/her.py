@@ -56,6 +56,7 @@ class HerBuffer(HerReplayBuffer):
         copy_info_dict: must be False: rewards that read `info` are not supported.
         relabel_collision: what becomes of the penalty when a crash gets a virtual goal. `keep`: it stays. `sb3`: it is
             lost, since `compute_reward` knows no collision; at its own goal the crash is then the best there is.
+            `exclude`: crashes get no virtual goals, and are none; such transitions keep the goal that they had.
         relabel_terminated: when a virtual transition ends its episode. `sb3`: when the real one did. `goal`: when the
             virtual goal is reached. `goal_and_crash`: also at a crash, as in the env (Stable-Baselines3 issue 627).
         goal_velocity: `achieved`: a virtual goal moves as fast as the car did. `zero`: it stands, as real goals do.
@@ -267,12 +268,18 @@ class HerBuffer(HerReplayBuffer):
         goals = self.storage.achieved(goal_index)
         if self.reward is not None and self.goal_velocity == "zero":
             goals[:, self.reward.velocity] = 0.0
+        own = np.zeros(virtual, bool)  # those that keep their own goal
+        if virtual and self.relabel_collision == "exclude":
+            own = taken.crashed[-virtual:] | self.storage.crashed(goal_index)
+            goals[own] = taken.goals(np.flatnonzero(own) - virtual)
         obs, next_obs = taken.observations(goals)
         rewards, terminated = taken.rewards, taken.terminated
         if virtual:
-            rewards[-virtual:], terminated[-virtual:] = self._relabel(
+            new = self._relabel(
                 next_obs["achieved_goal"][-virtual:], goals, taken.crashed[-virtual:], terminated[-virtual:]
             )
+            for stored, relabelled in zip((rewards, terminated), new, strict=True):
+                stored[-virtual:] = np.where(own, stored[-virtual:], relabelled)
         rewards = rewards[:, None]
         if env is not None:
             obs, next_obs = self._normalize_obs(obs, env), self._normalize_obs(next_obs, env)  # type: ignore[assignment]

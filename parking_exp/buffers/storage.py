@@ -98,6 +98,11 @@ class Storage:
         found: np.ndarray = next_obs["observation" if self.compact else "achieved_goal"][index]
         return found
 
+    def crashed(self, index: np.ndarray) -> np.ndarray:
+        """Return whether transitions crashed, by index."""
+        found: np.ndarray = self.data.reshape(-1)["mark"].take(index) & CRASHED > 0
+        return found
+
     def get_state(self, rows: int, n_records: int) -> dict[str, np.ndarray]:
         """Return the first rows, and the goals of the first records, as arrays, uncopied."""
         return {"rows": self.data[:rows], "goals": self.goals[:n_records], "compact": np.array(self.compact)}
@@ -178,6 +183,13 @@ class Transitions:
         self.actions, self.rewards = data["action"], data["reward"]
         self.terminated, self.crashed = mark & TERMINATED > 0, mark & CRASHED > 0
         self.record_ids = mark >> ID_SHIFT
+
+    def goals(self, rows: np.ndarray) -> np.ndarray:
+        """Return the desired goals that some of the transitions had in the env, by row."""
+        if self._storage.compact:
+            goals: np.ndarray = self._storage.goals.take(self.record_ids[rows], axis=0)
+            return goals
+        return self._data["obs"]["desired_goal"][rows]
 
     def observations(self, virtual: np.ndarray) -> tuple[Observation, Observation]:
         """Return the Dict observations before and after the transitions; each entry has shape (n, ...).

@@ -3,7 +3,7 @@
 from typing import Any, Literal, get_args
 
 GoalStrategy = Literal["future", "final", "episode", "random"]
-RelabelCollision = Literal["keep", "sb3"]
+RelabelCollision = Literal["keep", "sb3", "exclude"]
 RelabelTerminated = Literal["sb3", "goal", "goal_and_crash"]
 GoalVelocity = Literal["achieved", "zero"]
 

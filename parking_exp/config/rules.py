@@ -105,10 +105,10 @@ def _check_buffer(run: RunConfig) -> list[str]:
 
 def _check_algorithm(run: RunConfig) -> list[str]:
     problems = []
-    if run.env.observation.features != DEFAULT_FEATURES and run.algorithm.features == "ego":
+    if run.env.observation.features != DEFAULT_FEATURES and run.algorithm.features != "raw":
         problems.append(
-            f"algorithm.features=ego reads the observation features {', '.join(DEFAULT_FEATURES)} in this order; "
-            "the closest valid choice is algorithm.features=raw"
+            f"algorithm.features={run.algorithm.features} reads the observation features "
+            f"{', '.join(DEFAULT_FEATURES)} in this order; the closest valid choice is algorithm.features=raw"
         )
     train_freq = run.algorithm.arguments.get("train_freq")
     if isinstance(train_freq, list):

@@ -24,7 +24,10 @@ TRAINING_SCENES_START = 2**31
 # Names that our options have: they say what runs, and follow the keys that change it. Any other name is the user's own.
 ALGORITHM_NAMES = frozenset({"sac", "td3", "ddpg", "tqc", "crossq"})
 BUFFER_NAMES = frozenset({"replay", *(f"her_{strategy}" for strategy in GOAL_STRATEGIES)})
-ENV_NAMES = frozenset({"parking", "parking_sparse", "parking_parked", "parking_action_repeat", "parking_2021"})
+ENV_NAMES = frozenset(
+    {"parking", "parking_sparse", "parking_parked", "parking_action_repeat", "parking_2021", "parking_stop"}
+    | {"parking_stop_parked"}
+)
 REPLAY_CLASSES = ("HerBuffer", "HerReplayBuffer", "DictReplayBuffer")  # ours and Stable-Baselines3's
 
 NAME = r"^[A-Za-z0-9][A-Za-z0-9._-]*$"
@@ -108,8 +111,13 @@ class EnvConfig(ConfigModel):
         """`sparse` and `parked` in an option's name follow the keys; what makes the other variants may be gone."""
         if self.name not in ENV_NAMES:
             return self
-        variants = {"parking_action_repeat": self.policy_frequency == 1, "parking_2021": not self.add_walls}
-        name = self.name if variants.get(self.name) else "parking"
+        variants = {
+            "parking_action_repeat": self.policy_frequency == 1,
+            "parking_2021": not self.add_walls,
+            "parking_stop": any(self.reward_weights[2:4]),
+        }
+        name = self.name.removesuffix("_parked")
+        name = name if variants.get(name) else "parking"
         name += "_parked" * (self.vehicles_count > 0) + "_sparse" * (self.reward == "sparse")
         return self.model_copy(update={"name": name})
 
@@ -162,8 +170,9 @@ class ThirdParty(BaseModel):
 class AlgorithmConfig(ThirdParty):
     """The `algorithm` group."""
 
-    features: Literal["raw", "ego"]
+    features: Literal["raw", "ego", "ego_fine"]
     net_arch: Annotated[list[Positive], Field(min_length=1)]
+    averaged_policy: PositiveFloat | None
 
     @model_validator(mode="after")
     def _name_what_runs(self) -> Self:
@@ -197,6 +206,7 @@ class EvaluationConfig(ConfigModel):
     every_n_steps: Positive | None
     n_scenes: NumberOfScenes
     final_n_scenes: NumberOfScenes
+    certified_n_scenes: NumberOfScenes
     first_scene: Scene
     video_episodes: Count
 

@@ -188,7 +188,7 @@ def _with_lot_maps(
         runs = [(seed.seed, seed.run_id) for seed in cell.seeds]
         vehicles = one.config.get("env.vehicles_count")
         parked = vehicles if type(vehicles) is int and 0 < vehicles < N_SLOTS else 0
-        lot_map = sample(runs, results, evaluations.certified, parked)
+        lot_map = sample(runs, results, evaluations.final, parked)
         found.append(replace(cell, paths=lot_map.paths, failures=lot_map.failures))
         problems += lot_map.problems
     return found, problems

@@ -1,4 +1,4 @@
-"""Evaluation curves and certified episodes of each run, as arrays: a thousand look-ups in frames are slow."""
+"""Evaluation curves and final episodes of each run, as arrays: a thousand look-ups in frames are slow."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -37,8 +37,8 @@ class EvaluationCurve:
 
 
 @dataclass(frozen=True)
-class Certified:
-    """A run's final episodes on real highway-env: their scenes and indices into `outcomes.OUTCOMES`, shape (n,)."""
+class FinalEpisodes:
+    """A run's final episodes: their scenes and indices into `outcomes.OUTCOMES`, shape (n,)."""
 
     scene: np.ndarray
     outcome: np.ndarray
@@ -46,10 +46,10 @@ class Certified:
 
 @dataclass(frozen=True)
 class RunEvaluations:
-    """Evaluation curves and certified episodes by run id, of the runs that have them."""
+    """Evaluation curves and final episodes by run id, of the runs that have them."""
 
     curves: dict[str, EvaluationCurve]
-    certified: dict[str, Certified]
+    final: dict[str, FinalEpisodes]
 
     @staticmethod
     def of(results: Results) -> "RunEvaluations":
@@ -57,14 +57,14 @@ class RunEvaluations:
         rated = results.curves.loc[results.curves["success_rate"].notna(), "run_id"]
         curves = results.curves[results.curves["run_id"].isin(rated)]
         names = ("step", "success_rate", "crash_rate", "cpu_s", "real_share")
-        episodes = results.episodes[results.episodes["phase"] == "certified"]
+        episodes = results.episodes[results.episodes["phase"] == "final"]
         outcome = episodes["outcome"].cat.codes
         return RunEvaluations(
             {
                 run: EvaluationCurve(*parts)
                 for run, parts in _split(curves["run_id"], *(curves[name] for name in names))
             },
-            {run: Certified(*parts) for run, parts in _split(episodes["run_id"], episodes["scene"], outcome)},
+            {run: FinalEpisodes(*parts) for run, parts in _split(episodes["run_id"], episodes["scene"], outcome)},
         )
 
 

@@ -11,7 +11,7 @@ from parking_exp.envs.geometry import N_SLOTS
 from parking_exp.envs.outcomes import OUTCOMES, Outcome
 from parking_exp.envs.scenes import Scenes
 from parking_exp.errors import ResultsError
-from parking_exp.reports.curves import Certified
+from parking_exp.reports.curves import FinalEpisodes
 from parking_exp.reports.report_data import Path, SlotRate
 from parking_exp.results.frames import Results
 
@@ -34,7 +34,7 @@ class LotMap:
     problems: list[str]
 
 
-def slot_rates(runs: Sequence[Certified]) -> list[SlotRate]:
+def slot_rates(runs: Sequence[FinalEpisodes]) -> list[SlotRate]:
     """Return what happened in the scenes with each goal slot, over the episodes of several runs."""
     if not runs:
         return []
@@ -57,7 +57,7 @@ def _goal(scene: int) -> int:
 
 
 def sample(
-    runs: Sequence[tuple[int, str]], results: Results, certified: Mapping[str, Certified], vehicles_count: int
+    runs: Sequence[tuple[int, str]], results: Results, final: Mapping[str, FinalEpisodes], vehicles_count: int
 ) -> LotMap:
     """Return some trajectories of each outcome, and where crashes and timeouts ended.
 
@@ -67,7 +67,7 @@ def sample(
     Args:
         runs: (seed, run id) of the finished runs of a cell.
         results: where their trajectories are.
-        certified: their episodes, by run id.
+        final: their final episodes, by run id.
         vehicles_count: parked cars in each scene.
     """
     rng = np.random.default_rng(0)
@@ -81,15 +81,15 @@ def sample(
         except ResultsError as error:
             found.problems.append(str(error))
             continue
-        if run_id not in certified or not len(table):
+        if run_id not in final or not len(table):
             continue
         ways = dict(list(table.groupby("scene")))
-        for scene, code in zip(certified[run_id].scene.tolist(), certified[run_id].outcome.tolist(), strict=True):
+        for scene, code in zip(final[run_id].scene.tolist(), final[run_id].outcome.tolist(), strict=True):
             if scene in ways and (outcome := OUTCOMES[code]) != "success":
                 x, y = ways[scene][["x_m", "y_m"]].to_numpy()[-1]
                 found.failures.append((round(float(x), 2), round(float(y), 2), outcome))
         for code, outcome in enumerate(OUTCOMES):
-            scenes = certified[run_id].scene[certified[run_id].outcome == code]
+            scenes = final[run_id].scene[final[run_id].outcome == code]
             recorded = [scene for scene in scenes.tolist() if scene in ways]
             for rank, scene in enumerate(rng.permutation(recorded)[:wanted].tolist()):
                 drawn[outcome].append((rank, _path(ways[scene], seed, scene, outcome, vehicles_count)))

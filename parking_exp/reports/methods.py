@@ -42,7 +42,7 @@ def methods(report: ReportData) -> Iterator[str]:
     }
     yield from (sentence for method, sentence in INTERVALS.items() if method in used)
     yield (
-        "CPU-seconds of a run count everything, its final evaluation and its certification on highway-env included; "
+        "CPU-seconds of a run count everything, its final evaluation and certification included; "
         "times to 90 % count what came before."
     )
     yield "All intervals are at 95 %. Shares of scenes and of seeds have Wilson's."

@@ -54,7 +54,7 @@ class Seed:
     Attributes:
         seed: its seed.
         run_id, run_dir: where it is.
-        success, crash, timeout, parked: final rates over the certified scenes.
+        success, crash, timeout, parked: final rates over the evaluation scenes.
         n_scenes: how many those were.
         low, high: Wilson interval of `success`.
         episode_steps: mean length of its final episodes [policy steps].

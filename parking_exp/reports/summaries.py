@@ -50,7 +50,7 @@ def summarise(
     Args:
         group: its runs.
         number: of the cell in the report.
-        evaluations: curves and certified episodes of the runs.
+        evaluations: curves and final episodes of the runs.
         horizons: up to which env step, and CPU-second, times to 90 % are averaged; see `shared_horizons`.
         unfinished: whether learning curves show runs that are not done, too.
     """
@@ -76,9 +76,7 @@ def summarise(
         curve=_curve(group.runs if unfinished else group.done, evaluations),
         survival=_survival("env steps", times, horizons[0]),
         survival_cpu=_survival("CPU-seconds", cpu_times, horizons[1]),
-        slots=slot_rates(
-            [evaluations.certified[seed.run_id] for seed in seeds if seed.run_id in evaluations.certified]
-        ),
+        slots=slot_rates([evaluations.final[seed.run_id] for seed in seeds if seed.run_id in evaluations.final]),
         note=_note([seed.success for seed in seeds]),
         further={name: mean for name, mean in means.items() if name in FURTHER},
     )
@@ -102,7 +100,7 @@ def real_share(group: Group, evaluations: RunEvaluations) -> float | None:
 
 def _seed(run: dict[str, Any], evaluations: RunEvaluations) -> Seed:
     values = _values(run)
-    episodes, curve = evaluations.certified.get(run["run_id"]), evaluations.curves.get(run["run_id"])
+    episodes, curve = evaluations.final.get(run["run_id"]), evaluations.curves.get(run["run_id"])
     n_scenes = len(episodes.scene) if episodes is not None else _whole(run["n_scenes"])
     low = high = None
     if values["success"] is not None and n_scenes:

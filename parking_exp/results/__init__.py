@@ -15,7 +15,7 @@
     total_timesteps, n_scenes, first_scene,    Int64     as configured: env steps; scenes of the final evaluation, from
     eval_n_scenes                                        which on; scenes of the evaluations during training
     steps                                      int64     env steps trained, as far as the store knows
-    success_rate, crash_rate, timeout_rate,    float64   of the final model on real highway-env, over all its episodes;
+    success_rate, crash_rate, timeout_rate,    float64   of the final model, over all its scenes;
     parked_rate                                          NaN unless the run is done
     episode_steps, episode_return, distance_m, float64   means over the same episodes; the last three are absolute
     heading_error_rad, speed_mps                         values at their end
@@ -40,8 +40,8 @@
 `episodes` has one row per evaluation episode of the runs that are over, in the order of `runs`:
 
     run_id                                     category
-    phase                                      category  eval: during training; final: after it; certified: the final
-                                                         ones again, on real highway-env
+    phase                                      category  eval: during training; final: after it; certified: some of
+                                                         the final ones again, on real highway-env
     step, scene                                int64     env steps trained; start
     outcome                                    category  success, crash, timeout
     parked                                     bool      the strict definition of success

@@ -30,7 +30,7 @@ CONFIGURED = {
     "evaluation.first_scene": "first_scene",
     "evaluation.n_scenes": "eval_n_scenes",
 }
-FINAL = {f"certified/{metric.key}": metric.run_column for metric in METRICS}
+FINAL = {f"final/{metric.key}": metric.run_column for metric in METRICS}
 COST = {metric.key: metric.name for metric in RUN_METRICS if metric.in_runs}
 CURVE = {f"eval/{metric.key}": metric.key for metric in METRICS if metric.in_curves}
 BESIDE_A_CURVE = {metric.key: metric.name for metric in RUN_METRICS if metric.in_curves}

@@ -33,6 +33,9 @@ def _headline(status: dict[str, Any], directory: RunDirectory, config: RunConfig
     result = directory.result()
     if result is None:
         return str(status.get("status", "pending"))
-    rates = {name: result.metrics.get(f"certified/{name}_rate") for name in ("success", "crash", "parked")}
+    rates = {name: result.metrics.get(f"final/{name}_rate") for name in ("success", "crash", "parked")}
     words = ", ".join(f"{name} {rate:.1%}" for name, rate in rates.items() if rate is not None)
-    return f"{words} on {config.evaluation.final_n_scenes} scenes of highway-env after {result.steps:,} env steps"
+    evaluation = config.evaluation
+    number = min(evaluation.certified_n_scenes, evaluation.final_n_scenes)
+    scenes = f"{evaluation.final_n_scenes} scenes, {number} of them certified on highway-env,"
+    return f"{words} on {scenes} after {result.steps:,} env steps"

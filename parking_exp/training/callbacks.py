@@ -27,6 +27,7 @@ class RolloutCallback(BaseCallback):
         loop = self.loop
         config, progress, step = loop.config, loop.progress, self.num_timesteps
         loop.restore_rollout_state()  # here, where it was saved
+        loop.average.update()
         loop.stop_if_asked()
         if _due(step, progress.evaluated, config.evaluation.every_n_steps):
             loop.evaluate()

@@ -21,6 +21,7 @@ from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 
 from parking_exp.algorithms.fast.base import FastTraining
 from parking_exp.algorithms.model_files import check_saved, load_weights
+from parking_exp.algorithms.policy_average import PolicyAverage
 from parking_exp.buffers import HerBuffer
 from parking_exp.errors import DamagedFileError, DamagedModelError, ModelError
 from parking_exp.runs.files import fsync, read_json, sha256, write_json
@@ -30,7 +31,8 @@ from parking_exp.training import rollout_state, serialization
 
 log = logging.getLogger(__name__)
 
-MODEL, BUFFER, BEST, MANIFEST = "model.zip", "replay_buffer.npz", "best.zip", "manifest.json"
+MODEL, AVERAGED, BEST = "model.zip", "averaged.zip", "best.zip"
+BUFFER, MANIFEST = "replay_buffer.npz", "manifest.json"
 STATE, ARRAYS, METRICS = "state.json", "state.npz", "metrics.jsonl"
 COUNTERS = ("num_timesteps", "_n_updates", "_episode_num", "_current_progress_remaining")
 LAST = ("_last_obs", "_last_episode_starts")
@@ -56,7 +58,14 @@ class Progress:
     wall_s: float = 0.0
 
 
-def save(directory: Path, model: OffPolicyAlgorithm, progress: Progress, best: Path, keep_last: int) -> Path:
+def save(
+    directory: Path,
+    model: OffPolicyAlgorithm,
+    progress: Progress,
+    best: Path,
+    keep_last: int,
+    average: PolicyAverage | None = None,
+) -> Path:
     """Write a checkpoint, then delete all but the last `keep_last`.
 
     Args:
@@ -65,6 +74,7 @@ def save(directory: Path, model: OffPolicyAlgorithm, progress: Progress, best: P
         progress: of the run.
         best: the best model's file; it travels with the checkpoint, since a later one may replace it.
         keep_last: how many whole checkpoints stay.
+        average: of the policy; a second model has it.
 
     Raises:
         ModelError: the model has weights that its file would not hold; earlier checkpoints are untouched.
@@ -74,6 +84,9 @@ def save(directory: Path, model: OffPolicyAlgorithm, progress: Progress, best: P
     target = directory / f"step={progress.step:010d}"
     with _new_directory(target) as folder:
         model.save(folder / MODEL)
+        if average is not None and average.half_life is not None:
+            with average.applied():
+                model.save(folder / AVERAGED)
         _save_buffer(model.replay_buffer, folder / BUFFER)
         if best.exists():
             shutil.copyfile(best, folder / BEST)
@@ -135,8 +148,10 @@ def read_progress(folder: Path) -> Progress:
         raise DamagedFileError(f"{folder / STATE} has no progress of a run; delete {folder}") from error
 
 
-def restore(folder: Path, model: OffPolicyAlgorithm, best: Path) -> dict[str, Any]:
-    """Bring a freshly built model, and the best model's file, to a checkpoint's state.
+def restore(
+    folder: Path, model: OffPolicyAlgorithm, best: Path, average: PolicyAverage | None = None
+) -> dict[str, Any]:
+    """Bring a freshly built model, the average of its policy and the best model's file to a checkpoint's state.
 
     Returns:
         The rollout state, for `rollout_state.set_state` when the next rollout begins.
@@ -164,6 +179,8 @@ def restore(folder: Path, model: OffPolicyAlgorithm, best: Path) -> dict[str, An
     _load_buffer(model.replay_buffer, folder / BUFFER)
     if isinstance(model, FastTraining) and model._n_updates:
         model.bind()
+    if average is not None and (folder / AVERAGED).exists():
+        average.load(folder / AVERAGED)
     return state["streams"]
 
 

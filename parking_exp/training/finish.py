@@ -1,8 +1,10 @@
 """The end of a run: final evaluation, certification on highway-env, final model, learning curves, video."""
 
+import numpy as np
 import pandas as pd
 
 from parking_exp.algorithms.model_files import save_model
+from parking_exp.config.schema import RunConfig
 from parking_exp.errors import CertificationError
 from parking_exp.evaluation.description import success_line
 from parking_exp.evaluation.evaluate import differences
@@ -10,23 +12,32 @@ from parking_exp.evaluation.trajectories import TRAJECTORIES_FILE, Recorder
 from parking_exp.evaluation.video import record
 from parking_exp.training.loop import TrainingLoop
 from parking_exp.training.plot_curves import learning_curves
+from parking_exp.training.seeding import derive_seeds
 
 
 def finish(loop: TrainingLoop) -> pd.DataFrame:
-    """Evaluate the final model on all scenes, write everything down, and return the episodes on real highway-env.
+    """Evaluate the final model on all scenes, certify some of them, write everything down; return the episodes.
 
     Raises:
-        CertificationError: an episode went otherwise there than in the simulator; all tables are written.
+        CertificationError: an episode went otherwise on highway-env than in the simulator; all tables are written.
     """
     config, path = loop.config, loop.directory.path
-    loop.bar.busy("final evaluation")
     recorder = Recorder()
-    episodes = loop.run_episodes(config.evaluation.final_n_scenes, recorder=recorder)
+    loop.bar.busy("final evaluation")
+    chosen = certified_scenes(config)
+    # Scenes that are certified are stepped by themselves, since a policy's last bits depend on what is in its batch.
+    others = [scene for scene in loop.scenes(config.evaluation.final_n_scenes) if scene not in chosen]
+    parts = [loop.run_episodes(scenes, recorder=recorder) for scenes in (chosen, others) if len(scenes)]
     recorder.save(path / TRAJECTORIES_FILE)
+    episodes = pd.concat(parts).sort_values("scene", ignore_index=True)
     summary = loop.record_evaluation(episodes.head(config.evaluation.n_scenes), "eval")
     loop.bar.say(success_line(summary, loop.model.num_timesteps))
     loop.record_evaluation(episodes, "final")
-    certified = _certify(loop, episodes)
+    certified = parts[0]
+    if config.env.simulator != "highway_env":
+        loop.bar.busy("certification on highway-env")
+        certified = loop.run_episodes(chosen, "highway_env")
+    loop.record_evaluation(certified, "certified")
     loop.dump_metrics()
     loop.model.logger.close()
     save_model(loop.model, loop.directory.models / "final.zip")
@@ -35,19 +46,23 @@ def finish(loop: TrainingLoop) -> pd.DataFrame:
         loop.bar.busy("video")
         record(loop.policy, config.env, loop.scenes(number), path / "video.mp4")
     loop.env.close()
-    if found := differences(episodes, certified):
+    if found := differences(parts[0], certified):
         raise CertificationError(
-            f"{len(found)} of {len(episodes)} final episodes differ between env.simulator="
+            f"{len(found)} of {len(certified)} certified episodes differ between env.simulator="
             f"{config.env.simulator} and highway-env; {'; '.join(found[:3])}"
         )
-    return certified
+    return episodes
 
 
-def _certify(loop: TrainingLoop, episodes: pd.DataFrame) -> pd.DataFrame:
-    """Repeat the final evaluation on real highway-env, unless that is where it was made."""
-    certified = episodes
-    if loop.config.env.simulator != "highway_env":
-        loop.bar.busy("certification on highway-env")
-        certified = loop.run_episodes(len(episodes), "highway_env")
-    loop.record_evaluation(certified, "certified")
-    return certified
+def certified_scenes(config: RunConfig) -> list[int]:
+    """Return the scenes of the final evaluation that are repeated on highway-env, sorted.
+
+    They are drawn by the run's seed, so that a sweep covers many. On highway-env itself they are all.
+    """
+    evaluation = config.evaluation
+    scenes = range(evaluation.first_scene, evaluation.first_scene + evaluation.final_n_scenes)
+    if config.env.simulator == "highway_env":
+        return list(scenes)
+    rng = np.random.default_rng(derive_seeds(config.seed).certified_scenes)
+    number = min(evaluation.certified_n_scenes, len(scenes))
+    return sorted(rng.choice(scenes, number, replace=False).tolist())

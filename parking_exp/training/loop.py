@@ -1,6 +1,8 @@
 """The training loop of a run: its model, envs and logs, with evaluations and checkpoints on the way."""
 
 import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -8,6 +10,7 @@ import pandas as pd
 
 from parking_exp.algorithms.build import build_model, greedy_policy
 from parking_exp.algorithms.model_files import save_model
+from parking_exp.algorithms.policy_average import PolicyAverage
 from parking_exp.buffers import HerBuffer
 from parking_exp.config.schema import RunConfig, Simulation
 from parking_exp.envs.training_envs import make_training_envs
@@ -25,6 +28,10 @@ from parking_exp.training.loggers import make_logger
 from parking_exp.training.progress import TrainingProgress
 from parking_exp.training.seeding import derive_seeds
 from parking_exp.training.signals import StopRequest
+
+
+class _StopAskedError(Exception):
+    """A signal has asked to stop in the middle of an evaluation."""
 
 
 class TrainingLoop:
@@ -52,12 +59,13 @@ class TrainingLoop:
         self.env = make_training_envs(config.env, config.n_envs, path / "monitor.csv", progress.wall_s)
         self.model = build_model(config, self.env, seeds.policy)
         self.policy = greedy_policy(self.model)
+        self.average = PolicyAverage(self.model, config.algorithm.averaged_policy)
         self.env.seed(seeds.training_scenes)  # after the model, which seeds the envs with its own seed
         self._rollout_state: dict[str, Any] | None = None
         if checkpoint is None:
             self._best.unlink(missing_ok=True)  # of steps that are going to be done again
         else:
-            self._rollout_state = checkpoints.restore(checkpoint, self.model, best=self._best)
+            self._rollout_state = checkpoints.restore(checkpoint, self.model, self._best, self.average)
             bar.say(f"resuming at step {progress.step}")
         self.model.set_logger(make_logger(config.tracking, path, self.metrics, progress.step))
 
@@ -73,20 +81,34 @@ class TrainingLoop:
     def evaluate(self) -> None:
         """Evaluate on the first of the fixed scenes, and keep the model if it is the best so far."""
         self.bar.busy("evaluation")
-        episodes = self.run_episodes(self.config.evaluation.n_scenes)
-        summary = self.record_evaluation(episodes, "eval")
+        with self.evaluated_policy():
+            episodes = self.run_episodes(self.scenes(self.config.evaluation.n_scenes))
+            summary = self.record_evaluation(episodes, "eval")
         self.dump_metrics()
         self.bar.say(success_line(summary, self.model.num_timesteps))
 
     def run_episodes(
-        self, number: int, simulator: Simulation | None = None, recorder: Recorder | None = None
+        self, scenes: Sequence[int], simulator: Simulation | None = None, recorder: Recorder | None = None
     ) -> pd.DataFrame:
-        """Return the greedy policy's episodes on the first of the fixed scenes; between steps it stops on request."""
+        """Return the greedy policy's episodes, within `evaluated_policy`; between steps it stops on request."""
 
         def stop(_: int) -> None:
-            self.stop_if_asked()
+            if self.stop.signal_number is not None:
+                raise _StopAskedError
 
-        return evaluate(self.policy, self.config.env, self.scenes(number), stop, simulator, recorder)
+        return evaluate(self.policy, self.config.env, scenes, stop, simulator, recorder)
+
+    @contextmanager
+    def evaluated_policy(self) -> Iterator[None]:
+        """Have the model's policy be the one that is evaluated and saved, for a while.
+
+        Where a signal asks to stop meanwhile, the checkpoint is saved after that, with the weights that are trained.
+        """
+        try:
+            with self.average.applied():
+                yield
+        except _StopAskedError:
+            self.stop_if_asked()
 
     def scenes(self, number: int) -> range:
         """Return the first `number` of the fixed evaluation scenes."""
@@ -106,9 +128,8 @@ class TrainingLoop:
             return
         self.progress.step = self.progress.saved = step
         self.progress.cpu_s, self.progress.wall_s = self.times()
-        checkpoints.save(
-            self.directory.checkpoints, self.model, self.progress, self._best, self.config.checkpoint.keep_last
-        )
+        keep_last = self.config.checkpoint.keep_last
+        checkpoints.save(self.directory.checkpoints, self.model, self.progress, self._best, keep_last, self.average)
         self.tracker.sync()
 
     def stop_if_asked(self) -> None:

@@ -31,7 +31,9 @@ def make_models(directory: RunDirectory) -> str:
     directory.models.mkdir(exist_ok=True)
     for name in gone:
         earlier = name == "best.zip" and not _ends_with_best(directory, checkpoint)
-        _copy(checkpoint / (checkpoints.BEST if earlier else checkpoints.MODEL), directory.models / name)
+        averaged = (checkpoint / checkpoints.AVERAGED).exists()
+        last = checkpoints.AVERAGED if averaged else checkpoints.MODEL
+        _copy(checkpoint / (checkpoints.BEST if earlier else last), directory.models / name)
     return f"{names}: gone, and made again from {checkpoint}"
 
 

@@ -15,9 +15,11 @@ class Seeds:
     """Weights, exploration and minibatches (Python, NumPy and torch), below 2**31."""
     training_scenes: int
     """Seed of the first training env; env i gets this + i. At least 2**31, where no evaluation scene lies."""
+    certified_scenes: int
+    """Draws the scenes of the final evaluation that are certified."""
 
 
 def derive_seeds(seed: int) -> Seeds:
     """Derive a run's seeds."""
-    policy, scenes = np.random.SeedSequence(seed).generate_state(2)
-    return Seeds(policy=int(policy) % 2**31, training_scenes=TRAINING_SCENES_START + int(scenes) % 2**31)
+    policy, scenes, certified = np.random.SeedSequence(seed).generate_state(3).tolist()
+    return Seeds(policy % 2**31, TRAINING_SCENES_START + scenes % 2**31, certified)

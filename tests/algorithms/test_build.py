@@ -213,7 +213,7 @@ def test_features_that_a_policy_would_ignore_are_refused_before_training(name, m
     (tmp_path / f"own_{when}.py").write_text(OWN_POLICY.format(name=name, more=more))
     monkeypatch.syspath_prepend(tmp_path)
     target = f"algorithm._target_=own_{when}.{name}"
-    message = rf"^algorithm.features=ego: the policy of own_{when}.{name} .* set algorithm.features=raw$"
+    message = rf"^algorithm.features=ego_fine: the policy of own_{when}.{name} .* set algorithm.features=raw$"
     if when == "composed":
         with pytest.raises(ConfigError, match=message):
             make_config("experiment=smoke", target)

@@ -72,7 +72,7 @@ def trained(request, tmp_path_factory):
 def test_its_config_is_accepted_and_becomes_a_model_of_its_class(trained):
     assert type(trained.model) is get_class(trained.config.algorithm.target)
     has_ego_features = isinstance(trained.model.actor.features_extractor, EgoFrameExtractor)
-    assert has_ego_features == (trained.config.algorithm.features == "ego")
+    assert has_ego_features == (trained.config.algorithm.features != "raw")
 
 
 def test_loaded_into_another_model_it_has_the_same_weights_and_actions(trained):
@@ -155,7 +155,7 @@ def test_a_user_class_that_is_restored_exactly_passes_the_check():
 
 
 def test_features_that_the_policy_ignores_are_refused_instead_of_vanishing():
-    with pytest.raises(ConfigError, match=r"^algorithm.features=ego: the policy of .*IgnoresFeatures"):
+    with pytest.raises(ConfigError, match=r"^algorithm.features=ego_fine: the policy of .*IgnoresFeatures"):
         check_saving(make_config(*SMOKE, f"{USER}.IgnoresFeatures"))
     check_saving(make_config(*SMOKE, f"{USER}.IgnoresFeatures", "algorithm.features=raw"))
 

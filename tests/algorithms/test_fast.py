@@ -24,7 +24,8 @@ ALGORITHMS = ("SAC", "TD3", "DDPG")
 
 def make_model(name, *overrides, module=fast, seed=0):
     target = f"algorithm._target_={'parking_exp.algorithms.fast' if module is fast else 'stable_baselines3'}.{name}"
-    config = make_config(f"algorithm={name.lower()}", target, "algorithm.batch_size=64", *overrides)
+    few = ("n_envs=8", "updates_per_step=1", "algorithm.learning_starts=1000", "algorithm.batch_size=64")
+    config = make_config(f"algorithm={name.lower()}", target, *few, *overrides)
     model = build_model(config, make_training_envs(config.env, config.n_envs), seed=seed)
     model.set_logger(Logger(None, []))
     return model
@@ -76,7 +77,7 @@ def update(model, samples, calls=100, seed=0):
         model.train(gradient_steps=len(samples) // calls, batch_size=len(samples[0].rewards))
 
 
-@pytest.mark.parametrize("features", ["ego", "raw"])
+@pytest.mark.parametrize("features", slow_but(["ego_fine", "raw"], ["ego_fine", "ego", "raw"]))
 @pytest.mark.parametrize("seed", slow_but([0], range(4)))
 @pytest.mark.parametrize("name", ALGORITHMS)
 def test_100_updates_give_the_parameters_of_stable_baselines3(name, seed, features):
@@ -339,7 +340,7 @@ def test_policies_of_other_peoples_are_not_mistaken_for_known_ones():
 
 def test_minibatches_sampled_together_have_each_their_share_of_virtual_goals():
     """8 x 64 transitions of HER with n_sampled_goal=4: int(.8 x 512) = 409 virtual ones, 51 or 52 in each minibatch."""
-    model = make_model("SAC")
+    model = make_model("SAC", "buffer.relabel_collision=keep")
     model.learning_starts = 4000
     model.learn(4000)
     real = {tuple(goal) for goal in np.float32(model.replay_buffer.storage.goals).tolist()}

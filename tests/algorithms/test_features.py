@@ -7,28 +7,32 @@ import pytest
 import torch
 from support.runs import make_config
 
-from parking_exp.algorithms.features import EgoFrameExtractor
+from parking_exp.algorithms.features import EgoFrameExtractor, FineEgoFrameExtractor
 from parking_exp.envs.highway import make_env
 
 SCALES = [100, 100, 5, 5, 1, 1]
 
 
-def features(car, goal):
-    """Features for (x, y, heading, speed) of the car and (x, y, heading) of the goal, in metres and radians."""
+WEIGHTS = [1, 0.3, 0, 0, 0.02, 0.02]
+
+
+def features(car, goal, make=EgoFrameExtractor):
+    """Features for (x, y, heading, speed) of the car and the same of the goal, in metres and radians."""
     x, y, heading, speed = car
-    goal_x, goal_y, goal_heading = goal
+    goal_x, goal_y, goal_heading, goal_speed = (*goal, 0)[:4]
     space = make_env(make_config().env).observation_space
     observation = np.array(
         [x, y, speed * math.cos(heading), speed * math.sin(heading), math.cos(heading), math.sin(heading)]
     )
-    desired = np.array([goal_x, goal_y, 0, 0, math.cos(goal_heading), math.sin(goal_heading)])
+    cos, sin = math.cos(goal_heading), math.sin(goal_heading)
+    desired = np.array([goal_x, goal_y, goal_speed * cos, goal_speed * sin, cos, sin])
     batch = {
         "observation": observation / SCALES,
         "achieved_goal": observation / SCALES,
         "desired_goal": desired / SCALES,
     }
     tensors = {key: torch.tensor(value, dtype=torch.float32)[None] for key, value in batch.items()}
-    return EgoFrameExtractor(space, SCALES)(tensors)[0].tolist()
+    return make(space, SCALES)(tensors)[0].tolist()
 
 
 def test_a_goal_ahead_and_to_the_left():
@@ -53,3 +57,29 @@ def test_goal_features_do_not_depend_on_where_the_scene_lies():
     goal = rotation @ [7, 3] + shift
     there = features(car=(*shift, 0.4 + turn, 1), goal=(*goal, 1.0 + turn))
     assert there[:6] == pytest.approx(here[:6], abs=1e-5)
+
+
+def fine(weights=WEIGHTS):
+    return lambda space, scales: FineEgoFrameExtractor(space, scales, weights)
+
+
+def test_the_goal_at_the_scale_of_a_slot():
+    # 1 m before a slot, 0.5 m beside it, at the same heading.
+    found = features((0, 0, 0, 5), (1, 0.5, 0), fine())
+    assert found[:6] == pytest.approx(features((0, 0, 0, 5), (1, 0.5, 0))[:6], abs=1e-6)
+    assert found[10:] == pytest.approx([math.tanh(0.5), math.tanh(0.25), math.sqrt(0.01 + 0.3 * 0.005)], abs=1e-6)
+
+
+def test_a_scene_turned_by_180_degrees_has_the_same_features():
+    here = features((3, -2, 0.4, 1), (10, 14, math.pi / 2), fine())
+    there = features((-3, 2, 0.4 + math.pi, 1), (-10, -14, -math.pi / 2), fine())
+    assert there == pytest.approx(here, abs=1e-5)
+    plain = features((3, -2, 0.4, 1), (10, 14, math.pi / 2))
+    assert here[:10] == pytest.approx(plain, abs=1e-6)
+
+
+def test_the_speed_of_a_goal_is_seen_where_the_reward_weighs_velocity():
+    weights = [1, 0.3, 0.1, 0.1, 0.02, 0.02]
+    found = features((0, 0, 0, 0), (0, 0, 0, -2.5), fine(weights))
+    assert found[12:] == pytest.approx([math.sqrt(0.1 * 0.5), -0.5], abs=1e-6)
+    assert len(features((0, 0, 0, 0), (0, 0, 0, -2.5), fine())) == 13

@@ -369,6 +369,29 @@ def test_what_every_relabelled_transition_carries(tmp_path, reward, n_envs, step
     assert len(set(ends)) > 1
 
 
+@pytest.mark.parametrize("terminated", ["sb3", "goal", "goal_and_crash"])
+def test_without_virtual_goals_for_crashes_a_crash_stays_what_it_was_and_is_no_goal(terminated):
+    ours = ended("crash", {"relabel_collision": "exclude", "relabel_terminated": terminated})
+    batch = ours._collect(ours.storage.take(np.array([0, 2, 0, 1, 2])), np.array([1, 2, 2]))
+    goals = batch.observations["desired_goal"]
+    # The first virtual goal is no crash; the second is, and the third transition is one itself.
+    assert goals[:, 0].tolist() == [0.0, 0.0, 2.0, 0.0, 0.0]
+    assert torch.equal(goals, batch.next_observations["desired_goal"])
+    assert batch.rewards[2].item() == pytest.approx(-np.sqrt(1 + 0.3 + 0.02 + 0.02), rel=1e-6)
+    assert batch.rewards[[0, 1, 3, 4], 0].tolist() == [-7.0] * 4
+    assert batch.dones[:, 0].tolist() == [0.0, 1.0, 0.0, 0.0, 1.0]
+
+
+def test_without_crashes_excluding_them_changes_nothing():
+    batches = [
+        ended("success", {"relabel_collision": one, "relabel_terminated": "goal"}) for one in ("exclude", "keep")
+    ]
+    one, other = (ours._collect(ours.storage.take(np.array([0, 1, 2])), np.array([2, 2])) for ours in batches)
+    for mine, theirs in zip((one.rewards, one.dones), (other.rewards, other.dones), strict=True):
+        assert torch.equal(mine, theirs)
+    assert torch.equal(one.observations["desired_goal"], other.observations["desired_goal"])
+
+
 def test_goal_velocity():
     for option, speed in (("achieved", 0.7), ("zero", 0.0)):
         batch = ended("success", {"goal_velocity": option}).sample(10)

@@ -101,7 +101,7 @@ def test_a_sweep_can_have_a_hundred_thousand_runs():
 def test_seeds_on_a_command_line():
     assert [run.seed for run in runs("seeds=3")] == [0, 1, 2]
     assert [run.seed for run in runs("seeds=[5,2]")] == [run.seed for run in runs("seeds=5,2")] == [5, 2]
-    assert [run.seed for run in runs("experiment=her_traps", "seed=9", "buffer=her_episode")] == [9] * 6
+    assert [run.seed for run in runs("experiment=her_traps", "seed=9", "buffer=her_episode")] == [9] * 8
     # All cells get their first seed before any gets its second.
     assert [(run.seed, run.algorithm.name) for run in runs("seeds=2", "algorithm=sac,td3")] == [
         (0, "sac"), (0, "td3"), (1, "sac"), (1, "td3"),
@@ -143,7 +143,7 @@ def test_what_is_typed_applies_to_every_cell_that_has_it():
 
 def test_several_experiments_are_one_after_the_other():
     found = runs("experiment=smoke,her_traps", "seeds=1")
-    assert Counter(run.experiment_name for run in found) == {"smoke": 1, "her_traps": 12}
+    assert Counter(run.experiment_name for run in found) == {"smoke": 1, "her_traps": 16}
 
 
 def test_a_cell_may_name_its_seeds():
@@ -184,28 +184,33 @@ def test_the_her_traps_are_the_relabelling_options_where_they_can_make_a_differe
         (run.buffer.name, run.algorithm.features, *(run.buffer.arguments[name] for name in names)) for run in found
     }
     assert cells == {
-        *(("her_future", "ego", c, t, "achieved") for c in ("keep", "sb3") for t in ("sb3", "goal")),
-        *(("her_episode", "ego", c, t, "achieved") for c in ("keep", "sb3") for t in ("sb3", "goal", "goal_and_crash")),
+        *(("her_future", "ego_fine", c, t, "achieved") for c in ("keep", "sb3", "exclude") for t in ("sb3", "goal")),
+        *(
+            ("her_episode", "ego_fine", c, t, "achieved")
+            for c in ("keep", "sb3")
+            for t in ("sb3", "goal", "goal_and_crash")
+        ),
+        *(("her_episode", "ego_fine", "exclude", t, "achieved") for t in ("sb3", "goal")),
         *(("her_future", "raw", "sb3", "sb3", v) for v in ("achieved", "zero")),
     }
-    assert len(found) == 12
+    assert len(found) == 16
 
 
 @pytest.mark.parametrize("experiment", slow_but(["her_traps"], ["her_ablation", "her_traps"]))
-@pytest.mark.parametrize(("budget", "steps"), [("small", 20_000), ("full", 60_000)])
+@pytest.mark.parametrize(("budget", "steps"), [("small", 200_000), ("full", 400_000)])
 def test_every_cell_has_as_many_env_steps_and_updates(experiment, budget, steps):
     """Whatever differs, it is the buffer or the reward: the same steps, updates, networks and evaluation."""
     found = runs(f"experiment={experiment}", f"budget={budget}", "seeds=1")
     assert {run.total_timesteps for run in found} == {steps}
     assert {run.update_rounds() for run in found} == {(1, 8)}
-    rest = [run.plain() | {"buffer": None, "env": None} for run in found if run.algorithm.features == "ego"]
+    rest = [run.plain() | {"buffer": None, "env": None} for run in found if run.algorithm.features != "raw"]
     assert all(one == rest[0] for one in rest)
 
 
 def test_ten_seeds_and_the_small_budget_unless_said_otherwise():
     found = runs("experiment=her_traps", "buffer.relabel_collision=sb3", "buffer.relabel_terminated=sb3")
     assert len(found) == 40
-    assert {run.total_timesteps for run in found} == {20_000}
+    assert {run.total_timesteps for run in found} == {200_000}
 
 
 @pytest.mark.slow

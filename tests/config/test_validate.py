@@ -57,17 +57,26 @@ def test_every_option_of_every_group_composes_and_validates(group, option):
             assert config.experiment_name == option
 
 
+def schedule(key, value):
+    """A learning rate that falls, with one of its arguments changed."""
+    node = {"_target_": "stable_baselines3.common.utils.LinearSchedule", "start": 0.1, "end": 0.0, "end_fraction": 1.0}
+    return f"algorithm.learning_rate={{{','.join(f'{name}:{one}' for name, one in (node | {key: value}).items())}}}"
+
+
 def test_the_expected_options_are_there():
     assert {group: options(group) for group in GROUPS} == {
-        "env": ["parking", "parking_2021", "parking_action_repeat", "parking_parked", "parking_sparse"],
+        "env": [
+            "parking", "parking_2021", "parking_action_repeat", "parking_parked", "parking_sparse", "parking_stop",
+            "parking_stop_parked",
+        ],
         "algorithm": ["crossq", "ddpg", "sac", "td3", "tqc"],
         "buffer": ["her_episode", "her_final", "her_future", "her_random", "replay"],
-        "budget": ["full", "small"],
+        "budget": ["full", "small", "tiny"],
         "evaluation": ["default"],
         "checkpoint": ["default"],
         "tracking": ["default"],
         "experiment": ["article", "her_ablation", "her_traps", "smoke"],
-    }
+    }  # fmt: skip
 
 
 @pytest.mark.parametrize(
@@ -167,12 +176,12 @@ def test_stores_that_mlflow_knows_are_taken(uri):
         ("algorithm.ent_coef=atuo", "algorithm.ent_coef=atuo is not a valid choice; choose from auto and a number"),
         (
             "~algorithm.learning_starts",
-            "algorithm.learning_starts is missing; give at least 808, the longest training episode (101 steps) x n_envs (8)",
+            "algorithm.learning_starts is missing; give at least 25856, the longest training episode (101 steps) x n_envs (256)",
         ),
         (
             "~buffer.n_sampled_goal algorithm.learning_starts=10",
-            "algorithm.learning_starts=10 is shorter than the longest training episode (101 steps) x n_envs (8), "
-            "and HER samples finished episodes only; the closest valid choice is 808",
+            "algorithm.learning_starts=10 is shorter than the longest training episode (101 steps) x n_envs (256), "
+            "and HER samples finished episodes only; the closest valid choice is 25856",
         ),
         (
             "algorithm=td3 algorithm.action_noise.sigma=[0.1]",
@@ -204,33 +213,34 @@ def test_stores_that_mlflow_knows_are_taken(uri):
         ),
         (
             "algorithm.learning_starts=100",
-            "algorithm.learning_starts=100 is shorter than the longest training episode (101 steps) x n_envs (8), "
-            "and HER samples finished episodes only; the closest valid choice is 808",
+            "algorithm.learning_starts=100 is shorter than the longest training episode (101 steps) x n_envs (256), "
+            "and HER samples finished episodes only; the closest valid choice is 25856",
         ),
         (
             "buffer.buffer_size=800",
             "buffer.buffer_size=800 cannot hold one whole episode of each env, the longest training episode "
-            "(101 steps) x n_envs (8); the closest valid choice is 816",
+            "(101 steps) x n_envs (256); the closest valid choice is 26112",
         ),
         (
             "evaluation.first_scene=2147483600",
-            "evaluation.first_scene=2147483600 reaches into the training scenes; the closest valid choice is 2147483548",
+            "evaluation.first_scene=2147483600 reaches into the training scenes; the closest valid choice is 2147483148",
         ),
         (
             "env.observation.features=[y,x,vx,vy,cos_h,sin_h] buffer=replay",
-            "algorithm.features=ego reads the observation features x, y, vx, vy, cos_h, sin_h in this order; "
+            "algorithm.features=ego_fine reads the observation features x, y, vx, vy, cos_h, sin_h in this order; "
             "the closest valid choice is algorithm.features=raw",
         ),
         # Nested arguments.
-        ("algorithm.learning_rate.start=-7", "algorithm.learning_rate.start=-7 is out of range; it must be greater than 0.0"),
-        ("algorithm.learning_rate.end=-1", "algorithm.learning_rate.end=-1 is out of range; the closest valid choice is 0.0"),
-        ("algorithm.learning_rate.end_fraction=-1", "algorithm.learning_rate.end_fraction=-1 is out of range; it must be greater than 0.0"),
-        ("algorithm.learning_rate.end_fraction=2", "algorithm.learning_rate.end_fraction=2 is out of range; the closest valid choice is 1.0"),
+        (schedule("start", "-7"), "algorithm.learning_rate.start=-7 is out of range; it must be greater than 0.0"),
+        (schedule("end", "-1"), "algorithm.learning_rate.end=-1 is out of range; the closest valid choice is 0.0"),
+        (schedule("end_fraction", "-1"), "algorithm.learning_rate.end_fraction=-1 is out of range; it must be greater than 0.0"),
+        (schedule("end_fraction", "2"), "algorithm.learning_rate.end_fraction=2 is out of range; the closest valid choice is 1.0"),
         (
             "algorithm=td3 algorithm.action_noise.sigma=[-0.1,0.1]",
             "algorithm.action_noise.sigma.0=-0.1 is out of range; the closest valid choice is 0.0",
         ),
-        ("algorithm.learning_rate._target_=3", "algorithm.learning_rate._target_=3 is not a dotted path, PACKAGE.MODULE.CLASS"),
+        (schedule("start", "nan"), "algorithm.learning_rate.start=nan: input should be a finite number"),
+        (schedule("_target_", "3"), "algorithm.learning_rate._target_=3 is not a dotted path, PACKAGE.MODULE.CLASS"),
         (
             "+algorithm.policy_kwargs.n_critic=3",
             "algorithm.policy_kwargs.n_critic: MultiInputPolicy has no such argument; did you mean 'n_critics'?",
@@ -247,7 +257,7 @@ def test_stores_that_mlflow_knows_are_taken(uri):
         ),
         (
             "+algorithm.policy_kwargs.features_extractor_class=parking_exp.algorithms.features.EgoFrameExtractor",
-            "algorithm.policy_kwargs.features_extractor_class takes the place of algorithm.features=ego; set algorithm.features=raw",
+            "algorithm.policy_kwargs.features_extractor_class takes the place of algorithm.features=ego_fine; set algorithm.features=raw",
         ),
         (
             "+algorithm.policy_kwargs.activation_fn=torch.nn.Tan",
@@ -313,7 +323,7 @@ def test_stores_that_mlflow_knows_are_taken(uri):
         ),
         # What Hydra has no sentence for.
         ("=3", "=3: there is no key before the equals sign; write KEY=VALUE"),
-        ("budget=null", "budget=null: leave it out, or choose from full, small"),
+        ("budget=null", "budget=null: leave it out, or choose from full, small, tiny"),
         ("buffer=[replay,x]", "buffer=x: there is no such option; choose from her_episode, her_final, her_future, her_random, replay"),
         ("algorithm=3", "algorithm=3: there is no such option; did you mean 'td3'?"),
         ("env@foo=parking", "env@foo=parking: options have their place; write env=OPTION"),
@@ -328,7 +338,7 @@ def test_a_value_that_cannot_be_is_refused_with_the_closest_valid_choice(overrid
 @pytest.mark.parametrize(
     "override",
     [
-        "algorithm.learning_rate.start=nan", "algorithm.learning_rate=inf", "algorithm.gamma=nan", "algorithm.target_entropy=nan",
+        "algorithm.learning_rate=inf", "algorithm.gamma=nan", "algorithm.target_entropy=nan",
         "+algorithm.policy_kwargs.log_std_init=nan", "+algorithm.policy_kwargs.optimizer_kwargs.eps=inf", "env.collision_reward=nan",
         "env.scaling=inf", "updates_per_step=nan", "timeout_s=inf",
     ],
@@ -397,8 +407,8 @@ def test_an_evaluation_has_no_more_episodes_than_there_are_scenes():
 
 
 def test_the_suggested_choices_are_valid():
-    assert make_config("algorithm.learning_starts=808").algorithm.arguments["learning_starts"] == 808
-    assert make_config("buffer.buffer_size=816").buffer.buffer_size == 816
+    assert make_config("algorithm.learning_starts=25856").algorithm.arguments["learning_starts"] == 25856
+    assert make_config("buffer.buffer_size=26112").buffer.buffer_size == 26112
 
 
 def test_plain_replay_may_start_learning_within_an_episode():
@@ -424,7 +434,7 @@ def test_a_users_own_options_of_every_group_are_taken(tmp_path):
     (tmp_path / "evaluation").mkdir()
     (tmp_path / "evaluation" / "long.yaml").write_text("defaults: [default]\nn_scenes: 50\n")
     (config,) = composed("config", ["evaluation=long", "evaluation.first_scene=7"], str(tmp_path))
-    assert (config.evaluation.n_scenes, config.evaluation.first_scene, config.evaluation.final_n_scenes) == (50, 7, 100)
+    assert (config.evaluation.n_scenes, config.evaluation.first_scene, config.evaluation.final_n_scenes) == (50, 7, 500)
 
 
 def test_configs_that_are_composed_together_are_apart():

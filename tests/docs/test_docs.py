@@ -207,5 +207,5 @@ def test_what_extending_shows_runs(extended, command):
 def test_the_examples_of_extending_show_in_what_they_extend(extended):
     outputs = extended[0] / "outputs"
     (result,) = outputs.glob("mine/parking_crowded-fading_sac-her_late-*/seed=0/result.json")
-    assert "certified/centred_rate" in result.read_text()
+    assert "final/centred_rate" in result.read_text()
     assert "How many seeds" in (outputs / "reports" / "mine" / "index.html").read_text()

@@ -1,5 +1,7 @@
 """The env variants are highway-env's, and differ in what they say."""
 
+import math
+
 import gymnasium as gym
 import highway_env
 import numpy as np
@@ -11,12 +13,15 @@ from parking_exp.config.compose import composed
 from parking_exp.config.schema import TRAINING_SCENES_START
 from parking_exp.config.validate import validate
 from parking_exp.envs.highway import make_env
+from parking_exp.envs.outcomes import relative_pose
+from parking_exp.envs.reward import GoalReward
 from parking_exp.envs.scenes import Scenes
 from parking_exp.envs.simulator import Simulator
 from parking_exp.envs.training_envs import make_training_envs
 from parking_exp.training.seeding import derive_seeds
 
 gym.register_envs(highway_env)
+SCALES = [100, 100, 5, 5, 1, 1]
 ACTIONS = np.random.default_rng(0).uniform(-1, 1, (60, 2))
 
 
@@ -52,6 +57,30 @@ def test_parking_is_unmodified_parking_v0(scene):
 def test_variants_equal_highway_envs_own(option, their_id):
     config = make_config(f"env={option}", "n_envs=1").env
     assert trajectory(make_env(config), 3) == trajectory(gym.make(their_id), 3)
+
+
+def test_success_of_parking_stop_means_parked():
+    """Every pose that highway-env's own criterion accepts is inside the lines, straight and standing; and some are."""
+    reward = GoalReward.of(make_config("env=parking_stop").env)
+    rng, n = np.random.default_rng(0), 200_000
+    off = rng.uniform(-1, 1, (n, 4)) * [1.1, 1.6, 0.6, 0.2] * rng.random((n, 1))  # to all sides, down to nothing
+    x, y, speed, turn = off.T
+    heading = np.pi / 2 + turn
+    achieved = np.stack([x, y, speed * np.cos(heading), speed * np.sin(heading), np.cos(heading), np.sin(heading)], 1)
+    goal = np.array([4.0, 14.0, 0, 0, 0, 1])
+    achieved[:, :2] += goal[:2]
+    _, reached = reward(achieved / SCALES, goal / SCALES)
+    poses = [
+        relative_pose(achieved[row, :2], heading[row], speed[row], goal[:2], np.pi / 2) for row in reached.nonzero()[0]
+    ]
+    assert len(poses) > 10_000
+    assert all(pose.parked for pose in poses)
+    # Alone, each may be off by nearly as much as `parked` allows.
+    alone = np.array([[0.95, 0, 0, 0], [0, 1.43, 0, 0], [0, 0, 0.47, 0], [0, 0, 0, math.radians(9.3)]])
+    for x, y, speed, turn in alone:
+        h = np.pi / 2 + turn
+        pose = np.array([4 + x, 14 + y, speed * np.cos(h), speed * np.sin(h), np.cos(h), np.sin(h)])
+        assert reward(pose / SCALES, goal / SCALES)[1]
 
 
 def test_parking_2021_has_no_walls_and_ends_after_100_steps():

@@ -44,7 +44,7 @@ def two(empty):
         yield output_dir
 
 
-def test_the_headline_is_the_mean_over_seeds_of_the_final_certified_rate(two):
+def test_the_headline_is_the_mean_over_seeds_of_the_final_rate(two):
     sac, td3 = content(two).cells
     assert (sac.label, td3.label) == ("sac", "td3")
     assert sac.success.value == pytest.approx(0.92)
@@ -189,7 +189,7 @@ def test_a_cell_with_only_failed_runs_has_no_numbers_and_its_reasons(output_dir)
 
 def test_metrics_that_are_nan_leave_a_run_out_and_say_so(output_dir):
     def look(label, seed):
-        return Look(success=0.6, nan=["certified/success_rate", "eval/success_rate"] if seed == 1 else [])
+        return Look(success=0.6, nan=["final/success_rate", "eval/success_rate"] if seed == 1 else [])
 
     made(output_dir, "one", {"sac": []}, range(3), look)
     found = content(output_dir)
@@ -202,7 +202,7 @@ def test_metrics_that_are_nan_leave_a_run_out_and_say_so(output_dir):
 def test_a_rate_that_is_impossible_leaves_its_run_out_and_is_said(output_dir, value, words):
     runs = made(output_dir, "one", {"sac": []}, range(3), lambda *_: Look(success=0.6, crash=0.2))
     run_id = runs["sac", 1].run_id
-    store(output_dir).log_metric(run_id, "certified/success_rate", value, step=400)
+    store(output_dir).log_metric(run_id, "final/success_rate", value, step=400)
     found = content(output_dir)
     assert (found.cells[0].success.value, found.cells[0].success.n) == (pytest.approx(0.6), 2)
     assert (found.cells[0].crash.value, found.cells[0].crash.n) == (pytest.approx(0.2), 3)
@@ -213,7 +213,7 @@ def test_a_rate_that_is_impossible_leaves_its_run_out_and_is_said(output_dir, va
 def test_impossible_values_of_every_kind_count_as_missing(output_dir):
     runs = made(output_dir, "one", {"sac": []}, range(2), lambda *_: Look(curve=(0.5, 1.0)))
     run_id, client = runs["sac", 1].run_id, store(output_dir)
-    for key, value, step in [("certified/steps_mean", -1, 400), ("time/cpu_s", -math.inf, 400), ("eval/success_rate", 2, 200),
+    for key, value, step in [("final/steps_mean", -1, 400), ("time/cpu_s", -math.inf, 400), ("eval/success_rate", 2, 200),
                              ("buffer/real_share", -1, 200), ("eval/crash_rate", 0.5, -7)]:  # fmt: skip
         client.log_metric(run_id, key, value, step=step)
     found = content(output_dir)

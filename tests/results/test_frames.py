@@ -51,7 +51,7 @@ def row(runs, directory):
     return found
 
 
-def test_a_finished_run_has_the_numbers_of_its_certified_evaluation(ablation):
+def test_a_finished_run_has_the_numbers_of_its_final_evaluation(ablation):
     output_dir, made = ablation
     directory = made["four", 0]
     table = made_episodes(LOOKS["four", 0], 0.8, range(5), 0)
@@ -116,7 +116,7 @@ def test_config_columns_are_typed_and_what_a_cell_does_not_have_is_missing(ablat
     assert runs.at[four, "config.buffer.n_sampled_goal"] == 4
     assert runs.at[none, "config.buffer.n_sampled_goal"] is pd.NA
     assert str(runs["config.algorithm.tau"].dtype) == "float64"
-    assert runs.at[four, "config.algorithm.tau"] == 0.01
+    assert runs.at[four, "config.algorithm.tau"] == 0.03
     assert str(runs["config.env.add_walls"].dtype) == "bool"
     assert runs.at[four, "config.algorithm.net_arch"] == "[16, 16]"
     assert runs["config.timeout_s"].isna().all()
@@ -208,7 +208,7 @@ def test_names_come_as_they_are(ablation, output_dir):
 
 
 def test_nan_metrics_stay_nan_and_their_evaluations_are_there(output_dir):
-    look = Look(nan=["eval/success_rate", "certified/success_rate", "time/cpu_s"])
+    look = Look(nan=["eval/success_rate", "final/success_rate", "time/cpu_s"])
     (directory,) = make_store(output_dir, "e", {"": []}, [0], lambda *_: look).values()
     found = load("e", output_dir=output_dir)
     assert list(found.curves["step"]) == [100, 200, 300, 400]
@@ -227,7 +227,7 @@ def test_values_of_another_type_than_their_columns_count_as_missing_and_are_said
     with closing(sqlite3.connect(output_dir / "mlflow.db")) as database:
         for statement, run_id in [
             ("UPDATE runs SET start_time = 'abc', end_time = x'ff', name = x'00'", ids[0]),
-            ("UPDATE latest_metrics SET value = 'abc' WHERE key = 'certified/success_rate'", ids[1]),
+            ("UPDATE latest_metrics SET value = 'abc' WHERE key = 'final/success_rate'", ids[1]),
             ("UPDATE metrics SET value = 'abc' WHERE key = 'eval/success_rate' AND step = 200", ids[2]),
             (
                 "UPDATE metrics SET step = 1.5, timestamp = 'x', value = 0.5 WHERE key = 'eval/success_rate' AND step = 200",
@@ -250,7 +250,7 @@ def test_values_of_another_type_than_their_columns_count_as_missing_and_are_said
     assert set(found.episodes["run_id"]) == set(ids) - {ids[4]}
     said = {
         0: "name=b'\\x00', start_time='abc', end_time=b'\\xff'",
-        1: "certified/success_rate='abc'",
+        1: "final/success_rate='abc'",
         2: f"eval/success_rate='abc' (step=200, time={STARTED_MS + 200})",
         3: "eval/success_rate=0.5 (step=1.5, time='x')",
         4: "artifact_uri=None",

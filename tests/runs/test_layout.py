@@ -30,7 +30,7 @@ def made_by_another_version(output_dir, status, layout=None):
     directory.create(config)
     directory.update(tracking_uri=default_uri(output_dir))
     if status == "done":
-        directory.finish(RunResult(str(directory.path), None, 400, {"certified/success_rate": 0.5}), success_rate=0.5)
+        directory.finish(RunResult(str(directory.path), None, 400, {"final/success_rate": 0.5}), success_rate=0.5)
     else:
         directory.update(status=status, total_timesteps=400)
         (directory.checkpoints / "step=0000000100").mkdir(parents=True)
@@ -101,7 +101,7 @@ def test_the_result_of_another_version_stays(tmp_path, capsys):
     (run,) = plan(composed_runs("config", [*SAME_KEY, f"output_dir={tmp_path}"]))
     assert not run.is_due
     assert contents(tmp_path) == before
-    assert train(run.config).metrics == {"certified/success_rate": 0.5}
+    assert train(run.config).metrics == {"final/success_rate": 0.5}
     assert "already done" in capsys.readouterr().out
 
 

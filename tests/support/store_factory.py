@@ -188,11 +188,11 @@ def _evaluated(config: RunConfig, look: Look) -> list[tuple[int, float]]:
 
 
 def _content(config: RunConfig, look: Look) -> tuple[list[dict[str, Any]], pd.DataFrame, pd.DataFrame]:
-    """Return the rows of metrics, the table of all episodes, and those of the certified ones."""
+    """Return the rows of metrics, the table of all episodes, and those of the final ones."""
     evaluation, done = config.evaluation, look.status == "done"
     scenes = range(evaluation.first_scene, evaluation.first_scene + evaluation.n_scenes)
     final_scenes = range(evaluation.first_scene, evaluation.first_scene + evaluation.final_n_scenes)
-    certified = made_episodes(look, look.success, final_scenes, config.seed)
+    final = made_episodes(look, look.success, final_scenes, config.seed)
     rows, tables, before = [], [], 0
     for step, rate in _evaluated(config, look):
         for k in range(look.rows):
@@ -207,9 +207,9 @@ def _content(config: RunConfig, look: Look) -> tuple[list[dict[str, Any]], pd.Da
         rows.append((step, {**_prefixed("eval", summarise(table)), **cost}))
         before = step
     if done:
-        for phase in ("final", "certified"):
-            tables.append(certified.assign(phase=phase, step=before))
-            rows[-1][1].update(_prefixed(phase, summarise(certified)))
+        for phase, table in (("final", final), ("certified", final.head(evaluation.certified_n_scenes))):
+            tables.append(table.assign(phase=phase, step=before))
+            rows[-1][1].update(_prefixed(phase, summarise(table)))
     lines = [
         {
             "step": step,
@@ -218,7 +218,7 @@ def _content(config: RunConfig, look: Look) -> tuple[list[dict[str, Any]], pd.Da
         }
         for step, values in rows
     ]
-    return lines, pd.concat([*tables, certified.iloc[:0].assign(phase="", step=0)]), certified
+    return lines, pd.concat([*tables, final.iloc[:0].assign(phase="", step=0)]), final
 
 
 def _prefixed(phase: str, summary: Mapping[str, float]) -> dict[str, float]:
@@ -237,12 +237,12 @@ _known: dict[str, str] = {}
 def _write(directory: RunDirectory, config: RunConfig, look: Look, label: str, uri: str) -> None:
     """Write a run directory."""
     path = directory.path
-    lines, episodes, certified = _content(config, look)
+    lines, episodes, final = _content(config, look)
     directory.create(config)
     directory.models.mkdir(exist_ok=True)
     write_json(path / "provenance.json", {"started_ms": look.started_ms, "tags": _provenance()})
     (path / "metrics.jsonl").write_text("".join(json.dumps(line) + "\n" for line in lines))
-    _write_artifacts(path, episodes, certified, look)
+    _write_artifacts(path, episodes, final, look)
     entries = {"label": label, "total_timesteps": config.total_timesteps, "tracking_uri": uri}
     if look.status == "done":
         latest = {key: value for line in lines for key, value in line["metrics"].items()}
@@ -258,12 +258,12 @@ def _write(directory: RunDirectory, config: RunConfig, look: Look, label: str, u
         (path / "traceback.txt").write_text(f"Traceback (most recent call last):\n{look.error}\n")
 
 
-def _write_artifacts(path: Path, episodes: pd.DataFrame, certified: pd.DataFrame, look: Look) -> None:
+def _write_artifacts(path: Path, episodes: pd.DataFrame, final: pd.DataFrame, look: Look) -> None:
     if len(episodes):
         for (phase, step), table in episodes.groupby(["phase", "step"], sort=False):
             append_episodes(path / "episodes.csv", table.drop(columns=["phase", "step"]), str(phase), int(step))
     if look.status == "done" and look.trajectories:
-        np.savez_compressed(path / "trajectories.npz", **made_trajectories(certified.head(look.trajectories)))
+        np.savez_compressed(path / "trajectories.npz", **made_trajectories(final.head(look.trajectories)))
     for name, content in look.contents.items():
         (path / name).write_bytes(content)
     for name in look.missing:
@@ -311,11 +311,11 @@ def _insert(
             location = store.client.get_experiment(experiment_id).artifact_location
         run_id = uuid.uuid4().hex
         artifact_uri = f"{location}/{run_id}/artifacts"
-        lines, episodes, certified = _content(config, look)
+        lines, episodes, final = _content(config, look)
         if look.status != "running":
             place = Path(artifact_uri.removeprefix("file://"))
             place.mkdir(parents=True)
-            _write_artifacts(place, episodes, certified, look)
+            _write_artifacts(place, episodes, final, look)
         directory.path.mkdir(parents=True, exist_ok=True)
         write_json(
             directory.path / "status.json",

@@ -371,14 +371,14 @@ def test_a_run_that_waits_to_go_on_is_interrupted_in_the_store(output_dir):
 def test_mlflows_ui_is_told_what_experiments_and_runs_are(output_dir):
     directory, client = ended(output_dir), store(output_dir)
     directory.update(command="python scripts/train.py experiment=smoke")
-    rates = {f"certified/{name}_rate": rate for name, rate in {"success": 0.94, "crash": 0.04, "parked": 0.0}.items()}
+    rates = {f"final/{name}_rate": rate for name, rate in {"success": 0.94, "crash": 0.04, "parked": 0.0}.items()}
     write_json(directory.path / "result.json", {"run_dir": "", "run_id": None, "steps": 60000, "metrics": rates})
     sync(directory)
     experiment = client.get_experiment_by_name("smoke")
     assert experiment.tags["mlflow.experimentKind"] == "custom_model_development"
     assert "experiment=smoke" in experiment.tags["mlflow.note.content"]
     assert client.get_run(directory.run_id).data.tags["mlflow.note.content"] == (
-        "sac, her_future on parking, seed 0: success 94.0%, crash 4.0%, parked 0.0% on 5 scenes of highway-env"
+        "sac, her_future on parking, seed 0: success 94.0%, crash 4.0%, parked 0.0% on 5 scenes, 5 of them certified on highway-env,"
         " after 60,000 env steps.\n\nTyped: `python scripts/train.py experiment=smoke`"
     )
     client.set_tag(directory.run_id, "mlflow.note.content", "my own words")

@@ -202,7 +202,7 @@ def test_a_run_that_was_cut_off_in_an_evaluation(uninterrupted, tmp_path, first)
 @pytest.mark.parametrize("overrides", slow_but([("algorithm=td3",)], [("algorithm=td3",), ("algorithm.use_sde=true",)]))
 def test_a_run_that_was_cut_off_between_its_end_and_its_result(tmp_path, overrides):
     """Nothing is left to be learned then, and its state is the same all the same."""
-    cuts = [cut(finish, "_certify", lambda *_: True) for _ in range(2)]
+    cuts = [cut(finish, "learning_curves", lambda *_: True) for _ in range(2)]
     whole, pieces = run(tmp_path / "whole", *overrides), run(tmp_path / "pieces", *overrides, cuts=cuts)
     assert differences(whole, pieces) == []
     _, fresh = built(*overrides)

@@ -54,6 +54,7 @@ from parking_exp.runs.files import read_json, sha256, write_json
 from parking_exp.runs.lookup import find_run
 from parking_exp.tracking.sync import flatten
 from parking_exp.training import checkpoints, loop
+from parking_exp.training.finish import certified_scenes
 from parking_exp.training.run import train
 
 EVALUATED = [
@@ -181,6 +182,20 @@ def test_the_final_evaluation_is_certified_on_highway_env(smoke):
     assert len([name for name in metrics if name.startswith("certified/")]) == 9
 
 
+@pytest.mark.parametrize("seed", [0, 1])
+def test_some_final_scenes_drawn_by_the_seed_are_certified(tmp_path, seed):
+    arguments = ("evaluation.certified_n_scenes=2", "evaluation.video_episodes=0", "tracking.mlflow=false")
+    config = make_config("experiment=smoke", f"seed={seed}", *arguments, f"output_dir={tmp_path}")
+    metrics = train(config).metrics
+    table = pd.read_csv(config.run_dir / "episodes.csv").drop(columns="step").set_index("phase")
+    final, certified = (table.loc[phase].set_index("scene") for phase in ("final", "certified"))
+    assert final.index.tolist() == [0, 1, 2, 3, 4]
+    assert certified.index.tolist() == certified_scenes(config) == [[1, 4], [0, 1]][seed]
+    pd.testing.assert_frame_equal(final.loc[certified.index], certified)
+    assert metrics["final/steps_mean"] == final["steps"].mean()
+    assert metrics["certified/steps_mean"] == certified["steps"].mean()
+
+
 def test_a_simulator_that_differs_from_highway_env_fails_the_run(output_dir, monkeypatch):
     """Here ours is taught other rewards for the final scenes: the run fails, and says so; both tables are stored."""
     original = GoalReward.__call__
@@ -192,7 +207,7 @@ def test_a_simulator_that_differs_from_highway_env_fails_the_run(output_dir, mon
     monkeypatch.setattr(GoalReward, "__call__", other)
     config = make_config("experiment=smoke", f"output_dir={output_dir}", "evaluation.video_episodes=0", "n_envs=1",
                          "total_timesteps=100")  # fmt: skip
-    with pytest.raises(FailedRunError, match=r"5 of 5 final episodes differ .* scene 0: return -\d"):
+    with pytest.raises(FailedRunError, match=r"5 of 5 certified episodes differ .* scene 0: return -\d"):
         train(config)
     directory = only_run(output_dir)
     assert directory.status == "failed"
@@ -350,7 +365,7 @@ def test_the_best_model_is_made_again_as_it_was(finished, better):
     shutil.rmtree(directory.models)
     train(make_config(*arguments))
     checkpoint = directory.checkpoints / "step=0000000400"
-    (source, other) = ("model.zip", "best.zip") if better else ("best.zip", "model.zip")
+    (source, other) = ("averaged.zip", "best.zip") if better else ("best.zip", "averaged.zip")
     assert parameters(directory.models / "best.zip") == parameters(checkpoint / source)
     assert parameters(directory.models / "best.zip") != parameters(checkpoint / other)
 
@@ -456,7 +471,7 @@ def test_evaluate_refuses_a_damaged_model_in_a_sentence(finished):
 @pytest.mark.parametrize(
     ("key", "value", "problem"),
     [
-        ("algorithm.net_arch", [8, 8], "policy.actor.latent_pi.0.weight is float32 of shape [16, 10], and not float32 of shape [8, 10]"),
+        ("algorithm.net_arch", [8, 8], "policy.actor.latent_pi.0.weight is float32 of shape [16, 13], and not float32 of shape [8, 13]"),
         ("algorithm.ent_coef", 0.5, "it lacks ent_coef_tensor and it has ent_coef_optimizer, log_ent_coef besides"),
     ],
 )  # fmt: skip

@@ -47,12 +47,7 @@ def test_trial_0_is_the_config_with_what_is_typed():
     assert search.base.experiment_name == "smoke"
     assert search.values({}) == {
         "algorithm": "sac",
-        "algorithm.learning_rate": {
-            "_target_": "stable_baselines3.common.utils.LinearSchedule",
-            "start": 0.002,
-            "end": 5e-05,
-            "end_fraction": 1.0,
-        },
+        "algorithm.learning_rate": 0.003,
         "algorithm.gamma": 0.95,
         "algorithm.net_arch": [16, 16],
         "algorithm.policy_delay": None,
@@ -152,7 +147,7 @@ def test_what_is_typed_wrong_gets_a_sentence(overrides, words):
          "search.enqueue.0: algorithm.gamma=2.0"),
         ({"space": {"algorithm": {"choices": ["sac", "td3"]}, "algorithm.ent_coef": {"uniform": [0.1, 0.2]}}},
          "search.space.algorithm.ent_coef: algorithm.ent_coef: there is no such key"),
-        ({"space": {"algorithm.learning_rate": {"log": [1.0e-4, 1.0e-2]}}, "sampler": "gp"},
+        ({"space": {"algorithm.learning_rate": {"log": [1.0e-4, 1.0e-3]}}, "sampler": "gp"},
          "search.sampler=gp needs a value of every key in every trial"),
     ],
 )  # fmt: skip

@@ -10,9 +10,9 @@ from torch import nn
 
 from parking_exp.algorithms.fast.mlp import linear_layers
 from parking_exp.algorithms.fast.optimizer import is_plain_adam
-from parking_exp.algorithms.features import EgoFrameExtractor
+from parking_exp.algorithms.features import EgoFrameExtractor, FineEgoFrameExtractor
 
-EXTRACTORS = (EgoFrameExtractor, CombinedExtractor, FlattenExtractor)
+EXTRACTORS = (EgoFrameExtractor, FineEgoFrameExtractor, CombinedExtractor, FlattenExtractor)
 
 
 def is_supported(model: Any) -> bool:

@@ -68,7 +68,7 @@ def final_success(report: ReportData) -> tuple[Canvas, str] | None:
     for row, cell in enumerate(cells):
         _seeds_and_mean(canvas, axes, row, cell, floor)
     caption = (
-        f"Final success over the certified scenes. Points: seeds ({seed_counts(cells)}), spread upwards so that they "
+        f"Final success over the evaluation scenes. Points: seeds ({seed_counts(cells)}), spread upwards so that they "
         "can be told apart; bar: mean with its 95 % interval, where there is one, cut at 0 and 100 %. Dashed: 90 %."
     )
     return canvas, caption

@@ -123,7 +123,7 @@ def seeds(report: ReportData, cells: Sequence[Cell]) -> Iterator[Table]:
             Column(csv={name: _further(name, itemgetter(1)) for name in FURTHER}),
         ],
         [(cell, seed) for cell in cells for seed in cell.seeds],
-        "Finished runs: final rates over the certified scenes, with Wilson's 95 % interval in brackets.",
+        "Finished runs: final rates over the evaluation scenes, with Wilson's 95 % interval in brackets.",
         folded=True,
         noun="finished runs",
     )

@@ -1,0 +1,147 @@
+"""Benchmark of what an agent costs that parks: CPU time to 95 % success against the usual tutorial's recipe."""
+
+import resource
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.logger import Logger
+from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
+
+from parking_exp.algorithms.build import build_model, greedy_policy, torch_settings
+from parking_exp.benchmarks.timing import rounded, spread
+from parking_exp.benchmarks.training import run_config, tutorial_model
+from parking_exp.config.run_key import short_hash
+from parking_exp.config.schema import EnvConfig, RunConfig
+from parking_exp.envs.training_envs import make_training_envs
+from parking_exp.evaluation.evaluate import evaluate, summarise
+from parking_exp.runs.files import read_object, write_json
+from parking_exp.runs.provenance import provenance
+from parking_exp.statistics.survival import steps_to
+from parking_exp.training.seeding import derive_seeds
+
+PEER_FILE = "benchmark_peer.json"
+THRESHOLD, HOLD, N_SCENES = 0.95, 3, 200
+PEER = "the tutorial's recipe in plain stable-baselines3 + highway-env"
+PACKAGES = ("version.torch", "version.stable-baselines3", "version.highway-env", "version.numpy")
+EVERY_UPDATES = 500  # between evaluations of ours
+PEER_EVERY, PEER_MOST = 2500, 100_000  # env steps between evaluations, and at most
+
+
+class _Evaluations(BaseCallback):
+    """Evaluates the greedy policy every so many env steps in the exact simulator, and stops when 95 % are held.
+
+    Attributes:
+        steps, rates, cpu_s: of each evaluation: env steps, success rate, CPU time of training until then.
+    """
+
+    def __init__(self, env: EnvConfig, every: int) -> None:
+        super().__init__()
+        self.env, self.every, self.next = env, every, every
+        self.steps: list[int] = []
+        self.rates: list[float] = []
+        self.cpu_s: list[float] = []
+        self.uncounted = time.process_time()
+
+    def _on_step(self) -> bool:
+        if self.num_timesteps < self.next:
+            return True
+        self.next += self.every
+        begin = time.process_time()
+        assert isinstance(self.model, OffPolicyAlgorithm)
+        episodes = evaluate(greedy_policy(self.model), self.env, range(N_SCENES))
+        self.steps.append(self.num_timesteps)
+        self.rates.append(summarise(episodes)["success_rate"])
+        self.cpu_s.append(begin - self.uncounted)
+        self.uncounted += time.process_time() - begin
+        return self.num_timesteps < HOLD * self.every or min(self.rates[-HOLD:]) < THRESHOLD
+
+    def cost_s(self) -> float | None:
+        """Return the CPU time of training until 95 % are held; None where they never are."""
+        step, reached = steps_to(self.steps, self.rates, THRESHOLD, HOLD)
+        return self.cpu_s[self.steps.index(int(step))] if reached else None
+
+
+def peer_costs(path: Path, seeds: int, every: int = PEER_EVERY, most: int = PEER_MOST) -> list[float]:
+    """Return the tutorial's CPU time to 95 % on each seed, from a file where this machine has measured it already.
+
+    Of a seed that never holds 95 % it is all of its CPU time: less than it would take.
+    """
+    config = run_config("experiment=article", "torch_threads=1")
+    tags = provenance()
+    machine = {name: tags[name] for name in sorted(tags) if name == "cpu" or name.startswith(PACKAGES)}
+    about = {**machine, "every": every, "most": most, "recipe": config.cell_key}
+    known = read_object(path)
+    entry = known.setdefault(short_hash(about), {"about": about, "seeds": {}})
+    for seed in map(str, range(seeds)):
+        if seed not in entry["seeds"]:
+            model = tutorial_model(config, int(seed))
+            entry["seeds"][seed] = _cost_s(model, config.env, every, most)
+            write_json(path, known)
+    return [entry["seeds"][str(seed)]["cost_s"] for seed in range(seeds)]
+
+
+def _cost_s(model: OffPolicyAlgorithm, env: EnvConfig, every: int, most: int) -> dict[str, Any]:
+    """Train a model until 95 % are held, and return what that cost with all that was seen on the way."""
+    model.set_logger(Logger(None, []))
+    found = _Evaluations(env, every)
+    model.learn(most, found, log_interval=10**9)
+    cost = found.cost_s()
+    curve = {"steps": found.steps, "success": found.rates, "cpu_s": [rounded(one) for one in found.cpu_s]}
+    return {"cost_s": rounded(found.cpu_s[-1] if cost is None else cost), "reached": cost is not None, **curve}
+
+
+def our_cost(config: RunConfig, every: int) -> dict[str, Any]:
+    """Return the CPU time of a run's training to 95 %, as `peer_costs` counts it."""
+    seeds = derive_seeds(config.seed)
+    with torch_settings(config):
+        env = make_training_envs(config.env, config.n_envs)
+        model = build_model(config, env, seeds.policy)
+        env.seed(seeds.training_scenes)
+        return _cost_s(model, config.env, every, config.total_timesteps)
+
+
+def to_95(path: Path, seeds: int, *changes: str) -> dict[str, Any]:
+    """Compare the CPU time to 95 % of the default recipe with the tutorial's: the ratio of their medians over seeds.
+
+    Args:
+        path: where the peer's results are kept.
+        seeds: how many, from 0 on.
+        changes: overrides of the default recipe.
+    """
+    peers = peer_costs(path, seeds)
+    configs = [run_config(f"seed={seed}", *changes) for seed in range(seeds)]
+    costs = [our_cost(config, _every(config))["cost_s"] for config in configs]
+    ratios = [statistics.median(peers) / cost for cost in costs]
+    entry = spread(ratios, "ratio") | {"ratio": rounded(statistics.median(peers) / statistics.median(costs))}
+    return entry | {"ours_cpu_s": costs, "peer_cpu_s": peers, "peer": PEER, "unit": "CPU-seconds to 95 %"}
+
+
+def whole_run(path: Path, seeds: int, *changes: str) -> dict[str, Any]:
+    """Compare the tutorial's CPU time to 95 % with a whole default run: its process from start to end."""
+    peer = statistics.median(peer_costs(path, seeds))
+    costs = []
+    with tempfile.TemporaryDirectory() as folder:
+        for seed in range(seeds):
+            code = "import sys; from parking_exp.cli.train import main; main()"
+            command = [sys.executable, "-c", code, f"seed={seed}", f"output_dir={folder}", *changes]
+            before = _children_s()
+            subprocess.run(command, check=True, capture_output=True)
+            costs.append(_children_s() - before)
+    entry = spread([peer / cost for cost in costs], "ratio")
+    return entry | {"ours_cpu_s": [rounded(cost) for cost in costs], "peer": PEER, "unit": "CPU-seconds"}
+
+
+def _every(config: RunConfig) -> int:
+    """Return how many env steps make EVERY_UPDATES updates."""
+    return max(1, round(EVERY_UPDATES / config.updates_per_step))
+
+
+def _children_s() -> float:
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return used.ru_utime + used.ru_stime

@@ -1,0 +1,120 @@
+"""Averaged policies: what they are, what is evaluated and saved, and that they survive a resume and a rebuild."""
+
+import shutil
+
+import pytest
+import torch
+from stable_baselines3.common.logger import Logger
+from support.run_equality import differences
+from support.runs import make_config, only_run
+
+from parking_exp.algorithms.build import build_model
+from parking_exp.algorithms.model_files import read_weights
+from parking_exp.algorithms.policy_average import PolicyAverage
+from parking_exp.envs.training_envs import make_training_envs
+from parking_exp.training import checkpoints
+from parking_exp.training.rebuild_models import make_models
+from parking_exp.training.run import train
+
+SMOKE = ("experiment=smoke", "algorithm=td3", "algorithm.averaged_policy=20", "evaluation.video_episodes=0")
+
+
+def make_model():
+    config = make_config(*SMOKE)
+    model = build_model(config, make_training_envs(config.env, config.n_envs), seed=0)
+    model.set_logger(Logger(None, []))
+    return model
+
+
+def actor(model):
+    return [weight.detach().clone() for weight in model.actor.parameters()]
+
+
+def set_actor(model, value, updates):
+    model._n_updates = updates
+    for weight in model.actor.parameters():
+        weight.data.fill_(value)
+
+
+def values(model):
+    return {weight.unique().item() for weight in actor(model)}
+
+
+def test_the_share_of_old_weights_halves_in_a_half_life_of_updates():
+    model = make_model()
+    average = PolicyAverage(model, half_life=10)
+    set_actor(model, 8.0, updates=4)
+    average.update()
+    set_actor(model, 0.0, updates=14)
+    with average.applied():
+        assert values(model) == {4.0}
+    set_actor(model, 0.0, updates=34)
+    average.update()
+    with average.applied():
+        assert values(model) == {1.0}
+        average.update()  # no update of the model: nothing to take in
+        assert values(model) == {1.0}
+    assert values(model) == {0.0}
+
+
+def test_without_a_half_life_or_an_update_the_actor_stays_as_it_is():
+    model = make_model()
+    before = actor(model)
+    for average in (PolicyAverage(model, None), PolicyAverage(model, 10.0)):
+        with average.applied():
+            assert all(torch.equal(*pair) for pair in zip(before, actor(model), strict=True))
+
+
+def test_an_error_under_the_average_gives_the_trained_weights_back():
+    model = make_model()
+    average = PolicyAverage(model, half_life=10)
+    set_actor(model, 8.0, updates=1)
+    average.update()
+    set_actor(model, 0.0, updates=11)
+    with pytest.raises(KeyError), average.applied():
+        raise KeyError
+    assert values(model) == {0.0}
+
+
+@pytest.fixture(scope="module")
+def averaged(tmp_path_factory):
+    """A run with an averaged policy."""
+    output = tmp_path_factory.mktemp("averaged")
+    train(make_config(*SMOKE, f"output_dir={output}"))
+    return only_run(output)
+
+
+def weights(path):
+    policy = read_weights(path.read_bytes(), str(path), torch.device("cpu"))["policy"]
+    return {name: value for name, value in policy.items() if name.startswith("actor.")}
+
+
+def same(one, other):
+    return all(torch.equal(one[name], other[name]) for name in one)
+
+
+def test_the_average_is_what_is_saved_and_training_goes_on_from_the_trained_weights(averaged):
+    last = averaged.final_checkpoint
+    final = weights(averaged.models / "final.zip")
+    assert same(final, weights(last / checkpoints.AVERAGED))
+    assert not same(final, weights(last / checkpoints.MODEL))
+
+
+def test_a_final_model_that_is_gone_is_made_again_with_the_average(averaged):
+    final = weights(averaged.models / "final.zip")
+    (averaged.models / "final.zip").unlink()
+    assert "made again" in make_models(averaged)
+    assert same(final, weights(averaged.models / "final.zip"))
+
+
+def test_a_resumed_run_has_the_same_average(averaged, tmp_path):
+    stopped = make_config(*SMOKE, f"output_dir={tmp_path}")
+    train(stopped)
+    directory = only_run(tmp_path)
+    # As if it had been killed after its last checkpoint but one.
+    shutil.rmtree(directory.final_checkpoint)
+    for name in ("result.json", "models/final.zip"):
+        (directory.path / name).unlink()
+    directory.update(status="running")
+    train(stopped)
+    assert differences(averaged.path, directory.path) == []
