@@ -14,6 +14,7 @@ from stable_baselines3.common.logger import Logger
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 
 from parking_exp.algorithms.build import build_model, greedy_policy, torch_settings
+from parking_exp.algorithms.policy_average import PolicyAverage
 from parking_exp.benchmarks.timing import rounded, spread
 from parking_exp.benchmarks.training import run_config, tutorial_model
 from parking_exp.config.run_key import short_hash
@@ -34,19 +35,27 @@ PEER_EVERY, PEER_MOST = 2500, 100_000  # env steps between evaluations, and at m
 
 
 class _Evaluations(BaseCallback):
-    """Evaluates the greedy policy every so many env steps in the exact simulator, and stops when 95 % are held.
+    """Evaluates the policy every so many env steps in the exact simulator, and stops when 95 % are held.
+
+    Args:
+        env: the `env` group.
+        every: env steps between evaluations.
+        average: of the policy, which is evaluated.
 
     Attributes:
         steps, rates, cpu_s: of each evaluation: env steps, success rate, CPU time of training until then.
     """
 
-    def __init__(self, env: EnvConfig, every: int) -> None:
+    def __init__(self, env: EnvConfig, every: int, average: PolicyAverage) -> None:
         super().__init__()
-        self.env, self.every, self.next = env, every, every
+        self.env, self.every, self.next, self.average = env, every, every, average
         self.steps: list[int] = []
         self.rates: list[float] = []
         self.cpu_s: list[float] = []
         self.uncounted = time.process_time()
+
+    def _on_rollout_start(self) -> None:
+        self.average.update()
 
     def _on_step(self) -> bool:
         if self.num_timesteps < self.next:
@@ -54,7 +63,8 @@ class _Evaluations(BaseCallback):
         self.next += self.every
         begin = time.process_time()
         assert isinstance(self.model, OffPolicyAlgorithm)
-        episodes = evaluate(greedy_policy(self.model), self.env, range(N_SCENES))
+        with self.average.applied():
+            episodes = evaluate(greedy_policy(self.model), self.env, range(N_SCENES))
         self.steps.append(self.num_timesteps)
         self.rates.append(summarise(episodes)["success_rate"])
         self.cpu_s.append(begin - self.uncounted)
@@ -76,20 +86,21 @@ def peer_costs(path: Path, seeds: int, every: int = PEER_EVERY, most: int = PEER
     tags = provenance()
     machine = {name: tags[name] for name in sorted(tags) if name == "cpu" or name.startswith(PACKAGES)}
     about = {**machine, "every": every, "most": most, "recipe": config.cell_key}
+    path.parent.mkdir(parents=True, exist_ok=True)
     known = read_object(path)
     entry = known.setdefault(short_hash(about), {"about": about, "seeds": {}})
     for seed in map(str, range(seeds)):
         if seed not in entry["seeds"]:
             model = tutorial_model(config, int(seed))
-            entry["seeds"][seed] = _cost_s(model, config.env, every, most)
+            entry["seeds"][seed] = _cost_s(model, config, every, most)
             write_json(path, known)
     return [entry["seeds"][str(seed)]["cost_s"] for seed in range(seeds)]
 
 
-def _cost_s(model: OffPolicyAlgorithm, env: EnvConfig, every: int, most: int) -> dict[str, Any]:
+def _cost_s(model: OffPolicyAlgorithm, config: RunConfig, every: int, most: int) -> dict[str, Any]:
     """Train a model until 95 % are held, and return what that cost with all that was seen on the way."""
     model.set_logger(Logger(None, []))
-    found = _Evaluations(env, every)
+    found = _Evaluations(config.env, every, PolicyAverage(model, config.algorithm.averaged_policy))
     model.learn(most, found, log_interval=10**9)
     cost = found.cost_s()
     curve = {"steps": found.steps, "success": found.rates, "cpu_s": [rounded(one) for one in found.cpu_s]}
@@ -103,18 +114,19 @@ def our_cost(config: RunConfig, every: int) -> dict[str, Any]:
         env = make_training_envs(config.env, config.n_envs)
         model = build_model(config, env, seeds.policy)
         env.seed(seeds.training_scenes)
-        return _cost_s(model, config.env, every, config.total_timesteps)
+        return _cost_s(model, config, every, config.total_timesteps)
 
 
-def to_95(path: Path, seeds: int, *changes: str) -> dict[str, Any]:
+def to_95(path: Path, seeds: int, *changes: str, **peer: int) -> dict[str, Any]:
     """Compare the CPU time to 95 % of the default recipe with the tutorial's: the ratio of their medians over seeds.
 
     Args:
         path: where the peer's results are kept.
         seeds: how many, from 0 on.
         changes: overrides of the default recipe.
+        peer: `every` and `most` of `peer_costs`.
     """
-    peers = peer_costs(path, seeds)
+    peers = peer_costs(path, seeds, **peer)
     configs = [run_config(f"seed={seed}", *changes) for seed in range(seeds)]
     costs = [our_cost(config, _every(config))["cost_s"] for config in configs]
     ratios = [statistics.median(peers) / cost for cost in costs]
@@ -122,9 +134,12 @@ def to_95(path: Path, seeds: int, *changes: str) -> dict[str, Any]:
     return entry | {"ours_cpu_s": costs, "peer_cpu_s": peers, "peer": PEER, "unit": "CPU-seconds to 95 %"}
 
 
-def whole_run(path: Path, seeds: int, *changes: str) -> dict[str, Any]:
-    """Compare the tutorial's CPU time to 95 % with a whole default run: its process from start to end."""
-    peer = statistics.median(peer_costs(path, seeds))
+def whole_run(path: Path, seeds: int, *changes: str, **peer: int) -> dict[str, Any]:
+    """Compare the tutorial's CPU time to 95 % with a whole default run, from the start of its process to the end.
+
+    The arguments are those of `to_95`.
+    """
+    theirs = statistics.median(peer_costs(path, seeds, **peer))
     costs = []
     with tempfile.TemporaryDirectory() as folder:
         for seed in range(seeds):
@@ -133,7 +148,7 @@ def whole_run(path: Path, seeds: int, *changes: str) -> dict[str, Any]:
             before = _children_s()
             subprocess.run(command, check=True, capture_output=True)
             costs.append(_children_s() - before)
-    entry = spread([peer / cost for cost in costs], "ratio")
+    entry = spread([theirs / cost for cost in costs], "ratio")
     return entry | {"ours_cpu_s": [rounded(cost) for cost in costs], "peer": PEER, "unit": "CPU-seconds"}
 
 

@@ -46,6 +46,7 @@ QUICK_RUN = (
     "updates_per_step=1",
     "algorithm.learning_starts=900",
     "env.duration=4",
+    "evaluation.every_n_steps=400",
     "evaluation.n_scenes=5",
     "evaluation.final_n_scenes=5",
     "evaluation.video_episodes=1",
@@ -203,6 +204,9 @@ def _single_core(settings: BenchmarkConfig) -> Figures:
         from parking_exp.benchmarks import cost_to_95
 
         peer = directory_path(settings.output_dir) / cost_to_95.PEER_FILE
+        if quick:
+            path, shorter = peer.with_stem(f"{peer.stem}_quick"), (*QUICK_RUN, "total_timesteps=1200")
+            return getattr(cost_to_95, name)(path, 1, *shorter, every=300, most=900)
         return getattr(cost_to_95, name)(peer, SEEDS)
 
     return {
