@@ -91,20 +91,21 @@ def test_100_updates_give_the_parameters_of_stable_baselines3(name, seed, featur
         assert ours.log_ent_coef.item() == pytest.approx(theirs.log_ent_coef.item(), abs=1e-5)
 
 
-@pytest.mark.parametrize(
-    ("name", "override"),
-    [
-        ("SAC", "algorithm.ent_coef=0.2"),
-        ("SAC", "algorithm.target_update_interval=2"),
-        ("SAC", "+algorithm.policy_kwargs.n_critics=3"),
-        ("SAC", "+algorithm.policy_kwargs.optimizer_kwargs.weight_decay=0.01"),
-        ("TD3", "algorithm.policy_delay=3"),
-        ("TD3", "algorithm.net_arch=[32]"),
-        ("DDPG", "algorithm.batch_size=50"),
-        ("DDPG", "env.action.lateral=false"),
-    ],
-)
-def test_options_change_both_alike(name, override):
+OPTIONS = [
+    ("SAC", "algorithm.ent_coef=0.2"),
+    ("SAC", "algorithm.target_update_interval=2"),
+    ("SAC", "+algorithm.policy_kwargs.n_critics=3"),
+    ("SAC", "+algorithm.policy_kwargs.optimizer_kwargs.weight_decay=0.01"),
+    ("TD3", "algorithm.policy_delay=3"),
+    ("TD3", "algorithm.net_arch=[32]"),
+    ("DDPG", "algorithm.batch_size=50"),
+    ("DDPG", "env.action.lateral=false"),
+]
+
+
+@pytest.mark.parametrize("option", slow_but(OPTIONS[3:5] + OPTIONS[7:], OPTIONS), ids="-".join)
+def test_options_change_both_alike(option):
+    name, override = option
     overrides = [override]
     if "lateral" in override:
         overrides.append("algorithm.action_noise=null")

@@ -80,7 +80,7 @@ def test_help_and_refusals_import_nothing_heavy(imported, name, argument):
 
 @cache
 def help_of(name):
-    return run_script(name, "--help")
+    return type_here(name, "--help")
 
 
 def test_help_lists_the_groups_that_the_command_has_with_their_options():
@@ -169,7 +169,7 @@ def test_paths_that_hydras_grammar_cannot_read_are_quoted(argument, expected):
 
 
 def test_showing_the_config_runs_nothing(tmp_path):
-    done = run_script("train", "--cfg", "job", "experiment=article", cwd=tmp_path)
+    done = type_here("train", "--cfg", "job", "experiment=article", cwd=tmp_path)
     assert done.returncode == 0
     assert "total_timesteps: 10000" in done.stdout
     assert list(tmp_path.iterdir()) == []
@@ -181,7 +181,7 @@ def test_hydras_own_config_dir_adds_options(tmp_path):
     arguments = ("--config-dir", str(tmp_path / "mine"), "env=short")
     done = run_script("train", *arguments, "--cfg", "job", cwd=tmp_path)
     assert "name: short" in done.stdout
-    joined = run_script("train", f"--config-dir={tmp_path / 'mine'}", "env=short", "--cfg", "job", cwd=tmp_path)
+    joined = type_here("train", f"--config-dir={tmp_path / 'mine'}", "env=short", "--cfg", "job", cwd=tmp_path)
     assert joined.stdout == done.stdout
     refused = type_here("train", *arguments, "n_envs=0", cwd=tmp_path)
     assert refused.stderr == "error: n_envs=0 is out of range; the closest valid choice is 1\n"

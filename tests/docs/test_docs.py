@@ -148,10 +148,10 @@ def test_a_command_can_be_typed(done, command):
 
 
 EXAMPLES = names(page for page in PAGES if any(not title for title, _ in blocks(page, "python")))
-THAT_TRAIN = ["README.md", "docs/configuration.md"]
+EXPENSIVE = ["README.md", "docs/configuration.md", "docs/hindsight.md", "docs/reports.md"]
 
 
-@pytest.mark.parametrize("name", slow_but([name for name in EXAMPLES if name not in THAT_TRAIN], EXAMPLES))
+@pytest.mark.parametrize("name", slow_but([name for name in EXAMPLES if name not in EXPENSIVE], EXAMPLES))
 def test_python_examples_run(name, output_dir, tmp_path, monkeypatch):
     if "load(" in (ROOT / name).read_text():
         make_store(output_dir, "her_ablation", {"four": ["buffer.n_sampled_goal=4"]}, seeds=range(1))

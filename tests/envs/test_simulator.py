@@ -54,7 +54,8 @@ def test_trajectories_are_highway_envs(option, kind):
     assert mismatches == []
 
 
-@pytest.mark.parametrize("name", slow_but(["no effect"], VARIANTS))
+@pytest.mark.slow
+@pytest.mark.parametrize("name", VARIANTS)
 def test_every_option_is_simulated(name):
     config = env_config(*VARIANTS[name])
     size = config.action.longitudinal + config.action.lateral

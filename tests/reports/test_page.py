@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import pytest
 from support import report_factory
+from support.marks import slow_but
 
 from parking_exp.reports.render.page import page
 
@@ -129,7 +130,10 @@ def contrast(tab, selector):
     )
 
 
-@pytest.mark.parametrize("name", ["one_seed", "all_succeed", "with_failed_cell", "her_ablation", "search", "non_ascii"])
+PAGES = ["one_seed", "all_succeed", "with_failed_cell", "her_ablation", "search", "non_ascii"]
+
+
+@pytest.mark.parametrize("name", slow_but(["with_failed_cell", "her_ablation"], PAGES))
 def test_page_is_no_wider_than_the_window(show, name):
     report = getattr(report_factory, name)()
     tab = show(name, 360)
@@ -232,6 +236,7 @@ def test_values_show_on_a_tap(show):
     assert box["x"] + box["width"] <= 360
 
 
+@pytest.mark.slow
 def test_print_opens_what_is_folded(show, tmp_path):
     tab = show("report")
     assert not tab.locator("#table-seeds").is_visible()

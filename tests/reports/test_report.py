@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import pandas as pd
 import pytest
+from support.marks import slow_but
 from support.runs import run_script
 from support.store_factory import Look, make_store
 
@@ -167,6 +168,7 @@ def test_hostile_names_are_text_everywhere(output_dir):
     assert hostile not in (folder / "report.md").read_text()
 
 
+@pytest.mark.slow
 def test_non_ascii_names_stay_what_they_are(output_dir):
     tags = {"cell": "größe-学習-λ", "cpu": "Prozessor für ∑"}
     make_store(output_dir, "one", {"a": []}, range(2), lambda *_: Look(tags=tags), bulk=True)
@@ -250,7 +252,7 @@ def test_words_without_a_key_of_the_command_name_cells():
         report_overrides(["her", "cells=[x]"])
 
 
-@pytest.mark.parametrize("name", ["../../elsewhere", "/elsewhere", "größe <b>"])
+@pytest.mark.parametrize("name", slow_but(["../../elsewhere"], ["../../elsewhere", "/elsewhere", "größe <b>"]))
 def test_experiments_that_were_renamed_in_the_store_stay_in_their_folder(made, name):
     from mlflow import MlflowClient
 
@@ -263,6 +265,7 @@ def test_experiments_that_were_renamed_in_the_store_stay_in_their_folder(made, n
     assert not (made.parent / "elsewhere").exists()
 
 
+@pytest.mark.slow
 def test_without_a_name_it_is_the_only_experiment_or_a_sentence(made):
     assert report(made, "report=quick").stdout
     make_store(made, "two", {"sac": []}, [0], bulk=True)

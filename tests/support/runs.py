@@ -58,7 +58,6 @@ def type_here(name, *arguments, cwd=None):
         stack.enter_context(contextlib.redirect_stderr(errors))
         stack.callback(logging.lastResort.setFormatter, logging.lastResort.formatter)
         stack.callback(gc.enable)
-        stack.callback(gc.unfreeze)
         try:
             main()
         except SystemExit as left:

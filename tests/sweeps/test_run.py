@@ -26,7 +26,8 @@ TWO = ("hydra.launcher.n_jobs=2",)  # at a time, on however many cores
 
 
 def test_a_dry_run_prints_the_plan_and_makes_nothing(tmp_path):
-    done = sweep(tmp_path / "outputs", "seeds=3", "buffer=her_future,her_final", "dry_run=true", cwd=tmp_path)
+    arguments = (*QUICK, f"output_dir={tmp_path / 'outputs'}", "seeds=3", "buffer=her_future,her_final")
+    done = type_here("train", *arguments, "dry_run=true", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     lines = [line.split() for line in done.stdout.splitlines()]
     assert lines[:3] == [
@@ -101,6 +102,7 @@ def test_retry_runs_a_failed_run_again(tmp_path):
     assert stages(tmp_path / "outputs") == ["done", "done"]
 
 
+@pytest.mark.slow
 def test_a_run_that_hangs_past_its_time_is_failed(tmp_path):
     begin = time.monotonic()
     done = sweep(

@@ -152,6 +152,7 @@ def test_a_result_is_where_its_directory_is_now(tmp_path):
     assert moved.result().run_dir == str(moved.path)
 
 
+@pytest.mark.slow
 def test_a_copy_of_a_run_that_is_tracked_elsewhere_gets_a_run_of_its_own(empty, tmp_path):
     uri = f"sqlite:///{shutil.copy(empty / 'mlflow.db', tmp_path / 'central.db')}"
     original = run_in(tmp_path / "one", uri=uri)

@@ -191,7 +191,7 @@ def test_the_comparison_sees_everything(uninterrupted, tmp_path):
         assert name in found
 
 
-@pytest.mark.parametrize("first", [1, 3])
+@pytest.mark.parametrize("first", slow_but([3], [1, 3]))
 def test_a_run_that_was_cut_off_in_an_evaluation(uninterrupted, tmp_path, first):
     """The first one, before any checkpoint, or the third; a checkpoint at each, and evaluations only then."""
     calls = iter(range(100))
@@ -213,7 +213,7 @@ def test_a_run_that_was_cut_off_between_its_end_and_its_result(tmp_path, overrid
     assert read_json(again / "state.json") == read_json(folder / "state.json")
 
 
-@pytest.mark.parametrize("name", ["model.zip", "state.json"])
+@pytest.mark.parametrize("name", slow_but(["state.json"], ["model.zip", "state.json"]))
 def test_a_run_that_was_cut_off_while_it_wrote_a_checkpoint(uninterrupted, tmp_path, name):
     writing = cut(checkpoints, "fsync", lambda path: path.name == name and "100" in path.parent.name)
     assert differences(uninterrupted, run(tmp_path, cuts=[writing])) == []
@@ -324,7 +324,10 @@ def comparable(tree):
     return plain, {name: exact(array) for name, array in arrays.items()}
 
 
-@pytest.mark.parametrize("kind", KINDS)
+RESTORED = ["sac, by episodes, in one highway_env, replay", "td3, random goals, a full buffer", "tqc", "crossq"]
+
+
+@pytest.mark.parametrize("kind", slow_but(RESTORED, KINDS))
 def test_rollout_state_is_restored_as_it_was_saved(kind):
     """In a model that has gone another way since; and what draws then draws the same."""
 

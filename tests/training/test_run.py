@@ -526,7 +526,7 @@ def test_a_killed_run_resumes_in_the_same_mlflow_run_with_no_step_twice(output_d
     killed_at, run_id = checkpoints()[-1], directory.run_id
     assert directory.status == "running"
 
-    done = run_script("train", *arguments, env=FAILING)
+    done = type_here("train", *arguments)
     assert done.returncode == 0, done.stderr
     assert f"resuming at step {int(killed_at.removeprefix('step='))}" in done.stderr
     assert directory.run_id == run_id
