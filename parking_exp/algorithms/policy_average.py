@@ -58,6 +58,8 @@ class PolicyAverage:
         Raises:
             DamagedModelError: the file can't be read.
         """
+        if not self.model._n_updates:  # there was nothing to average yet
+            return
         policy = read_weights(path.read_bytes(), str(path), self.model.device)["policy"]
         self._weights = [policy[name] for name in self._names]
         self._updates = self.model._n_updates

@@ -107,6 +107,18 @@ def test_a_final_model_that_is_gone_is_made_again_with_the_average(averaged):
     assert same(final, weights(averaged.models / "final.zip"))
 
 
+def test_an_average_that_had_not_begun_begins_with_the_first_update(tmp_path):
+    whole, resumed = make_model(), make_model()
+    PolicyAverage(whole, 10).load(tmp_path / "no such file")  # there is none: nothing is read
+    averages = PolicyAverage(whole, half_life=10), PolicyAverage(resumed, half_life=10)
+    resumed.save(tmp_path / "averaged.zip")
+    averages[1].load(tmp_path / "averaged.zip")
+    for model, average in zip((whole, resumed), averages, strict=True):
+        set_actor(model, 8.0, updates=4)
+        with average.applied():
+            assert values(model) == {8.0}
+
+
 def test_a_resumed_run_has_the_same_average(averaged, tmp_path):
     stopped = make_config(*SMOKE, f"output_dir={tmp_path}")
     train(stopped)
