@@ -166,6 +166,16 @@ def _update(settings: BenchmarkConfig, algorithm: str, net: str) -> dict[str, An
     return updates.updates(config, _rounds(settings), slices, transitions=2000 if quick else 10_000)
 
 
+def _cost_to_95(settings: BenchmarkConfig, name: str) -> dict[str, Any]:
+    from parking_exp.benchmarks import cost_to_95
+
+    peer = directory_path(settings.output_dir) / cost_to_95.PEER_FILE
+    if settings.quick:
+        path, shorter = peer.with_stem(f"{peer.stem}_quick"), (*QUICK_RUN, "total_timesteps=1200")
+        return getattr(cost_to_95, name)(path, 1, *shorter, every=300, most=900)
+    return getattr(cost_to_95, name)(peer, SEEDS)
+
+
 def _single_core(settings: BenchmarkConfig) -> Figures:
     """Return the figures of a single process."""
     quick, rounds = settings.quick, _rounds(settings)
@@ -200,18 +210,9 @@ def _single_core(settings: BenchmarkConfig) -> Figures:
             )
         return kept["buffers"]
 
-    def cost_to_95(name: str) -> dict[str, Any]:
-        from parking_exp.benchmarks import cost_to_95
-
-        peer = directory_path(settings.output_dir) / cost_to_95.PEER_FILE
-        if quick:
-            path, shorter = peer.with_stem(f"{peer.stem}_quick"), (*QUICK_RUN, "total_timesteps=1200")
-            return getattr(cost_to_95, name)(path, 1, *shorter, every=300, most=900)
-        return getattr(cost_to_95, name)(peer, SEEDS)
-
     return {
-        "run.to_95.ratio": lambda: cost_to_95("to_95"),
-        "run.whole.ratio": lambda: cost_to_95("whole_run"),
+        "run.to_95.ratio": lambda: _cost_to_95(settings, "to_95"),
+        "run.whole.ratio": lambda: _cost_to_95(settings, "whole_run"),
         "simulator.n512.ratio": lambda: _stepping(settings, 512, "parking"),
         "simulator.n8.ratio": lambda: _stepping(settings, 8, "parking"),
         "simulator.parked.n512.ratio": lambda: _stepping(settings, 512, "parking_parked"),
