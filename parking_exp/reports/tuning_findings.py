@@ -1,4 +1,4 @@
-"""What a report says of a hyperparameter search in words."""
+"""Sentences of a report about a hyperparameter search: its values, trials, pruning and re-runs."""
 
 from collections.abc import Iterator, Sequence
 

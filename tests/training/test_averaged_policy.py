@@ -40,11 +40,17 @@ def values(model):
     return {weight.unique().item() for weight in actor(model)}
 
 
-def test_the_share_of_old_weights_halves_in_a_half_life_of_updates():
+def begun(updates):
+    """A model, and an average that has begun with weights of 8."""
     model = make_model()
     average = PolicyAverage(model, half_life=10)
-    set_actor(model, 8.0, updates=4)
+    set_actor(model, 8.0, updates=updates)
     average.update()
+    return model, average
+
+
+def test_the_share_of_old_weights_halves_in_a_half_life_of_updates():
+    model, average = begun(updates=4)
     set_actor(model, 0.0, updates=14)
     with average.applied():
         assert values(model) == {4.0}
@@ -66,10 +72,7 @@ def test_without_a_half_life_or_an_update_the_actor_stays_as_it_is():
 
 
 def test_an_error_under_the_average_gives_the_trained_weights_back():
-    model = make_model()
-    average = PolicyAverage(model, half_life=10)
-    set_actor(model, 8.0, updates=1)
-    average.update()
+    model, average = begun(updates=1)
     set_actor(model, 0.0, updates=11)
     with pytest.raises(KeyError), average.applied():
         raise KeyError

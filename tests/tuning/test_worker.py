@@ -1,4 +1,4 @@
-"""What workers of a search are given, and which of its trials they train."""
+"""Tests of a search's workers: what they are given, and which trials they train."""
 
 import pytest
 from support.searches import QUICK
