@@ -131,7 +131,7 @@ def test_what_is_no_sweep_is_refused_in_a_sentence(overrides, message):
 def test_what_is_typed_applies_to_every_cell_that_has_it():
     found = runs("experiment=her_traps", "seeds=1", "algorithm.features=raw")
     assert {run.algorithm.features for run in found} == {"raw"}
-    assert len({run.run_key for run in found}) == len(found) == 11
+    assert len({run.run_key for run in found}) == len(found) == 15
     found = runs("experiment=her_ablation", "seeds=1", "env=parking_parked,parking_sparse", "buffer=her_final,replay")
     assert Counter((run.env.name, run.buffer.name) for run in found) == {
         ("parking_parked", "her_final"): 4, ("parking_parked", "replay"): 1,

