@@ -54,15 +54,18 @@ class EgoFrameExtractor(BaseFeaturesExtractor):
 
 
 class FineEgoFrameExtractor(EgoFrameExtractor):
-    """Ego-frame features with the goal also at the scale of a slot, in a lot that is turned to the goal's side.
+    """Ego-frame features, the car in the goal's frame, both also at the scale of a slot, in a lot turned to the goal.
 
     Turned by 180 degrees the lot is the same: pose and heading are turned where the goal's y is negative. That halves
     what is to be learned, and changes no action. The last metre to the goal is a tenth of a feature in units of 10 m,
-    and the reward has a cusp there: goal and reward come at that scale, too.
+    and the reward has a cusp there: positions and reward come at that scale, too. To enter a slot the car must be in
+    line with it: from the ego frame alone networks would have to learn products of features to see that.
 
-    Output, shape (batch, 13), or (batch, 14) where the reward weighs velocity: the features of `EgoFrameExtractor`;
-    goal ahead and to the side, as tanh of their distance / 2 m; the root of the weighted distance, which is minus the
-    dense reward; the goal's signed speed (observation units).
+    Output, shape (batch, 19), or (batch, 20) where the reward weighs velocity: the features of `EgoFrameExtractor`;
+    the car's position along and across the goal's heading, seen from the goal (10 m), and its velocity in these
+    directions (observation units); the goal ahead and to the side, and the car along and across, as tanh of their
+    distance / 2 m; the root of the weighted distance, which is minus the dense reward; the goal's signed speed
+    (observation units).
 
     Args:
         observation_space: parking-v0's, with the features x, y, vx, vy, cos_h, sin_h.
@@ -77,18 +80,23 @@ class FineEgoFrameExtractor(EgoFrameExtractor):
         self.reward_weights = [float(weight) for weight in reward_weights]
         # Virtual goals may move and real ones stand: without need, networks had better not see that.
         self.moving_goals = any(self.reward_weights[2:4])
-        self._features_dim = 14 if self.moving_goals else 13
+        self._features_dim = 20 if self.moving_goals else 19
 
     def forward(self, observations: dict[str, torch.Tensor]) -> torch.Tensor:
-        """Return features of shape (batch, 13 or 14) for observations of shape (batch, 6) each."""
+        """Return features of shape (batch, 19 or 20) for observations of shape (batch, 6) each."""
         features = super().forward(observations)
         observation, goal = observations["observation"], observations["desired_goal"]
         side = torch.where(goal[:, 1:2] < 0, -1.0, 1.0).to(features)
+        ahead, left, cos, sin, speed = features[:, :5].split(1, dim=-1)
+        from_goal = torch.cat((-cos * ahead - sin * left, sin * ahead - cos * left), dim=-1)
         distance = torch.sqrt((observation - goal).abs() @ features.new_tensor(self.reward_weights)[:, None])
         parts = [
             features[:, :6],
             features[:, 6:] * side,
-            torch.tanh(features[:, :2] * (GOAL_SCALE_M / NEAR_M)),
+            from_goal,
+            speed * cos,
+            -speed * sin,
+            torch.tanh(torch.cat((features[:, :2], from_goal), dim=-1) * (GOAL_SCALE_M / NEAR_M)),
             distance,
         ]
         if self.moving_goals:

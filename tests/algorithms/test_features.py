@@ -67,7 +67,15 @@ def test_the_goal_at_the_scale_of_a_slot():
     # 1 m before a slot, 0.5 m beside it, at the same heading.
     found = features((0, 0, 0, 5), (1, 0.5, 0), fine())
     assert found[:6] == pytest.approx(features((0, 0, 0, 5), (1, 0.5, 0))[:6], abs=1e-6)
-    assert found[10:] == pytest.approx([math.tanh(0.5), math.tanh(0.25), math.sqrt(0.01 + 0.3 * 0.005)], abs=1e-6)
+    near = [math.tanh(0.5), math.tanh(0.25), -math.tanh(0.5), -math.tanh(0.25)]
+    assert found[14:] == pytest.approx([*near, math.sqrt(0.01 + 0.3 * 0.005)], abs=1e-6)
+
+
+def test_the_car_in_the_goals_frame():
+    # The slot looks along +y; the car is 6 m before it and 3 m to its right, and drives along -x.
+    found = features((3, 8, math.pi, 2.5), (0, 14, math.pi / 2), fine())
+    assert found[10:14] == pytest.approx([-0.6, -0.3, 0.0, 0.5], abs=1e-6)
+    assert found[16:18] == pytest.approx([math.tanh(-3), math.tanh(-1.5)], abs=1e-6)
 
 
 def test_a_scene_turned_by_180_degrees_has_the_same_features():
@@ -81,5 +89,5 @@ def test_a_scene_turned_by_180_degrees_has_the_same_features():
 def test_the_speed_of_a_goal_is_seen_where_the_reward_weighs_velocity():
     weights = [1, 0.3, 0.1, 0.1, 0.02, 0.02]
     found = features((0, 0, 0, 0), (0, 0, 0, -2.5), fine(weights))
-    assert found[12:] == pytest.approx([math.sqrt(0.1 * 0.5), -0.5], abs=1e-6)
-    assert len(features((0, 0, 0, 0), (0, 0, 0, -2.5), fine())) == 13
+    assert found[18:] == pytest.approx([math.sqrt(0.1 * 0.5), -0.5], abs=1e-6)
+    assert len(features((0, 0, 0, 0), (0, 0, 0, -2.5), fine())) == 19

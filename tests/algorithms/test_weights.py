@@ -173,7 +173,7 @@ def test_names_in_a_file_do_not_reach_the_terminal_as_they_are(model, content, t
 @pytest.mark.parametrize(
     ("overrides", "words"),
     [
-        (["algorithm.net_arch=[8,8]"], "policy.actor.latent_pi.0.weight is float32 of shape [16, 13], and not float32 of shape [8, 13]"),
+        (["algorithm.net_arch=[8,8]"], "policy.actor.latent_pi.0.weight is float32 of shape [16, 19], and not float32 of shape [8, 19]"),
         (["algorithm.net_arch=[16,16,16]"], "policy has other parameters (actor.latent_pi.4.bias, actor.latent_pi.4.weight, critic.qf0.6.bias, critic.qf0.6.weight, ...)"),
         (["algorithm=td3", "algorithm.net_arch=[16,16]"], "it has ent_coef_optimizer, log_ent_coef besides"),
         (["algorithm.ent_coef=0.1"], "it lacks ent_coef_tensor and it has ent_coef_optimizer, log_ent_coef besides"),

@@ -471,7 +471,7 @@ def test_evaluate_refuses_a_damaged_model_in_a_sentence(finished):
 @pytest.mark.parametrize(
     ("key", "value", "problem"),
     [
-        ("algorithm.net_arch", [8, 8], "policy.actor.latent_pi.0.weight is float32 of shape [16, 13], and not float32 of shape [8, 13]"),
+        ("algorithm.net_arch", [8, 8], "policy.actor.latent_pi.0.weight is float32 of shape [16, 19], and not float32 of shape [8, 19]"),
         ("algorithm.ent_coef", 0.5, "it lacks ent_coef_tensor and it has ent_coef_optimizer, log_ent_coef besides"),
     ],
 )  # fmt: skip

@@ -170,7 +170,8 @@ def test_two_objectives_give_a_front_and_a_cost_is_counted_in_unit_costs(tmp_pat
     found = study_in(tmp_path / "smoke").study
     costs = {key: value for key, value in found.user_attrs.items() if key.startswith("unit_costs ")}
     assert costs
-    assert all(0 < cost["step_s"] < cost["update_s"] < 1 for cost in costs.values())
+    # With two envs a step may cost as much as an update of such a network.
+    assert all(0 < cost[unit] < 1 for cost in costs.values() for unit in ("step_s", "update_s"))
     assert all(len(trial.values) == 2 and trial.cost > 0 for trial in trials(tmp_path))
 
 
