@@ -18,6 +18,7 @@ from parking_exp.envs.outcomes import outcome
 from parking_exp.evaluation.evaluate import rollout
 
 HOLD_S = 1.0  # how long the end of an episode stays in sight
+MOST_S = 20.0  # of an episode: one that ends by time has a car that stands for most of its 100 s
 
 
 def record(
@@ -31,7 +32,7 @@ def record(
     """Record one episode of each scene in one mp4 (and, besides it, a GIF of the same name).
 
     A second of video is a second of driving: frames come at `simulation_frequency`, one for the start of each
-    episode, one for each simulation frame, and `HOLD_S` seconds of the end.
+    episode, one for each simulation frame, and `HOLD_S` seconds of the end. Episodes are left after `MOST_S` seconds.
 
     Args:
         policy: what is recorded.
@@ -91,13 +92,15 @@ def _frames(
         between = _IntermediateFrames(env)
         env.unwrapped.set_record_video_wrapper(between)
         for number, scene in enumerate(scenes, start=1):
-            for _, info, done in rollout(policy, env, scene):
+            for step, (_, info, done) in enumerate(rollout(policy, env, scene)):
                 frame = env.render()
                 for image in [*between.take(), frame]:
                     yield _captioned(image, f"scene {scene}")
-                if done:
-                    end = _captioned(frame, f"scene {scene}: {outcome(info['crashed'], info['is_success'])}")
+                if done or step >= MOST_S * config.policy_frequency:
+                    how = outcome(info["crashed"], info["is_success"]) if done else f"not there after {MOST_S:.0f} s"
+                    end = _captioned(frame, f"scene {scene}: {how}")
                     yield from [end] * round(HOLD_S * config.simulation_frequency)
+                    break
             if on_episode is not None:
                 on_episode(number)
     finally:

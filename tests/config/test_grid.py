@@ -197,7 +197,7 @@ def test_the_her_traps_are_the_relabelling_options_where_they_can_make_a_differe
 
 
 @pytest.mark.parametrize("experiment", slow_but(["her_traps"], ["her_ablation", "her_traps"]))
-@pytest.mark.parametrize(("budget", "steps"), [("small", 200_000), ("full", 400_000)])
+@pytest.mark.parametrize(("budget", "steps"), [("small", 96_000), ("full", 192_000)])
 def test_every_cell_has_as_many_env_steps_and_updates(experiment, budget, steps):
     """Whatever differs, it is the buffer or the reward: the same steps, updates, networks and evaluation."""
     found = runs(f"experiment={experiment}", f"budget={budget}", "seeds=1")
@@ -210,7 +210,7 @@ def test_every_cell_has_as_many_env_steps_and_updates(experiment, budget, steps)
 def test_ten_seeds_and_the_small_budget_unless_said_otherwise():
     found = runs("experiment=her_traps", "buffer.relabel_collision=sb3", "buffer.relabel_terminated=sb3")
     assert len(found) == 40
-    assert {run.total_timesteps for run in found} == {200_000}
+    assert {run.total_timesteps for run in found} == {96_000}
 
 
 @pytest.mark.slow

@@ -75,7 +75,7 @@ def test_the_expected_options_are_there():
         "evaluation": ["default"],
         "checkpoint": ["default"],
         "tracking": ["default"],
-        "experiment": ["article", "her_ablation", "her_traps", "smoke"],
+        "experiment": ["article", "her_ablation", "her_traps", "parked", "smoke"],
     }  # fmt: skip
 
 
@@ -93,7 +93,7 @@ def test_the_expected_options_are_there():
         ("algorithm.learning_rat=1", "algorithm.learning_rat: there is no such key; did you mean 'learning_rate'?"),
         (
             "+algorithm.gama=1",
-            "algorithm.gama: parking_exp.algorithms.SAC has no such argument; did you mean 'gamma'?",
+            "algorithm.gama: parking_exp.algorithms.TD3 has no such argument; did you mean 'gamma'?",
         ),
         ("buffer.n_sampled_goals=3", "buffer.n_sampled_goals: there is no such key; did you mean 'n_sampled_goal'?"),
         (
@@ -151,9 +151,9 @@ def test_stores_that_mlflow_knows_are_taken(uri):
         ("algorithm.batch_size=0", "algorithm.batch_size=0 is out of range; the closest valid choice is 1"),
         (
             "algorithm.batch_size=1.5",
-            "algorithm.batch_size=1.5 has the wrong type; parking_exp.algorithms.SAC takes int",
+            "algorithm.batch_size=1.5 has the wrong type; parking_exp.algorithms.TD3 takes int",
         ),
-        ("algorithm.use_sde=3", "algorithm.use_sde=3 has the wrong type; parking_exp.algorithms.SAC takes bool"),
+        ("algorithm=sac algorithm.use_sde=3", "algorithm.use_sde=3 has the wrong type; parking_exp.algorithms.SAC takes bool"),
         ("algorithm.features=egoo", "algorithm.features=egoo is not a valid choice; did you mean 'ego'?"),
         ("buffer.relabel_collision=kep", "buffer.relabel_collision=kep is not a valid choice; did you mean 'keep'?"),
         ("buffer.relabel_terminated=gaol", "buffer.relabel_terminated=gaol is not a valid choice; did you mean 'goal'?"),
@@ -171,9 +171,9 @@ def test_stores_that_mlflow_knows_are_taken(uri):
         ),
         ("algorithm._target_=nowhere.SAC", "algorithm._target_=nowhere.SAC: the package 'nowhere' is not installed"),
         ("evaluation=often", "evaluation=often: there is no such option; choose from default"),
-        ("algorithm.gamma=null", "algorithm.gamma=None has the wrong type; parking_exp.algorithms.SAC takes float"),
-        ("algorithm.batch_size=[9]", "algorithm.batch_size=[9] has the wrong type; parking_exp.algorithms.SAC takes int"),
-        ("algorithm.ent_coef=atuo", "algorithm.ent_coef=atuo is not a valid choice; choose from auto and a number"),
+        ("algorithm.gamma=null", "algorithm.gamma=None has the wrong type; parking_exp.algorithms.TD3 takes float"),
+        ("algorithm.batch_size=[9]", "algorithm.batch_size=[9] has the wrong type; parking_exp.algorithms.TD3 takes int"),
+        ("algorithm=sac algorithm.ent_coef=atuo", "algorithm.ent_coef=atuo is not a valid choice; choose from auto and a number"),
         (
             "~algorithm.learning_starts",
             "algorithm.learning_starts is missing; give at least 25856, the longest training episode (101 steps) x n_envs (256)",
@@ -338,7 +338,7 @@ def test_a_value_that_cannot_be_is_refused_with_the_closest_valid_choice(overrid
 @pytest.mark.parametrize(
     "override",
     [
-        "algorithm.learning_rate=inf", "algorithm.gamma=nan", "algorithm.target_entropy=nan",
+        "algorithm.learning_rate=inf", "algorithm.gamma=nan", "algorithm.target_policy_noise=nan",
         "+algorithm.policy_kwargs.log_std_init=nan", "+algorithm.policy_kwargs.optimizer_kwargs.eps=inf", "env.collision_reward=nan",
         "env.scaling=inf", "updates_per_step=nan", "timeout_s=inf",
     ],
@@ -421,7 +421,7 @@ def test_nested_targets_are_checked_too():
         make_config("algorithm=td3", "+algorithm.action_noise.sigm=1")
     noise = "{_target_: stable_baselines3.common.noise.NormalActionNoise, mean: [0, 0]}"
     with pytest.raises(ConfigError, match=r"algorithm.action_noise.sigma is missing"):
-        make_config(f"algorithm.action_noise={noise}")
+        make_config("algorithm=sac", f"algorithm.action_noise={noise}")
 
 
 def test_several_keys_of_a_group_can_be_set_at_once():

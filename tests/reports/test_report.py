@@ -200,7 +200,7 @@ def test_a_mistake_is_a_sentence_and_nothing_is_written(made, arguments, words):
     [
         ("basline=td3", "baseline"), ("ouput_dir=x", "output_dir"), ("experment=one", "experiment"), ("cels=td3", "cells"),
         ("trackng.uri=x", "tracking.uri"), ("n_sampled_gaol=4", "n_sampled_goal"), ("buffr.n_sampled_goal=4", "buffer.n_sampled_goal"),
-        ("target_entropi=1", "target_entropy"), ("reprot=quick", "report"),
+        ("policy_dela=1", "policy_delay"), ("reprot=quick", "report"),
     ],
 )  # fmt: skip
 def test_a_misspelt_key_is_refused_before_the_store_is_read(tmp_path, typed, meant):

@@ -161,7 +161,7 @@ def seconds_of_training(directory):
 @pytest.fixture(scope="module")
 def trained_policy():
     """A policy that parks most of the time, and sometimes well."""
-    config = make_config("total_timesteps=20000")
+    config = make_config("total_timesteps=96000")
     model = build_model(config, make_training_envs(config.env, config.n_envs), seed=0)
     return greedy_policy(model.learn(config.total_timesteps))
 
