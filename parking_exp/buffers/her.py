@@ -59,6 +59,8 @@ class HerBuffer(HerReplayBuffer):
             `exclude`: crashes get no virtual goals, and are none; such transitions keep the goal that they had.
         relabel_terminated: when a virtual transition ends its episode. `sb3`: when the real one did. `goal`: when the
             virtual goal is reached. `goal_and_crash`: also at a crash, as in the env (Stable-Baselines3 issue 627).
+            `env`: also, where the virtual goal was reached before the transition, it keeps the goal that it had: in the
+            env nothing comes after a goal. Cars that stand would otherwise have learned that standing is arriving.
         goal_velocity: `achieved`: a virtual goal moves as fast as the car did. `zero`: it stands, as real goals do.
         reward: the env's reward, for relabelling without asking the env.
 
@@ -270,7 +272,11 @@ class HerBuffer(HerReplayBuffer):
             goals[:, self.reward.velocity] = 0.0
         own = np.zeros(virtual, bool)  # those that keep their own goal
         if virtual and self.relabel_collision == "exclude":
-            own = taken.crashed[-virtual:] | self.storage.crashed(goal_index)
+            own |= taken.crashed[-virtual:] | self.storage.crashed(goal_index)
+        if virtual and self.relabel_terminated == "env":
+            assert self.reward is not None
+            own |= self.reward(taken.achieved(virtual), goals)[1]
+        if own.any():
             goals[own] = taken.goals(np.flatnonzero(own) - virtual)
         obs, next_obs = taken.observations(goals)
         rewards, terminated = taken.rewards, taken.terminated
@@ -306,7 +312,7 @@ class HerBuffer(HerReplayBuffer):
             rewards = rewards + self.reward.collision * crashed
         if self.relabel_terminated == "goal":
             terminated = reached
-        elif self.relabel_terminated == "goal_and_crash":
+        elif self.relabel_terminated in ("goal_and_crash", "env"):
             terminated = reached | crashed
         return rewards, terminated
 

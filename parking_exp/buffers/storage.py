@@ -191,6 +191,11 @@ class Transitions:
             return goals
         return self._data["obs"]["desired_goal"][rows]
 
+    def achieved(self, number: int) -> np.ndarray:
+        """Return what was achieved before each of the last transitions, `number` of them."""
+        found: np.ndarray = self._data["obs"]["observation" if self._storage.compact else "achieved_goal"][-number:]
+        return found
+
     def observations(self, virtual: np.ndarray) -> tuple[Observation, Observation]:
         """Return the Dict observations before and after the transitions; each entry has shape (n, ...).
 

@@ -4,7 +4,7 @@ from typing import Any, Literal, get_args
 
 GoalStrategy = Literal["future", "final", "episode", "random"]
 RelabelCollision = Literal["keep", "sb3", "exclude"]
-RelabelTerminated = Literal["sb3", "goal", "goal_and_crash"]
+RelabelTerminated = Literal["sb3", "goal", "goal_and_crash", "env"]
 GoalVelocity = Literal["achieved", "zero"]
 
 GOAL_STRATEGIES: tuple[str, ...] = get_args(GoalStrategy)

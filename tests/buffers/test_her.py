@@ -300,7 +300,7 @@ def ended(how, option=None):
 
 @pytest.mark.parametrize("how", ["crash", "success", "timeout"])
 @pytest.mark.parametrize("collision", ["keep", "sb3"])
-@pytest.mark.parametrize("terminated", ["sb3", "goal", "goal_and_crash"])
+@pytest.mark.parametrize("terminated", ["sb3", "goal", "goal_and_crash", "env"])
 def test_reward_and_end_of_a_relabelled_transition(how, collision, terminated):
     """The last transition reaches the virtual goal, which is its own; the first does not."""
     ours = ended(how, {"relabel_collision": collision, "relabel_terminated": terminated})
@@ -317,7 +317,7 @@ def test_reward_and_end_of_a_relabelled_transition(how, collision, terminated):
 
 
 def test_a_relabelled_crash_away_from_the_goal():
-    for terminated, end in (("sb3", 1.0), ("goal", 0.0), ("goal_and_crash", 1.0)):
+    for terminated, end in (("sb3", 1.0), ("goal", 0.0), ("goal_and_crash", 1.0), ("env", 1.0)):
         ours = ended("crash", {"relabel_collision": "keep", "relabel_terminated": terminated})
         batch = ours._collect(ours.storage.take(np.array([2])), np.array([0]))
         dense, reached = REWARD(
@@ -380,6 +380,24 @@ def test_without_virtual_goals_for_crashes_a_crash_stays_what_it_was_and_is_no_g
     assert batch.rewards[2].item() == pytest.approx(-np.sqrt(1 + 0.3 + 0.02 + 0.02), rel=1e-6)
     assert batch.rewards[[0, 1, 3, 4], 0].tolist() == [-7.0] * 4
     assert batch.dones[:, 0].tolist() == [0.0, 1.0, 0.0, 0.0, 1.0]
+
+
+def test_as_in_the_env_no_relabelled_transition_begins_where_its_goal_is_reached():
+    """A car at x = 0, 1, 2, 3. The goals are what the first, the first and the last transition achieve."""
+    ours = make(goal_selection_strategy="final", reward=REWARD, relabel_collision="keep", relabel_terminated="env")
+    for step in range(3):
+        observed = [
+            {"observation": o, "achieved_goal": o, "desired_goal": np.full((1, 6), 9.0)} for o in np.zeros((2, 1, 6))
+        ]
+        for entry, x in zip(observed, (step, step + 1), strict=True):
+            entry["observation"][:, 0] = x
+        ours.add(*observed, np.zeros((1, 2)), np.array([-7.0]), np.array([step == 2]), [{}])
+    batch = ours._collect(ours.storage.take(np.array([0, 0, 1, 2])), np.array([0, 0, 2]))
+    assert batch.observations["observation"][:, 0].tolist() == [0.0, 0.0, 1.0, 2.0]
+    assert batch.observations["desired_goal"][:, 0].tolist() == [9.0, 1.0, 9.0, 3.0]
+    assert torch.equal(batch.observations["desired_goal"], batch.next_observations["desired_goal"])
+    assert batch.rewards[:, 0].tolist() == [-7.0, 0.0, -7.0, 0.0]
+    assert batch.dones[:, 0].tolist() == [0.0, 1.0, 0.0, 1.0]
 
 
 def test_without_crashes_excluding_them_changes_nothing():
