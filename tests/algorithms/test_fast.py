@@ -341,7 +341,9 @@ def test_policies_of_other_peoples_are_not_mistaken_for_known_ones():
 
 def test_minibatches_sampled_together_have_each_their_share_of_virtual_goals():
     """8 x 64 transitions of HER with n_sampled_goal=4: int(.8 x 512) = 409 virtual ones, 51 or 52 in each minibatch."""
-    model = make_model("SAC", "buffer.relabel_collision=keep", "buffer.n_sampled_goal=4")
+    model = make_model(
+        "SAC", "buffer.relabel_collision=keep", "buffer.relabel_terminated=goal", "buffer.n_sampled_goal=4"
+    )
     model.learning_starts = 4000
     model.learn(4000)
     real = {tuple(goal) for goal in np.float32(model.replay_buffer.storage.goals).tolist()}
