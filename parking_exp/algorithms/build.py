@@ -60,7 +60,7 @@ def build_model(config: RunConfig, env: VecEnv, seed: int, *, for_training: bool
         objects["replay_buffer_class"] = get_class(config.buffer.target)
         objects["replay_buffer_kwargs"] = config.buffer.arguments
         if issubclass(objects["replay_buffer_class"], HerBuffer) and is_parking(env):
-            objects["replay_buffer_kwargs"]["reward"] = GoalReward.of(config.env)
+            objects["replay_buffer_kwargs"]["reward"] = GoalReward.of(config.env.for_training())
     _skip_compiler_import()
     try:
         model = build(**objects)

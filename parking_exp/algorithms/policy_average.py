@@ -8,21 +8,30 @@ import torch
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 
 from parking_exp.algorithms.model_files import read_weights
+from parking_exp.errors import ConfigError, DamagedModelError
 
-ACTOR = "actor."  # of the actor's weights among those of the policy
+ACTOR = "actor."  # prefix of the names of the actor's weights in a policy
 
 
 class PolicyAverage:
-    """Average of the weights of a model's actor over its gradient updates (Polyak & Juditsky, 1992).
+    """Exponential moving average of the weights of a model's actor over its gradient updates.
+
+    It begins with the weights after the first round of updates. Statistics of batch normalisation are weights, too.
 
     Args:
         model: a Stable-Baselines3 model with an actor.
         half_life: updates in which an old weight's share halves; None: no average, the actor as it is.
+
+    Raises:
+        ConfigError: the model's policy has no actor.
     """
 
     def __init__(self, model: OffPolicyAlgorithm, half_life: float | None) -> None:
         self.model, self.half_life = model, half_life
-        self._names = [name for name, _ in model.policy.named_parameters() if name.startswith(ACTOR)]
+        weights = model.policy.state_dict().items()
+        self._names = [name for name, weight in weights if name.startswith(ACTOR) and weight.is_floating_point()]
+        if half_life is not None and not self._names:
+            raise ConfigError(f"algorithm.averaged_policy: {type(model).__name__} has no actor to average; use null")
         self._weights: list[torch.Tensor] = []
         self._updates = 0
 
@@ -56,14 +65,17 @@ class PolicyAverage:
         """Restore the average from a model file that was saved while it was applied; the model is as it was then.
 
         Raises:
-            DamagedModelError: the file can't be read.
+            DamagedModelError: the file can't be read, or is of another model.
         """
         if not self.model._n_updates:  # there was nothing to average yet
             return
-        policy = read_weights(path.read_bytes(), str(path), self.model.device)["policy"]
+        policy = read_weights(path.read_bytes(), str(path), self.model.device).get("policy", {})
+        shapes = [policy[name].shape for name in self._names if name in policy]
+        if shapes != [weight.shape for weight in self._actor()]:
+            raise DamagedModelError(f"{path} has no weights of this model's actor")
         self._weights = [policy[name] for name in self._names]
         self._updates = self.model._n_updates
 
     def _actor(self) -> list[torch.Tensor]:
-        parameters = dict(self.model.policy.named_parameters())
-        return [parameters[name].data for name in self._names]
+        weights = self.model.policy.state_dict()
+        return [weights[name] for name in self._names]

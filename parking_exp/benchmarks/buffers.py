@@ -73,7 +73,9 @@ class Buffers:
         if name not in self._kept:
             env = ParkingVecEnv(self._config.env, N_ENVS)
             # Both as Stable-Baselines3 relabels, ours by itself.
-            known: dict[str, Any] = {"reward": GoalReward.of(self._config.env)} if cls is HerBuffer else {}
+            known: dict[str, Any] = (
+                {"reward": GoalReward.of(self._config.env.for_training())} if cls is HerBuffer else {}
+            )
             buffer = cls(capacity, env.observation_space, env.action_space, env, "cpu", N_ENVS, **known)
             for step in range(transitions // N_ENVS):
                 buffer.add(*self._recorded[step % len(self._recorded)])
@@ -84,7 +86,7 @@ class Buffers:
 def _record(config: RunConfig, steps: int) -> list[tuple[Any, ...]]:
     """Record random transitions, the last of which end all episodes, so that they can be repeated."""
     rng = np.random.default_rng(0)
-    env = ParkingVecEnv(config.env, N_ENVS, training=True)
+    env = ParkingVecEnv(config.env.for_training(), N_ENVS)
     env.seed(0)
     obs = env.reset()
     recorded: list[tuple[Any, ...]] = []

@@ -127,10 +127,12 @@ def overhead(rounds: int, steps: int, slice_steps: int, *changes: str) -> tuple[
     evaluations = full.total_timesteps // (full.evaluation.every_n_steps or full.total_timesteps)
     checkpoints = full.total_timesteps // (full.checkpoint.every_n_steps or full.total_timesteps)
     besides = start_s + (evaluations - 1) * evaluation_s + checkpoints * checkpoint_s + end_s
-    ratios = [(full.total_timesteps * tracked + besides) / (full.total_timesteps * bare) for tracked, bare in slices]
+    # The slices have updates; the random steps before the first one cost next to nothing.
+    learned = full.total_timesteps - full.algorithm.arguments["learning_starts"]
+    ratios = [(learned * tracked + besides) / (learned * bare) for tracked, bare in slices]
     parts = {
-        "training_s": full.total_timesteps * statistics.median(bare for _, bare in slices),
-        "rows_and_callbacks_s": full.total_timesteps * statistics.median(tracked - bare for tracked, bare in slices),
+        "training_s": learned * statistics.median(bare for _, bare in slices),
+        "rows_and_callbacks_s": learned * statistics.median(tracked - bare for tracked, bare in slices),
         "start_s": start_s,
         "evaluations_s": (evaluations - 1) * evaluation_s,
         "checkpoints_s": checkpoints * checkpoint_s,

@@ -50,7 +50,8 @@ class HerBuffer(HerReplayBuffer):
         n_envs: how many envs.
         optimize_memory_usage: must be False, as in Stable-Baselines3.
         handle_timeout_termination: whether an episode that ended by time alone goes on in value.
-        n_sampled_goal: virtual transitions for each real one: a share of n / (n + 1) of every batch.
+        n_sampled_goal: virtual transitions for each real one: a share of n / (n + 1) of every batch. Those that may
+            have no virtual goal, by the options below, keep their own, and count as real.
         goal_selection_strategy: `future`, `final`, `episode`, `random` (any goal achieved so far), or None: no
             virtual transitions, and transitions of episodes under way are drawn too.
         copy_info_dict: must be False: rewards that read `info` are not supported.
@@ -188,8 +189,6 @@ class HerBuffer(HerReplayBuffer):
         without = self.goal_selection_strategy is None
         draw = self.episodes.draw_stored if without else self.episodes.draw
         index, virtual = draw(self.rng, batch_size), self.virtual(batch_size)
-        self.sampled[0] += batch_size - virtual
-        self.sampled[1] += virtual
         taken, goal_index = self.storage.take(index), NO_GOALS
         if virtual:
             record = self.episodes.table.take(taken.record_ids[-virtual:])
@@ -260,7 +259,7 @@ class HerBuffer(HerReplayBuffer):
         assert isinstance(self.observation_space, spaces.Dict)
         self.episodes = EpisodeIndex(self.buffer_size, self.n_envs)
         self.storage = Storage(self.buffer_size, self.n_envs, self.observation_space, self.action_space)
-        self.sampled = [0, 0]  # real ones, virtual ones
+        self.sampled = [0, 0]  # with the goal that they had, with a virtual one
 
     def _collect(
         self, taken: Transitions, goal_index: np.ndarray, env: VecNormalize | None = None
@@ -278,14 +277,17 @@ class HerBuffer(HerReplayBuffer):
             own |= self.reward(taken.achieved(virtual), goals)[1]
         if own.any():
             goals[own] = taken.goals(np.flatnonzero(own) - virtual)
+        relabelled = virtual - int(own.sum())
+        self.sampled[0] += len(taken.rewards) - relabelled
+        self.sampled[1] += relabelled
         obs, next_obs = taken.observations(goals)
         rewards, terminated = taken.rewards, taken.terminated
         if virtual:
             new = self._relabel(
                 next_obs["achieved_goal"][-virtual:], goals, taken.crashed[-virtual:], terminated[-virtual:]
             )
-            for stored, relabelled in zip((rewards, terminated), new, strict=True):
-                stored[-virtual:] = np.where(own, stored[-virtual:], relabelled)
+            for stored, under_goals in zip((rewards, terminated), new, strict=True):
+                stored[-virtual:] = np.where(own, stored[-virtual:], under_goals)
         rewards = rewards[:, None]
         if env is not None:
             obs, next_obs = self._normalize_obs(obs, env), self._normalize_obs(next_obs, env)  # type: ignore[assignment]

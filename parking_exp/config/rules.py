@@ -31,6 +31,12 @@ def check_env(env: EnvConfig) -> list[str]:
         bounds = getattr(env.action, name)
         if bounds is not None and not bounds[0] < bounds[1]:
             problems.append(f"env.action.{name}={bounds} is empty; the closest valid choice is {sorted(bounds)}")
+    if (env.training_success_goal_reward or 0) > env.success_goal_reward:
+        problems.append(
+            f"env.training_success_goal_reward={env.training_success_goal_reward} is above env.success_goal_reward="
+            f"{env.success_goal_reward}, so that agents would learn to stop short of it; the closest valid choice is "
+            f"{env.success_goal_reward}"
+        )
     if env.policy_frequency > env.simulation_frequency:
         problems.append(
             f"env.policy_frequency={env.policy_frequency} is above env.simulation_frequency="
@@ -79,7 +85,7 @@ def _check_buffer(run: RunConfig) -> list[str]:
     idle = [name for name in HER_OPTIONS if name in run.buffer.arguments]
     if without and idle:
         problems.append(f"buffer.{idle[0]} has no effect without virtual goals; leave it out, or use buffer=her_future")
-    longest = run.env.episode_steps(training=True)
+    longest = run.env.for_training().episode_steps()
     where = f"the longest training episode ({longest} steps) x n_envs ({run.n_envs})"
     starts = run.algorithm.arguments.get("learning_starts")
     if relabels and not isinstance(starts, int):

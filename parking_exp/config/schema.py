@@ -25,9 +25,18 @@ TRAINING_SCENES_START = 2**31
 ALGORITHM_NAMES = frozenset({"sac", "td3", "ddpg", "tqc", "crossq"})
 BUFFER_NAMES = frozenset({"replay", *(f"her_{strategy}" for strategy in GOAL_STRATEGIES)})
 ENV_NAMES = frozenset(
-    {"parking", "parking_sparse", "parking_parked", "parking_action_repeat", "parking_2021", "parking_stop"}
-    | {"parking_stop_parked"}
+    {
+        "parking",
+        "parking_sparse",
+        "parking_parked",
+        "parking_action_repeat",
+        "parking_2021",
+        "parking_stop",
+        "parking_stop_parked",
+    }
 )
+TRAINING_KEYS = ("duration", "success_goal_reward")  # what training envs may have otherwise
+STANDING = 0.1  # what counts as standing, 0.5 m/s, in units of the observation
 REPLAY_CLASSES = ("HerBuffer", "HerReplayBuffer", "DictReplayBuffer")  # ours and Stable-Baselines3's
 
 NAME = r"^[A-Za-z0-9][A-Za-z0-9._-]*$"
@@ -74,13 +83,14 @@ class ActionConfig(ConfigModel):
 
 
 class EnvConfig(ConfigModel):
-    """The `env` group: highway-env's options under their own names, and four of ours."""
+    """The `env` group: highway-env's options under their own names, and five of ours."""
 
     name: Name
     id: Literal["parking-v0"]
     simulator: Simulation
     reward: Literal["dense", "sparse"]
     training_duration: Duration | None
+    training_success_goal_reward: PositiveFloat | None
 
     observation: ObservationConfig
     action: ActionConfig
@@ -114,19 +124,23 @@ class EnvConfig(ConfigModel):
         variants = {
             "parking_action_repeat": self.policy_frequency == 1,
             "parking_2021": not self.add_walls,
-            "parking_stop": any(self.reward_weights[2:4]),
+            "parking_stop": min(self.reward_weights[2:4]) * STANDING >= self.success_goal_reward**2,
         }
         name = self.name.removesuffix("_parked")
         name = name if variants.get(name) else "parking"
         name += "_parked" * (self.vehicles_count > 0) + "_sparse" * (self.reward == "sparse")
         return self.model_copy(update={"name": name})
 
-    def highway_options(self, training: bool = False) -> dict[str, Any]:
-        """Return the `config` for `gym.make(self.id, config=...)`; `training` applies `training_duration`."""
-        options = self.model_dump(exclude={"name", "id", "simulator", "reward", "training_duration"})
+    def for_training(self) -> Self:
+        """Return the config of training envs: each `training_KEY` that is not null in the place of KEY."""
+        values = {key: getattr(self, f"training_{key}") for key in TRAINING_KEYS}
+        return self.model_copy(update={key: value for key, value in values.items() if value is not None})
+
+    def highway_options(self) -> dict[str, Any]:
+        """Return the `config` for `gym.make(self.id, config=...)`."""
+        ours = {"name", "id", "simulator", "reward", *(f"training_{key}" for key in TRAINING_KEYS)}
+        options = self.model_dump(exclude=ours)
         options["action"] = {key: value for key, value in options["action"].items() if value is not None}
-        if training and self.training_duration is not None:
-            options["duration"] = self.training_duration
         return options
 
     @property
@@ -134,11 +148,10 @@ class EnvConfig(ConfigModel):
         """Options that the vectorised simulator does not simulate."""
         return ["action.dynamical"] if self.action.dynamical else []
 
-    def episode_steps(self, training: bool = False) -> int:
+    def episode_steps(self) -> int:
         """Longest episode in policy steps, counted as highway-env counts time: by adding floats."""
-        duration = self.highway_options(training)["duration"]
         time, steps = 0.0, 0
-        while time < duration:
+        while time < self.duration:
             time += 1 / self.policy_frequency
             steps += 1
         return steps
@@ -293,6 +306,12 @@ class RunConfig(ConfigModel):
     def run_dir(self) -> Path:
         """Absolute run directory."""
         return self.output_path / self.experiment_name / self.cell / f"seed={self.seed}"
+
+    @property
+    def certified_n_scenes(self) -> int:
+        """How many of the final evaluation's scenes are repeated on highway-env; all where it simulates them anyway."""
+        asked, number = self.evaluation.certified_n_scenes, self.evaluation.final_n_scenes
+        return number if self.env.simulator == "highway_env" else min(asked, number)
 
     def update_rounds(self) -> tuple[int | tuple[int, str], int]:
         """Return (`train_freq`, `gradient_steps`): the shortest round that makes `updates_per_step` exact.

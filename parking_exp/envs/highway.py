@@ -37,18 +37,15 @@ class SparseReward(gym.Wrapper, gym.utils.RecordConstructorArgs):
         return np.where(dense > -base.config["success_goal_reward"], 0.0, -1.0)
 
 
-def make_env(config: EnvConfig, *, training: bool = False, render_mode: str | None = None) -> gym.Env:
+def make_env(config: EnvConfig, *, render_mode: str | None = None) -> gym.Env:
     """Make one parking env.
 
     Args:
         config: the `env` group.
-        training: whether episodes last `training_duration` instead of `duration`.
         render_mode: None or `rgb_array`.
     """
     # Gymnasium's checker tests every space at every step and costs time; our tests run it instead.
-    env = gym.make(
-        config.id, config=config.highway_options(training), render_mode=render_mode, disable_env_checker=True
-    )
+    env = gym.make(config.id, config=config.highway_options(), render_mode=render_mode, disable_env_checker=True)
     return SparseReward(env) if config.reward == "sparse" else env
 
 

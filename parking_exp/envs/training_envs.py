@@ -22,16 +22,17 @@ def make_training_envs(
     """Make the training envs.
 
     Args:
-        config: the `env` group; episodes last its `training_duration`.
+        config: the `env` group; what it has for training applies (`for_training`).
         n_envs: how many.
         monitor: file of finished training episodes (Stable-Baselines3's Monitor CSV). Rows are appended.
         elapsed_s: time that the run has taken before, so that the file's clock goes on.
     """
     simulated: VecEnv
+    config = config.for_training()
     if config.simulator == "vectorized":
-        simulated = ParkingVecEnv(config, n_envs, training=True)
+        simulated = ParkingVecEnv(config, n_envs)
     else:
-        simulated = DummyVecEnv([lambda: ReplayActions(make_env(config, training=True))] * n_envs)
+        simulated = DummyVecEnv([lambda: ReplayActions(make_env(config))] * n_envs)
     envs = VecMonitor(simulated, info_keywords=MONITORED)
     envs.t_start = time.time() - elapsed_s
     if monitor is not None:

@@ -22,13 +22,12 @@ class ParkingVecEnv(VecEnv):
     Args:
         config: the `env` group.
         n_envs: how many.
-        training: whether episodes last `training_duration` instead of `duration`.
     """
 
-    def __init__(self, config: EnvConfig, n_envs: int, *, training: bool = False) -> None:
+    def __init__(self, config: EnvConfig, n_envs: int) -> None:
         self.config = config
         self._rng = np.random.default_rng()
-        self.simulator = Simulator(config, self._draw(n_envs), training=training)
+        self.simulator = Simulator(config, self._draw(n_envs))
         goal = spaces.Box(-np.inf, np.inf, (len(config.observation.features),), np.float64)
         observation_space = spaces.Dict(dict.fromkeys(("observation", "achieved_goal", "desired_goal"), goal))
         super().__init__(n_envs, observation_space, spaces.Box(-1.0, 1.0, (self.simulator.action_size,), np.float32))

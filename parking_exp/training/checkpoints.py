@@ -162,7 +162,7 @@ def restore(
     try:
         load_weights(folder / MODEL, model)
     except DamagedModelError as error:
-        raise DamagedModelError(f"{error}; delete {folder} to go on from the checkpoint before it") from error
+        raise _to_be_deleted(folder, error) from error
     except ModelError as error:
         raise ModelError(f"{error}; mend the class, or delete {folder.parents[1]} to train it afresh") from error
     if (folder / BEST).exists():
@@ -180,8 +180,15 @@ def restore(
     if isinstance(model, FastTraining) and model._n_updates:
         model.bind()
     if average is not None and (folder / AVERAGED).exists():
-        average.load(folder / AVERAGED)
+        try:
+            average.load(folder / AVERAGED)
+        except DamagedModelError as error:
+            raise _to_be_deleted(folder, error) from error
     return state["streams"]
+
+
+def _to_be_deleted(folder: Path, error: DamagedModelError) -> DamagedModelError:
+    return DamagedModelError(f"{error}; delete {folder} to go on from the checkpoint before it")
 
 
 @contextmanager

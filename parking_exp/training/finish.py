@@ -64,5 +64,4 @@ def certified_scenes(config: RunConfig) -> list[int]:
     if config.env.simulator == "highway_env":
         return list(scenes)
     rng = np.random.default_rng(derive_seeds(config.seed).certified_scenes)
-    number = min(evaluation.certified_n_scenes, len(scenes))
-    return sorted(rng.choice(scenes, number, replace=False).tolist())
+    return sorted(rng.choice(scenes, config.certified_n_scenes, replace=False).tolist())

@@ -100,7 +100,7 @@ def measure(config: RunConfig) -> UnitCosts:
         model = build_model(config, make_training_envs(config.env, config.n_envs), seed=0)
         model.set_logger(Logger(None, []))
         model.gradient_steps = 0
-        enough = config.env.episode_steps(training=True) * config.n_envs + model.batch_size
+        enough = config.env.for_training().episode_steps() * config.n_envs + model.batch_size
         model.learning_starts = enough
         model.learn(enough)
         model.learning_starts = 0

@@ -328,11 +328,10 @@ def test_a_relabelled_crash_away_from_the_goal():
         assert batch.dones.item() == end
 
 
-@pytest.mark.parametrize("n_envs", [1, 8])
-@pytest.mark.parametrize("steps", [8, 25, 333])
+@pytest.mark.parametrize(("n_envs", "steps"), [(1, 8), (8, 25), (8, 333)])
 @pytest.mark.parametrize("velocity", ["achieved", "zero"])
-@pytest.mark.parametrize("collision", ["keep", "sb3"])
-@pytest.mark.parametrize("terminated", ["sb3", "goal", "goal_and_crash"])
+@pytest.mark.parametrize("collision", ["keep", "sb3", "exclude"])
+@pytest.mark.parametrize("terminated", ["sb3", "goal", "goal_and_crash", "env"])
 @pytest.mark.parametrize("reward", [REWARD, SPARSE], ids=["dense", "sparse"])
 def test_what_every_relabelled_transition_carries(tmp_path, reward, n_envs, steps, velocity, collision, terminated):
     """Goal, reward, end and crash, worked out from the fields: at first, after wrap-around, saved and loaded midway."""
@@ -351,6 +350,18 @@ def test_what_every_relabelled_transition_carries(tmp_path, reward, n_envs, step
             goal = batch.observations["desired_goal"][row].numpy()
             _, _, later = goal[:3]
             last, how = transitions.ends[env, episode]
+            ends.append((how, index == last))
+            if later == -1:  # it keeps the goal that it had
+                assert terminated == "env" or (collision, how) == ("exclude", "crash")
+                assert batch.rewards[row].item() == -(100.0 * episode + index)
+                assert batch.dones[row].item() == (index == last and how != "timeout")
+                continue
+            assert (
+                terminated != "env"
+            )  # x and y are the same in all of an episode: its goals are reached from the start
+            if collision == "exclude" and how == "crash":
+                assert index < last
+                assert later <= last
             if velocity == "achieved":
                 assert goal.tolist() == [env, episode, later, 0, 0, 0]
                 assert index < later <= last + 1
@@ -365,7 +376,6 @@ def test_what_every_relabelled_transition_carries(tmp_path, reward, n_envs, step
                 "sb3": index == last and how != "timeout", "goal": reached, "goal_and_crash": reached or crashed,
             }[terminated]  # fmt: skip
             assert batch.dones[row].item() == expected
-            ends.append((how, index == last))
     assert len(set(ends)) > 1
 
 
@@ -382,7 +392,8 @@ def test_without_virtual_goals_for_crashes_a_crash_stays_what_it_was_and_is_no_g
     assert batch.dones[:, 0].tolist() == [0.0, 1.0, 0.0, 0.0, 1.0]
 
 
-def test_as_in_the_env_no_relabelled_transition_begins_where_its_goal_is_reached():
+@pytest.mark.parametrize("offset", [0.0, 5.0], ids=["compact", "observation_is_not_what_is_achieved"])
+def test_as_in_the_env_no_relabelled_transition_begins_where_its_goal_is_reached(offset):
     """A car at x = 0, 1, 2, 3. The goals are what the first, the first and the last transition achieve."""
     ours = make(goal_selection_strategy="final", reward=REWARD, relabel_collision="keep", relabel_terminated="env")
     for step in range(3):
@@ -390,14 +401,27 @@ def test_as_in_the_env_no_relabelled_transition_begins_where_its_goal_is_reached
             {"observation": o, "achieved_goal": o, "desired_goal": np.full((1, 6), 9.0)} for o in np.zeros((2, 1, 6))
         ]
         for entry, x in zip(observed, (step, step + 1), strict=True):
-            entry["observation"][:, 0] = x
+            entry["achieved_goal"][:, 0] = x
+            entry["observation"] = entry["achieved_goal"] + offset
         ours.add(*observed, np.zeros((1, 2)), np.array([-7.0]), np.array([step == 2]), [{}])
     batch = ours._collect(ours.storage.take(np.array([0, 0, 1, 2])), np.array([0, 0, 2]))
-    assert batch.observations["observation"][:, 0].tolist() == [0.0, 0.0, 1.0, 2.0]
+    assert batch.observations["achieved_goal"][:, 0].tolist() == [0.0, 0.0, 1.0, 2.0]
+    assert batch.observations["observation"][:, 0].tolist() == [offset, offset, offset + 1, offset + 2]
     assert batch.observations["desired_goal"][:, 0].tolist() == [9.0, 1.0, 9.0, 3.0]
     assert torch.equal(batch.observations["desired_goal"], batch.next_observations["desired_goal"])
     assert batch.rewards[:, 0].tolist() == [-7.0, 0.0, -7.0, 0.0]
     assert batch.dones[:, 0].tolist() == [0.0, 1.0, 0.0, 1.0]
+
+
+def test_those_that_keep_their_goal_count_as_real():
+    """Two thirds of a batch may have a virtual goal, but not where the episode is one step that ends in a crash."""
+    ours = make(goal_selection_strategy="final", reward=REWARD, n_sampled_goal=2, relabel_collision="exclude")
+    entry = dict.fromkeys(("observation", "achieved_goal", "desired_goal"), np.zeros((1, 6)))
+    for crashed in (True, False):
+        ours.add(entry, entry, np.zeros((1, 2)), np.zeros(1), np.array([True]), [{"crashed": crashed}])
+    batch = ours._collect(ours.storage.take(np.array([0, 1, 0, 1, 1, 0])), np.array([0, 1, 0, 0]))
+    assert len(batch.rewards) == 6
+    assert ours.real_share == 5 / 6
 
 
 def test_without_crashes_excluding_them_changes_nothing():

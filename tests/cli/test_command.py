@@ -229,7 +229,10 @@ def test_what_an_agent_costs_is_compared_with_the_tutorials_which_is_measured_on
     assert seed["cost_s"] == seed["cpu_s"][-1] > 0
     ours = written["run.to_95.ratio"]
     assert ours["peer_cpu_s"] == [seed["cost_s"]]
-    assert ours["ratio"] == pytest.approx(seed["cost_s"] / ours["ours_cpu_s"][0], rel=1e-3)
+    assert (ours["ratio"], ours["ours_cpu_s"]) == (0.0, [None])  # neither does our short run
+    whole = written["run.whole.ratio"]
+    assert whole["ratio"] == pytest.approx(seed["cost_s"] / whole["ours_cpu_s"][0], rel=1e-3)
+    assert whole["ours_success_rate"] == [0.0]
     before = kept.stat().st_mtime_ns
     assert run_script("benchmark", *arguments).returncode == 0
     assert kept.stat().st_mtime_ns == before

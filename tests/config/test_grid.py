@@ -101,7 +101,7 @@ def test_a_sweep_can_have_a_hundred_thousand_runs():
 def test_seeds_on_a_command_line():
     assert [run.seed for run in runs("seeds=3")] == [0, 1, 2]
     assert [run.seed for run in runs("seeds=[5,2]")] == [run.seed for run in runs("seeds=5,2")] == [5, 2]
-    assert [run.seed for run in runs("experiment=her_traps", "seed=9", "buffer=her_episode")] == [9] * 8
+    assert [run.seed for run in runs("experiment=her_traps", "seed=9", "buffer=her_episode")] == [9] * 11
     # All cells get their first seed before any gets its second.
     assert [(run.seed, run.algorithm.name) for run in runs("seeds=2", "algorithm=sac,td3")] == [
         (0, "sac"), (0, "td3"), (1, "sac"), (1, "td3"),
@@ -131,7 +131,7 @@ def test_what_is_no_sweep_is_refused_in_a_sentence(overrides, message):
 def test_what_is_typed_applies_to_every_cell_that_has_it():
     found = runs("experiment=her_traps", "seeds=1", "algorithm.features=raw")
     assert {run.algorithm.features for run in found} == {"raw"}
-    assert len({run.run_key for run in found}) == len(found) == 15
+    assert len({run.run_key for run in found}) == len(found) == 21
     found = runs("experiment=her_ablation", "seeds=1", "env=parking_parked,parking_sparse", "buffer=her_final,replay")
     assert Counter((run.env.name, run.buffer.name) for run in found) == {
         ("parking_parked", "her_final"): 4, ("parking_parked", "replay"): 1,
@@ -143,7 +143,7 @@ def test_what_is_typed_applies_to_every_cell_that_has_it():
 
 def test_several_experiments_are_one_after_the_other():
     found = runs("experiment=smoke,her_traps", "seeds=1")
-    assert Counter(run.experiment_name for run in found) == {"smoke": 1, "her_traps": 16}
+    assert Counter(run.experiment_name for run in found) == {"smoke": 1, "her_traps": 22}
 
 
 def test_a_cell_may_name_its_seeds():
@@ -184,16 +184,20 @@ def test_the_her_traps_are_the_relabelling_options_where_they_can_make_a_differe
         (run.buffer.name, run.algorithm.features, *(run.buffer.arguments[name] for name in names)) for run in found
     }
     assert cells == {
-        *(("her_future", "ego_fine", c, t, "achieved") for c in ("keep", "sb3", "exclude") for t in ("sb3", "goal")),
+        *(
+            ("her_future", "ego_fine", c, t, "achieved")
+            for c in ("keep", "sb3", "exclude")
+            for t in ("sb3", "goal", "env")
+        ),
         *(
             ("her_episode", "ego_fine", c, t, "achieved")
             for c in ("keep", "sb3")
-            for t in ("sb3", "goal", "goal_and_crash")
+            for t in ("sb3", "goal", "goal_and_crash", "env")
         ),
-        *(("her_episode", "ego_fine", "exclude", t, "achieved") for t in ("sb3", "goal")),
+        *(("her_episode", "ego_fine", "exclude", t, "achieved") for t in ("sb3", "goal", "env")),
         *(("her_future", "raw", "sb3", "sb3", v) for v in ("achieved", "zero")),
     }
-    assert len(found) == 16
+    assert len(found) == 22
 
 
 @pytest.mark.parametrize("experiment", slow_but(["her_traps"], ["her_ablation", "her_traps"]))

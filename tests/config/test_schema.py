@@ -20,10 +20,14 @@ def test_parking_has_highway_envs_own_options_and_values():
     assert ours == theirs
 
 
-def test_training_duration_changes_training_envs_only():
-    env = make_config("env=parking", "env.training_duration=20").env
-    assert env.highway_options()["duration"] == 100
-    assert env.highway_options(training=True)["duration"] == 20
+@pytest.mark.parametrize(("key", "own"), [("duration", 100), ("success_goal_reward", 0.12)])
+def test_what_training_envs_have_otherwise_changes_them_only(key, own):
+    env = make_config(f"env.training_{key}=0.05").env
+    assert env.highway_options()[key] == own
+    assert env.for_training().highway_options() == env.highway_options() | {
+        "duration": 20, "success_goal_reward": 0.1, key: 0.05,
+    }  # fmt: skip
+    assert make_config(f"env.training_{key}=null", "n_envs=8").env.for_training().highway_options()[key] == own
 
 
 @pytest.mark.parametrize(
@@ -139,6 +143,10 @@ def test_run_directories_are_absolute_and_readable(tmp_path, monkeypatch):
         ("env=parking_2021 env.add_walls=true", "parking-td3-her_future"),
         ("env=parking_action_repeat env.policy_frequency=5", "parking-td3-her_future"),
         ("env.name=mine env.reward=sparse", "mine-td3-her_future"),
+        ("env=parking_stop env.reward=sparse", "parking_stop_sparse-td3-her_future"),
+        ("env=parking_stop env.vehicles_count=2", "parking_stop_parked-td3-her_future"),
+        ("env=parking_stop_parked env.vehicles_count=0", "parking_stop-td3-her_future"),
+        ("env=parking_stop env.success_goal_reward=0.12", "parking-td3-her_future"),
         ("env.collision_reward=-1", "parking-td3-her_future"),
     ],
 )  # fmt: skip

@@ -36,6 +36,7 @@ ARTICLE = {
     "evaluation.n_scenes": 5,
     "checkpoint.keep_last": 1,
     "env.training_duration": None,
+    "env.training_success_goal_reward": None,
     "env.duration": 100,
 }
 
@@ -275,6 +276,7 @@ def test_stores_that_mlflow_knows_are_taken(uri):
         ),
         ("algorithm.policy_kwargs=[1]", "algorithm.policy_kwargs=[1]: a value of another kind stands there; see it with --cfg job"),
         ("env.duration=1e300", "env.duration=1e+300 is out of range; the closest valid choice is 100000.0"),
+        ("env.success_goal_reward=0.08", "env.training_success_goal_reward=0.1 is above env.success_goal_reward=0.08, so that agents would learn to stop short of it; the closest valid choice is 0.08"),
         ("env.training_duration=1e12", "env.training_duration=1000000000000.0 is out of range; the closest valid choice is 100000.0"),
         (
             "+algorithm.policy_kwargs.net_arch=[5]",

@@ -9,6 +9,7 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 from support.runs import USER_CONF, make_config, options
 
+from parking_exp.algorithms.build import build_model
 from parking_exp.config.compose import composed
 from parking_exp.config.schema import TRAINING_SCENES_START
 from parking_exp.config.validate import validate
@@ -125,6 +126,23 @@ def test_training_envs_end_after_training_duration_and_evaluation_envs_do_not():
         assert bool(dones[0]) == (step == 11)
     assert infos[0]["TimeLimit.truncated"]
     assert make_env(config).unwrapped.config["duration"] == 100
+
+
+@pytest.mark.parametrize("simulator", ["vectorized", "highway_env"])
+def test_success_in_training_may_be_closer_than_in_evaluation(simulator):
+    """A car at 1.21 m beside the slot's centre: -0.11 by the root of 1.21 / 100."""
+    config = make_config("env.training_success_goal_reward=0.1", f"env.simulator={simulator}").env
+    envs = make_training_envs(config, n_envs=1)
+    goal = envs.reset()["desired_goal"]
+    buffer_reward = build_model(make_config(f"env.simulator={simulator}"), envs, seed=0).replay_buffer.reward
+    achieved = goal.copy()
+    achieved[:, 0] += 0.0121
+    for reward, reached in ((buffer_reward, False), (GoalReward.of(config), True)):
+        assert reward(achieved, goal)[1].tolist() == [reached]
+        assert reward(achieved, goal)[0] == pytest.approx([-0.11])
+    thresholds = {"vectorized": lambda: envs.venv.simulator.reward.threshold,
+                  "highway_env": lambda: -envs.venv.envs[0].unwrapped.config["success_goal_reward"]}  # fmt: skip
+    assert thresholds[simulator]() == -0.1
 
 
 @pytest.mark.parametrize("seed", [0, 1, 2**32 - 1])

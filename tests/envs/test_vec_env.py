@@ -26,8 +26,8 @@ def test_spaces_are_highway_envs(config):
 
 def test_until_the_first_reset_it_equals_highway_env_in_a_dummy_vec_env(config):
     """The same seeds, the same actions: observations, rewards, dones and infos, the last step of an episode included."""
-    ours = ParkingVecEnv(config, 4, training=True)
-    theirs = DummyVecEnv([lambda: make_env(config, training=True)] * 4)
+    ours = ParkingVecEnv(config.for_training(), 4)
+    theirs = DummyVecEnv([lambda: make_env(config.for_training())] * 4)
     ours.seed(7), theirs.seed(7)
     start, their_start = ours.reset(), theirs.reset()
     rng = np.random.default_rng(0)
@@ -54,8 +54,8 @@ def test_until_the_first_reset_it_equals_highway_env_in_a_dummy_vec_env(config):
 def test_crashes_and_their_terminal_observations_equal_those_of_a_dummy_vec_env():
     """Full throttle until each env has crashed once, at different times; what comes after is another scene."""
     config = make_config("env=parking_parked", "env.training_duration=20").env
-    ours = ParkingVecEnv(config, 6, training=True)
-    theirs = DummyVecEnv([lambda: make_env(config, training=True)] * 6)
+    ours = ParkingVecEnv(config.for_training(), 6)
+    theirs = DummyVecEnv([lambda: make_env(config.for_training())] * 6)
     ours.seed(0), theirs.seed(0)
     ours.reset(), theirs.reset()
     waiting, ends = set(range(6)), []
@@ -88,7 +88,7 @@ def test_a_seed_that_waits_for_its_reset_is_part_of_the_state(config):
 
 
 def test_an_ended_episode_is_followed_by_a_new_scene(config):
-    env = ParkingVecEnv(config, 3, training=True)
+    env = ParkingVecEnv(config.for_training(), 3)
     env.seed(0)
     headings = env.reset()["observation"][:, 4:]
     for _ in range(11):
@@ -101,7 +101,7 @@ def test_an_ended_episode_is_followed_by_a_new_scene(config):
 
 
 def test_a_crash_is_no_timeout():
-    env = ParkingVecEnv(make_config().env, 8, training=True)
+    env = ParkingVecEnv(make_config().env.for_training(), 8)
     env.seed(0)
     env.reset()
     for _ in range(100):
@@ -115,7 +115,7 @@ def test_a_crash_is_no_timeout():
 
 
 def test_state_is_saved_restored_and_continued_identically(config):
-    env = ParkingVecEnv(config, 5, training=True)
+    env = ParkingVecEnv(config.for_training(), 5)
     env.seed(3)
     env.reset()
     rng = np.random.default_rng(0)
@@ -124,7 +124,7 @@ def test_state_is_saved_restored_and_continued_identically(config):
         env.step(actions[step])
     saved = env.get_state()
     first = [env.step(actions[step]) for step in range(7, 40)]  # three new scenes on the way
-    other = ParkingVecEnv(config, 5, training=True)
+    other = ParkingVecEnv(config.for_training(), 5)
     other.set_state(saved)
     for step, (observation, rewards, dones, _) in zip(range(7, 40), first, strict=True):
         again = other.step(actions[step])

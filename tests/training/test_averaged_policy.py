@@ -1,5 +1,6 @@
 """Averaged policies: what they are, what is evaluated and saved, and that they survive a resume and a rebuild."""
 
+import re
 import shutil
 
 import pytest
@@ -12,15 +13,17 @@ from parking_exp.algorithms.build import build_model
 from parking_exp.algorithms.model_files import read_weights
 from parking_exp.algorithms.policy_average import PolicyAverage
 from parking_exp.envs.training_envs import make_training_envs
+from parking_exp.errors import ConfigError, DamagedModelError
 from parking_exp.training import checkpoints
+from parking_exp.training.checkpoints import Progress
 from parking_exp.training.rebuild_models import make_models
 from parking_exp.training.run import train
 
 SMOKE = ("experiment=smoke", "algorithm=td3", "algorithm.averaged_policy=20", "evaluation.video_episodes=0")
 
 
-def make_model():
-    config = make_config(*SMOKE)
+def make_model(*overrides):
+    config = make_config(*SMOKE, *overrides)
     model = build_model(config, make_training_envs(config.env, config.n_envs), seed=0)
     model.set_logger(Logger(None, []))
     return model
@@ -133,3 +136,34 @@ def test_a_resumed_run_has_the_same_average(averaged, tmp_path):
     directory.update(status="running")
     train(stopped)
     assert differences(averaged.path, directory.path) == []
+
+
+def test_an_average_of_another_model_is_refused_with_what_to_do(tmp_path):
+    model, other = make_model(), make_model("algorithm.net_arch=[8]")
+    folder = checkpoints.save(tmp_path, model, Progress(step=0), tmp_path / "best.zip", 1, PolicyAverage(model, 10))
+    other.save(folder / checkpoints.AVERAGED)
+    model._n_updates = 1
+    message = f"{folder / checkpoints.AVERAGED} has no weights of this model's actor"
+    with pytest.raises(DamagedModelError, match=f"^{re.escape(message)}$"):
+        PolicyAverage(model, 10).load(folder / checkpoints.AVERAGED)
+
+
+def test_a_policy_without_an_actor_has_no_average():
+    model = make_model()
+    model.policy = torch.nn.Linear(2, 2)
+    with pytest.raises(ConfigError, match=r"^algorithm\.averaged_policy: TD3 has no actor to average; use null$"):
+        PolicyAverage(model, half_life=10)
+    PolicyAverage(model, half_life=None)
+
+
+def test_statistics_of_batch_normalisation_are_averaged_with_the_weights():
+    model = make_model()
+    model.actor.add_module("norm", torch.nn.BatchNorm1d(3))
+    average = PolicyAverage(model, half_life=10)
+    for updates, mean in ((4, 8.0), (14, 0.0)):
+        model._n_updates = updates
+        model.actor.norm.running_mean.fill_(mean)
+        average.update()
+    with average.applied():
+        assert model.actor.norm.running_mean.tolist() == [4.0] * 3
+    assert model.actor.norm.running_mean.tolist() == [0.0] * 3

@@ -44,7 +44,6 @@ class Simulator:
     Args:
         config: the `env` group.
         scenes: where to start.
-        training: whether episodes last `training_duration` instead of `duration`.
 
     Raises:
         ConfigError: an option is not covered.
@@ -52,7 +51,7 @@ class Simulator:
 
     state: State
 
-    def __init__(self, config: EnvConfig, scenes: Scenes, *, training: bool = False) -> None:
+    def __init__(self, config: EnvConfig, scenes: Scenes) -> None:
         if config.uncovered:
             raise ConfigError(f"env.{config.uncovered[0]} is not simulated; use env.simulator=highway_env")
         action = config.action
@@ -66,7 +65,7 @@ class Simulator:
         self.action_size = action.longitudinal + action.lateral
         self.frames = config.simulation_frequency // config.policy_frequency
         self.dt = 1 / config.simulation_frequency
-        self.episode_steps = config.episode_steps(training)
+        self.episode_steps = config.episode_steps()
         self.walls = config.add_walls
         self.reward = GoalReward.of(config)
         self.features = [DEFAULT_FEATURES.index(name) for name in config.observation.features]
