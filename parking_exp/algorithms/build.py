@@ -14,7 +14,8 @@ from stable_baselines3.common.vec_env import VecEnv
 from torch import nn
 
 from parking_exp.algorithms.fast.matmul_precision import faster_precision
-from parking_exp.algorithms.features import EgoFrameExtractor, FineEgoFrameExtractor
+from parking_exp.algorithms.features import EgoFrameExtractor, FineEgoFrameExtractor, MirroredEgoFrameExtractor
+from parking_exp.algorithms.mirrored import MIRRORED
 from parking_exp.buffers import HerBuffer
 from parking_exp.config.constructor_arguments import CLASS_ARGUMENTS, ignored_features
 from parking_exp.config.schema import Precision, RunConfig
@@ -54,6 +55,8 @@ def build_model(config: RunConfig, env: VecEnv, seed: int, *, for_training: bool
     # Objects are given to the partial afterwards: Hydra would copy them into its config.
     build = instantiate(node)
     objects: dict[str, Any] = {"env": env, "train_freq": train_freq, "policy_kwargs": _policy_kwargs(config)}
+    if config.algorithm.features == "ego_mirrored":
+        objects["policy"] = _mirrored_policy(config)
     if (noise := arguments.get("action_noise")) is not None:
         objects["action_noise"] = _action_noise(noise)
     if for_training:
@@ -94,17 +97,33 @@ def _computes_ego_features(model: OffPolicyAlgorithm) -> bool:
     return any(isinstance(module, EgoFrameExtractor) for network in networks for module in network.modules())
 
 
+def _mirrored_policy(config: RunConfig) -> type:
+    """Return the policy that mirrors the steering with its features."""
+    target = config.algorithm.target
+    aliases: dict[Any, type] = getattr(get_object(target), "policy_aliases", {})
+    policy = MIRRORED.get(aliases.get(config.algorithm.arguments.get("policy"), object))
+    if policy is None:
+        raise ConfigError(
+            f"algorithm.features=ego_mirrored: the policy of {target} does not mirror its steering; "
+            "set algorithm.features=ego_fine"
+        )
+    return policy
+
+
 def _policy_kwargs(config: RunConfig) -> dict[str, Any]:
     policy_kwargs: dict[str, Any] = {"net_arch": list(config.algorithm.net_arch)}
     if config.algorithm.features == "ego":
         policy_kwargs["features_extractor_class"] = EgoFrameExtractor
         policy_kwargs["features_extractor_kwargs"] = {"scales": list(config.env.observation.scales)}
-    elif config.algorithm.features == "ego_fine":
+    elif config.algorithm.features in ("ego_fine", "ego_mirrored"):
         policy_kwargs["features_extractor_class"] = FineEgoFrameExtractor
         policy_kwargs["features_extractor_kwargs"] = {
             "scales": list(config.env.observation.scales),
             "reward_weights": list(config.env.reward_weights),
         }
+        if config.algorithm.features == "ego_mirrored":
+            policy_kwargs["features_extractor_class"] = MirroredEgoFrameExtractor
+            policy_kwargs["features_extractor_kwargs"]["steering"] = config.env.action.lateral
     elif (policy := policy_signature(config.algorithm.target, "MultiInputPolicy")) is None or policy.takes(
         "features_extractor_class"
     ):

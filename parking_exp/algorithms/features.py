@@ -102,3 +102,50 @@ class FineEgoFrameExtractor(EgoFrameExtractor):
         if self.moving_goals:
             parts.append((goal[:, 2:4] * goal[:, 4:6]).sum(-1, keepdim=True))
         return torch.cat(parts, dim=-1)
+
+
+class MirroredEgoFrameExtractor(FineEgoFrameExtractor):
+    """Fine ego-frame features, mirrored so that the goal is never to the right of the car.
+
+    A mirrored lot is the same but for the sign of the steering. Networks then learn one of two mirror images; the
+    policies in `mirrored` turn the steering around with them.
+
+    Output: that of `FineEgoFrameExtractor`; where the goal is to the right, all that lies to a side has the other sign.
+
+    Args:
+        observation_space, scales, reward_weights: those of `FineEgoFrameExtractor`.
+        steering: whether the last action is steering: `env.action.lateral`.
+    """
+
+    ACROSS = (1, 3, 6, 8, 11, 13, 15, 17)  # features that a mirror turns around
+
+    def __init__(
+        self,
+        observation_space: spaces.Dict,
+        scales: Sequence[float],
+        reward_weights: Sequence[float],
+        steering: bool = True,
+    ) -> None:
+        super().__init__(observation_space, scales, reward_weights)
+        self.steering = steering
+
+    def forward(self, observations: dict[str, torch.Tensor]) -> torch.Tensor:
+        """Return features of shape (batch, 19 or 20) for observations of shape (batch, 6) each."""
+        features = super().forward(observations)
+        signs = features.new_ones(self._features_dim)
+        signs[list(self.ACROSS)] = -1.0
+        return torch.where(self.sign(observations) < 0, features * signs, features)
+
+    def sign(self, observations: dict[str, torch.Tensor]) -> torch.Tensor:
+        """Return -1 where the scene is mirrored, else 1; shape (batch, 1)."""
+        # In single precision as in the networks, whatever the buffer holds: one sign for features and actions.
+        observation, goal = observations["observation"].float(), observations["desired_goal"].float()
+        x, y = ((goal[:, :2] - observation[:, :2]) * goal.new_tensor([self.x_scale, self.y_scale])).split(1, dim=1)
+        left = y * observation[:, 4:5] - x * observation[:, 5:6]
+        return torch.where(left < 0, -1.0, 1.0)
+
+    def mirror(self, actions: torch.Tensor, observations: dict[str, torch.Tensor]) -> torch.Tensor:
+        """Return actions, shape (batch, actions), with the steering turned around where the scene is mirrored."""
+        if not self.steering:
+            return actions
+        return torch.cat((actions[:, :-1], actions[:, -1:] * self.sign(observations)), dim=1)

@@ -183,7 +183,7 @@ class ThirdParty(BaseModel):
 class AlgorithmConfig(ThirdParty):
     """The `algorithm` group."""
 
-    features: Literal["raw", "ego", "ego_fine"]
+    features: Literal["raw", "ego", "ego_fine", "ego_mirrored"]
     net_arch: Annotated[list[Positive], Field(min_length=1)]
     averaged_policy: PositiveFloat | None
 

@@ -213,12 +213,13 @@ def test_features_that_a_policy_would_ignore_are_refused_before_training(name, m
     (tmp_path / f"own_{when}.py").write_text(OWN_POLICY.format(name=name, more=more))
     monkeypatch.syspath_prepend(tmp_path)
     target = f"algorithm._target_=own_{when}.{name}"
+    fine = "algorithm.features=ego_fine"
     message = rf"^algorithm.features=ego_fine: the policy of own_{when}.{name} .* set algorithm.features=raw$"
     if when == "composed":
         with pytest.raises(ConfigError, match=message):
-            make_config("experiment=smoke", target)
+            make_config("experiment=smoke", target, fine)
     else:
-        config = make_config("experiment=smoke", target)
+        config = make_config("experiment=smoke", target, fine)
         with pytest.raises(ConfigError, match=message):
             build_model(config, make_training_envs(config.env, 1), seed=0, for_training=False)
     raw = make_config("experiment=smoke", target, "algorithm.features=raw")

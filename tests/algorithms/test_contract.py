@@ -155,8 +155,9 @@ def test_a_user_class_that_is_restored_exactly_passes_the_check():
 
 
 def test_features_that_the_policy_ignores_are_refused_instead_of_vanishing():
-    with pytest.raises(ConfigError, match=r"^algorithm.features=ego_fine: the policy of .*IgnoresFeatures"):
-        check_saving(make_config(*SMOKE, f"{USER}.IgnoresFeatures"))
+    for features in ("ego_fine", "ego_mirrored"):
+        with pytest.raises(ConfigError, match=rf"^algorithm.features={features}: the policy of .*IgnoresFeatures"):
+            check_saving(make_config(*SMOKE, f"{USER}.IgnoresFeatures", f"algorithm.features={features}"))
     check_saving(make_config(*SMOKE, f"{USER}.IgnoresFeatures", "algorithm.features=raw"))
 
 

@@ -77,7 +77,7 @@ def update(model, samples, calls=100, seed=0):
         model.train(gradient_steps=len(samples) // calls, batch_size=len(samples[0].rewards))
 
 
-@pytest.mark.parametrize("features", slow_but(["ego_fine", "raw"], ["ego_fine", "ego", "raw"]))
+@pytest.mark.parametrize("features", slow_but(["ego_mirrored", "raw"], ["ego_mirrored", "ego_fine", "ego", "raw"]))
 @pytest.mark.parametrize("seed", slow_but([0], range(4)))
 @pytest.mark.parametrize("name", ALGORITHMS)
 def test_100_updates_give_the_parameters_of_stable_baselines3(name, seed, features):

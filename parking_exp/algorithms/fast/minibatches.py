@@ -8,6 +8,7 @@ from stable_baselines3.common.buffers import DictReplayBuffer, ReplayBuffer
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from stable_baselines3.her import HerReplayBuffer
 
+from parking_exp.algorithms.features import MirroredEgoFrameExtractor
 from parking_exp.buffers import HerBuffer
 
 # Their `sample` draws transitions independently, so one large sample has the distribution of several small ones.
@@ -23,12 +24,14 @@ class Minibatch(NamedTuple):
         actions: shape (B, actions).
         rewards: shape (B, 1).
         discounts: of the next state's value: gamma, or 0 where the episode terminated; shape (B, 1).
+        next_signs: of the next steering, -1 where its scene is mirrored; shape (B, 1), or (1, 1) where none is.
     """
 
     features: torch.Tensor
     actions: torch.Tensor
     rewards: torch.Tensor
     discounts: torch.Tensor
+    next_signs: torch.Tensor
 
 
 def sample_minibatches(model: OffPolicyAlgorithm, steps: int, batch_size: int) -> Iterator[Minibatch]:
@@ -64,6 +67,16 @@ def _collate(model: Any, samples: list[Any], steps: int) -> Iterator[Minibatch]:
     def features(observations: list[Any]) -> torch.Tensor:
         return dealt([actor.extract_features(observation, actor.features_extractor) for observation in observations])
 
+    extractor = actor.features_extractor
+    mirrored = isinstance(extractor, MirroredEgoFrameExtractor) and extractor.steering
+
+    def actions(data: Any) -> torch.Tensor:
+        return extractor.mirror(data.actions, data.observations) if mirrored else data.actions
+
+    if mirrored:
+        next_signs = dealt([extractor.sign(data.next_observations) for data in samples])
+    else:
+        next_signs = torch.ones((steps, 1, 1))
     discounts = [
         (1 - data.dones) * (model.gamma if getattr(data, "discounts", None) is None else data.discounts)
         for data in samples
@@ -73,8 +86,9 @@ def _collate(model: Any, samples: list[Any], steps: int) -> Iterator[Minibatch]:
             [features([data.observations for data in samples]), features([data.next_observations for data in samples])],
             dim=1,
         ),
-        dealt([data.actions for data in samples]).contiguous(),
+        dealt([actions(data) for data in samples]).contiguous(),
         dealt([data.rewards for data in samples]).contiguous(),
         dealt(discounts).contiguous(),
+        next_signs.contiguous(),
     )
     return map(Minibatch, *parts)

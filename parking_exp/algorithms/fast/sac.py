@@ -44,7 +44,7 @@ class _Update:
         """Do `gradient_steps` updates and return the means of what Stable-Baselines3 logs."""
         history: list[list[torch.Tensor]] = []
         for step, batch in enumerate(sample_minibatches(model, gradient_steps, batch_size)):
-            history.append(self._step(model, *batch))
+            history.append(self._step(model, *batch[:4]))
             if step % model.target_update_interval == 0:
                 self.critics.polyak_update(model.tau)
         model._n_updates += gradient_steps

@@ -10,24 +10,33 @@ from torch import nn
 
 from parking_exp.algorithms.fast.mlp import linear_layers
 from parking_exp.algorithms.fast.optimizer import is_plain_adam
-from parking_exp.algorithms.features import EgoFrameExtractor, FineEgoFrameExtractor
+from parking_exp.algorithms.features import EgoFrameExtractor, FineEgoFrameExtractor, MirroredEgoFrameExtractor
+from parking_exp.algorithms.mirrored import MirroredActor, MirroredCritic, MirroredGaussianActor
 
-EXTRACTORS = (EgoFrameExtractor, FineEgoFrameExtractor, CombinedExtractor, FlattenExtractor)
+EXTRACTORS = (
+    EgoFrameExtractor,
+    FineEgoFrameExtractor,
+    MirroredEgoFrameExtractor,
+    CombinedExtractor,
+    FlattenExtractor,
+)
 
 
 def is_supported(model: Any) -> bool:
     """Whether the fast update supports everything in a SAC, TD3 or DDPG model.
 
-    It supports Stable-Baselines3's own actors and critics, MLPs with ReLU, features without parameters, plain Adam and
-    the CPU; not gSDE.
+    It supports Stable-Baselines3's own actors and critics, our mirrored ones, MLPs with ReLU, features without
+    parameters, plain Adam and the CPU; not gSDE.
     """
     actor, critic = model.actor, model.critic
-    if type(critic) is not ContinuousCritic or getattr(model, "use_sde", False):
+    mirrored = type(critic) is MirroredCritic
+    if not (mirrored or type(critic) is ContinuousCritic) or getattr(model, "use_sde", False):
         return False
-    if type(actor) is GaussianActor:
+    if type(actor) is (MirroredGaussianActor if mirrored else GaussianActor):
         known = linear_layers(actor.latent_pi) and type(actor.mu) is type(actor.log_std) is nn.Linear
     else:
-        known = type(actor) is DeterministicActor and linear_layers(actor.mu, last=nn.Tanh)
+        deterministic = type(actor) is (MirroredActor if mirrored else DeterministicActor)
+        known = deterministic and linear_layers(actor.mu, last=nn.Tanh)
     ent_coef_optimizer = getattr(model, "ent_coef_optimizer", None)
     return bool(
         known

@@ -31,11 +31,12 @@ class _Update:
         """Do `gradient_steps` updates and return the means of what Stable-Baselines3 logs."""
         batches = sample_minibatches(model, gradient_steps, batch_size)
         actor_losses, critic_losses = [], []
-        for features, actions, rewards, discounts in batches:
+        for features, actions, rewards, discounts, next_signs in batches:
             model._n_updates += 1
             batch = len(actions)
             noise = torch.empty_like(actions).normal_(0, model.target_policy_noise)  # as Stable-Baselines3 draws it
             noise.clamp_(-model.target_noise_clip, model.target_noise_clip)
+            noise[:, -1:] *= next_signs  # it is drawn for the env's actions
             next_actions = noise.add_(self.target.forward(features[batch:])[-1].tanh_()).clamp_(-1, 1)
             next_value = self.critics.target_value(features[batch:], next_actions)
             target = rewards + discounts * next_value

@@ -1,0 +1,80 @@
+"""Policies of SAC and TD3 whose networks see mirrored scenes, for `MirroredEgoFrameExtractor`.
+
+Actions outside of a network are the env's. Inside they belong to the scene that the network sees: the steering that an
+actor says is mirrored on the way out, the steering that a critic is asked about on the way in.
+"""
+
+from typing import Any
+
+import torch
+from stable_baselines3.common.policies import ContinuousCritic
+from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
+from stable_baselines3.sac import policies as sac
+from stable_baselines3.td3 import policies as td3
+
+Observations = dict[str, torch.Tensor]
+
+
+class MirroredActor(td3.Actor):
+    """TD3's actor, mirrored."""
+
+    def forward(self, obs: Any) -> torch.Tensor:
+        """Return actions, shape (batch, actions)."""
+        return _mirror(self, super().forward(obs), obs)
+
+
+class MirroredGaussianActor(sac.Actor):
+    """SAC's actor, mirrored."""
+
+    def forward(self, obs: Any, deterministic: bool = False) -> torch.Tensor:
+        """Return actions, shape (batch, actions)."""
+        return _mirror(self, super().forward(obs, deterministic), obs)
+
+    def action_log_prob(self, obs: Any) -> tuple[torch.Tensor, torch.Tensor]:
+        """Return sampled actions, shape (batch, actions), and their log probabilities, shape (batch,)."""
+        actions, log_prob = super().action_log_prob(obs)
+        return _mirror(self, actions, obs), log_prob
+
+
+class MirroredCritic(ContinuousCritic):
+    """Q-networks, mirrored."""
+
+    def forward(self, obs: Any, actions: torch.Tensor) -> tuple[torch.Tensor, ...]:
+        """Return each network's values, shape (batch, 1)."""
+        return super().forward(obs, _mirror(self, actions, obs))
+
+    def q1_forward(self, obs: Any, actions: torch.Tensor) -> torch.Tensor:
+        """Return the first network's values, shape (batch, 1)."""
+        return super().q1_forward(obs, _mirror(self, actions, obs))
+
+
+class _MirroredCritics:
+    """Mixin of policies: their critics are mirrored."""
+
+    def make_critic(self: Any, features_extractor: BaseFeaturesExtractor | None = None) -> MirroredCritic:
+        return MirroredCritic(**self._update_features_extractor(self.critic_kwargs, features_extractor)).to(self.device)
+
+
+class MirroredTD3Policy(_MirroredCritics, td3.MultiInputPolicy):
+    """TD3's and DDPG's policy for Dict observations, mirrored."""
+
+    def make_actor(self, features_extractor: BaseFeaturesExtractor | None = None) -> MirroredActor:
+        """Return an actor with weights of its own."""
+        return MirroredActor(**self._update_features_extractor(self.actor_kwargs, features_extractor)).to(self.device)
+
+
+class MirroredSACPolicy(_MirroredCritics, sac.MultiInputPolicy):
+    """SAC's policy for Dict observations, mirrored."""
+
+    def make_actor(self, features_extractor: BaseFeaturesExtractor | None = None) -> MirroredGaussianActor:
+        """Return an actor with weights of its own."""
+        arguments = self._update_features_extractor(self.actor_kwargs, features_extractor)
+        return MirroredGaussianActor(**arguments).to(self.device)
+
+
+MIRRORED: dict[type, type] = {td3.MultiInputPolicy: MirroredTD3Policy, sac.MultiInputPolicy: MirroredSACPolicy}
+"""The policy in whose place each stands."""
+
+
+def _mirror(network: Any, actions: torch.Tensor, observations: Observations) -> torch.Tensor:
+    return network.features_extractor.mirror(actions, observations)
