@@ -231,8 +231,7 @@ def config_dir() -> Path:
 class KeptFiles(CachingConfigRepository):
     """The YAML files of the tree, each read once, and what options alone compose to.
 
-    Hydra reads them anew for each config that it composes, which is most of the time that this takes:
-    the 12 cells of experiment=her_traps compose in 3.9 s of CPU time so, and in 2.3 s with the files kept.
+    Hydra reads them anew for each config that it composes, which is most of the time that this takes.
     """
 
     def __init__(self, delegate: IConfigRepository) -> None:

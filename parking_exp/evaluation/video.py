@@ -18,7 +18,7 @@ from parking_exp.envs.outcomes import outcome
 from parking_exp.evaluation.evaluate import rollout
 
 HOLD_S = 1.0  # how long the end of an episode stays in sight
-MOST_S = 20.0  # of an episode: one that ends by time has a car that stands for most of its 100 s
+MOST_S = 20.0  # of an episode: a timeout lasts 100 s, and is mostly a car that stands
 
 
 def record(
