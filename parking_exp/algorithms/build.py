@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import torch
 from hydra.utils import get_class, get_object, instantiate
-from stable_baselines3.common.noise import ActionNoise
+from stable_baselines3.common.noise import ActionNoise, NormalActionNoise
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from stable_baselines3.common.torch_layers import CombinedExtractor
 from stable_baselines3.common.vec_env import VecEnv
@@ -16,6 +16,7 @@ from torch import nn
 from parking_exp.algorithms.fast.matmul_precision import faster_precision
 from parking_exp.algorithms.features import EgoFrameExtractor, FineEgoFrameExtractor, MirroredEgoFrameExtractor
 from parking_exp.algorithms.mirrored import MIRRORED
+from parking_exp.algorithms.noise import VectorizedNormalNoise
 from parking_exp.buffers import HerBuffer
 from parking_exp.config.constructor_arguments import CLASS_ARGUMENTS, ignored_features
 from parking_exp.config.schema import Precision, RunConfig
@@ -58,7 +59,7 @@ def build_model(config: RunConfig, env: VecEnv, seed: int, *, for_training: bool
     if config.algorithm.features == "ego_mirrored":
         objects["policy"] = _mirrored_policy(config)
     if (noise := arguments.get("action_noise")) is not None:
-        objects["action_noise"] = _action_noise(noise)
+        objects["action_noise"] = _action_noise(noise, env.num_envs)
     if for_training:
         objects["replay_buffer_class"] = get_class(config.buffer.target)
         objects["replay_buffer_kwargs"] = config.buffer.arguments
@@ -148,11 +149,12 @@ def _class(value: Any) -> Any:
     return instantiate({**value, "_convert_": "all", "_partial_": is_class})
 
 
-def _action_noise(node: Mapping[str, Any]) -> ActionNoise:
+def _action_noise(node: Mapping[str, Any], n_envs: int) -> ActionNoise:
     """Make action noise; it wants arrays where YAML has lists."""
     arrays = {name: np.array(value, np.float64) for name, value in node.items() if isinstance(value, list)}
     rest = {name: value for name, value in node.items() if name not in arrays}
-    return instantiate({**rest, "_partial_": True, "_convert_": "all"})(**arrays)
+    noise: ActionNoise = instantiate({**rest, "_partial_": True, "_convert_": "all"})(**arrays)
+    return VectorizedNormalNoise(noise, n_envs) if n_envs > 1 and type(noise) is NormalActionNoise else noise
 
 
 @contextmanager
