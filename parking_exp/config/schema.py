@@ -35,7 +35,6 @@ ENV_NAMES = frozenset(
         "parking_stop_parked",
     }
 )
-TRAINING_KEYS = ("duration", "success_goal_reward")  # what training envs may have otherwise
 STANDING = 0.1  # what counts as standing, 0.5 m/s, in units of the observation
 REPLAY_CLASSES = ("HerBuffer", "HerReplayBuffer", "DictReplayBuffer")  # ours and Stable-Baselines3's
 
@@ -83,7 +82,7 @@ class ActionConfig(ConfigModel):
 
 
 class EnvConfig(ConfigModel):
-    """The `env` group: highway-env's options under their own names, and five of ours."""
+    """The `env` group: highway-env's options under their own names, and six of ours."""
 
     name: Name
     id: Literal["parking-v0"]
@@ -91,6 +90,7 @@ class EnvConfig(ConfigModel):
     reward: Literal["dense", "sparse"]
     training_duration: Duration | None
     training_success_goal_reward: PositiveFloat | None
+    training_collision_factor: PositiveFloat
 
     observation: ObservationConfig
     action: ActionConfig
@@ -132,14 +132,19 @@ class EnvConfig(ConfigModel):
         return self.model_copy(update={"name": name})
 
     def for_training(self) -> Self:
-        """Return the config of training envs: each `training_KEY` that is not null in the place of KEY."""
-        values = {key: getattr(self, f"training_{key}") for key in TRAINING_KEYS}
+        """Return the config of training envs, with what `training_*` says in the place of what it is about."""
+        values = {
+            "duration": self.training_duration,
+            "success_goal_reward": self.training_success_goal_reward,
+            "collision_reward": self.collision_reward * self.training_collision_factor,
+        }
         return self.model_copy(update={key: value for key, value in values.items() if value is not None})
 
     def highway_options(self) -> dict[str, Any]:
         """Return the `config` for `gym.make(self.id, config=...)`."""
-        ours = {"name", "id", "simulator", "reward", *(f"training_{key}" for key in TRAINING_KEYS)}
-        options = self.model_dump(exclude=ours)
+        ours = {"name", "id", "simulator", "reward"}
+        training = {name for name in type(self).model_fields if name.startswith("training_")}
+        options = self.model_dump(exclude=ours | training)
         options["action"] = {key: value for key, value in options["action"].items() if value is not None}
         return options
 

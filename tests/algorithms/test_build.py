@@ -92,7 +92,7 @@ def test_every_buffer_binds_to_its_constructor(buffer):
     model = build_model(config, make_training_envs(config.env, config.n_envs), seed=0)
     made = model.replay_buffer
     assert type(made) is HerBuffer
-    assert made.reward.collision == config.env.collision_reward
+    assert made.reward.collision == config.env.for_training().collision_reward == -8
     if buffer == "replay":
         assert (made.goal_selection_strategy, made.n_sampled_goal) == (None, 0)
     else:
@@ -112,7 +112,7 @@ def test_every_argument_arrives():
     assert (model.batch_size, model.buffer_size, model.seed) == (33, 640, 5)
     assert model.policy_kwargs["net_arch"] == [7, 5]
     assert len(model.critic.q_networks) == 3
-    assert list(model.action_noise._sigma) == [0.2, 0.3]
+    assert list(model.action_noise.base_noise._sigma) == [0.2, 0.3]
 
 
 def test_a_learning_rate_schedule_is_a_target_node():

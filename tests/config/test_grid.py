@@ -185,23 +185,23 @@ def test_the_her_traps_are_the_relabelling_options_where_they_can_make_a_differe
     }
     assert cells == {
         *(
-            ("her_future", "ego_fine", c, t, "achieved")
+            ("her_future", "ego_mirrored", c, t, "achieved")
             for c in ("keep", "sb3", "exclude")
             for t in ("sb3", "goal", "env")
         ),
         *(
-            ("her_episode", "ego_fine", c, t, "achieved")
+            ("her_episode", "ego_mirrored", c, t, "achieved")
             for c in ("keep", "sb3")
             for t in ("sb3", "goal", "goal_and_crash", "env")
         ),
-        *(("her_episode", "ego_fine", "exclude", t, "achieved") for t in ("sb3", "goal", "env")),
+        *(("her_episode", "ego_mirrored", "exclude", t, "achieved") for t in ("sb3", "goal", "env")),
         *(("her_future", "raw", "sb3", "sb3", v) for v in ("achieved", "zero")),
     }
     assert len(found) == 22
 
 
 @pytest.mark.parametrize("experiment", slow_but(["her_traps"], ["her_ablation", "her_traps"]))
-@pytest.mark.parametrize(("budget", "steps"), [("small", 96_000), ("full", 128_000)])
+@pytest.mark.parametrize(("budget", "steps"), [("small", 96_000), ("full", 160_000)])
 def test_every_cell_has_as_many_env_steps_and_updates(experiment, budget, steps):
     """Whatever differs, it is the buffer or the reward: the same steps, updates, networks and evaluation."""
     found = runs(f"experiment={experiment}", f"budget={budget}", "seeds=1")

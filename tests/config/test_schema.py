@@ -20,14 +20,15 @@ def test_parking_has_highway_envs_own_options_and_values():
     assert ours == theirs
 
 
-@pytest.mark.parametrize(("key", "own"), [("duration", 100), ("success_goal_reward", 0.12)])
-def test_what_training_envs_have_otherwise_changes_them_only(key, own):
-    env = make_config(f"env.training_{key}=0.05").env
-    assert env.highway_options()[key] == own
-    assert env.for_training().highway_options() == env.highway_options() | {
-        "duration": 20, "success_goal_reward": 0.1, key: 0.05,
-    }  # fmt: skip
-    assert make_config(f"env.training_{key}=null", "n_envs=8").env.for_training().highway_options()[key] == own
+def test_what_training_envs_have_otherwise_changes_them_only():
+    typed = ("env.training_duration=2", "env.training_success_goal_reward=0.05", "env.training_collision_factor=3")
+    env = make_config(*typed).env
+    own = env.highway_options()
+    assert (own["duration"], own["success_goal_reward"], own["collision_reward"]) == (100, 0.12, -5)
+    other = {"duration": 2, "success_goal_reward": 0.05, "collision_reward": -15}
+    assert env.for_training().highway_options() == own | other
+    typed = ("env.training_duration=null", "env.training_success_goal_reward=null", "env.training_collision_factor=1")
+    assert make_config(*typed, "n_envs=8").env.for_training().highway_options() == own
 
 
 @pytest.mark.parametrize(

@@ -37,6 +37,7 @@ ARTICLE = {
     "checkpoint.keep_last": 1,
     "env.training_duration": None,
     "env.training_success_goal_reward": None,
+    "env.training_collision_factor": 1,
     "env.duration": 100,
 }
 
@@ -228,7 +229,7 @@ def test_stores_that_mlflow_knows_are_taken(uri):
         ),
         (
             "env.observation.features=[y,x,vx,vy,cos_h,sin_h] buffer=replay",
-            "algorithm.features=ego_fine reads the observation features x, y, vx, vy, cos_h, sin_h in this order; "
+            "algorithm.features=ego_mirrored reads the observation features x, y, vx, vy, cos_h, sin_h in this order; "
             "the closest valid choice is algorithm.features=raw",
         ),
         # Nested arguments.
@@ -258,7 +259,7 @@ def test_stores_that_mlflow_knows_are_taken(uri):
         ),
         (
             "+algorithm.policy_kwargs.features_extractor_class=parking_exp.algorithms.features.EgoFrameExtractor",
-            "algorithm.policy_kwargs.features_extractor_class takes the place of algorithm.features=ego_fine; set algorithm.features=raw",
+            "algorithm.policy_kwargs.features_extractor_class takes the place of algorithm.features=ego_mirrored; set algorithm.features=raw",
         ),
         (
             "+algorithm.policy_kwargs.activation_fn=torch.nn.Tan",
