@@ -82,7 +82,7 @@ class ActionConfig(ConfigModel):
 
 
 class EnvConfig(ConfigModel):
-    """The `env` group: highway-env's options under their own names, and six of ours."""
+    """The `env` group: highway-env's options under their own names, and five of ours."""
 
     name: Name
     id: Literal["parking-v0"]
@@ -90,7 +90,6 @@ class EnvConfig(ConfigModel):
     reward: Literal["dense", "sparse"]
     training_duration: Duration | None
     training_success_goal_reward: PositiveFloat | None
-    training_collision_factor: PositiveFloat
 
     observation: ObservationConfig
     action: ActionConfig
@@ -136,7 +135,6 @@ class EnvConfig(ConfigModel):
         values = {
             "duration": self.training_duration,
             "success_goal_reward": self.training_success_goal_reward,
-            "collision_reward": self.collision_reward * self.training_collision_factor,
         }
         return self.model_copy(update={key: value for key, value in values.items() if value is not None})
 

@@ -21,14 +21,12 @@ def test_parking_has_highway_envs_own_options_and_values():
 
 
 def test_what_training_envs_have_otherwise_changes_them_only():
-    typed = ("env.training_duration=2", "env.training_success_goal_reward=0.05", "env.training_collision_factor=3")
-    env = make_config(*typed).env
+    env = make_config("env.training_duration=2", "env.training_success_goal_reward=0.05").env
     own = env.highway_options()
-    assert (own["duration"], own["success_goal_reward"], own["collision_reward"]) == (100, 0.12, -5)
-    other = {"duration": 2, "success_goal_reward": 0.05, "collision_reward": -15}
-    assert env.for_training().highway_options() == own | other
-    typed = ("env.training_duration=null", "env.training_success_goal_reward=null", "env.training_collision_factor=1")
-    assert make_config(*typed, "n_envs=8").env.for_training().highway_options() == own
+    assert (own["duration"], own["success_goal_reward"]) == (100, 0.12)
+    assert env.for_training().highway_options() == own | {"duration": 2, "success_goal_reward": 0.05}
+    typed = ("env.training_duration=null", "env.training_success_goal_reward=null", "n_envs=8")
+    assert make_config(*typed).env.for_training().highway_options() == own
 
 
 @pytest.mark.parametrize(

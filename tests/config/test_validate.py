@@ -37,7 +37,6 @@ ARTICLE = {
     "checkpoint.keep_last": 1,
     "env.training_duration": None,
     "env.training_success_goal_reward": None,
-    "env.training_collision_factor": 1,
     "env.duration": 100,
 }
 
