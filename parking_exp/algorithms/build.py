@@ -15,7 +15,7 @@ from torch import nn
 
 from parking_exp.algorithms.fast.matmul_precision import faster_precision
 from parking_exp.algorithms.features import EgoFrameExtractor, FineEgoFrameExtractor, MirroredEgoFrameExtractor
-from parking_exp.algorithms.mirrored import MIRRORED
+from parking_exp.algorithms.mirrored_policies import MIRRORED
 from parking_exp.algorithms.noise import VectorizedNormalNoise
 from parking_exp.buffers import HerBuffer
 from parking_exp.config.constructor_arguments import CLASS_ARGUMENTS, ignored_features

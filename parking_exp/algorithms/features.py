@@ -108,7 +108,7 @@ class MirroredEgoFrameExtractor(FineEgoFrameExtractor):
     """Fine ego-frame features, mirrored so that the goal is never to the right of the car.
 
     A mirrored lot is the same but for the sign of the steering. Networks then learn one of two mirror images; the
-    policies in `mirrored` turn the steering around with them.
+    policies in `mirrored_policies` turn the steering around with them.
 
     Output: that of `FineEgoFrameExtractor`; where the goal is to the right, all that lies to a side has the other sign.
 

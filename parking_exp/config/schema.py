@@ -131,7 +131,7 @@ class EnvConfig(ConfigModel):
         return self.model_copy(update={"name": name})
 
     def for_training(self) -> Self:
-        """Return the config of training envs, with what `training_*` says in the place of what it is about."""
+        """Return the config of training envs, in which `training_duration` and `training_success_goal_reward` apply."""
         values = {
             "duration": self.training_duration,
             "success_goal_reward": self.training_success_goal_reward,

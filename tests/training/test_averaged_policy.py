@@ -139,13 +139,15 @@ def test_a_resumed_run_has_the_same_average(averaged, tmp_path):
 
 
 def test_an_average_of_another_model_is_refused_with_what_to_do(tmp_path):
-    model, other = make_model(), make_model("algorithm.net_arch=[8]")
-    folder = checkpoints.save(tmp_path, model, Progress(step=0), tmp_path / "best.zip", 1, PolicyAverage(model, 10))
-    other.save(folder / checkpoints.AVERAGED)
+    model, fresh, other = make_model(), make_model(), make_model("algorithm.net_arch=[8]")
     model._n_updates = 1
-    message = f"{folder / checkpoints.AVERAGED} has no weights of this model's actor"
+    best = tmp_path / "best.zip"
+    folder = checkpoints.save(tmp_path, model, Progress(step=0), best, 1, PolicyAverage(model, 10))
+    other.save(folder / checkpoints.AVERAGED)
+    problem = f"{folder / checkpoints.AVERAGED} has no weights of this model's actor"
+    message = f"{problem}; delete {folder} to go on from the checkpoint before it"
     with pytest.raises(DamagedModelError, match=f"^{re.escape(message)}$"):
-        PolicyAverage(model, 10).load(folder / checkpoints.AVERAGED)
+        checkpoints.restore(folder, fresh, best, PolicyAverage(fresh, 10))
 
 
 def test_a_policy_without_an_actor_has_no_average():

@@ -11,6 +11,7 @@ from contextlib import suppress
 from pathlib import Path
 
 import imageio.v3 as iio
+import numpy as np
 import pandas as pd
 import pytest
 import torch
@@ -99,7 +100,10 @@ def test_the_share_of_real_transitions_is_logged(smoke):
     directory, _, output_dir = smoke
     shares = history(store(output_dir), directory.run_id, "buffer/real_share")
     assert len(shares) >= 4
-    assert all(0.32 < share < 0.9 for _, share in shares)
+    with np.load(directory.final_checkpoint / checkpoints.BUFFER) as buffer:
+        real, virtual = buffer["sampled"]
+    assert shares[-1] == (400, pytest.approx(real / (real + virtual)))
+    assert all(1 / 3 <= share < 1 for _, share in shares)
 
 
 def test_the_stores_parameters_are_the_resolved_config(smoke):

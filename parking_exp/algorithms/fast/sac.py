@@ -10,7 +10,7 @@ from torch import nn
 
 from parking_exp.algorithms.fast.base import FastTraining
 from parking_exp.algorithms.fast.critics import Critics
-from parking_exp.algorithms.fast.minibatches import sample_minibatches
+from parking_exp.algorithms.fast.minibatches import Minibatch, sample_minibatches
 from parking_exp.algorithms.fast.mlp import MLP, as_layers, parameters
 from parking_exp.algorithms.fast.optimizer import Adam, FlatTensors
 
@@ -44,7 +44,7 @@ class _Update:
         """Do `gradient_steps` updates and return the means of what Stable-Baselines3 logs."""
         history: list[list[torch.Tensor]] = []
         for step, batch in enumerate(sample_minibatches(model, gradient_steps, batch_size)):
-            history.append(self._step(model, *batch[:4]))
+            history.append(self._step(model, batch))
             if step % model.target_update_interval == 0:
                 self.critics.polyak_update(model.tau)
         model._n_updates += gradient_steps
@@ -52,10 +52,9 @@ class _Update:
         means = [torch.stack(column).mean().item() for column in zip(*history, strict=True)]
         return dict(zip(names, means, strict=False))
 
-    def _step(
-        self, model: Any, both: torch.Tensor, actions: torch.Tensor, rewards: torch.Tensor, discounts: torch.Tensor
-    ) -> list[torch.Tensor]:
+    def _step(self, model: Any, minibatch: Minibatch) -> list[torch.Tensor]:
         """Do one update; return entropy coefficient, actor loss, critic loss and the coefficient's loss."""
+        both, actions, rewards, discounts, _ = minibatch  # noise is drawn inside of the actor, mirrored or not
         batch = len(actions)
         noise = torch.empty((2, *actions.shape), dtype=both.dtype)
         noise[0].normal_()  # one after the other, as Stable-Baselines3 draws them

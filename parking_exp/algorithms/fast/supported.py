@@ -11,7 +11,7 @@ from torch import nn
 from parking_exp.algorithms.fast.mlp import linear_layers
 from parking_exp.algorithms.fast.optimizer import is_plain_adam
 from parking_exp.algorithms.features import EgoFrameExtractor, FineEgoFrameExtractor, MirroredEgoFrameExtractor
-from parking_exp.algorithms.mirrored import MirroredActor, MirroredCritic, MirroredGaussianActor
+from parking_exp.algorithms.mirrored_policies import MirroredActor, MirroredCritic, MirroredGaussianActor
 
 EXTRACTORS = (
     EgoFrameExtractor,
