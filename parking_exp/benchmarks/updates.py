@@ -1,4 +1,4 @@
-"""Benchmark of the fast update against Stable-Baselines3's own `train`, sampling included."""
+"""Benchmarks of the fast update against the `train` of Stable-Baselines3 and of sbx, sampling included."""
 
 from typing import Any
 
@@ -13,6 +13,7 @@ from parking_exp.config.schema import RunConfig
 from parking_exp.envs.training_envs import make_training_envs
 
 PEER = "stable-baselines3"
+SBX = "sbx, with our replay buffer"
 
 
 def updates(config: RunConfig, rounds: int, updates_a_slice: int, transitions: int = 10_000) -> dict[str, Any]:
@@ -20,8 +21,45 @@ def updates(config: RunConfig, rounds: int, updates_a_slice: int, transitions: i
 
     Ours have the config's matmul precision, of which `auto` is decided once; the peer has torch's default.
     """
-    _, gradient_steps = config.update_rounds()
     ours, peer = filled(config, fast=True, transitions=transitions), filled(config, fast=False, transitions=transitions)
+    return _compare(config, ours, peer, rounds, updates_a_slice) | {"peer": PEER}
+
+
+def updates_against_sbx(
+    config: RunConfig, rounds: int, updates_a_slice: int, transitions: int = 10_000
+) -> dict[str, Any]:
+    """Compare updates a second with those of sbx (Stable-Baselines3 in JAX), which samples from our replay buffer.
+
+    sbx concatenates the observation's parts, as `algorithm.features=raw` does.
+
+    Raises:
+        ImportError: without the `bench` extra.
+    """
+    import sbx
+
+    ours = filled(config, fast=True, transitions=transitions)
+    _, gradient_steps = config.update_rounds()
+    peer = getattr(sbx, config.algorithm.name.upper())(
+        "MultiInputPolicy",
+        make_training_envs(config.env, config.n_envs),
+        learning_rate=1e-3,
+        batch_size=ours.batch_size,
+        tau=ours.tau,
+        gamma=ours.gamma,
+        buffer_size=config.n_envs,
+        gradient_steps=gradient_steps,
+        policy_kwargs={"net_arch": list(config.algorithm.net_arch)},
+        seed=0,
+    )
+    peer.set_logger(Logger(None, []))
+    peer.replay_buffer = ours.replay_buffer
+    return _compare(config, ours, peer, rounds, updates_a_slice) | {"peer": SBX}
+
+
+def _compare(
+    config: RunConfig, ours: OffPolicyAlgorithm, peer: OffPolicyAlgorithm, rounds: int, updates_a_slice: int
+) -> dict[str, Any]:
+    _, gradient_steps = config.update_rounds()
     calls = max(1, updates_a_slice // gradient_steps)
     with torch_settings(config) as precision:
         pass
@@ -32,10 +70,10 @@ def updates(config: RunConfig, rounds: int, updates_a_slice: int, transitions: i
 
     def side(model: OffPolicyAlgorithm) -> float:
         for _ in range(calls):
-            model.train(gradient_steps=gradient_steps, batch_size=model.batch_size)
+            model.train(gradient_steps=gradient_steps, batch_size=ours.batch_size)
         return calls * gradient_steps
 
-    about = {"peer": PEER, "unit": "updates", "precision": precision, "peer_precision": "highest"}
+    about = {"unit": "updates", "precision": precision, "peer_precision": "highest"}
     return interleave(mine, lambda: side(peer), rounds) | about
 
 

@@ -100,7 +100,8 @@ class Storage:
 
     def crashed(self, index: np.ndarray) -> np.ndarray:
         """Return whether transitions crashed, by index."""
-        found: np.ndarray = self.data.reshape(-1)["mark"].take(index) & CRASHED > 0
+        mark = self.data.reshape(-1)["mark"][index]  # `take` would copy the marks of all rows first
+        found: np.ndarray = mark & CRASHED > 0
         return found
 
     def get_state(self, rows: int, n_records: int) -> dict[str, np.ndarray]:

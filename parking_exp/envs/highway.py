@@ -4,14 +4,11 @@ from collections.abc import Sequence
 from typing import Any
 
 import gymnasium as gym
-import highway_env
 import numpy as np
 
 from parking_exp.config.schema import EnvConfig
 from parking_exp.envs.interface import Observation, Step
 from parking_exp.envs.outcomes import Pose, relative_pose
-
-gym.register_envs(highway_env)
 
 
 class SparseReward(gym.Wrapper, gym.utils.RecordConstructorArgs):
@@ -44,6 +41,9 @@ def make_env(config: EnvConfig, *, render_mode: str | None = None) -> gym.Env:
         config: the `env` group.
         render_mode: None or `rgb_array`.
     """
+    import highway_env  # it imports matplotlib.pyplot: a seventh of what a run that trains in our simulator imports
+
+    gym.register_envs(highway_env)
     # Gymnasium's checker tests every space at every step and costs time; our tests run it instead.
     env = gym.make(config.id, config=config.highway_options(), render_mode=render_mode, disable_env_checker=True)
     return SparseReward(env) if config.reward == "sparse" else env

@@ -1,5 +1,6 @@
 """The command line, as a process of its own."""
 
+import importlib.util
 import json
 import re
 import subprocess
@@ -192,11 +193,15 @@ def test_the_benchmark_measures_and_writes(tmp_path):
     done = run_script(
         "benchmark",
         "--quick",
-        "only=[simulator,update.ddpg.2x64,run.article,her,sweep.overhead,sweep.resume]",
+        "only=[simulator,update.ddpg.2x64,update.td3.2x64.n1,run.article,her,sweep.overhead,sweep.resume]",
         f"output_dir={tmp_path}",
     )
     assert done.returncode == 0, done.stderr
     written = json.loads((tmp_path / "benchmark.json").read_text())
+    if importlib.util.find_spec("sbx") is None:
+        assert written.pop("update.td3.2x64.n1.sbx.ratio")["missing"] == "sbx not installed"
+    else:
+        assert written.pop("update.td3.2x64.n1.sbx.ratio")["peer"] == "sbx, with our replay buffer"
     assert sorted(written) == sorted([
         "simulator.n512.ratio", "simulator.n8.ratio", "simulator.parked.n512.ratio", "update.ddpg.2x64.ratio",
         "run.article.ratio", "her.sample.capacity_ratio", "her.sample.ratio", "her.bytes_per_transition", "her.save.bytes_per_transition",

@@ -201,7 +201,7 @@ def test_the_her_traps_are_the_relabelling_options_where_they_can_make_a_differe
 
 
 @pytest.mark.parametrize("experiment", slow_but(["her_traps"], ["her_ablation", "her_traps"]))
-@pytest.mark.parametrize(("budget", "steps"), [("small", 96_000), ("full", 192_000)])
+@pytest.mark.parametrize(("budget", "steps"), [("small", 96_000), ("full", 256_000)])
 def test_every_cell_has_as_many_env_steps_and_updates(experiment, budget, steps):
     """Whatever differs, it is the buffer or the reward: the same steps, updates, networks and evaluation."""
     found = runs(f"experiment={experiment}", f"budget={budget}", "seeds=1")
