@@ -95,6 +95,11 @@ def _check_buffer(run: RunConfig) -> list[str]:
             f"algorithm.learning_starts={starts} is shorter than {where}, and HER samples finished episodes only; "
             f"the closest valid choice is {longest * run.n_envs}"
         )
+    elif isinstance(starts, int) and run.total_timesteps <= starts:
+        problems.append(
+            f"total_timesteps={run.total_timesteps} ends before the first update, after algorithm.learning_starts={starts}"
+            f"; the closest valid choice is {starts + 1}"
+        )
     if run.buffer.buffer_size // run.n_envs <= longest:
         problems.append(
             f"buffer.buffer_size={run.buffer.buffer_size} cannot hold one whole episode of each env, {where}; "

@@ -74,7 +74,7 @@ def test_the_run_key_ignores_what_cannot_change_results(override):
     assert make_config(override).run_key == make_config().run_key
 
 
-@pytest.mark.parametrize("override", ["algorithm.gamma=0.9", "total_timesteps=10", "env.duration=50", "n_envs=4"])
+@pytest.mark.parametrize("override", ["algorithm.gamma=0.9", "total_timesteps=30000", "env.duration=50", "n_envs=4"])
 def test_the_run_key_changes_with_what_can_change_results(override):
     assert make_config(override).run_key != make_config().run_key
 

@@ -185,6 +185,11 @@ def test_stores_that_mlflow_knows_are_taken(uri):
             "and HER samples finished episodes only; the closest valid choice is 25856",
         ),
         (
+            "total_timesteps=26000",
+            "total_timesteps=26000 ends before the first update, after algorithm.learning_starts=26000; "
+            "the closest valid choice is 26001",
+        ),
+        (
             "algorithm=td3 algorithm.action_noise.sigma=[0.1]",
             "algorithm.action_noise.sigma has 1 entries and the action 2; give one entry for each action",
         ),
@@ -541,7 +546,7 @@ def test_every_point_of_a_sweep_is_checked():
 
 def test_the_experiment_overrides_the_root_and_the_command_line_overrides_both():
     assert make_config("experiment=article").total_timesteps == 10_000
-    assert make_config("experiment=article", "total_timesteps=123").total_timesteps == 123
+    assert make_config("experiment=article", "total_timesteps=1234").total_timesteps == 1234
 
 
 def test_article_is_the_tutorials_recipe():
