@@ -353,7 +353,9 @@ def test_rollout_state_is_restored_as_it_was_saved(kind):
 @pytest.mark.parametrize("option", slow_but(["parking_sparse"], ["parking_sparse", "parking_parked"]))
 def test_an_env_of_highway_env_goes_on_from_its_state(option, steps):
     """At the start of an episode, in its middle, and after others; the next scenes are the same, too."""
-    env_config = composed_once(f"env={option}", "env.training_duration=5", "n_envs=1", "algorithm.learning_starts=100").env
+    env_config = composed_once(
+        f"env={option}", "env.training_duration=5", "n_envs=1", "algorithm.learning_starts=100"
+    ).env
     one, other = (ReplayActions(make_env(env_config.for_training())) for _ in range(2))
     actions = np.random.default_rng(0).uniform(-1, 1, (steps + 40, 2)).astype(np.float32)
     one.reset(seed=3)
