@@ -34,7 +34,7 @@ N_SCENES = 200
 PEER = "the tutorial's recipe in plain stable-baselines3 + highway-env"
 PACKAGES = ("version.torch", "version.stable-baselines3", "version.highway-env", "version.numpy")
 EVERY_UPDATES = 500  # between evaluations of ours
-PEER_EVERY, PEER_MOST = 2500, 60_000  # env steps between evaluations, and at most
+PEER_EVERY, PEER_MOST = 2500, 60_000  # env steps between evaluations, and at most: 45 minutes, which understates
 
 
 class _Evaluations(BaseCallback):

@@ -97,8 +97,8 @@ def _check_buffer(run: RunConfig) -> list[str]:
         )
     elif isinstance(starts, int) and run.total_timesteps <= starts:
         problems.append(
-            f"total_timesteps={run.total_timesteps} ends before the first update, after algorithm.learning_starts="
-            f"{starts}; the closest valid choice is {starts + 1}"
+            f"total_timesteps={run.total_timesteps} is not above algorithm.learning_starts={starts}, the env steps "
+            f"before the first update; the closest valid choice is {starts + 1}"
         )
     if run.buffer.buffer_size // run.n_envs <= longest:
         problems.append(

@@ -41,7 +41,7 @@ def make_env(config: EnvConfig, *, render_mode: str | None = None) -> gym.Env:
         config: the `env` group.
         render_mode: None or `rgb_array`.
     """
-    import highway_env  # it imports matplotlib.pyplot: a seventh of what a run that trains in our simulator imports
+    import highway_env  # with matplotlib.pyplot and pygame: training in our simulator starts without them
 
     gym.register_envs(highway_env)
     # Gymnasium's checker tests every space at every step and costs time; our tests run it instead.

@@ -193,15 +193,11 @@ def test_the_benchmark_measures_and_writes(tmp_path):
     done = run_script(
         "benchmark",
         "--quick",
-        "only=[simulator,update.ddpg.2x64,update.td3.2x64.n1,run.article,her,sweep.overhead,sweep.resume]",
+        "only=[simulator,update.ddpg.2x64,run.article,her,sweep.overhead,sweep.resume]",
         f"output_dir={tmp_path}",
     )
     assert done.returncode == 0, done.stderr
     written = json.loads((tmp_path / "benchmark.json").read_text())
-    if importlib.util.find_spec("sbx") is None:
-        assert written.pop("update.td3.2x64.n1.sbx.ratio")["missing"] == "sbx not installed"
-    else:
-        assert written.pop("update.td3.2x64.n1.sbx.ratio")["peer"] == "sbx, with our replay buffer"
     assert sorted(written) == sorted([
         "simulator.n512.ratio", "simulator.n8.ratio", "simulator.parked.n512.ratio", "update.ddpg.2x64.ratio",
         "run.article.ratio", "her.sample.capacity_ratio", "her.sample.ratio", "her.bytes_per_transition", "her.save.bytes_per_transition",
@@ -216,6 +212,27 @@ def test_the_benchmark_measures_and_writes(tmp_path):
         assert f"{entry[unit]:.4g}" in line
     assert 112 < written["her.bytes_per_transition"]["bytes"] < 120
     assert 112 < written["her.save.bytes_per_transition"]["bytes"] < 120
+
+
+def quick_update_against_sbx(tmp_path):
+    key = "update.td3.2x64.n1.sbx.ratio"
+    done = run_script("benchmark", "--quick", f"only=[{key}]", f"output_dir={tmp_path}")
+    assert done.returncode == 0, done.stderr
+    return json.loads((tmp_path / "benchmark.json").read_text())[key]
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(importlib.util.find_spec("sbx") is None, reason="needs the extra: pip install 'parking-exp[bench]'")
+def test_updates_are_compared_with_sbx(tmp_path):
+    entry = quick_update_against_sbx(tmp_path)
+    assert entry["peer"] == "sbx, with our replay buffer"
+    assert 0 < entry["lowest"] <= entry["ratio"] <= entry["highest"]
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(importlib.util.find_spec("sbx") is not None, reason="sbx is installed")
+def test_without_sbx_its_figures_are_missing(tmp_path):
+    assert quick_update_against_sbx(tmp_path)["missing"] == "sbx not installed"
 
 
 @pytest.mark.slow

@@ -186,7 +186,12 @@ def test_stores_that_mlflow_knows_are_taken(uri):
         ),
         (
             "total_timesteps=26000",
-            "total_timesteps=26000 ends before the first update, after algorithm.learning_starts=26000; "
+            "total_timesteps=26000 is not above algorithm.learning_starts=26000, the env steps before the first update; "
+            "the closest valid choice is 26001",
+        ),
+        (
+            "buffer=replay total_timesteps=10",
+            "total_timesteps=10 is not above algorithm.learning_starts=26000, the env steps before the first update; "
             "the closest valid choice is 26001",
         ),
         (
@@ -416,6 +421,7 @@ def test_an_evaluation_has_no_more_episodes_than_there_are_scenes():
 def test_the_suggested_choices_are_valid():
     assert make_config("algorithm.learning_starts=25856").algorithm.arguments["learning_starts"] == 25856
     assert make_config("buffer.buffer_size=26112").buffer.buffer_size == 26112
+    assert make_config("total_timesteps=26001").total_timesteps == 26001
 
 
 def test_plain_replay_may_start_learning_within_an_episode():

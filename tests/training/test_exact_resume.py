@@ -7,7 +7,6 @@ import multiprocessing
 import os
 import random
 import signal
-import statistics
 import subprocess
 import time
 from concurrent.futures import ProcessPoolExecutor
@@ -30,12 +29,11 @@ pytestmark = pytest.mark.slow
 
 
 def test_the_default_recipe_parks(tmp_path):
-    """The median of three seeds, since one seed in five may stay below."""
     rates = []
     for seed in (0, 1, 2):
         config = make_config(f"seed={seed}", f"output_dir={tmp_path}", "evaluation.video_episodes=0")
         rates.append(train(config).metrics["final/success_rate"])
-    assert statistics.median(rates) >= 0.9
+    assert min(rates) >= 0.95, rates
 
 
 SB3_BUFFER = ("~buffer.relabel_collision", "~buffer.relabel_terminated", "~buffer.goal_velocity")

@@ -54,7 +54,8 @@ class _Update:
 
     def _step(self, model: Any, minibatch: Minibatch) -> list[torch.Tensor]:
         """Do one update; return entropy coefficient, actor loss, critic loss and the coefficient's loss."""
-        both, actions, rewards, discounts, _ = minibatch  # noise is drawn inside of the actor, mirrored or not
+        both, actions, rewards, discounts, _ = minibatch  # the signs are for TD3's target noise alone
+
         batch = len(actions)
         noise = torch.empty((2, *actions.shape), dtype=both.dtype)
         noise[0].normal_()  # one after the other, as Stable-Baselines3 draws them
