@@ -30,7 +30,7 @@ def updates_against_sbx(
 ) -> dict[str, Any]:
     """Compare updates a second with those of sbx (Stable-Baselines3 in JAX), which samples from our replay buffer.
 
-    sbx concatenates the observation's parts, as `algorithm.features=raw` does.
+    sbx concatenates the observation's parts, as `algorithm.features=raw` does. What costs no time has its own defaults.
 
     Raises:
         ImportError: without the `bench` extra.
@@ -59,6 +59,7 @@ def updates_against_sbx(
 def _compare(
     config: RunConfig, ours: OffPolicyAlgorithm, peer: OffPolicyAlgorithm, rounds: int, updates_a_slice: int
 ) -> dict[str, Any]:
+    """Time both models' `train` in turn, on the same batch size; ours with the precision of the config."""
     _, gradient_steps = config.update_rounds()
     calls = max(1, updates_a_slice // gradient_steps)
     with torch_settings(config) as precision:

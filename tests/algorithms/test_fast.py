@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import stable_baselines3 as sb3
 import torch
+from gymnasium.spaces import Box
 from stable_baselines3.common.logger import Logger
 from stable_baselines3.common.torch_layers import CombinedExtractor
 from stable_baselines3.common.type_aliases import DictReplayBufferSamples
@@ -372,3 +373,21 @@ def test_a_short_learning_run_works_on_highway_env_too():
     model = make_model("TD3", "env.simulator=highway_env", "env.training_duration=2", "algorithm.learning_starts=200")
     model.learn(400)
     assert model._n_updates == 200
+
+
+@pytest.mark.parametrize("name", ALGORITHMS)
+@pytest.mark.parametrize(("low", "high"), [([-1, -1], [1, 1]), ([-2, 0.5], [0.1, 7])])
+def test_random_actions_are_those_that_stable_baselines3_draws_one_by_one(name, low, high):
+    space = Box(np.float32(low), np.float32(high))
+    found = []
+    for module in (fast, sb3):
+        model = make_model(name, module=module)
+        model.action_space = model.policy.action_space = space
+        space.seed(5)
+        np.random.seed(7)
+        found.append([model._sample_action(1000, model.action_noise, n_envs=8) for _ in range(3)])
+    for ours, theirs in zip(*found, strict=True):
+        for one, other in zip(ours, theirs, strict=True):
+            assert one.shape == (8, 2)
+            assert one.dtype == other.dtype
+            np.testing.assert_array_equal(one, other)

@@ -116,7 +116,7 @@ def test_config_columns_are_typed_and_what_a_cell_does_not_have_is_missing(ablat
     assert runs.at[four, "config.buffer.n_sampled_goal"] == 4
     assert runs.at[none, "config.buffer.n_sampled_goal"] is pd.NA
     assert str(runs["config.algorithm.tau"].dtype) == "float64"
-    assert runs.at[four, "config.algorithm.tau"] == 0.039
+    assert runs.at[four, "config.algorithm.tau"] == compose().algorithm.arguments["tau"]
     assert str(runs["config.env.add_walls"].dtype) == "bool"
     assert runs.at[four, "config.algorithm.net_arch"] == "[16, 16]"
     assert runs["config.timeout_s"].isna().all()

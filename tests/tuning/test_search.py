@@ -48,7 +48,7 @@ def test_trial_0_is_the_config_with_what_is_typed():
     assert search.values({}) == {
         "algorithm": "sac",
         "algorithm.learning_rate": 0.003,
-        "algorithm.gamma": 0.957,
+        "algorithm.gamma": make_config("experiment=smoke").algorithm.arguments["gamma"],
         "algorithm.net_arch": [16, 16],
         "algorithm.policy_delay": None,
     }

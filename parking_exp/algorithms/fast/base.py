@@ -2,7 +2,10 @@
 
 from typing import Any, ClassVar, Protocol
 
+import gymnasium as gym
+import numpy as np
 import torch
+from stable_baselines3.common.noise import ActionNoise
 
 from parking_exp.algorithms.fast.supported import is_supported
 
@@ -50,6 +53,23 @@ class FastTraining:
         if is_supported(self) and (self._update is None or not self._update.is_bound(self)):
             with torch.no_grad():
                 self._update = self.update_class(self)
+
+    def _sample_action(
+        self: Any, learning_starts: int, action_noise: ActionNoise | None = None, n_envs: int = 1
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return actions for the envs and for the buffer, shape (n_envs, actions) each.
+
+        The random ones of all envs are drawn at once: the same numbers as Stable-Baselines3's one by one.
+        """
+        space = self.action_space
+        is_bounded = isinstance(space, gym.spaces.Box) and space.is_bounded() and space.dtype.kind == "f"
+        if self.num_timesteps >= learning_starts or not is_bounded or getattr(self, "use_sde_at_warmup", False):
+            return super()._sample_action(learning_starts, action_noise, n_envs)  # type: ignore[misc]
+        random = space.np_random.uniform(space.low, space.high, (n_envs, *space.shape)).astype(space.dtype)
+        scaled = self.policy.scale_action(random)
+        if action_noise is not None:
+            scaled = np.clip(scaled + action_noise(), -1, 1)
+        return self.policy.unscale_action(scaled), scaled
 
     def _excluded_save_params(self: Any) -> list[str]:
         return [*super()._excluded_save_params(), "_update"]  # type: ignore[misc]
