@@ -76,7 +76,10 @@ def test_the_expected_options_are_there():
         "evaluation": ["default"],
         "checkpoint": ["default"],
         "tracking": ["default"],
-        "experiment": ["article", "her_ablation", "her_traps", "parked", "smoke"],
+        "experiment": [
+            "algorithms", "article", "envs_and_updates", "features", "her_ablation", "her_traps", "parked", "smoke", "tutorial",
+            "variants",
+        ],
     }  # fmt: skip
 
 
