@@ -25,7 +25,7 @@ COMPILE = $(if $(PYTHONDONTWRITEBYTECODE),env -u PYTHONDONTWRITEBYTECODE $(BIN)/
 INSTALL = $(UV) pip install --python $(BIN)/python --constraint constraints.txt --build-constraint constraints.txt $(PLACES)
 
 .DEFAULT_GOAL := help
-.PHONY: help setup train test test-slow lint types docs check ui tensorboard dashboard benchmark lock clean
+.PHONY: help setup train test test-slow lint types docs check ui tensorboard dashboard benchmark results-page lock clean
 
 help:  ## show this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):[^#]*## /\1\t/' | expand -t 14
@@ -87,6 +87,9 @@ dashboard: $(VENV)/.ui  ## Optuna's dashboard on a study (STUDY=outputs/NAME/stu
 
 tensorboard: setup  ## TensorBoard on all runs
 	$(BIN)/tensorboard --logdir outputs $(ARGS)
+
+results-page: setup  ## docs/results.md and README's rates, from the exports in docs/results
+	$(BIN)/python scripts/results_page.py $(ARGS)
 
 lock: | $(BIN)/pip $(if $(UV_ON_PATH),,$(UV))  ## write constraints.txt anew: the newest versions that fit (TORCH=VERSION chooses torch)
 	@rm -f $(VENV)/resolved.txt

@@ -11,7 +11,7 @@ from parking_exp.config.overrides import in_quotes
 from parking_exp.errors import ConfigError
 from parking_exp.reports.run import report, validate_report
 
-KEYS = {"experiment_name", "cells", "baseline", "output_dir", "name", "tracking", "report", "hydra"}
+KEYS = {"experiment_name", "from", "export", "cells", "baseline", "output_dir", "name", "tracking", "report", "hydra"}
 
 
 def main() -> None:
@@ -55,8 +55,8 @@ def report_overrides(words: list[str]) -> list[str]:
             found.append(
                 "experiment_name=null" if value == "null" else f"experiment_name=[{','.join(map(in_quotes, names))}]"
             )
-        elif key == "baseline" and value not in {"", "null"}:
-            found.append(f"baseline={in_quotes(_unquoted(value))}")
+        elif key in {"baseline", "from", "export"} and value not in {"", "null"}:
+            found.append(f"{key}={in_quotes(_unquoted(value))}")
         elif key == "cells" and equals and value != "null" and not value.startswith("["):
             cells += _labels(value)
         elif key.lstrip("+~").split(".")[0].split("/")[0] in KEYS:

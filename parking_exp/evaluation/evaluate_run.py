@@ -3,12 +3,11 @@
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 from omegaconf import DictConfig
 from pydantic import Field
 
-from parking_exp.config.allowlist import check_trust
 from parking_exp.config.paths import default_uri, directory_path, is_same_store, without_password
 from parking_exp.config.rules import check_env
 from parking_exp.config.run_key import short_hash
@@ -25,10 +24,10 @@ from parking_exp.config.schema import (
     StoreConfig,
 )
 from parking_exp.config.validate import parse
-from parking_exp.errors import ConfigError, DamagedModelError, ModelError, RunNotFoundError, plural
+from parking_exp.errors import ConfigError, plural
+from parking_exp.evaluation.agents import Agent, ModelName, find_agent
 from parking_exp.runs.directory import RunDirectory
 from parking_exp.runs.files import write_json
-from parking_exp.runs.lookup import find_run
 from parking_exp.terminal import say
 
 
@@ -43,7 +42,7 @@ class EvaluationRequest(ConfigModel):
 
     run: Annotated[str, Field(min_length=1)]
     output_dir: str
-    model: Literal["final", "best"]
+    model: ModelName
     episodes: NumberOfScenes
     first_scene: Scene
     simulator: Simulation
@@ -91,68 +90,31 @@ def evaluate_run(config: DictConfig) -> Path:
     """
     request = validate_request(config)
     output_dir = directory_path(request.output_dir)
-    directory = find_run(request.run, output_dir, having=f"models/{request.model}.zip")
-    weights = directory.models / f"{request.model}.zip"
-    if not weights.exists():
-        state = "is gone" if directory.status == "done" else "has not been made yet"
-        ways = _ways_out(directory, request.model, "type its training command again, which makes it")
-        raise RunNotFoundError(f"run={request.run}: {weights} {state}; {ways}")
-    run = directory.config()
-    directory.check_links()
-    if not request.trust:
-        check_trust(run, directory.path / "config.yaml")
-    env = request.env or _simulated(run.env, request.simulator)
+    agent = find_agent(request.run, output_dir, request.model, trust=request.trust)
+    env = request.env or _simulated(agent.config.env, request.simulator)
     if problems := check_env(env):
         raise ConfigError("\n".join(problems))
-    folder = directory.path / "evaluations" / (request.name or _folder_name(request, run, env))
-    say(f"run directory  {directory.path}")
-    precision = directory.read_status().get("precision", "highest")
-    try:
-        _evaluate(request, run, env, weights, folder, precision)
-    except ModelError as error:
-        ways = _ways_out(directory, request.model, "delete it and type its training command again, which makes it")
-        if not isinstance(error, DamagedModelError):
-            ways = f"put back the config.yaml that it was trained with, or {ways}"
-        raise ModelError(f"{error}; {ways}") from error
-    _store(request, directory, output_dir)
+    folder = agent.folder / "evaluations" / (request.name or _folder_name(request, agent.config, env))
+    if agent.directory is not None:
+        say(f"run directory  {agent.directory.path}")
+    _evaluate(request, agent, env, folder)
+    if agent.directory is not None:
+        _store(request, agent.directory, output_dir)
     say(f"results        {folder}")
     return folder
 
 
-def _ways_out(directory: RunDirectory, model: str, again: str) -> str:
-    """Say what to type where a run's model is gone or damaged; `again` has the last checkpoint make it."""
-    other = "best" if model == "final" else "final"
-    ways = [f"try model={other}"] if (directory.models / f"{other}.zip").exists() else []
-    if directory.status != "done":
-        return (ways or ["let it train first"])[0]
-    if directory.final_checkpoint.exists():
-        ways.append(f"{again} from the last checkpoint")
-    else:
-        ways.append(f"delete {directory.path} to train it afresh, since no checkpoint of its end is left")
-    return ", or ".join(ways)
-
-
-def _evaluate(
-    request: EvaluationRequest, run: RunConfig, env: EnvConfig, weights: Path, folder: Path, precision: object
-) -> None:
+def _evaluate(request: EvaluationRequest, agent: Agent, env: EnvConfig, folder: Path) -> None:
     """Load the model, evaluate it, write the results into a folder, and print them."""
-    from stable_baselines3.common.vec_env import DummyVecEnv
-
-    from parking_exp.algorithms.build import build_model, greedy_policy, torch_settings
-    from parking_exp.algorithms.model_files import load_weights
-    from parking_exp.algorithms.save_check import check_saving
-    from parking_exp.envs.highway import make_env
+    from parking_exp.algorithms.build import greedy_policy, torch_settings
     from parking_exp.evaluation.description import describe, intervals
     from parking_exp.evaluation.evaluate import evaluate, summarise
     from parking_exp.evaluation.video import record
 
-    check_saving(run)
-    model = build_model(run, DummyVecEnv([lambda: make_env(env)]), seed=0, for_training=False)
-    load_weights(weights, model)
-    policy = greedy_policy(model)
+    policy = greedy_policy(agent.model(env))
     scenes = range(request.first_scene, request.first_scene + request.episodes)
     what = f"{plural(request.episodes, 'episode')} of {env.name}"
-    with torch_settings(run, precision), _progress(what, request.episodes) as update:
+    with torch_settings(agent.config, agent.precision), _progress(what, request.episodes) as update:
         episodes = evaluate(policy, env, scenes, on_step=update)
     folder.mkdir(parents=True, exist_ok=True)
     for stale in folder.glob("video.*"):
@@ -167,7 +129,7 @@ def _evaluate(
     }
     write_json(folder / "summary.json", {**about, **summarise(episodes), "intervals": intervals(episodes)})
     say(
-        f"{request.model} model on {plural(request.episodes, 'scene')} of {env.name}, from scene "
+        f"{agent.name} on {plural(request.episodes, 'scene')} of {env.name}, from scene "
         f"{request.first_scene}, simulated by {request.simulator}"
     )
     say(*describe(episodes).split("\n"))

@@ -159,7 +159,9 @@ class Path:
     Attributes:
         seed, scene, outcome: which episode.
         slot: its goal.
-        x_m, y_m, heading_rad: pose of the car after each step, the start included.
+        x_m, y_m, heading_rad: pose of the car at the start and after each step, of a long one after every fifth step
+            and the last.
+        steps: its length.
         parked_slots: where other cars stand.
     """
 
@@ -170,6 +172,7 @@ class Path:
     x_m: Sequence[float]
     y_m: Sequence[float]
     heading_rad: Sequence[float]
+    steps: int
     parked_slots: Sequence[int] = ()
 
 

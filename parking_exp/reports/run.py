@@ -12,16 +12,16 @@ from omegaconf import DictConfig
 from pydantic import Field
 
 from parking_exp.config.compose import composed
-from parking_exp.config.paths import absolute, database, default_uri, directory_path, is_same_store, without_password
+from parking_exp.config.paths import directory_path, without_password
 from parking_exp.config.schema import ConfigModel, StoreConfig
 from parking_exp.config.signatures import signature
 from parking_exp.config.validate import parse
-from parking_exp.errors import ConfigError, ResultsError, did_you_mean, plural
+from parking_exp.errors import ConfigError, did_you_mean, plural
 from parking_exp.terminal import say
 
 if TYPE_CHECKING:
     from parking_exp.reports.report_data import ReportData
-    from parking_exp.results.frames import Results
+    from parking_exp.reports.sources import Material
 
 Format = Literal["svg", "pdf", "png"]
 ALIKE = 0.8  # from how similar on a word is a misspelt key
@@ -38,6 +38,8 @@ class ReportRequest(ConfigModel):
     """The config of scripts/report.py."""
 
     experiment_name: str | list[str] | None
+    source: Annotated[str, Field(min_length=1)] | None = Field(alias="from")
+    export: Annotated[str, Field(min_length=1)] | None
     cells: str | list[str] | None
     baseline: str | None
     output_dir: str
@@ -49,6 +51,11 @@ class ReportRequest(ConfigModel):
     def output_path(self) -> Path:
         """Absolute output directory."""
         return directory_path(self.output_dir)
+
+    @property
+    def experiments(self) -> list[str] | None:
+        """Names that are typed, None for none."""
+        return [self.experiment_name] if isinstance(self.experiment_name, str) else self.experiment_name
 
     @property
     def cells_asked(self) -> list[str]:
@@ -63,6 +70,11 @@ def validate_report(config: DictConfig) -> ReportRequest:
         ConfigError: with a sentence for each thing that is wrong.
     """
     request = parse(ReportRequest, config)
+    typed = {"experiment": request.experiments, "tracking.uri": request.tracking.uri, "export": request.export}
+    if request.source and (beside := [key for key, value in typed.items() if value]):
+        raise ConfigError(
+            f"{beside[0]}: from={request.source} is all that the report is made of; leave one of them out"
+        )
     conditions = [one.partition("=")[0] for one in request.cells_asked if "=" in one]
     if conditions:
         _refuse_misspelt(conditions)
@@ -76,7 +88,8 @@ def _refuse_misspelt(typed: Sequence[str]) -> None:
         ConfigError: a key that is misspelt, with the closest one.
     """
     run_keys = {ending for key in _config_keys() for ending in _endings(key)}
-    known = {*ReportRequest.model_fields, "experiment", *run_keys}
+    keys = {field.alias or name for name, field in ReportRequest.model_fields.items()}
+    known = {*keys, "experiment", *run_keys}
     for key in typed:
         own = key.startswith(("algorithm.", "buffer."))
         if key not in known and not own and (hint := did_you_mean(key, known, cutoff=ALIKE)):
@@ -108,13 +121,15 @@ def report(config: DictConfig) -> Path:
         RunNotFoundError: none of the runs is done.
     """
     request = validate_report(config)
+    exported = directory_path(request.export) if request.export else None
+    if exported:
+        from parking_exp.results.export import refuse_foreign
+
+        refuse_foreign(exported)
     with _progress() as show:
-        show("syncing the store")
-        unsynced = _sync(request)
-        show("reading the store")
-        results = _load(request)
-        show(f"comparing {plural(len(results.runs), 'run')}")
-        data = _build(request, results, unsynced)
+        material = _material(request, show)
+        show(f"comparing {plural(len(material.results.runs), 'run')}")
+        data = _build(request, material)
         show("drawing")
         from parking_exp.reports.render.files import write  # with matplotlib: not before there is something to draw
 
@@ -122,8 +137,22 @@ def report(config: DictConfig) -> Path:
         folder.mkdir(parents=True, exist_ok=True)
         with FileLock(folder / ".lock"):
             write(data, folder, request.report.formats)
-    _print(data, folder)
+        if exported:
+            show("exporting")
+            _export(request, material, data, exported)
+    _print(data, folder, exported)
     return folder
+
+
+def _material(request: ReportRequest, show: Callable[[str], None]) -> "Material":
+    if request.source is None:
+        from parking_exp.reports.sources import from_store
+
+        return from_store(request, show)
+    from parking_exp.reports import export
+
+    show("reading the export")
+    return export.read(request.source)
 
 
 @contextmanager
@@ -144,28 +173,34 @@ def _progress() -> Iterator[Callable[[str], None]]:
         yield show
 
 
-def _build(request: ReportRequest, results: "Results", unsynced: Sequence[str]) -> "ReportData":
+def _build(request: ReportRequest, material: "Material") -> "ReportData":
     from parking_exp.reports.build import Question, build
-    from parking_exp.reports.tuning import with_search
-    from parking_exp.reports.untracked import find_untracked
+    from parking_exp.reports.tuning import with_search, with_tuning
 
-    having = list(dict.fromkeys(results.runs["experiment"]))
-    if request.experiment_name is None and len(having) > 1:
-        raise ConfigError(f"experiment: the store has several; name one or more of {', '.join(having)}")
     question = Question(
-        experiments=_experiments(request) or having,
+        experiments=material.experiments,
         cells=request.cells_asked,
         baseline=request.baseline,
         quick=request.report.quick,
-        command=_command(request, _experiments(request) or having),
+        command=_command(request, material.experiments),
     )
-    data = build(results, question, find_untracked(results.runs, request.output_path, having), unsynced)
-    return with_search(data, request.output_path)
+    data = build(material.results, question, material.untracked, material.unsynced)
+    if request.source is None:
+        return with_search(data, request.output_path)
+    return with_tuning(data, material.tuning) if material.tuning else data
 
 
-def _experiments(request: ReportRequest) -> list[str] | None:
-    named = request.experiment_name
-    return [named] if isinstance(named, str) else named
+def _export(request: ReportRequest, material: "Material", data: "ReportData", folder: Path) -> None:
+    from parking_exp.reports import export
+
+    here = Path().absolute()
+    words = [f"from={folder.relative_to(here) if folder.is_relative_to(here) else folder.name}"]
+    if data.baseline:
+        words.append(f"baseline={data.cell(data.baseline).label}")
+    if data.quick:
+        words.append("report=quick")
+    command = shlex.join(["python", "scripts/report.py", *words])
+    export.write(material, data, folder, command, only_cells=bool(request.cells_asked))
 
 
 def _folder_name(experiments: Sequence[str]) -> str:
@@ -173,68 +208,10 @@ def _folder_name(experiments: Sequence[str]) -> str:
     return re.sub(r"[^\w.+-]|^\.", "_", "+".join(experiments))
 
 
-def _sync(request: ReportRequest) -> list[str]:
-    """Send what the embedded store lacks of the runs in the output directory; say what it still lacks.
-
-    Nothing is sent to a store that is typed.
-    """
-    from parking_exp.reports.untracked import run_paths
-    from parking_exp.runs.directory import RunDirectory
-    from parking_exp.tracking.sync import recorded_in_step
-    from parking_exp.tracking.sync_all import sync_all
-    from parking_exp.tracking.tracker import later
-
-    embedded = default_uri(request.output_path)
-    uri = absolute(request.tracking.uri) if request.tracking.uri else embedded
-    lost = (path := database(uri)) is not None and not path.exists()
-    behind = [
-        directory
-        for directory in map(RunDirectory, run_paths(request.output_path, _experiments(request)))
-        if (own := directory.tracking_uri) and is_same_store(own, uri) and (lost or not recorded_in_step(directory))
-    ]
-    if not is_same_store(uri, embedded):
-        older = f"The store has an older state of {plural(len(behind), 'run')} in {request.output_path}"
-        return [f"{older}; {later(request.output_path, uri)}."] if behind else []
-    problems: dict[str, list[RunDirectory]] = {}
-    for directory, problem in sync_all(behind, [uri]):
-        if problem is not None:
-            problems.setdefault(problem, []).append(directory)
-    return [
-        f"The store has not got all of {plural(len(runs), 'run')}, e.g. {runs[0].path}: {problem}."
-        for problem, runs in problems.items()
-    ]
-
-
-def _load(request: ReportRequest) -> "Results":
-    """Load the results.
-
-    Raises:
-        ResultsError: there are none; it says how far the runs in the output directory are.
-    """
-    from parking_exp.reports.untracked import run_paths
-    from parking_exp.results.frames import load
-    from parking_exp.runs.state import read_state
-    from parking_exp.runs.state_tables import name
-
-    experiments = _experiments(request)
-    try:
-        return load(experiments, uri=request.tracking.uri, output_dir=request.output_path)
-    except ResultsError as error:
-        here = [read_state(path) for path in run_paths(request.output_path, experiments or [])]
-        if failed := [state for state in here if state.stage == "failed"]:
-            reason = f"{plural(len(failed), 'run')} of it failed, e.g. {name(failed[0])}: {failed[0].reason}"
-            raise ResultsError(f"{error}; {reason}") from error
-        if here:
-            hint = "`python scripts/status.py` tells how far that is, and with sync=true sends it to the store"
-            raise ResultsError(
-                f"{error}; {plural(len(here), 'run')} of it {'is' if len(here) == 1 else 'are'} here: {hint}"
-            ) from error
-        raise
-
-
 def _command(request: ReportRequest, experiments: Sequence[str]) -> str:
     """Return the command that makes this report."""
-    words = ["python", "scripts/report.py", f"experiment={','.join(experiments)}", *request.cells_asked]
+    where = f"from={request.source}" if request.source else f"experiment={','.join(experiments)}"
+    words = ["python", "scripts/report.py", where, *request.cells_asked]
     if request.baseline:
         words.append(f"baseline={request.baseline}")
     if request.report.quick:
@@ -248,8 +225,10 @@ def _command(request: ReportRequest, experiments: Sequence[str]) -> str:
     return shlex.join(words)
 
 
-def _print(data: "ReportData", folder: Path) -> None:
+def _print(data: "ReportData", folder: Path, exported: Path | None) -> None:
     """Say on the terminal what the report says in its first lines."""
     say(*data.claims, *data.missing)
     say(*(f"warning: {sentence}" for sentence in data.warnings), stderr=True)
+    if exported:
+        say(f"export         {exported}")
     say(f"report         {folder / 'index.html'}")

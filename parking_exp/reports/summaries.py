@@ -109,7 +109,7 @@ def _seed(run: dict[str, Any], evaluations: RunEvaluations) -> Seed:
     return Seed(
         seed=int(run["seed"]),
         run_id=run["run_id"],
-        run_dir=run["run_dir"],
+        run_dir=run["run_dir"] if isinstance(run["run_dir"], str) else None,
         **{name: value for name, value in values.items() if name not in FURTHER},
         n_scenes=n_scenes,
         low=low,

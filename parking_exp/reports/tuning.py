@@ -51,16 +51,21 @@ def with_search(report: ReportData, output_dir: Path) -> ReportData:
             problems.append(f"The search of {name} is left out: {error}.")
         if found is not None:
             break
+    report = replace(report, warnings=[*report.warnings, *problems])
     if found is None:
-        return replace(report, warnings=[*report.warnings, *problems])
-    again = "the table of re-runs is the fair comparison" if found.retested else "none was run again on fresh seeds"
+        return report
     notes = [f"The report shows the search of {found.experiment}, and not those of {', '.join(others)}."]
+    return with_tuning(replace(report, notes=[*report.notes, *(notes if others else [])]), found)
+
+
+def with_tuning(report: ReportData, found: Tuning) -> ReportData:
+    """Return a report with a search, what it says, and a warning of how its cells compare."""
+    again = "the table of re-runs is the fair comparison" if found.retested else "none was run again on fresh seeds"
     return replace(
         report,
         tuning=found,
         claims=[*claims(found), *report.claims],
-        warnings=[*report.warnings, *problems, f"{WHERE_FROM}; {again}."],
-        notes=[*report.notes, *(notes if others else [])],
+        warnings=[*report.warnings, f"{WHERE_FROM}; {again}."],
     )
 
 

@@ -50,8 +50,27 @@
 
 A column that the table of a run of an earlier version does not have is missing in its rows: NaN, or <NA> in `parked`
 and `steps`, which are boolean and Int64 then. phase, step, scene and outcome are always there.
+
+`read_export(FOLDER)` gives the same frames from what `scripts/report.py export=FOLDER` has written: small files, in
+which `run` is the number of a row in `runs.csv`, beginning at 0:
+
+    runs.csv          columns of `Results.runs` that are not the same in all runs, one row per run
+    common.csv        column, value: those that are the same in all runs
+    curves.csv        `Results.curves`
+    episodes.csv      the final episodes, one row per stretch of consecutive scenes: the first of them, and the outcomes
+                      (s, c, t: success, crash, timeout) in their order, with how many times each is repeated: s312c2t
+                      is 312 successes, two crashes and a timeout; certified: how many of the run's were tried again
+                      on real highway-env
+    trajectories.csv  the ways that reports draw, one row each: length in steps; every how many steps there is a place,
+                      and one at the end (0: the end alone); x, y [cm] and heading [rad / 100] there, the first and then
+                      the differences from one to the next
+    report.json       layout, problems; what the report says of its cells, without what the tables have
+
+Left out are evaluation episodes during training, what `Results.episodes` has besides outcomes, speeds, and everything
+that names a place on the machine. Metrics are rounded to 6 significant digits, in curves to 5 where they are no rates.
 """
 
+from parking_exp.results.export import read_export, write_export
 from parking_exp.results.frames import Results, load
 
-__all__ = ["Results", "load"]
+__all__ = ["Results", "load", "read_export", "write_export"]

@@ -83,16 +83,19 @@ class Results:
         Raises:
             ResultsError: there is no such run, or its recording can't be read.
         """
+        self._refuse_unknown(run_id)
         places = self.runs.loc[self.runs["run_id"] == run_id, "artifact_uri"]
-        if places.empty:
-            hint = suggestion(run_id, self.runs["run_id"])
-            raise ResultsError(f"run_id={run_id}: it is none of {plural(len(self.runs), 'run')}{hint}")
         try:
             return read_trajectories(self._reader.artifact(places.iloc[0], TRAJECTORIES_FILE))
         except Exception as error:
             if not isinstance(error, ValueError) and not is_store_failure(error):  # a damaged file is a ValueError
                 raise
             raise ResultsError(f"run {run_id}: {TRAJECTORIES_FILE} can't be read: {reason(error)}") from error
+
+    def _refuse_unknown(self, run_id: str) -> None:
+        if run_id not in set(self.runs["run_id"]):
+            hint = suggestion(run_id, self.runs["run_id"])
+            raise ResultsError(f"run_id={run_id}: it is none of {plural(len(self.runs), 'run')}{hint}")
 
 
 def load(

@@ -149,7 +149,8 @@ def test_with_real_episodes_too(option, simulator):
     envs = make_training_envs(config.env, 3)
     keywords = {"env": envs, "device": "cpu", "n_envs": 3}
     theirs = HerReplayBuffer(1000, envs.observation_space, envs.action_space, **keywords)
-    ours = HerBuffer(1000, envs.observation_space, envs.action_space, reward=GoalReward.of(config.env), **keywords)
+    reward = GoalReward.of(config.env.for_training())
+    ours = HerBuffer(1000, envs.observation_space, envs.action_space, reward=reward, **keywords)
     rng = np.random.default_rng(0)
     envs.seed(0)
     obs = envs.reset()

@@ -33,6 +33,7 @@ print(json.dumps(done), file=sys.stderr)
 LIGHT = [
     ("train", "--help"), ("train", "sead=1"), ("train", "algorithm.gamma=2"),
     ("evaluate", "--help"), ("evaluate", "episodes=0"), ("evaluate", "run=nowhere"),
+    ("export", "--help"), ("export", "format=onx"), ("export", "run=nowhere"),
     ("benchmark", "--help"), ("benchmark", "rounds=0"),
 ]  # fmt: skip
 
@@ -103,6 +104,7 @@ def test_help_names_groups_keys_and_examples():
             "python scripts/train.py experiment=article",
         ],
         "evaluate": ["run: latest", "episodes: 100", "python scripts/evaluate.py run=latest video=5 gif=true"],
+        "export": ["run: latest", "format: onnx", "python scripts/export.py run=latest format=torchscript"],
     }.items():
         done = help_of(name)
         assert done.returncode == 0
@@ -312,6 +314,7 @@ def test_a_built_wheel_works_from_any_directory(tmp_path):
     assert sorted(path.name for path in (site / "bin").iterdir()) == [
         "parking-benchmark",
         "parking-evaluate",
+        "parking-export",
         "parking-report",
         "parking-status",
         "parking-train",

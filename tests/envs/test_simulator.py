@@ -41,7 +41,8 @@ VARIANTS = {
 
 
 def env_config(*overrides) -> EnvConfig:
-    return make_config(*overrides, "algorithm.learning_starts=100000").env
+    # Noise has an entry for each action, of which some configs have one.
+    return make_config(*overrides, "algorithm.learning_starts=100000", "algorithm.action_noise=null").env
 
 
 @pytest.mark.parametrize("kind", slow_but(["biased"], [kind for kind in KINDS if kind != "trained"]))

@@ -385,7 +385,9 @@ def _path(outcome, number, rng):
         xs, ys = xs + 2 * np.cos(12 * t), ys + 2 * np.sin(12 * t)
     heading = np.arctan2(np.gradient(ys), np.gradient(xs))
     parked = sorted(int(s) for s in rng.choice(28, 4, replace=False) if s != slot)
-    return Path(number % 3, 1000 + number, outcome, slot, xs.tolist(), ys.tolist(), heading.tolist(), parked)
+    return Path(
+        number % 3, 1000 + number, outcome, slot, xs.tolist(), ys.tolist(), heading.tolist(), len(xs) - 1, parked
+    )
 
 
 def _pairs(cells, baseline):

@@ -227,9 +227,8 @@ def _paths(grid: _LotGrid, cell: Cell, paths: Sequence[Path], origin: np.ndarray
         arrows.append(_placed(_ARROW, pose[0]))
         parked.update(path.parked_slots)
         goals.add(path.slot)
-        steps = len(path.x_m) - 1
         which = f"{quoted_label(cell.label)}, seed {path.seed}, scene {path.scene}"
-        tip = f"{which}: {path.outcome} after {steps} steps, slot {path.slot}"
+        tip = f"{which}: {path.outcome} after {path.steps} steps, slot {path.slot}"
         grid.canvas.tip_line(grid.axes, thinned[:: max(1, len(thinned) // 40), :2], tip)
     if not lines:
         return

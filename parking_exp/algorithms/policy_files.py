@@ -1,0 +1,52 @@
+"""Save and load an actor's weights as safetensors: nothing in such a file can be executed."""
+
+from pathlib import Path
+
+import torch
+from safetensors import SafetensorError
+from safetensors.torch import load, save
+from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
+
+from parking_exp.algorithms.model_files import replacing
+from parking_exp.algorithms.policy_average import ACTOR
+from parking_exp.errors import DamagedModelError, ModelError
+
+
+def save_policy(model: OffPolicyAlgorithm, path: Path) -> None:
+    """Save the weights of a model's actor.
+
+    Raises:
+        ModelError: the model's policy has no actor.
+        OSError: the file can't be written; an earlier one is untouched.
+    """
+    weights = {name: weight.contiguous() for name, weight in _actor(model).items()}
+    with replacing(path) as temporary:
+        temporary.write_bytes(save(weights, metadata={"format": "pt"}))
+
+
+def load_policy(path: Path, model: OffPolicyAlgorithm) -> None:
+    """Give a model's actor the weights of a file, all of them or none; its critics stay as they are.
+
+    Raises:
+        DamagedModelError: the file can't be read.
+        ModelError: it is the actor of another model.
+        OSError: the disk fails.
+    """
+    try:
+        found = load(path.read_bytes())
+    except SafetensorError as error:
+        raise DamagedModelError(f"{path} is damaged ({error})") from error
+    ours = _actor(model)
+    shapes = [{name: (weight.shape, weight.dtype) for name, weight in weights.items()} for weights in (found, ours)]
+    if shapes[0] != shapes[1]:
+        raise ModelError(f"{path} does not fit {type(model).__name__} as its config.yaml describes it")
+    with torch.no_grad():
+        for name, weight in ours.items():
+            weight.copy_(found[name])
+
+
+def _actor(model: OffPolicyAlgorithm) -> dict[str, torch.Tensor]:
+    weights = {name: weight for name, weight in model.policy.state_dict().items() if name.startswith(ACTOR)}
+    if not weights:
+        raise ModelError(f"{type(model).__name__} has no actor")
+    return weights

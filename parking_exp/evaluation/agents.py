@@ -1,0 +1,131 @@
+"""Find trained agents: a run's models, and the pretrained policies of this package."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+from parking_exp.config.allowlist import check_trust
+from parking_exp.config.schema import EnvConfig, RunConfig
+from parking_exp.errors import DamagedModelError, ModelError, RunNotFoundError, did_you_mean
+from parking_exp.runs.directory import RunDirectory
+from parking_exp.runs.lookup import find_run
+from parking_exp.runs.stored_config import CONFIG_FILE, read_config
+
+if TYPE_CHECKING:
+    from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
+
+PRETRAINED = "pretrained"
+PRETRAINED_DIR = Path(__file__).parents[1] / PRETRAINED
+POLICY_FILE = "policy.safetensors"
+
+ModelName = Literal["final", "best"]
+
+
+@dataclass(frozen=True)
+class Agent:
+    """A trained agent on disk.
+
+    Attributes:
+        name: what it is called in sentences: `final model`, `pretrained agent parked`.
+        config: what it was trained with.
+        weights: a model as Stable-Baselines3 saves it, or the actor's weights alone.
+        folder: where what is made of it goes.
+        precision: torch's float32 matmul precision that it was trained with.
+        directory: its run directory; None of a pretrained one.
+    """
+
+    name: str
+    config: RunConfig
+    weights: Path
+    folder: Path
+    precision: object
+    directory: RunDirectory | None = None
+
+    def model(self, env: EnvConfig) -> "OffPolicyAlgorithm":
+        """Return the model with its weights, for predicting in an env.
+
+        Raises:
+            ConfigError: a model of its class can't be restored exactly.
+            ModelError: the weights are damaged, or are not those of its config.
+        """
+        from stable_baselines3.common.vec_env import DummyVecEnv
+
+        from parking_exp.algorithms.build import build_model
+        from parking_exp.algorithms.model_files import load_weights
+        from parking_exp.algorithms.policy_files import load_policy
+        from parking_exp.algorithms.save_check import check_saving
+        from parking_exp.envs.highway import make_env
+
+        check_saving(self.config)
+        model = build_model(self.config, DummyVecEnv([lambda: make_env(env)]), seed=0, for_training=False)
+        if self.directory is None:
+            load_policy(self.weights, model)
+            return model
+        try:
+            load_weights(self.weights, model)
+        except ModelError as error:
+            again = "delete it and type its training command again, which makes it"
+            ways = _ways_out(self.directory, self.weights.stem, again)
+            if not isinstance(error, DamagedModelError):
+                ways = f"put back the config.yaml that it was trained with, or {ways}"
+            raise ModelError(f"{error}; {ways}") from error
+        return model
+
+
+def find_agent(run: str, output_dir: Path, model: ModelName = "final", *, trust: bool = False) -> Agent:
+    """Find the agent that a run directory, an MLflow run id, `latest`, `pretrained` or `pretrained/NAME` means.
+
+    Args:
+        run: one of these.
+        output_dir: where runs are looked for.
+        model: which of a run's models.
+        trust: whether its config may name classes that runs are not made of.
+
+    Raises:
+        ConfigError: its config can't be read.
+        RunNotFoundError: nothing answers to `run`, or it has no such model yet.
+        UntrustedError: its config would execute what runs are not made of.
+    """
+    if run.partition("/")[0] == PRETRAINED:
+        return _pretrained(run, output_dir)
+    directory = find_run(run, output_dir, having=f"models/{model}.zip")
+    weights = directory.models / f"{model}.zip"
+    if not weights.exists():
+        state = "is gone" if directory.status == "done" else "has not been made yet"
+        ways = _ways_out(directory, model, "type its training command again, which makes it")
+        raise RunNotFoundError(f"run={run}: {weights} {state}; {ways}")
+    config = directory.config()
+    directory.check_links()
+    if not trust:
+        check_trust(config, directory.path / CONFIG_FILE)
+    precision = directory.read_status().get("precision", "highest")
+    return Agent(f"{model} model", config, weights, directory.path, precision, directory)
+
+
+def pretrained_names() -> list[str]:
+    """Return the names of the pretrained agents that this package has."""
+    return sorted(folder.parent.name for folder in PRETRAINED_DIR.glob(f"*/{POLICY_FILE}"))
+
+
+def _pretrained(run: str, output_dir: Path) -> Agent:
+    _, _, name = run.partition("/")
+    name = name or "default"
+    if name not in (names := pretrained_names()):
+        hint = did_you_mean(run, [f"{PRETRAINED}/{one}" for one in names])
+        raise RunNotFoundError(f"run={run}: there is no such pretrained agent; there are {', '.join(names)}{hint}")
+    folder = PRETRAINED_DIR / name
+    config = read_config(folder, output_dir)
+    return Agent(f"pretrained agent {name}", config, folder / POLICY_FILE, output_dir / PRETRAINED / name, "highest")
+
+
+def _ways_out(directory: RunDirectory, model: str, again: str) -> str:
+    """Say what to type where a run's model is gone or damaged; `again` has the last checkpoint make it."""
+    other = "best" if model == "final" else "final"
+    ways = [f"try model={other}"] if (directory.models / f"{other}.zip").exists() else []
+    if directory.status != "done":
+        return (ways or ["let it train first"])[0]
+    if directory.final_checkpoint.exists():
+        ways.append(f"{again} from the last checkpoint")
+    else:
+        ways.append(f"delete {directory.path} to train it afresh, since no checkpoint of its end is left")
+    return ", or ".join(ways)

@@ -1,0 +1,12 @@
+#!/usr/bin/env python
+"""Export a trained agent's policy; see --help."""
+
+import sys
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from parking_exp.cli.export import main
+
+if __name__ == "__main__":
+    main()

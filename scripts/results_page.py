@@ -1,0 +1,210 @@
+#!/usr/bin/env python
+"""Write docs/results.md, its figures and README's rates from the exports in docs/results; `--check` only compares."""
+
+import re
+import shutil
+import sys
+import textwrap
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import pandas as pd
+from jinja2 import Environment, StrictUndefined
+
+ROOT = Path(__file__).resolve().parents[1]
+sys.path.insert(0, str(ROOT))
+
+from parking_exp.reports import formats
+from parking_exp.reports.build import Question, build
+from parking_exp.reports.report_data import Cell, ReportData
+from parking_exp.results import Results, read_export
+from parking_exp.terminal import say
+
+DOCS = ROOT / "docs"
+EXPORTS, PAGE, README = DOCS / "results", DOCS / "results.md", ROOT / "README.md"
+FIGURES = {"algorithms": "learning_curves"}  # of each table; of others every seed's success
+WIDTH = 120
+PACKAGES = ("highway-env", "stable-baselines3", "sb3-contrib", "torch", "python")
+LINK, NO_BREAK = re.compile(r"\[[^\]]*\]\([^)]*\)"), "\0"
+MARKED = re.compile(r"(<!-- results: (?P<name>\w+) -->\n).*?(<!-- end of results -->)", re.DOTALL)
+COLUMNS = {
+    "success": ("success, %", lambda cell: formats.percent_interval(cell.success)),
+    "crash": ("crash, %", lambda cell: formats.percent_interval(cell.crash)),
+    "timeout": ("timeout, %", lambda cell: formats.percent_interval(cell.timeout)),
+    "parked": ("parked, %", lambda cell: formats.percent_interval(cell.parked)),
+    "lowest": ("lowest seed", lambda cell: formats.percent(min(seed.success for seed in cell.seeds))),
+    "above_90": ("seeds ≥ 90 %", lambda cell: f"{cell.reaching_90.k} of {cell.reaching_90.n}"),
+    "area": ("area, %", lambda cell: formats.percent_interval(cell.area)),
+    "to_90": (
+        "env steps to 90 %",
+        lambda cell: formats.number(cell.survival and cell.survival.median) or "not reached",
+    ),
+    "cpu_s": ("CPU-s", lambda cell: formats.number(cell.cpu_s.value)),
+}
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """What the page's template may say of one experiment; cells are named by their labels."""
+
+    results: Results
+    report: ReportData
+
+    def cell(self, label: str) -> Cell:
+        """Return a cell."""
+        return next(cell for cell in self.report.cells if cell.label == label)
+
+    def rate(self, label: str, metric: str = "success") -> str:
+        """Return a mean rate with its interval, e.g. `94.4 % [91.2, 97.1]`."""
+        return formats.rate_interval(getattr(self.cell(label), metric))
+
+    def seeds(self, label: str, metric: str = "success") -> str:
+        """Return a mean rate with its lowest and highest seed, e.g. `94.4 % (90.1 to 100.0 %)`."""
+        cell = self.cell(label)
+        rates = [getattr(seed, metric) for seed in cell.seeds]
+        low, high = formats.percent(min(rates)), formats.percent(max(rates))
+        return f"{formats.rate_text(getattr(cell, metric).value)} ({low} to {high} %)"
+
+    def cpu_s(self, label: str) -> str:
+        """Return the mean CPU seconds of a run."""
+        return formats.number(self.cell(label).cpu_s.value)
+
+    def difference(self, one: str, other: str) -> str:
+        """Return how much better a cell is than another, e.g. `+9.1 points [+4.0, +14.2], p = 0.012`."""
+        a, b = self.cell(one).id, self.cell(other).id
+        pair = next(pair for pair in self.report.pairs if {pair.a, pair.b} == {a, b})
+        pair = pair if pair.a == a else pair.turned()
+        return f"{formats.points_interval(pair.difference)}, {formats.p_value(pair.p_holm)}"
+
+    def effect(self, factor: str) -> str:
+        """Return the mean of each level of a factor over the other factors."""
+        effect = next(effect for effect in self.report.effects if effect.factor == factor)
+        return ", ".join(f"`{formats.level(one.level)}` {formats.rate_interval(one.effect)}" for one in effect.levels)
+
+    def table(self, factors: dict[str, str], *columns: str) -> str:
+        """Return a Markdown table of all cells.
+
+        Args:
+            factors: config keys and what their columns are called; no keys: a column of labels.
+            columns: names in COLUMNS.
+        """
+        heads = [*(factors.values() or ["cell"]), *(COLUMNS[name][0] for name in columns)]
+        lines = [_row(heads), _row([*(":---" for _ in factors or [0]), *("---:" for _ in columns)])]
+        for cell in self.report.cells:
+            if not cell.seeds:
+                continue
+            names = [self._setting(cell, key) for key in factors] or [f"`{cell.label}`"]
+            lines.append(_row([*names, *(COLUMNS[name][1](cell) for name in columns)]))
+        return "\n".join(lines)
+
+    def _setting(self, cell: Cell, key: str) -> str:
+        runs = self.results.runs.set_index("run_id")
+        value: Any = runs.at[cell.seeds[0].run_id, f"config.{key}"]
+        return "" if pd.isna(value) else f"{value:,}" if isinstance(value, int) else formats.setting(value)
+
+    def provenance(self) -> str:
+        """Return where the runs come from: how many, CPU time, machines, versions, commits."""
+        origin = self.report.provenance
+        versions = [f"{name} {', '.join(origin.versions[name])}" for name in PACKAGES if name in origin.versions]
+        return (
+            f"{self.runs} runs, {self.cpu_hours:.1f} CPU-hours, {', '.join(origin.machines)}; {', '.join(versions)}; "
+            f"commit {', '.join(origin.commits)}."
+        )
+
+    @property
+    def runs(self) -> int:
+        """How many runs are done."""
+        return sum(len(cell.seeds) for cell in self.report.cells)
+
+    @property
+    def cpu_hours(self) -> float:
+        """CPU time of all runs, in hours."""
+        return float(self.results.runs["cpu_s"].sum()) / 3600
+
+
+def main(arguments: list[str]) -> int:
+    """Write the page, or with `--check` say whether it is what the exports give."""
+    found = {folder.name: _experiment(folder) for folder in sorted(EXPORTS.iterdir()) if folder.is_dir()}
+    written = {PAGE: _page(found), README: _readme(found)}
+    stale = [path for path, text in written.items() if not path.exists() or path.read_text(encoding="utf-8") != text]
+    if arguments == ["--check"]:
+        for path in stale:
+            say(f"{path.relative_to(ROOT)} is not what the exports give; type make results-page")
+        return int(bool(stale))
+    for path in stale:
+        path.write_text(written[path], encoding="utf-8")
+    for name, experiment in found.items():
+        _draw(name, experiment.report)
+    say(f"written        {PAGE.relative_to(ROOT)}, {README.relative_to(ROOT)}, docs/images/results_*.png")
+    return 0
+
+
+def _experiment(folder: Path) -> Experiment:
+    results = read_export(folder)
+    names = list(dict.fromkeys(results.runs["experiment"]))
+    return Experiment(results, build(results, Question(names)))
+
+
+def _page(found: dict[str, Experiment]) -> str:
+    return _rendered("page", found)
+
+
+def _readme(found: dict[str, Experiment]) -> str:
+    """Return README with its marked parts filled in: `<!-- results: NAME -->` by NAME's template."""
+    text = README.read_text(encoding="utf-8")
+    return MARKED.sub(lambda match: f"{match[1]}{_rendered(match['name'], found).strip()}\n{match[3]}", text)
+
+
+def _rendered(name: str, found: dict[str, Experiment]) -> str:
+    """Fill in the template docs/results/NAME.md.jinja: experiments by their names, and all of them as `tables`."""
+    text = (EXPORTS / f"{name}.md.jinja").read_text(encoding="utf-8")
+    # Markdown, which needs no escaping of HTML.
+    template = Environment(undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True, autoescape=False)
+    return _wrapped(template.from_string(text).render(found, tables=found))
+
+
+def _wrapped(text: str) -> str:
+    """Break lines of paragraphs and lists, whose numbers make them longer than a line of the template."""
+    blocks = re.split(r"(```.*?```)", re.sub(r"\n{3,}", "\n\n", text), flags=re.DOTALL)
+    return "".join(block if number % 2 else "\n\n".join(_lines(block)) for number, block in enumerate(blocks))
+
+
+def _lines(text: str) -> Iterator[str]:
+    for paragraph in text.split("\n\n"):
+        if paragraph.lstrip().startswith(("|", "#", "!", "<")) or not paragraph.strip():
+            yield paragraph
+            continue
+        start = "\n" if paragraph.startswith("\n") else ""
+        end = "\n" if paragraph.endswith("\n") else ""
+        items = re.split(r"\n(?=- )", paragraph.strip("\n"))
+        yield start + "\n".join(_filled(item) for item in items) + end
+
+
+def _filled(item: str) -> str:
+    words = LINK.sub(lambda link: link[0].replace(" ", NO_BREAK), " ".join(item.split()))
+    indent = "  " if words.startswith("- ") else ""
+    lines = textwrap.fill(words, WIDTH, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False)
+    return lines.replace(NO_BREAK, " ")
+
+
+def _row(cells: list[str]) -> str:
+    return f"| {' | '.join(cells)} |"
+
+
+def _draw(name: str, report: ReportData) -> None:
+    """Draw the figure of a table."""
+    from parking_exp.reports.figures.export import draw
+    from parking_exp.reports.sections import SECTIONS
+
+    figure = FIGURES.get(name, "final_success")
+    sections = [section for section in SECTIONS if figure in (one.name for one in section.figures)]
+    with TemporaryDirectory() as folder:
+        draw(report, Path(folder), ["png"], sections)
+        shutil.copy(Path(folder) / f"{figure}.png", DOCS / "images" / f"results_{name}.png")
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

@@ -1,0 +1,66 @@
+"""The page of reference results, and README's rates, are what the exports beside them give."""
+
+import importlib.util
+import shutil
+
+import pytest
+from support.runs import ROOT
+
+EXPORTS = ROOT / "docs" / "results"
+MOST_BYTES = 2_000_000
+
+
+@pytest.fixture
+def page(tmp_path, monkeypatch):
+    """The script, on a copy of what it reads and writes."""
+    spec = importlib.util.spec_from_file_location("results_page", ROOT / "scripts" / "results_page.py")
+    script = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(script)
+    shutil.copytree(EXPORTS, tmp_path / "docs" / "results")
+    (tmp_path / "docs" / "images").mkdir()
+    for name in ("README.md", "docs/results.md"):
+        shutil.copy(ROOT / name, tmp_path / name)
+    monkeypatch.setattr(script, "ROOT", tmp_path)
+    monkeypatch.setattr(script, "DOCS", tmp_path / "docs")
+    monkeypatch.setattr(script, "EXPORTS", tmp_path / "docs" / "results")
+    monkeypatch.setattr(script, "PAGE", tmp_path / "docs" / "results.md")
+    monkeypatch.setattr(script, "README", tmp_path / "README.md")
+    return script
+
+
+def test_page_and_readme_are_what_the_exports_give(page, capsys):
+    assert page.main(["--check"]) == 0
+    assert capsys.readouterr().out == ""
+
+
+@pytest.mark.parametrize("name", ["README.md", "docs/results.md"])
+def test_a_rate_that_was_typed_is_noticed_and_written_anew(page, tmp_path, capsys, name):
+    file = tmp_path / name
+    text = file.read_text(encoding="utf-8")
+    rate = "99.4 %"
+    assert rate in text
+    file.write_text(text.replace(rate, "99.9 %"), encoding="utf-8")
+    assert page.main(["--check"]) == 1
+    assert capsys.readouterr().out == f"{name} is not what the exports give; type make results-page\n"
+    assert page.main([]) == 0
+    assert file.read_text(encoding="utf-8") == text
+
+
+def test_every_table_has_a_figure_and_its_command(page):
+    text = (ROOT / "docs" / "results.md").read_text(encoding="utf-8")
+    names = [folder.name for folder in EXPORTS.iterdir() if folder.is_dir()]
+    assert names
+    for name in names:
+        assert f"](images/results_{name}.png)" in text
+        assert (ROOT / "docs" / "images" / f"results_{name}.png").stat().st_size < 250_000
+        assert f"python scripts/train.py experiment={name}" in text
+
+
+def test_the_exports_are_small_and_name_no_place_of_a_machine():
+    files = [file for file in EXPORTS.rglob("*") if file.suffix in {".csv", ".json"}]
+    assert sum(file.stat().st_size for file in files) < MOST_BYTES
+    for file in files:
+        text = file.read_text(encoding="utf-8")
+        assert str(ROOT) not in text
+        assert "/tmp/" not in text
+        assert "/home/" not in text

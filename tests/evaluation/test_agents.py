@@ -1,0 +1,90 @@
+"""Trained agents are found by name; pretrained ones park, and nothing of their files is executed."""
+
+import shutil
+
+import pytest
+import torch
+from support.runs import make_config
+
+from parking_exp.algorithms.build import build_model, greedy_policy
+from parking_exp.algorithms.policy_files import load_policy, save_policy
+from parking_exp.envs.training_envs import make_training_envs
+from parking_exp.errors import DamagedModelError, ModelError, RunNotFoundError
+from parking_exp.evaluation import agents
+from parking_exp.evaluation.agents import PRETRAINED_DIR, find_agent, pretrained_names
+from parking_exp.evaluation.evaluate import evaluate, summarise
+
+TINY = ("algorithm.net_arch=[8]", "n_envs=1", "algorithm.learning_starts=1000", "updates_per_step=1")
+
+
+def make_model(*overrides, seed=0):
+    config = make_config(*TINY, *overrides)
+    return build_model(config, make_training_envs(config.env, 1), seed=seed, for_training=False)
+
+
+def test_there_are_a_default_and_a_parked_agent_each_with_a_card_in_less_than_100_kb():
+    assert pretrained_names() == ["default", "parked"]
+    for name in pretrained_names():
+        files = {file.name: file.stat().st_size for file in (PRETRAINED_DIR / name).iterdir()}
+        assert set(files) == {"README.md", "config.yaml", "policy.safetensors"}
+        assert sum(files.values()) < 100_000
+
+
+@pytest.mark.parametrize(
+    ("name", "env", "metric"),
+    [("pretrained", "parking", "success_rate"), ("pretrained/parked", "parking_stop", "parked_rate")],
+)
+def test_pretrained_agents_park(name, env, metric, tmp_path):
+    agent = find_agent(name, tmp_path)
+    assert agent.directory is None
+    assert agent.config.seed == 0
+    assert agent.config.env.name == env
+    found = summarise(evaluate(greedy_policy(agent.model(agent.config.env)), agent.config.env, range(50)))
+    assert found[metric] == 1.0
+
+
+def test_their_configs_are_those_of_the_recipes():
+    for name, typed in (("default", ()), ("parked", ("experiment=parked",))):
+        config, recipe = find_agent(f"pretrained/{name}", PRETRAINED_DIR).config, make_config(*typed)
+        for part in ("env", "algorithm", "buffer", "total_timesteps", "n_envs", "updates_per_step", "precision"):
+            assert getattr(config, part) == getattr(recipe, part), part
+
+
+def test_a_name_that_there_is_not_is_told_with_those_that_there_are(tmp_path):
+    sentence = r"run=pretrained/parkd: there is no such pretrained agent; there are default, parked; did you mean "
+    with pytest.raises(RunNotFoundError, match=sentence):
+        find_agent("pretrained/parkd", tmp_path)
+    with pytest.raises(RunNotFoundError, match=r"there are default, parked"):
+        find_agent("pretrained/../default", tmp_path)
+
+
+@pytest.mark.parametrize("algorithm", ["sac", "td3", "tqc", "crossq"])
+def test_a_saved_policy_is_restored_bit_for_bit_and_alone(algorithm, tmp_path):
+    one, other = (make_model(f"algorithm={algorithm}", seed=seed) for seed in (1, 2))
+    before = {name: weight.clone() for name, weight in other.critic.state_dict().items()}
+    save_policy(one, tmp_path / "policy.safetensors")
+    load_policy(tmp_path / "policy.safetensors", other)
+    for name, weight in one.actor.state_dict().items():
+        assert torch.equal(weight, other.actor.state_dict()[name]), name
+    for name, weight in other.critic.state_dict().items():
+        assert torch.equal(weight, before[name]), name
+
+
+def test_the_policy_of_another_network_is_refused_and_changes_nothing(tmp_path):
+    save_policy(make_model("algorithm.net_arch=[9]"), tmp_path / "policy.safetensors")
+    model = make_model()
+    before = [weight.clone() for weight in model.actor.parameters()]
+    with pytest.raises(ModelError, match=r"policy.safetensors does not fit TD3 as its config.yaml describes it$"):
+        load_policy(tmp_path / "policy.safetensors", model)
+    assert all(map(torch.equal, before, model.actor.parameters()))
+
+
+@pytest.mark.parametrize("damage", [lambda content: content[:-9], lambda content: b"", lambda content: b"\xff" * 99])
+def test_a_damaged_policy_is_refused(damage, tmp_path, monkeypatch):
+    shutil.copytree(PRETRAINED_DIR / "default", tmp_path / "default")
+    file = tmp_path / "default" / "policy.safetensors"
+    file.write_bytes(damage(file.read_bytes()))
+    monkeypatch.setattr(agents, "PRETRAINED_DIR", tmp_path)
+    agent = find_agent("pretrained", tmp_path)
+    with pytest.raises(DamagedModelError, match=r"policy.safetensors is damaged"):
+        agent.model(agent.config.env)

@@ -1,0 +1,274 @@
+"""Exported policies: what is in the files, that they give the model's actions, and what is refused."""
+
+import re
+import shutil
+import subprocess
+import sys
+from functools import cache
+
+import numpy as np
+import onnx
+import onnxruntime
+import pytest
+import torch
+from safetensors.numpy import load_file
+from support.marks import slow_but
+from support.runs import ROOT, make_config, type_here
+
+from parking_exp.algorithms import policy_export
+from parking_exp.algorithms.build import build_model, greedy_policy
+from parking_exp.algorithms.policy_export import Differences, check_actions, export_policy, in_double_precision
+from parking_exp.envs.training_envs import make_training_envs
+from parking_exp.errors import ModelError
+from parking_exp.evaluation import export_run as exporting
+from parking_exp.evaluation.export_run import observations_of
+
+NAMES = ["achieved_goal", "desired_goal", "observation"]
+FORMATS = {"onnx": ".onnx", "torchscript": ".pt", "safetensors": ".safetensors"}
+BLOCKED = "import sys; sys.modules |= dict.fromkeys(['torch', 'stable_baselines3', 'parking_exp'])\n"
+AGENTS = {
+    **{f"td3 {features}": ("algorithm=td3", f"algorithm.features={features}")
+       for features in ("raw", "ego", "ego_fine", "ego_mirrored")},
+    "td3 with moving goals": ("env=parking_stop", "algorithm=td3"),
+    "sac": ("algorithm=sac",),
+    "sac with gSDE": ("algorithm=sac", "algorithm.use_sde=true", "algorithm.features=raw"),
+    "tqc": ("algorithm=tqc",),
+    "crossq": ("algorithm=crossq", "algorithm.features=raw"),
+    "steering alone": ("algorithm=td3", "env.action.longitudinal=false", "algorithm.action_noise=null"),
+    "a shared features extractor": ("algorithm=sac", "algorithm.features=raw",
+                                    "+algorithm.policy_kwargs.share_features_extractor=true"),
+}  # fmt: skip
+
+EXPENSIVE = ["sac with gSDE", "tqc", "a shared features extractor"]
+
+
+@cache
+def agent(name):
+    """A model that has learned nothing, and says something; and observations of episodes that it drives."""
+    config = make_config("experiment=smoke", *AGENTS[name])
+    model = build_model(config, make_training_envs(config.env, 1), seed=3, for_training=False)
+    with torch.no_grad():
+        for weight in model.actor.parameters():
+            weight.mul_(3)  # so that actions are not all close to zero
+    return model, observations_of(greedy_policy(model), config.env, 200)
+
+
+def rows(observations, wanted):
+    return {name: value[wanted].astype(np.float32) for name, value in observations.items()}
+
+
+def run_onnx(path, observations):
+    return onnxruntime.InferenceSession(path).run(["action"], observations)[0]
+
+
+def run_torchscript(path, observations):
+    return torch.jit.load(path)({name: torch.as_tensor(value) for name, value in observations.items()}).numpy()
+
+
+@pytest.mark.parametrize("name", slow_but([name for name in AGENTS if name not in EXPENSIVE], AGENTS))
+def test_files_give_the_actions_of_predict_whatever_the_batch(name, tmp_path):
+    model, observations = agent(name)
+    expected, _ = in_double_precision(model.policy).predict(observations, deterministic=True)
+    single, _ = model.predict(observations, deterministic=True)
+    assert np.abs(expected - single).max() < 1e-5
+    assert np.abs(single).max() > 0.1
+    for file_format, run in (("onnx", run_onnx), ("torchscript", run_torchscript)):
+        path = tmp_path / "policy"
+        assert export_policy(model, file_format, path, observations).double <= 1e-6
+        for wanted in (slice(0, 1), slice(20, 27), slice(None)):
+            actions = run(path, rows(observations, wanted))
+            assert (actions.shape, actions.dtype) == (expected[wanted].shape, np.float32)
+            assert np.abs(actions - expected[wanted]).max() <= 1e-6
+
+
+def test_an_onnx_file_has_the_whole_observation_as_inputs(tmp_path):
+    model, observations = agent("td3 ego_mirrored")
+    export_policy(model, "onnx", tmp_path / "policy.onnx", observations)
+    session = onnxruntime.InferenceSession(tmp_path / "policy.onnx")
+    assert [(one.name, one.shape, one.type) for one in session.get_inputs()] == [
+        (name, ["batch", 6], "tensor(float)") for name in NAMES
+    ]
+    assert [(one.name, one.shape, one.type) for one in session.get_outputs()] == [
+        ("action", ["batch", 2], "tensor(float)")
+    ]
+
+
+def test_an_onnx_file_is_one_file_without_paths_of_the_machine(tmp_path):
+    model, observations = agent("td3 ego_mirrored")
+    export_policy(model, "onnx", tmp_path / "policy.onnx", observations)
+    assert [path.name for path in tmp_path.iterdir()] == ["policy.onnx"]
+    content = (tmp_path / "policy.onnx").read_bytes()
+    assert str(ROOT).encode() not in content
+    assert b"site-packages" not in content
+    onnx.checker.check_model(onnx.load_from_string(content), full_check=True)
+
+
+def test_a_torchscript_file_has_no_critics(tmp_path):
+    model, observations = agent("td3 ego_mirrored")
+    export_policy(model, "torchscript", tmp_path / "policy.pt", observations)
+    loaded = torch.jit.load(tmp_path / "policy.pt")
+    assert list(loaded.parameters()) == []  # frozen: weights are constants
+    assert "critic" not in str(loaded.inlined_graph)
+
+
+def test_a_safetensors_file_has_the_actors_weights(tmp_path):
+    model, observations = agent("sac")
+    assert export_policy(model, "safetensors", tmp_path / "policy.safetensors", observations).double == 0.0
+    weights = {name: value for name, value in model.policy.state_dict().items() if name.startswith("actor.")}
+    found = load_file(tmp_path / "policy.safetensors")
+    assert sorted(found) == sorted(weights)
+    assert all(np.array_equal(found[name], weights[name].numpy()) for name in found)
+
+
+def test_exporting_changes_nothing_of_the_model(tmp_path):
+    model, observations = agent("sac")
+    before = {name: value.clone() for name, value in model.policy.state_dict().items()}
+    for file_format in FORMATS:
+        export_policy(model, file_format, tmp_path / "policy", observations)
+    after = model.policy.state_dict()
+    assert all(after[name].dtype == torch.float32 and torch.equal(after[name], before[name]) for name in before)
+
+
+def test_actions_of_a_mirrored_scene_are_mirrored(tmp_path):
+    model, observations = agent("td3 ego_mirrored")
+    export_policy(model, "onnx", tmp_path / "policy.onnx", observations)
+    start = np.array([[0, 0, 0, 0, 1, 0]], np.float32)  # heading along x, the goal to the left and to the right
+    left, right = (np.array([[0.1, y, 0, 0, 0, 1 if y > 0 else -1]], np.float32) for y in (0.14, -0.14))
+    (one,), (other,) = (
+        run_onnx(tmp_path / "policy.onnx", {"observation": start, "achieved_goal": start, "desired_goal": goal})
+        for goal in (left, right)
+    )
+    assert other.tolist() == [one[0], -one[1]]
+    assert one[1] != 0
+
+
+def test_observations_are_the_same_each_time_and_all_of_their_number():
+    model, observations = agent("td3 raw")
+    env = make_config("experiment=smoke", *AGENTS["td3 raw"]).env
+    again = observations_of(greedy_policy(model), env, 200)
+    assert sorted(again) == NAMES
+    for name in NAMES:
+        assert again[name].shape == (200, 6)
+        np.testing.assert_array_equal(again[name], observations[name])
+    # Whole episodes of 20 steps of 50 scenes, and then the next scenes.
+    assert observations_of(greedy_policy(model), env, 1010)["observation"][-10:, :2].tolist() == [[0, 0]] * 10
+
+
+@pytest.mark.parametrize(("by", "refused"), [(9e-7, False), (1.1e-6, True), (np.nan, True)])
+def test_a_policy_that_differs_is_caught(by, refused):
+    model, observations = agent("td3 raw")
+    exact, _ = in_double_precision(model.policy).predict(observations, deterministic=True)
+    other = exact.copy()
+    other[123, 1] += by
+    if refused:
+        with pytest.raises(
+            ModelError, match=r"^x: the exported policy's actions differ from the model's by .* 1e-06 is"
+        ):
+            check_actions(lambda _: other, model, observations, "x")
+    else:
+        assert check_actions(lambda _: other, model, observations, "x").double == pytest.approx(by)
+
+
+def test_a_reference_that_is_not_the_model_is_caught(monkeypatch):
+    model, observations = agent("td3 raw")
+    wrong = in_double_precision(agent("td3 ego")[0].policy)
+    monkeypatch.setattr(policy_export, "in_double_precision", lambda policy: wrong)
+    with pytest.raises(ModelError, match=r"0\.0001 is allowed"):
+        check_actions(lambda one: wrong.predict(one, deterministic=True)[0], model, observations, "x")
+
+
+@pytest.mark.parametrize("file_format", FORMATS)
+def test_what_fails_the_check_leaves_the_earlier_file(file_format, tmp_path, monkeypatch):
+    model, observations = agent("sac")
+    write = policy_export.WRITERS[file_format]
+    other = build_model(make_config("experiment=smoke"), model.env, seed=4, for_training=False)
+    monkeypatch.setitem(policy_export.WRITERS, file_format, lambda _, path: write(other, path))
+    (tmp_path / "policy").write_text("earlier")
+    with pytest.raises(ModelError, match=r"nothing is written$"):
+        export_policy(model, file_format, tmp_path / "policy", observations)
+    assert [(path.name, path.read_text()) for path in tmp_path.iterdir()] == [("policy", "earlier")]
+
+
+def test_a_policy_that_cannot_be_traced_is_refused_in_a_sentence(tmp_path, monkeypatch):
+    model, observations = agent("sac with gSDE")
+
+    def predict(observation, deterministic):
+        raise RuntimeError("no such operator\nand more")
+
+    monkeypatch.setattr(type(model.policy), "_predict", lambda self, *args, **kwargs: predict(*args, **kwargs))
+    with pytest.raises(ModelError) as refused:
+        export_policy(model, "onnx", tmp_path / "policy.onnx", observations)
+    path = "stable_baselines3.sac.policies.MultiInputPolicy"
+    assert str(refused.value) == f"the policy {path} can't be exported as onnx: no such operator"
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.fixture(scope="module")
+def run(smoke, tmp_path_factory):
+    """A copy of the smoke run."""
+    copy = tmp_path_factory.mktemp("export") / "outputs"
+    shutil.copytree(smoke[2], copy, ignore=shutil.ignore_patterns("mlflow*", "checkpoints"))
+    return next(copy.glob("*/*/seed=*"))
+
+
+@pytest.mark.parametrize("file_format", FORMATS)
+def test_the_command_writes_into_the_run_directory(file_format, run):
+    done = type_here("export", f"run={run}", f"format={file_format}")
+    path = run / "exports" / f"policy{FORMATS[file_format]}"
+    assert (done.returncode, done.stderr) == (0, "")
+    size = path.stat().st_size / 1000
+    directory, exported, checked, file = done.stdout.splitlines()
+    assert directory == f"run directory  {run}"
+    assert exported == f"exported       final model as {file_format}, {size:.1f} kB"
+    assert file == f"file           {path}"
+    found = re.fullmatch(
+        r"checked        on 1,000 observations: largest difference from torch (\S+) \(1e-06 is allowed\), "
+        r"from torch in single precision (\S+)",
+        checked,
+    )
+    differences = Differences(*map(float, found.groups()))
+    assert 0 <= differences.double <= 1e-7  # what rounding an action of 1 at most to float32 is
+    assert 0 < differences.single < 1e-5
+
+
+def test_a_path_and_a_model_can_be_chosen(run, tmp_path):
+    done = type_here("export", f"run={run}", "model=best", "path=made/best.onnx", cwd=tmp_path)
+    assert done.returncode == 0
+    assert "exported       best model as onnx" in done.stdout
+    assert [path.name for path in (tmp_path / "made").iterdir()] == ["best.onnx"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["format=onx"], "format=onx is not a valid choice; did you mean 'onnx'?"),
+        (["path=."], "path=. is a directory; name a file in it"),
+        (["run=nowhere"], "run=nowhere: there are no runs in {here}/outputs; train one first, or set output_dir"),
+        (["model=last"], "model=last is not a valid choice; did you mean 'best'?"),
+        (["run={run}", "path=file/policy.onnx"], "File exists: {here}/file"),
+    ],
+)
+def test_what_cannot_be_exported_gets_a_sentence(arguments, message, run, tmp_path):
+    (tmp_path / "file").touch()
+    done = type_here("export", *(one.format(run=run) for one in arguments), cwd=tmp_path)
+    assert (done.returncode, done.stderr) == (2, f"error: {message.format(here=tmp_path)}\n")
+    assert [path.name for path in tmp_path.iterdir()] == ["file"]
+
+
+def test_without_the_extra_onnx_is_refused(run, monkeypatch):
+    monkeypatch.setattr(exporting, "find_spec", lambda name: None if name == "onnxruntime" else object())
+    done = type_here("export", f"run={run}")
+    assert done.stderr == "error: format=onnx: onnxruntime is not installed; pip install 'parking-exp[export]'\n"
+
+
+def test_the_example_of_the_docs_parks_without_torch_and_this_package(tmp_path):
+    (example,) = re.findall(
+        r"^```python title=\"drive.py\"\n(.*?)^```", (ROOT / "docs" / "exporting.md").read_text(), re.M | re.S
+    )
+    assert len(example.splitlines()) <= 15
+    done = type_here("export", "run=pretrained", "path=policy.onnx", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    (tmp_path / "drive.py").write_text(BLOCKED + example)
+    drove = subprocess.run([sys.executable, "drive.py"], check=False, capture_output=True, text=True, cwd=tmp_path)
+    assert drove.returncode == 0, drove.stderr
+    assert drove.stdout == "10 of 10 parked\n"

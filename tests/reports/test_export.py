@@ -1,0 +1,281 @@
+"""A report that is made from an export says what one from the store says."""
+
+import io
+import json
+import re
+import shutil
+import sys
+from contextlib import redirect_stderr, redirect_stdout
+from dataclasses import asdict, replace
+from pathlib import Path
+
+import pytest
+from support.marks import slow_but
+from support.runs import in_memory
+from support.store_factory import Look, make_store
+
+from parking_exp.cli.report import main, report_overrides
+from parking_exp.reports import export, lot_map
+from parking_exp.reports.build import Question, build
+from parking_exp.reports.curves import RunEvaluations
+from parking_exp.reports.report_data import Factor
+from parking_exp.reports.sources import Material
+from parking_exp.reports.tuning import with_tuning
+from parking_exp.reports.tuning_data import Budget, Objective, Trial, Tuning
+from parking_exp.reports.untracked import find_untracked
+from parking_exp.results import load, read_export
+from parking_exp.runs.files import write_json
+from parking_exp.runs.layout_version import new_entries
+
+CELLS = {
+    f"{buffer}{n}": [f"buffer=her_{buffer}", f"buffer.n_sampled_goal={n}", "evaluation.final_n_scenes=40"]
+    for buffer in ("future", "final") for n in (1, 4)
+}  # fmt: skip
+QUESTION = Question(experiments=["one"], quick=True)
+AT_A_PLACE = {"made", "command", "uri", "run_dir"}
+
+
+def look(label, seed):
+    if (label, seed) == ("final4", 1):
+        return Look(status="failed", error="no file /tmp/here/x.zip", curve=(0.2, 0.9, 0.9, 0.9))
+    if (label, seed) == ("final4", 2):
+        return Look(status="interrupted")
+    contents = {"trajectories.npz": b"damaged"} if (label, seed) == ("final1", 0) else {}
+    curve = (0.1, 1 / 3, 0.9 + seed / 100, 0.95, 1.0) if label.startswith("future") else None
+    # Ways of 150 steps are thinned.
+    return Look(
+        success=0.3, crash=0.4, steps=150, trajectories=40, cpu_s=200 / 3 + seed, curve=curve, contents=contents
+    )
+
+
+@pytest.fixture(scope="module")
+def store(empty):
+    """An output directory with four cells, of which one has a failed and a cut off run, and runs that are not begun."""
+    with in_memory() as folder:
+        shutil.copy(empty / "mlflow.db", folder)
+        make_store(Path(folder), "one", CELLS, range(3), look, bulk=True)
+        for cell in [*(Path(folder) / "one").iterdir(), Path(folder) / "one" / "other-0123456789"]:
+            (cell / "seed=9").mkdir(parents=True)
+            write_json(cell / "seed=9" / "status.json", {**new_entries(), "status": "pending"})
+        yield Path(folder)
+
+
+@pytest.fixture(scope="module")
+def material(store):
+    results = load("one", output_dir=store)
+    return Material(results, ["one"], find_untracked(results.runs, store, ["one"]), [f"The store lacks {store}/x: no."])
+
+
+@pytest.fixture(scope="module")
+def folder(material, tmp_path_factory):
+    """The export of the report on all cells."""
+    folder = tmp_path_factory.mktemp("exports") / "one"
+    export.write(material, made_of(material), folder, "python scripts/report.py from=one", only_cells=False)
+    return folder
+
+
+def report(output_dir, *arguments, code=0):
+    """Run the command in an output directory, and return what it printed: (stdout, stderr)."""
+    out, err, status = io.StringIO(), io.StringIO(), 0
+    with pytest.MonkeyPatch.context() as patch, redirect_stdout(out), redirect_stderr(err):
+        patch.chdir(output_dir)
+        patch.setattr(sys, "argv", ["report.py", *arguments, f"output_dir={output_dir}"])
+        try:
+            main()
+        except SystemExit as end:
+            status = end.code
+    assert status == code, err.getvalue()
+    return out.getvalue(), err.getvalue()
+
+
+def made_of(material, question=QUESTION):
+    return build(material.results, question, material.untracked, material.unsynced)
+
+
+def differences(one, other, key=""):
+    """Keys at which two JSON values differ by more than rounding does."""
+    if isinstance(one, dict):
+        assert one.keys() == other.keys(), key
+        return [found for name in one for found in differences(one[name], other[name], name)]
+    if isinstance(one, list | tuple):
+        assert len(one) == len(other), key
+        return [found for a, b in zip(one, other, strict=True) for found in differences(a, b, key)]
+    if isinstance(one, float) and isinstance(other, float):
+        return [] if one == pytest.approx(other, rel=1e-3, abs=1e-5) else [key]
+    return [] if one == other else [key]
+
+
+def test_a_report_from_an_export_is_the_same_but_for_places_and_rounding(material, store, folder):
+    from_store, from_export = made_of(material), made_of(export.read(str(folder)))
+    sentences = [replace(one, warnings=[]) for one in (from_store, from_export)]
+    assert set(differences(*(one.plain() for one in sentences))) == {"made", "uri", "run_dir", "reason"}
+    assert from_export.provenance.uri == str(folder)
+    assert [run.reason for run in from_export.provenance.unfinished if run.status == "failed"] == ["no file x.zip"]
+    assert {run.status for run in from_export.provenance.unfinished} == {"failed", "interrupted", "pending"}
+    assert from_export.missing == ["10 of 17 runs are done: 1 failed, 6 cut off or not begun."]
+    assert f"The store lacks {store}/x: no." in from_store.warnings
+    assert from_export.warnings == [one.replace(f"{store}/x", "x") for one in from_store.warnings]
+    assert any("trajectories.npz can't be read" in one for one in from_export.warnings)
+    assert sum(len(cell.paths) for cell in from_export.cells) > 20
+    assert all(len(cell.failures) > 10 for cell in from_export.cells)
+
+
+@pytest.mark.parametrize(
+    "changes", slow_but([{"cells": ["her_final*"]}], [{"cells": ["her_final*"]}, {"cells": ["n_sampled_goal=1"]}])
+)
+def test_other_cells_and_another_baseline_can_be_asked_for(material, folder, changes):
+    question = replace(QUESTION, baseline="her_future, n_sampled_goal=1", **changes)
+    from_store, from_export = made_of(material, question), made_of(export.read(str(folder)), question)
+    assert len(from_export.cells) == (3 if "her_final*" in changes["cells"] else 2)
+    assert {pair.b for pair in from_export.pairs} == {from_export.baseline}
+    assert [asdict(path) for cell in from_export.cells for path in cell.paths] == [
+        asdict(path) for cell in from_store.cells for path in cell.paths
+    ]
+    assert from_export.claims == from_store.claims
+
+
+def test_of_many_failures_the_same_ones_are_drawn_from_the_rest(material, tmp_path, monkeypatch):
+    monkeypatch.setattr(lot_map, "MOST_FAILURES", 7)
+    monkeypatch.setattr(lot_map, "PATHS_AN_OUTCOME", 2)
+    results = material.results
+    runs = results.runs[(results.runs["status"] == "done")]
+    export.write(material, made_of(material), tmp_path / "one", "", only_cells=False)
+    kept = read_export(tmp_path / "one")
+    final = RunEvaluations.of(results).final
+    for _, cell in runs.groupby("cell"):
+        pairs = list(zip(cell["seed"].tolist(), cell["run_id"].tolist(), strict=True))
+        for vehicles in (0, 3):
+            ours, theirs = (lot_map.sample(pairs, one, final, vehicles) for one in (results, kept))
+            assert len(ours.failures) == 7
+            assert len(ours.paths) == (3 if vehicles else 6)
+            assert (theirs.paths, theirs.failures) == (ours.paths, ours.failures)
+
+
+def test_long_ways_have_every_fifth_place_and_the_last_and_their_length(material):
+    paths = [path for cell in made_of(material).cells for path in cell.paths]
+    assert {path.steps for path in paths} <= set(range(145, 156))
+    for path in paths:
+        assert len(path.x_m) == -(-path.steps // 5) + 1
+        assert path.x_m[0] == 0
+    short = lot_map._thinned(material.results.trajectories(material.results.runs["run_id"][0]).query("step <= 100"))
+    assert short.groupby("scene").size().unique().tolist() == [101]
+
+
+def test_failures_of_a_cell_are_drawn_at_random_and_not_the_first(material, monkeypatch):
+    monkeypatch.setattr(lot_map, "MOST_FAILURES", 5)
+    few = made_of(material).cells[0].failures
+    monkeypatch.setattr(lot_map, "MOST_FAILURES", 500)
+    everything = made_of(material).cells[0].failures
+    rest = iter(everything)
+    assert len(everything) == 56  # of two runs: the recording of the third is damaged
+    assert len(few) == 5
+    assert all(one in rest for one in few)  # in the same order
+    assert max(everything.index(one) for one in few) > 28
+
+
+def test_the_summary_has_what_tables_have_not_and_is_small(material, folder):
+    about = json.loads((folder / "report.json").read_text())
+    assert about["layout"] == 1
+    assert about["experiments"] == ["one"]
+    assert about["report"]["command"] == "python scripts/report.py from=one"
+    cell, whole = about["report"]["cells"][0], made_of(material).cells[0]
+    assert not {"seeds", "curve", "slots", "failures", "paths"} & {*cell}
+    assert cell["success"]["value"] == float(f"{whole.success.value:.6g}")
+    assert set(cell["survival"]) == {"unit", "n", "k", "median", "restricted_mean", "horizon"}
+    assert all(len(json.dumps(one, separators=(",", ":"))) < 2000 for one in about["report"]["cells"])
+    text = "".join(path.read_text() for path in folder.iterdir())
+    assert not re.search(r"/(tmp|dev|home|root|work)\b|sqlite:|run_dir|\.zip: /", text)
+
+
+def test_the_same_report_gives_the_same_bytes(material, folder, tmp_path):
+    export.write(material, made_of(material), tmp_path / "one", "python scripts/report.py from=one", only_cells=False)
+    assert all(path.read_bytes() == (folder / path.name).read_bytes() for path in (tmp_path / "one").iterdir())
+
+
+def test_an_export_of_some_cells_has_no_others(material, tmp_path):
+    asked = made_of(material, replace(QUESTION, cells=["her_final*"]))
+    export.write(material, asked, tmp_path / "one", "", only_cells=True)
+    found = export.read(str(tmp_path / "one"))
+    assert set(found.results.runs["cell"]) == {cell.name for cell in asked.cells}
+    assert len(found.results.runs) == 6
+    assert set(found.results.curves["run_id"]) | set(found.results.episodes["run_id"]) <= set(
+        found.results.runs["run_id"]
+    )
+    assert not found.untracked
+    assert [cell.label for cell in made_of(found).cells] == ["n_sampled_goal=1", "n_sampled_goal=4"]
+
+
+def test_the_search_of_an_export_is_the_one_that_was_written(material, tmp_path):
+    factor = Factor("algorithm.gamma", "gamma", [0.9, 0.99], numeric=True)
+    trial = Trial(0, "trial 0", "done", {"algorithm.gamma": 0.9, "buffer": None}, [0.5], [0.5], [[0.25], [0.75]], 100)
+    search = Tuning(
+        "one", "tpe", None, 2, [Objective("success_auc", True, True)], [0, 1], [2], [factor], [trial], Budget(100, 0, 1, 0, 0),
+        front=[], importance={"algorithm.gamma": 1.0}, retested=[], notes=["none"],
+    )  # fmt: skip
+    data = with_tuning(made_of(material), search)
+    export.write(material, data, tmp_path / "one", "", only_cells=False)
+    found = export.read(str(tmp_path / "one"))
+    assert found.tuning == search
+    assert with_tuning(made_of(found), found.tuning).claims == data.claims
+
+
+@pytest.mark.parametrize("entry", ["experiments", "untracked", "report"])
+def test_an_export_without_a_report_is_a_sentence(folder, tmp_path, entry):
+    copy = tmp_path / "copy"
+    shutil.copytree(folder, copy)
+    about = json.loads((copy / "report.json").read_text())
+    del about[entry]
+    (copy / "report.json").write_text(json.dumps(about) + "\n")
+    _, said = report(tmp_path, f"from={copy}", code=2)
+    assert said == f"error: {copy}/report.json can't be read: it is no description of a report\n"
+
+
+def test_the_command_writes_an_export_and_makes_the_report_from_it_without_a_store(output_dir, tmp_path):
+    make_store(output_dir, "one", {"sac": [], "td3": ["algorithm=td3"]}, range(3), plain_look, bulk=True)
+    said, _ = report(output_dir, "experiment=one", "export=docs/results/own name", "baseline=td3", "report.formats=[]")
+    folder = output_dir / "docs" / "results" / "own name"
+    assert f"export         {folder}\n" in said
+    about = json.loads((folder / "report.json").read_text())
+    assert about["report"]["command"] == "python scripts/report.py 'from=docs/results/own name' baseline=td3"
+    shutil.copytree(folder, tmp_path / "theirs")
+    again, _ = report(tmp_path, "from=theirs", "baseline=td3", "report.formats=[]")
+    ours, theirs = (json.loads((one / "reports" / "one" / "report.json").read_text()) for one in (output_dir, tmp_path))
+    assert set(differences(ours, theirs)) <= AT_A_PLACE
+    assert theirs["command"] == f"python scripts/report.py from=theirs baseline=td3 output_dir={tmp_path}"
+    assert theirs["provenance"]["uri"] == "theirs"
+    lines = said.splitlines()
+    assert again.splitlines()[:-1] == [line for line in lines[:-1] if not line.startswith("export")]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["reports", "theirs"]
+    assert (tmp_path / "reports" / "one" / "index.html").exists()
+    tables = [
+        sorted(path.name for path in (one / "reports" / "one" / "tables").iterdir()) for one in (output_dir, tmp_path)
+    ]
+    assert tables[0] == tables[1]
+
+
+def plain_look(label, seed):
+    return Look(success=0.8 if label == "sac" else 0.2)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["from=ex", "experiment=one"], "experiment: from=ex is all that the report is made of; leave one of them out"),
+        (["from=ex", "tracking.uri=sqlite:///x.db"], "tracking.uri: from=ex is all that the report is made of; leave one of them out"),
+        (["from=ex", "export=other"], "export: from=ex is all that the report is made of; leave one of them out"),
+        (["from=2024"], "2024: there is no such folder; `python scripts/report.py experiment=NAME export=FOLDER` makes one"),
+        (["frm=ex"], "frm: there is no such key; did you mean 'from'?"),
+        (["exprot=ex"], "exprot: there is no such key; did you mean 'export'?"),
+        (["experiment=one", "export=full"], "export={here}/full: it holds other files, e.g. notes.txt; name a folder of its own"),
+    ],
+)  # fmt: skip
+def test_a_mistake_is_a_sentence(tmp_path, arguments, words):
+    (tmp_path / "full").mkdir()
+    (tmp_path / "full" / "notes.txt").write_text("mine")
+    _, said = report(tmp_path, *arguments, code=2)
+    assert said.removeprefix("error: ").replace(f"{tmp_path}/2024", "2024") == words.format(here=tmp_path) + "\n"
+    assert [path.name for path in tmp_path.iterdir()] == ["full"]
+
+
+def test_folders_are_text_whatever_their_names():
+    assert report_overrides(["from=2024", "export='a b,c'"]) == ["from='2024'", "export='a b,c'"]

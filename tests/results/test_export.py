@@ -1,0 +1,278 @@
+"""An export has what a report needs of a store's frames, in small files that name no machine."""
+
+import json
+import re
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from support.runs import in_memory
+from support.store_factory import Look, compose, make_store
+
+from parking_exp.errors import ConfigError, ResultsError
+from parking_exp.results import load, read_export, write_export
+from parking_exp.results.export import FILES
+from parking_exp.results.export_tables import ON_A_MACHINE, without_paths
+
+HER = {"four": ["buffer.n_sampled_goal=4"], "none": ["buffer=replay"]}
+HOSTILE = 'a,b "c"\nd\re <script>'
+LOOKS = {
+    ("four", 0): Look(success=0.8, crash=0.2, parked=0.4, curve=(0.0, 1 / 3, 1.0), cpu_s=1234.56789),
+    ("four", 1): Look(status="failed", error="no file /home/some.one/data/x.zip: (see sqlite:////tmp/r/mlflow.db)"),
+    ("none", 0): Look(success=1.0, crash=0.0, tags={"cpu": "Zürich 学習", "git_dirty": None}, nan=["eval/return_mean"]),
+    ("none", 1): Look(status="running"),
+}
+PARAMS = {
+    "four": {"x.list": "[1, 2]", "x.mixed": "word", "x.whole": "3", "x.flag": "True", "x.text": HOSTILE, "x.path": "/home/me/own"},
+    "none": {"x.list": "[1, 2]", "x.mixed": "0.5", "x.null": "None", "x.number": "0.1234567891", "x.huge": "9" * 30, "x.empty": ""},
+}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def stored(empty):
+    """Results of two cells with a done and another run each."""
+    with in_memory() as folder:
+        shutil.copy(empty / "mlflow.db", folder)
+        looks = {key: replace(look, params=PARAMS[key[0]]) for key, look in LOOKS.items()}
+        make_store(Path(folder), "her", HER, range(2), lambda *key: looks[key], bulk=True)
+        yield load("her", output_dir=folder)
+
+
+@pytest.fixture
+def written(stored, tmp_path):
+    """The folder of their export."""
+    return write_export(stored, tmp_path / "docs" / "her")
+
+
+def edit(path, old, new):
+    text = path.read_text()
+    assert old in text
+    path.write_text(text.replace(old, new, 1))
+
+
+def test_runs_come_back_with_their_types_and_without_places(stored, written):
+    runs = read_export(written).runs
+    places = [name for name in ON_A_MACHINE if name in stored.runs]
+    assert places == list(ON_A_MACHINE)
+    assert runs[["run_dir", "artifact_uri"]].isna().all(axis=None)
+    assert not {"config.output_dir", "config.tracking.uri"} & {*runs}
+    texts = ["error", "config.x.path"]
+    pd.testing.assert_frame_equal(
+        runs.drop(columns=["run_dir", "artifact_uri", *texts]), stored.runs.drop(columns=[*places, *texts]), rtol=1e-5
+    )
+    assert runs["config.x.whole"].dtype == "Int64"
+    assert runs["config.x.flag"].dtype == "boolean"
+    assert runs["config.x.text"][0] == HOSTILE
+    assert runs["config.x.number"].max() == 0.1234567891
+    assert runs["config.x.huge"][2] == int("9" * 30)
+    assert runs["config.x.empty"][2] == ""
+    assert runs["cpu_s"][0] == 1234.57
+
+
+def test_curves_come_back_rounded_to_five_digits_and_rates_to_six(stored, written):
+    curves = read_export(written).curves
+    pd.testing.assert_frame_equal(curves, stored.curves, rtol=1e-4)
+    run = curves[curves["run_id"] == stored.runs["run_id"][0]]
+    assert run["success_rate"].tolist() == [0.0, 0.333333, 1.0]
+    assert run["cpu_s"].tolist() == [410.49, 824.07, 1234.6]
+
+
+def test_final_episodes_come_back_with_their_outcomes_alone(stored, written):
+    episodes = read_export(written).episodes
+    final = stored.episodes[stored.episodes["phase"] == "final"].reset_index(drop=True)
+    kept = ["run_id", "phase", "step", "scene", "outcome"]
+    pd.testing.assert_frame_equal(episodes[kept], final[kept])
+    assert list(episodes) == list(final)
+    assert episodes[["parked", "steps", "return"]].isna().all(axis=None)
+    assert (episodes["parked"].dtype, episodes["steps"].dtype) == ("boolean", "Int64")
+
+
+def test_outcomes_are_letters_with_how_many_there_are_in_a_row(stored, tmp_path):
+    episodes = stored.episodes[stored.episodes["phase"] != "eval"]
+    first = episodes[(episodes["run_id"] == stored.runs["run_id"][0]) & (episodes["phase"] == "final")].copy()
+    first["outcome"] = pd.Categorical(
+        ["success", "success", "crash", "timeout", "success"], first["outcome"].dtype.categories
+    )
+    first["scene"] = [7, 8, 9, 20, 21]
+    folder = write_export(replace(stored, episodes=first), tmp_path / "one")
+    step = first["step"].iloc[0]
+    assert (folder / "episodes.csv").read_text().splitlines()[1:] == [f"0,{step},7,s2c,0", f"0,{step},20,ts,0"]
+    found = read_export(folder).episodes
+    assert found["scene"].tolist() == [7, 8, 9, 20, 21]
+    assert found["outcome"].tolist() == first["outcome"].tolist()
+
+
+def test_how_many_were_certified_is_kept(stored, written):
+    table = pd.read_csv(written / "episodes.csv")
+    certified = stored.episodes[stored.episodes["phase"] == "certified"].groupby("run_id", observed=True).size()
+    assert table["certified"].tolist() == certified.tolist()
+    assert min(certified) > 0
+
+
+@pytest.mark.parametrize(
+    ("steps", "line"),
+    [([0, 1, 2], "2,1,0 100 -50"), ([0, 5, 10, 12], "12,5,0 100 -50 3"), ([40], "40,0,0"), ([0], "0,0,0")],
+)
+def test_ways_come_back_in_centimetres_without_speeds(stored, tmp_path, steps, line):
+    run_id = stored.runs["run_id"][0]
+    x = np.array([0, 1.0, 0.5, 0.53])[: len(steps)]
+    way = pd.DataFrame({"scene": 3, "step": steps, "x_m": x, "y_m": -x, "heading_rad": x / 10, "speed_mps": 1.0})
+    folder = write_export(stored, tmp_path / "one", {run_id: way})
+    assert (folder / "trajectories.csv").read_text().splitlines()[1].startswith(f"0,3,{line},")
+    found = read_export(folder).trajectories(run_id)
+    assert found["step"].tolist() == steps
+    assert found["x_m"].tolist() == pytest.approx(x.tolist(), abs=1e-6)
+    assert found["y_m"].tolist() == pytest.approx((-x).tolist(), abs=1e-6)
+    assert found["heading_rad"].tolist() == pytest.approx((x / 10).tolist(), abs=0.0051)
+    assert found["speed_mps"].isna().all()
+    assert found.dtypes.to_dict() == stored.trajectories(run_id).dtypes.to_dict()
+    assert read_export(folder).trajectories(stored.runs["run_id"][1]).empty
+
+
+def test_a_way_with_other_gaps_is_refused(stored, tmp_path):
+    way = pd.DataFrame({"scene": 3, "step": [0, 2, 3, 6], "x_m": 0.0, "y_m": 0.0, "heading_rad": 0.0})
+    with pytest.raises(ValueError, match="scene 3: its places are not evenly spaced up to the end"):
+        write_export(stored, tmp_path / "one", {stored.runs["run_id"][0]: way})
+    assert not list(tmp_path.iterdir())
+
+
+def test_trajectories_of_a_run_that_is_not_there_are_a_sentence(written):
+    with pytest.raises(ResultsError, match="run_id=x: it is none of 4 runs"):
+        read_export(written).trajectories("x")
+
+
+def test_problems_and_runs_of_others_are_kept_and_the_folder_is_the_source(stored, tmp_path):
+    told = replace(stored, problems=("a: /tmp/x/y.csv is missing", "b"), ignored=3)
+    found = read_export(write_export(told, tmp_path / "one", problems=["b", "c"]))
+    assert found.problems == ("b", "c", "a: y.csv is missing")
+    assert found.ignored == 3
+    assert found.uri == str(tmp_path / "one")
+
+
+def test_the_same_results_give_the_same_bytes_and_replace_an_earlier_export(stored, written):
+    before = {path.name: path.read_bytes() for path in written.iterdir()}
+    assert set(before) == set(FILES)
+    assert all(text.endswith(b"\n") and b"\r\n" not in text for text in before.values())
+    write_export(replace(stored, ignored=1), written)
+    assert json.loads((written / "report.json").read_text())["ignored"] == 1
+    write_export(stored, written)
+    assert {path.name: path.read_bytes() for path in written.iterdir()} == before
+    assert [path.name for path in written.parent.iterdir()] == ["her"]
+
+
+def test_no_file_of_an_export_names_a_place_on_the_machine(stored, written):
+    text = "".join(path.read_text() for path in written.iterdir())
+    assert not re.search(r"/(home|tmp|dev|root|work)\b|sqlite:|file:", text)
+    assert read_export(written).runs["error"][1] == "no file x.zip: (see mlflow.db)"
+    assert read_export(written).runs["config.x.path"][0] == "own"
+
+
+@pytest.mark.parametrize(
+    ("said", "left"),
+    [
+        ("cpu 5 km/h, a/b and 1 / 2", "cpu 5 km/h, a/b and 1 / 2"), ("e.g. /tmp/one: no", "e.g. one: no"), ("~/x/y", "y"),
+        ("file:///tmp/a/b.txt'", "b.txt'"), ("http://host:5000/x", "http://host:5000/x"), ("['/a/b', '/c']", "['b', 'c']"),
+    ],
+)  # fmt: skip
+def test_paths_are_cut_to_their_last_part(said, left):
+    assert without_paths(said) == left
+
+
+def test_a_run_of_500_scenes_and_12_evaluations_takes_little_more_than_a_kilobyte(output_dir):
+    evaluation = compose().evaluation.model_copy(update={"final_n_scenes": 500})
+    config = compose().model_copy(update={"evaluation": evaluation})
+    curve = tuple(np.linspace(0, 1, 12))
+    make_store(
+        output_dir,
+        "one",
+        {"a": config},
+        range(20),
+        lambda *_: Look(success=0.9, curve=curve, trajectories=0),
+        bulk=True,
+    )
+    folder = write_export(load("one", output_dir=output_dir), output_dir / "export")
+    size = sum(path.stat().st_size for path in folder.iterdir()) - (folder / "common.csv").stat().st_size
+    assert size / 20 < 1400
+
+
+def test_a_folder_with_other_files_is_refused_and_left_alone(stored, tmp_path):
+    (tmp_path / "notes.txt").write_text("mine")
+    with pytest.raises(ConfigError, match=r"it holds other files, e\.g\. notes\.txt; name a folder of its own"):
+        write_export(stored, tmp_path)
+    assert [path.name for path in tmp_path.iterdir()] == ["notes.txt"]
+    with pytest.raises(ConfigError, match="a file is in the way"):
+        write_export(stored, tmp_path / "notes.txt")
+
+
+def test_a_failure_leaves_the_earlier_export(stored, written, monkeypatch):
+    rename = Path.rename
+
+    def failing(path, target):
+        if path.name == "new":
+            raise OSError("no space left")
+        return rename(path, target)
+
+    monkeypatch.setattr(Path, "rename", failing)
+    with pytest.raises(OSError, match="no space left"):
+        write_export(replace(stored, ignored=1), written)
+    assert read_export(written).ignored == 0
+    assert [path.name for path in written.parent.iterdir()] == ["her"]
+
+
+def test_a_folder_that_is_not_there_is_a_sentence_with_the_closest_or_how_to_make_one(written):
+    with pytest.raises(ResultsError, match=r"hers: there is no such folder; did you mean 'her'\?"):
+        read_export(written.with_name("hers"))
+    with pytest.raises(
+        ResultsError, match=r"there is no such folder; `python scripts/report\.py experiment=NAME export="
+    ):
+        read_export(written / "x" / "y")
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_a_file_that_is_missing_is_named(written, name):
+    (written / name).unlink()
+    with pytest.raises(ResultsError, match=f"it is no (whole )?export; it has no {re.escape(name)}"):
+        read_export(written)
+
+
+@pytest.mark.parametrize(
+    ("name", "old", "new", "words"),
+    [
+        ("report.json", '"layout": 1', '"layout": 2', r"her: another version of parking_exp made it; its layout is 2, and this one reads 1"),
+        ("report.json", '"layout": 1', '"lay": 1', r"report.json can't be read: it is no description of an export"),
+        ("report.json", "{", "[", r"report.json can't be read: it is no description of an export"),
+        ("report.json", '"problems": []', '"problems": [1]', r"report.json can't be read: problems.0 is missing or wrong"),
+        ("runs.csv", "run_id,", "run,", r"runs.csv can't be read: it has no column 'run_id'"),
+        ("runs.csv", ",done,", ",finished,", r"runs.csv can't be read: there is no status 'finished'"),
+        ("runs.csv", ",her,", ",her,her,", r"runs.csv can't be read: row 2 has \d+ values for \d+ columns"),
+        ("runs.csv", "2023-11-14T", "2023-99-14T", r"runs.csv can't be read: "),
+        ("common.csv", "column", "name", r"common.csv can't be read: it has no column 'column'"),
+        ("curves.csv", "\n0,", "\n9,", r"curves.csv can't be read: it has rows of runs that there are not"),
+        ("curves.csv", "\n0,", "\nx,", r"curves.csv can't be read: invalid literal"),
+        ("episodes.csv", ",0,s", ",-1,s", r"episodes.csv can't be read: it has scenes that there are not"),
+        ("episodes.csv", ",0,s", ",0,z", r"episodes.csv can't be read: there are no such outcomes: 'z"),
+        ("trajectories.csv", ",3,2,1,", ",3,3,1,", r"trajectories.csv can't be read: it has ways with more or fewer places"),
+    ],
+)  # fmt: skip
+def test_a_damaged_export_is_a_sentence_that_names_the_file(stored, tmp_path, name, old, new, words):
+    way = pd.DataFrame({"scene": 3, "step": [0, 1, 2], "x_m": 0.0, "y_m": 0.0, "heading_rad": 0.0})
+    folder = write_export(stored, tmp_path / "her", {stored.runs["run_id"][0]: way})
+    if name == "episodes.csv":
+        edit(folder / name, (folder / name).read_text().splitlines()[1].split(",", 2)[2], "0,s5,1")
+    edit(folder / name, old, new)
+    with pytest.raises(ResultsError, match=words) as error:
+        read_export(folder)
+    assert "\n" not in str(error.value)
+
+
+def test_a_table_that_was_cut_off_is_damaged(written):
+    path = written / "curves.csv"
+    path.write_text(path.read_text()[:-3])
+    with pytest.raises(ResultsError, match=r"curves\.csv can't be read: it is cut off"):
+        read_export(written)
+    path.write_bytes(b"\xff\xfe")
+    with pytest.raises(ResultsError, match=r"curves\.csv can't be read: "):
+        read_export(written)
