@@ -86,7 +86,7 @@ def find_agent(run: str, output_dir: Path, model: ModelName = "final", *, trust:
         RunNotFoundError: nothing answers to `run`, or it has no such model yet.
         UntrustedError: its config would execute what runs are not made of.
     """
-    if run.partition("/")[0] == PRETRAINED:
+    if is_pretrained(run):
         return _pretrained(run, output_dir)
     directory = find_run(run, output_dir, having=f"models/{model}.zip")
     weights = directory.models / f"{model}.zip"
@@ -100,6 +100,11 @@ def find_agent(run: str, output_dir: Path, model: ModelName = "final", *, trust:
         check_trust(config, directory.path / CONFIG_FILE)
     precision = directory.read_status().get("precision", "highest")
     return Agent(f"{model} model", config, weights, directory.path, precision, directory)
+
+
+def is_pretrained(run: str) -> bool:
+    """Whether a name means an agent of this package."""
+    return run.partition("/")[0] == PRETRAINED
 
 
 def pretrained_names() -> list[str]:

@@ -25,10 +25,13 @@ from parking_exp.config.schema import (
 )
 from parking_exp.config.validate import parse
 from parking_exp.errors import ConfigError, plural
-from parking_exp.evaluation.agents import Agent, ModelName, find_agent
+from parking_exp.evaluation.agents import Agent, ModelName, find_agent, is_pretrained
 from parking_exp.runs.directory import RunDirectory
 from parking_exp.runs.files import write_json
 from parking_exp.terminal import say
+
+EPISODES = 100
+PRETRAINED_EPISODES = 20  # a first look; their cards have the rates of 500
 
 
 class ResultsTracking(StoreConfig):
@@ -43,7 +46,7 @@ class EvaluationRequest(ConfigModel):
     run: Annotated[str, Field(min_length=1)]
     output_dir: str
     model: ModelName
-    episodes: NumberOfScenes
+    episodes: NumberOfScenes | None
     first_scene: Scene
     simulator: Simulation
     video: Count
@@ -53,6 +56,11 @@ class EvaluationRequest(ConfigModel):
     tracking: ResultsTracking
     env: EnvConfig | None = None
 
+    @property
+    def n_scenes(self) -> int:
+        """How many scenes it is evaluated on."""
+        return self.episodes or (PRETRAINED_EPISODES if is_pretrained(self.run) else EPISODES)
+
 
 def validate_request(config: DictConfig) -> EvaluationRequest:
     """Check a composed config and return it typed.
@@ -61,14 +69,14 @@ def validate_request(config: DictConfig) -> EvaluationRequest:
         ConfigError: with a sentence for each thing that is wrong.
     """
     request = parse(EvaluationRequest, config)
-    if request.video > request.episodes:
-        raise ConfigError(f"video={request.video} is above episodes; the closest valid choice is {request.episodes}")
+    if request.video > request.n_scenes:
+        raise ConfigError(f"video={request.video} is above episodes; the closest valid choice is {request.n_scenes}")
     if request.gif and not request.video:
         raise ConfigError("gif=true needs a video to be made from; set video=N as well")
-    if request.first_scene + request.episodes > TRAINING_SCENES_START:
+    if request.first_scene + request.n_scenes > TRAINING_SCENES_START:
         raise ConfigError(
             f"first_scene={request.first_scene} reaches into the training scenes; "
-            f"the closest valid choice is {TRAINING_SCENES_START - request.episodes}"
+            f"the closest valid choice is {TRAINING_SCENES_START - request.n_scenes}"
         )
     if request.env is not None:
         # One key says what simulates: request.simulator.
@@ -112,9 +120,9 @@ def _evaluate(request: EvaluationRequest, agent: Agent, env: EnvConfig, folder: 
     from parking_exp.evaluation.video import record
 
     policy = greedy_policy(agent.model(env))
-    scenes = range(request.first_scene, request.first_scene + request.episodes)
-    what = f"{plural(request.episodes, 'episode')} of {env.name}"
-    with torch_settings(agent.config, agent.precision), _progress(what, request.episodes) as update:
+    scenes = range(request.first_scene, request.first_scene + request.n_scenes)
+    what = f"{plural(request.n_scenes, 'episode')} of {env.name}"
+    with torch_settings(agent.config, agent.precision), _progress(what, request.n_scenes) as update:
         episodes = evaluate(policy, env, scenes, on_step=update)
     folder.mkdir(parents=True, exist_ok=True)
     for stale in folder.glob("video.*"):
@@ -129,7 +137,7 @@ def _evaluate(request: EvaluationRequest, agent: Agent, env: EnvConfig, folder: 
     }
     write_json(folder / "summary.json", {**about, **summarise(episodes), "intervals": intervals(episodes)})
     say(
-        f"{agent.name} on {plural(request.episodes, 'scene')} of {env.name}, from scene "
+        f"{agent.name} on {plural(request.n_scenes, 'scene')} of {env.name}, from scene "
         f"{request.first_scene}, simulated by {request.simulator}"
     )
     say(*describe(episodes).split("\n"))
@@ -181,7 +189,7 @@ def _simulated(env: EnvConfig, simulator: Simulation) -> EnvConfig:
 
 
 def _folder_name(request: EvaluationRequest, run: RunConfig, env: EnvConfig) -> str:
-    name = f"{env.name}-{request.model}-scenes-{request.first_scene}-{request.first_scene + request.episodes - 1}"
+    name = f"{env.name}-{request.model}-scenes-{request.first_scene}-{request.first_scene + request.n_scenes - 1}"
     if request.simulator != "highway_env":
         name += f"-{request.simulator}"
     if env != _simulated(run.env, request.simulator):

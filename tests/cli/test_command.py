@@ -103,7 +103,7 @@ def test_help_names_groups_keys_and_examples():
             "total_timesteps: ",
             "python scripts/train.py experiment=article",
         ],
-        "evaluate": ["run: latest", "episodes: 100", "python scripts/evaluate.py run=latest video=5 gif=true"],
+        "evaluate": ["run: latest", "episodes: null", "python scripts/evaluate.py run=latest video=5 gif=true"],
         "export": ["run: latest", "format: onnx", "python scripts/export.py run=latest format=torchscript"],
     }.items():
         done = help_of(name)

@@ -8,11 +8,13 @@ from support.runs import make_config
 
 from parking_exp.algorithms.build import build_model, greedy_policy
 from parking_exp.algorithms.policy_files import load_policy, save_policy
+from parking_exp.config.compose import composed
 from parking_exp.envs.training_envs import make_training_envs
 from parking_exp.errors import DamagedModelError, ModelError, RunNotFoundError
 from parking_exp.evaluation import agents
 from parking_exp.evaluation.agents import PRETRAINED_DIR, find_agent, pretrained_names
 from parking_exp.evaluation.evaluate import evaluate, summarise
+from parking_exp.evaluation.evaluate_run import validate_request
 
 TINY = ("algorithm.net_arch=[8]", "n_envs=1", "algorithm.learning_starts=1000", "updates_per_step=1")
 
@@ -88,3 +90,12 @@ def test_a_damaged_policy_is_refused(damage, tmp_path, monkeypatch):
     agent = find_agent("pretrained", tmp_path)
     with pytest.raises(DamagedModelError, match=r"policy.safetensors is damaged"):
         agent.model(agent.config.env)
+
+
+@pytest.mark.parametrize(
+    ("typed", "number"), [("run=latest", 100), ("run=pretrained", 20), ("run=pretrained/parked", 20)]
+)
+def test_a_pretrained_agent_is_evaluated_on_20_scenes_and_a_run_on_100_if_nothing_is_typed(typed, number):
+    for episodes, found in (((), number), (("episodes=7",), 7)):
+        (config,) = composed("evaluate", [typed, *episodes])
+        assert validate_request(config).n_scenes == found

@@ -752,7 +752,7 @@ def test_on_a_full_disk_a_run_leaves_its_reason_and_its_traceback(small_disk, ki
 def test_a_sweep_on_a_disk_that_fills_up_meanwhile_says_why_its_runs_failed(small_disk):
     """And goes on when there is room again."""
     disk = small_disk(3000)
-    arguments = ("experiment=smoke", f"output_dir={disk}", "total_timesteps=400", "tracking.mlflow=false", "seeds=2",
+    arguments = ("experiment=smoke", f"output_dir={disk}", "total_timesteps=1200", "tracking.mlflow=false", "seeds=2",
                  "evaluation.final_n_scenes=2", "evaluation.n_scenes=2", "evaluation.every_n_steps=null", "evaluation.video_episodes=0", "env.simulator=highway_env")  # fmt: skip
     command, keywords = script("train", *arguments)
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, **keywords)
