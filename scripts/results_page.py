@@ -32,15 +32,15 @@ LINK, NO_BREAK = re.compile(r"\[[^\]]*\]\([^)]*\)"), "\0"
 MARKED = re.compile(r"(<!-- results: (?P<name>\w+) -->\n).*?(<!-- end of results -->)", re.DOTALL)
 COLUMNS = {
     "success": ("success, %", lambda cell: formats.percent_interval(cell.success)),
-    "crash": ("crash, %", lambda cell: formats.percent_interval(cell.crash)),
+    "crash": ("crash, %", lambda cell: _range(cell, "crash")),
     "timeout": ("timeout, %", lambda cell: formats.percent_interval(cell.timeout)),
     "parked": ("parked, %", lambda cell: formats.percent_interval(cell.parked)),
-    "lowest": ("lowest seed", lambda cell: formats.percent(min(seed.success for seed in cell.seeds))),
+    "lowest": ("lowest success", lambda cell: formats.percent(min(seed.success for seed in cell.seeds))),
     "above_90": ("seeds ≥ 90 %", lambda cell: f"{cell.reaching_90.k} of {cell.reaching_90.n}"),
     "area": ("area, %", lambda cell: formats.percent_interval(cell.area)),
     "to_90": (
-        "env steps to 90 %",
-        lambda cell: formats.number(cell.survival and cell.survival.median) or "not reached",
+        "env steps to hold 90 %",
+        lambda cell: formats.number(cell.survival.median) or f"{cell.survival.k} of {cell.survival.n} seeds did",
     ),
     "cpu_s": ("CPU-s", lambda cell: formats.number(cell.cpu_s.value)),
 }
@@ -188,6 +188,14 @@ def _filled(item: str) -> str:
     indent = "  " if words.startswith("- ") else ""
     lines = textwrap.fill(words, WIDTH, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False)
     return lines.replace(NO_BREAK, " ")
+
+
+def _range(cell: Cell, metric: str) -> str:
+    """Return a mean rate with its lowest and highest seed, for a table."""
+    rates = [getattr(seed, metric) for seed in cell.seeds]
+    return (
+        f"{formats.percent(getattr(cell, metric).value)} [{formats.percent(min(rates))}, {formats.percent(max(rates))}]"
+    )
 
 
 def _row(cells: list[str]) -> str:

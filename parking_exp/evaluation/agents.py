@@ -87,6 +87,8 @@ def find_agent(run: str, output_dir: Path, model: ModelName = "final", *, trust:
         UntrustedError: its config would execute what runs are not made of.
     """
     if is_pretrained(run):
+        if model != "final":
+            raise RunNotFoundError(f"run={run}: a pretrained agent has one model; leave model={model} out")
         return _pretrained(run, output_dir)
     directory = find_run(run, output_dir, having=f"models/{model}.zip")
     weights = directory.models / f"{model}.zip"

@@ -19,9 +19,9 @@ from parking_exp.results.frames import Results
 from parking_exp.runs.state import RunState
 
 IN_TABLES = ("seeds", "curve", "slots", "failures", "paths")
-"""What a cell has that is computed from the tables again."""
+"""Entries of a `Cell` that are left out of report.json: they are computed from the tables again."""
 ARRAYS = ("time", "reached", "low", "high", "censored")
-"""What of the times to 90 % is."""
+"""Entries of a `Survival` that are, too."""
 DIGITS = 6
 
 

@@ -311,6 +311,9 @@ def test_a_built_wheel_works_from_any_directory(tmp_path):
     assert (elsewhere / "outputs" / "mlflow.db").exists()
     assert (site / "hydra_plugins" / "parking_launcher" / "__init__.py").exists()
     assert not (site / "parking_exp" / "plugins").exists()
+    for name in ("default", "parked"):
+        files = {path.name for path in (site / "parking_exp" / "pretrained" / name).iterdir()}
+        assert files == {"README.md", "config.yaml", "policy.safetensors"}
     assert sorted(path.name for path in (site / "bin").iterdir()) == [
         "parking-benchmark",
         "parking-evaluate",

@@ -1,4 +1,4 @@
-"""Trained agents are found by name; pretrained ones park, and nothing of their files is executed."""
+"""Trained agents are found by name, and pretrained ones park."""
 
 import shutil
 
@@ -58,6 +58,10 @@ def test_a_name_that_there_is_not_is_told_with_those_that_there_are(tmp_path):
         find_agent("pretrained/parkd", tmp_path)
     with pytest.raises(RunNotFoundError, match=r"there are default, parked"):
         find_agent("pretrained/../default", tmp_path)
+    with pytest.raises(
+        RunNotFoundError, match=r"run=pretrained: a pretrained agent has one model; leave model=best out"
+    ):
+        find_agent("pretrained", tmp_path, "best")
 
 
 @pytest.mark.parametrize("algorithm", ["sac", "td3", "tqc", "crossq"])

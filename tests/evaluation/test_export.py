@@ -271,4 +271,4 @@ def test_the_example_of_the_docs_parks_without_torch_and_this_package(tmp_path):
     (tmp_path / "drive.py").write_text(BLOCKED + example)
     drove = subprocess.run([sys.executable, "drive.py"], check=False, capture_output=True, text=True, cwd=tmp_path)
     assert drove.returncode == 0, drove.stderr
-    assert drove.stdout == "10 of 10 parked\n"
+    assert drove.stdout == "10 of 10 reached the slot\n"
