@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from parking_exp.envs.interface import Observation, Policy
 
 N_OBSERVATIONS = 1000  # on which a file is compared with the model
-SIDE_BY_SIDE = 50  # scenes, so that observations are of the first twenty steps at least
+N_SCENES = 50  # scenes, so that observations are of the first twenty steps at least
 RANDOM_SHARE = 0.3  # of actions: the policy is also seen where it would not go
 NEEDED = {"onnx": ("onnx", "onnxruntime")}
 SUFFIXES = {"onnx": ".onnx", "torchscript": ".pt", "safetensors": ".safetensors"}
@@ -99,7 +99,7 @@ def observations_of(policy: "Policy", env: EnvConfig, number: int) -> "Observati
 
     rng, seen, missing, first = np.random.default_rng(0), [], number, 0
     while missing > 0:
-        batch = start_scenes(env, range(first, first + SIDE_BY_SIDE))
+        batch = start_scenes(env, range(first, first + N_SCENES))
         observation = batch.observe()
         while missing > 0 and len(batch):
             seen.append(observation)
@@ -111,5 +111,5 @@ def observations_of(policy: "Policy", env: EnvConfig, number: int) -> "Observati
             batch.keep(going_on)
             observation = {name: value[going_on] for name, value in step.observation.items()}
         batch.close()
-        first += SIDE_BY_SIDE
+        first += N_SCENES
     return {name: np.concatenate([one[name] for one in seen])[:number] for name in seen[0]}

@@ -11,7 +11,7 @@ from parking_exp.errors import ResultsError
 from parking_exp.reports.curves import RunEvaluations
 from parking_exp.reports.lot_map import sampled_rows
 from parking_exp.reports.report_data import ReportData
-from parking_exp.reports.sources import Material
+from parking_exp.reports.sources import ReportSource
 from parking_exp.reports.tuning_data import Tuning
 from parking_exp.results.export import REPORT, read_export, write_export
 from parking_exp.results.export_tables import without_paths
@@ -43,7 +43,7 @@ class _Description(BaseModel):
     untracked: list[_Untracked]
 
 
-def write(material: Material, report: ReportData, folder: Path, command: str, *, only_cells: bool) -> None:
+def write(material: ReportSource, report: ReportData, folder: Path, command: str, *, only_cells: bool) -> None:
     """Write the export of a report.
 
     Args:
@@ -69,7 +69,7 @@ def write(material: Material, report: ReportData, folder: Path, command: str, *,
     write_export(results, folder, ways, _plain(about), problems)
 
 
-def read(folder: str) -> Material:
+def read(folder: str) -> ReportSource:
     """Return what the export of a report has.
 
     Raises:
@@ -83,7 +83,7 @@ def read(folder: str) -> Material:
     except (ValidationError, KeyError, AttributeError) as error:
         raise ResultsError(f"{Path(folder) / REPORT} can't be read: it is no description of a report") from error
     untracked = [RunState(run_dir="", step=0, total_timesteps=None, **one.model_dump()) for one in described.untracked]
-    return Material(results, described.experiments, untracked, tuning=search)
+    return ReportSource(results, described.experiments, untracked, tuning=search)
 
 
 def _of_cells(results: Results, report: ReportData) -> Results:

@@ -21,7 +21,7 @@ from parking_exp.terminal import say
 
 if TYPE_CHECKING:
     from parking_exp.reports.report_data import ReportData
-    from parking_exp.reports.sources import Material
+    from parking_exp.reports.sources import ReportSource
 
 Format = Literal["svg", "pdf", "png"]
 ALIKE = 0.8  # from how similar on a word is a misspelt key
@@ -144,7 +144,7 @@ def report(config: DictConfig) -> Path:
     return folder
 
 
-def _material(request: ReportRequest, show: Callable[[str], None]) -> "Material":
+def _material(request: ReportRequest, show: Callable[[str], None]) -> "ReportSource":
     if request.source is None:
         from parking_exp.reports.sources import from_store
 
@@ -173,7 +173,7 @@ def _progress() -> Iterator[Callable[[str], None]]:
         yield show
 
 
-def _build(request: ReportRequest, material: "Material") -> "ReportData":
+def _build(request: ReportRequest, material: "ReportSource") -> "ReportData":
     from parking_exp.reports.build import Question, build
     from parking_exp.reports.tuning import with_search, with_tuning
 
@@ -190,7 +190,7 @@ def _build(request: ReportRequest, material: "Material") -> "ReportData":
     return with_tuning(data, material.tuning) if material.tuning else data
 
 
-def _export(request: ReportRequest, material: "Material", data: "ReportData", folder: Path) -> None:
+def _export(request: ReportRequest, material: "ReportSource", data: "ReportData", folder: Path) -> None:
     from parking_exp.reports import export
 
     here = Path().absolute()

@@ -1,4 +1,4 @@
-"""Where a report takes its results from: a store, which is brought up to date before, or an export."""
+"""Sources of a report: results from a store that is brought up to date first, or from an export."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Material:
+class ReportSource:
     """What a report is made of.
 
     Attributes:
@@ -33,7 +33,7 @@ class Material:
     tuning: "Tuning | None" = None
 
 
-def from_store(request: "ReportRequest", show: Callable[[str], None]) -> Material:
+def from_store(request: "ReportRequest", show: Callable[[str], None]) -> ReportSource:
     """Return what the store has of the experiments that are asked for, after it got what it lacks.
 
     Raises:
@@ -50,7 +50,7 @@ def from_store(request: "ReportRequest", show: Callable[[str], None]) -> Materia
     if request.experiments is None and len(having) > 1:
         raise ConfigError(f"experiment: the store has several; name one or more of {', '.join(having)}")
     untracked = find_untracked(results.runs, request.output_path, having)
-    return Material(results, request.experiments or having, untracked, unsynced)
+    return ReportSource(results, request.experiments or having, untracked, unsynced)
 
 
 def _sync(request: "ReportRequest") -> list[str]:

@@ -16,7 +16,7 @@ from parking_exp.config.schema import TRAINING_SCENES_START
 from parking_exp.errors import ResultsError
 from parking_exp.evaluation.metrics import DTYPES
 from parking_exp.results.dtypes import column, flags, text, typed
-from parking_exp.results.export_tables import LETTERS, TIME, UNITS, Columns, places
+from parking_exp.results.export_tables import LETTERS, TIME, UNITS, Columns, recorded_steps
 from parking_exp.results.frames import CONFIGURED, COST, CURVE_COLUMNS, FINAL, RUN_COLUMNS, STATUSES
 from parking_exp.results.recordings import EPISODES, NULLABLE, TRAJECTORIES
 
@@ -139,7 +139,7 @@ def _recordings(found: Columns, ids: np.ndarray) -> pd.DataFrame:
     lengths = [(len(range(0, end, one)) if one > 0 else 0) + 1 for end, one in zip(ends, every, strict=True)]
     if any([len(one) for one in lists[name]] != lengths for name in UNITS):
         raise ValueError("it has ways with more or fewer places than steps")
-    steps = [step for end, one in zip(ends, every, strict=True) for step in places(end, max(0, one))]
+    steps = [step for end, one in zip(ends, every, strict=True) for step in recorded_steps(end, max(0, one))]
     coordinates = {
         UNITS[name]: np.concatenate([np.arange(0), *(np.cumsum(_integers(one)) for one in words)]) / 100
         for name, words in lists.items()

@@ -111,7 +111,7 @@ def _ways(ways: Mapping[str, pd.DataFrame], number: Mapping[str, int]) -> Column
         for scene, rows in ways[run_id].groupby("scene"):
             steps = rows["step"].tolist()
             every = steps[1] - steps[0] if len(steps) > 1 else 0
-            if steps != places(steps[-1], every):
+            if steps != recorded_steps(steps[-1], every):
                 raise ValueError(f"run {run_id}, scene {scene}: its places are not evenly spaced up to the end")
             lists = [_differences(rows[name]) for name in UNITS.values()]
             for name, value in zip(WAY_COLUMNS, (number[run_id], scene, steps[-1], every, *lists), strict=True):
@@ -124,7 +124,7 @@ def _differences(values: pd.Series) -> str:
     return " ".join(map(str, np.diff(hundredths, prepend=0).tolist()))
 
 
-def places(end: int, every: int) -> list[int]:
+def recorded_steps(end: int, every: int) -> list[int]:
     """Return the steps that a way has places of."""
     return [*(range(0, end, every) if every else ()), end]
 

@@ -19,7 +19,7 @@ from parking_exp.reports import export, lot_map
 from parking_exp.reports.build import Question, build
 from parking_exp.reports.curves import RunEvaluations
 from parking_exp.reports.report_data import Factor
-from parking_exp.reports.sources import Material
+from parking_exp.reports.sources import ReportSource
 from parking_exp.reports.tuning import with_tuning
 from parking_exp.reports.tuning_data import Budget, Objective, Trial, Tuning
 from parking_exp.reports.untracked import find_untracked
@@ -63,7 +63,9 @@ def store(empty):
 @pytest.fixture(scope="module")
 def material(store):
     results = load("one", output_dir=store)
-    return Material(results, ["one"], find_untracked(results.runs, store, ["one"]), [f"The store lacks {store}/x: no."])
+    return ReportSource(
+        results, ["one"], find_untracked(results.runs, store, ["one"]), [f"The store lacks {store}/x: no."]
+    )
 
 
 @pytest.fixture(scope="module")
