@@ -5,6 +5,7 @@ import re
 import shutil
 import sys
 import textwrap
+from argparse import ArgumentParser
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -33,10 +34,8 @@ MARKED = re.compile(r"(<!-- results: (?P<name>\w+) -->\n).*?(<!-- end of results
 COLUMNS = {
     "success": ("success, %", lambda cell: formats.percent_interval(cell.success)),
     "crash": ("crash, %", lambda cell: _range(cell, "crash")),
-    "timeout": ("timeout, %", lambda cell: formats.percent_interval(cell.timeout)),
     "parked": ("parked, %", lambda cell: formats.percent_interval(cell.parked)),
     "lowest": ("lowest success", lambda cell: formats.percent(min(seed.success for seed in cell.seeds))),
-    "above_90": ("seeds ≥ 90 %", lambda cell: f"{cell.reaching_90.k} of {cell.reaching_90.n}"),
     "area": ("area, %", lambda cell: formats.percent_interval(cell.area)),
     "to_90": (
         "env steps to hold 90 %",
@@ -78,11 +77,6 @@ class Experiment:
         pair = next(pair for pair in self.report.pairs if {pair.a, pair.b} == {a, b})
         pair = pair if pair.a == a else pair.turned()
         return f"{formats.points_interval(pair.difference)}, {formats.p_value(pair.p_holm)}"
-
-    def effect(self, factor: str) -> str:
-        """Return the mean of each level of a factor over the other factors."""
-        effect = next(effect for effect in self.report.effects if effect.factor == factor)
-        return ", ".join(f"`{formats.level(one.level)}` {formats.rate_interval(one.effect)}" for one in effect.levels)
 
     def table(self, factors: dict[str, str], *columns: str) -> str:
         """Return a Markdown table of all cells.
@@ -127,10 +121,13 @@ class Experiment:
 
 def main(arguments: list[str]) -> int:
     """Write the page, or with `--check` say whether it is what the exports give."""
+    parser = ArgumentParser(description=__doc__)
+    parser.add_argument("--check", action="store_true", help="write nothing; fail where the page is not up to date")
+    only_check = parser.parse_args(arguments).check
     found = {folder.name: _experiment(folder) for folder in sorted(EXPORTS.iterdir()) if folder.is_dir()}
     written = {PAGE: _page(found), README: _readme(found)}
     stale = [path for path, text in written.items() if not path.exists() or path.read_text(encoding="utf-8") != text]
-    if arguments == ["--check"]:
+    if only_check:
         for path in stale:
             say(f"{path.relative_to(ROOT)} is not what the exports give; type make results-page")
         return int(bool(stale))

@@ -36,7 +36,7 @@ class _Untracked(BaseModel):
     reason: str | None
 
 
-class _Description(BaseModel):
+class _ReportEntries(BaseModel):
     """What `report.json` has to have for a report."""
 
     experiments: list[str]
@@ -77,7 +77,7 @@ def read(folder: str) -> ReportSource:
     """
     results = read_export(folder)
     try:
-        described = _Description.model_validate(results.about)
+        described = _ReportEntries.model_validate(results.about)
         tuning = results.about["report"].get("tuning")
         search = None if tuning is None else TypeAdapter(Tuning).validate_python(tuning)
     except (ValidationError, KeyError, AttributeError) as error:

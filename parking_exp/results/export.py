@@ -51,7 +51,7 @@ class Export(Results):
         return rows[list(TRAJECTORIES)].reset_index(drop=True)
 
 
-class _Description(BaseModel):
+class _ExportEntries(BaseModel):
     """What `report.json` has to have."""
 
     problems: list[str]
@@ -143,7 +143,7 @@ def _text(path: Path) -> str:
         raise ResultsError(f"{path} can't be read: {error}") from error
 
 
-def _described(path: Path, text: str | None) -> tuple[dict[str, Any], _Description]:
+def _described(path: Path, text: str | None) -> tuple[dict[str, Any], _ExportEntries]:
     """Return the content of `report.json`, and what of it is needed here.
 
     Raises:
@@ -160,7 +160,7 @@ def _described(path: Path, text: str | None) -> tuple[dict[str, Any], _Descripti
         made = f"another version of parking_exp made it; its layout is {layout!r}"
         raise ResultsError(f"{path.parent}: {made}, and this one reads {LAYOUT}")
     try:
-        return about, _Description.model_validate(about)
+        return about, _ExportEntries.model_validate(about)
     except ValidationError as error:
         what = ".".join(map(str, error.errors()[0]["loc"]))
         raise ResultsError(f"{path} can't be read: {what} is missing or wrong") from error

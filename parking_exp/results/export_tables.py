@@ -125,7 +125,7 @@ def _differences(values: pd.Series) -> str:
 
 
 def recorded_steps(end: int, every: int) -> list[int]:
-    """Return the steps that a way has places of."""
+    """Return the steps of an episode that are kept: every `every`th, none where that is 0, and the last."""
     return [*(range(0, end, every) if every else ()), end]
 
 

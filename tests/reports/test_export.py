@@ -1,20 +1,18 @@
 """A report that is made from an export says what one from the store says."""
 
-import io
 import json
 import re
 import shutil
-import sys
-from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import asdict, replace
 from pathlib import Path
 
 import pytest
 from support.marks import slow_but
+from support.report_command import report
 from support.runs import in_memory
 from support.store_factory import Look, make_store
 
-from parking_exp.cli.report import main, report_overrides
+from parking_exp.cli.report import report_overrides
 from parking_exp.reports import export, lot_map
 from parking_exp.reports.build import Question, build
 from parking_exp.reports.curves import RunEvaluations
@@ -74,20 +72,6 @@ def folder(material, tmp_path_factory):
     folder = tmp_path_factory.mktemp("exports") / "one"
     export.write(material, made_of(material), folder, "python scripts/report.py from=one", only_cells=False)
     return folder
-
-
-def report(output_dir, *arguments, code=0):
-    """Run the command in an output directory, and return what it printed: (stdout, stderr)."""
-    out, err, status = io.StringIO(), io.StringIO(), 0
-    with pytest.MonkeyPatch.context() as patch, redirect_stdout(out), redirect_stderr(err):
-        patch.chdir(output_dir)
-        patch.setattr(sys, "argv", ["report.py", *arguments, f"output_dir={output_dir}"])
-        try:
-            main()
-        except SystemExit as end:
-            status = end.code
-    assert status == code, err.getvalue()
-    return out.getvalue(), err.getvalue()
 
 
 def made_of(material, question=QUESTION):

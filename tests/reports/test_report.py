@@ -1,46 +1,25 @@
 """`scripts/report.py`, as it is typed."""
 
-import io
 import json
 import os
 import re
 import subprocess
 import sys
-from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
-from typing import NamedTuple
 
 import pandas as pd
 import pytest
 from support.marks import slow_but
+from support.report_command import report
 from support.runs import run_script
 from support.store_factory import Look, make_store
 
-from parking_exp.cli.report import main, report_overrides
+from parking_exp.cli.report import report_overrides
 from parking_exp.errors import ConfigError
 from parking_exp.results import load
 
 ROOT = Path(__file__).resolve().parents[2]
 ALGORITHMS = {"sac": [], "td3": ["algorithm=td3"]}
-
-
-class Done(NamedTuple):
-    stdout: str
-    stderr: str
-
-
-def report(output_dir, *arguments, code=0):
-    """Run the command, and return what it printed."""
-    out, err, status = io.StringIO(), io.StringIO(), 0
-    with pytest.MonkeyPatch.context() as patch, redirect_stdout(out), redirect_stderr(err):
-        patch.chdir(output_dir)
-        patch.setattr(sys, "argv", ["report.py", *arguments, f"output_dir={output_dir}"])
-        try:
-            main()
-        except SystemExit as end:
-            status = end.code
-    assert status == code, err.getvalue()
-    return Done(out.getvalue(), err.getvalue())
 
 
 @pytest.fixture
