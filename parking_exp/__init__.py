@@ -1,11 +1,13 @@
 """Hydra-configured experiment sweeps for goal-conditioned parking.
 
-`compose` makes the checked config of a run, `train` trains it, and `load` reads the results of many runs:
+`compose` makes the checked config of a run, `train` trains it, `load` reads the results of many runs, and `load_model`
+a trained agent:
 
-    from parking_exp import compose, load, train
+    from parking_exp import compose, load, load_model, train
 
     result = train(compose("experiment=smoke"))
     frames = load("smoke")
+    model = load_model("pretrained")
 """
 
 from importlib import import_module
@@ -13,18 +15,25 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from parking_exp.config.compose import compose
+    from parking_exp.evaluation.agents import load_model
     from parking_exp.results import load
     from parking_exp.training.run import train
 
 __version__ = "0.1.0"
-__all__ = ["compose", "load", "train"]
+__all__ = ["compose", "load", "load_model", "train"]
 
-_HOMES = {"compose": "parking_exp.config.compose", "load": "parking_exp.results", "train": "parking_exp.training.run"}
+_HOMES = {
+    "compose": "parking_exp.config.compose",
+    "load": "parking_exp.results",
+    "load_model": "parking_exp.evaluation.agents",
+    "train": "parking_exp.training.run",
+}
 
 # All that a `_target_` or the documentation names. These paths stay: a `_target_` is part of a run's key.
 PUBLIC_PATHS = (
     "parking_exp.compose",
     "parking_exp.load",
+    "parking_exp.load_model",
     "parking_exp.train",
     "parking_exp.algorithms.DDPG",
     "parking_exp.algorithms.SAC",

@@ -1,10 +1,14 @@
-"""Save and load an actor's weights as safetensors: nothing in such a file can be executed."""
+"""Save and load an actor's weights as safetensors: nothing in such a file can be executed.
+
+Two policies can have weights of the same names and shapes, and other actions: the file's metadata name the class of its
+policy and of its features.
+"""
 
 from pathlib import Path
 
 import torch
-from safetensors import SafetensorError
-from safetensors.torch import load, save
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import save
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 
 from parking_exp.algorithms.model_files import replacing
@@ -21,7 +25,7 @@ def save_policy(model: OffPolicyAlgorithm, path: Path) -> None:
     """
     weights = {name: weight.contiguous() for name, weight in _actor(model).items()}
     with replacing(path) as temporary:
-        temporary.write_bytes(save(weights, metadata={"format": "pt"}))
+        temporary.write_bytes(save(weights, metadata={"format": "pt", **_classes(model)}))
 
 
 def load_policy(path: Path, model: OffPolicyAlgorithm) -> None:
@@ -33,9 +37,14 @@ def load_policy(path: Path, model: OffPolicyAlgorithm) -> None:
         OSError: the disk fails.
     """
     try:
-        found = load(path.read_bytes())
+        with safe_open(path, framework="pt") as file:
+            said = file.metadata() or {}
+            found = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 (it has no items)
     except SafetensorError as error:
         raise DamagedModelError(f"{path} is damaged ({error})") from error
+    for part, name in _classes(model).items():
+        if said.get(part, name) != name:
+            raise ModelError(f"{path} has the weights of another policy: its {part} is {said[part]}, not {name}")
     ours = _actor(model)
     shapes = [{name: (weight.shape, weight.dtype) for name, weight in weights.items()} for weights in (found, ours)]
     if shapes[0] != shapes[1]:
@@ -50,3 +59,8 @@ def _actor(model: OffPolicyAlgorithm) -> dict[str, torch.Tensor]:
     if not weights:
         raise ModelError(f"{type(model).__name__} has no actor")
     return weights
+
+
+def _classes(model: OffPolicyAlgorithm) -> dict[str, str]:
+    features = getattr(model.policy, "features_extractor_class", type(None))
+    return {"policy": type(model.policy).__name__, "features extractor": features.__name__}

@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from parking_exp.config.allowlist import check_trust
+from parking_exp.config.paths import directory_path
 from parking_exp.config.schema import EnvConfig, RunConfig
 from parking_exp.errors import DamagedModelError, ModelError, RunNotFoundError, did_you_mean
 from parking_exp.runs.directory import RunDirectory
@@ -102,6 +103,27 @@ def find_agent(run: str, output_dir: Path, model: ModelName = "final", *, trust:
         check_trust(config, directory.path / CONFIG_FILE)
     precision = directory.read_status().get("precision", "highest")
     return Agent(f"{model} model", config, weights, directory.path, precision, directory)
+
+
+def load_model(
+    run: str = PRETRAINED, output_dir: str | Path = "outputs", model: ModelName = "final", *, trust: bool = False
+) -> "OffPolicyAlgorithm":
+    """Return a trained agent's model, for `predict`, in the env that it was trained in.
+
+    Args:
+        run: run directory, MLflow run id, `latest`, `pretrained` or `pretrained/NAME`.
+        output_dir: where runs are looked for.
+        model: which of a run's models.
+        trust: whether its config may name classes that runs are not made of.
+
+    Raises:
+        ConfigError: its config can't be read, or a model of its class can't be restored exactly.
+        ModelError: the weights are damaged, or are not those of its config.
+        RunNotFoundError: nothing answers to `run`, or it has no such model yet.
+        UntrustedError: its config would execute what runs are not made of.
+    """
+    agent = find_agent(run, directory_path(output_dir), model, trust=trust)
+    return agent.model(agent.config.env)
 
 
 def is_pretrained(run: str) -> bool:

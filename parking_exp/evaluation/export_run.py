@@ -19,8 +19,8 @@ if TYPE_CHECKING:
     from parking_exp.envs.interface import Observation, Policy
 
 N_OBSERVATIONS = 1000  # on which a file is compared with the model
-N_SCENES = 50  # scenes, so that observations are of the first twenty steps at least
-RANDOM_SHARE = 0.3  # of actions: the policy is also seen where it would not go
+N_SCENES = 50  # at a time, whole episodes, so that observations are of their ends, too
+RANDOM_SHARE = 0.1  # of actions: the policy is also seen where it would not go
 NEEDED = {"onnx": ("onnx", "onnxruntime")}
 SUFFIXES = {"onnx": ".onnx", "torchscript": ".pt", "safetensors": ".safetensors"}
 
@@ -46,8 +46,13 @@ def validate_request(config: DictConfig) -> ExportRequest:
     for name in NEEDED.get(request.format, ()):
         if find_spec(name) is None:
             raise ConfigError(f"format={request.format}: {name} is not installed; pip install 'parking-exp[export]'")
-    if request.path is not None and directory_path(request.path).is_dir():
-        raise ConfigError(f"path={request.path} is a directory; name a file in it")
+    if request.path is not None:
+        path = directory_path(request.path)
+        if path.is_dir():
+            raise ConfigError(f"path={request.path} is a directory; name a file in it")
+        for name, suffix in SUFFIXES.items():
+            if path.suffix == suffix and name != request.format:
+                raise ConfigError(f"path={request.path} has the suffix of format={name}, and format={request.format}")
     return request
 
 
@@ -86,24 +91,24 @@ def export_run(config: DictConfig) -> Path:
 
 
 def observations_of(policy: "Policy", env: EnvConfig, number: int) -> "Observation":
-    """Return observations of episodes that a policy drives, with some random actions; always the same.
+    """Return observations of whole episodes that a policy drives, with some random actions; always the same.
 
     Args:
         policy: what drives.
         env: the `env` group.
-        number: of observations.
+        number: of observations, evenly drawn from the episodes' first steps to their last.
     """
     import numpy as np
 
     from parking_exp.envs.scene_batches import start_scenes
 
-    rng, seen, missing, first = np.random.default_rng(0), [], number, 0
-    while missing > 0:
+    rng, seen, count, first = np.random.default_rng(0), [], 0, 0
+    while count < number:
         batch = start_scenes(env, range(first, first + N_SCENES))
         observation = batch.observe()
-        while missing > 0 and len(batch):
+        while len(batch):
             seen.append(observation)
-            missing -= len(batch)
+            count += len(batch)
             actions = np.asarray(policy(observation))
             at_random = rng.random((len(batch), 1)) < RANDOM_SHARE
             step = batch.step(np.where(at_random, rng.uniform(-1, 1, actions.shape), actions))
@@ -112,4 +117,5 @@ def observations_of(policy: "Policy", env: EnvConfig, number: int) -> "Observati
             observation = {name: value[going_on] for name, value in step.observation.items()}
         batch.close()
         first += N_SCENES
-    return {name: np.concatenate([one[name] for one in seen])[:number] for name in seen[0]}
+    drawn = np.linspace(0, count - 1, number).astype(int)
+    return {name: np.concatenate([one[name] for one in seen])[drawn] for name in seen[0]}

@@ -2,8 +2,10 @@
 
 import shutil
 
+import numpy as np
 import pytest
 import torch
+from safetensors.torch import save
 from support.runs import make_config
 
 from parking_exp.algorithms.build import build_model, greedy_policy
@@ -12,7 +14,7 @@ from parking_exp.config.compose import composed
 from parking_exp.envs.training_envs import make_training_envs
 from parking_exp.errors import DamagedModelError, ModelError, RunNotFoundError
 from parking_exp.evaluation import agents
-from parking_exp.evaluation.agents import PRETRAINED_DIR, find_agent, pretrained_names
+from parking_exp.evaluation.agents import PRETRAINED_DIR, find_agent, load_model, pretrained_names
 from parking_exp.evaluation.evaluate import evaluate, summarise
 from parking_exp.evaluation.evaluate_run import validate_request
 
@@ -74,6 +76,37 @@ def test_a_saved_policy_is_restored_bit_for_bit_and_alone(algorithm, tmp_path):
         assert torch.equal(weight, other.actor.state_dict()[name]), name
     for name, weight in other.critic.state_dict().items():
         assert torch.equal(weight, before[name]), name
+
+
+def test_a_policy_of_other_features_or_without_mirroring_is_refused(tmp_path):
+    path = tmp_path / "policy.safetensors"
+    save_policy(make_model("algorithm=td3", "algorithm.features=ego_fine"), path)
+    sentence = f"{path} has the weights of another policy: its policy is MultiInputPolicy, not MirroredTD3Policy"
+    with pytest.raises(ModelError, match=f"^{sentence}$"):
+        load_policy(path, make_model("algorithm=td3", "algorithm.features=ego_mirrored"))
+    sentence = (
+        f"{path} has the weights of another policy: its features extractor is FineEgoFrameExtractor, "
+        "not EgoFrameExtractor"
+    )
+    with pytest.raises(ModelError, match=f"^{sentence}$"):
+        load_policy(path, make_model("algorithm=td3", "algorithm.features=ego"))
+
+
+def test_a_file_that_names_no_policy_fits_by_its_shapes(tmp_path):
+    one, other = (make_model("algorithm=td3", seed=seed) for seed in (1, 2))
+    (tmp_path / "policy.safetensors").write_bytes(save(dict(one.actor.state_dict(prefix="actor."))))
+    load_policy(tmp_path / "policy.safetensors", other)
+    assert all(torch.equal(weight, other.actor.state_dict()[name]) for name, weight in one.actor.state_dict().items())
+
+
+def test_a_model_is_loaded_in_one_call(tmp_path):
+    model, parked = load_model(), load_model("pretrained/parked", tmp_path)
+    goal = np.array([0.1, 0.14, 0, 0, 0, 1])
+    start = np.array([0, 0, 0, 0, 1, 0])
+    observation = {"observation": start, "achieved_goal": start, "desired_goal": goal}
+    (one, _), (other, _) = (agent.predict(observation, deterministic=True) for agent in (model, parked))
+    assert one.shape == other.shape == (2,)
+    assert one.tolist() != other.tolist()
 
 
 def test_the_policy_of_another_network_is_refused_and_changes_nothing(tmp_path):

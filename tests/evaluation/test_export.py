@@ -21,6 +21,7 @@ from parking_exp.algorithms.policy_export import Differences, check_actions, exp
 from parking_exp.envs.training_envs import make_training_envs
 from parking_exp.errors import ModelError
 from parking_exp.evaluation import export_run as exporting
+from parking_exp.evaluation.agents import load_model
 from parking_exp.evaluation.export_run import observations_of
 
 NAMES = ["achieved_goal", "desired_goal", "observation"]
@@ -150,8 +151,15 @@ def test_observations_are_the_same_each_time_and_all_of_their_number():
     for name in NAMES:
         assert again[name].shape == (200, 6)
         np.testing.assert_array_equal(again[name], observations[name])
-    # Whole episodes of 20 steps of 50 scenes, and then the next scenes.
-    assert observations_of(greedy_policy(model), env, 1010)["observation"][-10:, :2].tolist() == [[0, 0]] * 10
+
+
+def test_observations_are_of_whole_episodes():
+    config = make_config("env=parking_stop")
+    found = observations_of(greedy_policy(load_model("pretrained/parked")), config.env, 1000)
+    metres = 100 * np.linalg.norm((found["achieved_goal"] - found["desired_goal"])[:, :2], axis=1)
+    assert len(metres) == 1000
+    assert (metres[:30] > 10).all()  # first steps first
+    assert 200 < (metres < 1).sum() < 800
 
 
 @pytest.mark.parametrize(("by", "refused"), [(9e-7, False), (1.1e-6, True), (np.nan, True)])
@@ -243,6 +251,10 @@ def test_a_path_and_a_model_can_be_chosen(run, tmp_path):
     [
         (["format=onx"], "format=onx is not a valid choice; did you mean 'onnx'?"),
         (["path=."], "path=. is a directory; name a file in it"),
+        (
+            ["path=policy.onnx", "format=torchscript"],
+            "path=policy.onnx has the suffix of format=onnx, and format=torchscript",
+        ),
         (["run=nowhere"], "run=nowhere: there are no runs in {here}/outputs; train one first, or set output_dir"),
         (["model=last"], "model=last is not a valid choice; did you mean 'best'?"),
         (["run={run}", "path=file/policy.onnx"], "File exists: {here}/file"),
