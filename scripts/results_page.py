@@ -2,18 +2,19 @@
 """Write docs/results.md, its figures and README's rates from the exports in docs/results; `--check` only compares."""
 
 import re
-import shutil
 import sys
 import textwrap
 from argparse import ArgumentParser
 from collections.abc import Iterator
 from dataclasses import dataclass
+from hashlib import sha256
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
 import pandas as pd
 from jinja2 import Environment, StrictUndefined
+from PIL import Image, PngImagePlugin
 
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
@@ -29,6 +30,7 @@ EXPORTS, PAGE, README = DOCS / "results", DOCS / "results.md", ROOT / "README.md
 FIGURES = {"algorithms": "learning_curves"}  # of each table; of others every seed's success
 WIDTH = 120
 PACKAGES = ("highway-env", "stable-baselines3", "sb3-contrib", "torch", "python")
+SOURCE = "Source"  # of a picture: the PNG keyword
 LINK, NO_BREAK = re.compile(r"\[[^\]]*\]\([^)]*\)"), "\0"
 MARKED = re.compile(r"(<!-- results: (?P<name>\w+) -->\n).*?(<!-- end of results -->)", re.DOTALL)
 COLUMNS = {
@@ -128,6 +130,7 @@ def main(arguments: list[str]) -> int:
     written = {PAGE: _page(found), README: _readme(found)}
     stale = [path for path, text in written.items() if not path.exists() or path.read_text(encoding="utf-8") != text]
     if only_check:
+        stale += [_picture(name) for name in found if _drawn_from(_picture(name)) != _digest(name)]
         for path in stale:
             say(f"{path.relative_to(ROOT)} is not what the exports give; type make results-page")
         return int(bool(stale))
@@ -200,7 +203,7 @@ def _row(cells: list[str]) -> str:
 
 
 def _draw(name: str, report: ReportData) -> None:
-    """Draw the figure of a table."""
+    """Draw the figure of a table; the file has the digest of the export that it was drawn from."""
     from parking_exp.reports.figures.export import draw
     from parking_exp.reports.sections import SECTIONS
 
@@ -208,7 +211,27 @@ def _draw(name: str, report: ReportData) -> None:
     sections = [section for section in SECTIONS if figure in (one.name for one in section.figures)]
     with TemporaryDirectory() as folder:
         draw(report, Path(folder), ["png"], sections)
-        shutil.copy(Path(folder) / f"{figure}.png", DOCS / "images" / f"results_{name}.png")
+        source = PngImagePlugin.PngInfo()
+        source.add_text(SOURCE, _digest(name))
+        with Image.open(Path(folder) / f"{figure}.png") as image:
+            image.save(_picture(name), pnginfo=source, optimize=True)
+
+
+def _picture(name: str) -> Path:
+    return DOCS / "images" / f"results_{name}.png"
+
+
+def _digest(name: str) -> str:
+    """Return a digest of an export's files."""
+    return sha256(b"".join(path.read_bytes() for path in sorted((EXPORTS / name).iterdir()))).hexdigest()
+
+
+def _drawn_from(picture: Path) -> str | None:
+    """Return the digest of the export that a picture was drawn from; None if it is not there."""
+    if not picture.exists():
+        return None
+    with Image.open(picture) as image:
+        return image.info.get(SOURCE)
 
 
 if __name__ == "__main__":

@@ -248,7 +248,10 @@ def _notes(
         trials = plural(chosen.pruned, "trial")
         notes.append(f"{trials} of the search {were} pruned before a run was done; {are} not among the cells.")
     if any(cell.seeds and not cell.paths for cell in cells if cell.id in shown):
-        notes.append("Some cells have no trajectories to be drawn: their runs are older than these, or lost them.")
+        notes.append(
+            "Some cells have no trajectories to be drawn: their runs are older than these, or lost them, or the export "
+            "has only those of the cells that its own report drew."
+        )
     if outside := [cell.label for cell in cells if None in cell.settings.values()] if crossed else []:
         notes.append(f"Not part of the main effects, without a value of every factor: {warnings.named(outside)}.")
     if results.ignored:

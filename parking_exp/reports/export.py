@@ -55,10 +55,10 @@ def write(material: ReportSource, report: ReportData, folder: Path, command: str
     """
     results = _of_cells(material.results, report) if only_cells else material.results
     final = RunEvaluations.of(results).final
-    ways, problems = {}, list(material.unsynced)
+    trajectories, problems = {}, list(material.unsynced)
     for cell in report.shown_cells:
         rows, unread = sampled_rows([(seed.seed, seed.run_id) for seed in cell.seeds], results, final)
-        ways.update(rows)
+        trajectories.update(rows)
         problems += unread
     untracked = [] if only_cells else material.untracked
     about = {
@@ -66,7 +66,7 @@ def write(material: ReportSource, report: ReportData, folder: Path, command: str
         "untracked": [{name: getattr(state, name) for name in _Untracked.model_fields} for state in untracked],
         "report": {**_summary(report), "command": command},
     }
-    write_export(results, folder, ways, _plain(about), problems)
+    write_export(results, folder, trajectories, _plain(about), problems)
 
 
 def read(folder: str) -> ReportSource:

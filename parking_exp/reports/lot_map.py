@@ -19,7 +19,7 @@ from parking_exp.results.frames import Results
 PATHS_AN_OUTCOME = 4
 SEEDS = 10  # whose trajectories are looked at
 MOST_FAILURES = 200  # of a cell, of which a report has the ends
-LONG, EVERY = 100, 5  # of a way with more steps than LONG, a report has every EVERYth place
+LONG, EVERY = 100, 5  # of a trajectory with more steps than LONG, a report has every EVERYth position
 
 
 @dataclass(frozen=True)
@@ -73,12 +73,12 @@ def sample(
         final: their final episodes, by run id.
         vehicles_count: parked cars in each scene.
     """
-    ways, failed, problems = _drawn(runs, results, final, 1 if vehicles_count else PATHS_AN_OUTCOME)
+    drawn, failed, problems = _drawn(runs, results, final, 1 if vehicles_count else PATHS_AN_OUTCOME)
     failures: list[tuple[float, float, str]] = []
     for one in failed:
         x, y = one.rows[["x_m", "y_m"]].to_numpy()[-1]
         failures.append((round(float(x), 2), round(float(y), 2), one.outcome))
-    return LotMap([_path(one, vehicles_count) for one in ways], failures, problems)
+    return LotMap([_path(one, vehicles_count) for one in drawn], failures, problems)
 
 
 def sampled_rows(
@@ -88,9 +88,9 @@ def sampled_rows(
 
     From these alone it draws the same ones again.
     """
-    ways, failed, problems = _drawn(runs, results, final, PATHS_AN_OUTCOME)
+    drawn, failed, problems = _drawn(runs, results, final, PATHS_AN_OUTCOME)
     kept = {(one.run_id, one.scene): one.rows.tail(1) for one in failed}
-    kept |= {(one.run_id, one.scene): one.rows for one in ways}
+    kept |= {(one.run_id, one.scene): one.rows for one in drawn}
     by_run: dict[str, list[pd.DataFrame]] = {}
     for (run_id, _), rows in sorted(kept.items(), key=lambda item: item[0]):
         by_run.setdefault(run_id, []).append(rows)
@@ -116,7 +116,7 @@ class _Recorded:
 def _drawn(
     runs: Sequence[tuple[int, str]], results: Results, final: Mapping[str, FinalEpisodes], wanted: int
 ) -> tuple[list[_Recorded], list[_Recorded], list[str]]:
-    """Return ways, `wanted` of each outcome; failed episodes; and a sentence for each recording that can't be read."""
+    """Return episodes to draw, `wanted` of each outcome; failed ones; a sentence for each unreadable recording."""
     failed: list[_Recorded] = []
     ranked: list[tuple[int, _Recorded]] = []
     problems = []
@@ -140,13 +140,13 @@ def _drawn(
             first = sorted((one for one in episodes if one.outcome == outcome), key=lambda one: one.draw)[:wanted]
             ranked += enumerate(first)
     ranked.sort(key=lambda one: one[0])  # each run's first before any run's second
-    ways = [[one for _, one in ranked if one.outcome == outcome][:wanted] for outcome in OUTCOMES]
+    drawn = [[one for _, one in ranked if one.outcome == outcome][:wanted] for outcome in OUTCOMES]
     lowest = set(sorted(one.draw for one in failed)[:MOST_FAILURES])
-    return [one for some in ways for one in some], [one for one in failed if one.draw in lowest], problems
+    return [one for some in drawn for one in some], [one for one in failed if one.draw in lowest], problems
 
 
 def _thinned(table: pd.DataFrame) -> pd.DataFrame:
-    """Return the rows of trajectories, of ways that are long only every fifth step and the end."""
+    """Return the rows of trajectories, of long ones only every fifth step and the end."""
     step = table["step"].to_numpy()
     end = table.groupby("scene")["step"].transform("max").to_numpy()
     return table[(end <= LONG) | (step % EVERY == 0) | (step == end)]

@@ -61,9 +61,9 @@ which `run` is the number of a row in `runs.csv`, beginning at 0:
                       (s, c, t: success, crash, timeout) in their order, with how many times each is repeated: s312c2t
                       is 312 successes, two crashes and a timeout; certified: how many of the run's were tried again
                       on real highway-env
-    trajectories.csv  the ways that reports draw, one row each: length in steps; every how many steps there is a place,
-                      and one at the end (0: the end alone); x, y [cm] and heading [rad / 100] there, the first and then
-                      the differences from one to the next
+    trajectories.csv  the trajectories that reports draw, one row each: length in steps; every how many steps there is a
+                      position, and one at the end (0: the end alone); x, y [cm] and heading [rad / 100] there, the
+                      first and then the differences from one to the next
     report.json       layout, problems; what the report says of its cells, without what the tables have
 
 Left out are evaluation episodes during training, what `Results.episodes` has besides outcomes, speeds, and everything

@@ -41,7 +41,7 @@ class Export(Results):
     about: Mapping[str, Any] = field(default_factory=dict)
 
     def trajectories(self, run_id: str) -> pd.DataFrame:
-        """Return the ways of a run that the export has; `speed_mps` is missing.
+        """Return the trajectories of a run that the export has; `speed_mps` is missing.
 
         Raises:
             ResultsError: there is no such run.
@@ -61,7 +61,7 @@ class _ExportEntries(BaseModel):
 def write_export(
     results: Results,
     folder: str | Path,
-    ways: Mapping[str, pd.DataFrame] | None = None,
+    trajectories: Mapping[str, pd.DataFrame] | None = None,
     about: Mapping[str, Any] | None = None,
     problems: Sequence[str] = (),
 ) -> Path:
@@ -72,8 +72,8 @@ def write_export(
     Args:
         results: to be exported.
         folder: made if it is not there.
-        ways: by run id, rows of `Results.trajectories` to be kept: of each scene every nth step and the end, or the
-            end alone.
+        trajectories: by run id, rows of `Results.trajectories` to be kept: of each scene every nth step and the end, or
+            the end alone.
         about: further entries of `report.json`.
         problems: sentences to be kept besides those of the results.
 
@@ -84,7 +84,7 @@ def write_export(
     refuse_foreign(folder)
     said = [without_paths(one) for one in dict.fromkeys([*problems, *results.problems])]
     described = {"layout": LAYOUT, "problems": said, "ignored": results.ignored, **(about or {})}
-    texts = {**table_texts(results, ways or {}), REPORT: _lines(described)}
+    texts = {**table_texts(results, trajectories or {}), REPORT: _lines(described)}
     folder.parent.mkdir(parents=True, exist_ok=True)
     with TemporaryDirectory(prefix=f".{folder.name}-", dir=folder.parent) as place:
         new, old = Path(place) / "new", Path(place) / "old"

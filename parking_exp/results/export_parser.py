@@ -138,7 +138,7 @@ def _recordings(found: Columns, ids: np.ndarray) -> pd.DataFrame:
     lists = {name: [word.split(" ") for word in found[name]] for name in UNITS}
     lengths = [(len(range(0, end, one)) if one > 0 else 0) + 1 for end, one in zip(ends, every, strict=True)]
     if any([len(one) for one in lists[name]] != lengths for name in UNITS):
-        raise ValueError("it has ways with more or fewer places than steps")
+        raise ValueError("it has trajectories with more or fewer positions than steps")
     steps = [step for end, one in zip(ends, every, strict=True) for step in recorded_steps(end, max(0, one))]
     coordinates = {
         UNITS[name]: np.concatenate([np.arange(0), *(np.cumsum(_integers(one)) for one in words)]) / 100

@@ -17,12 +17,12 @@ if TYPE_CHECKING:
 Columns = dict[str, list[str]]
 
 TABLES = ("runs.csv", "common.csv", "curves.csv", "episodes.csv", "trajectories.csv")
-ON_A_MACHINE = ("run_dir", "artifact_uri", "config.output_dir", "config.tracking.uri")
+LOCAL_COLUMNS = ("run_dir", "artifact_uri", "config.output_dir", "config.tracking.uri")
 """Columns of runs that name a place; an export has none of them."""
 IN_EACH_ROW = ("run_id", "experiment", "cell", "seed", "status")
 """Columns that `runs.csv` has even where they are the same in all runs."""
 EPISODE_COLUMNS = ("run", "step", "first_scene", "outcomes", "certified")
-WAY_COLUMNS = ("run", "scene", "steps", "every", "x_cm", "y_cm", "heading_crad")
+TRAJECTORY_COLUMNS = ("run", "scene", "steps", "every", "x_cm", "y_cm", "heading_crad")
 UNITS = {"x_cm": "x_m", "y_cm": "y_m", "heading_crad": "heading_rad"}
 LETTERS = "".join(outcome[0] for outcome in OUTCOMES)
 DIGITS, CURVE_DIGITS = 6, 5
@@ -35,16 +35,16 @@ def without_paths(words: str) -> str:
     return PATH.sub(r"\1", words)
 
 
-def table_texts(results: "Results", ways: Mapping[str, pd.DataFrame]) -> dict[str, str]:
+def table_texts(results: "Results", trajectories: Mapping[str, pd.DataFrame]) -> dict[str, str]:
     """Return the texts of the files.
 
     Args:
         results: to be exported.
-        ways: rows of `Results.trajectories` to be kept, by run id; see `export.write_export`.
+        trajectories: rows of `Results.trajectories` to be kept, by run id; see `export.write_export`.
     """
     runs = results.runs
     number = {run_id: row for row, run_id in enumerate(runs["run_id"])}
-    columns = {str(name): _run_texts(str(name), runs[name]) for name in runs if name not in ON_A_MACHINE}
+    columns = {str(name): _run_texts(str(name), runs[name]) for name in runs if name not in LOCAL_COLUMNS}
     same = [name for name, texts in columns.items() if len(set(texts)) == 1 and name not in IN_EACH_ROW]
     common = {"column": same, "value": [columns[name][0] for name in same]}
     curves = results.curves.assign(run=results.curves["run_id"].map(number)).sort_values(["run", "step"], kind="stable")
@@ -54,8 +54,8 @@ def table_texts(results: "Results", ways: Mapping[str, pd.DataFrame]) -> dict[st
         "curves.csv": {
             name: _numbers(curves[name], _curve_digits(name)) for name in ("run", *results.curves.columns[1:])
         },
-        "episodes.csv": _stretches(results.episodes, number),
-        "trajectories.csv": _ways(ways, number),
+        "episodes.csv": _episode_columns(results.episodes, number),
+        "trajectories.csv": _trajectory_columns(trajectories, number),
     }
     return {name: _csv(table) for name, table in tables.items()}
 
@@ -82,7 +82,7 @@ def _curve_digits(name: str) -> int:
     return DIGITS if CURVE_BOUNDS.get(name) == SHARE else CURVE_DIGITS
 
 
-def _stretches(episodes: pd.DataFrame, number: Mapping[str, int]) -> Columns:
+def _episode_columns(episodes: pd.DataFrame, number: Mapping[str, int]) -> Columns:
     """Return the final episodes, a row for each stretch of consecutive scenes."""
     certified = episodes.loc[episodes["phase"] == "certified", "run_id"].value_counts()
     final = episodes[episodes["phase"] == "final"]
@@ -105,16 +105,16 @@ def _counted(letters: str) -> str:
     return re.sub(r"(.)\1+", lambda found: f"{found[1]}{len(found[0])}", letters)
 
 
-def _ways(ways: Mapping[str, pd.DataFrame], number: Mapping[str, int]) -> Columns:
-    found: Columns = {name: [] for name in WAY_COLUMNS}
-    for run_id in sorted(ways, key=lambda one: number[one]):
-        for scene, rows in ways[run_id].groupby("scene"):
+def _trajectory_columns(trajectories: Mapping[str, pd.DataFrame], number: Mapping[str, int]) -> Columns:
+    found: Columns = {name: [] for name in TRAJECTORY_COLUMNS}
+    for run_id in sorted(trajectories, key=lambda one: number[one]):
+        for scene, rows in trajectories[run_id].groupby("scene"):
             steps = rows["step"].tolist()
             every = steps[1] - steps[0] if len(steps) > 1 else 0
             if steps != recorded_steps(steps[-1], every):
-                raise ValueError(f"run {run_id}, scene {scene}: its places are not evenly spaced up to the end")
+                raise ValueError(f"run {run_id}, scene {scene}: its positions are not evenly spaced up to the end")
             lists = [_differences(rows[name]) for name in UNITS.values()]
-            for name, value in zip(WAY_COLUMNS, (number[run_id], scene, steps[-1], every, *lists), strict=True):
+            for name, value in zip(TRAJECTORY_COLUMNS, (number[run_id], scene, steps[-1], every, *lists), strict=True):
                 found[name].append(str(value))
     return found
 

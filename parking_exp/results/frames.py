@@ -76,7 +76,7 @@ class Results:
         return Reader(self.uri, self.artifacts_in)
 
     def trajectories(self, run_id: str) -> pd.DataFrame:
-        """Return the ways that the car took in final episodes of a run: one row per step, the start (step 0) included.
+        """Return the car's trajectories in final episodes of a run: one row per step, the start (step 0) included.
 
         Columns are scene, step (int64), x_m, y_m, heading_rad, speed_mps (float32). A run without a recording has none.
 

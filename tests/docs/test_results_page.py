@@ -17,7 +17,7 @@ def page(tmp_path, monkeypatch):
     script = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(script)
     shutil.copytree(EXPORTS, tmp_path / "docs" / "results")
-    (tmp_path / "docs" / "images").mkdir()
+    shutil.copytree(ROOT / "docs" / "images", tmp_path / "docs" / "images")
     for name in ("README.md", "docs/results.md"):
         shutil.copy(ROOT / name, tmp_path / name)
     monkeypatch.setattr(script, "ROOT", tmp_path)
@@ -44,6 +44,17 @@ def test_a_rate_that_was_typed_is_noticed_and_written_anew(page, tmp_path, capsy
     assert capsys.readouterr().out == f"{name} is not what the exports give; type make results-page\n"
     assert page.main([]) == 0
     assert file.read_text(encoding="utf-8") == text
+
+
+def test_a_picture_of_another_export_is_noticed_and_drawn_anew(page, tmp_path, capsys):
+    picture = tmp_path / "docs" / "images" / "results_features.png"
+    shutil.copy(picture.with_name("results_parked.png"), picture)
+    assert page.main(["--check"]) == 1
+    assert capsys.readouterr().out == (
+        "docs/images/results_features.png is not what the exports give; type make results-page\n"
+    )
+    assert page.main([]) == 0
+    assert page.main(["--check"]) == 0
 
 
 def test_every_table_has_a_figure_and_its_command(page):

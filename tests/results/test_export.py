@@ -15,7 +15,7 @@ from support.store_factory import Look, compose, make_store
 from parking_exp.errors import ConfigError, ResultsError
 from parking_exp.results import load, read_export, write_export
 from parking_exp.results.export import FILES
-from parking_exp.results.export_tables import ON_A_MACHINE, without_paths
+from parking_exp.results.export_tables import LOCAL_COLUMNS, without_paths
 
 HER = {"four": ["buffer.n_sampled_goal=4"], "none": ["buffer=replay"]}
 HOSTILE = 'a,b "c"\nd\re <script>'
@@ -55,8 +55,8 @@ def edit(path, old, new):
 
 def test_runs_come_back_with_their_types_and_without_places(stored, written):
     runs = read_export(written).runs
-    places = [name for name in ON_A_MACHINE if name in stored.runs]
-    assert places == list(ON_A_MACHINE)
+    places = [name for name in LOCAL_COLUMNS if name in stored.runs]
+    assert places == list(LOCAL_COLUMNS)
     assert runs[["run_dir", "artifact_uri"]].isna().all(axis=None)
     assert not {"config.output_dir", "config.tracking.uri"} & {*runs}
     texts = ["error", "config.x.path"]
@@ -116,10 +116,10 @@ def test_how_many_were_certified_is_kept(stored, written):
     ("steps", "line"),
     [([0, 1, 2], "2,1,0 100 -50"), ([0, 5, 10, 12], "12,5,0 100 -50 3"), ([40], "40,0,0"), ([0], "0,0,0")],
 )
-def test_ways_come_back_in_centimetres_without_speeds(stored, tmp_path, steps, line):
+def test_trajectories_come_back_in_centimetres_without_speeds(stored, tmp_path, steps, line):
     run_id = stored.runs["run_id"][0]
     x = np.array([0, 1.0, 0.5, 0.53])[: len(steps)]
-    way = pd.DataFrame({"scene": 3, "step": steps, "x_m": x, "y_m": -x, "heading_rad": x / 10, "speed_mps": 1.0})
+    trajectory = pd.DataFrame({"scene": 3, "step": steps, "x_m": x, "y_m": -x, "heading_rad": x / 10, "speed_mps": 1.0})
     folder = write_export(stored, tmp_path / "one", {run_id: way})
     assert (folder / "trajectories.csv").read_text().splitlines()[1].startswith(f"0,3,{line},")
     found = read_export(folder).trajectories(run_id)
@@ -132,10 +132,10 @@ def test_ways_come_back_in_centimetres_without_speeds(stored, tmp_path, steps, l
     assert read_export(folder).trajectories(stored.runs["run_id"][1]).empty
 
 
-def test_a_way_with_other_gaps_is_refused(stored, tmp_path):
-    way = pd.DataFrame({"scene": 3, "step": [0, 2, 3, 6], "x_m": 0.0, "y_m": 0.0, "heading_rad": 0.0})
-    with pytest.raises(ValueError, match="scene 3: its places are not evenly spaced up to the end"):
-        write_export(stored, tmp_path / "one", {stored.runs["run_id"][0]: way})
+def test_a_trajectory_with_other_gaps_is_refused(stored, tmp_path):
+    trajectory = pd.DataFrame({"scene": 3, "step": [0, 2, 3, 6], "x_m": 0.0, "y_m": 0.0, "heading_rad": 0.0})
+    with pytest.raises(ValueError, match="scene 3: its positions are not evenly spaced up to the end"):
+        write_export(stored, tmp_path / "one", {stored.runs["run_id"][0]: trajectory})
     assert not list(tmp_path.iterdir())
 
 
@@ -254,12 +254,12 @@ def test_a_file_that_is_missing_is_named(written, name):
         ("curves.csv", "\n0,", "\nx,", r"curves.csv can't be read: invalid literal"),
         ("episodes.csv", ",0,s", ",-1,s", r"episodes.csv can't be read: it has scenes that there are not"),
         ("episodes.csv", ",0,s", ",0,z", r"episodes.csv can't be read: there are no such outcomes: 'z"),
-        ("trajectories.csv", ",3,2,1,", ",3,3,1,", r"trajectories.csv can't be read: it has ways with more or fewer places"),
+        ("trajectories.csv", ",3,2,1,", ",3,3,1,", r"trajectories.csv can't be read: it has trajectories with more or fewer positions"),
     ],
 )  # fmt: skip
 def test_a_damaged_export_is_a_sentence_that_names_the_file(stored, tmp_path, name, old, new, words):
-    way = pd.DataFrame({"scene": 3, "step": [0, 1, 2], "x_m": 0.0, "y_m": 0.0, "heading_rad": 0.0})
-    folder = write_export(stored, tmp_path / "her", {stored.runs["run_id"][0]: way})
+    trajectory = pd.DataFrame({"scene": 3, "step": [0, 1, 2], "x_m": 0.0, "y_m": 0.0, "heading_rad": 0.0})
+    folder = write_export(stored, tmp_path / "her", {stored.runs["run_id"][0]: trajectory})
     if name == "episodes.csv":
         edit(folder / name, (folder / name).read_text().splitlines()[1].split(",", 2)[2], "0,s5,1")
     edit(folder / name, old, new)
