@@ -120,7 +120,7 @@ def test_trajectories_come_back_in_centimetres_without_speeds(stored, tmp_path, 
     run_id = stored.runs["run_id"][0]
     x = np.array([0, 1.0, 0.5, 0.53])[: len(steps)]
     trajectory = pd.DataFrame({"scene": 3, "step": steps, "x_m": x, "y_m": -x, "heading_rad": x / 10, "speed_mps": 1.0})
-    folder = write_export(stored, tmp_path / "one", {run_id: way})
+    folder = write_export(stored, tmp_path / "one", {run_id: trajectory})
     assert (folder / "trajectories.csv").read_text().splitlines()[1].startswith(f"0,3,{line},")
     found = read_export(folder).trajectories(run_id)
     assert found["step"].tolist() == steps
