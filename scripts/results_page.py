@@ -74,11 +74,12 @@ class Experiment:
         return formats.number(self.cell(label).cpu_s.value)
 
     def difference(self, one: str, other: str) -> str:
-        """Return how much better a cell is than another, e.g. `+9.1 points [+4.0, +14.2], p = 0.012`."""
+        """Return how much better a cell is, e.g. `+9.1 points [+4.0, +14.2], p = 0.012`, and whether that is known."""
         a, b = self.cell(one).id, self.cell(other).id
         pair = next(pair for pair in self.report.pairs if {pair.a, pair.b} == {a, b})
         pair = pair if pair.a == a else pair.turned()
-        return f"{formats.points_interval(pair.difference)}, {formats.p_value(pair.p_holm)}"
+        known = "" if pair.verdict in ("a", "b") else ": can't be told apart"
+        return f"{formats.points_interval(pair.difference)}, {formats.p_value(pair.p_holm)}{known}"
 
     def table(self, factors: dict[str, str], *columns: str) -> str:
         """Return a Markdown table of all cells.
@@ -95,6 +96,23 @@ class Experiment:
             names = [self._setting(cell, key) for key in factors] or [f"`{cell.label}`"]
             lines.append(_row([*names, *(COLUMNS[name][1](cell) for name in columns)]))
         return "\n".join(lines)
+
+    def grid(self, row: str, column: str, **where: str) -> str:
+        """Return a Markdown table of the mean success of cells by two config keys, with its interval, in percent.
+
+        Args:
+            row, column: config keys; cells without a value of one of them are left out.
+            where: another key, its dots written as `__`, and its value.
+        """
+        found = {}
+        for cell in self.report.cells:
+            if cell.seeds and all(self._setting(cell, key.replace("__", ".")) == one for key, one in where.items()):
+                found[self._setting(cell, row), self._setting(cell, column)] = formats.percent_interval(cell.success)
+        rows, columns = (list(dict.fromkeys(key[at] for key in found if all(key))) for at in (0, 1))
+        heads = [f"`{row}`", *(f"`{column}={one}`" for one in columns)]
+        lines = [heads, [":---", *("---:" for _ in columns)]]
+        lines += [[one, *(found.get((one, other), "") for other in columns)] for one in rows]
+        return "\n".join(map(_row, lines))
 
     def _setting(self, cell: Cell, key: str) -> str:
         runs = self.results.runs.set_index("run_id")

@@ -114,7 +114,7 @@ def test_a_sparse_crash_costs_the_collision_penalty_besides():
     while not terminated:
         _, reward, terminated, _, info = env.step(np.array([1.0, 0.0]))
     assert info["crashed"]
-    assert reward == -6
+    assert reward == -21
 
 
 def test_training_envs_end_after_training_duration_and_evaluation_envs_do_not():
