@@ -371,9 +371,8 @@ def test_what_every_relabelled_transition_carries(tmp_path, reward, n_envs, step
                 assert goal.tolist() == [env, episode, 0, 0, 0, 0]
             crashed = how == "crash" and index == last
             goal_reward, reached = reward(np.array([env, episode, index + 1, 0, 0, 0.0]), goal)
-            assert batch.rewards[row].item() == np.float32(
-                goal_reward + (-5.0 if crashed and collision == "keep" else 0.0)
-            )
+            penalty = (-20.0 if reward is SPARSE else -5.0) if crashed and collision == "keep" else 0.0
+            assert batch.rewards[row].item() == np.float32(goal_reward + penalty)
             expected = {
                 "sb3": index == last and how != "timeout", "goal": reached, "goal_and_crash": reached or crashed,
             }[terminated]  # fmt: skip
