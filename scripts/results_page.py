@@ -27,6 +27,7 @@ from parking_exp.terminal import say
 
 DOCS = ROOT / "docs"
 EXPORTS, PAGE, README = DOCS / "results", DOCS / "results.md", ROOT / "README.md"
+BASELINES = {"variants": "parking, collision_reward=-5"}  # of tables that ask about one cell alone
 FIGURES = {"algorithms": "learning_curves"}  # of each table; of others every seed's success
 WIDTH = 120
 PACKAGES = ("highway-env", "stable-baselines3", "sb3-contrib", "torch", "python")
@@ -35,7 +36,7 @@ LINK, NO_BREAK = re.compile(r"\[[^\]]*\]\([^)]*\)"), "\0"
 MARKED = re.compile(r"(<!-- results: (?P<name>\w+) -->\n).*?(<!-- end of results -->)", re.DOTALL)
 COLUMNS = {
     "success": ("success, %", lambda cell: formats.percent_interval(cell.success)),
-    "crash": ("crash, %", lambda cell: _range(cell, "crash")),
+    "crash": ("crash, % (range)", lambda cell: _range(cell, "crash")),
     "parked": ("parked, %", lambda cell: formats.percent_interval(cell.parked)),
     "lowest": ("lowest success", lambda cell: formats.percent(min(seed.success for seed in cell.seeds))),
     "area": ("area, %", lambda cell: formats.percent_interval(cell.area)),
@@ -163,7 +164,7 @@ def main(arguments: list[str]) -> int:
 def _experiment(folder: Path) -> Experiment:
     results = read_export(folder)
     names = list(dict.fromkeys(results.runs["experiment"]))
-    return Experiment(results, build(results, Question(names)))
+    return Experiment(results, build(results, Question(names, baseline=BASELINES.get(folder.name))))
 
 
 def _page(found: dict[str, Experiment]) -> str:
@@ -212,7 +213,7 @@ def _range(cell: Cell, metric: str) -> str:
     """Return a mean rate with its lowest and highest seed, for a table."""
     rates = [getattr(seed, metric) for seed in cell.seeds]
     return (
-        f"{formats.percent(getattr(cell, metric).value)} [{formats.percent(min(rates))}, {formats.percent(max(rates))}]"
+        f"{formats.percent(getattr(cell, metric).value)} ({formats.percent(min(rates))}, {formats.percent(max(rates))})"
     )
 
 
