@@ -55,6 +55,10 @@ class Experiment:
     results: Results
     report: ReportData
 
+    def only(self, *cells: str, baseline: str | None = None) -> "Experiment":
+        """Return a part of it, as `scripts/report.py` takes its cells and baseline; its labels are shorter."""
+        return Experiment(self.results, build(self.results, Question(self.report.experiments, cells, baseline)))
+
     def cell(self, label: str) -> Cell:
         """Return a cell."""
         return next(cell for cell in self.report.cells if cell.label == label)

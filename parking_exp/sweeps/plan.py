@@ -1,8 +1,10 @@
 """The plan of a sweep: its runs, how far each is, which are due, and how long they may take."""
 
 import itertools
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence, Set
+from contextlib import suppress
 from dataclasses import dataclass, field
+from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
@@ -11,15 +13,18 @@ from rich.console import Console
 from parking_exp.config.compose import Composed
 from parking_exp.config.schema import RunConfig
 from parking_exp.config.validate import validate
-from parking_exp.errors import plural
+from parking_exp.errors import ConfigError, plural
 from parking_exp.resources import cores
 from parking_exp.runs.directory import RunDirectory
 from parking_exp.runs.lookup import find_runs
-from parking_exp.runs.state import RunState, counts, read_state
+from parking_exp.runs.state import RunState, by_cell, counts, read_state
 from parking_exp.runs.state_tables import cell_table, damaged_lines, duration, version_lines
 from parking_exp.sweeps.hydra_launcher import Launch
 
 NO_RUN_YET = "; no run has finished yet to tell the time by"
+NO_RUN_OF_KIND_YET = "; no run of its kind has finished yet to tell the time by"
+# Files that an estimate reads at most; a config takes some 10 ms.
+MOST_STATES, MOST_CONFIGS = 1000, 100
 
 
 @dataclass(frozen=True)
@@ -115,43 +120,72 @@ def describe(runs: Sequence[PlannedRun], launch: Launch, out: Console) -> None:
 def _estimate(runs: Sequence[PlannedRun], due: Sequence[PlannedRun], launch: Launch) -> str:
     """Return in words how long the due runs may take.
 
-    That is estimated from finished runs of the same cell, else of the sweep, else of the output directory.
+    Each is timed by finished runs of its cell, else of its kind in the sweep, else of its kind in the output directory.
     """
     if not due:
         return ""
-    rates = _rates([run.state for run in runs]) or _rates_in(runs[0].config)
-    if not rates:
-        return NO_RUN_YET
-    overall = sum(rate for _, rate in rates) / len(rates)
-    of_cell = {cell: [rate for name, rate in rates if name == cell] for cell, _ in rates}
-    seconds = 0.0
-    for run in due:
-        known = of_cell.get(run.path.parent.name)
-        rate = sum(known) / len(known) if known else overall
-        seconds += rate * (run.config.total_timesteps - run.state.step)
+    kinds = {run.state.cell: _kind(run.config) for run in runs}
+    rates: dict[str, float] = {}  # by cell, and by kind
+    for state, rate in _cell_rates(run.state for run in runs):
+        rates[state.cell] = rate
+        rates.setdefault(kinds[state.cell], rate)
+    if unknown := {kinds[run.state.cell] for run in due} - rates.keys():
+        rates = _kind_rates(due[0].config.output_path, unknown) | rates
+    timed = [(run, r) for run in due if (r := rates.get(run.state.cell) or rates.get(kinds[run.state.cell]))]
+    if not timed:
+        return NO_RUN_OF_KIND_YET if rates else NO_RUN_YET
+    seconds = sum(rate * (run.config.total_timesteps - run.state.step) for run, rate in timed)
+    rest = ""
+    if len(timed) < len(due):
+        rest = f" for {len(timed)} of them; of the others no run of their kind has finished yet"
     if (workers := _workers(launch)) is None:
-        return f", about {duration(seconds)} of work"
+        return f", about {duration(seconds)} of work{rest}"
     shared = f" with {workers} at a time" if workers > 1 else ""
-    return f", about {duration(seconds / min(workers, len(due)))}{shared}"
+    return f", about {duration(seconds / min(workers, len(timed)))}{shared}{rest}"
 
 
 def duration_estimate(config: RunConfig, steps: int, workers: int) -> str:
-    """Return in words how long so many env steps may take, from finished runs in the output directory."""
+    """Return in words how long so many env steps may take, by finished runs of the config's kind.
+
+    Trials of a search are taken to do as much work as the config that they start from.
+    """
     if not steps:
         return ""
-    rates = _rates_in(config)
-    if not rates:
-        return NO_RUN_YET
-    return f", about {duration(steps * sum(rate for _, rate in rates) / len(rates) / workers)}"
+    kind = _kind(config)
+    rates = _kind_rates(config.output_path, {kind})
+    if kind not in rates:
+        return NO_RUN_OF_KIND_YET if rates else NO_RUN_YET
+    return f", about {duration(steps * rates[kind] / workers)}"
 
 
-def _rates(states: Iterable[RunState]) -> list[tuple[str, float]]:
-    """Return cell and seconds an env step of each run that is done."""
-    return [(s.cell, s.wall_s / s.step) for s in states if s.stage == "done" and s.wall_s and s.step]
+def _kind(config: RunConfig) -> str:
+    """Return what the work of an env step depends on: runs that agree in it take about as long for one."""
+    # These change the time by orders of magnitude; features and tasks by less than half (docs/results.md).
+    algorithm = config.algorithm
+    update = algorithm.target, algorithm.net_arch, algorithm.arguments.get("batch_size")
+    return repr((config.env.simulator, config.n_envs, config.update_rounds(), *update, config.device))
 
 
-def _rates_in(config: RunConfig) -> list[tuple[str, float]]:
-    return _rates(map(read_state, itertools.islice(find_runs(config.output_path), 1000)))
+def _cell_rates(states: Iterable[RunState]) -> Iterator[tuple[RunState, float]]:
+    """Yield a finished run of each cell and the cell's seconds an env step.
+
+    Cells with the longest runs come first: in short runs, start-up and final evaluation take most of the time.
+    """
+    finished = [state for state in states if state.stage == "done" and state.wall_s and state.step]
+    for _, cell in by_cell(sorted(finished, key=attrgetter("step"), reverse=True)):
+        yield cell[0], sum(state.wall_s or 0 for state in cell) / sum(state.step for state in cell)
+
+
+def _kind_rates(output_dir: Path, wanted: Set[str]) -> dict[str, float]:
+    """Return seconds an env step of kinds with finished runs: of those that are wanted, and of others on the way."""
+    rates: dict[str, float] = {}
+    states = map(read_state, itertools.islice(find_runs(output_dir), MOST_STATES))
+    for state, rate in itertools.islice(_cell_rates(states), MOST_CONFIGS):
+        if wanted <= rates.keys():
+            break
+        with suppress(ConfigError):  # damaged, or of another version
+            rates.setdefault(_kind(RunDirectory(Path(state.run_dir)).config()), rate)
+    return rates
 
 
 def _workers(launch: Launch) -> int | None:
