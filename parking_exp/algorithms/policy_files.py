@@ -46,9 +46,12 @@ def load_policy(path: Path, model: OffPolicyAlgorithm) -> None:
         if said.get(part, name) != name:
             raise ModelError(f"{path} has the weights of another policy: its {part} is {said[part]}, not {name}")
     ours = _actor(model)
-    shapes = [{name: (weight.shape, weight.dtype) for name, weight in weights.items()} for weights in (found, ours)]
-    if shapes[0] != shapes[1]:
-        raise ModelError(f"{path} does not fit {type(model).__name__} as its config.yaml describes it")
+    for name in ours | found:
+        there, here = (_described(weights.get(name)) for weights in (found, ours))
+        if there != here:
+            raise ModelError(
+                f"{path} does not fit this {type(model).__name__}: {name} is {there} there, and {here} here"
+            )
     with torch.no_grad():
         for name, weight in ours.items():
             weight.copy_(found[name])
@@ -59,6 +62,13 @@ def _actor(model: OffPolicyAlgorithm) -> dict[str, torch.Tensor]:
     if not weights:
         raise ModelError(f"{type(model).__name__} has no actor")
     return weights
+
+
+def _described(weight: torch.Tensor | None) -> str:
+    """Return `64 x 19 of float32`, or `missing`."""
+    if weight is None:
+        return "missing"
+    return f"{' x '.join(map(str, weight.shape))} of {str(weight.dtype).removeprefix('torch.')}"
 
 
 def _classes(model: OffPolicyAlgorithm) -> dict[str, str]:

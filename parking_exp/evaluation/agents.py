@@ -91,7 +91,7 @@ def find_agent(run: str, output_dir: Path, model: ModelName = "final", *, trust:
         if model != "final":
             raise RunNotFoundError(f"run={run}: a pretrained agent has one model; leave model={model} out")
         return _pretrained(run, output_dir)
-    directory = find_run(run, output_dir, having=f"models/{model}.zip")
+    directory = find_run(run, output_dir, having=f"models/{model}.zip", others=[PRETRAINED, *_pretrained_runs()])
     weights = directory.models / f"{model}.zip"
     if not weights.exists():
         state = "is gone" if directory.status == "done" else "has not been made yet"
@@ -136,11 +136,15 @@ def pretrained_names() -> list[str]:
     return sorted(folder.parent.name for folder in PRETRAINED_DIR.glob(f"*/{POLICY_FILE}"))
 
 
+def _pretrained_runs() -> list[str]:
+    return [f"{PRETRAINED}/{name}" for name in pretrained_names()]
+
+
 def _pretrained(run: str, output_dir: Path) -> Agent:
     _, _, name = run.partition("/")
     name = name or "default"
     if name not in (names := pretrained_names()):
-        hint = did_you_mean(run, [f"{PRETRAINED}/{one}" for one in names])
+        hint = did_you_mean(run, _pretrained_runs())
         raise RunNotFoundError(f"run={run}: there is no such pretrained agent; there are {', '.join(names)}{hint}")
     folder = PRETRAINED_DIR / name
     config = read_config(folder, output_dir)

@@ -28,7 +28,7 @@ from parking_exp.errors import ConfigError, plural
 from parking_exp.evaluation.agents import Agent, ModelName, find_agent, is_pretrained
 from parking_exp.runs.directory import RunDirectory
 from parking_exp.runs.files import write_json
-from parking_exp.terminal import say
+from parking_exp.terminal import Screen, say
 
 EPISODES = 100
 PRETRAINED_EPISODES = 20  # a first look; their cards have the rates of 500
@@ -144,15 +144,17 @@ def _evaluate(request: EvaluationRequest, agent: Agent, env: EnvConfig, folder: 
     if request.video:
         with _progress(f"video of {plural(request.video, 'episode')}", request.video) as update:
             record(policy, env, scenes[: request.video], folder / "video.mp4", request.gif, on_episode=update)
+        for path in sorted(folder.glob("video.*")):
+            say(f"video          {path}")
 
 
 @contextmanager
 def _progress(what: str, total: int) -> Iterator[Callable[[int], None]]:
-    """Show a progress bar, and yield what moves it."""
-    from rich.console import Console
+    """Show a progress bar on a terminal, and yield what moves it."""
     from rich.progress import Progress
 
-    with Progress(console=Console(stderr=True), transient=True) as bar:
+    screen = Screen(stderr=True)
+    with Progress(console=screen, transient=True, disable=not screen.is_terminal) as bar:
         task = bar.add_task(what, total=total)
 
         def update(finished: int) -> None:

@@ -50,9 +50,8 @@ def validate_request(config: DictConfig) -> ExportRequest:
         path = directory_path(request.path)
         if path.is_dir():
             raise ConfigError(f"path={request.path} is a directory; name a file in it")
-        for name, suffix in SUFFIXES.items():
-            if path.suffix == suffix and name != request.format:
-                raise ConfigError(f"path={request.path} has the suffix of format={name}, and format={request.format}")
+        if path.suffix != (suffix := SUFFIXES[request.format]):
+            raise ConfigError(f"path={request.path}: the name of a file of format={request.format} ends in {suffix}")
     return request
 
 

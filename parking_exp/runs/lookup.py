@@ -1,5 +1,6 @@
 """Find run directories: all of an experiment, or one by its path, its MLflow run id or `latest`."""
 
+from collections.abc import Sequence
 from pathlib import Path
 
 from parking_exp.config.paths import directory_path
@@ -12,18 +13,23 @@ def find_runs(output_dir: Path, experiment: str | None = None) -> list[Path]:
     return sorted(file.parent for file in output_dir.glob(f"{experiment or '*'}/*/seed=*/{STATUS_FILE}"))
 
 
-def find_run(name: str, output_dir: Path, having: str) -> RunDirectory:
+def find_run(name: str, output_dir: Path, having: str, others: Sequence[str] = ()) -> RunDirectory:
     """Find a run by its directory, its MLflow run id, or `latest`: the last worked on that has the file `having`.
+
+    Args:
+        name: one of these.
+        output_dir: where runs are looked for.
+        having: path in a run directory.
+        others: what can be typed besides, and is suggested where it is close.
 
     Raises:
         RunNotFoundError: there is none.
     """
-    if (Path(name).expanduser() / STATUS_FILE).exists():
-        return RunDirectory(directory_path(name))
+    folder = directory_path(name)
+    if (folder / STATUS_FILE).exists():
+        return RunDirectory(folder)
     files = sorted(output_dir.glob(f"*/*/*/{STATUS_FILE}"), key=lambda file: file.stat().st_mtime)
-    if not files:
-        raise RunNotFoundError(f"run={name}: there are no runs in {output_dir}; train one first, or set output_dir")
-    if name == "latest":
+    if name == "latest" and files:
         usable = [file for file in files if (file.parent / having).exists()]
         if not usable:
             done = any(RunDirectory(file.parent).status == "done" for file in files)
@@ -34,8 +40,17 @@ def find_run(name: str, output_dir: Path, having: str) -> RunDirectory:
     ids = {run_id: file.parent for file in files if (run_id := RunDirectory(file.parent).run_id)}
     if name in ids:
         return RunDirectory(ids[name].absolute())
-    hint = did_you_mean(name, ["latest", *ids, *(str(file.parent) for file in files)])
+    if folder.is_dir():
+        inside = sorted(file.parent for depth in (1, 2, 3) for file in folder.glob(f"{'*/' * depth}{STATUS_FILE}"))
+        hint = f"; one in it is {inside[0]}" if inside else ""
+        raise RunNotFoundError(f"run={name} is no run directory{hint}")
+    latest = ["latest"] if files else []
+    hint = did_you_mean(name, [*latest, *others, *ids, *(str(file.parent) for file in files)])
+    if not files and not hint:
+        raise RunNotFoundError(
+            f"run={name}: there are no runs in {output_dir}; train one first, set output_dir, or write run=pretrained"
+        )
     raise RunNotFoundError(
-        f"run={name}: no run directory, and no MLflow run id of {plural(len(files), 'run')} in {output_dir}"
-        + (hint or f"; the latest is {files[-1].parent}")
+        f"run={name} is neither a run directory nor the MLflow run id of a run in {output_dir}"
+        + (hint or f"; the last worked on is {files[-1].parent}, and run=pretrained is an agent of this package")
     )

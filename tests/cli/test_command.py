@@ -103,12 +103,23 @@ def test_help_names_groups_keys_and_examples():
             "total_timesteps: ",
             "python scripts/train.py experiment=article",
         ],
-        "evaluate": ["run: latest", "episodes: null", "python scripts/evaluate.py run=latest video=5 gif=true"],
-        "export": ["run: latest", "format: onnx", "python scripts/export.py run=latest format=torchscript"],
+        "evaluate": [
+            "run: latest",
+            "episodes: null",
+            "python scripts/evaluate.py run=latest video=5 gif=true",
+            "episodes=null means 100 scenes, or 20 for a pretrained agent. Every key is explained in conf/evaluate.yaml.",
+        ],
+        "export": [
+            "run: latest",
+            "format: onnx",
+            "python scripts/export.py run=latest format=torchscript",
+            "Every key is explained in conf/export.yaml.",
+        ],
     }.items():
         done = help_of(name)
         assert done.returncode == 0
         assert [word for word in words if word not in done.stdout] == []
+        assert [line for line in done.stdout.splitlines() if len(line) > 120] == []
 
 
 @pytest.mark.parametrize(

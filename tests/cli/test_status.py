@@ -107,12 +107,13 @@ def test_a_status_that_is_damaged_is_one_runs_alone(tmp_path):
     ]  # fmt: skip
     assert find_run("abc", tmp_path, "x").path == whole
     with pytest.raises(
-        RunNotFoundError, match=r"^run=abx: no run directory, .* of 8 runs in .*; did you mean 'abc'\?$"
+        RunNotFoundError,
+        match=r"^run=abx is neither a run directory nor the MLflow run id of a run in .*; did you mean 'abc'\?$",
     ):
         find_run("abx", tmp_path, "x")
     with pytest.raises(RunNotFoundError, match=r"did you mean 'latest'\?$"):
         find_run("lates", tmp_path, "x")
-    with pytest.raises(RunNotFoundError, match=r"; the latest is /"):
+    with pytest.raises(RunNotFoundError, match=r"; the last worked on is /.*, and run=pretrained is an agent of this"):
         find_run("None", tmp_path, "x")
     found = json.loads(type_here("status", f"output_dir={tmp_path}", "--json").stdout)
     assert [run["damaged"] for run in found["cells"][1]["runs"]][5] == "status.json has no valid success_rate"
@@ -175,7 +176,7 @@ def test_status_tells_every_cell_in_a_table_and_as_json(tmp_path):
     [
         ((), "error: there are no runs in "),
         (("experiment=mini",), "error: experiment=mini: it has no runs in "),
-        (("experment=mine",), "error: experment: there is no such key; did you mean 'experiment_name'?"),
+        (("experment=mine",), "error: experment: there is no such key; did you mean 'experiment'?"),
     ],
 )
 def test_status_refuses_in_a_sentence(tmp_path, arguments, message):

@@ -113,9 +113,34 @@ def test_the_policy_of_another_network_is_refused_and_changes_nothing(tmp_path):
     save_policy(make_model("algorithm.net_arch=[9]"), tmp_path / "policy.safetensors")
     model = make_model()
     before = [weight.clone() for weight in model.actor.parameters()]
-    with pytest.raises(ModelError, match=r"policy.safetensors does not fit TD3 as its config.yaml describes it$"):
+    with pytest.raises(ModelError) as refused:
         load_policy(tmp_path / "policy.safetensors", model)
+    assert str(refused.value) == (
+        f"{tmp_path}/policy.safetensors does not fit this TD3: "
+        "actor.mu.0.weight is 9 x 19 of float32 there, and 8 x 19 of float32 here"
+    )
     assert all(map(torch.equal, before, model.actor.parameters()))
+
+
+@pytest.mark.parametrize(
+    ("change", "difference"),
+    [
+        (lambda weights: weights.pop("actor.mu.0.bias"), "actor.mu.0.bias is missing there, and 8 of float32 here"),
+        (lambda weights: weights.update(more=torch.zeros(2)), "more is 2 of float32 there, and missing here"),
+        (
+            lambda weights: weights.update({"actor.mu.0.bias": torch.zeros(8, dtype=torch.float64)}),
+            "actor.mu.0.bias is 8 of float64 there, and 8 of float32 here",
+        ),
+    ],
+)
+def test_a_file_with_other_weights_is_refused_with_the_first_that_differs(change, difference, tmp_path):
+    model = make_model("algorithm=td3")
+    weights = dict(model.actor.state_dict(prefix="actor."))
+    change(weights)
+    (tmp_path / "policy.safetensors").write_bytes(save(weights))
+    with pytest.raises(ModelError) as refused:
+        load_policy(tmp_path / "policy.safetensors", model)
+    assert str(refused.value) == f"{tmp_path}/policy.safetensors does not fit this TD3: {difference}"
 
 
 @pytest.mark.parametrize("damage", [lambda content: content[:-9], lambda content: b"", lambda content: b"\xff" * 99])

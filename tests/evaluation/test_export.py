@@ -21,7 +21,7 @@ from parking_exp.algorithms.policy_export import Differences, check_actions, exp
 from parking_exp.envs.training_envs import make_training_envs
 from parking_exp.errors import ModelError
 from parking_exp.evaluation import export_run as exporting
-from parking_exp.evaluation.agents import load_model
+from parking_exp.evaluation.agents import PRETRAINED_DIR, load_model
 from parking_exp.evaluation.export_run import observations_of
 
 NAMES = ["achieved_goal", "desired_goal", "observation"]
@@ -251,11 +251,21 @@ def test_a_path_and_a_model_can_be_chosen(run, tmp_path):
     [
         (["format=onx"], "format=onx is not a valid choice; did you mean 'onnx'?"),
         (["path=."], "path=. is a directory; name a file in it"),
+        (["path=policy.txt"], "path=policy.txt: the name of a file of format=onnx ends in .onnx"),
+        (["path=policy"], "path=policy: the name of a file of format=onnx ends in .onnx"),
         (
             ["path=policy.onnx", "format=torchscript"],
-            "path=policy.onnx has the suffix of format=onnx, and format=torchscript",
+            "path=policy.onnx: the name of a file of format=torchscript ends in .pt",
         ),
-        (["run=nowhere"], "run=nowhere: there are no runs in {here}/outputs; train one first, or set output_dir"),
+        (
+            ["run=nowhere"],
+            "run=nowhere: there are no runs in {here}/outputs; train one first, set output_dir, or write run=pretrained",
+        ),
+        (
+            ["run=parked"],
+            "run=parked is neither a run directory nor the MLflow run id of a run in {here}/outputs; "
+            "did you mean 'pretrained/parked'?",
+        ),
         (["model=last"], "model=last is not a valid choice; did you mean 'best'?"),
         (["run={run}", "path=file/policy.onnx"], "File exists: {here}/file"),
     ],
@@ -273,14 +283,37 @@ def test_without_the_extra_onnx_is_refused(run, monkeypatch):
     assert done.stderr == "error: format=onnx: onnxruntime is not installed; pip install 'parking-exp[export]'\n"
 
 
-def test_the_example_of_the_docs_parks_without_torch_and_this_package(tmp_path):
-    (example,) = re.findall(
-        r"^```python title=\"drive.py\"\n(.*?)^```", (ROOT / "docs" / "exporting.md").read_text(), re.M | re.S
-    )
-    assert len(example.splitlines()) <= 15
-    done = type_here("export", "run=pretrained", "path=policy.onnx", cwd=tmp_path)
+def drive(example, run, folder):
+    """Export a pretrained agent and run an example of the docs beside the file; return what it prints."""
+    done = type_here("export", f"run={run}", "path=policy.onnx", cwd=folder)
     assert done.returncode == 0, done.stderr
-    (tmp_path / "drive.py").write_text(BLOCKED + example)
-    drove = subprocess.run([sys.executable, "drive.py"], check=False, capture_output=True, text=True, cwd=tmp_path)
+    (folder / "drive.py").write_text(BLOCKED + example)
+    drove = subprocess.run([sys.executable, "drive.py"], check=False, capture_output=True, text=True, cwd=folder)
     assert drove.returncode == 0, drove.stderr
-    assert drove.stdout == "10 of 10 reached the slot\n"
+    return drove.stdout
+
+
+def docs_examples():
+    text = (ROOT / "docs" / "exporting.md").read_text()
+    return re.findall(r"^```python title=\"drive.py.*?\"\n(.*?)^```", text, re.M | re.S)
+
+
+def test_the_example_of_the_docs_parks_without_torch_and_this_package(tmp_path):
+    example, _ = docs_examples()
+    assert len(example.splitlines()) <= 15
+    assert drive(example, "pretrained", tmp_path) == "10 of 10 reached the slot\n"
+
+
+def test_with_the_changed_lines_of_the_docs_an_agent_parks_in_the_env_of_its_config(tmp_path):
+    shutil.copy(PRETRAINED_DIR / "parked" / "config.yaml", tmp_path)
+    example, changed = docs_examples()
+    imports, _, *options = changed.splitlines()
+    (made,) = (line for line in example.splitlines() if line.startswith("env, policy"))
+    example = "\n".join([imports, *example.replace(made, "\n".join(options)).splitlines()[1:]])
+    example = example.replace(
+        "    successes +=", '    print(f"{abs(env.unwrapped.vehicle.speed):.1f} m/s")\n    successes +='
+    )
+    *speeds, found = drive(example, "pretrained/parked", tmp_path).splitlines()
+    assert found == "10 of 10 reached the slot"
+    assert len(speeds) == 10
+    assert max(speeds) <= "0.4 m/s"  # in parking-v0 as it is episodes end at 3 m/s and more

@@ -495,7 +495,7 @@ def test_evaluate_refuses_a_model_that_is_not_its_configs(finished, key, value, 
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["run=nowhere"], "run=nowhere: no run directory, and no MLflow run id of 1 run in"),
+        (["run=nowhere"], "run=nowhere is neither a run directory nor the MLflow run id of a run in"),
         (["epsodes=3"], "epsodes: there is no such key; did you mean 'episodes'?"),
         (["episodes=0"], "episodes=0 is out of range; the closest valid choice is 1"),
         (["episodes=3", "video=5"], "video=5 is above episodes; the closest valid choice is 3"),

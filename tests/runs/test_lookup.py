@@ -1,0 +1,68 @@
+"""Runs are found by what is typed, and what is no run gets a sentence."""
+
+import pytest
+
+from parking_exp.errors import RunNotFoundError
+from parking_exp.evaluation.agents import find_agent
+from parking_exp.runs.lookup import find_run
+
+
+@pytest.fixture
+def output_dir(tmp_path):
+    """An output directory with two runs of an experiment."""
+    for seed in (0, 1):
+        run = tmp_path / "outputs" / "mine" / "cell" / f"seed={seed}"
+        run.mkdir(parents=True)
+        (run / "status.json").write_text("{}")
+    return tmp_path / "outputs"
+
+
+def refusal(name, output_dir):
+    with pytest.raises(RunNotFoundError) as refused:
+        find_agent(name, output_dir)
+    return str(refused.value)
+
+
+def test_a_run_is_found_by_its_directory(output_dir):
+    path = output_dir / "mine" / "cell" / "seed=1"
+    assert find_run(str(path), output_dir, having="x").path == path
+
+
+def test_a_name_that_nothing_has_gets_a_sentence_with_what_there_is(output_dir):
+    (output_dir / "mine" / "cell" / "seed=0" / "status.json").unlink()
+    assert refusal("nothing", output_dir) == (
+        f"run=nothing is neither a run directory nor the MLflow run id of a run in {output_dir}; the last worked on is "
+        f"{output_dir}/mine/cell/seed=1, and run=pretrained is an agent of this package"
+    )
+
+
+@pytest.mark.parametrize(
+    ("name", "meant"),
+    [
+        ("default", "pretrained/default"),
+        ("parked", "pretrained/parked"),
+        ("pretraned", "pretrained"),
+        ("lates", "latest"),
+    ],
+)
+def test_the_name_of_an_agent_or_of_the_latest_run_is_suggested(name, meant, output_dir):
+    assert refusal(name, output_dir) == (
+        f"run={name} is neither a run directory nor the MLflow run id of a run in {output_dir}; did you mean {meant!r}?"
+    )
+
+
+def test_a_folder_that_is_no_run_directory_is_told_with_one_inside(output_dir):
+    for folder in (output_dir, output_dir / "mine", output_dir / "mine" / "cell"):
+        assert refusal(str(folder), output_dir) == (
+            f"run={folder} is no run directory; one in it is {output_dir}/mine/cell/seed=0"
+        )
+    empty = output_dir / "empty"
+    empty.mkdir()
+    assert refusal(str(empty), output_dir) == f"run={empty} is no run directory"
+
+
+@pytest.mark.parametrize("name", ["latest", "nothing"])
+def test_without_any_run_training_and_the_pretrained_agent_are_suggested(name, tmp_path):
+    assert refusal(name, tmp_path) == (
+        f"run={name}: there are no runs in {tmp_path}; train one first, set output_dir, or write run=pretrained"
+    )
