@@ -8,6 +8,7 @@ from argparse import ArgumentParser
 from collections.abc import Iterator
 from dataclasses import dataclass
 from hashlib import sha256
+from numbers import Integral
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -27,8 +28,7 @@ from parking_exp.terminal import say
 
 DOCS = ROOT / "docs"
 EXPORTS, PAGE, README = DOCS / "results", DOCS / "results.md", ROOT / "README.md"
-BASELINES = {"variants": "parking, collision_reward=-5"}  # of tables that ask about one cell alone
-FIGURES = {"algorithms": "learning_curves"}  # of each table; of others every seed's success
+FIGURES = {"algorithms": ("learning_curves", "trajectories")}  # of a table; of others every seed's success
 WIDTH = 120
 PACKAGES = ("highway-env", "stable-baselines3", "sb3-contrib", "torch", "python")
 SOURCE = "Source"  # of a picture: the PNG keyword
@@ -39,6 +39,7 @@ COLUMNS = {
     "crash": ("crash, % (range)", lambda cell: _range(cell, "crash")),
     "parked": ("parked, %", lambda cell: formats.percent_interval(cell.parked)),
     "lowest": ("lowest success", lambda cell: formats.percent(min(seed.success for seed in cell.seeds))),
+    "at_90": ("seeds at 90 % or above", lambda cell: f"{cell.reaching_90.k} of {cell.reaching_90.n}"),
     "area": ("area, %", lambda cell: formats.percent_interval(cell.area)),
     "to_90": (
         "env steps to hold 90 %",
@@ -86,6 +87,11 @@ class Experiment:
         known = "" if pair.verdict in ("a", "b") else ": can't be told apart"
         return f"{formats.points_interval(pair.difference)}, {formats.p_value(pair.p_holm)}{known}"
 
+    def log_rank(self, one: str, other: str) -> str:
+        """Return Holm's p of the difference in the time to hold 90 %, e.g. `p = 0.012`."""
+        ids = {self.cell(one).id, self.cell(other).id}
+        return formats.p_value(next(pair.log_rank_p_holm for pair in self.report.pairs if {pair.a, pair.b} == ids))
+
     def table(self, factors: dict[str, str], *columns: str) -> str:
         """Return a Markdown table of all cells.
 
@@ -108,12 +114,20 @@ class Experiment:
         Args:
             row, column: config keys; cells without a value of one of them are left out.
             where: another key, its dots written as `__`, and its value.
+
+        Raises:
+            ValueError: no cell is left, or two cells have the same values.
         """
-        found = {}
+        found: dict[tuple[str, str], str] = {}
         for cell in self.report.cells:
-            if cell.seeds and all(self._setting(cell, key.replace("__", ".")) == one for key, one in where.items()):
-                found[self._setting(cell, row), self._setting(cell, column)] = formats.percent_interval(cell.success)
-        rows, columns = (list(dict.fromkeys(key[at] for key in found if all(key))) for at in (0, 1))
+            place = self._setting(cell, row), self._setting(cell, column)
+            if all(self._setting(cell, key.replace("__", ".")) == one for key, one in where.items()) and all(place):
+                if place in found:
+                    raise ValueError(f"{row} and {column} do not tell {cell.label} from another cell")
+                found[place] = formats.percent_interval(cell.success)
+        if not found:
+            raise ValueError(f"there is no cell with {row}, {column} and {where}")
+        rows, columns = (list(dict.fromkeys(place[at] for place in found)) for at in (0, 1))
         heads = [f"`{row}`", *(f"`{column}={one}`" for one in columns)]
         lines = [heads, [":---", *("---:" for _ in columns)]]
         lines += [[one, *(found.get((one, other), "") for other in columns)] for one in rows]
@@ -122,15 +136,16 @@ class Experiment:
     def _setting(self, cell: Cell, key: str) -> str:
         runs = self.results.runs.set_index("run_id")
         value: Any = runs.at[cell.seeds[0].run_id, f"config.{key}"]
-        return "" if pd.isna(value) else f"{value:,}" if isinstance(value, int) else formats.setting(value)
+        return "" if pd.isna(value) else f"{value:,}" if isinstance(value, Integral) else formats.setting(value)
 
     def provenance(self) -> str:
         """Return where the runs come from: how many, CPU time, machines, versions, commits."""
         origin = self.report.provenance
+        certified = ", ".join(map(str, self.results.runs["config.evaluation.certified_n_scenes"].unique()))
         versions = [f"{name} {', '.join(origin.versions[name])}" for name in PACKAGES if name in origin.versions]
         return (
             f"{self.runs} runs, {self.cpu_hours:.1f} CPU-hours, {', '.join(origin.machines)}; {', '.join(versions)}; "
-            f"commit {', '.join(origin.commits)}."
+            f"commit {', '.join(origin.commits)}; {certified} scenes of each run repeated on highway-env."
         )
 
     @property
@@ -153,7 +168,8 @@ def main(arguments: list[str]) -> int:
     written = {PAGE: _page(found), README: _readme(found)}
     stale = [path for path, text in written.items() if not path.exists() or path.read_text(encoding="utf-8") != text]
     if only_check:
-        stale += [_picture(name) for name in found if _drawn_from(_picture(name)) != _digest(name)]
+        pictures = {path: _digest(name) for name in found for path in _pictures(name).values()}
+        stale += [path for path, digest in pictures.items() if _drawn_from(path) != digest]
         for path in stale:
             say(f"{path.relative_to(ROOT)} is not what the exports give; type make results-page")
         return int(bool(stale))
@@ -168,7 +184,7 @@ def main(arguments: list[str]) -> int:
 def _experiment(folder: Path) -> Experiment:
     results = read_export(folder)
     names = list(dict.fromkeys(results.runs["experiment"]))
-    return Experiment(results, build(results, Question(names, baseline=BASELINES.get(folder.name))))
+    return Experiment(results, build(results, Question(names)))
 
 
 def _page(found: dict[str, Experiment]) -> str:
@@ -226,27 +242,33 @@ def _row(cells: list[str]) -> str:
 
 
 def _draw(name: str, report: ReportData) -> None:
-    """Draw the figure of a table; the file has the digest of the export that it was drawn from."""
+    """Draw the figures of a table; the files have the digest of the export that they were drawn from."""
     from parking_exp.reports.figures.export import draw
     from parking_exp.reports.sections import SECTIONS
 
-    figure = FIGURES.get(name, "final_success")
-    sections = [section for section in SECTIONS if figure in (one.name for one in section.figures)]
+    pictures = _pictures(name)
+    sections = [section for section in SECTIONS if any(one.name in pictures for one in section.figures)]
+    source = PngImagePlugin.PngInfo()
+    source.add_text(SOURCE, _digest(name))
     with TemporaryDirectory() as folder:
         draw(report, Path(folder), ["png"], sections)
-        source = PngImagePlugin.PngInfo()
-        source.add_text(SOURCE, _digest(name))
-        with Image.open(Path(folder) / f"{figure}.png") as image:
-            image.save(_picture(name), pnginfo=source, optimize=True)
+        for figure, path in pictures.items():
+            with Image.open(Path(folder) / f"{figure}.png") as image:
+                image.save(path, pnginfo=source, optimize=True)
 
 
-def _picture(name: str) -> Path:
-    return DOCS / "images" / f"results_{name}.png"
+def _pictures(name: str) -> dict[str, Path]:
+    """Return the files of a table's figures, by their names: `results_NAME.png` is the first."""
+    first, *others = FIGURES.get(name, ("final_success",))
+    names = {first: f"results_{name}", **{figure: f"results_{name}_{figure}" for figure in others}}
+    return {figure: DOCS / "images" / f"{file}.png" for figure, file in names.items()}
 
 
 def _digest(name: str) -> str:
-    """Return a digest of an export's files."""
-    return sha256(b"".join(path.read_bytes() for path in sorted((EXPORTS / name).iterdir()))).hexdigest()
+    """Return a digest of an export's files and of which figures are drawn from them."""
+    files = sorted(path for path in (EXPORTS / name).iterdir() if path.is_file())
+    parts = [repr(list(_pictures(name))).encode(), *(path.name.encode() + path.read_bytes() for path in files)]
+    return sha256(b"".join(parts)).hexdigest()
 
 
 def _drawn_from(picture: Path) -> str | None:

@@ -52,9 +52,10 @@ def find_factors(
         if f"{group}.name" in varying:
             columns[group] = [config.get(f"{group}.name") for config in configs]
     bundles = list(columns)  # names that stand for many keys
-    # How a run was evaluated is no factor unless there is nothing else.
+    # How a run was evaluated is no factor unless there is nothing else. Of keys that change together, one of the run
+    # itself stands for those of a group: `n_envs` for the warm-up that it needs.
     rest = [key for key in varying if key not in {f"{group}.name" for group in GROUPS}]
-    for key in sorted(rest, key=lambda key: key.startswith("evaluation.")):
+    for key in sorted(rest, key=lambda key: (key.startswith("evaluation."), "." in key)):
         values = [config.get(key) for config in configs]
         if any(_follows(values, columns[bundle]) for bundle in bundles) or _double(values, columns):
             continue
