@@ -31,6 +31,7 @@ EXPORTS, PAGE, README = DOCS / "results", DOCS / "results.md", ROOT / "README.md
 FIGURES = {"algorithms": ("learning_curves", "trajectories")}  # of a table; of others every seed's success
 WIDTH = 120
 PACKAGES = ("highway-env", "stable-baselines3", "sb3-contrib", "torch", "python")
+DRAWN = {"her_traps": ("her_future*", "algorithm.features=ego_mirrored")}  # cells that its figures show; of others all
 SOURCE = "Source"  # of a picture: the PNG keyword
 LINK, NO_BREAK = re.compile(r"\[[^\]]*\]\([^)]*\)"), "\0"
 MARKED = re.compile(r"(<!-- results: (?P<name>\w+) -->\n).*?(<!-- end of results -->)", re.DOTALL)
@@ -128,7 +129,8 @@ class Experiment:
         if not found:
             raise ValueError(f"there is no cell with {row}, {column} and {where}")
         rows, columns = (list(dict.fromkeys(place[at] for place in found)) for at in (0, 1))
-        heads = [f"`{row}`", *(f"`{column}={one}`" for one in columns)]
+        short, shorter = (key.rpartition(".")[2] for key in (row, column))
+        heads = [f"`{short}`", *(f"`{shorter}={one}`" for one in columns)]
         lines = [heads, [":---", *("---:" for _ in columns)]]
         lines += [[one, *(found.get((one, other), "") for other in columns)] for one in rows]
         return "\n".join(map(_row, lines))
@@ -176,7 +178,7 @@ def main(arguments: list[str]) -> int:
     for path in stale:
         path.write_text(written[path], encoding="utf-8")
     for name, experiment in found.items():
-        _draw(name, experiment.report)
+        _draw(name, experiment.only(*DRAWN[name]).report if name in DRAWN else experiment.report)
     say(f"written        {PAGE.relative_to(ROOT)}, {README.relative_to(ROOT)}, docs/images/results_*.png")
     return 0
 
@@ -265,9 +267,12 @@ def _pictures(name: str) -> dict[str, Path]:
 
 
 def _digest(name: str) -> str:
-    """Return a digest of an export's files and of which figures are drawn from them."""
+    """Return a digest of an export's files and of what is drawn from them."""
     files = sorted(path for path in (EXPORTS / name).iterdir() if path.is_file())
-    parts = [repr(list(_pictures(name))).encode(), *(path.name.encode() + path.read_bytes() for path in files)]
+    parts = [
+        repr((list(_pictures(name)), DRAWN.get(name))).encode(),
+        *(path.name.encode() + path.read_bytes() for path in files),
+    ]
     return sha256(b"".join(parts)).hexdigest()
 
 

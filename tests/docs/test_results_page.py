@@ -60,7 +60,7 @@ def test_a_picture_of_another_export_is_noticed_and_drawn_anew(page, tmp_path, c
 def test_a_grid_has_a_place_for_each_cell(page):
     features = page._experiment(ROOT / "docs" / "results" / "features")
     grid = features.grid("algorithm.features", "n_envs", env__name="parking").splitlines()
-    assert grid[:2] == ["| `algorithm.features` | `n_envs=256` |", "| :--- | ---: |"]
+    assert grid[:2] == ["| `features` | `n_envs=256` |", "| :--- | ---: |"]
     assert [line.split(" | ")[0] for line in grid[2:]] == ["| raw", "| ego", "| ego_fine", "| ego_mirrored"]
     with pytest.raises(ValueError, match=r"env\.name and n_envs do not tell features=ego from another cell"):
         features.grid("env.name", "n_envs")
