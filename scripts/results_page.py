@@ -129,7 +129,7 @@ class Experiment:
         if not found:
             raise ValueError(f"there is no cell with {row}, {column} and {where}")
         rows, columns = (list(dict.fromkeys(place[at] for place in found)) for at in (0, 1))
-        short, shorter = (key.rpartition(".")[2] for key in (row, column))
+        short, shorter = (key.removesuffix(".name").rpartition(".")[2] for key in (row, column))
         heads = [f"`{short}`", *(f"`{shorter}={one}`" for one in columns)]
         lines = [heads, [":---", *("---:" for _ in columns)]]
         lines += [[one, *(found.get((one, other), "") for other in columns)] for one in rows]
