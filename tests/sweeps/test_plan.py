@@ -1,4 +1,4 @@
-"""How long a sweep or a search may take, by finished runs that do the same work for an env step."""
+"""Duration estimates of sweeps and searches: from finished runs that do the same work for an env step."""
 
 import pytest
 from support.runs import make_config, type_here
