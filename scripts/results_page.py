@@ -40,7 +40,7 @@ COLUMNS = {
     "crash": ("crash, % (range)", lambda cell: _range(cell, "crash")),
     "parked": ("parked, %", lambda cell: formats.percent_interval(cell.parked)),
     "lowest": ("lowest success", lambda cell: formats.percent(min(seed.success for seed in cell.seeds))),
-    "at_90": ("seeds above 90 %", lambda cell: f"{cell.reaching_90.k} of {cell.reaching_90.n}"),
+    "at_90": ("seeds ≥ 90 %", lambda cell: f"{cell.reaching_90.k} of {cell.reaching_90.n}"),
     "area": ("area, %", lambda cell: formats.percent_interval(cell.area)),
     "to_90": (
         "env steps to hold 90 %",

@@ -30,8 +30,8 @@ def updates_against_sbx(
 ) -> dict[str, Any]:
     """Compare updates a second with those of sbx (Stable-Baselines3 in JAX), which samples from our replay buffer.
 
-    sbx concatenates the observation's parts, as `algorithm.features=raw` does. Other options
-    than batch size, tau and gamma, such as the policy delay, are sbx's defaults.
+    sbx concatenates the observation's parts, as `algorithm.features=raw` does. Other options than batch size, tau and
+    gamma, such as the policy delay, are sbx's defaults.
 
     Raises:
         ImportError: without the `bench` extra.

@@ -171,7 +171,7 @@ def _check_key(base: DictConfig, override: Override, groups: Set[str]) -> None:
                 raise ConfigError(f"{part}: no option is chosen; write {part}=OPTION {override.input_line}")
             choices = {*known, *arguments, *([] if parent else groups)}
             if "experiment_name" in known:
-                choices.add("experiment")  # of status.py, which reads it as that key before anything is composed
+                choices.add("experiment")  # status.py and report.py have replaced it by that key already
             raise ConfigError(f"{override.key_or_group}: there is no such key{suggestion(part, choices)}")
         assert isinstance(node, DictConfig)
         node = node._get_node(part) if node._is_none() else node[part]
