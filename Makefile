@@ -78,8 +78,8 @@ benchmark: setup  ## speed, as ratios measured side by side
 	$(BIN)/python scripts/benchmark.py $(ARGS)
 
 ui: $(VENV)/.ui  ## MLflow's web UI on our store
-	@echo "MLflow may open its GenAI view: choose 'Model training' at the top left, once, or open"
-	@echo "http://127.0.0.1:5000/#/experiments/1?workflowType=machine_learning"
+	@echo "MLflow may open its GenAI view: choose 'Model training' at the top left, once, or open the address"
+	@echo "that follows (by default http://127.0.0.1:5000) with /#/experiments/1?workflowType=machine_learning after it"
 	MLFLOW_DISABLE_TELEMETRY=true $(BIN)/mlflow ui --backend-store-uri $(STORE) $(ARGS)
 
 dashboard: $(VENV)/.ui  ## Optuna's dashboard on a study (STUDY=outputs/NAME/study.journal)

@@ -20,7 +20,7 @@ def find_run(name: str, output_dir: Path, having: str, others: Sequence[str] = (
         name: one of these.
         output_dir: where runs are looked for.
         having: path in a run directory.
-        others: what can be typed besides, and is suggested where it is close.
+        others: what can be typed besides; errors suggest the closest, or the first.
 
     Raises:
         RunNotFoundError: there is none.
@@ -46,11 +46,10 @@ def find_run(name: str, output_dir: Path, having: str, others: Sequence[str] = (
         raise RunNotFoundError(f"run={name} is no run directory{hint}")
     latest = ["latest"] if files else []
     hint = did_you_mean(name, [*latest, *others, *ids, *(str(file.parent) for file in files)])
+    other = f", or run={others[0]}" if others else ""
     if not files and not hint:
-        raise RunNotFoundError(
-            f"run={name}: there are no runs in {output_dir}; train one first, set output_dir, or write run=pretrained"
-        )
+        raise RunNotFoundError(f"run={name}: there are no runs in {output_dir}; train one first, set output_dir{other}")
     raise RunNotFoundError(
         f"run={name} is neither a run directory nor the MLflow run id of a run in {output_dir}"
-        + (hint or f"; the last worked on is {files[-1].parent}, and run=pretrained is an agent of this package")
+        + (hint or f"; write run=latest for {files[-1].parent}{other}")
     )

@@ -113,7 +113,7 @@ def test_a_status_that_is_damaged_is_one_runs_alone(tmp_path):
         find_run("abx", tmp_path, "x")
     with pytest.raises(RunNotFoundError, match=r"did you mean 'latest'\?$"):
         find_run("lates", tmp_path, "x")
-    with pytest.raises(RunNotFoundError, match=r"; the last worked on is /.*, and run=pretrained is an agent of this"):
+    with pytest.raises(RunNotFoundError, match=r"; write run=latest for /.*/cell-b/seed=\d$"):
         find_run("None", tmp_path, "x")
     found = json.loads(type_here("status", f"output_dir={tmp_path}", "--json").stdout)
     assert [run["damaged"] for run in found["cells"][1]["runs"]][5] == "status.json has no valid success_rate"

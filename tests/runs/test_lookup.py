@@ -31,8 +31,8 @@ def test_a_run_is_found_by_its_directory(output_dir):
 def test_a_name_that_nothing_has_gets_a_sentence_with_what_there_is(output_dir):
     (output_dir / "mine" / "cell" / "seed=0" / "status.json").unlink()
     assert refusal("nothing", output_dir) == (
-        f"run=nothing is neither a run directory nor the MLflow run id of a run in {output_dir}; the last worked on is "
-        f"{output_dir}/mine/cell/seed=1, and run=pretrained is an agent of this package"
+        f"run=nothing is neither a run directory nor the MLflow run id of a run in {output_dir}; write run=latest for "
+        f"{output_dir}/mine/cell/seed=1, or run=pretrained"
     )
 
 
@@ -64,5 +64,5 @@ def test_a_folder_that_is_no_run_directory_is_told_with_one_inside(output_dir):
 @pytest.mark.parametrize("name", ["latest", "nothing"])
 def test_without_any_run_training_and_the_pretrained_agent_are_suggested(name, tmp_path):
     assert refusal(name, tmp_path) == (
-        f"run={name}: there are no runs in {tmp_path}; train one first, set output_dir, or write run=pretrained"
+        f"run={name}: there are no runs in {tmp_path}; train one first, set output_dir, or run=pretrained"
     )
