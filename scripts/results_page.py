@@ -31,7 +31,10 @@ EXPORTS, PAGE, README = DOCS / "results", DOCS / "results.md", ROOT / "README.md
 FIGURES = {"algorithms": ("learning_curves", "trajectories")}  # of a table; of others every seed's success
 WIDTH = 120
 PACKAGES = ("highway-env", "stable-baselines3", "sb3-contrib", "torch", "python")
-DRAWN = {"her_traps": ("her_future*", "algorithm.features=ego_mirrored")}  # cells that its figures show; of others all
+DRAWN = {  # cells that a table's figures show; of others all
+    "her_ablation": ("her_future*", "replay"),
+    "her_traps": ("her_future*", "algorithm.features=ego_mirrored"),
+}
 SOURCE = "Source"  # of a picture: the PNG keyword
 LINK, NO_BREAK = re.compile(r"\[[^\]]*\]\([^)]*\)"), "\0"
 MARKED = re.compile(r"(<!-- results: (?P<name>\w+) -->\n).*?(<!-- end of results -->)", re.DOTALL)

@@ -140,7 +140,7 @@ class _Chosen:
 def _choose(runs: pd.DataFrame, question: Question) -> _Chosen:
     everything, _ = group(runs)
     asked = choose(everything, question.cells) if question.cells else everything
-    reference = one_cell(everything, question.baseline) if question.baseline else None
+    reference = one_cell(everything, question.baseline, preferred=asked) if question.baseline else None
     if reference is not None and not any(one is reference for one in asked):
         asked = [reference, *asked]
     if not question.quick:

@@ -109,13 +109,15 @@ def choose(groups: Sequence[Group], asked: Sequence[str], key: str = "cells") ->
     return found
 
 
-def one_cell(groups: Sequence[Group], asked: str) -> Group:
-    """Return the one cell that fits a label, a name or a pattern.
+def one_cell(groups: Sequence[Group], asked: str, preferred: Sequence[Group] = ()) -> Group:
+    """Return the one cell that fits a label, a name or a pattern; where several do, the one that is preferred.
 
     Raises:
         ConfigError: none does, or several do.
     """
     found = _called(groups, asked) or choose(groups, [asked], "baseline")
+    if len(found) > 1:
+        found = [one for one in found if any(one is other for other in preferred)] or found
     if len(found) > 1:
         few = ", ".join(repr(one.label) for one in found[:5])
         raise ConfigError(f"baseline={asked}: {len(found)} cells fit, {few} among them; name one")

@@ -441,6 +441,19 @@ def test_a_baseline_has_to_be_one_cell(output_dir):
         one_cell(groups, "her_*")
 
 
+def test_of_baselines_that_fit_the_one_among_the_chosen_cells_is_meant(output_dir):
+    buffers = {"her": [], "replay": ["buffer=replay"]}
+    tasks = {"parking": [], "parking_sparse": ["env=parking_sparse"]}
+    cells = {f"{env}-{name}": [*task, *buffer] for env, task in tasks.items() for name, buffer in buffers.items()}
+    made(output_dir, "one", cells, [0, 1])
+    with pytest.raises(ConfigError, match=r"baseline=replay: 2 cells fit, 'parking, replay', 'parking_sparse, replay'"):
+        content(output_dir, baseline="replay")
+    found = content(output_dir, cells=["env=parking_sparse"], baseline="replay")
+    (baseline,) = (cell for cell in found.cells if cell.id == found.baseline)
+    assert baseline.label == "replay"
+    assert baseline.name.startswith("parking_sparse-")
+
+
 def test_of_two_runs_with_the_same_seed_the_one_that_is_done_counts(output_dir):
     made(output_dir, "one", {"sac": []}, [0, 1], lambda label, seed: Look(success=0.2 if seed else 0.8))
     results = load("one", output_dir=output_dir)
