@@ -7,7 +7,9 @@ import textwrap
 from argparse import ArgumentParser
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
 from hashlib import sha256
+from itertools import combinations
 from numbers import Integral
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -20,6 +22,7 @@ from PIL import Image, PngImagePlugin
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
+from parking_exp import statistics
 from parking_exp.reports import formats
 from parking_exp.reports.build import Question, build
 from parking_exp.reports.report_data import Cell, ReportData
@@ -91,6 +94,45 @@ class Experiment:
         known = "" if pair.verdict in ("a", "b") else ": can't be told apart"
         return f"{formats.points_interval(pair.difference)}, {formats.p_value(pair.p_holm)}{known}"
 
+    def better_than(self, label: str) -> int:
+        """Return how many cells are better than one, by Holm's p."""
+        one = self.cell(label).id
+        worse = [{"a": pair.b, "b": pair.a}.get(pair.verdict) for pair in self.report.pairs]
+        return worse.count(one)
+
+    def mean(self, key: str, level: object) -> str:
+        """Return the mean success of the cells with one value of a config key, with its interval."""
+        factor = next(effect for effect in self.report.effects if effect.factor == key)
+        return formats.rate_interval(next(one.effect for one in factor.levels if one.level == level))
+
+    def contrasts(self, key: str, within: str) -> dict[tuple[str, str], str]:
+        """Return how far any two values of a config key are apart, e.g. `+9.1 [+4.0, +14.2], p = 0.012`.
+
+        Means are over the values of the key `within`; a control that has none is a cell of its own. p is Holm's over
+        all pairs.
+        """
+        rows = [
+            (self._setting(cell, key), self._setting(cell, within), seed.success)
+            for cell in self.report.cells
+            for seed in cell.seeds
+        ]
+        frame = pd.DataFrame(rows, columns=[key, within, "success"])
+        pairs = list(combinations(dict.fromkeys(frame[key]), 2))
+        found = [statistics.contrast(frame, [key, within], "success", (key, *pair)) for pair in pairs]
+        corrected = statistics.holm([one.p for one in found])
+        return {
+            pair: f"{formats.points(one.difference)} [{formats.points(one.low)}, {formats.points(one.high)}], "
+            f"{formats.p_value(p)}"
+            for pair, one, p in zip(pairs, found, corrected, strict=True)
+        }
+
+    def real_share(self, row: str, column: object) -> str:
+        """Return the measured share of real transitions of a place of the first table of two factors, in percent."""
+        table = self.report.interactions[0]
+        assert table.real_share
+        share = table.real_share[list(table.rows).index(row)][list(table.columns).index(column)]
+        return f"{100 * (share or 0):.0f} %"
+
     def log_rank(self, one: str, other: str) -> str:
         """Return Holm's p of the difference in the time to hold 90 %, e.g. `p = 0.012`."""
         ids = {self.cell(one).id, self.cell(other).id}
@@ -112,11 +154,12 @@ class Experiment:
             lines.append(_row([*names, *(COLUMNS[name][1](cell) for name in columns)]))
         return "\n".join(lines)
 
-    def grid(self, row: str, column: str, **where: str) -> str:
-        """Return a Markdown table of the mean success of cells by two config keys, with its interval, in percent.
+    def grid(self, row: str, column: str, metric: str = "success", **where: str) -> str:
+        """Return a Markdown table of a mean rate of cells by two config keys, with its interval, in percent.
 
         Args:
             row, column: config keys; cells without a value of one of them are left out.
+            metric: a rate.
             where: another key, its dots written as `__`, and its value.
 
         Raises:
@@ -128,7 +171,7 @@ class Experiment:
             if all(self._setting(cell, key.replace("__", ".")) == one for key, one in where.items()) and all(place):
                 if place in found:
                     raise ValueError(f"{row} and {column} do not tell {cell.label} from another cell")
-                found[place] = formats.percent_interval(cell.success)
+                found[place] = formats.percent_interval(getattr(cell, metric))
         if not found:
             raise ValueError(f"there is no cell with {row}, {column} and {where}")
         rows, columns = (list(dict.fromkeys(place[at] for place in found)) for at in (0, 1))
@@ -139,9 +182,12 @@ class Experiment:
         return "\n".join(map(_row, lines))
 
     def _setting(self, cell: Cell, key: str) -> str:
-        runs = self.results.runs.set_index("run_id")
-        value: Any = runs.at[cell.seeds[0].run_id, f"config.{key}"]
+        value: Any = self._runs.at[cell.seeds[0].run_id, f"config.{key}"]
         return "" if pd.isna(value) else f"{value:,}" if isinstance(value, Integral) else formats.setting(value)
+
+    @cached_property
+    def _runs(self) -> pd.DataFrame:
+        return self.results.runs.set_index("run_id")
 
     def provenance(self) -> str:
         """Return where the runs come from: how many, CPU time, machines, versions, commits."""

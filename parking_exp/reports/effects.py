@@ -112,7 +112,11 @@ def _interaction(
     nothing = (None, None, None, 0, None)
     grid = [[numbers.get((r, c), nothing) for c in columns_shown] for r in rows_shown]
     mean, low, high, n, residual = ([[entry[part] for entry in line] for line in grid] for part in range(5))
-    shares = _shares(cells, column, columns_shown, real_shares) if column.key == REAL else None
+    shares = None
+    if column.key == REAL:
+        found = _shares(cells, row, column, real_shares)
+        found |= {(cell.settings[row.key], None): 1.0 for cell in controls}
+        shares = [[found.get((r, c)) for c in columns_shown] for r in rows_shown]
     return Interaction(
         row.key, column.key, given, rows_shown, columns_shown, mean, low, high, n, residual, shares, finite(table.p)
     )
@@ -123,17 +127,14 @@ def _entry(one: statistics.InteractionCell) -> tuple[Any, ...]:
 
 
 def _shares(
-    cells: Sequence[Cell], column: Factor, levels: Sequence[Setting], real_shares: Mapping[str, float | None]
-) -> list[float | None]:
-    found = []
-    for level in levels:
-        known = [
-            share
-            for cell in cells
-            if cell.settings[column.key] == level and (share := real_shares.get(cell.id)) is not None
-        ]
-        found.append(float(np.mean(known)) if known else (1.0 if level is None else None))
-    return found
+    cells: Sequence[Cell], row: Factor, column: Factor, real_shares: Mapping[str, float | None]
+) -> dict[tuple[Setting, Setting], float]:
+    """Return the mean share of real transitions of the cells of each combination, where it is known."""
+    found: dict[tuple[Setting, Setting], list[float]] = {}
+    for cell in cells:
+        if (share := real_shares.get(cell.id)) is not None:
+            found.setdefault((cell.settings[row.key], cell.settings[column.key]), []).append(share)
+    return {place: float(np.mean(shares)) for place, shares in found.items()}
 
 
 def _given(cells: Sequence[Cell], others: Sequence[Factor]) -> Iterator[tuple[str | None, list[Cell]]]:

@@ -67,7 +67,7 @@ def methods(report: ReportData) -> Iterator[str]:
         yield (
             "Main effects are means of cell means; their intervals, and the difference of the best and the worst "
             "level, are those of linear contrasts (Welch), p is Bonferroni's over the pairs of levels. Interactions: "
-            "F test, p is Holm's over the tables."
+            "F test with the cells' own variances (Brunner, Dette and Munk), p is Holm's over the tables."
         )
     if report.importance:
         yield (

@@ -322,7 +322,8 @@ class Interaction:
         low, high: its interval.
         n: seeds.
         residual: what the two main effects do not explain.
-        real_share: measured share of real transitions in batches, shape (columns,), where a factor is n_sampled_goal.
+        real_share: measured share of real transitions in batches, shape (rows, columns), where a factor is
+            n_sampled_goal; None where it is not known.
         p: of the F test of interaction, whether both effects just add up, with Holm's correction for the tables;
             None where seeds do not scatter or nothing is left to test.
     """
@@ -337,7 +338,7 @@ class Interaction:
     high: Sequence[Sequence[float | None]]
     n: Sequence[Sequence[int]]
     residual: Sequence[Sequence[float | None]]
-    real_share: Sequence[float | None] | None = None
+    real_share: Sequence[Sequence[float | None]] | None = None
     p: float | None = None
 
 

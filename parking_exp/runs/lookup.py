@@ -29,8 +29,8 @@ def find_run(name: str, output_dir: Path, having: str, others: Sequence[str] = (
     if (folder / STATUS_FILE).exists():
         return RunDirectory(folder)
     files = sorted(output_dir.glob(f"*/*/*/{STATUS_FILE}"), key=lambda file: file.stat().st_mtime)
+    usable = [file for file in files if (file.parent / having).exists()]
     if name == "latest" and files:
-        usable = [file for file in files if (file.parent / having).exists()]
         if not usable:
             done = any(RunDirectory(file.parent).status == "done" for file in files)
             hint = "; where a run is done and it is gone, its training command typed again makes it" if done else ""
@@ -44,12 +44,14 @@ def find_run(name: str, output_dir: Path, having: str, others: Sequence[str] = (
         inside = sorted(file.parent for depth in (1, 2, 3) for file in folder.glob(f"{'*/' * depth}{STATUS_FILE}"))
         hint = f"; one in it is {inside[0]}" if inside else ""
         raise RunNotFoundError(f"run={name} is no run directory{hint}")
-    latest = ["latest"] if files else []
+    latest = ["latest"] if usable else []
     hint = did_you_mean(name, [*latest, *others, *ids, *(str(file.parent) for file in files)])
-    other = f", or run={others[0]}" if others else ""
+    ways = [f"write run={other}" for other in others[:1]]
     if not files and not hint:
-        raise RunNotFoundError(f"run={name}: there are no runs in {output_dir}; train one first, set output_dir{other}")
+        ways = ["train one first", "set output_dir", *ways]
+        raise RunNotFoundError(f"run={name}: there are no runs in {output_dir}; {', or '.join(ways)}")
+    ways = [*(f"write run=latest for {file.parent}" for file in usable[-1:]), *ways]
     raise RunNotFoundError(
         f"run={name} is neither a run directory nor the MLflow run id of a run in {output_dir}"
-        + (hint or f"; write run=latest for {files[-1].parent}{other}")
+        + (hint or (f"; {', or '.join(ways)}" if ways else ""))
     )

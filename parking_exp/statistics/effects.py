@@ -21,7 +21,6 @@ if TYPE_CHECKING:  # a training imports this package and needs no frames of ours
 
 CELLS = "cells' own variances"
 POOLED = "pooled variance"
-ROUNDING = 1e-12  # a sum of squares that is nothing but rounding
 
 
 @dataclass(frozen=True)
@@ -203,16 +202,28 @@ def _pooled(cells: Sequence[np.ndarray]) -> tuple[float, float]:
 
 
 def _interaction_p(groups: Mapping[tuple[Any, ...], np.ndarray], design: np.ndarray) -> float:
-    """Return the p of the F test of interaction (Fisher 1925): cell means against the sum of two effects."""
-    sizes, response = np.array([len(values) for values in groups.values()]), np.concatenate(list(groups.values()))
-    rows = np.repeat(design, sizes, axis=0)
-    fitted, _, rank, _ = np.linalg.lstsq(rows, response, rcond=None)
-    means = np.repeat([values.mean() for values in groups.values()], sizes)
-    within, beside = float(((response - means) ** 2).sum()), float(((rows @ fitted - means) ** 2).sum())
-    df, left = len(groups) - int(rank), len(response) - len(groups)
-    if df < 1 or left < 1 or within < ROUNDING:
+    """Return the p of the ANOVA-type test of interaction (Brunner, Dette and Munk 1997): cell means against the sum of
+    two effects, with cells' own variances; where a cell has a single seed, with the pooled one.
+    """
+    cells, sizes = list(groups.values()), np.array([len(values) for values in groups.values()])
+    means = np.array([values.mean() for values in cells])
+    beside = np.eye(len(cells)) - design @ np.linalg.pinv(design)  # projects means on what the sum leaves of them
+    if np.trace(beside) < 0.5:
         return math.nan
-    return float(fdtrc(df, left, beside / df / (within / left)))
+    weights = beside.diagonal()
+    if sizes.min() > 1:
+        variances = np.array([_variance(values) for values in cells]) / sizes
+        spread = float((weights**2 * variances**2 / (sizes - 1)).sum())
+        expected = float(weights @ variances)
+        left = expected**2 / spread if spread > 0 else 0.0
+    else:
+        pooled, left = _pooled(cells)
+        variances = pooled / sizes
+        expected = float(weights @ variances)
+    if not (left > 0 and expected > 0):
+        return math.nan
+    df = expected**2 / float(variances @ beside**2 @ variances)
+    return float(fdtrc(df, left, means @ beside @ means / expected))
 
 
 def _level(

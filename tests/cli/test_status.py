@@ -112,9 +112,9 @@ def test_a_status_that_is_damaged_is_one_runs_alone(tmp_path):
     ):
         find_run("abx", tmp_path, "x")
     with pytest.raises(RunNotFoundError, match=r"did you mean 'latest'\?$"):
-        find_run("lates", tmp_path, "x")
+        find_run("lates", tmp_path, "status.json")
     with pytest.raises(RunNotFoundError, match=r"; write run=latest for /.*/cell-b/seed=\d$"):
-        find_run("None", tmp_path, "x")
+        find_run("None", tmp_path, "status.json")
     found = json.loads(type_here("status", f"output_dir={tmp_path}", "--json").stdout)
     assert [run["damaged"] for run in found["cells"][1]["runs"]][5] == "status.json has no valid success_rate"
     process = RunDirectory(tmp_path / "mine" / "cell-b" / "seed=0")

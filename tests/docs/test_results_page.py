@@ -68,6 +68,29 @@ def test_a_grid_has_a_place_for_each_cell(page):
         features.grid("algorithm.features", "n_envs", env__name="parkng")
 
 
+def test_levels_of_a_factor_are_compared_over_those_of_another(page):
+    whole = page._experiment(ROOT / "docs" / "results" / "her_ablation")
+    dense = whole.only("env=parking", baseline="replay")
+    found = dense.contrasts("buffer.name", "buffer.n_sampled_goal")
+    assert list(found) == [
+        *(("her_future", other) for other in ("her_final", "her_episode", "her_random", "replay")),
+        *(("her_final", other) for other in ("her_episode", "her_random", "replay")),
+        *(("her_episode", other) for other in ("her_random", "replay")),
+        ("her_random", "replay"),
+    ]
+    means = {cell.label: cell.success.value for cell in dense.report.cells}
+    future = sum(means[f"her_future, n_sampled_goal={n}"] for n in (1, 2, 4, 8)) / 4
+    points = found["her_future", "replay"].split(" ")[0]
+    assert float(points) == pytest.approx(100 * (future - means["replay"]), abs=0.05)
+    assert dense.mean("buffer", "her_future").split(" ")[0] == f"{100 * future:.1f}"
+    assert (dense.better_than("replay"), dense.better_than("her_random, n_sampled_goal=8")) == (2, 1)
+    assert dense.better_than("her_future, n_sampled_goal=4") == 0
+    assert (dense.real_share("her_random", 8), dense.real_share("replay", None)) == ("13 %", "100 %")
+    assert dense.grid("buffer.name", "buffer.n_sampled_goal", metric="crash").splitlines()[2] == (
+        "| her_future | 3.4 [0.0, 44.2] | 9.3 [2.6, 21.6] | 14.3 [6.1, 35.8] | 20.5 [7.9, 39.1] |"
+    )
+
+
 def test_every_table_has_a_figure_and_its_command(page):
     text = (ROOT / "docs" / "results.md").read_text(encoding="utf-8")
     names = [folder.name for folder in EXPORTS.iterdir() if folder.is_dir()]

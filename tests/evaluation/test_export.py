@@ -259,7 +259,8 @@ def test_a_path_and_a_model_can_be_chosen(run, tmp_path):
         ),
         (
             ["run=nowhere"],
-            "run=nowhere: there are no runs in {here}/outputs; train one first, set output_dir, or run=pretrained",
+            "run=nowhere: there are no runs in {here}/outputs; train one first, or set output_dir, or write "
+            "run=pretrained",
         ),
         (
             ["run=parked"],

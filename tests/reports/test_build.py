@@ -326,7 +326,8 @@ def test_a_her_ablation_has_effects_interactions_and_the_real_share(output_dir):
 
     def look(label, seed):
         rates = {"future1": 0.4, "future4": 0.8, "final1": 0.2, "final4": 0.6}
-        return Look(success=rates.get(label, 0.2), nan=["buffer/real_share"] if label == "replay" else [])
+        nan = ["buffer/real_share"] if label == "replay" else []
+        return Look(success=rates.get(label, 0.2), nan=nan, real_share=0.6 if label == "final4" else 0.3)
 
     made(output_dir, "one", cells, range(2), look)
     found = content(output_dir)
@@ -341,8 +342,8 @@ def test_a_her_ablation_has_effects_interactions_and_the_real_share(output_dir):
     assert (table.row, table.column, table.given) == ("buffer", "buffer.n_sampled_goal", None)
     assert list(table.columns) == [1, 4, None]
     assert found.notes == ["Not part of the main effects, without a value of every factor: replay."]
-    shares = dict(zip(table.columns, table.real_share, strict=True))
-    assert shares[None] == 1.0
+    assert list(table.rows) == ["her_final", "her_future", "replay"]
+    assert table.real_share == [[0.3, 0.6, None], [0.3, 0.3, None], [None, None, 1.0]]
     at = {row: dict(zip(table.columns, means, strict=True)) for row, means in zip(table.rows, table.mean, strict=True)}
     assert at["her_final"][4] == pytest.approx(0.6)
     assert at["replay"] == {1: None, 4: None, None: pytest.approx(0.2)}
@@ -449,6 +450,9 @@ def test_of_baselines_that_fit_the_one_among_the_chosen_cells_is_meant(output_di
     with pytest.raises(ConfigError, match=r"baseline=replay: 2 cells fit, 'parking, replay', 'parking_sparse, replay'"):
         content(output_dir, baseline="replay")
     found = content(output_dir, cells=["env=parking_sparse"], baseline="replay")
+    for chosen in (["env=parking,parking_sparse"], ["her_future*"]):
+        with pytest.raises(ConfigError, match="2 cells fit"):
+            content(output_dir, cells=chosen, baseline="replay")
     (baseline,) = (cell for cell in found.cells if cell.id == found.baseline)
     assert baseline.label == "replay"
     assert baseline.name.startswith("parking_sparse-")

@@ -1,5 +1,7 @@
 """Runs are found by what is typed, and what is no run gets a sentence."""
 
+import os
+
 import pytest
 
 from parking_exp.errors import RunNotFoundError
@@ -9,11 +11,13 @@ from parking_exp.runs.lookup import find_run
 
 @pytest.fixture
 def output_dir(tmp_path):
-    """An output directory with two runs of an experiment."""
+    """An output directory with two runs of an experiment: the one worked on last has no model yet."""
     for seed in (0, 1):
         run = tmp_path / "outputs" / "mine" / "cell" / f"seed={seed}"
-        run.mkdir(parents=True)
+        (run / "models").mkdir(parents=True)
         (run / "status.json").write_text("{}")
+        os.utime(run / "status.json", (seed, seed))
+    (run.with_name("seed=0") / "models" / "final.zip").touch()
     return tmp_path / "outputs"
 
 
@@ -29,11 +33,16 @@ def test_a_run_is_found_by_its_directory(output_dir):
 
 
 def test_a_name_that_nothing_has_gets_a_sentence_with_what_there_is(output_dir):
-    (output_dir / "mine" / "cell" / "seed=0" / "status.json").unlink()
-    assert refusal("nothing", output_dir) == (
-        f"run=nothing is neither a run directory nor the MLflow run id of a run in {output_dir}; write run=latest for "
-        f"{output_dir}/mine/cell/seed=1, or run=pretrained"
-    )
+    nothing = f"run=nothing is neither a run directory nor the MLflow run id of a run in {output_dir}; "
+    latest = output_dir / "mine" / "cell" / "seed=0"
+    assert find_run("latest", output_dir, having="models/final.zip").path == latest
+    assert refusal("nothing", output_dir) == f"{nothing}write run=latest for {latest}, or write run=pretrained"
+    with pytest.raises(RunNotFoundError, match=rf"{nothing}write run=latest for {latest}$"):
+        find_run("nothing", output_dir, having="models/final.zip")
+    (latest / "models" / "final.zip").unlink()
+    assert refusal("nothing", output_dir) == f"{nothing}write run=pretrained"
+    with pytest.raises(RunNotFoundError, match=rf"a run in {output_dir}$"):
+        find_run("nothing", output_dir, having="models/final.zip")
 
 
 @pytest.mark.parametrize(
@@ -64,5 +73,5 @@ def test_a_folder_that_is_no_run_directory_is_told_with_one_inside(output_dir):
 @pytest.mark.parametrize("name", ["latest", "nothing"])
 def test_without_any_run_training_and_the_pretrained_agent_are_suggested(name, tmp_path):
     assert refusal(name, tmp_path) == (
-        f"run={name}: there are no runs in {tmp_path}; train one first, set output_dir, or run=pretrained"
+        f"run={name}: there are no runs in {tmp_path}; train one first, or set output_dir, or write run=pretrained"
     )

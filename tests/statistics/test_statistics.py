@@ -646,10 +646,25 @@ def test_the_f_test_of_interaction_is_that_of_a_two_way_table():
     # .08 within cells on 4.
     cells = {("a", 1): [0.9, 0.7], ("a", 2): [0.5, 0.3], ("b", 1): [0.4, 0.2], ("b", 2): [0.2, 0.0]}
     assert interaction(frame(cells), "strategy", "goals", "success").p == pytest.approx(stats.f.sf(1.0, 1, 4))
+    unequal = cells | {("a", 1): [1.0, 0.6]}  # of one contrast, here .2, it is Welch's test
+    variances = np.array([0.08, 0.02, 0.02, 0.02]) / 2
+    df = variances.sum() ** 2 / (variances**2).sum()
+    expected = 2 * stats.t.sf(0.2 / math.sqrt(variances.sum()), df)
+    assert interaction(frame(unequal), "strategy", "goals", "success").p == pytest.approx(expected)
     del cells["b", 2]
     assert math.isnan(interaction(frame(cells), "strategy", "goals", "success").p)  # a sum fits three cells
     once = {key: values[:1] for key, values in cells.items()}
     assert math.isnan(interaction(frame(once), "strategy", "goals", "success").p)
+
+
+@pytest.mark.parametrize("deviations", [(0.1, 0.1, 0.1, 0.1), (0.02, 0.05, 0.1, 0.24)], ids=["equal", "unequal"])
+def test_the_f_test_of_interaction_holds_its_level_with_unequal_variances(deviations):
+    rng = np.random.default_rng(0)
+    rejected = []
+    for _ in range(400):
+        cells = {(str(row), goals): rng.normal(0, deviations[row], 10) for row in range(4) for goals in (1, 2, 4, 8)}
+        rejected.append(interaction(frame(cells), "strategy", "goals", "success", bounds=None).p < 0.05)
+    assert 0.02 <= np.mean(rejected) <= 0.08  # Fisher's, with a pooled variance, rejects 11 of 100 of the unequal ones
 
 
 def test_seeds_that_are_all_the_same_have_no_interval_of_their_main_effect():

@@ -128,7 +128,7 @@ def her_ablation(n_seeds=10):
     residual = mean - by_row[:, None] - by_column + mean.mean()
     table = Interaction(
         "buffer", "buffer.n_sampled_goal", None, strategies, goals, mean.tolist(), low.tolist(), high.tolist(),
-        [[n_seeds] * 5] * 4, residual.tolist(), [1 / (k + 1) for k in goals],
+        [[n_seeds] * 5] * 4, residual.tolist(), [[(1 + row) / (k + 1 + row) for k in goals] for row in range(4)],
     )  # fmt: skip
     effects = [
         MainEffect(factor.key, [

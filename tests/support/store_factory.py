@@ -58,6 +58,7 @@ class Look:
         missing: artifacts that the store has lost, e.g. `episodes.csv`.
         contents: other contents of artifacts, e.g. {"episodes.csv": b"no table"}.
         nan: metrics that are NaN wherever they are logged.
+        real_share: of the transitions that the buffer sampled.
         tags: that the store has otherwise than a training writes them, e.g. {"cpu": "<script>"}; None: not at all.
             `mlflow.runName` is the run's name.
         params: that the store has besides.
@@ -78,6 +79,7 @@ class Look:
     missing: Sequence[str] = ()
     contents: Mapping[str, bytes] = field(default_factory=dict)
     nan: Sequence[str] = ()
+    real_share: float = 0.5
     tags: Mapping[str, str | None] = field(default_factory=dict)
     params: Mapping[str, str] = field(default_factory=dict)
     trajectories: int = 6
@@ -203,7 +205,7 @@ def _content(config: RunConfig, look: Look) -> tuple[list[dict[str, Any]], pd.Da
         table = made_episodes(look, rate, scenes, config.seed + step)
         tables.append(table.assign(phase="eval", step=step))
         share = step / config.total_timesteps
-        cost = {"time/cpu_s": look.cpu_s * share, "time/wall_s": WALL_S * share, "buffer/real_share": 0.5}
+        cost = {"time/cpu_s": look.cpu_s * share, "time/wall_s": WALL_S * share, "buffer/real_share": look.real_share}
         rows.append((step, {**_prefixed("eval", summarise(table)), **cost}))
         before = step
     if done:

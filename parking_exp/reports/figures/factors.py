@@ -143,9 +143,9 @@ def _heat_map(table: Interaction, names: dict[str, str], scale: tuple[Any, float
     width = COLUMN_IN if left + 0.48 * len(table.columns) + 0.7 <= COLUMN_IN else FULL_IN
     step = min(0.8, (width - left - 0.7) / max(1, len(table.columns)))
     columns = [elided(formats.level(level), max(20, 72 * step - 3), SMALL_PT) for level in table.columns]
-    share = table.real_share is not None and any(value is not None for value in table.real_share)
-    head, foot = (0.28 if table.given else 0.08), (0.62 if share else 0.46)
-    tall, wide = 0.36 * len(rows), step * len(columns)
+    share = any(value is not None for line in table.real_share or [] for value in line)
+    head, foot = (0.28 if table.given else 0.08), 0.46
+    tall, wide = (0.48 if share else 0.36) * len(rows), step * len(columns)
     canvas = Canvas(left + wide + 0.7, foot + tall + head)
     axes = canvas.axes(left, foot, wide, tall)
     canvas.row_labels(axes, rows, SMALL_PT)
@@ -155,11 +155,6 @@ def _heat_map(table: Interaction, names: dict[str, str], scale: tuple[Any, float
     for column, text in enumerate(columns):
         x = 72 * (left + (column + 0.5) * step)
         canvas.text(background, x, 72 * foot - 8, text, ha="center", fontsize=SMALL_PT)
-        if share and table.real_share and table.real_share[column] is not None:
-            real = f"{100 * (table.real_share[column] or 0):.0f} %"
-            canvas.text(background, x, 72 * foot - 19, real, ha="center", fontsize=TINY_PT, alpha=0.8)
-    if share:
-        canvas.text(background, 72 * left - 4, 72 * foot - 19, "real share", ha="right", fontsize=TINY_PT, alpha=0.8)
     row_name, column_name = (names.get(key, key) for key in (table.row, table.column))
     canvas.text(background, 72 * (left + wide / 2), 8, elided(column_name, 72 * wide + 40), ha="center")
     canvas.text(background, 8, 72 * (foot + tall / 2), elided(row_name, 72 * tall + 40), rotation=90, ha="center")
@@ -168,7 +163,7 @@ def _heat_map(table: Interaction, names: dict[str, str], scale: tuple[Any, float
     _fill_heat_map(canvas, axes, table, scale)
     canvas.colour_bar((left + wide + 0.12, foot, 0.1, tall), *scale, "success (%)")
     given = f" for {clean(table.given)}" if table.given else ""
-    real = " Below the columns: measured share of real transitions in batches." if share else ""
+    real = " Last in each: measured share of real transitions in batches." if share else ""
     counts = _counts(table)
     many = f"{seeds_text(counts.pop())} each" if len(counts) == 1 else "seeds as written"
     caption = f"Mean final success by {row_name} and {column_name}{given}, in %, with 95 % intervals; {many}.{real}"
@@ -200,8 +195,11 @@ def _fill_heat_map(canvas: Canvas, axes: Any, table: Interaction, scale: tuple[A
             style = {"ha": "center", "va": "center", "color": text_on(fills[-1])}
             small = [] if mean.low is None or mean.high is None else [f"[{100 * mean.low:.0f}, {100 * mean.high:.0f}]"]
             small += [f"n={mean.n}"] if len(counts) > 1 else []
-            value = f"{100 * mean.value:.1f}"
-            axes.text(c, r - (0.17 if small else 0), value, fontsize=TEXT_PT, **style)
-            if small:
-                axes.text(c, r + 0.22, " ".join(small), fontsize=TINY_PT if len(small) == 1 else 5, **style)
+            real = table.real_share[r][c] if table.real_share else None
+            lines = [(f"{100 * mean.value:.1f}", TEXT_PT)]
+            lines += [(" ".join(small), TINY_PT if len(small) == 1 else 5)] if small else []
+            lines += [] if real is None else [(f"{100 * real:.0f} % real", TINY_PT)]
+            for line, (text, size) in enumerate(lines):
+                place = r + (line - (len(lines) - 1) / 2) * (0.3 if len(lines) > 2 else 0.39)
+                axes.text(c, place, text, fontsize=size, **style)
     tiles(axes, boxes, fills, linewidths=0.6, edgecolors=PAPER)

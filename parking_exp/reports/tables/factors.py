@@ -64,7 +64,7 @@ def interactions(report: ReportData, cells: Sequence[Cell]) -> Iterator[Table]:
         "residual": at("residual"),
         "n": at("n"),
         "p_interaction": lambda row: row[0].p,
-        "real_share": lambda row: row[0].real_share[row[2]] if row[0].real_share else None,
+        "real_share": lambda row: row[0].real_share[row[1]][row[2]] if row[0].real_share else None,
     }
     rows = [
         (crossed, i, j)
@@ -81,7 +81,8 @@ def _crossed(crossed: Interaction, position: int) -> Table:
         spreads = zip(crossed.mean[i], crossed.low[i], crossed.high[i], crossed.n[i], strict=True)
         rows.append([setting(level), *(rate(Interval(mean, low, high, n)) for mean, low, high, n in spreads)])
     if crossed.real_share:
-        rows.append([Entry("real transitions (%)"), *map(percent, crossed.real_share)])
+        for level, shares in zip(crossed.rows, crossed.real_share, strict=True):
+            rows.append([Entry(f"{formats.level(level)}: real transitions (%)"), *map(percent, shares)])
     columns = [Column(crossed.row, itemgetter(0))]
     for j, level in enumerate(crossed.columns, start=1):
         columns.append(Column(formats.level(level), itemgetter(j), numeric=True))
