@@ -25,13 +25,16 @@ sys.path.insert(0, str(ROOT))
 from parking_exp import statistics
 from parking_exp.reports import formats
 from parking_exp.reports.build import Question, build
-from parking_exp.reports.report_data import Cell, ReportData
+from parking_exp.reports.report_data import Cell, ReportData, Setting
 from parking_exp.results import Results, read_export
 from parking_exp.terminal import say
 
 DOCS = ROOT / "docs"
 EXPORTS, PAGE, README = DOCS / "results", DOCS / "results.md", ROOT / "README.md"
-FIGURES = {"algorithms": ("learning_curves", "trajectories")}  # of a table; of others every seed's success
+FIGURES = {  # of a table; of others every seed's success
+    "algorithms": ("learning_curves", "trajectories"),
+    "tutorial": ("learning_curves",),
+}
 WIDTH = 120
 PACKAGES = ("highway-env", "stable-baselines3", "sb3-contrib", "torch", "python")
 DRAWN = {  # cells that a table's figures show; of others all
@@ -82,6 +85,12 @@ class Experiment:
         low, high = formats.percent(min(rates)), formats.percent(max(rates))
         return f"{formats.rate_text(getattr(cell, metric).value)} ({low} to {high} %)"
 
+    def largest_fall(self, label: str) -> str:
+        """Return by how many points the success of a seed fell at most from an evaluation to the next one."""
+        runs = [seed.run_id for seed in self.cell(label).seeds]
+        curves = self.results.curves[self.results.curves["run_id"].isin(runs)].sort_values(["run_id", "step"])
+        return formats.percent(-curves.groupby("run_id")["success_rate"].diff().min())
+
     def cpu_s(self, label: str) -> str:
         """Return the mean CPU seconds of a run."""
         return formats.number(self.cell(label).cpu_s.value)
@@ -126,7 +135,7 @@ class Experiment:
             for pair, one, p in zip(pairs, found, corrected, strict=True)
         }
 
-    def real_share(self, row: str, column: object) -> str:
+    def real_share(self, row: str, column: Setting) -> str:
         """Return the measured share of real transitions of a place of the first table of two factors, in percent."""
         table = self.report.interactions[0]
         assert table.real_share
