@@ -210,18 +210,14 @@ def _interaction_p(groups: Mapping[tuple[Any, ...], np.ndarray], design: np.ndar
     beside = np.eye(len(cells)) - design @ np.linalg.pinv(design)  # projects means on what the sum leaves of them
     if np.trace(beside) < 0.5:
         return math.nan
-    weights = beside.diagonal()
-    if sizes.min() > 1:
-        variances = np.array([_variance(values) for values in cells]) / sizes
-        spread = float((weights**2 * variances**2 / (sizes - 1)).sum())
-        expected = float(weights @ variances)
-        left = expected**2 / spread if spread > 0 else 0.0
-    else:
-        pooled, left = _pooled(cells)
-        variances = pooled / sizes
-        expected = float(weights @ variances)
-    if not (left > 0 and expected > 0):
+    single, weights = sizes.min() < 2, beside.diagonal()
+    pooled, left = _pooled(cells)
+    variances = (pooled if single else np.array([_variance(values) for values in cells])) / sizes
+    expected = float(weights @ variances)
+    if not expected > 0:
         return math.nan
+    if not single:
+        left = expected**2 / float((weights**2 * variances**2 / (sizes - 1)).sum())
     df = expected**2 / float(variances @ beside**2 @ variances)
     return float(fdtrc(df, left, means @ beside @ means / expected))
 
