@@ -140,7 +140,8 @@ class Experiment:
         table = self.report.interactions[0]
         assert table.real_share
         share = table.real_share[list(table.rows).index(row)][list(table.columns).index(column)]
-        return f"{100 * (share or 0):.0f} %"
+        assert share is not None
+        return f"{100 * share:.0f} %"
 
     def log_rank(self, one: str, other: str) -> str:
         """Return Holm's p of the difference in the time to hold 90 %, e.g. `p = 0.012`."""

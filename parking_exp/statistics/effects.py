@@ -208,7 +208,7 @@ def _interaction_p(groups: Mapping[tuple[Any, ...], np.ndarray], design: np.ndar
     cells, sizes = list(groups.values()), np.array([len(values) for values in groups.values()])
     means = np.array([values.mean() for values in cells])
     beside = np.eye(len(cells)) - design @ np.linalg.pinv(design)  # projects means on what the sum leaves of them
-    if np.trace(beside) < 0.5:
+    if np.trace(beside) < 0.5:  # a whole number but for rounding: its degrees of freedom
         return math.nan
     single, weights = sizes.min() < 2, beside.diagonal()
     pooled, left = _pooled(cells)
