@@ -1,0 +1,39 @@
+"""Keep passwords of database and server URIs out of everything that is stored or shown.
+
+Configs, run directories and stores hold URIs without their password. The password that was passed on the command line
+stays in the environment of this process and of those that it starts.
+"""
+
+import json
+import os
+import re
+
+VARIABLE = "PARKING_EXP_PASSWORDS"  # JSON: URI without password -> URI as passed
+USERINFO = re.compile(r"^([\w+.-]+://[^:/@?]*):.*@")  # up to the last @: SQLAlchemy allows most characters in a password
+QUERY = re.compile(r"(?<=[?&])(?:password|passwd)=[^&]*&?")
+
+
+def strip_password(uri: str) -> str:
+    """Return a URI without its password, the user kept."""
+    return QUERY.sub("", USERINFO.sub(r"\1@", uri)).rstrip("?&")
+
+
+def keep_password(uri: str) -> str:
+    """Return a URI without its password, and keep that for `with_password` here and in child processes."""
+    stripped = strip_password(uri)
+    if stripped != uri:
+        os.environ[VARIABLE] = json.dumps({**_kept(), stripped: uri})
+    return stripped
+
+
+def with_password(uri: str) -> str:
+    """Return a URI with the password that was passed for it, if any.
+
+    Otherwise the driver looks for one itself: `PGPASSWORD`, `~/.pgpass`, `MLFLOW_TRACKING_PASSWORD`.
+    """
+    return _kept().get(uri, uri)
+
+
+def _kept() -> dict[str, str]:
+    """Return the URIs that were passed with a password, by the URI without it."""
+    return json.loads(os.environ.get(VARIABLE, "{}"))
