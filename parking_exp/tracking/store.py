@@ -150,14 +150,6 @@ class Store:
             file.write_text(json.dumps(value, indent=2), encoding="utf-8")
             self.upload(run, file, name)
 
-    def download(self, run: "Run", name: str) -> bytes | None:
-        """Return the content of an artifact, None where the run has none of that name."""
-        artifacts = self._artifacts(run)
-        if not any(item.path == name for item in artifacts.list_artifacts()):
-            return None
-        with TemporaryDirectory() as folder:
-            return Path(artifacts.download_artifacts(name, folder)).read_bytes()
-
     def delete_artifact(self, run: "Run", name: str) -> None:
         """Delete an artifact or a folder of them, where the place of artifacts can do that and allows it."""
         try:

@@ -78,7 +78,7 @@ def test_a_store_of_another_mlflow_that_has_something_is_left_as_it_is(output_di
         connection.execute("UPDATE alembic_version SET version_num = '728d730b5ebd'")
         connection.execute(change)
     before = database.read_bytes()
-    with pytest.raises(Exception, match="out-of-date database schema|already exists"):
+    with pytest.raises(Exception, match=r"out-of-date database schema|already exists"):
         connect(default_uri(output_dir))
     assert database.read_bytes() == before
 
