@@ -19,6 +19,7 @@ from typing import Any
 from filelock import FileLock
 from pydantic import TypeAdapter, ValidationError
 
+from parking_exp.config.credentials import strip_password
 from parking_exp.config.paths import absolute, directory_path, lies_inside, relative
 from parking_exp.config.schema import RunConfig
 from parking_exp.errors import ConfigError, OutputDirectoryError, RunLockedError, UntrustedError
@@ -93,7 +94,7 @@ class RunDirectory:
     def tracking_uri(self) -> str | None:
         """Store that the run is tracked in; None where it is not tracked."""
         uri = self.read_status().get("tracking_uri")
-        return absolute(uri, self.output_dir) if uri else None
+        return strip_password(absolute(uri, self.output_dir)) if uri else None
 
     @property
     def unsynced(self) -> str | None:

@@ -4,7 +4,7 @@ import sqlite3
 from collections.abc import Iterator
 from traceback import walk_tb
 
-from parking_exp.config.paths import without_password
+from parking_exp.config.credentials import strip_password
 from parking_exp.errors import ParkingError
 
 LONGEST_REASON = 200
@@ -35,7 +35,7 @@ def is_store_failure(error: BaseException) -> bool:
 def reason(error: BaseException) -> str:
     """Say in one sentence what a store's error came from, without passwords."""
     if isinstance(error, ParkingError):  # a sentence already
-        return without_password(str(error))
+        return strip_password(str(error))
     if isinstance(error, ModuleNotFoundError) and error.name:
         package = error.name.partition(".")[0]
         return f"the package {package!r} is not installed: pip install {PROVIDERS.get(package, package)}"
@@ -46,7 +46,7 @@ def reason(error: BaseException) -> str:
     words = getattr(cause, "strerror", None) or str(getattr(cause, "reason", None) or cause) or type(cause).__name__
     if isinstance(cause, OSError) and cause.filename:
         words += f": {cause.filename}"
-    words = without_password(" ".join(words.split()))
+    words = strip_password(" ".join(words.split()))
     return words if len(words) <= LONGEST_REASON else f"{words[:LONGEST_REASON]}..."
 
 

@@ -8,7 +8,8 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
-from parking_exp.config.paths import ARTIFACTS, database, lies_inside, local_folder, without_password
+from parking_exp.config.credentials import with_password
+from parking_exp.config.paths import ARTIFACTS, database, lies_inside, local_folder
 from parking_exp.config.schema import RunConfig
 from parking_exp.errors import StoreError
 from parking_exp.tracking.client import connect, write_lock
@@ -172,7 +173,7 @@ class Store:
         from mlflow.store.artifact.artifact_repository_registry import get_artifact_repository
 
         self._refuse_elsewhere(run.info.artifact_uri)
-        return get_artifact_repository(run.info.artifact_uri, tracking_uri=self.uri)
+        return get_artifact_repository(run.info.artifact_uri, tracking_uri=with_password(self.uri))
 
     def _experiment(self, config: RunConfig) -> str:
         """Return the id of a run's experiment, made by one process of many."""
@@ -196,7 +197,7 @@ class Store:
                 restore = f"mlflow experiments restore --experiment-id {experiment.experiment_id}"
                 raise StoreError(
                     f"the experiment {name} was deleted in this store: restore it with"
-                    f" `MLFLOW_TRACKING_URI={shlex.quote(without_password(self.uri))} {restore}`,"
+                    f" `MLFLOW_TRACKING_URI={shlex.quote(self.uri)} {restore}`,"
                     " or take another experiment_name"
                 )
             self._refuse_elsewhere(experiment.artifact_location)

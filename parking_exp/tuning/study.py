@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Literal, cast
 
 from filelock import FileLock, Timeout
 
-from parking_exp.config.paths import without_password
+from parking_exp.config.credentials import strip_password
 from parking_exp.config.schema import RunConfig
 from parking_exp.errors import ConfigError, ParkingError, StoreError
 from parking_exp.tuning.schema import HIGHER_IS_BETTER, SearchConfig
@@ -72,7 +72,7 @@ def storage_of(folder: Path, url: str | None) -> Any:
         return optuna.storages.get_storage(url)
     except Exception as error:  # any driver of a database may be behind it
         raise StoreError(
-            f"storage={without_password(url or str(path))}: the study can't be opened: {_first_line(error)}"
+            f"storage={strip_password(url or str(path))}: the study can't be opened: {_first_line(error)}"
         ) from error
 
 
@@ -146,7 +146,7 @@ def storage_errors(name: str) -> Iterator[None]:
 
 
 def _first_line(error: Exception) -> str:
-    return without_password((str(error).splitlines() or [type(error).__name__])[0])
+    return strip_password((str(error).splitlines() or [type(error).__name__])[0])
 
 
 def _definition(search: SearchConfig, base: RunConfig) -> dict[str, Any]:
