@@ -2,10 +2,11 @@
 
 import sqlite3
 from collections.abc import Iterator
+from socket import gaierror
 from traceback import walk_tb
 
 from parking_exp.config.credentials import strip_password
-from parking_exp.errors import ParkingError
+from parking_exp.errors import DISK_ERRORS, ParkingError
 
 LONGEST_REASON = 200
 # Packages whose exceptions are failures of a store: MLflow, its database drivers, its clients of artifact storage.
@@ -29,7 +30,10 @@ def is_store_failure(error: BaseException) -> bool:
         modules = [frame.f_globals.get("__name__", "") for frame, _ in walk_tb(error.__traceback__)]
     else:
         modules = [type(error).__module__]
-    return isinstance(error, OSError | sqlite3.Error | ParkingError) or any(map(_is_of_store, modules))
+    of_system = isinstance(error, ConnectionError | TimeoutError | gaierror) or (
+        isinstance(error, OSError) and error.errno in DISK_ERRORS
+    )
+    return of_system or isinstance(error, sqlite3.Error | ParkingError) or any(map(_is_of_store, modules))
 
 
 def reason(error: BaseException) -> str:

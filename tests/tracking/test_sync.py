@@ -492,7 +492,7 @@ def test_a_store_that_is_no_database_is_told_at_once(fresh_dir):
 
 def test_reasons_have_no_password():
     error = ValueError("no server at postgresql://me:secret@db.example:5432/mlflow")
-    assert reason(error) == "no server at postgresql://***@db.example:5432/mlflow"
+    assert reason(error) == "no server at postgresql://me@db.example:5432/mlflow"
 
 
 DRIVERS = {
