@@ -8,7 +8,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from parking_exp.benchmarks.timing import spread
+from benchmarks.timing import spread
 from parking_exp.config.compose import composed_runs
 from parking_exp.runs.directory import STATUS_FILE, RunDirectory
 from parking_exp.runs.files import write_json

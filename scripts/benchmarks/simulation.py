@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from parking_exp.benchmarks.timing import interleave, spread
+from benchmarks.timing import interleave, spread
 from parking_exp.config.schema import EnvConfig
 from parking_exp.envs.highway import make_env
 from parking_exp.envs.interface import Policy

@@ -8,7 +8,7 @@ import numpy as np
 from stable_baselines3 import HerReplayBuffer
 from stable_baselines3.common.save_util import save_to_pkl
 
-from parking_exp.benchmarks.timing import Side, interleave, rounded
+from benchmarks.timing import Side, interleave, rounded
 from parking_exp.buffers import HerBuffer
 from parking_exp.config.schema import RunConfig
 from parking_exp.envs.reward import GoalReward

@@ -15,10 +15,10 @@ from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import Logger
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 
+from benchmarks.timing import rounded, spread
+from benchmarks.training import run_config, tutorial_model
 from parking_exp.algorithms.build import build_model, greedy_policy, torch_settings
 from parking_exp.algorithms.policy_average import PolicyAverage
-from parking_exp.benchmarks.timing import rounded, spread
-from parking_exp.benchmarks.training import run_config, tutorial_model
 from parking_exp.config.run_key import short_hash
 from parking_exp.config.schema import EnvConfig, RunConfig
 from parking_exp.envs.training_envs import make_training_envs
@@ -29,7 +29,6 @@ from parking_exp.statistics.survival import steps_to
 from parking_exp.training.seeding import derive_seeds
 from parking_exp.tuning.objectives import HOLD, THRESHOLD
 
-PEER_FILE = "benchmark_peer.json"
 N_SCENES = 200
 PEER = "the tutorial's recipe in plain stable-baselines3 + highway-env"
 PACKAGES = ("version.torch", "version.stable-baselines3", "version.highway-env", "version.numpy")
@@ -121,33 +120,33 @@ def our_cost(config: RunConfig, every: int) -> dict[str, Any]:
         return _cost_s(model, config, every, config.total_timesteps)
 
 
-def to_95(path: Path, seeds: int, *changes: str, **peer: int) -> dict[str, Any]:
-    """Compare the CPU time to 95 % of the default recipe with the tutorial's: the ratio of their medians over seeds.
-
-    A seed of ours that never holds 95 % has no cost, and a ratio of 0.
+def costs(path: Path, seeds: int, *changes: str, whole: bool, **peer: int) -> dict[str, Any]:
+    """Compare the CPU time to 95 % of the tutorial's recipe with the default one's: a ratio of medians over seeds.
 
     Args:
         path: where the peer's results are kept.
         seeds: how many, from 0 on.
         changes: overrides of the default recipe.
+        whole: count our whole run, from the start of its process to the end, instead of training to 95 %; a seed that
+            never holds 95 % has a ratio of 0 otherwise.
         peer: `every` and `most` of `peer_costs`.
     """
     peers = peer_costs(path, seeds, **peer)
-    configs = [run_config(f"seed={seed}", *changes) for seed in range(seeds)]
-    ours = [our_cost(config, _every(config)) for config in configs]
-    costs = [one["cost_s"] if one["reached"] else math.inf for one in ours]
-    ratios = [statistics.median(peers) / cost for cost in costs]
-    entry = spread(ratios, "ratio") | {"ratio": rounded(statistics.median(peers) / statistics.median(costs))}
-    known = [cost if math.isfinite(cost) else None for cost in costs]
-    return entry | {"ours_cpu_s": known, "peer_cpu_s": peers, "peer": PEER, "unit": "CPU-seconds to 95 %"}
+    if whole:
+        ours, rates = _whole_runs(seeds, *changes)
+        known: dict[str, Any] = {"ours_success_rate": rates}
+    else:
+        configs = [run_config(f"seed={seed}", *changes) for seed in range(seeds)]
+        trained = [our_cost(config, _every(config)) for config in configs]
+        ours, known = [one["cost_s"] if one["reached"] else math.inf for one in trained], {}
+    entry = spread([statistics.median(peers) / cost for cost in ours], "ratio")
+    entry["ratio"] = rounded(statistics.median(peers) / statistics.median(ours))
+    seconds = [rounded(cost) if math.isfinite(cost) else None for cost in ours]
+    return entry | known | {"ours_cpu_s": seconds, "peer_cpu_s": peers, "peer": PEER, "unit": "CPU-seconds"}
 
 
-def whole_run(path: Path, seeds: int, *changes: str, **peer: int) -> dict[str, Any]:
-    """Compare the tutorial's CPU time to 95 % with a whole default run, from the start of its process to the end.
-
-    The arguments are those of `to_95`. How often the runs park is given beside it.
-    """
-    theirs = statistics.median(peer_costs(path, seeds, **peer))
+def _whole_runs(seeds: int, *changes: str) -> tuple[list[float], list[float]]:
+    """Return CPU time and success rate of whole runs, each in a process of its own."""
     costs, rates = [], []
     with tempfile.TemporaryDirectory() as folder:
         for seed in range(seeds):
@@ -158,9 +157,7 @@ def whole_run(path: Path, seeds: int, *changes: str, **peer: int) -> dict[str, A
             costs.append(_children_s() - before)
             (result,) = Path(folder).rglob(f"seed={seed}/result.json")
             rates.append(read_object(result)["metrics"]["final/success_rate"])
-    entry = spread([theirs / cost for cost in costs], "ratio")
-    known = {"ours_cpu_s": [rounded(cost) for cost in costs], "ours_success_rate": rates}
-    return entry | known | {"peer": PEER, "unit": "CPU-seconds"}
+    return costs, rates
 
 
 def _every(config: RunConfig) -> int:
