@@ -62,7 +62,13 @@ def commands(*pages):
     return list(dict.fromkeys(shlex.join(shlex.split(typed, comments=True)) for typed in found))
 
 
-COMMANDS = commands(*(page for page in PAGES if page != EXTENDING))  # its commands need the files of its examples
+COMMANDS = [
+    command
+    for command in commands(
+        *(page for page in PAGES if page != EXTENDING)
+    )  # its commands need the files of its examples
+    if not command.startswith("benchmark.py")  # measures at once
+]
 
 
 def arguments(command):
