@@ -13,17 +13,16 @@ from stable_baselines3.common.torch_layers import CombinedExtractor
 from stable_baselines3.common.vec_env import VecEnv
 from torch import nn
 
-from parking_exp.algorithms.fast.matmul_precision import faster_precision
 from parking_exp.algorithms.features import EgoFrameExtractor, FineEgoFrameExtractor, MirroredEgoFrameExtractor
 from parking_exp.algorithms.mirrored_policies import MIRRORED
 from parking_exp.algorithms.noise import VectorizedNormalNoise
 from parking_exp.buffers import HerBuffer
 from parking_exp.config.constructor_arguments import CLASS_ARGUMENTS, ignored_features
-from parking_exp.config.schema import Precision, RunConfig
+from parking_exp.config.schema import RunConfig
 from parking_exp.config.signatures import policy_signature
 from parking_exp.envs.interface import Policy
 from parking_exp.envs.reward import GoalReward
-from parking_exp.envs.training_envs import is_parking, make_training_envs
+from parking_exp.envs.training_envs import is_parking
 from parking_exp.errors import ConfigError
 
 
@@ -158,27 +157,14 @@ def _action_noise(node: Mapping[str, Any], n_envs: int) -> ActionNoise:
 
 
 @contextmanager
-def torch_settings(config: RunConfig, recorded: object = None) -> Iterator[Precision]:
-    """Give torch the threads and the precision of a run, for a while; yield the precision.
-
-    `precision: auto` means what is `recorded` of the run, if anything is, or else what is faster now.
-    """
+def torch_settings(config: RunConfig) -> Iterator[None]:
+    """Give torch the threads and the float32 matmul precision of a run within a block."""
     threads, before = torch.get_num_threads(), torch.get_float32_matmul_precision()
     if config.torch_threads is not None:
         torch.set_num_threads(config.torch_threads)
     try:
-        precision = _precision(config, recorded)
-        torch.set_float32_matmul_precision(precision)
-        yield precision
+        torch.set_float32_matmul_precision(config.precision)
+        yield
     finally:
         torch.set_num_threads(threads)
         torch.set_float32_matmul_precision(before)
-
-
-def _precision(config: RunConfig, recorded: object) -> Precision:
-    if config.precision != "auto":
-        return config.precision
-    if recorded in ("highest", "medium"):
-        return recorded
-    model = build_model(config, make_training_envs(config.env, 1), seed=0, for_training=False)
-    return faster_precision(model)

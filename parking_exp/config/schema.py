@@ -50,7 +50,6 @@ Duration = Annotated[float, Field(gt=0, le=100_000)]
 Share = Annotated[float, Field(gt=0, le=1)]
 Bounds = Annotated[list[float], Field(min_length=2, max_length=2)]
 Simulation = Literal["vectorized", "highway_env"]
-Precision = Literal["highest", "medium"]
 Scene = Annotated[int, Field(ge=0, lt=TRAINING_SCENES_START)]
 NumberOfScenes = Annotated[int, Field(ge=1, le=TRAINING_SCENES_START)]
 
@@ -274,7 +273,7 @@ class RunConfig(ConfigModel):
     updates_per_step: Annotated[float, Field(ge=0.001, allow_inf_nan=False)]
     device: Annotated[str, Field(pattern=r"^(cpu|auto|mps|cuda(:\d+)?)$")]
     torch_threads: Positive | None
-    precision: Literal["auto"] | Precision
+    precision: Literal["highest", "medium"]
     timeout_s: PositiveFloat | None = None
     env: EnvConfig
     algorithm: AlgorithmConfig

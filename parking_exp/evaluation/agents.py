@@ -31,7 +31,6 @@ class Agent:
         config: what it was trained with.
         weights: a model as Stable-Baselines3 saves it, or the actor's weights alone.
         folder: where what is made of it goes.
-        precision: torch's float32 matmul precision that it was trained with.
         directory: its run directory; None of a pretrained one.
     """
 
@@ -39,7 +38,6 @@ class Agent:
     config: RunConfig
     weights: Path
     folder: Path
-    precision: object
     directory: RunDirectory | None = None
 
     def model(self, env: EnvConfig) -> "OffPolicyAlgorithm":
@@ -99,8 +97,7 @@ def find_agent(run: str, output_dir: Path, model: ModelName = "final", *, trust:
     directory.check_links()
     if not trust:
         check_trust(config, directory.path / CONFIG_FILE)
-    precision = directory.read_status().get("precision", "highest")
-    return Agent(f"{model} model", config, weights, directory.path, precision, directory)
+    return Agent(f"{model} model", config, weights, directory.path, directory)
 
 
 def load_model(
@@ -146,7 +143,7 @@ def _pretrained(run: str, output_dir: Path) -> Agent:
         raise RunNotFoundError(f"run={run}: there is no such pretrained agent; there are {', '.join(names)}{hint}")
     folder = PRETRAINED_DIR / name
     config = read_config(folder, output_dir)
-    return Agent(f"pretrained agent {name}", config, folder / POLICY_FILE, output_dir / PRETRAINED / name, "highest")
+    return Agent(f"pretrained agent {name}", config, folder / POLICY_FILE, output_dir / PRETRAINED / name)
 
 
 def _ways_out(directory: RunDirectory, model: str) -> str:

@@ -122,7 +122,7 @@ def _evaluate(request: EvaluationRequest, agent: Agent, env: EnvConfig, folder: 
     policy = greedy_policy(agent.model(env))
     scenes = range(request.first_scene, request.first_scene + request.n_scenes)
     what = f"{plural(request.n_scenes, 'episode')} of {env.name}"
-    with torch_settings(agent.config, agent.precision), _progress(what, request.n_scenes) as update:
+    with torch_settings(agent.config), _progress(what, request.n_scenes) as update:
         episodes = evaluate(policy, env, scenes, on_step=update)
     folder.mkdir(parents=True, exist_ok=True)
     for stale in folder.glob("video.*"):

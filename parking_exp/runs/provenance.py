@@ -12,7 +12,7 @@ from parking_exp.config.credentials import strip_password
 from parking_exp.runs.files import read_object
 
 PROVENANCE_FILE = "provenance.json"
-TAGS = {"git_commit", "git_dirty", "cpu", "precision"}  # and version.PACKAGE
+TAGS = {"git_commit", "git_dirty", "cpu"}  # and version.PACKAGE
 PACKAGES = ["torch", "stable-baselines3", "highway-env", "gymnasium", "numpy", "hydra-core", "mlflow-skinny"]
 
 

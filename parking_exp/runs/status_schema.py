@@ -40,7 +40,6 @@ class StatusEntries(_Entries):
     command: str | None = None
     search: str | None = None
     trial: Count | None = None
-    precision: Literal["highest", "medium"] | None = None
 
 
 class HeartbeatEntries(_Entries):

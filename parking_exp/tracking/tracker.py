@@ -77,8 +77,7 @@ def open_tracker(config: RunConfig, directory: RunDirectory, say: Callable[[str]
     # Of the process that trains, not of one that syncs later.
     path = directory.path / PROVENANCE_FILE
     started_ms = read_provenance(path)[0] or time.time_ns() // 1_000_000
-    tags = provenance() | {"precision": directory.read_status().get("precision", config.precision)}
-    write_json(path, {"started_ms": started_ms, "tags": tags})
+    write_json(path, {"started_ms": started_ms, "tags": provenance()})
     uri = store_uri(config)
     directory.update(tracking_uri=uri)
     return MlflowTracker(uri, directory, say)

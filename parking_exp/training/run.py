@@ -60,10 +60,7 @@ def train(config: DictConfig | Mapping[str, Any] | RunConfig, *, supervised: boo
             say(*_closing_lines(result, directory))
             return result
         directory.create(config)
-        # A run goes on as it began, on whatever machine.
-        recorded = directory.read_status().get("precision")
-        with stop_on_signal() as stop, torch_settings(config, recorded) as precision:
-            directory.update(precision=precision)
+        with stop_on_signal() as stop, torch_settings(config):
             return _train(config, directory, stop)
 
 

@@ -116,7 +116,7 @@ def _updates(quick: bool, rounds: int) -> Figures:
     def update(algorithm: str, net: str, gradient_steps: int = 8, sbx: bool = False) -> dict[str, Any]:
         wide = net == "3x256"
         # As experiment=article has it; sbx knows no other features.
-        options = (["algorithm.features=raw"] if wide or sbx else []) + (["precision=auto"] if wide else [])
+        options = (["algorithm.features=raw"] if wide or sbx else []) + (["precision=medium"] if wide else [])
         options += ["n_envs=8", f"updates_per_step={gradient_steps / 8}", "algorithm.learning_starts=1000"]
         config = training.run_config(
             f"algorithm={algorithm}", f"algorithm.net_arch={NETS[net]}", "algorithm.batch_size=256", *options

@@ -47,11 +47,9 @@ def article(rounds: int, steps: int) -> dict[str, Any]:
     for model in (ours, peer):
         model.set_logger(Logger(None, []))
         model.learn(config.algorithm.arguments["learning_starts"])
-    with torch_settings(config) as precision:
-        pass
 
     def mine() -> float:
-        with torch_settings(config, precision):
+        with torch_settings(config):
             return _learn(ours, steps // rounds)
 
     entry = interleave(mine, lambda: _learn(peer, steps // rounds), rounds)
@@ -59,7 +57,7 @@ def article(rounds: int, steps: int) -> dict[str, Any]:
         "peer": "plain stable-baselines3 + highway-env",
         "unit": "env steps",
         "steps": steps,
-        "precision": precision,
+        "precision": config.precision,
     }
 
 

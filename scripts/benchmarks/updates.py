@@ -19,7 +19,7 @@ SBX = "sbx, with our replay buffer"
 def updates(config: RunConfig, rounds: int, updates_a_slice: int, transitions: int = 10_000) -> dict[str, Any]:
     """Compare updates a second, in rounds of as many as the config does after each step of its envs.
 
-    Ours have the config's matmul precision, of which `auto` is decided once; the peer has torch's default.
+    Ours have the config's matmul precision; the peer has torch's default.
     """
     ours, peer = filled(config, fast=True, transitions=transitions), filled(config, fast=False, transitions=transitions)
     return _compare(config, ours, peer, rounds, updates_a_slice) | {"peer": PEER}
@@ -63,11 +63,9 @@ def _compare(
     """Time both models' `train` in turn, on the same batch size; ours with the precision of the config."""
     _, gradient_steps = config.update_rounds()
     calls = max(1, updates_a_slice // gradient_steps)
-    with torch_settings(config) as precision:
-        pass
 
     def mine() -> float:
-        with torch_settings(config, precision):
+        with torch_settings(config):
             return side(ours)
 
     def side(model: OffPolicyAlgorithm) -> float:
@@ -75,7 +73,7 @@ def _compare(
             model.train(gradient_steps=gradient_steps, batch_size=ours.batch_size)
         return calls * gradient_steps
 
-    about = {"unit": "updates", "precision": precision, "peer_precision": "highest"}
+    about = {"unit": "updates", "precision": config.precision, "peer_precision": "highest"}
     return interleave(mine, lambda: side(peer), rounds) | about
 
 

@@ -13,9 +13,8 @@ from stable_baselines3.common.type_aliases import DictReplayBufferSamples
 from support.marks import slow_but
 from support.runs import make_config
 
-from parking_exp.algorithms import build, fast
+from parking_exp.algorithms import fast
 from parking_exp.algorithms.build import build_model, torch_settings
-from parking_exp.algorithms.fast import matmul_precision
 from parking_exp.algorithms.fast.minibatches import sample_minibatches
 from parking_exp.algorithms.fast.supported import is_supported
 from parking_exp.envs.training_envs import make_training_envs
@@ -167,80 +166,6 @@ def test_a_runs_threads_and_precision_hold_while_it_runs():
     with torch_settings(make_config("torch_threads=2", "precision=medium")):
         assert (torch.get_num_threads(), torch.get_float32_matmul_precision()) == (2, "medium")
     assert (torch.get_num_threads(), torch.get_float32_matmul_precision()) == before
-
-
-@pytest.mark.parametrize(
-    ("highest", "medium", "expected"),
-    [
-        ([22, 22, 22], [27, 27, 27], "highest"),  # a CPU without AVX-512
-        ([22, 22, 22], [12, 12, 12], "medium"),
-        ([22, 22, 22], [20, 20, 20], "highest"),  # noise
-        ([22, 22, 22], [19.8, 19.8, 19.8], "medium"),  # a tenth
-        ([22, 22, 90], [12, 90, 12], "medium"),  # something else ran meanwhile
-        ([22, 22, 22], [1, 22, 22], "highest"),
-    ],
-)
-def test_medium_is_chosen_where_it_is_a_tenth_faster(highest, medium, expected):
-    assert matmul_precision.decide(highest, medium) == expected
-
-
-WIDE = ("algorithm.net_arch=[256,256,256]", "algorithm.features=raw")
-
-
-@pytest.mark.parametrize(
-    ("overrides", "medium_s", "expected"),
-    [
-        (WIDE, 0.1, "medium"),
-        (WIDE, 10.0, "highest"),
-        (("algorithm=sac", *WIDE), 0.1, "medium"),
-        ((), 0.1, "highest"),  # too narrow for the precision to make a difference
-        (("algorithm.net_arch=[256]",), 0.1, "highest"),  # layers from 10 to 256 and from 256 to 1
-        (("algorithm._target_=stable_baselines3.TD3", *WIDE), 0.1, "highest"),  # other code does the update
-        (("algorithm=sac", "algorithm.use_sde=true", *WIDE), 0.1, "highest"),
-        (("algorithm=tqc", *WIDE), 0.1, "highest"),
-    ],
-)
-def test_auto_asks_the_clock_where_our_update_has_wide_layers(monkeypatch, overrides, medium_s, expected):
-    asked = []
-
-    def seconds(mode, layers, batch):
-        asked.append(([tuple(weight.shape) for weight, _ in layers], batch))
-        return medium_s if mode == "medium" else 1.0
-
-    monkeypatch.setattr(matmul_precision, "_seconds", seconds)
-    config = make_config("precision=auto", "algorithm.batch_size=128", *overrides)
-    threads, before = torch.get_num_threads(), torch.get_float32_matmul_precision()
-    with torch_settings(config) as chosen:
-        assert chosen == expected == torch.get_float32_matmul_precision()
-    assert (torch.get_num_threads(), torch.get_float32_matmul_precision()) == (threads, before)
-    if asked:
-        assert asked[0] == ([(256, 20), (256, 256), (256, 256), (1, 256)], 128)
-    assert bool(asked) == (overrides in (WIDE, ("algorithm=sac", *WIDE)))
-
-
-def test_auto_measures_real_passes_and_leaves_torch_as_it_was():
-    model = make_model("SAC", *WIDE)
-    weights = [tensor.clone() for tensor in model.policy.parameters()]
-    generator, before = torch.get_rng_state(), torch.get_float32_matmul_precision()
-    assert matmul_precision.faster_precision(model) in ("highest", "medium")
-    assert torch.equal(torch.get_rng_state(), generator)
-    assert torch.get_float32_matmul_precision() == before
-    assert all(torch.equal(one, other) for one, other in zip(model.policy.parameters(), weights, strict=True))
-
-
-def test_auto_is_what_was_recorded(monkeypatch):
-    monkeypatch.setattr(build, "faster_precision", lambda model: "highest")
-    config = make_config("precision=auto", *WIDE)
-    for recorded, expected in (
-        ("medium", "medium"),
-        ("highest", "highest"),
-        (None, "highest"),
-        (["medium"], "highest"),
-    ):
-        with torch_settings(config, recorded) as chosen:
-            assert chosen == expected
-    with torch_settings(make_config("precision=highest"), "medium") as chosen:
-        assert chosen == "highest"
 
 
 @pytest.mark.parametrize("name", ALGORITHMS)

@@ -12,13 +12,11 @@ import numpy as np
 import pytest
 import torch
 from gymnasium import spaces
-from omegaconf import OmegaConf
 from stable_baselines3.common.logger import Logger
 from support.marks import slow_but
 from support.run_equality import differences, exact
 from support.runs import make_config, only_run, script, wait_for
 
-from parking_exp.algorithms import build
 from parking_exp.algorithms.build import build_model, greedy_policy
 from parking_exp.algorithms.fast.base import FastTraining
 from parking_exp.envs import training_envs
@@ -409,17 +407,3 @@ def test_a_tree_comes_back_with_its_types():
     assert again["empty"].shape == (0, 2)
     with pytest.raises(TypeError, match="a/0 is a Box, which can't be saved without pickling it"):
         serialization.split({"a": [spaces.Box(0, 1)]})
-
-
-@pytest.mark.slow
-def test_a_resumed_run_keeps_the_precision_that_it_began_with(tmp_path, monkeypatch):
-    """Another machine, or another moment, would choose otherwise."""
-    wide = ("algorithm.net_arch=[128,128]", "precision=auto")
-    monkeypatch.setattr(build, "faster_precision", lambda model: "medium")
-    whole = run(tmp_path / "whole", *wide)
-    choices = iter(["medium"])
-    monkeypatch.setattr(build, "faster_precision", lambda model: next(choices))
-    pieces = run(tmp_path / "pieces", *wide, cuts=[cut_at(71), cut_at(137)])
-    assert differences(whole, pieces) == []
-    assert read_json(pieces / "status.json")["precision"] == "medium"
-    assert OmegaConf.load(pieces / "config.yaml").precision == "auto"
