@@ -13,8 +13,7 @@ from parking_exp.reports.lot_map import sampled_rows
 from parking_exp.reports.report_data import ReportData
 from parking_exp.reports.sources import ReportSource
 from parking_exp.reports.tuning_data import Tuning
-from parking_exp.results.export import REPORT, read_export, write_export
-from parking_exp.results.export_tables import without_paths
+from parking_exp.results.export import REPORT, read_export, without_paths, write_export
 from parking_exp.results.frames import Results
 from parking_exp.runs.state import RunState
 

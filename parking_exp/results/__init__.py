@@ -51,23 +51,18 @@
 A column that the table of a run of an earlier version does not have is missing in its rows: NaN, or <NA> in `parked`
 and `steps`, which are boolean and Int64 then. phase, step, scene and outcome are always there.
 
-`read_export(FOLDER)` gives the same frames from what `scripts/report.py export=FOLDER` has written: small files, in
-which `run` is the number of a row in `runs.csv`, beginning at 0:
+`read_export(FOLDER)` gives the same frames from what `scripts/report.py export=FOLDER` has written: gzipped CSV files,
+which `pandas.read_csv` reads as well, and a JSON file:
 
-    runs.csv          columns of `Results.runs` that are not the same in all runs, one row per run
-    common.csv        column, value: those that are the same in all runs
-    curves.csv        `Results.curves`
-    episodes.csv      the final episodes, one row per stretch of consecutive scenes: the first of them, and the outcomes
-                      (s, c, t: success, crash, timeout) in their order, with how many times each is repeated: s312c2t
-                      is 312 successes, two crashes and a timeout; certified: how many of the run's were tried again
-                      on real highway-env
-    trajectories.csv  the trajectories that reports draw, one row each: length in steps; every how many steps there is a
-                      position, and one at the end (0: the end alone); x, y [cm] and heading [rad / 100] there, the
-                      first and then the differences from one to the next
-    report.json       layout, problems; what the report says of its cells, without what the tables have
+    runs.csv.gz          `Results.runs`; config.KEY as text
+    curves.csv.gz        `Results.curves`
+    outcomes.csv.gz      outcomes of the final episodes: a row per scene, a column per run id
+    trajectories.csv.gz  trajectories that reports draw: run_id, scene, step, x_m, y_m, heading_rad, rounded to 0.01; of
+                         some every fifth step, or the end alone
+    report.json          problems; what the report says of its cells, without what the tables have
 
 Left out are evaluation episodes during training, what `Results.episodes` has besides outcomes, speeds, and everything
-that names a place on the machine. Metrics are rounded to 6 significant digits, in curves to 5 where they are no rates.
+that names a place on the machine. Other numbers are rounded to 6 significant digits.
 """
 
 from parking_exp.results.export import read_export, write_export

@@ -1,5 +1,7 @@
 """An export has what a report needs of a store's frames, in small files that name no machine."""
 
+import errno
+import gzip
 import json
 import re
 import shutil
@@ -9,13 +11,12 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from support.runs import in_memory
+from support.runs import in_memory, read_text
 from support.store_factory import Look, compose, make_store
 
 from parking_exp.errors import ConfigError, ResultsError
 from parking_exp.results import load, read_export, write_export
-from parking_exp.results.export import FILES
-from parking_exp.results.export_tables import LOCAL_COLUMNS, without_paths
+from parking_exp.results.export import FILES, LOCAL_COLUMNS, without_paths
 
 HER = {"four": ["buffer.n_sampled_goal=4"], "none": ["buffer=replay"]}
 HOSTILE = 'a,b "c"\nd\re <script>'
@@ -48,9 +49,10 @@ def written(stored, tmp_path):
 
 
 def edit(path, old, new):
-    text = path.read_text()
+    text = read_text(path)
     assert old in text
-    path.write_text(text.replace(old, new, 1))
+    content = text.replace(old, new, 1).encode()
+    path.write_bytes(gzip.compress(content) if path.suffix == ".gz" else content)
 
 
 def test_runs_come_back_with_their_types_and_without_places(stored, written):
@@ -59,7 +61,7 @@ def test_runs_come_back_with_their_types_and_without_places(stored, written):
     assert places == list(LOCAL_COLUMNS)
     assert runs[["run_dir", "artifact_uri"]].isna().all(axis=None)
     assert not {"config.output_dir", "config.tracking.uri"} & {*runs}
-    texts = ["error", "config.x.path"]
+    texts = ["error", "config.x.path", "config.x.empty"]  # paths are cut, and an empty text is missing
     pd.testing.assert_frame_equal(
         runs.drop(columns=["run_dir", "artifact_uri", *texts]), stored.runs.drop(columns=[*places, *texts]), rtol=1e-5
     )
@@ -68,16 +70,15 @@ def test_runs_come_back_with_their_types_and_without_places(stored, written):
     assert runs["config.x.text"][0] == HOSTILE
     assert runs["config.x.number"].max() == 0.1234567891
     assert runs["config.x.huge"][2] == int("9" * 30)
-    assert runs["config.x.empty"][2] == ""
     assert runs["cpu_s"][0] == 1234.57
 
 
-def test_curves_come_back_rounded_to_five_digits_and_rates_to_six(stored, written):
+def test_curves_come_back_rounded_to_six_digits(stored, written):
     curves = read_export(written).curves
-    pd.testing.assert_frame_equal(curves, stored.curves, rtol=1e-4)
+    pd.testing.assert_frame_equal(curves, stored.curves, rtol=1e-5)
     run = curves[curves["run_id"] == stored.runs["run_id"][0]]
     assert run["success_rate"].tolist() == [0.0, 0.333333, 1.0]
-    assert run["cpu_s"].tolist() == [410.49, 824.07, 1234.6]
+    assert run["cpu_s"].tolist() == [410.494, 824.074, 1234.57]
 
 
 def test_final_episodes_come_back_with_their_outcomes_alone(stored, written):
@@ -90,38 +91,22 @@ def test_final_episodes_come_back_with_their_outcomes_alone(stored, written):
     assert (episodes["parked"].dtype, episodes["steps"].dtype) == ("boolean", "Int64")
 
 
-def test_outcomes_are_letters_with_how_many_there_are_in_a_row(stored, tmp_path):
-    episodes = stored.episodes[stored.episodes["phase"] != "eval"]
-    first = episodes[(episodes["run_id"] == stored.runs["run_id"][0]) & (episodes["phase"] == "final")].copy()
-    first["outcome"] = pd.Categorical(
-        ["success", "success", "crash", "timeout", "success"], first["outcome"].dtype.categories
-    )
-    first["scene"] = [7, 8, 9, 20, 21]
-    folder = write_export(replace(stored, episodes=first), tmp_path / "one")
-    step = first["step"].iloc[0]
-    assert (folder / "episodes.csv").read_text().splitlines()[1:] == [f"0,{step},7,s2c,0", f"0,{step},20,ts,0"]
-    found = read_export(folder).episodes
+def test_final_episodes_of_any_scenes_come_back(stored, tmp_path):
+    first = stored.episodes[
+        (stored.episodes["run_id"] == stored.runs["run_id"][0]) & (stored.episodes["phase"] == "final")
+    ]
+    first = first.assign(scene=[7, 8, 9, 20, 21])
+    found = read_export(write_export(replace(stored, episodes=first), tmp_path / "one")).episodes
     assert found["scene"].tolist() == [7, 8, 9, 20, 21]
     assert found["outcome"].tolist() == first["outcome"].tolist()
 
 
-def test_how_many_were_certified_is_kept(stored, written):
-    table = pd.read_csv(written / "episodes.csv")
-    certified = stored.episodes[stored.episodes["phase"] == "certified"].groupby("run_id", observed=True).size()
-    assert table["certified"].tolist() == certified.tolist()
-    assert min(certified) > 0
-
-
-@pytest.mark.parametrize(
-    ("steps", "line"),
-    [([0, 1, 2], "2,1,0 100 -50"), ([0, 5, 10, 12], "12,5,0 100 -50 3"), ([40], "40,0,0"), ([0], "0,0,0")],
-)
-def test_trajectories_come_back_in_centimetres_without_speeds(stored, tmp_path, steps, line):
+@pytest.mark.parametrize("steps", [[0, 1, 2], [0, 5, 10, 12], [40]])
+def test_trajectories_come_back_in_centimetres_without_speeds(stored, tmp_path, steps):
     run_id = stored.runs["run_id"][0]
     x = np.array([0, 1.0, 0.5, 0.53])[: len(steps)]
     trajectory = pd.DataFrame({"scene": 3, "step": steps, "x_m": x, "y_m": -x, "heading_rad": x / 10, "speed_mps": 1.0})
     folder = write_export(stored, tmp_path / "one", {run_id: trajectory})
-    assert (folder / "trajectories.csv").read_text().splitlines()[1].startswith(f"0,3,{line},")
     found = read_export(folder).trajectories(run_id)
     assert found["step"].tolist() == steps
     assert found["x_m"].tolist() == pytest.approx(x.tolist(), abs=1e-6)
@@ -130,13 +115,6 @@ def test_trajectories_come_back_in_centimetres_without_speeds(stored, tmp_path, 
     assert found["speed_mps"].isna().all()
     assert found.dtypes.to_dict() == stored.trajectories(run_id).dtypes.to_dict()
     assert read_export(folder).trajectories(stored.runs["run_id"][1]).empty
-
-
-def test_a_trajectory_with_other_gaps_is_refused(stored, tmp_path):
-    trajectory = pd.DataFrame({"scene": 3, "step": [0, 2, 3, 6], "x_m": 0.0, "y_m": 0.0, "heading_rad": 0.0})
-    with pytest.raises(ValueError, match="scene 3: its positions are not evenly spaced up to the end"):
-        write_export(stored, tmp_path / "one", {stored.runs["run_id"][0]: trajectory})
-    assert not list(tmp_path.iterdir())
 
 
 def test_trajectories_of_a_run_that_is_not_there_are_a_sentence(written):
@@ -155,7 +133,6 @@ def test_problems_and_runs_of_others_are_kept_and_the_folder_is_the_source(store
 def test_the_same_results_give_the_same_bytes_and_replace_an_earlier_export(stored, written):
     before = {path.name: path.read_bytes() for path in written.iterdir()}
     assert set(before) == set(FILES)
-    assert all(text.endswith(b"\n") and b"\r\n" not in text for text in before.values())
     write_export(replace(stored, ignored=1), written)
     assert json.loads((written / "report.json").read_text())["ignored"] == 1
     write_export(stored, written)
@@ -164,7 +141,7 @@ def test_the_same_results_give_the_same_bytes_and_replace_an_earlier_export(stor
 
 
 def test_no_file_of_an_export_names_a_place_on_the_machine(stored, written):
-    text = "".join(path.read_text() for path in written.iterdir())
+    text = "".join(read_text(path) for path in written.iterdir())
     assert not re.search(r"/(home|tmp|dev|root|work)\b|sqlite:|file:", text)
     assert read_export(written).runs["error"][1] == "no file x.zip: (see mlflow.db)"
     assert read_export(written).runs["config.x.path"][0] == "own"
@@ -194,7 +171,7 @@ def test_a_run_of_500_scenes_and_12_evaluations_takes_little_more_than_a_kilobyt
         bulk=True,
     )
     folder = write_export(load("one", output_dir=output_dir), output_dir / "export")
-    size = sum(path.stat().st_size for path in folder.iterdir()) - (folder / "common.csv").stat().st_size
+    size = sum(path.stat().st_size for path in folder.iterdir())
     assert size / 20 < 1400
 
 
@@ -207,19 +184,15 @@ def test_a_folder_with_other_files_is_refused_and_left_alone(stored, tmp_path):
         write_export(stored, tmp_path / "notes.txt")
 
 
-def test_a_failure_leaves_the_earlier_export(stored, written, monkeypatch):
-    rename = Path.rename
+def test_an_export_that_was_interrupted_is_not_whole(stored, written, monkeypatch):
+    def full(*arguments, **keywords):
+        raise OSError(errno.ENOSPC, "No space left on device")
 
-    def failing(path, target):
-        if path.name == "new":
-            raise OSError("no space left")
-        return rename(path, target)
-
-    monkeypatch.setattr(Path, "rename", failing)
-    with pytest.raises(OSError, match="no space left"):
-        write_export(replace(stored, ignored=1), written)
-    assert read_export(written).ignored == 0
-    assert [path.name for path in written.parent.iterdir()] == ["her"]
+    with monkeypatch.context() as patched, pytest.raises(OSError, match="No space left"):
+        patched.setattr(pd.DataFrame, "to_csv", full)
+        write_export(stored, written)
+    with pytest.raises(ResultsError, match=r"is not a whole export: it has no report\.json"):
+        read_export(written)
 
 
 def test_a_folder_that_is_not_there_is_a_sentence_with_the_closest_or_how_to_make_one(written):
@@ -234,45 +207,34 @@ def test_a_folder_that_is_not_there_is_a_sentence_with_the_closest_or_how_to_mak
 @pytest.mark.parametrize("name", FILES)
 def test_a_file_that_is_missing_is_named(written, name):
     (written / name).unlink()
-    with pytest.raises(ResultsError, match=f"it is no (whole )?export; it has no {re.escape(name)}"):
+    with pytest.raises(ResultsError, match=f"is not a whole export: it has no {re.escape(name)}"):
         read_export(written)
 
 
 @pytest.mark.parametrize(
     ("name", "old", "new", "words"),
     [
-        ("report.json", '"layout": 1', '"layout": 2', r"her: another version of parking_exp made it; its layout is 2, and this one reads 1"),
-        ("report.json", '"layout": 1', '"lay": 1', r"report.json can't be read: it is no description of an export"),
-        ("report.json", "{", "[", r"report.json can't be read: it is no description of an export"),
-        ("report.json", '"problems": []', '"problems": [1]', r"report.json can't be read: problems.0 is missing or wrong"),
-        ("runs.csv", "run_id,", "run,", r"runs.csv can't be read: it has no column 'run_id'"),
-        ("runs.csv", ",done,", ",finished,", r"runs.csv can't be read: there is no status 'finished'"),
-        ("runs.csv", ",her,", ",her,her,", r"runs.csv can't be read: row 2 has \d+ values for \d+ columns"),
-        ("runs.csv", "2023-11-14T", "2023-99-14T", r"runs.csv can't be read: "),
-        ("common.csv", "column", "name", r"common.csv can't be read: it has no column 'column'"),
-        ("curves.csv", "\n0,", "\n9,", r"curves.csv can't be read: it has rows of runs that there are not"),
-        ("curves.csv", "\n0,", "\nx,", r"curves.csv can't be read: invalid literal"),
-        ("episodes.csv", ",0,s", ",-1,s", r"episodes.csv can't be read: it has scenes that there are not"),
-        ("episodes.csv", ",0,s", ",0,z", r"episodes.csv can't be read: there are no such outcomes: 'z"),
-        ("trajectories.csv", ",3,2,1,", ",3,3,1,", r"trajectories.csv can't be read: it has trajectories with more or fewer positions"),
+        ("report.json", '"ignored"', '"ignore"', r"report.json can't be read: it is no description of an export"),
+        ("report.json", "{", "[", r"report.json can't be read: "),
+        ("runs.csv.gz", "run_id,", "run,", r"runs.csv.gz can't be read: it has no column 'run_id'"),
+        ("runs.csv.gz", ",done,", ",finished,", r"runs.csv.gz can't be read: it has a status that there is not"),
+        ("runs.csv.gz", "2023-11-14 ", "2023-99-14 ", r"runs.csv.gz can't be read: "),
+        ("curves.csv.gz", "\n", "\nx", r"curves.csv.gz can't be read: it has rows of runs that are not in runs.csv.gz"),
+        ("curves.csv.gz", ",0.333333", ",a", r"curves.csv.gz can't be read: "),
+        ("outcomes.csv.gz", "success", "z", r"outcomes.csv.gz can't be read: it has an outcome that there is not"),
+        ("outcomes.csv.gz", "scene", "scenes", r"outcomes.csv.gz can't be read: "),
     ],
-)  # fmt: skip
-def test_a_damaged_export_is_a_sentence_that_names_the_file(stored, tmp_path, name, old, new, words):
-    trajectory = pd.DataFrame({"scene": 3, "step": [0, 1, 2], "x_m": 0.0, "y_m": 0.0, "heading_rad": 0.0})
-    folder = write_export(stored, tmp_path / "her", {stored.runs["run_id"][0]: trajectory})
-    if name == "episodes.csv":
-        edit(folder / name, (folder / name).read_text().splitlines()[1].split(",", 2)[2], "0,s5,1")
-    edit(folder / name, old, new)
+)
+def test_a_damaged_export_is_a_sentence_that_names_the_file(written, name, old, new, words):
+    edit(written / name, old, new)
     with pytest.raises(ResultsError, match=words) as error:
-        read_export(folder)
+        read_export(written)
     assert "\n" not in str(error.value)
 
 
 def test_a_table_that_was_cut_off_is_damaged(written):
-    path = written / "curves.csv"
-    path.write_text(path.read_text()[:-3])
-    with pytest.raises(ResultsError, match=r"curves\.csv can't be read: it is cut off"):
-        read_export(written)
-    path.write_bytes(b"\xff\xfe")
-    with pytest.raises(ResultsError, match=r"curves\.csv can't be read: "):
-        read_export(written)
+    path = written / "curves.csv.gz"
+    for content in (path.read_bytes()[:-30], b"\xff\xfe"):
+        path.write_bytes(content)
+        with pytest.raises(ResultsError, match=r"curves\.csv\.gz can't be read: "):
+            read_export(written)

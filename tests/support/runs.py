@@ -2,6 +2,7 @@
 
 import contextlib
 import gc
+import gzip
 import importlib
 import io
 import json
@@ -127,3 +128,9 @@ def wait_for(condition, process, timeout=120):
         assert process.poll() is None, process.communicate()
         assert time.monotonic() < deadline
         time.sleep(0.02)
+
+
+def read_text(path):
+    """Content of a file of an export, unpacked."""
+    content = path.read_bytes()
+    return (gzip.decompress(content) if path.suffix == ".gz" else content).decode()
