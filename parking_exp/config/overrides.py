@@ -9,6 +9,7 @@ from hydra.errors import HydraException
 from omegaconf import DictConfig
 
 from parking_exp.config.grid import seeds_of, written
+from parking_exp.config.messages import NUMBER_RANGE
 from parking_exp.config.signatures import signature
 from parking_exp.config.source_lookup import UnknownTarget
 from parking_exp.errors import ConfigError, suggestion
@@ -97,7 +98,12 @@ def first_values(overrides: Iterable[Override]) -> list[str]:
 def expand_groups(overrides: list[str], parser: OverridesParser, loader: ConfigLoader) -> list[Override]:
     """Parse overrides; those that set several keys of a group, `tracking={csv: false}`, become one for each key."""
     found = []
-    for override in parser.parse_overrides(overrides):
+    for line in overrides:
+        try:
+            (override,) = parser.parse_overrides([line])
+        except ValueError as error:  # Python reads no integer of so many digits
+            key = line.partition("=")[0]
+            raise ConfigError(f"{key}: a number has too many digits; {NUMBER_RANGE}") from error
         values = override.value()
         if override.type == OverrideType.CHANGE and isinstance(values, dict) and is_group(override, loader):
             lines = [f"{override.key_or_group}.{key}={written(value)}" for key, value in values.items()]
