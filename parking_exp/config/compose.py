@@ -131,7 +131,14 @@ def composed_runs(config_name: str, overrides: list[str], extra_config_dir: str 
         chosen = first_values(one for one in ours if is_group(one, loader) or is_hydras(one.key_or_group))
         base = compose_lines(*chosen)
         _repository().keep(config_name, {(): compose_lines(), tuple(chosen): base})
-        check_keys(base.config, parsed, groups, loader)
+        with_keys = [
+            one
+            for one in ours
+            if one.is_sweep_override() and any(other.key_or_group.startswith(f"{one.key_or_group}.") for other in ours)
+        ]
+        options = [f"{one.key_or_group}={name}" for one in with_keys for name in one.sweep_string_iterator()]
+        bases = [base.config, *(compose_lines(*chosen, option).config for option in options)]
+        check_keys(bases, parsed, groups, loader)
         swept = parser.parse_overrides([f"{key}={value}" for key, value in base.sweep.items()])
         typed = typed_values([one for one in [*swept, *parsed] if not is_hydras(one.key_or_group)])
         if "seeds" not in base.config:
@@ -181,20 +188,37 @@ def _runs(compose_lines: Compose, typed: dict[str, list[str]], seeds: list[int] 
     experiment = typed.get("experiment", [""])[0]
     in_blocks = {key for block in blocks for key in block}
     typed = {bare if (bare := key.lstrip("+")) in in_blocks else key: values for key, values in typed.items()}
-    seeds = seeds or seeds_of(_container(base.seeds))
+    if seeds is None:
+        seeds = seeds_of(_container(base.seeds))
     if "seed" in typed or "seed" in in_blocks:
         seeds = None
     runs, cells = [], set()
     all_points = points(blocks, typed, lambda key, point: _has(compose_lines, key, point), experiment)
     check_number(len(all_points) * len(seeds or [None]), f"{len(all_points)} cells x {len(seeds or [None])} seeds")
     for point, label in zip(all_points, labels(all_points), strict=True):
-        composition = compose_lines(*point)
+        composition = _cell(compose_lines, point)
         cell = composition.config
         if (known := OmegaConf.to_yaml(cell)) in cells:  # blocks that differ may be the same once values are typed
             continue
         cells.add(known)
         runs += [Composed(cell, seed, label, rank, composition.options) for rank, seed in enumerate(seeds or [None])]
     return sorted(runs, key=attrgetter("rank"))
+
+
+def _cell(compose_lines: Compose, point: list[str]) -> Composition:
+    """Compose a cell.
+
+    Raises:
+        ConfigError: one of its options lacks one of its keys.
+    """
+    try:
+        return compose_lines(*point)
+    except HydraException as error:
+        for key in (line.partition("=")[0] for line in point):
+            option = next((line for line in point if line.startswith(f"{key.partition('.')[0]}=")), None)
+            if option and not _has(compose_lines, key, [option]):
+                raise ConfigError(f"{key}: {option} has no such key; leave out the option or the key") from error
+        raise
 
 
 def _has(compose_lines: Compose, key: str, point: list[str]) -> bool:

@@ -60,10 +60,10 @@ def is_group(override: Override, loader: ConfigLoader) -> bool:
 
 
 def typed_seeds(overrides: list[Override]) -> list[int] | None:
-    """Read `seeds=5`, `seeds=[3,4]` or `seeds=3,4`, where it is typed."""
+    """Read `seeds=5`, `seeds=[3,4]` or `seeds=3,4`; return [] for `seeds=null`, and None where none are passed."""
     for override in reversed(overrides):
         if override.key_or_group == "seeds":
-            return seeds_of(list(override.sweep_iterator()) if override.is_sweep_override() else override.value())
+            return seeds_of(list(override.sweep_iterator()) if override.is_sweep_override() else override.value()) or []
     return None
 
 
@@ -79,7 +79,7 @@ def typed_values(overrides: list[Override]) -> dict[str, list[str]]:
             raise ConfigError(f"{override.input_line}: an axis needs values, not a range of them")
         values = override.sweep_string_iterator() if override.is_sweep_override() else None
         found[override.get_key_element()] = list(values or [override.get_value_element_as_str()])
-    if {"seed", "seeds"} <= found.keys():
+    if "seed" in found and found.get("seeds", ["null"]) != ["null"]:
         raise ConfigError("seed and seeds are both given; seeds=[...] names several")
     return found
 
@@ -123,6 +123,8 @@ def check_groups(overrides: Sequence[Override], groups: Set[str], loader: Config
         name = override.key_or_group
         if not name:
             raise ConfigError(f"{override.input_line}: there is no key before the equals sign; write KEY=VALUE")
+        if name == "hydra":
+            raise ConfigError(f"{override.input_line}: hydra is a group of keys; write hydra.KEY=VALUE")
         if (is_hydras(name) and name != "hydra/launcher") or not is_group(override, loader):
             continue
         if name not in groups and not is_hydras(name):
@@ -146,8 +148,10 @@ def _check_options(override: Override, options: list[str]) -> None:
             raise ConfigError(f"{name}={value}: there is no such option{suggestion(str(value), options)}")
 
 
-def check_keys(base: DictConfig, overrides: Sequence[Override], groups: Set[str], loader: ConfigLoader) -> None:
-    """Check that the config of the chosen options has the keys that are changed or deleted.
+def check_keys(
+    bases: Sequence[DictConfig], overrides: Sequence[Override], groups: Set[str], loader: ConfigLoader
+) -> None:
+    """Check that one of the configs of the chosen options has the keys that are changed or deleted.
 
     Raises:
         ConfigError: with the closest name.
@@ -155,10 +159,13 @@ def check_keys(base: DictConfig, overrides: Sequence[Override], groups: Set[str]
     for override in overrides:
         is_key = not is_hydras(override.key_or_group) and not is_group(override, loader)
         if is_key and override.type in {OverrideType.CHANGE, OverrideType.DEL}:
-            _check_key(base, override, groups)
+            errors = [error for base in bases if (error := _key_error(base, override, groups))]
+            if len(errors) == len(bases):
+                raise errors[0]
 
 
-def _check_key(base: DictConfig, override: Override, groups: Set[str]) -> None:
+def _key_error(base: DictConfig, override: Override, groups: Set[str]) -> ConfigError | None:
+    """Return what is wrong with a key that a config lacks, or None."""
     node: object = base
     parts = override.key_or_group.split(".")
     for depth, part in enumerate(parts):
@@ -167,20 +174,21 @@ def _check_key(base: DictConfig, override: Override, groups: Set[str]) -> None:
             parent = ".".join(parts[:depth])
             arguments = _arguments(node)
             if part in arguments:
-                raise ConfigError(
+                return ConfigError(
                     f"{override.key_or_group}: an argument of {parent}._target_ that its YAML does not list; "
                     f"write +{override.input_line}"
                 )
             if parent and isinstance(node, DictConfig) and not known:
-                raise ConfigError(f"{override.key_or_group}: {parent} is empty so far; write +{override.input_line}")
+                return ConfigError(f"{override.key_or_group}: {parent} is empty so far; write +{override.input_line}")
             if not parent and part in groups:
-                raise ConfigError(f"{part}: no option is chosen; write {part}=OPTION {override.input_line}")
+                return ConfigError(f"{part}: no option is chosen; write {part}=OPTION {override.input_line}")
             choices = {*known, *arguments, *([] if parent else groups)}
             if "experiment_name" in known:
                 choices.add("experiment")  # status.py and report.py have replaced it by that key already
-            raise ConfigError(f"{override.key_or_group}: there is no such key{suggestion(part, choices)}")
+            return ConfigError(f"{override.key_or_group}: there is no such key{suggestion(part, choices)}")
         assert isinstance(node, DictConfig)
         node = node._get_node(part) if node._is_none() else node[part]
+    return None
 
 
 def _arguments(node: object) -> set[str]:
