@@ -24,13 +24,6 @@ from parking_exp.config.overrides import quoted
 from parking_exp.errors import ConfigError, InterruptedRunError, OutputDirectoryError, ParkingError, did_you_mean
 from parking_exp.terminal import LogFormatter, say
 
-MY_CONFIGS = "put options of your own into a directory and pass --config-dir=DIRECTORY"
-INSTEAD = {
-    "config_name": MY_CONFIGS,
-    "config_path": MY_CONFIGS,
-    "experimental_rerun": "rerun the same command, which resumes",
-}
-
 Task = Callable[[DictConfig], object]
 Command = Callable[[list[str], str | None], None]
 """What a command does with its overrides and Hydra's `--config-dir`."""
@@ -56,7 +49,7 @@ def run_command(
     with errors_as_sentences():
         parser, arguments = _parse(sys.argv[1:], flags or {})
         arguments.overrides = [quoted(override) for override in read(arguments.overrides)]
-        if _is_hydras(arguments):
+        if any(getattr(arguments, flag) for flag in ("help", "hydra_help", "cfg", "info", "shell_completion")):
             _run_hydras(parser, arguments, config_name)
         else:
             command(arguments.overrides, arguments.config_dir)
@@ -125,19 +118,15 @@ def _parse(words: list[str], flags: Mapping[str, str]) -> tuple[argparse.Argumen
         flag = next((word for word in unknown if word.startswith("-")), unknown[0]).partition("=")[0]
         hint = did_you_mean(flag, parser._option_string_actions, cutoff=0.8) or "; write KEY=VALUE, without dashes"
         raise ConfigError(f"{flag}: there is no such flag{hint}")
-    for name in ("config_name", "config_path", "experimental_rerun"):
-        if getattr(arguments, name):
-            raise ConfigError(f"--{name.replace('_', '-')}: not supported here; {INSTEAD[name]}")
+    if arguments.config_name or arguments.config_path or arguments.experimental_rerun:
+        raise ConfigError(
+            "--config-name, --config-path and --experimental-rerun: not supported here; put options of your own into a "
+            "directory and pass --config-dir=DIRECTORY; rerun the same command to resume"
+        )
     if arguments.config_dir and not Path(arguments.config_dir).is_dir():
         raise ConfigError(f"--config-dir={arguments.config_dir}: there is no such directory")
     arguments.overrides += getattr(arguments, "flags", None) or []
     return parser, arguments
-
-
-def _is_hydras(arguments: argparse.Namespace) -> bool:
-    """Whether a command line is Hydra's to answer."""
-    asked = ("help", "hydra_help", "cfg", "info", "shell_completion")
-    return any(getattr(arguments, name) for name in asked)
 
 
 def _run_hydras(parser: argparse.ArgumentParser, arguments: argparse.Namespace, config_name: str) -> None:

@@ -27,7 +27,7 @@ from omegaconf import DictConfig, ListConfig, OmegaConf, open_dict
 from omegaconf.errors import OmegaConfBaseException
 
 from parking_exp.config.experiment_files import experiment_files
-from parking_exp.config.grid import check_blocks, check_number, labels, points, seeds_of
+from parking_exp.config.grid import check_blocks, check_number, points, seeds_of
 from parking_exp.config.overrides import (
     check_groups,
     check_keys,
@@ -54,7 +54,7 @@ class Composed:
     Attributes:
         cell: its config as Hydra composed it, shared by all runs of the cell.
         seed: takes the place of the cell's; None: the cell's own.
-        label: what sets its cell apart from the others, e.g. `her_final, n_sampled_goal=8`; empty for a single cell.
+        label: of its cell; empty: what sets its config apart from those of the other cells.
         rank: 0 for a cell's first seed, 1 for its second, ...
         options: group -> chosen option.
     """
@@ -131,14 +131,7 @@ def composed_runs(config_name: str, overrides: list[str], extra_config_dir: str 
         chosen = first_values(one for one in ours if is_group(one, loader) or is_hydras(one.key_or_group))
         base = compose_lines(*chosen)
         _repository().keep(config_name, {(): compose_lines(), tuple(chosen): base})
-        with_keys = [
-            one
-            for one in ours
-            if one.is_sweep_override() and any(other.key_or_group.startswith(f"{one.key_or_group}.") for other in ours)
-        ]
-        options = [f"{one.key_or_group}={name}" for one in with_keys for name in one.sweep_string_iterator()]
-        bases = [base.config, *(compose_lines(*chosen, option).config for option in options)]
-        check_keys(bases, parsed, groups, loader)
+        check_keys(base.config, parsed, groups, loader)
         swept = parser.parse_overrides([f"{key}={value}" for key, value in base.sweep.items()])
         typed = typed_values([one for one in [*swept, *parsed] if not is_hydras(one.key_or_group)])
         if "seeds" not in base.config:
@@ -195,13 +188,13 @@ def _runs(compose_lines: Compose, typed: dict[str, list[str]], seeds: list[int] 
     runs, cells = [], set()
     all_points = points(blocks, typed, lambda key, point: _has(compose_lines, key, point), experiment)
     check_number(len(all_points) * len(seeds or [None]), f"{len(all_points)} cells x {len(seeds or [None])} seeds")
-    for point, label in zip(all_points, labels(all_points), strict=True):
+    for point in all_points:
         composition = _cell(compose_lines, point)
         cell = composition.config
         if (known := OmegaConf.to_yaml(cell)) in cells:  # blocks that differ may be the same once values are typed
             continue
         cells.add(known)
-        runs += [Composed(cell, seed, label, rank, composition.options) for rank, seed in enumerate(seeds or [None])]
+        runs += [Composed(cell, seed, "", rank, composition.options) for rank, seed in enumerate(seeds or [None])]
     return sorted(runs, key=attrgetter("rank"))
 
 

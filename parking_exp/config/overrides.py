@@ -148,24 +148,23 @@ def _check_options(override: Override, options: list[str]) -> None:
             raise ConfigError(f"{name}={value}: there is no such option{suggestion(str(value), options)}")
 
 
-def check_keys(
-    bases: Sequence[DictConfig], overrides: Sequence[Override], groups: Set[str], loader: ConfigLoader
-) -> None:
-    """Check that one of the configs of the chosen options has the keys that are changed or deleted.
+def check_keys(base: DictConfig, overrides: Sequence[Override], groups: Set[str], loader: ConfigLoader) -> None:
+    """Check that the config of the chosen options has the keys that are changed or deleted.
+
+    Keys of a group whose options are swept over are checked with each of its options, where cells are composed.
 
     Raises:
         ConfigError: with the closest name.
     """
+    swept = {override.key_or_group for override in overrides if override.is_sweep_override()}
     for override in overrides:
         is_key = not is_hydras(override.key_or_group) and not is_group(override, loader)
-        if is_key and override.type in {OverrideType.CHANGE, OverrideType.DEL}:
-            errors = [error for base in bases if (error := _key_error(base, override, groups))]
-            if len(errors) == len(bases):
-                raise errors[0]
+        group, dot, _ = override.key_or_group.partition(".")
+        if is_key and override.type in {OverrideType.CHANGE, OverrideType.DEL} and not (dot and group in swept):
+            _check_key(base, override, groups)
 
 
-def _key_error(base: DictConfig, override: Override, groups: Set[str]) -> ConfigError | None:
-    """Return what is wrong with a key that a config lacks, or None."""
+def _check_key(base: DictConfig, override: Override, groups: Set[str]) -> None:
     node: object = base
     parts = override.key_or_group.split(".")
     for depth, part in enumerate(parts):
@@ -174,21 +173,20 @@ def _key_error(base: DictConfig, override: Override, groups: Set[str]) -> Config
             parent = ".".join(parts[:depth])
             arguments = _arguments(node)
             if part in arguments:
-                return ConfigError(
+                raise ConfigError(
                     f"{override.key_or_group}: an argument of {parent}._target_ that its YAML does not list; "
                     f"write +{override.input_line}"
                 )
             if parent and isinstance(node, DictConfig) and not known:
-                return ConfigError(f"{override.key_or_group}: {parent} is empty so far; write +{override.input_line}")
+                raise ConfigError(f"{override.key_or_group}: {parent} is empty so far; write +{override.input_line}")
             if not parent and part in groups:
-                return ConfigError(f"{part}: no option is chosen; write {part}=OPTION {override.input_line}")
+                raise ConfigError(f"{part}: no option is chosen; write {part}=OPTION {override.input_line}")
             choices = {*known, *arguments, *([] if parent else groups)}
             if "experiment_name" in known:
                 choices.add("experiment")  # status.py and report.py have replaced it by that key already
-            return ConfigError(f"{override.key_or_group}: there is no such key{suggestion(part, choices)}")
+            raise ConfigError(f"{override.key_or_group}: there is no such key{suggestion(part, choices)}")
         assert isinstance(node, DictConfig)
         node = node._get_node(part) if node._is_none() else node[part]
-    return None
 
 
 def _arguments(node: object) -> set[str]:

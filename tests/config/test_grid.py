@@ -102,7 +102,7 @@ def test_seeds_on_a_command_line():
     assert [run.seed for run in runs("seeds=3")] == [0, 1, 2]
     assert [run.seed for run in runs("seeds=[5,2]")] == [run.seed for run in runs("seeds=5,2")] == [5, 2]
     assert [run.seed for run in runs("experiment=her_traps", "seed=9", "buffer=her_episode")] == [9] * 11
-    assert [run.seed for run in runs("experiment=parked", "seeds=null")] == [0]
+    assert [run.seed for run in runs("experiment=tutorial", "seeds=null")] == [0, 0]
     assert [run.seed for run in runs("seed=3", "seeds=null")] == [3]
     # All cells get their first seed before any gets its second.
     assert [(run.seed, run.algorithm.name) for run in runs("seeds=2", "algorithm=sac,td3")] == [
@@ -127,7 +127,10 @@ def test_seeds_on_a_command_line():
             ("algorithm=sac,td3", "algorithm.policy_delay=1,2"),
             "algorithm.policy_delay: algorithm=sac has no such key; leave out the option or the key",
         ),
-        (("algorithm=sac,td3", "algorithm.gama=1"), "algorithm.gama: there is no such key; did you mean 'gamma'?"),
+        (
+            ("algorithm=sac,td3", "algorithm.gama=1"),
+            "algorithm.gama: algorithm=sac has no such key; leave out the option or the key",
+        ),
         (("cells=3",), "cells=3 is not a list of {key: [values]}"),
         (("cells=[3]",), "cells=[3] is not a list of {key: [values]}"),
         (("budget=smal",), "budget=smal: there is no such option; did you mean 'small'?"),
