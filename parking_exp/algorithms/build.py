@@ -1,7 +1,7 @@
 """Build a Stable-Baselines3 model from a config: the one place where third-party classes are instantiated."""
 
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from typing import Any
 
 import numpy as np
@@ -176,5 +176,5 @@ def _precision(config: RunConfig, recorded: object) -> Precision:
         return config.precision
     if recorded in ("highest", "medium"):
         return recorded
-    model = build_model(config, make_training_envs(config.env, 1), seed=0, for_training=False)
-    return faster_precision(model)
+    with closing(make_training_envs(config.env, 1)) as env:
+        return faster_precision(build_model(config, env, seed=0, for_training=False))
