@@ -40,11 +40,11 @@ class Factor:
 
 
 def settings_of(config: Mapping[str, Any], prefix: str = "") -> dict[str, Setting]:
-    """Return a nested config as dotted keys, with lists as text."""
+    """Return a nested config as dotted keys, with lists as text, as stores have it."""
     flat: dict[str, Setting] = {}
     for key, value in config.items():
-        name, plain = f"{prefix}{key}", str(value) if isinstance(value, list) else value
-        flat |= settings_of(value, f"{name}.") if isinstance(value, Mapping) else {name: plain}
+        name, plain = f"{prefix}{key}", str(value) if isinstance(value, list | dict) else value
+        flat |= settings_of(value, f"{name}.") if isinstance(value, Mapping) and value else {name: plain}
     return flat
 
 

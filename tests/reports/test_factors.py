@@ -135,6 +135,7 @@ def test_labels_that_are_the_same_get_the_key_of_their_cell():
             ["n_envs=16", "env.training_duration=20,null", "buffer=her_final,replay", "algorithm.net_arch=[64,64],[8]"],
             None,
         ),
+        (["++algorithm.policy_kwargs={},{n_critics:3}", "algorithm.gamma=0.9,0.95"], None),
         (["experiment=her_traps", "algorithm.learning_rate=1e-5,3e-3", "seeds=1"], None),
     ],
 )
