@@ -10,12 +10,6 @@ from typing import Any, Literal
 
 from parking_exp.envs.outcomes import OUTCOMES, Outcome, Pose
 
-Bounds = tuple[float, float]
-
-SHARE: Bounds = (0.0, 1.0)
-SIZE: Bounds = (0.0, 1e9)
-SECONDS: Bounds = (0.0, 1e12)
-
 
 @dataclass(frozen=True)
 class Episode:
@@ -46,7 +40,6 @@ class Metric:
         unit: shown behind the label; empty for none.
         summary: format of a sentence's part about its mean; empty: sentences leave it out.
         higher_is_better: None where neither is.
-        bounds: lowest and highest possible value; others count as missing in reports.
         column: in `Results.runs`; None: `NAME_rate` or the name.
         in_curves: whether `Results.curves` has it.
         in_reports: whether reports have its mean over seeds.
@@ -59,7 +52,6 @@ class Metric:
     unit: str = ""
     summary: str = ""
     higher_is_better: bool | None = None
-    bounds: Bounds = SIZE
     column: str | None = None
     in_curves: bool = False
     in_reports: bool = False
@@ -98,7 +90,6 @@ def _rate(name: str, of: Callable[[Episode], bool], *, higher_is_better: bool) -
         dtype="bool",
         label=name.capitalize(),
         higher_is_better=higher_is_better,
-        bounds=SHARE,
         in_curves=True,
         in_reports=True,
     )
@@ -128,7 +119,6 @@ METRICS: tuple[Metric, ...] = (
         label="Return",
         summary="return {:.2f}",
         higher_is_better=True,
-        bounds=(-1e9, 1e9),
         column="episode_return",
         in_curves=True,
     ),
@@ -175,20 +165,18 @@ class RunMetric:
     Attributes:
         name: column in frames.
         key: its name in `metrics.jsonl` and in the store.
-        bounds: lowest and highest possible value; others count as missing in reports.
         in_runs: whether `Results.runs` has its last value.
         in_curves: whether `Results.curves` has it.
     """
 
     name: str
     key: str
-    bounds: Bounds
     in_runs: bool = False
     in_curves: bool = False
 
 
 RUN_METRICS: tuple[RunMetric, ...] = (
-    RunMetric(name="cpu_s", key="time/cpu_s", bounds=SECONDS, in_runs=True, in_curves=True),
-    RunMetric(name="wall_s", key="time/wall_s", bounds=SECONDS, in_runs=True),
-    RunMetric(name="real_share", key="buffer/real_share", bounds=SHARE, in_curves=True),
+    RunMetric(name="cpu_s", key="time/cpu_s", in_runs=True, in_curves=True),
+    RunMetric(name="wall_s", key="time/wall_s", in_runs=True),
+    RunMetric(name="real_share", key="buffer/real_share", in_curves=True),
 )

@@ -30,7 +30,6 @@ from parking_exp.reports.selection import Group, choose, group, one_cell, relabe
 from parking_exp.reports.summaries import real_share, shared_horizons, summarise
 from parking_exp.reports.untracked import with_untracked
 from parking_exp.results.frames import Results
-from parking_exp.results.invalid_values import within_bounds
 from parking_exp.runs.state import RunState
 
 MOST_PROBLEMS = 5
@@ -71,7 +70,6 @@ def build(
         ConfigError: a cell or baseline that there is not.
         RunNotFoundError: none of the runs is done, and `quick` is not asked for.
     """
-    results, impossible = within_bounds(results)
     runs, others = with_untracked(results.runs, untracked)
     chosen = _choose(runs, question)
     groups, factors, baseline = chosen.groups, chosen.factors, chosen.baseline
@@ -108,7 +106,7 @@ def build(
             findings.claims(cells, family),
             findings.about_factors(kind, factors, parts.effects, parts.interactions, parts.importance),
         ),
-        warnings=_warnings(groups, cells, origin, family, [*unsynced, *impossible, *results.problems, *problems]),
+        warnings=_warnings(groups, cells, origin, family, [*unsynced, *results.problems, *problems]),
         missing=warnings.together(
             warnings.missing(cells, others), warnings.without_runs(question.experiments, results.runs["experiment"])
         ),

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from parking_exp.evaluation.metrics import METRICS, SHARE, Metric
+from parking_exp.evaluation.metrics import METRICS, Metric
 from parking_exp.reports.curves import EvaluationCurve, RunEvaluations
 from parking_exp.reports.formats import finite
 from parking_exp.reports.lot_map import slot_rates
@@ -131,7 +131,7 @@ def _values(run: Mapping[str, Any]) -> dict[str, float | None]:
 def _means(runs: Sequence[Mapping[str, Any]]) -> dict[str, Interval]:
     """Return the means of metrics over runs, rates with intervals inside 0 ... 1."""
     found = [_values(run) for run in runs]
-    bounds = {name: SHARE if metric.is_rate else None for name, metric in REPORTED.items()}
+    bounds = {name: (0.0, 1.0) if metric.is_rate else None for name, metric in REPORTED.items()}
     return {name: _mean([one[name] for one in found], bounds[name]) for name in REPORTED}
 
 

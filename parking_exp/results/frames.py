@@ -1,27 +1,30 @@
 """Load the results of runs from an MLflow store."""
 
+import json
 import re
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any, cast
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 import pandas as pd
 
 from parking_exp.config.credentials import keep_password
 from parking_exp.config.paths import default_uri, directory_path
-from parking_exp.errors import ResultsError, first_few, plural, suggestion
+from parking_exp.errors import ResultsError, plural, suggestion
 from parking_exp.evaluation.metrics import METRICS, RUN_METRICS
 from parking_exp.evaluation.trajectories import TRAJECTORIES_FILE
 from parking_exp.results.dtypes import TEXT, column, flags, integers, text, times, typed
-from parking_exp.results.invalid_values import sound_points, sound_runs
 from parking_exp.results.recordings import EPISODES, read_episodes, read_trajectories
 from parking_exp.runs.layout_version import other_version
 from parking_exp.tracking.failures import is_store_failure, reason
-from parking_exp.tracking.reader import Point, Reader, StoredRun
+from parking_exp.tracking.reader import Reader
+
+if TYPE_CHECKING:
+    from mlflow.entities import Run
 
 STATUSES = ("done", "running", "failed", "interrupted", "pruned")
 # Parameters and metrics, and their columns.
@@ -87,7 +90,7 @@ class Results:
         self._refuse_unknown(run_id)
         places = self.runs.loc[self.runs["run_id"] == run_id, "artifact_uri"]
         try:
-            return read_trajectories(self._reader.artifact(places.iloc[0], TRAJECTORIES_FILE))
+            return read_trajectories(self._reader.artifact(run_id, places.iloc[0], TRAJECTORIES_FILE))
         except Exception as error:
             if not isinstance(error, ValueError) and not is_store_failure(error):  # a damaged file is a ValueError
                 raise
@@ -116,22 +119,17 @@ def load(
     reader = Reader(keep_password(uri)) if uri else Reader(default_uri(here), artifacts_in=here)
     ids = _chosen(reader, experiments)
     found = reader.runs(list(ids.values()))
-    sound, impossible = sound_runs(found)
-    kept = [run for run in sound if _is_ours(run)]
+    kept = [run for run in found if _is_ours(run)]
     if not kept:
         asked = reader.uri if experiments is None else f"experiment={','.join(ids)}"
         raise ResultsError(f"{asked}: it has no runs of parking_exp{f', but {len(found)} by others' if found else ''}")
-    histories, points = sound_points(reader.histories([run.run_id for run in kept], [*CURVE, *BESIDE_A_CURVE]))
-    runs = _runs(kept, {experiment_id: name for name, experiment_id in ids.items()}, histories, reader.run_dir)
-    curves = _curves(histories)
-    episodes, problems = _episodes(reader, runs)
-    wrong = {
-        run_id: "impossible values count as missing: "
-        + first_few([*impossible.get(run_id, []), *points.get(run_id, [])])
-        for run_id in {*impossible, *points}
-    }
-    said = (*_of_other_versions(kept), *_twice(runs), *_sentences(runs, wrong), *problems)
-    return Results(runs, curves, episodes, reader.uri, said, len(found) - len(kept), None if uri else here)
+    runs = _runs(kept, {experiment_id: name for name, experiment_id in ids.items()}, reader.run_dir)
+    logs, missing = _contents(reader, runs, "metrics.jsonl")
+    points, damaged = _points(logs)
+    runs["steps"] = runs["run_id"].map(points.groupby("run_id")["step"].max()).fillna(0).astype("int64")
+    episodes, problems = _episodes(reader, runs[runs["status"] != "running"], runs["run_id"].to_list())
+    said = (*_of_other_versions(kept), *_twice(runs), *_sentences(runs, {**missing, **damaged}), *problems)
+    return Results(runs, _curves(points), episodes, reader.uri, said, len(found) - len(kept), None if uri else here)
 
 
 def _chosen(reader: Reader, experiments: str | Iterable[str] | None) -> dict[str, str]:
@@ -147,22 +145,16 @@ def _chosen(reader: Reader, experiments: str | Iterable[str] | None) -> dict[str
     return {name: there[name] for name in asked}
 
 
-def _is_ours(run: StoredRun) -> bool:
-    tags = run.tags
+def _is_ours(run: "Run") -> bool:
+    tags = run.data.tags
     return all(name in tags for name in OURS) and tags["status"] in STATUSES and bool(SEED.fullmatch(tags["seed"]))
 
 
 def _runs(
-    found: Sequence[StoredRun],
-    names: Mapping[str, str],
-    histories: Mapping[str, list[Point]],
-    located: Callable[[str | None], str | None],
+    found: Sequence["Run"], names: Mapping[str, str], located: Callable[[str | None], str | None]
 ) -> pd.DataFrame:
-    steps: dict[str, int] = {}
-    for points in histories.values():
-        for run_id, step, _, _ in points:
-            steps[run_id] = max(step, steps.get(run_id, 0))
-    tags, params, metrics = ([getattr(run, what) for run in found] for what in ("tags", "params", "metrics"))
+    tags, params, metrics = ([getattr(run.data, what) for run in found] for what in ("tags", "params", "metrics"))
+    infos = [run.info for run in found]
     done = np.array([tag["status"] == "done" for tag in tags])
 
     def numbers(key: str) -> np.ndarray:
@@ -174,22 +166,22 @@ def _runs(
     versions = sorted({name for tag in tags for name in tag if name.startswith("version.")})
     keys = sorted({key for param in params for key in param})
     columns = {
-        "run_id": text(run.run_id for run in found),
-        "name": text(run.name for run in found),
-        "experiment": text(names[run.experiment_id] for run in found),
+        "run_id": text(info.run_id for info in infos),
+        "name": text(info.run_name for info in infos),
+        "experiment": text(names[info.experiment_id] for info in infos),
         "cell": tagged("cell"),
         "run_key": tagged("run_key"),
         "seed": np.array([int(tag["seed"]) for tag in tags], dtype="int64"),
         "status": pd.Categorical([tag["status"] for tag in tags], STATUSES),
         "error": text(tag.get("error") or None for tag in tags),
         **{name: integers(param.get(key) for param in params) for key, name in CONFIGURED.items()},
-        "steps": np.array([steps.get(run.run_id, 0) for run in found], dtype="int64"),
+        "steps": np.zeros(len(found), dtype="int64"),
         **{name: np.where(done, numbers(key), np.nan) for key, name in FINAL.items()},
         **{name: numbers(key) for key, name in COST.items()},
-        "started": times(run.start_ms for run in found),
-        "ended": times(run.end_ms for run in found),
+        "started": times(info.start_time for info in infos),
+        "ended": times(info.end_time for info in infos),
         "run_dir": text(located(tag.get("run_dir")) for tag in tags),
-        "artifact_uri": text(run.artifact_uri for run in found),
+        "artifact_uri": text(info.artifact_uri for info in infos),
         "git_commit": tagged("git_commit"),
         "git_dirty": flags(tag.get("git_dirty") for tag in tags),
         "cpu": tagged("cpu"),
@@ -199,34 +191,52 @@ def _runs(
     return pd.DataFrame(columns).sort_values(["experiment", "cell", "seed", "started"], ignore_index=True)
 
 
-def _curves(histories: Mapping[str, list[Point]]) -> pd.DataFrame:
+def _contents(reader: Reader, runs: pd.DataFrame, name: str) -> tuple[dict[str, bytes], dict[str, str]]:
+    """Return an artifact of each run that has it, and what is wrong with the others', by run id."""
+    contents, problems = {}, {}
+    places = list(zip(runs["run_id"], runs["artifact_uri"], strict=True))
+    for (run_id, _), status, content in zip(places, runs["status"], reader.artifacts(places, name), strict=True):
+        if isinstance(content, Exception):
+            problems[run_id] = f"{name} can't be read: {reason(content)}"
+        elif content is not None:
+            contents[run_id] = content
+        elif status == "done":  # others may not have come to an evaluation
+            problems[run_id] = f"{name} is missing in the store"
+    return contents, problems
+
+
+def _points(logs: Mapping[str, bytes]) -> tuple[pd.DataFrame, dict[str, str]]:
+    """Return the metrics of curves as one row per point, and what is wrong with logs, by run id."""
     names = {**CURVE, **BESIDE_A_CURVE}
-    points = [(names[key], *point) for key, found in histories.items() for point in found]
-    table = pd.DataFrame(points, columns=["name", "run_id", "step", "time_ms", "value"])
-    table = table.astype({"name": TEXT, "run_id": TEXT, "step": "int64", "value": "float64"})
+    rows, damaged = [], {}
+    for run_id, content in logs.items():
+        try:
+            for record in map(json.loads, content.splitlines()):
+                known = [(names[key], value) for key, value in record["metrics"].items() if key in names]
+                rows += [(name, run_id, int(record["step"]), float(value)) for name, value in known]
+        except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
+            damaged[run_id] = "metrics.jsonl can't be read: it is damaged"
+    return pd.DataFrame(rows, columns=["name", "run_id", "step", "value"]).astype(
+        {"name": TEXT, "run_id": TEXT, "step": "int64", "value": "float64"}
+    ), damaged
+
+
+def _curves(points: pd.DataFrame) -> pd.DataFrame:
+    evaluated = points.loc[points["name"].isin(list(CURVE.values())), ["run_id", "step"]].drop_duplicates()
     # A step that was logged twice counts as it was logged last.
-    table = table.sort_values("time_ms", kind="stable").drop_duplicates(["run_id", "step", "name"], keep="last")
-    evaluated = table.loc[table["name"].isin(list(CURVE.values())), ["run_id", "step"]].drop_duplicates()
-    wide = table.pivot(index=["run_id", "step"], columns="name", values="value")
-    wide = wide.reindex(columns=list(names.values())).rename_axis(columns=None).reset_index()
+    wide = points.drop_duplicates(["run_id", "step", "name"], keep="last").pivot(
+        index=["run_id", "step"], columns="name", values="value"
+    )
+    wide = wide.reindex(columns=[*CURVE.values(), *BESIDE_A_CURVE.values()]).rename_axis(columns=None).reset_index()
     return wide.merge(evaluated, on=["run_id", "step"]).sort_values(["run_id", "step"], ignore_index=True)
 
 
-def _episodes(reader: Reader, runs: pd.DataFrame) -> tuple[pd.DataFrame, Iterable[str]]:
-    """Return all episodes, and what is wrong with some runs' tables. Running ones send theirs when they are over."""
-    over = runs[runs["status"] != "running"]
-    texts, problems = {}, {}
-    contents = reader.artifacts(over["artifact_uri"], "episodes.csv")
-    for run_id, status, content in zip(over["run_id"], over["status"], contents, strict=True):
-        if isinstance(content, Exception):
-            problems[run_id] = f"can't be read: {reason(content)}"
-        elif content is not None:
-            texts[run_id] = content
-        elif status == "done":  # others may not have come to an evaluation
-            problems[run_id] = "is missing in the store"
-    episodes, broken = read_episodes(texts, runs["run_id"].to_list())
-    problems |= {run_id: f"can't be read: {what}" for run_id, what in broken.items()}
-    return episodes, _sentences(runs, {run_id: f"episodes.csv {what}" for run_id, what in problems.items()})
+def _episodes(reader: Reader, over: pd.DataFrame, run_ids: Sequence[str]) -> tuple[pd.DataFrame, Iterable[str]]:
+    """Return the episodes of runs that are over, and what is wrong with some runs' tables."""
+    texts, problems = _contents(reader, over, "episodes.csv")
+    episodes, broken = read_episodes(texts, run_ids)
+    problems |= {run_id: f"episodes.csv can't be read: {what}" for run_id, what in broken.items()}
+    return episodes, _sentences(over, problems)
 
 
 def _sentences(runs: pd.DataFrame, problems: Mapping[str, str]) -> Iterator[str]:
@@ -235,9 +245,11 @@ def _sentences(runs: pd.DataFrame, problems: Mapping[str, str]) -> Iterator[str]
             yield f"run {run_id} ({cell}, seed {seed}): {problems[run_id]}"
 
 
-def _of_other_versions(found: Sequence[StoredRun]) -> Iterator[str]:
+def _of_other_versions(found: Sequence["Run"]) -> Iterator[str]:
     """Say how many runs another version of this package has made."""
-    for maker, number in Counter(other_version({"layout": _layout(run.tags.get("layout"))}) for run in found).items():
+    for maker, number in Counter(
+        other_version({"layout": _layout(run.data.tags.get("layout"))}) for run in found
+    ).items():
         if maker:
             what = "only that version can evaluate them or go on with them"
             yield f"{plural(number, 'run')} made by {maker}: the numbers are read as they are; {what}"

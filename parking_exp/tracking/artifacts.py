@@ -78,6 +78,7 @@ def _files(directory: RunDirectory, under_way: bool) -> dict[str, Path]:
     for folder in checkpoint_folders(directory):
         files[f"checkpoints/{folder.name}/{MODEL}"] = folder / MODEL
         files[f"checkpoints/{folder.name}/replay_buffer.json"] = folder / MANIFEST
+        files["metrics.jsonl"] = folder / "metrics.jsonl"  # what is final of it
     if not under_way:
         files |= {name: path / name for name in AT_THE_END}
         files |= {f"models/{name}": directory.models / name for name in ("best.zip", "final.zip")}

@@ -12,7 +12,7 @@ import numpy as np
 import pandas as pd
 import pytest
 import scipy.stats
-from support.runs import in_memory, store
+from support.runs import in_memory
 from support.store_factory import Look, compose, make_store
 
 from parking_exp.errors import ConfigError, RunNotFoundError
@@ -196,31 +196,6 @@ def test_metrics_that_are_nan_leave_a_run_out_and_say_so(output_dir):
     assert (found.cells[0].success.value, found.cells[0].success.n) == (pytest.approx(0.6), 2)
     assert "“sac, her_future”: a run was finished without a final success rate, and left out." in found.warnings
     assert not any(math.isnan(value) for value in numbers(found.plain()))
-
-
-@pytest.mark.parametrize(("value", "words"), [(7.5, "7.5"), (-0.5, "-0.5"), (math.inf, "1.79769e+308")])
-def test_a_rate_that_is_impossible_leaves_its_run_out_and_is_said(output_dir, value, words):
-    runs = made(output_dir, "one", {"sac": []}, range(3), lambda *_: Look(success=0.6, crash=0.2))
-    run_id = runs["sac", 1].run_id
-    store(output_dir).log_metric(run_id, "final/success_rate", value, step=400)
-    found = content(output_dir)
-    assert (found.cells[0].success.value, found.cells[0].success.n) == (pytest.approx(0.6), 2)
-    assert (found.cells[0].crash.value, found.cells[0].crash.n) == (pytest.approx(0.2), 3)
-    cell = found.cells[0].name
-    assert f"run {run_id} ({cell}, seed 1): impossible values count as missing: success_rate={words}." in found.warnings
-
-
-def test_impossible_values_of_every_kind_count_as_missing(output_dir):
-    runs = made(output_dir, "one", {"sac": []}, range(2), lambda *_: Look(curve=(0.5, 1.0)))
-    run_id, client = runs["sac", 1].run_id, store(output_dir)
-    for key, value, step in [("final/steps_mean", -1, 400), ("time/cpu_s", -math.inf, 400), ("eval/success_rate", 2, 200),
-                             ("buffer/real_share", -1, 200), ("eval/crash_rate", 0.5, -7)]:  # fmt: skip
-        client.log_metric(run_id, key, value, step=step)
-    found = content(output_dir)
-    (warning,) = [sentence for sentence in found.warnings if run_id in sentence]
-    assert warning.endswith("count as missing: step=-7, episode_steps=-1, cpu_s=-1.79769e+308 and 3 more.")
-    assert (found.cells[0].episode_steps.n, found.cells[0].cpu_s.n, found.cells[0].success.n) == (1, 1, 2)
-    assert dict(zip(found.cells[0].curve.step, found.cells[0].curve.n, strict=True)) == {200: 1, 400: 2}
 
 
 def test_values_that_are_not_of_their_columns_type_break_no_report(output_dir):

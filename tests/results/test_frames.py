@@ -220,60 +220,6 @@ def test_nan_metrics_stay_nan_and_their_evaluations_are_there(output_dir):
     assert math.isnan(run["success_rate"])
 
 
-def test_values_of_another_type_than_their_columns_count_as_missing_and_are_said(output_dir):
-    look = Look(curve=(0.5, 1.0), success=0.8)
-    made = make_store(output_dir, "e", {"": []}, range(6), lambda *_: look)
-    ids = [made["", seed].run_id for seed in range(6)]
-    with closing(sqlite3.connect(output_dir / "mlflow.db")) as database:
-        for statement, run_id in [
-            ("UPDATE runs SET start_time = 'abc', end_time = x'ff', name = x'00'", ids[0]),
-            ("UPDATE latest_metrics SET value = 'abc' WHERE key = 'final/success_rate'", ids[1]),
-            ("UPDATE metrics SET value = 'abc' WHERE key = 'eval/success_rate' AND step = 200", ids[2]),
-            (
-                "UPDATE metrics SET step = 1.5, timestamp = 'x', value = 0.5 WHERE key = 'eval/success_rate' AND step = 200",
-                ids[3],
-            ),
-            ("UPDATE runs SET artifact_uri = NULL", ids[4]),
-            ("UPDATE tags SET value = NULL WHERE key = 'cpu'", ids[5]),
-        ]:
-            joint = "AND" if "WHERE" in statement else "WHERE"
-            assert database.execute(f"{statement} {joint} run_uuid = ?", (run_id,)).rowcount == 1
-        database.commit()
-    found = load("e", output_dir=output_dir)
-    runs, cell = found.runs.set_index("run_id").loc[ids], made["", 0].config().cell
-    assert list(runs["started"].isna()) == list(runs["ended"].isna()) == [True, *[False] * 5]
-    assert list(runs["success_rate"].isna()) == [False, True, *[False] * 4]
-    assert (runs["name"].iloc[0], runs["artifact_uri"].iloc[4], runs["cpu"].isna().iloc[5]) == ("", "", True)
-    rates = [list(found.curves.loc[found.curves["run_id"] == run_id, "success_rate"]) for run_id in ids]
-    assert [rate[-1] for rate in rates] == [1.0] * 6
-    assert [math.isnan(rate[0]) for rate in rates] == [False, False, True, True, False, False]
-    assert set(found.episodes["run_id"]) == set(ids) - {ids[4]}
-    said = {
-        0: "name=b'\\x00', start_time='abc', end_time=b'\\xff'",
-        1: "final/success_rate='abc'",
-        2: f"eval/success_rate='abc' (step=200, time={STARTED_MS + 200})",
-        3: "eval/success_rate=0.5 (step=1.5, time='x')",
-        4: "artifact_uri=None",
-        5: "cpu=None",
-    }
-    assert found.problems == (
-        *(f"run {ids[n]} ({cell}, seed {n}): impossible values count as missing: {what}" for n, what in said.items()),
-        f"run {ids[4]} ({cell}, seed 4): episodes.csv can't be read: the store does not say where its artifacts are",
-    )
-    with pytest.raises(ResultsError, match=r"can't be read: the store does not say where its artifacts are$"):
-        found.trajectories(ids[4])
-
-
-def test_a_step_that_was_logged_twice_counts_once_as_it_was_logged_last(output_dir):
-    (directory,) = make_store(output_dir, "e", {"": []}, [0], lambda *_: Look(curve=(1.0, 1.0))).values()
-    client = store(output_dir)
-    client.log_metric(directory.run_id, "eval/success_rate", 0.25, timestamp=STARTED_MS + 10**6, step=200)
-    client.log_metric(directory.run_id, "eval/success_rate", 0.75, timestamp=STARTED_MS - 10**6, step=400)
-    client.log_metric(directory.run_id, "time/cpu_s", 7.0, timestamp=STARTED_MS, step=350)  # beside an evaluation
-    curves = load("e", output_dir=output_dir).curves
-    assert list(zip(curves["step"], curves["success_rate"], strict=True)) == [(200, 0.25), (400, 1.0)]
-
-
 def test_lost_and_damaged_artifacts_are_said_and_spoil_nothing_else(output_dir):
     header = "phase,step,scene,outcome,parked,steps,return,distance_m,heading_error_rad,speed_mps\n"
     line = "certified,400,0,success,True,9,-1.5,0.1,0.01,0.2\n"

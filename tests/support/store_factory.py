@@ -314,9 +314,11 @@ def _insert(
         run_id = uuid.uuid4().hex
         artifact_uri = f"{location}/{run_id}/artifacts"
         lines, episodes, final = _content(config, look)
+        place = Path(artifact_uri.removeprefix("file://"))
+        place.mkdir(parents=True)
+        if lines:
+            (place / "metrics.jsonl").write_text("".join(json.dumps(line) + "\n" for line in lines))
         if look.status != "running":
-            place = Path(artifact_uri.removeprefix("file://"))
-            place.mkdir(parents=True)
             _write_artifacts(place, episodes, final, look)
         directory.path.mkdir(parents=True, exist_ok=True)
         write_json(
