@@ -11,7 +11,19 @@ from parking_exp.config.overrides import in_quotes
 from parking_exp.errors import ConfigError
 from parking_exp.reports.run import report, validate_report
 
-KEYS = {"experiment_name", "from", "export", "cells", "baseline", "output_dir", "name", "tracking", "report", "hydra"}
+KEYS = {
+    "experiment_name",
+    "from",
+    "export",
+    "cells",
+    "baseline",
+    "output_dir",
+    "name",
+    "storage",
+    "tracking",
+    "report",
+    "hydra",
+}
 
 
 def main() -> None:

@@ -16,7 +16,7 @@ from parking_exp.cli.command import for_each, run_command
 from parking_exp.config.paths import default_uri, directory_path
 from parking_exp.config.schema import ConfigModel, Name, StoreConfig
 from parking_exp.config.validate import parse
-from parking_exp.errors import ConfigError, RunNotFoundError, StoreError, UnsyncedError, plural, suggestion
+from parking_exp.errors import ConfigError, ParkingError, RunNotFoundError, UnsyncedError, plural, suggestion
 from parking_exp.runs.directory import RunDirectory
 from parking_exp.runs.lookup import find_runs
 from parking_exp.runs.state import RunState, as_plain, read_state
@@ -30,6 +30,7 @@ from parking_exp.runs.state_tables import (
 )
 from parking_exp.terminal import console, say
 from parking_exp.tracking.sync_all import sync_all
+from parking_exp.tuning.schema import Storage
 from parking_exp.tuning.search import SEARCH_FILE, study_in
 from parking_exp.tuning.tables import progress_lines, trial_table
 from parking_exp.tuning.trials import counts, rows
@@ -57,6 +58,7 @@ class StatusRequest(ConfigModel):
     watch: bool
     sync: bool
     tracking: StoreConfig
+    storage: Storage | None
 
     @property
     def output_path(self) -> Path:
@@ -138,7 +140,7 @@ def _sync(request: StatusRequest) -> None:
 def _picture(request: StatusRequest, states: list[RunState]) -> RenderableType:
     lines = (running_lines, stopped_lines, failure_lines, damaged_lines, version_lines)
     parts: list[RenderableType] = [cell_table(states), *(line for some in lines for line in some(states))]
-    return Group(*parts, *(part for folder in _searches(request) for part in _search_picture(folder)))
+    return Group(*parts, *(part for folder in _searches(request) for part in _search_picture(folder, request.storage)))
 
 
 def _searches(request: StatusRequest) -> list[Path]:
@@ -146,17 +148,17 @@ def _searches(request: StatusRequest) -> list[Path]:
     return sorted(file.parent for file in request.output_path.glob(f"{request.experiment_name or '*'}/{SEARCH_FILE}"))
 
 
-def _search_picture(folder: Path) -> Iterator[RenderableType]:
+def _search_picture(folder: Path, storage: str | None) -> Iterator[RenderableType]:
     """Yield the trials of a search, the best first, and how far it is."""
     try:
-        if (found := study_in(folder)) is None:
+        if (found := study_in(folder, storage)) is None:
             return
         settings, trials = found.search, rows(found.study, folder, found.n_trials)
         yield ""
         yield f"search {folder.name}"
         yield trial_table(trials, settings)
         yield from progress_lines(trials, settings, found.n_trials)
-    except (ConfigError, StoreError) as error:
+    except ParkingError as error:
         yield f"search {folder.name}: {error}"
 
 
@@ -165,10 +167,10 @@ def _searches_plain(request: StatusRequest) -> list[dict[str, Any]]:
     plain = []
     for folder in _searches(request):
         try:
-            if (found := study_in(folder)) is None:
+            if (found := study_in(folder, request.storage)) is None:
                 continue
             trials = rows(found.study, folder, found.n_trials)
-        except (ConfigError, StoreError) as error:
+        except ParkingError as error:
             plain.append({"experiment": folder.name, "error": str(error)})
         else:
             about: dict[str, Any] = {

@@ -35,7 +35,7 @@ GROUP_PREFIX = re.compile(r"\b(algorithm|buffer|env)\.")
 WHERE_FROM = "Cells of a search have runs with its tuning seeds, by which trials were chosen"
 
 
-def with_search(report: ReportData, output_dir: Path) -> ReportData:
+def with_search(report: ReportData, output_dir: Path, storage: str | None = None) -> ReportData:
     """Return a report with the search of its experiments, and unchanged where none of them has one.
 
     Of several searches it is the first. One whose study can't be read is left out with a warning.
@@ -46,7 +46,7 @@ def with_search(report: ReportData, output_dir: Path) -> ReportData:
     for name in searches:
         others.remove(name)
         try:
-            found = read_tuning(output_dir / name)
+            found = read_tuning(output_dir / name, storage)
         except StoreError as error:
             problems.append(f"The search of {name} is left out: {error}.")
         if found is not None:
@@ -69,14 +69,14 @@ def with_tuning(report: ReportData, found: Tuning) -> ReportData:
     )
 
 
-def read_tuning(folder: Path) -> Tuning | None:
-    """Return the search of an experiment's folder; None where it has no study.
+def read_tuning(folder: Path, storage: str | None) -> Tuning | None:
+    """Return the search of an experiment's folder; None where it has no study, see `study_in`.
 
     Raises:
         StoreError: its study, or what it was made with, can't be read.
     """
     try:
-        found = study_in(folder)
+        found = study_in(folder, storage)
         if found is None:
             return None
         trials = rows(found.study, folder, found.n_trials)

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any
 from omegaconf import DictConfig, OmegaConf, open_dict
 
 from parking_exp.config.compose import Composed, composed_runs
+from parking_exp.config.credentials import strip_password
 from parking_exp.config.experiment_files import with_absolute_path
 from parking_exp.config.overrides import in_quotes
-from parking_exp.config.paths import absolute
 from parking_exp.config.schema import RunConfig
 from parking_exp.config.validate import check, parse, validate
 from parking_exp.errors import ConfigError, OutputDirectoryError, suggestion
@@ -192,15 +192,16 @@ class Search:
         """Write down what workers and other commands need to find the study and compose the configs of trials."""
         request, extra = self.request, self.extra_config_dir
         # Workers may be started from another directory.
-        overrides = [with_absolute_path(line) for line in self.overrides]
+        overrides = [_without_password(with_absolute_path(line)) for line in self.overrides]
         typed = {"overrides": overrides, "extra_config_dir": extra and str(Path(extra).absolute())}
-        storage = absolute(request.storage) if request.storage else None
-        settings = {"storage": storage, "n_trials": request.n_trials}
+        settings = {"storage": request.storage, "n_trials": request.n_trials}
         write_json(self.folder / SEARCH_FILE, {**typed, **settings, "search": request.search.model_dump(by_alias=True)})
 
     @classmethod
-    def load(cls, folder: Path) -> "Search":
+    def load(cls, folder: Path, storage: str | None) -> "Search":
         """Return the search of an experiment's folder as it was typed last, wherever the process runs that asks.
+
+        The storage is that of the caller: what the folder's files name is never opened.
 
         Raises:
             ConfigError: there is none.
@@ -208,9 +209,15 @@ class Search:
         stored = read_object(folder / SEARCH_FILE)
         if not isinstance(stored.get("overrides"), list):
             raise ConfigError(f"{folder / SEARCH_FILE} can't be read; type the search again")
-        known = {"output_dir": str(folder.parent), "storage": stored.get("storage")}
-        found = [f"{key}={in_quotes(value)}" for key, value in known.items() if value]
-        return cls([*stored["overrides"], *found], stored.get("extra_config_dir"))
+        known = [f"output_dir={in_quotes(str(folder.parent))}", f"storage={in_quotes(storage) if storage else 'null'}"]
+        return cls([*stored["overrides"], *known], stored.get("extra_config_dir"))
+
+
+def _without_password(line: str) -> str:
+    """Return an override, with the password of a URI left out."""
+    key, _, value = line.partition("=")
+    uri = value.strip("'\"")
+    return line if strip_password(uri) == uri else f"{key}={in_quotes(strip_password(uri))}"
 
 
 def _contexts(search: SearchConfig, key: str) -> list[dict[str, Any]]:
@@ -250,17 +257,27 @@ class StoredSearch:
     study: "Study"
 
 
-def study_in(folder: Path) -> StoredSearch | None:
+def study_in(folder: Path, storage: str | None = None) -> StoredSearch | None:
     """Return the search of an experiment's folder, for reading; None without one.
 
+    Args:
+        folder: of the experiment; the database that its files name is opened only if it is `storage`.
+        storage: that was typed.
+
     Raises:
-        ConfigError: its settings can't be read.
+        ConfigError: its settings can't be read, or its study lies in another storage.
         StoreError: its storage fails.
+        UntrustedError: see `storage_of`.
     """
     stored = read_object(folder / SEARCH_FILE)
     if "search" not in stored:
         return None
     settings = check(SearchConfig, stored["search"])
-    n_trials = stored.get("n_trials")
-    study = load_study(folder.name, storage_of(folder, stored.get("storage")))
+    n_trials, place = stored.get("n_trials"), stored.get("storage")
+    place = strip_password(place) if isinstance(place, str) else None
+    if place not in (None, storage):
+        raise ConfigError(f"the study is in {place}; pass storage={place} to read it")
+    study = load_study(folder.name, storage_of(folder, place))
+    if study is not None and len(study.directions) != len(settings.objective):
+        raise ConfigError(f"{folder / SEARCH_FILE} and the study differ in their number of objectives")
     return None if study is None else StoredSearch(settings, n_trials if isinstance(n_trials, int) else 0, study)

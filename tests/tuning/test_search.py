@@ -1,10 +1,13 @@
 """A search and the configs of its trials: as Hydra would compose them, and checked before anything starts."""
 
+import json
+
 import pytest
 import yaml
 from support.runs import make_config, options
 
 from parking_exp.config.compose import compose
+from parking_exp.config.credentials import with_password
 from parking_exp.errors import ConfigError, OutputDirectoryError
 from parking_exp.tuning.search import Search, study_in
 from parking_exp.tuning.unit_costs import shape
@@ -73,10 +76,26 @@ def test_a_worker_finds_the_search_from_another_directory(tmp_path, monkeypatch)
     search.open()
     search.save()
     monkeypatch.chdir(tmp_path)
-    found = Search.load(tmp_path / "here" / "out" / "smoke")
+    found = Search.load(tmp_path / "here" / "out" / "smoke", search.request.storage)
     assert found.folder == tmp_path / "here" / "out" / "smoke"
     assert found.request.storage == f"sqlite:///{tmp_path / 'here' / 'study.db'}"
     assert found.request.n_trials == 7
+
+
+def test_passwords_are_not_stored_and_a_worker_takes_its_storage_from_its_caller_alone(tmp_path, monkeypatch):
+    monkeypatch.delenv("PARKING_EXP_PASSWORDS", raising=False)
+    uris = [f"{key}=postgresql://me:sec'ret@host/{key}?password=secret" for key in ("storage", "tracking.uri")]
+    search = Search([*SMOKE, *(f'{key}="{uri}"' for key, _, uri in (uri.partition("=") for uri in uris)),
+                     f"output_dir={tmp_path}"])  # fmt: skip
+    search.folder.mkdir()
+    search.save()
+    text = (search.folder / "search.json").read_text()
+    assert "secret" not in text
+    assert "sec'ret" not in text
+    assert json.loads(text)["storage"] == search.request.storage == "postgresql://me@host/storage"
+    assert with_password(search.request.storage) == uris[0].removeprefix("storage=")
+    assert Search.load(search.folder, "sqlite:////other.db").request.storage == "sqlite:////other.db"
+    assert Search.load(search.folder, None).request.storage is None
 
 
 def test_the_number_of_trials_is_the_last_that_was_typed(tmp_path):
@@ -85,7 +104,7 @@ def test_the_number_of_trials_is_the_last_that_was_typed(tmp_path):
         search.open()
         search.save()
     assert study_in(search.folder).n_trials == 3
-    assert Search.load(search.folder).request.n_trials == 3
+    assert Search.load(search.folder, None).request.n_trials == 3
 
 
 def test_a_folder_that_can_not_be_made_gets_a_sentence(tmp_path):
