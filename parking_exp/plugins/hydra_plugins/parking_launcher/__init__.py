@@ -16,7 +16,7 @@ from omegaconf import DictConfig
 
 
 class _RunLauncher(Launcher):
-    """Base of both launchers: a job is a run, `run=PATH`, or a worker of a search, `study=PATH n_trials=N [storage=URI]`."""
+    """Base of both launchers: a job is a run, `run=PATH`, or a search's worker, `study=PATH n_trials=N storage=URI`."""
 
     def setup(self, *, hydra_context: HydraContext, task_function: TaskFunction, config: DictConfig) -> None:
         """Do nothing: the task follows from the jobs."""
