@@ -25,7 +25,7 @@ COMPILE = $(if $(PYTHONDONTWRITEBYTECODE),env -u PYTHONDONTWRITEBYTECODE $(BIN)/
 INSTALL = $(UV) pip install --python $(BIN)/python --constraint constraints.txt --build-constraint constraints.txt $(PLACES)
 
 .DEFAULT_GOAL := help
-.PHONY: help setup train test test-slow lint types docs check ui tensorboard dashboard benchmark results-page lock clean
+.PHONY: help setup train test test-slow test-server lint types docs check ui tensorboard dashboard benchmark results-page lock clean
 
 help:  ## show this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):[^#]*## /\1\t/' | expand -t 14
@@ -60,6 +60,9 @@ test: setup  ## the fast test suite, on two cores
 
 test-slow: setup  ## the proofs that take minutes
 	$(BIN)/python -m pytest -m slow $(ARGS)
+
+test-server: $(VENV)/.ui  ## the tests that need an MLflow server, which the full mlflow has
+	$(BIN)/python -m pytest -m server $(ARGS)
 
 lint: setup  ## style, format, and imports between rooms
 	$(BIN)/ruff check .

@@ -4,7 +4,14 @@ A message is a sentence, and the command line prints it without a traceback.
 """
 
 import difflib
+import errno
 from collections.abc import Iterable, Sequence
+
+# What the system says of a disk and of rights on it. Any other `OSError` may be a bug, and keeps its traceback.
+DISK_ERRORS = {
+    errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EROFS, errno.EACCES, errno.EPERM, errno.EEXIST,
+    errno.ENOTDIR, errno.EISDIR, errno.ENAMETOOLONG,
+}  # fmt: skip
 
 
 class ParkingError(Exception):

@@ -20,7 +20,14 @@ from omegaconf import DictConfig
 
 from parking_exp.config.compose import VERSION_BASE, composed, config_dir
 from parking_exp.config.overrides import quoted
-from parking_exp.errors import ConfigError, InterruptedRunError, OutputDirectoryError, ParkingError, did_you_mean
+from parking_exp.errors import (
+    DISK_ERRORS,
+    ConfigError,
+    InterruptedRunError,
+    OutputDirectoryError,
+    ParkingError,
+    did_you_mean,
+)
 from parking_exp.terminal import LogFormatter, say
 
 Task = Callable[[DictConfig], object]
@@ -83,6 +90,8 @@ def errors_as_sentences() -> Iterator[None]:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(1)
     except OSError as error:  # a full disk, a file in the way
+        if error.errno not in DISK_ERRORS:
+            raise
         where = f": {error.filename}" if error.filename else ""
         fail(OutputDirectoryError(f"{error.strerror or error}{where}"))
     except KeyboardInterrupt:

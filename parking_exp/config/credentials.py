@@ -9,13 +9,13 @@ import os
 import re
 
 VARIABLE = "PARKING_EXP_PASSWORDS"  # JSON: URI without password -> URI as passed
-USERINFO = re.compile(r"^([\w+.-]+://[^:/@?]*):.*@")  # up to the last @: SQLAlchemy allows most characters in a password
-QUERY = re.compile(r"(?<=[?&])(?:password|passwd)=[^&]*&?")
+USERINFO = re.compile(r"(://[^:/@?\s]*):\S*@")  # up to the last @: a password may have one
+QUERY = re.compile(r"([?&])(?:password|passwd)=[^&\s'\"]*(&?)")
 
 
-def strip_password(uri: str) -> str:
-    """Return a URI without its password, the user kept."""
-    return QUERY.sub("", USERINFO.sub(r"\1@", uri)).rstrip("?&")
+def strip_password(text: str) -> str:
+    """Return a URI, or a text with URIs in it, without passwords; users stay."""
+    return QUERY.sub(lambda found: found[1] if found[2] else "", USERINFO.sub(r"\1@", text))
 
 
 def keep_password(uri: str) -> str:

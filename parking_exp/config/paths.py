@@ -4,7 +4,6 @@ What lies below an output directory is written down relative to it, and found fr
 """
 
 import os
-import re
 from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -70,11 +69,6 @@ def is_same_store(one: str, other: str) -> bool:
     """Whether two URIs name the same store."""
     ours, theirs = database(one), database(other)
     return one == other if ours is None or theirs is None else ours.resolve() == theirs.resolve()
-
-
-def without_password(text: str) -> str:
-    """Return a text with the user and password of every URI in it starred out."""
-    return re.sub(r"//\S*@", "//***@", text)  # up to the last @ of a word: passwords may have one
 
 
 def lies_inside(path: Path, folder: Path) -> bool:

@@ -10,8 +10,9 @@ from fractions import Fraction
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
 
+from parking_exp.config.credentials import strip_password
 from parking_exp.config.her_options import GOAL_STRATEGIES
 from parking_exp.config.paths import directory_path
 from parking_exp.config.run_key import result_part, short_hash
@@ -40,6 +41,7 @@ REPLAY_CLASSES = ("HerBuffer", "HerReplayBuffer", "DictReplayBuffer")  # ours an
 
 NAME = r"^[A-Za-z0-9][A-Za-z0-9._-]*$"
 Name = Annotated[str, Field(pattern=NAME, max_length=80)]
+Uri = Annotated[str, AfterValidator(strip_password)]
 Positive = Annotated[int, Field(ge=1)]
 Count = Annotated[int, Field(ge=0)]
 NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
@@ -237,14 +239,14 @@ class CheckpointConfig(ConfigModel):
 class StoreConfig(ConfigModel):
     """Another store than that of the output directory."""
 
-    uri: str | None
+    uri: Uri | None
 
 
 class TrackingConfig(ConfigModel):
     """Where metrics go."""
 
     mlflow: bool
-    uri: str | None
+    uri: Uri | None
     stdout: bool
     csv: bool
     tensorboard: bool

@@ -12,6 +12,7 @@ from omegaconf.errors import MissingMandatoryValue, OmegaConfBaseException
 from pydantic import BaseModel, ValidationError
 
 from parking_exp.config.constructor_arguments import check_arguments
+from parking_exp.config.credentials import keep_password
 from parking_exp.config.messages import sentence
 from parking_exp.config.rules import check_rules
 from parking_exp.config.schema import RunConfig, SweepOptions
@@ -51,6 +52,9 @@ def parse(model: type[Model], config: DictConfig | Mapping[str, Any], without: S
         raise ConfigError(f"{error.full_key} is missing") from error
     except OmegaConfBaseException as error:
         raise ConfigError(f"{error.full_key}: {str(error).splitlines()[0]}") from error
+    tracking = plain.get("tracking")
+    if isinstance(tracking, dict) and isinstance(uri := tracking.get("uri"), str):
+        keep_password(uri)  # the schema drops it
     return check(model, {key: value for key, value in plain.items() if key not in without})
 
 

@@ -65,8 +65,7 @@ class Agent:
         try:
             load_weights(self.weights, model)
         except ModelError as error:
-            again = "delete it and type its training command again, which makes it"
-            ways = _ways_out(self.directory, self.weights.stem, again)
+            ways = _ways_out(self.directory, self.weights.stem)
             if not isinstance(error, DamagedModelError):
                 ways = f"put back the config.yaml that it was trained with, or {ways}"
             raise ModelError(f"{error}; {ways}") from error
@@ -95,8 +94,7 @@ def find_agent(run: str, output_dir: Path, model: ModelName = "final", *, trust:
     weights = directory.models / f"{model}.zip"
     if not weights.exists():
         state = "is gone" if directory.status == "done" else "has not been made yet"
-        ways = _ways_out(directory, model, "type its training command again, which makes it")
-        raise RunNotFoundError(f"run={run}: {weights} {state}; {ways}")
+        raise RunNotFoundError(f"run={run}: {weights} {state}; {_ways_out(directory, model)}")
     config = directory.config()
     directory.check_links()
     if not trust:
@@ -152,14 +150,10 @@ def _pretrained(run: str, output_dir: Path) -> Agent:
     return Agent(f"pretrained agent {name}", config, folder / POLICY_FILE, results, "highest")
 
 
-def _ways_out(directory: RunDirectory, model: str, again: str) -> str:
-    """Say what to type where a run's model is gone or damaged; `again` has the last checkpoint make it."""
+def _ways_out(directory: RunDirectory, model: str) -> str:
+    """Return what to enter where a run's model is missing or damaged."""
     other = "best" if model == "final" else "final"
     ways = [f"try model={other}"] if (directory.models / f"{other}.zip").exists() else []
     if directory.status != "done":
         return (ways or ["let it train first"])[0]
-    if directory.final_checkpoint.exists():
-        ways.append(f"{again} from the last checkpoint")
-    else:
-        ways.append(f"delete {directory.path} to train it afresh, since no checkpoint of its end is left")
-    return ", or ".join(ways)
+    return ", or ".join([*ways, f"delete {directory.path} to train it afresh"])

@@ -8,7 +8,7 @@ from typing import Annotated
 from omegaconf import DictConfig
 from pydantic import Field
 
-from parking_exp.config.paths import default_uri, directory_path, is_same_store, without_password
+from parking_exp.config.paths import default_uri, directory_path, is_same_store
 from parking_exp.config.rules import check_env
 from parking_exp.config.run_key import short_hash
 from parking_exp.config.schema import (
@@ -173,10 +173,9 @@ def _store(request: EvaluationRequest, directory: RunDirectory, output_dir: Path
     if not request.tracking.mlflow or uri is None:
         return
     if request.tracking.uri is None and tracked_in is not None and not is_same_store(tracked_in, uri):
-        place = without_password(tracked_in)
         say(
-            f"not stored     the run is tracked in {place}, not in the store of output_dir={output_dir}; "
-            f"tracking.uri={place} sends the results there"
+            f"not stored     the run is tracked in {tracked_in}, not in the store of output_dir={output_dir}; "
+            f"tracking.uri={tracked_in} sends the results there"
         )
         return
     from parking_exp.tracking.sync import try_sync

@@ -7,7 +7,6 @@ from datetime import UTC, datetime
 import pandas as pd
 
 from parking_exp import __version__
-from parking_exp.config.paths import without_password
 from parking_exp.envs.geometry import N_SLOTS
 from parking_exp.errors import RunNotFoundError, plural
 from parking_exp.reports import findings, warnings
@@ -86,7 +85,7 @@ def build(
     family = compare_pairs(cells, baseline)
     if question.cells:
         others = []
-    origin = provenance(groups, chosen.left_out, without_password(results.uri), others)
+    origin = provenance(groups, chosen.left_out, results.uri, others)
     return ReportData(
         title=" and ".join(question.experiments),
         experiments=list(question.experiments),

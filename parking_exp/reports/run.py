@@ -12,7 +12,7 @@ from omegaconf import DictConfig
 from pydantic import Field
 
 from parking_exp.config.compose import composed
-from parking_exp.config.paths import directory_path, refuse_links, without_password
+from parking_exp.config.paths import directory_path, refuse_links
 from parking_exp.config.schema import ConfigModel, StoreConfig
 from parking_exp.config.signatures import signature
 from parking_exp.config.validate import parse
@@ -225,7 +225,7 @@ def _command(request: ReportRequest, experiments: Sequence[str]) -> str:
     if request.output_path != Path("outputs").absolute():
         words.append(f"output_dir={request.output_dir}")
     if request.tracking.uri:
-        words.append(f"tracking.uri={without_password(request.tracking.uri)}")
+        words.append(f"tracking.uri={request.tracking.uri}")
     if request.storage:
         words.append(f"storage={request.storage}")
     if request.name:

@@ -11,7 +11,8 @@ from typing import Any, cast
 import numpy as np
 import pandas as pd
 
-from parking_exp.config.paths import default_uri, directory_path, without_password
+from parking_exp.config.credentials import keep_password
+from parking_exp.config.paths import default_uri, directory_path
 from parking_exp.errors import ResultsError, first_few, plural, suggestion
 from parking_exp.evaluation.metrics import METRICS, RUN_METRICS
 from parking_exp.evaluation.trajectories import TRAJECTORIES_FILE
@@ -69,7 +70,7 @@ class Results:
 
     def __repr__(self) -> str:
         sizes = ", ".join(f"{len(getattr(self, name))} {name}" for name in ("runs", "curves", "episodes"))
-        return f"<Results of {without_password(self.uri)}: rows of {sizes}; {len(self.problems)} problems>"
+        return f"<Results of {self.uri}: rows of {sizes}; {len(self.problems)} problems>"
 
     @cached_property
     def _reader(self) -> Reader:
@@ -112,13 +113,13 @@ def load(
         ResultsError: there is no such store, it can't be read, there is no such experiment, or it has no runs.
     """
     here = directory_path(output_dir)
-    reader = Reader(uri) if uri else Reader(default_uri(here), artifacts_in=here)
+    reader = Reader(keep_password(uri)) if uri else Reader(default_uri(here), artifacts_in=here)
     ids = _chosen(reader, experiments)
     found = reader.runs(list(ids.values()))
     sound, impossible = sound_runs(found)
     kept = [run for run in sound if _is_ours(run)]
     if not kept:
-        asked = reader.place if experiments is None else f"experiment={','.join(ids)}"
+        asked = reader.uri if experiments is None else f"experiment={','.join(ids)}"
         raise ResultsError(f"{asked}: it has no runs of parking_exp{f', but {len(found)} by others' if found else ''}")
     histories, points = sound_points(reader.histories([run.run_id for run in kept], [*CURVE, *BESIDE_A_CURVE]))
     runs = _runs(kept, {experiment_id: name for name, experiment_id in ids.items()}, histories, reader.run_dir)
@@ -142,7 +143,7 @@ def _chosen(reader: Reader, experiments: str | Iterable[str] | None) -> dict[str
     for name in asked:
         if name not in there:
             hint = suggestion(name, set(there) - {"Default"})
-            raise ResultsError(f"experiment={name}: {reader.place} has none of that name{hint}")
+            raise ResultsError(f"experiment={name}: {reader.uri} has none of that name{hint}")
     return {name: there[name] for name in asked}
 
 

@@ -19,6 +19,7 @@ from typing import Any
 from filelock import FileLock
 from pydantic import TypeAdapter, ValidationError
 
+from parking_exp.config.credentials import strip_password
 from parking_exp.config.paths import absolute, directory_path, refuse_links, relative
 from parking_exp.config.schema import RunConfig
 from parking_exp.errors import ConfigError, OutputDirectoryError, RunLockedError
@@ -30,7 +31,6 @@ from parking_exp.runs.status_schema import Status, StatusEntries, read_entries
 from parking_exp.runs.stored_config import CONFIG_FILE, OUTPUT_DIR, read_config, write_config
 
 STATUS_FILE, RESULT_FILE, HEARTBEAT_FILE = "status.json", "result.json", "beat.json"
-MODELS = ("final.zip", "best.zip")
 SUPERVISOR_LOCK, TRAINING_LOCK = ".claim", ".lock"
 # To see whether a lock is held, it is taken for a moment: who wants to hold it tries again for this long.
 LOCK_PATIENCE_S = 2.0
@@ -94,7 +94,7 @@ class RunDirectory:
     def tracking_uri(self) -> str | None:
         """Store that the run is tracked in; None where it is not tracked."""
         uri = self.read_status().get("tracking_uri")
-        return absolute(uri, self.output_dir) if uri else None
+        return strip_password(absolute(uri, self.output_dir)) if uri else None
 
     @property
     def unsynced(self) -> str | None:
@@ -105,24 +105,6 @@ class RunDirectory:
     def under_way(self) -> bool:
         """Whether a process, be it this one, is responsible for the run now, or works on it."""
         return any(is_held(self.path / name) for name in (SUPERVISOR_LOCK, TRAINING_LOCK))
-
-    @property
-    def final_checkpoint(self) -> Path:
-        """The checkpoint that a finished run's final model is from."""
-        steps = self.read_status().get("steps")
-        return self.checkpoints / (f"step={steps:010d}" if isinstance(steps, int) else "step=")
-
-    @property
-    def lacks_model(self) -> bool:
-        """Whether the run is done, and its final or its best model is gone."""
-        return not all((self.models / name).exists() for name in MODELS) and self.status == "done"
-
-    @property
-    def can_make_models(self) -> bool:
-        """Whether the run is done, a model of its is gone, and the checkpoint is there that it can be made from."""
-        # In this order, since a sweep asks this of every run.
-        there = self.checkpoints.exists() and self.lacks_model and self.final_checkpoint.exists()
-        return there and self.version_problem is None
 
     @property
     def version_problem(self) -> str | None:

@@ -14,7 +14,7 @@ def find_runs(output_dir: Path, experiment: str | None = None) -> list[Path]:
 
 
 def find_run(name: str, output_dir: Path, having: str, others: Sequence[str] = ()) -> RunDirectory:
-    """Find a run by its directory, its MLflow run id, or `latest`: the last worked on that has the file `having`.
+    """Find a run by its directory, its MLflow run id, or `latest`: the one whose file `having` was written last.
 
     Args:
         name: one of these.
@@ -28,14 +28,12 @@ def find_run(name: str, output_dir: Path, having: str, others: Sequence[str] = (
     folder = directory_path(name)
     if (folder / STATUS_FILE).exists():
         return RunDirectory(folder)
-    files = sorted(output_dir.glob(f"*/*/*/{STATUS_FILE}"), key=lambda file: file.stat().st_mtime)
+    files = sorted(output_dir.glob(f"*/*/*/{STATUS_FILE}"))
     usable = [file for file in files if (file.parent / having).exists()]
+    usable.sort(key=lambda file: (file.parent / having).stat().st_mtime)  # a sync or an evaluation changes status.json
     if name == "latest" and files:
         if not usable:
-            done = any(RunDirectory(file.parent).status == "done" for file in files)
-            hint = "; where a run is done and it is gone, its training command typed again makes it" if done else ""
-            there = plural(len(files), "run")
-            raise RunNotFoundError(f"run=latest: of {there} in {output_dir}, none has {having} yet{hint}")
+            raise RunNotFoundError(f"run=latest: of {plural(len(files), 'run')} in {output_dir}, none has {having} yet")
         return RunDirectory(usable[-1].parent.absolute())
     ids = {run_id: file.parent for file in files if (run_id := RunDirectory(file.parent).run_id)}
     if name in ids:

@@ -46,26 +46,6 @@ def restore_logs(run_dir: Path, checkpoint: Path | None) -> list[str]:
     return damaged
 
 
-def log_hashes(run_dir: Path) -> dict[str, str]:
-    """Return the SHA-256 of each log, for `damaged_logs` of a run that is done."""
-    return {name: sha256(run_dir / name) for name in APPENDED if (run_dir / name).exists()}
-
-
-def damaged_logs(run_dir: Path, hashes: Mapping[str, str], checkpoint: Path | None) -> list[str]:
-    """Return the names of the logs that have lost something.
-
-    Args:
-        run_dir: of a run that no process is working on.
-        hashes: of whole logs; none for a run that is not done.
-        checkpoint: the last one; without hashes, logs have to begin like its copies.
-    """
-    if hashes:
-        known = [name for name in APPENDED if name in hashes]
-        return [name for name in known if not _has_hash(run_dir / name, hashes[name])]
-    copies = [checkpoint / name for name in APPENDED] if checkpoint else []
-    return [copy.name for copy in copies if copy.exists() and not _begins_like(run_dir / copy.name, copy)]
-
-
 def has_whole_logs(checkpoint: Path) -> bool:
     """Whether the logs of a checkpoint still have the hashes of its manifest."""
     digests = read_object(checkpoint / "manifest.json")

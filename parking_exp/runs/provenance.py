@@ -8,7 +8,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 from parking_exp import __version__
-from parking_exp.config.paths import without_password
+from parking_exp.config.credentials import strip_password
 from parking_exp.runs.files import read_object
 
 PROVENANCE_FILE = "provenance.json"
@@ -36,7 +36,7 @@ def typed_command() -> str | None:
         words = ["python", f"scripts/{name}"]
     else:  # called from Python
         return None
-    return without_password(shlex.join([*words, *sys.argv[1:]]))
+    return strip_password(shlex.join([*words, *sys.argv[1:]]))
 
 
 def read_provenance(path: Path) -> tuple[int | None, dict[str, str]]:

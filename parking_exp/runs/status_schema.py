@@ -41,7 +41,6 @@ class StatusEntries(_Entries):
     search: str | None = None
     trial: Count | None = None
     precision: Literal["highest", "medium"] | None = None
-    logs: dict[str, str] | None = None
 
 
 class HeartbeatEntries(_Entries):

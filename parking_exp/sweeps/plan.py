@@ -37,7 +37,6 @@ class PlannedRun:
         label: of its cell.
         state: how far it is.
         retried: whether it is run again if it has failed.
-        lacks_models: whether it is done, and models of its are gone that can be made again.
         entries: what goes into its status.json besides.
     """
 
@@ -46,7 +45,6 @@ class PlannedRun:
     label: str
     state: RunState
     retried: bool
-    lacks_models: bool
     entries: Mapping[str, Any] = field(default_factory=dict)
 
     @property
@@ -54,7 +52,7 @@ class PlannedRun:
         """Whether this sweep runs it, unless another process does."""
         if self.state.stage == "failed":
             return self.state.killed or self.retried
-        return self.state.stage != "done" or self.lacks_models
+        return self.state.stage != "done"
 
 
 def plan(
@@ -82,12 +80,10 @@ def plan(
         path = folder / f"seed={config.seed}"
         if path not in runs:
             label = _label(one, config) or folder.name
-            state, directory = read_state(path), RunDirectory(path)
+            state = read_state(path)
             if state.other_version and state.stage != "done":
-                directory.check_version()
-            runs[path] = PlannedRun(
-                config, path, label, state, retry is not None, directory.can_make_models, entries(one)
-            )
+                RunDirectory(path).check_version()
+            runs[path] = PlannedRun(config, path, label, state, retry is not None, entries(one))
     return list(runs.values())
 
 
@@ -110,10 +106,8 @@ def describe(runs: Sequence[PlannedRun], launch: Launch, out: Console) -> None:
     if cells * seeds == len(runs):
         product += f" x {plural(seeds, 'seed')}"
     left = found["failed"] - sum(run.state.stage == "failed" for run in due)
-    modelless = sum(run.state.stage == "done" for run in due)
-    parts = [f"{found['done'] - modelless} done", f"{found['running']} running elsewhere" if found["running"] else ""]
+    parts = [f"{found['done']} done", f"{found['running']} running elsewhere" if found["running"] else ""]
     parts += [f"{left} failed before (retry=failed runs them again)" if left else "", f"{len(due)} to run"]
-    parts[-1] += f" ({modelless} of them only to make models again that are gone)" if modelless else ""
     out.print(f"{product} = {plural(len(runs), 'run')}: {', '.join(filter(None, parts))}{_estimate(runs, due, launch)}")
 
 

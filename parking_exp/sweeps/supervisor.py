@@ -19,11 +19,10 @@ from pathlib import Path
 from typing import IO, Any, Literal
 
 from parking_exp.config.paths import directory_path, store_uri
-from parking_exp.errors import ConfigError, OutputDirectoryError, ParkingError, RunLockedError
+from parking_exp.errors import ConfigError, OutputDirectoryError, RunLockedError
 from parking_exp.resources import THREAD_VARIABLES
 from parking_exp.runs.directory import RunDirectory
 from parking_exp.sweeps.worker import LOCKED_EXIT
-from parking_exp.terminal import say
 
 LOG_FILE = "log.txt"
 GRACE_S = 8.0  # to save a checkpoint after a signal, before the process is killed
@@ -71,25 +70,11 @@ def supervise(
         return "elsewhere"
     try:
         with directory.supervisor_lock():
-            if (status := directory.status) == "done" and directory.can_make_models:
-                _make_models(directory)
-            if status in ("done", "failed"):
+            if (status := directory.status) in ("done", "failed"):
                 return status  # by another sweep, since this one was planned
             return _run(directory, resources or WorkerResources(), stop or (lambda: False), started)
     except RunLockedError:
         return "elsewhere"
-
-
-def _make_models(directory: RunDirectory) -> None:
-    """Make models that are gone again. That is a copy, and takes no process of its own; the run stays done."""
-    from parking_exp.training.rebuild_models import make_models
-
-    try:
-        say(make_models(directory), stderr=True)
-    except ParkingError as error:
-        say(f"error: {error}", stderr=True)
-    except OSError as error:
-        say(f"error: {directory.models} cannot be written: {error.strerror}", stderr=True)
 
 
 def _run(directory: RunDirectory, resources: WorkerResources, stop: Stop, started: OnStart | None) -> WorkerResult:

@@ -1,6 +1,6 @@
 """Upload the files of a run to its store as artifacts."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -28,9 +28,7 @@ Sent = dict[str, list[int]]
 """Fingerprints of what was sent, by name in the store."""
 
 
-def send(
-    store: Store, run: "Run", directory: RunDirectory, under_way: bool, sent: Sent, without: Sequence[str] = ()
-) -> None:
+def send(store: Store, run: "Run", directory: RunDirectory, under_way: bool, sent: Sent) -> None:
     """Send the files that have changed, and delete from the store what is gone and can't come back.
 
     Args:
@@ -39,12 +37,9 @@ def send(
         directory: of the run.
         under_way: files that grow with the run are sent at its end.
         sent: kept up to date.
-        without: names of files that stay as they are in the store.
     """
     files = _files(directory, under_way)
     for name, file in files.items():
-        if name in without:
-            continue
         try:
             state = fingerprint(file)  # before it is sent: what is written meanwhile is sent again
             if sent.get(name) == state:

@@ -9,12 +9,15 @@ do not have. Readers (`mlflow ui`) need no lock of ours.
 
 import logging
 import os
-from contextlib import AbstractContextManager, nullcontext
+import sqlite3
+from contextlib import AbstractContextManager, closing, nullcontext
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from filelock import FileLock
 
-from parking_exp.config.paths import database
+from parking_exp.config.credentials import with_password
+from parking_exp.config.paths import SQLITE, database
 from parking_exp.tracking.relocation import relocate
 
 if TYPE_CHECKING:
@@ -59,6 +62,9 @@ def connect(uri: str) -> "MlflowClient":
         path.parent.mkdir(parents=True, exist_ok=True)
     # Processes that open a fresh sqlite store at once collide in its migrations: one does it, the others wait.
     with write_lock(uri):
+        if path is not None and os.access(path.parent, os.W_OK) and (not path.exists() or _is_half_made(path)):
+            _make_database(path.resolve())
+        uri = with_password(uri)
         if not uri.startswith(("http", "databricks")):
             _open_database(uri)
         client = MlflowClient(uri)
@@ -74,6 +80,49 @@ def write_lock(uri: str) -> AbstractContextManager[Any]:
     if path is None or (path.exists() and not os.access(path.parent, os.W_OK)):  # who can't write may still read
         return nullcontext()
     return FileLock(path.with_name(f".{path.name}.lock"), timeout=WAIT_S, poll_interval=0.01)
+
+
+def _make_database(path: Path) -> None:
+    """Make an empty store: MLflow's migrations are not atomic in sqlite, so the whole file is renamed into place."""
+    from mlflow import MlflowClient
+
+    new = path.with_name(f".{path.name}.new")
+    _delete_database(new)  # a process that was killed may have left one
+    try:
+        MlflowClient(f"{SQLITE}{new}").search_experiments(max_results=1)
+        _delete_database(path)  # a journal of the old file would be rolled back into the new one
+        new.replace(path)
+    finally:
+        _delete_database(new)
+
+
+def _delete_database(path: Path) -> None:
+    for file in (path, path.with_name(f"{path.name}-journal")):
+        file.unlink(missing_ok=True)
+
+
+def _is_half_made(path: Path) -> bool:
+    """Return whether making a store was interrupted: its migrations did not reach their head, and it has no runs.
+
+    MLflow can't complete such a database. One with experiments, or with tables of another program, is not touched.
+    """
+    with closing(sqlite3.connect(path)) as connection:
+        tables = {name for (name,) in connection.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
+        if not tables:
+            return True
+        for table, content in (("experiments", "experiment_id != 0"), ("runs", "1")):
+            if table in tables and connection.execute(f"SELECT 1 FROM {table} WHERE {content} LIMIT 1").fetchone():
+                return False
+        versions = connection.execute("SELECT * FROM alembic_version") if "alembic_version" in tables else []
+        return "experiments" in tables and [version for (version,) in versions] != [_newest_version()]
+
+
+def _newest_version() -> str | None:
+    """Return the revision at the head of MLflow's migrations."""
+    import mlflow
+    from alembic.script import ScriptDirectory
+
+    return ScriptDirectory(str(Path(mlflow.__file__).parent / "store" / "db_migrations")).get_current_head()
 
 
 def _open_database(uri: str) -> None:

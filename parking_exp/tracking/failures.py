@@ -2,10 +2,11 @@
 
 import sqlite3
 from collections.abc import Iterator
+from socket import gaierror
 from traceback import walk_tb
 
-from parking_exp.config.paths import without_password
-from parking_exp.errors import ParkingError
+from parking_exp.config.credentials import strip_password
+from parking_exp.errors import DISK_ERRORS, ParkingError
 
 LONGEST_REASON = 200
 # Packages whose exceptions are failures of a store: MLflow, its database drivers, its clients of artifact storage.
@@ -29,13 +30,16 @@ def is_store_failure(error: BaseException) -> bool:
         modules = [frame.f_globals.get("__name__", "") for frame, _ in walk_tb(error.__traceback__)]
     else:
         modules = [type(error).__module__]
-    return isinstance(error, OSError | sqlite3.Error | ParkingError) or any(map(_is_of_store, modules))
+    of_system = isinstance(error, ConnectionError | TimeoutError | gaierror) or (
+        isinstance(error, OSError) and error.errno in DISK_ERRORS
+    )
+    return of_system or isinstance(error, sqlite3.Error | ParkingError) or any(map(_is_of_store, modules))
 
 
 def reason(error: BaseException) -> str:
     """Say in one sentence what a store's error came from, without passwords."""
     if isinstance(error, ParkingError):  # a sentence already
-        return without_password(str(error))
+        return strip_password(str(error))
     if isinstance(error, ModuleNotFoundError) and error.name:
         package = error.name.partition(".")[0]
         return f"the package {package!r} is not installed: pip install {PROVIDERS.get(package, package)}"
@@ -46,7 +50,7 @@ def reason(error: BaseException) -> str:
     words = getattr(cause, "strerror", None) or str(getattr(cause, "reason", None) or cause) or type(cause).__name__
     if isinstance(cause, OSError) and cause.filename:
         words += f": {cause.filename}"
-    words = without_password(" ".join(words.split()))
+    words = strip_password(" ".join(words.split()))
     return words if len(words) <= LONGEST_REASON else f"{words[:LONGEST_REASON]}..."
 
 

@@ -16,7 +16,8 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from parking_exp.config.paths import absolute, database, lies_inside, local_folder, without_password
+from parking_exp.config.credentials import with_password
+from parking_exp.config.paths import absolute, database, lies_inside, local_folder
 from parking_exp.errors import ParkingError, ResultsError
 from parking_exp.tracking.client import connect
 from parking_exp.tracking.failures import is_store_failure, reason
@@ -71,11 +72,6 @@ class Reader:
             self._store = self._client._tracking_client.store
             self._database = self._store.ManagedSessionMaker if hasattr(self._store, "ManagedSessionMaker") else None
 
-    @property
-    def place(self) -> str:
-        """The URI as it may be shown."""
-        return without_password(self.uri)
-
     def run_dir(self, tag: str | None) -> str | None:
         """Return the run directory that a run's tag means: relative ones lie beside an embedded store."""
         path = database(self.uri)
@@ -126,7 +122,7 @@ class Reader:
         folder = local_folder(folder_uri)
         within = self._artifacts_in
         if within is not None and (folder is None or not lies_inside(folder / name, within)):
-            raise ResultsError(f"it lies outside of {within}; tracking.uri={self.place} reads it there, too")
+            raise ResultsError(f"it lies outside of {within}; tracking.uri={self.uri} reads it there, too")
         if folder is not None:
             try:
                 return (folder / name).read_bytes()
@@ -134,7 +130,7 @@ class Reader:
                 return None
         from mlflow.store.artifact.artifact_repository_registry import get_artifact_repository
 
-        place = get_artifact_repository(folder_uri, tracking_uri=self.uri)
+        place = get_artifact_repository(folder_uri, tracking_uri=with_password(self.uri))
         with TemporaryDirectory() as temporary:
             try:
                 return Path(place.download_artifacts(name, temporary)).read_bytes()
@@ -194,7 +190,7 @@ class Reader:
         except Exception as error:
             if isinstance(error, ParkingError) or not is_store_failure(error):
                 raise
-            raise ResultsError(f"the store {self.place} can't be read: {reason(error)}") from error
+            raise ResultsError(f"the store {self.uri} can't be read: {reason(error)}") from error
 
 
 def chunks(items: Sequence[str], size: int) -> Iterator[Sequence[str]]:

@@ -8,7 +8,8 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
-from parking_exp.config.paths import ARTIFACTS, database, lies_inside, local_folder, without_password
+from parking_exp.config.credentials import with_password
+from parking_exp.config.paths import ARTIFACTS, database, lies_inside, local_folder
 from parking_exp.config.schema import RunConfig
 from parking_exp.errors import StoreError
 from parking_exp.tracking.client import connect, write_lock
@@ -150,14 +151,6 @@ class Store:
             file.write_text(json.dumps(value, indent=2), encoding="utf-8")
             self.upload(run, file, name)
 
-    def download(self, run: "Run", name: str) -> bytes | None:
-        """Return the content of an artifact, None where the run has none of that name."""
-        artifacts = self._artifacts(run)
-        if not any(item.path == name for item in artifacts.list_artifacts()):
-            return None
-        with TemporaryDirectory() as folder:
-            return Path(artifacts.download_artifacts(name, folder)).read_bytes()
-
     def delete_artifact(self, run: "Run", name: str) -> None:
         """Delete an artifact or a folder of them, where the place of artifacts can do that and allows it."""
         try:
@@ -180,7 +173,7 @@ class Store:
         from mlflow.store.artifact.artifact_repository_registry import get_artifact_repository
 
         self._refuse_elsewhere(run.info.artifact_uri)
-        return get_artifact_repository(run.info.artifact_uri, tracking_uri=self.uri)
+        return get_artifact_repository(run.info.artifact_uri, tracking_uri=with_password(self.uri))
 
     def _experiment(self, config: RunConfig) -> str:
         """Return the id of a run's experiment, made by one process of many."""
@@ -204,7 +197,7 @@ class Store:
                 restore = f"mlflow experiments restore --experiment-id {experiment.experiment_id}"
                 raise StoreError(
                     f"the experiment {name} was deleted in this store: restore it with"
-                    f" `MLFLOW_TRACKING_URI={shlex.quote(without_password(self.uri))} {restore}`,"
+                    f" `MLFLOW_TRACKING_URI={shlex.quote(self.uri)} {restore}`,"
                     " or take another experiment_name"
                 )
             self._refuse_elsewhere(experiment.artifact_location)

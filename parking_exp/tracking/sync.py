@@ -6,16 +6,15 @@ checkpoint, at the end, and later for a run whose store was down or that was kil
 Metrics are sent as soon as they are final: up to the last checkpoint, and all of them when the run is done. A run that
 was cut off goes on from that checkpoint and logs everything after it again. So the store's latest points are always
 among those of the run directory. Where they are not, the store's run diverges and is replaced: the directory was
-deleted and the run trained afresh, or the last checkpoint was corrupt and the one before it was taken. Logs that have
-lost something are no divergence: they are taken back from the store, or left out, with a message.
+deleted and the run trained afresh, or the last checkpoint was corrupt and the one before it was taken. A run that the
+store has whole is never replaced, so that somebody who deletes logs of a finished run does not lose them in the store.
 
 `synced.json` says what the store has: which status and error, and size and time of each file that was sent. It is
 written after the fact, so that a kill makes a file be sent twice, never be forgotten.
 """
 
-import hashlib
 import traceback
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -24,11 +23,10 @@ from filelock import FileLock
 
 from parking_exp.config.paths import absolute, database, relative, relative_path
 from parking_exp.config.schema import RunConfig
-from parking_exp.errors import DamagedFileError
 from parking_exp.runs.directory import RunDirectory, Status
 from parking_exp.runs.files import fingerprint, read_object, write_json
 from parking_exp.runs.layout_version import LAYOUT
-from parking_exp.runs.metric_logs import damaged_logs, has_whole_logs, read_metrics
+from parking_exp.runs.metric_logs import has_whole_logs, read_metrics
 from parking_exp.runs.provenance import PROVENANCE_FILE, read_provenance
 from parking_exp.tracking import artifacts
 from parking_exp.tracking.failures import is_store_failure, reason
@@ -57,7 +55,7 @@ def sync(directory: RunDirectory, uri: str) -> None:
 
     Raises:
         ConfigError: the run was made by another version of this package.
-        DamagedFileError: a log has lost something, and the store has no copy. All else was sent.
+        DamagedFileError: the log of metrics can't be read.
         UntrustedError: a symbolic link leads out of the run directory.
         StoreError: the store can't take the run as it is.
         Exception: the store can't be reached, or does not take it all; `failures.is_store_failure` tells which.
@@ -69,11 +67,8 @@ def sync(directory: RunDirectory, uri: str) -> None:
         status, tags = present_status(directory), _tags(directory, config, uri)
         store = Store(uri, directory.output_dir)
         known = store.find(directory.run_id, config.experiment_name, tags)
-        damaged = _restore_logs(store, known, directory, status)
-        lost = "metrics.jsonl" in damaged
-        points = [] if lost and status == "done" else _final_metrics(directory, status)
-        # A log that has lost points does not diverge, and never replaces what the store has.
-        if known is not None and not lost and _diverges(known, read_metrics(directory.path / "metrics.jsonl")):
+        points = _final_metrics(directory, status)
+        if known is not None and _diverges(known, directory):
             store.delete(known)
             known = None
         run = _run(store, known, directory, config, tags)
@@ -89,18 +84,13 @@ def sync(directory: RunDirectory, uri: str) -> None:
         latest = _latest_points(run)
         store.log_metrics(run, [point for point in points if point.step > latest.get(point.key, (-1, 0))[0]])
         try:
-            artifacts.send(store, run, directory, status == "running", sent.files, without=damaged)
+            artifacts.send(store, run, directory, status == "running", sent.files)
         finally:
             sent.write()
         # Last, so that a run that is done in the store has everything there.
         store.set_status(run, status, MLFLOW_STATUS[status], None if status == "running" else _end_ms(directory))
         sent.status = status
         sent.write()
-    if damaged:
-        what = f"{', '.join(damaged)} in {directory.path} has lost something"
-        if status == "done":
-            raise DamagedFileError(f"{what}, and the store has no copy; what the store has of it stays as it is")
-        raise DamagedFileError(f"{what}; it is taken from the last checkpoint when its training command is typed again")
 
 
 def try_sync(directory: RunDirectory, uri: str) -> str | None:
@@ -220,21 +210,6 @@ def _error(directory: RunDirectory) -> str:
     return words if len(words) <= LONGEST_ERROR else f"{words[: LONGEST_ERROR - 3]}..."
 
 
-def _restore_logs(store: Store, run: "Run | None", directory: RunDirectory, status: Status) -> list[str]:
-    """Take logs that have lost something back from the store; return the names of those that it has no copy of."""
-    if status == "running":  # they grow; the next checkpoint or resume looks after them
-        return []
-    hashes: dict[str, str] = directory.read_status().get("logs", {}) if status == "done" else {}
-    lost = []
-    for name in damaged_logs(directory.path, hashes, _last_checkpoint(directory)):
-        content = store.download(run, name) if run is not None and name in hashes else None
-        if content is None or hashlib.sha256(content).hexdigest() != hashes[name]:
-            lost.append(name)
-        else:
-            (directory.path / name).write_bytes(content)
-    return lost
-
-
 def _final_metrics(directory: RunDirectory, status: Status) -> list["Metric"]:
     """Return all points that no resumed run is going to log again."""
     from mlflow.entities import Metric
@@ -258,10 +233,12 @@ def _latest_points(run: "Run") -> dict[str, tuple[int, int]]:
     return {metric.key: (metric.step, metric.timestamp) for metric in run.data.to_proto().metrics}
 
 
-def _diverges(run: "Run", records: Iterable[dict[str, Any]]) -> bool:
-    """Whether the store's latest point of a metric is not in the run directory; metrics of others don't count."""
+def _diverges(run: "Run", directory: RunDirectory) -> bool:
+    """Return whether the store's latest point of a metric is not in the run directory; other metrics don't count."""
+    if run.data.tags.get("status") == "done" and run.info.run_id == directory.run_id:
+        return False
     ours: dict[str, set[tuple[int, int]]] = {}
-    for record in records:
+    for record in read_metrics(directory.path / "metrics.jsonl"):
         for key in record["metrics"]:
             ours.setdefault(key, set()).add((record["step"], record["time_ms"]))
     return any(key in ours and latest not in ours[key] for key, latest in _latest_points(run).items())

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable, Iterator, Sequence
 
-from parking_exp.config.paths import absolute, database, is_same_store, without_password
+from parking_exp.config.paths import absolute, database, is_same_store
 from parking_exp.errors import plural
 from parking_exp.runs.directory import RunDirectory
 from parking_exp.tracking.failures import is_store_failure, reason
@@ -30,10 +30,9 @@ def sync_all(directories: Iterable[RunDirectory], uris: Sequence[str]) -> Iterat
         if any(is_same_store(uri, absolute(one)) for one in uris):
             yield from _sync_to(uri, runs)
             continue
-        place = without_password(uri)
         for directory in runs:
             if not recorded_in_step(directory):
-                yield directory, f"it is tracked in {place}, which was not named; tracking.uri={place} sends it there"
+                yield directory, f"it is tracked in {uri}, which was not named; tracking.uri={uri} sends it there"
 
 
 def sync_problem(directories: Iterable[RunDirectory], uris: Sequence[str]) -> str | None:

@@ -5,7 +5,7 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from parking_exp.config.paths import default_uri, store_uri, without_password
+from parking_exp.config.paths import default_uri, store_uri
 from parking_exp.config.schema import RunConfig
 from parking_exp.runs.directory import RunDirectory
 from parking_exp.runs.files import write_json
@@ -22,7 +22,7 @@ def later(output_dir: Path, uri: str | None) -> str:
     if output_dir != Path("outputs").absolute():
         words.append(f"output_dir={output_dir}")
     if uri is not None and uri != default_uri(output_dir):
-        words.append(f"tracking.uri={without_password(uri)}")
+        words.append(f"tracking.uri={uri}")
     return f"`{shlex.join(words)}` sends what is missing"
 
 
@@ -65,9 +65,8 @@ class MlflowTracker(Tracker):
             return
         self._next_attempt = now + max(SHORTEST_PAUSE_S, PAUSE_TO_ATTEMPT * (now - start))
         if before is None:
-            where = without_password(self.uri)
             what_to_do = later(self.directory.output_dir, self.uri)
-            self.say(f"the store {where} has not got everything ({self.problem}); the run goes on, and {what_to_do}")
+            self.say(f"the store {self.uri} has not got everything ({self.problem}); the run goes on, and {what_to_do}")
 
 
 def open_tracker(config: RunConfig, directory: RunDirectory, say: Callable[[str], None] = print) -> Tracker:

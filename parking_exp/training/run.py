@@ -22,7 +22,7 @@ from parking_exp.errors import ConfigError, FailedRunError, InterruptedRunError
 from parking_exp.evaluation.description import describe
 from parking_exp.runs.directory import RunDirectory, RunResult
 from parking_exp.runs.files import write_atomically
-from parking_exp.runs.metric_logs import log_hashes, restore_logs
+from parking_exp.runs.metric_logs import restore_logs
 from parking_exp.runs.provenance import typed_command
 from parking_exp.terminal import say
 from parking_exp.tracking.tracker import Tracker, later, open_tracker
@@ -31,15 +31,13 @@ from parking_exp.training.checkpoints import Progress
 from parking_exp.training.finish import finish
 from parking_exp.training.loop import TrainingLoop
 from parking_exp.training.progress import TrainingProgress
-from parking_exp.training.rebuild_models import make_models
 from parking_exp.training.signals import StopRequest, stop_on_signal
 
 
 def train(config: DictConfig | Mapping[str, Any] | RunConfig, *, supervised: bool = False) -> RunResult:
     """Train, evaluate and track one run, or finish what is left of it.
 
-    A run that is done returns its stored result, and its models are made again if they are gone. One that was cut off
-    goes on from its latest whole checkpoint.
+    A run that is done returns its stored result. One that was interrupted resumes from its latest whole checkpoint.
     `supervised`: another process holds the run's supervisor lock, and has started this one for it.
 
     Raises:
@@ -59,8 +57,6 @@ def train(config: DictConfig | Mapping[str, Any] | RunConfig, *, supervised: boo
     with nullcontext() if supervised else directory.supervisor_lock(), directory.training_lock():
         if (result := directory.result()) is not None:
             say("already done; to train it afresh, change the seed or delete its directory")
-            if directory.lacks_model:
-                say(directory.version_problem or make_models(directory))
             say(*_closing_lines(result, directory))
             return result
         directory.create(config)
@@ -102,7 +98,7 @@ def _train(config: RunConfig, directory: RunDirectory, stop: StopRequest) -> Run
                 episodes = finish(loop)
         metrics = loop.metrics.latest()
         finished = RunResult(str(directory.path), directory.run_id, loop.model.num_timesteps, metrics)
-        directory.finish(finished, logs=log_hashes(directory.path), **_cost(finished))
+        directory.finish(finished, **_cost(finished))
     except (InterruptedRunError, KeyboardInterrupt) as error:
         directory.update(status="interrupted")
         tracker.close()

@@ -192,7 +192,7 @@ class Search:
         """Write down what workers and other commands need to find the study and compose the configs of trials."""
         request, extra = self.request, self.extra_config_dir
         # Workers may be started from another directory.
-        overrides = [_without_password(with_absolute_path(line)) for line in self.overrides]
+        overrides = [strip_password(with_absolute_path(line)) for line in self.overrides]
         typed = {"overrides": overrides, "extra_config_dir": extra and str(Path(extra).absolute())}
         settings = {"storage": request.storage, "n_trials": request.n_trials}
         write_json(self.folder / SEARCH_FILE, {**typed, **settings, "search": request.search.model_dump(by_alias=True)})
@@ -211,13 +211,6 @@ class Search:
             raise ConfigError(f"{folder / SEARCH_FILE} can't be read; type the search again")
         known = [f"output_dir={in_quotes(str(folder.parent))}", f"storage={in_quotes(storage) if storage else 'null'}"]
         return cls([*stored["overrides"], *known], stored.get("extra_config_dir"))
-
-
-def _without_password(line: str) -> str:
-    """Return an override, with the password of a URI left out."""
-    key, _, value = line.partition("=")
-    uri = value.strip("'\"")
-    return line if strip_password(uri) == uri else f"{key}={in_quotes(strip_password(uri))}"
 
 
 def _contexts(search: SearchConfig, key: str) -> list[dict[str, Any]]:

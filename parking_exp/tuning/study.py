@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, Any, Literal, cast
 
 from filelock import FileLock, Timeout
 
-from parking_exp.config.credentials import with_password
-from parking_exp.config.paths import refuse_links, without_password
+from parking_exp.config.credentials import strip_password, with_password
+from parking_exp.config.paths import refuse_links
 from parking_exp.config.schema import RunConfig
 from parking_exp.errors import ConfigError, ParkingError, StoreError
 from parking_exp.tuning.schema import HIGHER_IS_BETTER, SearchConfig
@@ -156,7 +156,7 @@ def storage_errors(name: str) -> Iterator[None]:
 
 
 def _first_line(error: Exception) -> str:
-    return without_password((str(error).splitlines() or [type(error).__name__])[0])
+    return strip_password((str(error).splitlines() or [type(error).__name__])[0])
 
 
 def _definition(search: SearchConfig, base: RunConfig) -> dict[str, Any]:

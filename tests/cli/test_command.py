@@ -1,5 +1,6 @@
 """The command line, as a process of its own."""
 
+import errno
 import importlib.util
 import json
 import re
@@ -11,7 +12,7 @@ import pytest
 from support.marks import slow_but
 from support.runs import ROOT, options, run_script, script, type_here
 
-from parking_exp.cli.command import _parse
+from parking_exp.cli.command import _parse, errors_as_sentences
 from parking_exp.config.compose import composed
 from parking_exp.config.overrides import quoted
 
@@ -157,6 +158,21 @@ def test_what_is_shown_may_be_cut_off_by_a_pipe(arguments):
     process.stdout.close()
     assert process.stderr.read() == ""
     assert process.wait(60) == 1
+
+
+@pytest.mark.parametrize("number", [errno.ENOSPC, errno.EACCES, errno.EDQUOT])
+def test_an_error_of_the_disk_is_a_sentence(number, capsys):
+    with pytest.raises(SystemExit), errors_as_sentences():
+        raise OSError(number, "the disk says why", "file")
+    assert capsys.readouterr().err == "error: the disk says why: file\n"
+
+
+@pytest.mark.parametrize(
+    "error", [FileNotFoundError(errno.ENOENT, "No such file", "x"), OSError("odd"), ConnectionResetError()]
+)
+def test_another_error_of_the_system_keeps_its_traceback(error):
+    with pytest.raises(type(error)), errors_as_sentences():
+        raise error
 
 
 def test_an_output_directory_that_cannot_be_made_gets_a_sentence(tmp_path):

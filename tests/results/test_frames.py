@@ -468,7 +468,7 @@ def test_what_is_no_store_is_said_in_a_sentence(tmp_path):
     assert str(raised.value) == f"uri={file} is a file and no URI; type sqlite:///{file}"
     with closed_port() as port, pytest.raises(ResultsError) as raised:
         load("her", uri=f"http://me:secret@127.0.0.1:{port}")
-    assert str(raised.value) == f"the store http://***@127.0.0.1:{port} can't be read: Connection refused"
+    assert str(raised.value) == f"the store http://me@127.0.0.1:{port} can't be read: Connection refused"
 
 
 def test_an_unknown_experiment_is_said_with_what_there_is(ablation):

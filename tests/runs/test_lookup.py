@@ -32,6 +32,15 @@ def test_a_run_is_found_by_its_directory(output_dir):
     assert find_run(str(path), output_dir, having="x").path == path
 
 
+def test_latest_is_the_run_whose_model_was_written_last_also_after_another_was_synced(output_dir):
+    runs = [output_dir / "mine" / "cell" / f"seed={seed}" for seed in (0, 1)]
+    for seconds, run in enumerate(runs):
+        (run / "models" / "final.zip").touch()
+        os.utime(run / "models" / "final.zip", (seconds, seconds))
+    os.utime(runs[0] / "status.json")
+    assert find_run("latest", output_dir, having="models/final.zip").path == runs[1]
+
+
 def test_a_name_that_nothing_has_gets_a_sentence_with_what_there_is(output_dir):
     nothing = f"run=nothing is neither a run directory nor the MLflow run id of a run in {output_dir}; "
     latest = output_dir / "mine" / "cell" / "seed=0"

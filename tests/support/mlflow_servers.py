@@ -10,10 +10,14 @@ from contextlib import contextmanager
 
 import pytest
 
-needs_server = pytest.mark.skipif(
-    importlib.util.find_spec("flask") is None,
-    reason="`mlflow server` needs the full mlflow: pip install 'parking-exp[ui]'",
-)
+
+def needs_server(test):
+    """Mark a test that needs the full mlflow; `make test-server` runs these alone."""
+    skipped = pytest.mark.skipif(
+        importlib.util.find_spec("flask") is None,
+        reason="`mlflow server` needs the full mlflow: pip install 'parking-exp[ui]'",
+    )
+    return pytest.mark.server(skipped(test))
 
 
 @contextmanager

@@ -22,7 +22,6 @@ from parking_exp.runs.directory import RunDirectory, RunResult
 from parking_exp.runs.files import read_json, write_json
 from parking_exp.runs.layout_version import new_entries
 from parking_exp.runs.lookup import find_runs
-from parking_exp.runs.metric_logs import log_hashes
 from parking_exp.tracking.reader import Reader
 from parking_exp.tracking.sync import sync
 from parking_exp.tracking.sync_all import sync_all
@@ -376,11 +375,9 @@ def test_artifacts_of_an_embedded_store_are_neither_sent_nor_read_elsewhere(outp
 
 
 def test_no_order_of_calls_reaches_artifacts_elsewhere(output_dir, listener, monkeypatch):
-    """Also where a log is to be taken back from the store, before anything is sent."""
     uri, heard = listener
     monkeypatch.setenv("MLFLOW_TRACKING_TOKEN", "secret-token")
     directory = run_in(output_dir)
-    directory.update(logs=log_hashes(directory.path))
     sync(directory, default_uri(output_dir))
     place = f"{uri}/api/2.0/mlflow-artifacts/artifacts/x"
     with closing(open_database(output_dir / "mlflow.db")) as database, database:

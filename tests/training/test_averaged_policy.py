@@ -16,7 +16,6 @@ from parking_exp.envs.training_envs import make_training_envs
 from parking_exp.errors import ConfigError, DamagedModelError
 from parking_exp.training import checkpoints
 from parking_exp.training.checkpoints import Progress
-from parking_exp.training.rebuild_models import make_models
 from parking_exp.training.run import train
 
 SMOKE = ("experiment=smoke", "algorithm=td3", "algorithm.averaged_policy=20", "evaluation.video_episodes=0")
@@ -100,17 +99,10 @@ def same(one, other):
 
 
 def test_the_average_is_what_is_saved_and_training_goes_on_from_the_trained_weights(averaged):
-    last = averaged.final_checkpoint
+    last = checkpoints.latest(averaged.checkpoints)
     final = weights(averaged.models / "final.zip")
     assert same(final, weights(last / checkpoints.AVERAGED))
     assert not same(final, weights(last / checkpoints.MODEL))
-
-
-def test_a_final_model_that_is_gone_is_made_again_with_the_average(averaged):
-    final = weights(averaged.models / "final.zip")
-    (averaged.models / "final.zip").unlink()
-    assert "made again" in make_models(averaged)
-    assert same(final, weights(averaged.models / "final.zip"))
 
 
 def test_an_average_that_had_not_begun_begins_with_the_first_update(tmp_path):
@@ -130,7 +122,7 @@ def test_a_resumed_run_has_the_same_average(averaged, tmp_path):
     train(stopped)
     directory = only_run(tmp_path)
     # As if it had been killed after its last checkpoint but one.
-    shutil.rmtree(directory.final_checkpoint)
+    shutil.rmtree(checkpoints.latest(directory.checkpoints))
     for name in ("result.json", "models/final.zip"):
         (directory.path / name).unlink()
     directory.update(status="running")

@@ -12,7 +12,7 @@ from support.runs import make_config
 from parking_exp.algorithms.build import build_model
 from parking_exp.envs.training_envs import make_training_envs
 from parking_exp.errors import DamagedFileError
-from parking_exp.runs.metric_logs import APPENDED, copy_logs, damaged_logs, log_hashes, read_metrics, restore_logs
+from parking_exp.runs.metric_logs import APPENDED, copy_logs, read_metrics, restore_logs
 from parking_exp.training import checkpoints
 from parking_exp.training.checkpoints import Progress
 
@@ -250,19 +250,8 @@ DAMAGE = {
 def test_a_log_that_has_lost_something_is_taken_from_the_checkpoint(logs, kind):
     run_dir, checkpoint = logs
     DAMAGE[kind](run_dir / "metrics.jsonl")
-    assert damaged_logs(run_dir, {}, checkpoint) == ["metrics.jsonl"]
     assert restore_logs(run_dir, checkpoint) == ["metrics.jsonl"]
     assert (run_dir / "metrics.jsonl").read_bytes() == b"metrics.jsonl: kept\n"
-    assert damaged_logs(run_dir, {}, checkpoint) == []
-
-
-@pytest.mark.parametrize("kind", DAMAGE)
-def test_logs_of_a_run_that_is_done_are_known_by_their_hashes(logs, kind):
-    run_dir, _ = logs
-    hashes = log_hashes(run_dir)
-    assert damaged_logs(run_dir, hashes, None) == []
-    DAMAGE[kind](run_dir / "episodes.csv")
-    assert damaged_logs(run_dir, hashes, None) == ["episodes.csv"]
 
 
 def test_without_a_checkpoint_logs_begin_anew(logs):

@@ -17,7 +17,6 @@ import pytest
 import torch
 from omegaconf import OmegaConf
 from PIL import Image, ImageSequence
-from support.run_equality import parameters
 from support.runs import (
     artifacts,
     assert_store_is_whole,
@@ -51,7 +50,7 @@ from parking_exp.evaluation.evaluate import evaluate
 from parking_exp.evaluation.evaluate_run import evaluate_run
 from parking_exp.evaluation.metrics import EPISODE_COLUMNS
 from parking_exp.runs.directory import RunDirectory
-from parking_exp.runs.files import read_json, sha256, write_json
+from parking_exp.runs.files import read_json, sha256
 from parking_exp.runs.lookup import find_run
 from parking_exp.tracking.sync import flatten
 from parking_exp.training import checkpoints, loop
@@ -100,7 +99,7 @@ def test_the_share_of_real_transitions_is_logged(smoke):
     directory, _, output_dir = smoke
     shares = history(store(output_dir), directory.run_id, "buffer/real_share")
     assert len(shares) >= 4
-    with np.load(directory.final_checkpoint / checkpoints.BUFFER) as buffer:
+    with np.load(checkpoints.latest(directory.checkpoints) / checkpoints.BUFFER) as buffer:
         real, virtual = buffer["sampled"]
     assert shares[-1] == (400, pytest.approx(real / (real + virtual)))
     assert all(1 / 3 <= share < 1 for _, share in shares)
@@ -339,114 +338,20 @@ def evaluate_stored(directory, *arguments):
     return evaluate_run(config)
 
 
-def everything(directory):
-    """All files of a run by name, with their content and time, but for models."""
-    files = (file for file in directory.path.rglob("*") if file.is_file() and file.parent != directory.models)
-    return {str(file): (file.read_bytes(), file.stat().st_mtime_ns) for file in files if file.suffix != ".lock"}
-
-
-@pytest.mark.parametrize("gone", [["final.zip"], ["final.zip", "best.zip"], ["best.zip"]])
-def test_models_that_are_gone_are_made_again_by_the_same_command(finished, gone):
+def test_a_finished_run_whose_files_were_deleted_stays_as_it_is(finished):
     directory, arguments = finished
-    before, others = {name: parameters(directory.models / name) for name in gone}, everything(directory)
-    for name in gone:
-        (directory.models / name).unlink()
-    result = train(make_config(*arguments))
-    assert result == directory.result()
-    assert {name: parameters(directory.models / name) for name in gone} == before
-    assert everything(directory) == others
-    evaluate_stored(directory, f"model={gone[0].partition('.')[0]}", "tracking.mlflow=false")
-
-
-@pytest.mark.parametrize("better", [False, True])
-def test_the_best_model_is_made_again_as_it_was(finished, better):
-    """Of the last evaluation, which comes after the last checkpoint, or of an earlier one."""
-    directory, arguments = finished
-    stored = read_json(directory.path / "result.json")
-    stored["metrics"]["eval/success_rate"] = 1.0 if better else 0.0
-    stored["metrics"]["eval/crash_rate"] = 0.0 if better else 1.0
-    write_json(directory.path / "result.json", stored)
-    shutil.rmtree(directory.models)
-    train(make_config(*arguments))
-    checkpoint = directory.checkpoints / "step=0000000400"
-    (source, other) = ("averaged.zip", "best.zip") if better else ("best.zip", "averaged.zip")
-    assert parameters(directory.models / "best.zip") == parameters(checkpoint / source)
-    assert parameters(directory.models / "best.zip") != parameters(checkpoint / other)
-
-
-def test_a_model_that_was_made_again_is_a_plain_stable_baselines3_zip(finished):
-    from stable_baselines3 import SAC
-
-    directory, arguments = finished
-    before = SAC.load(directory.models / "final.zip")
-    (directory.models / "final.zip").unlink()
-    train(make_config(*arguments))
-    after = SAC.load(directory.models / "final.zip")
-    entries = ("num_timesteps", "buffer_size", "n_envs", "learning_starts", "gamma", "_n_updates")
-    assert {name: getattr(after, name) for name in entries} == {name: getattr(before, name) for name in entries}
-    assert after.num_timesteps == 400
-
-
-@pytest.mark.slow
-def test_a_sweep_makes_models_again_and_its_plan_says_so(finished):
-    directory, arguments = finished
-    run_id, before, others = directory.run_id, parameters(directory.models / "final.zip"), everything(directory)
-    (directory.models / "final.zip").unlink()
-    planned = run_script("train", *arguments, "dry_run=true")
-    assert (
-        "1 cell x 1 seed = 1 run: 0 done, 1 to run (1 of them only to make models again that are gone)"
-        in planned.stdout
-    )
-    done = run_script("train", *arguments, "hydra/launcher=local")
-    assert done.returncode == 0, done.stderr
-    assert f"models/final.zip: gone, and made again from {directory.checkpoints / 'step=0000000400'}\n" in done.stderr
-    assert parameters(directory.models / "final.zip") == before
-    changed = {Path(name).name for name, was in everything(directory).items() if was != others.get(name)}
-    assert changed <= {"synced.json"}  # the file was sent, which has another time
-    assert directory.run_id == run_id
-    assert_store_is_whole(directory.path.parents[2], 400)
-    assert "1 run: 1 done, 0 to run" in run_script("train", *arguments, "dry_run=true").stdout
-
-
-@pytest.mark.slow
-def test_without_a_checkpoint_a_run_stays_done_and_says_how_to_train_it_afresh(finished):
-    directory, arguments = finished
-    shutil.rmtree(directory.models), shutil.rmtree(directory.checkpoints)
-    again = run_script("train", *arguments)
-    assert again.returncode == 0
-    assert again.stdout.splitlines()[:2] == [
-        "already done; to train it afresh, change the seed or delete its directory",
-        "models/final.zip and models/best.zip: gone, and can't be made again, since no checkpoint of its end is left; "
-        f"delete {directory.path} to train it afresh",
-    ]
-    assert "1 run: 1 done, 0 to run" in run_script("train", *arguments, "dry_run=true").stdout
-    words = (
-        f"models/final.zip is gone; delete {directory.path} to train it afresh, since no checkpoint of its end is left"
-    )
-    with pytest.raises(RunNotFoundError, match=re.escape(words) + "$"):
-        evaluate_stored(directory)
-
-
-def test_from_a_damaged_checkpoint_no_model_is_made(finished, capsys):
-    directory, arguments = finished
-    shutil.rmtree(directory.models)
-    checkpoint = directory.checkpoints / "step=0000000400"
-    (checkpoint / "model.zip").write_bytes(b"")
-    train(make_config(*arguments))
-    assert f"can't be made again, since {checkpoint} can't be used (model.zip has changed)" in capsys.readouterr().out
-    assert not directory.models.exists()
+    shutil.rmtree(directory.models), (directory.path / "metrics.jsonl").unlink()
+    assert train(make_config(*arguments)) == directory.result()
+    assert not directory.models.exists() and not (directory.path / "metrics.jsonl").exists()
 
 
 def test_evaluate_says_how_to_get_a_model_that_is_gone(finished):
     directory, _ = finished
     (directory.models / "final.zip").unlink()
-    again = "type its training command again, which makes it from the last checkpoint"
+    again = f"delete {directory.path} to train it afresh"
     with pytest.raises(RunNotFoundError, match=rf"models/final.zip is gone; try model=best, or {again}$"):
         evaluate_stored(directory)
-    with pytest.raises(
-        RunNotFoundError,
-        match=r"of 1 run in .*, none has models/final.zip yet; where a run is done and it is gone, its training command",
-    ):
+    with pytest.raises(RunNotFoundError, match=r"of 1 run in .*, none has models/final.zip yet$"):
         find_run("latest", directory.path.parents[2], having="models/final.zip")
     (directory.models / "best.zip").unlink()
     with pytest.raises(RunNotFoundError, match=rf"models/final.zip is gone; {again}$"):
@@ -462,14 +367,12 @@ def test_evaluate_refuses_a_damaged_model_in_a_sentence(finished):
     directory, _ = finished
     path = directory.models / "final.zip"
     os.truncate(path, 3000)
-    before = everything(directory)
     done = run_script("evaluate", f"run={directory.path}", "episodes=1", "tracking.mlflow=false")
     assert done.returncode == 2
     assert done.stderr == (
-        f"error: {path} is damaged (File is not a zip file); try model=best, or delete it and type its training command "
-        "again, which makes it from the last checkpoint\n"
+        f"error: {path} is damaged (File is not a zip file); try model=best, or delete {directory.path} to train it "
+        "afresh\n"
     )
-    assert everything(directory) == before
 
 
 @pytest.mark.parametrize(
@@ -486,7 +389,7 @@ def test_evaluate_refuses_a_model_that_is_not_its_configs(finished, key, value, 
     OmegaConf.save(config, directory.path / "config.yaml")
     words = (
         f"models/final.zip does not fit {SAC.__module__}.SAC as its config.yaml describes it ({problem}); put back "
-        "the config.yaml that it was trained with, or try model=best, or delete it and type its training command again"
+        f"the config.yaml that it was trained with, or try model=best, or delete {directory.path} to train it afresh"
     )
     with pytest.raises(ModelError, match=re.escape(words)):
         evaluate_stored(directory)
