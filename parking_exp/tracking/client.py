@@ -28,6 +28,7 @@ ENVIRONMENT = {
     "MLFLOW_DISABLE_TELEMETRY": "true",  # nothing leaves the machine
     "GIT_PYTHON_REFRESH": "quiet",
     "MLFLOW_SUPPRESS_PRINTING_URL_TO_STDOUT": "true",  # for each run that ends
+    "MLFLOW_ENABLE_ARTIFACTS_PROGRESS_BAR": "false",
     # MLflow's own 7 tries with doubling pauses take 4 minutes on a port where nobody listens. These take 2.3 s, and
     # what they do not reach is sent later anyway.
     "MLFLOW_HTTP_REQUEST_MAX_RETRIES": "2",
