@@ -18,6 +18,7 @@ from filelock import FileLock
 
 from parking_exp.config.credentials import with_password
 from parking_exp.config.paths import SQLITE, database
+from parking_exp.errors import StoreError
 from parking_exp.tracking.relocation import relocate
 
 if TYPE_CHECKING:
@@ -87,6 +88,10 @@ def _make_database(path: Path) -> None:
     """Make an empty store: MLflow's migrations are not atomic in sqlite, so the whole file is renamed into place."""
     from mlflow import MlflowClient
 
+    if {"'", '"'} <= set(str(Path.cwd())):  # MLflow writes it into SQL as Python's repr of it
+        raise StoreError(
+            "MLflow can't make a store in a working directory with both ' and \" in its path; change to another"
+        )
     new = path.with_name(f".{path.name}.new")
     _delete_database(new)  # a process that was killed may have left one
     try:

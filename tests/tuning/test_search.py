@@ -8,6 +8,8 @@ from support.runs import make_config, options
 
 from parking_exp.config.compose import compose
 from parking_exp.config.credentials import with_password
+from parking_exp.config.experiment_files import with_absolute_path
+from parking_exp.config.overrides import in_quotes
 from parking_exp.errors import ConfigError, OutputDirectoryError
 from parking_exp.tuning.search import Search, study_in
 from parking_exp.tuning.unit_costs import shape
@@ -120,6 +122,15 @@ def test_unit_costs_are_those_of_all_configs_that_cost_the_same():
     assert len({shape(search.config(changes)) for changes in same}) == 1
     others = [{"algorithm.batch_size": 64}, {"algorithm": "td3"}, {"n_envs": 1}, {"env": "parking_parked"}]
     assert len({shape(search.config(changes)) for changes in [{}, *others]}) == 5
+
+
+def test_an_experiment_file_may_have_quotes_in_its_path(tmp_path):
+    path = tmp_path / 'it\'s "mine"' / "own.yaml"
+    path.parent.mkdir()
+    path.write_text("# @package _global_\ntotal_timesteps: 777\n")
+    line = f"experiment={in_quotes(str(path))}"
+    assert with_absolute_path(line) == line
+    assert make_config(line).total_timesteps == 777
 
 
 def test_a_yaml_file_that_can_not_be_read_gets_a_sentence(tmp_path):
