@@ -127,10 +127,10 @@ def test_unit_costs_are_those_of_all_configs_that_cost_the_same():
 def test_an_experiment_file_may_have_quotes_in_its_path(tmp_path):
     path = tmp_path / 'it\'s "mine"' / "own.yaml"
     path.parent.mkdir()
-    path.write_text("# @package _global_\ntotal_timesteps: 777\n")
+    path.write_text("# @package _global_\ntotal_timesteps: 30000\n")
     line = f"experiment={in_quotes(str(path))}"
     assert with_absolute_path(line) == line
-    assert make_config(line).total_timesteps == 777
+    assert make_config(line).total_timesteps == 30_000
 
 
 def test_a_yaml_file_that_can_not_be_read_gets_a_sentence(tmp_path):
