@@ -1,9 +1,12 @@
 """Tests of the public API: public paths, lazy imports, import cost."""
 
+import ast
 import re
 import subprocess
 import sys
+import tomllib
 from importlib import import_module
+from importlib.metadata import packages_distributions
 
 import pytest
 from support.runs import ROOT
@@ -45,6 +48,39 @@ def test_importing_the_package_imports_nothing_heavy():
     )
     done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, check=True, capture_output=True, text=True)
     assert done.stdout == "[]\n"
+
+
+def test_every_package_that_is_imported_is_declared():
+    """The extras count, too: what needs one of them says so when it is missing. sbx-rl is a peer of benchmarks."""
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    declared = [
+        *project["dependencies"],
+        *(
+            line
+            for extra in ("contrib", "export", "bench", "slurm", "ray")
+            for line in project["optional-dependencies"][extra]
+        ),
+    ]
+    names = {re.match(r"[\w-]+", line)[0].lower().replace("_", "-") for line in declared}
+    imported = {
+        name.partition(".")[0]
+        for path in (ROOT / "parking_exp").rglob("*.py")
+        for node in ast.walk(ast.parse(path.read_text()))
+        for name in (
+            [alias.name for alias in node.names]
+            if isinstance(node, ast.Import)
+            else [node.module]
+            if isinstance(node, ast.ImportFrom)
+            else []
+        )
+    }
+    owners = packages_distributions()
+    missing = {
+        name
+        for name in imported - sys.stdlib_module_names - {"parking_exp", "sbx"}
+        if not {one.lower().replace("_", "-") for one in owners[name]} & names
+    }
+    assert missing == set()
 
 
 def test_the_functions_for_python_are_attributes_of_the_package():

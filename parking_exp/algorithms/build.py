@@ -1,7 +1,7 @@
 """Build a Stable-Baselines3 model from a config: the one place where third-party classes are instantiated."""
 
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from typing import Any
 
 import numpy as np
@@ -18,7 +18,7 @@ from parking_exp.algorithms.features import EgoFrameExtractor, FineEgoFrameExtra
 from parking_exp.algorithms.mirrored_policies import MIRRORED
 from parking_exp.algorithms.noise import VectorizedNormalNoise
 from parking_exp.buffers import HerBuffer
-from parking_exp.config.constructor_arguments import CLASS_ARGUMENTS, ignored_features
+from parking_exp.config.constructor_arguments import CLASS_ARGUMENTS, ignored_features, not_mirrored
 from parking_exp.config.schema import Precision, RunConfig
 from parking_exp.config.signatures import policy_signature
 from parking_exp.envs.interface import Policy
@@ -100,14 +100,10 @@ def _computes_ego_features(model: OffPolicyAlgorithm) -> bool:
 
 def _mirrored_policy(config: RunConfig) -> type:
     """Return the policy that mirrors the steering with its features."""
-    target = config.algorithm.target
-    aliases: dict[Any, type] = getattr(get_object(target), "policy_aliases", {})
+    aliases: dict[Any, type] = getattr(get_object(config.algorithm.target), "policy_aliases", {})
     policy = MIRRORED.get(aliases.get(config.algorithm.arguments.get("policy"), object))
     if policy is None:
-        raise ConfigError(
-            f"algorithm.features=ego_mirrored: the policy of {target} does not mirror its steering; "
-            "set algorithm.features=ego_fine"
-        )
+        raise ConfigError(not_mirrored(config.algorithm))
     return policy
 
 
@@ -180,5 +176,5 @@ def _precision(config: RunConfig, recorded: object) -> Precision:
         return config.precision
     if recorded in ("highest", "medium"):
         return recorded
-    model = build_model(config, make_training_envs(config.env, 1), seed=0, for_training=False)
-    return faster_precision(model)
+    with closing(make_training_envs(config.env, 1)) as env:
+        return faster_precision(build_model(config, env, seed=0, for_training=False))

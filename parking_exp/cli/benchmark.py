@@ -7,4 +7,4 @@ from parking_exp.cli.command import for_each, run_command
 def main() -> None:
     """Run the command."""
     command = for_each("benchmark", validate_benchmark, benchmark)
-    run_command("benchmark", command, benchmark, flags={"--quick": "quick=true"})
+    run_command("benchmark", command, flags={"--quick": "quick=true"})

@@ -12,6 +12,7 @@ import signal
 import sys
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, redirect_stdout
+from pathlib import Path
 from typing import NoReturn
 
 import hydra
@@ -38,7 +39,6 @@ Command = Callable[[list[str], str | None], None]
 def run_command(
     config_name: str,
     command: Command,
-    task: Task,
     *,
     flags: Mapping[str, str] | None = None,
     read: Callable[[list[str]], list[str]] = list,
@@ -48,7 +48,6 @@ def run_command(
     Args:
         config_name: root of the command's config.
         command: what to do.
-        task: what Hydra runs, with `--config-name`.
         flags: `--quick` and such, and the override that each stands for.
         read: writes the words that are typed as Hydra's overrides.
     """
@@ -57,8 +56,8 @@ def run_command(
     with errors_as_sentences():
         parser, arguments = _parse(sys.argv[1:], flags or {})
         arguments.overrides = [quoted(override) for override in read(arguments.overrides)]
-        if _is_hydras(arguments):
-            _run_hydras(parser, arguments, config_name, task)
+        if any(getattr(arguments, flag) for flag in ("help", "hydra_help", "cfg", "info", "shell_completion")):
+            _run_hydras(parser, arguments, config_name)
         else:
             command(arguments.overrides, arguments.config_dir)
 
@@ -128,28 +127,30 @@ def _parse(words: list[str], flags: Mapping[str, str]) -> tuple[argparse.Argumen
         flag = next((word for word in unknown if word.startswith("-")), unknown[0]).partition("=")[0]
         hint = did_you_mean(flag, parser._option_string_actions, cutoff=0.8) or "; write KEY=VALUE, without dashes"
         raise ConfigError(f"{flag}: there is no such flag{hint}")
+    if arguments.config_name or arguments.config_path or arguments.experimental_rerun:
+        raise ConfigError(
+            "--config-name, --config-path and --experimental-rerun: not supported here; put options of your own into a "
+            "directory and pass --config-dir=DIRECTORY; rerun the same command to resume"
+        )
+    if arguments.config_dir and not Path(arguments.config_dir).is_dir():
+        raise ConfigError(f"--config-dir={arguments.config_dir}: there is no such directory")
     arguments.overrides += getattr(arguments, "flags", None) or []
     return parser, arguments
 
 
-def _is_hydras(arguments: argparse.Namespace) -> bool:
-    """Whether a command line is Hydra's to answer."""
-    asked = ("help", "hydra_help", "cfg", "info", "shell_completion", "config_name", "config_path")
-    if arguments.experimental_rerun:
-        raise ConfigError("--experimental-rerun: Hydra keeps no jobs here; type the command again, which goes on")
-    return any(getattr(arguments, name) for name in asked)
+def _run_hydras(parser: argparse.ArgumentParser, arguments: argparse.Namespace, config_name: str) -> None:
+    """Have Hydra show help, a config or the like.
 
-
-def _run_hydras(parser: argparse.ArgumentParser, arguments: argparse.Namespace, config_name: str, task: Task) -> None:
-    """Have Hydra show help, a config or the like, or run a config of the user's (`--config-name`)."""
+    Raises:
+        ConfigError: what is to be shown does not compose, or flags do not go together.
+    """
+    if arguments.cfg:
+        composed(config_name, arguments.overrides, arguments.config_dir)
     hydra.version.setbase(VERSION_BASE)
     shown = io.StringIO()  # Hydra would print a traceback when the pipe that it prints to is closed
-    if arguments.config_name or arguments.config_path:
-        _run_hydra(arguments, parser, task, str(config_dir()), config_name)
-        return
     try:
         with redirect_stdout(shown):
-            _run_hydra(arguments, parser, task, str(config_dir()), config_name)
+            _run_hydra(arguments, parser, lambda config: None, str(config_dir()), config_name)
     except ValueError as error:  # flags that do not go together
         raise ConfigError(str(error)) from error
     finally:

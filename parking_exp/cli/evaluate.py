@@ -6,4 +6,4 @@ from parking_exp.evaluation.evaluate_run import evaluate_run, validate_request
 
 def main() -> None:
     """Run the command."""
-    run_command("evaluate", for_each("evaluate", validate_request, evaluate_run), evaluate_run)
+    run_command("evaluate", for_each("evaluate", validate_request, evaluate_run))

@@ -6,4 +6,4 @@ from parking_exp.evaluation.export_run import export_run, validate_request
 
 def main() -> None:
     """Run the command."""
-    run_command("export", for_each("export", validate_request, export_run), export_run)
+    run_command("export", for_each("export", validate_request, export_run))

@@ -41,7 +41,7 @@ FLAGS = {"--json": "json=true", "--watch": "watch=true", "--sync": "sync=true"}
 
 def main() -> None:
     """Run the command."""
-    run_command("status", for_each("status", validate_status, show), show, flags=FLAGS, read=status_overrides)
+    run_command("status", for_each("status", validate_status, show), flags=FLAGS, read=status_overrides)
 
 
 def status_overrides(words: list[str]) -> list[str]:

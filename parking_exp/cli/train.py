@@ -12,7 +12,7 @@ from parking_exp.config.validate import parse
 
 def main() -> None:
     """Run the command."""
-    run_command("config", train, train_run, flags={"--dry-run": "dry_run=true"})
+    run_command("config", train, flags={"--dry-run": "dry_run=true"})
 
 
 def train(overrides: list[str], extra_config_dir: str | None) -> None:

@@ -1,14 +1,11 @@
 """`scripts/tune.py` and `parking-tune`: search hyperparameters."""
 
-from omegaconf import DictConfig
-
 from parking_exp.cli.command import run_command
-from parking_exp.errors import ConfigError
 
 
 def main() -> None:
     """Run the command."""
-    run_command("tune", tune, tune_config, flags={"--dry-run": "dry_run=true"})
+    run_command("tune", tune, flags={"--dry-run": "dry_run=true"})
 
 
 def tune(overrides: list[str], extra_config_dir: str | None) -> None:
@@ -21,8 +18,3 @@ def tune(overrides: list[str], extra_config_dir: str | None) -> None:
     search = Search(overrides, extra_config_dir)
     dry_run = bool(search.composed.cell.dry_run)
     run_search(search, Launch(overrides, extra_config_dir, do_job), dry_run=dry_run)
-
-
-def tune_config(config: DictConfig) -> None:
-    """Refuse a config of the user's own root (`--config-name`), which workers could not compose."""
-    raise ConfigError("--config-name: a search is an option of the group `search`; write search=NAME with --config-dir")

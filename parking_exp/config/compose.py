@@ -27,7 +27,7 @@ from omegaconf import DictConfig, ListConfig, OmegaConf, open_dict
 from omegaconf.errors import OmegaConfBaseException
 
 from parking_exp.config.experiment_files import experiment_files
-from parking_exp.config.grid import check_blocks, check_number, labels, points, seeds_of
+from parking_exp.config.grid import check_blocks, check_number, points, seeds_of
 from parking_exp.config.overrides import (
     check_groups,
     check_keys,
@@ -54,7 +54,7 @@ class Composed:
     Attributes:
         cell: its config as Hydra composed it, shared by all runs of the cell.
         seed: takes the place of the cell's; None: the cell's own.
-        label: what sets its cell apart from the others, e.g. `her_final, n_sampled_goal=8`; empty for a single cell.
+        label: of its cell; empty: what sets its config apart from those of the other cells.
         rank: 0 for a cell's first seed, 1 for its second, ...
         options: group -> chosen option.
     """
@@ -181,20 +181,37 @@ def _runs(compose_lines: Compose, typed: dict[str, list[str]], seeds: list[int] 
     experiment = typed.get("experiment", [""])[0]
     in_blocks = {key for block in blocks for key in block}
     typed = {bare if (bare := key.lstrip("+")) in in_blocks else key: values for key, values in typed.items()}
-    seeds = seeds or seeds_of(_container(base.seeds))
+    if seeds is None:
+        seeds = seeds_of(_container(base.seeds))
     if "seed" in typed or "seed" in in_blocks:
         seeds = None
     runs, cells = [], set()
     all_points = points(blocks, typed, lambda key, point: _has(compose_lines, key, point), experiment)
     check_number(len(all_points) * len(seeds or [None]), f"{len(all_points)} cells x {len(seeds or [None])} seeds")
-    for point, label in zip(all_points, labels(all_points), strict=True):
-        composition = compose_lines(*point)
+    for point in all_points:
+        composition = _cell(compose_lines, point)
         cell = composition.config
         if (known := OmegaConf.to_yaml(cell)) in cells:  # blocks that differ may be the same once values are typed
             continue
         cells.add(known)
-        runs += [Composed(cell, seed, label, rank, composition.options) for rank, seed in enumerate(seeds or [None])]
+        runs += [Composed(cell, seed, "", rank, composition.options) for rank, seed in enumerate(seeds or [None])]
     return sorted(runs, key=attrgetter("rank"))
+
+
+def _cell(compose_lines: Compose, point: list[str]) -> Composition:
+    """Compose a cell.
+
+    Raises:
+        ConfigError: one of its options lacks one of its keys.
+    """
+    try:
+        return compose_lines(*point)
+    except HydraException as error:
+        for key in (line.partition("=")[0] for line in point):
+            option = next((line for line in point if line.startswith(f"{key.partition('.')[0]}=")), None)
+            if option and not _has(compose_lines, key, [option]):
+                raise ConfigError(f"{key}: {option} has no such key; leave out the option or the key") from error
+        raise
 
 
 def _has(compose_lines: Compose, key: str, point: list[str]) -> bool:

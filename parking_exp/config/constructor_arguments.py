@@ -3,9 +3,8 @@
 Nested ones, too: nodes with a `_target_`, `policy_kwargs`, and the arguments of optimizer and features extractor.
 """
 
-import math
 import re
-from collections.abc import Iterator, Mapping, Set
+from collections.abc import Mapping, Set
 from typing import Annotated, Any, Literal
 
 from pydantic import Field, TypeAdapter, ValidationError
@@ -28,7 +27,7 @@ from parking_exp.errors import suggestion
 
 Decay = Annotated[float, Field(ge=0, lt=1)]
 
-# Ranges that third-party signatures don't state. Scalars only, but for LISTS: a schedule or "auto" passes.
+# Ranges that third-party signatures don't state. A schedule, "auto", and [number, unit] for train_freq pass.
 RANGES: dict[str, Any] = {
     "learning_rate": PositiveFloat,
     "buffer_size": Positive,
@@ -57,7 +56,6 @@ RANGES: dict[str, Any] = {
     "eps": NonNegative,
     "betas": Annotated[list[Decay], Field(min_length=2, max_length=2)],
 }
-LISTS = {"betas"}
 # Ranges of arguments whose names mean something else elsewhere, by the class that takes them. Of lists, each entry.
 RANGES_OF: dict[str, dict[str, Any]] = {
     "LinearSchedule": {"start": PositiveFloat, "end": NonNegative, "end_fraction": Share},
@@ -115,8 +113,7 @@ UNSET = {"train_freq", "gradient_steps"}
 
 def check_arguments(run: RunConfig) -> list[str]:
     """Say what is wrong with the arguments of the algorithm, of its policy and of the buffer."""
-    infinite = [*_infinite("algorithm", run.algorithm.arguments), *_infinite("buffer", run.buffer.arguments)]
-    return infinite or [
+    return [
         *_check_section("algorithm", run.algorithm, FED_TO_ALGORITHM, {"policy_kwargs", "features", "net_arch"}),
         *_check_section("buffer", run.buffer, FED_TO_BUFFER, {"buffer_size", "optimize_memory_usage"}),
     ]
@@ -130,21 +127,20 @@ def ignored_features(algorithm: AlgorithmConfig) -> str:
     )
 
 
+def not_mirrored(algorithm: AlgorithmConfig) -> str:
+    """Say that an algorithm's policy can't mirror its steering."""
+    return (
+        f"algorithm.features=ego_mirrored: the policy of {algorithm.target} does not mirror its steering; "
+        "set algorithm.features=ego_fine"
+    )
+
+
 def class_path(value: object) -> object:
     """Return the dotted path that a class argument names: itself, that of its `_target_`, or what that looks up."""
     if not isinstance(value, Mapping):
         return value
     is_lookup = value.get("_target_") in CLASS_LOOKUPS and "_args_" not in value
     return value.get("path" if is_lookup else "_target_")
-
-
-def _infinite(key: str, value: object) -> Iterator[str]:
-    """Yield a sentence for each number in nested containers that is none, or infinite."""
-    if isinstance(value, float) and not math.isfinite(value):
-        yield f"{key}={value}: input should be a finite number"
-    items = value.items() if isinstance(value, Mapping) else enumerate(value) if isinstance(value, list) else ()
-    for name, item in items:
-        yield from _infinite(f"{key}.{name}", item)
 
 
 def _check_section(key: str, section: ThirdParty, fed: Fed, own: Set[str]) -> list[str]:
@@ -183,6 +179,8 @@ def _check_policy(algorithm: AlgorithmConfig) -> list[str]:
         return []
     if algorithm.features != "raw" and not expected.takes("features_extractor_class"):
         return [ignored_features(algorithm)]
+    if algorithm.features == "ego_mirrored" and not base_names(algorithm.target) & {"SAC", "TD3"}:
+        return [not_mirrored(algorithm)]
     problems = _check_call(key, policy, expected, given, FED_TO_POLICY)
     if problems:
         return problems
@@ -252,8 +250,9 @@ def _check_value(key: str, name: str, value: Any, target: str, parameter: Parame
         return [
             problem for index, one in enumerate(value) for problem in _check_range(f"{key}.{index}", one, ranges[name])
         ]
-    is_checked = isinstance(value, int | float | str) or name in LISTS
-    return _check_range(key, value, ranges[name]) if is_checked else []
+    if (name == "train_freq" and isinstance(value, list)) or (value is None and "None" in str(parameter.annotation)):
+        return []
+    return _check_range(key, value, ranges[name])
 
 
 def _check_class(key: str, value: str | Mapping[str, Any], base: str) -> list[str]:

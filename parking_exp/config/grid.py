@@ -71,19 +71,6 @@ def _no_cell(typed: Mapping[str, list[str]], listed: Mapping[str, set[str]], exp
     return f"no cell of experiment {experiment} matches {asked}; its values are {there}"
 
 
-def labels(cells: Sequence[Point]) -> list[str]:
-    """Return a name for each cell: the overrides that are not the same in all, groups by their option alone."""
-    settings = [dict(line.split("=", 1) for line in cell) for cell in cells]
-    keys = dict.fromkeys(key for setting in settings for key in setting if key not in {"seed", "experiment"})
-    varying = [key for key in keys if len({setting.get(key) for setting in settings}) > 1]
-
-    def phrase(key: str, value: str) -> str:
-        short = key.lstrip("+").rpartition(".")[2]
-        return f"{short}={value}" if "." in key or value.replace(".", "").replace("-", "").isdigit() else value
-
-    return [", ".join(phrase(key, setting[key]) for key in varying if key in setting) for setting in settings]
-
-
 def check_blocks(value: object) -> list[Block]:
     """Return `cells`, checked.
 

@@ -7,6 +7,9 @@ from pydantic import BaseModel
 from parking_exp.config.source_lookup import UnknownTarget
 from parking_exp.errors import suggestion
 
+LARGEST_NUMBER = 1e15  # of any key: its square is a float, and its digits can be printed
+NUMBER_RANGE = f"numbers lie between {-LARGEST_NUMBER:.0e} and {LARGEST_NUMBER:.0e}"
+
 
 def no_target(key: str, target: str, error: UnknownTarget) -> str:
     """Return what is wrong with a `_target_` that names nothing."""
@@ -41,7 +44,7 @@ def sentence(item: Any, model: type[BaseModel] | None = None, prefix: str = "") 
         case "model_type":
             return f"{key}={value!r} is not a group of keys; it holds {', '.join(_keys(model, parts))}"
         case "string_pattern_mismatch" if parts == ["device"]:
-            return f"device={value!r} is not a valid choice; choose from cpu, auto, cuda, cuda:N, mps"
+            return f"device={value!r} is not a valid choice; choose from cpu, auto, cuda, cuda:N"
         case "string_pattern_mismatch":
             return f"{key}={value!r} is not valid; it must match {context['pattern']}"
         case "value_error":  # of a validator of ours, whose words name what is wrong

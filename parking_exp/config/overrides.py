@@ -9,6 +9,7 @@ from hydra.errors import HydraException
 from omegaconf import DictConfig
 
 from parking_exp.config.grid import seeds_of, written
+from parking_exp.config.messages import NUMBER_RANGE
 from parking_exp.config.signatures import signature
 from parking_exp.config.source_lookup import UnknownTarget
 from parking_exp.errors import ConfigError, suggestion
@@ -59,10 +60,10 @@ def is_group(override: Override, loader: ConfigLoader) -> bool:
 
 
 def typed_seeds(overrides: list[Override]) -> list[int] | None:
-    """Read `seeds=5`, `seeds=[3,4]` or `seeds=3,4`, where it is typed."""
+    """Read `seeds=5`, `seeds=[3,4]` or `seeds=3,4`; return [] for `seeds=null`, and None where none are passed."""
     for override in reversed(overrides):
         if override.key_or_group == "seeds":
-            return seeds_of(list(override.sweep_iterator()) if override.is_sweep_override() else override.value())
+            return seeds_of(list(override.sweep_iterator()) if override.is_sweep_override() else override.value()) or []
     return None
 
 
@@ -78,7 +79,7 @@ def typed_values(overrides: list[Override]) -> dict[str, list[str]]:
             raise ConfigError(f"{override.input_line}: an axis needs values, not a range of them")
         values = override.sweep_string_iterator() if override.is_sweep_override() else None
         found[override.get_key_element()] = list(values or [override.get_value_element_as_str()])
-    if {"seed", "seeds"} <= found.keys():
+    if "seed" in found and found.get("seeds", ["null"]) != ["null"]:
         raise ConfigError("seed and seeds are both given; seeds=[...] names several")
     return found
 
@@ -97,7 +98,12 @@ def first_values(overrides: Iterable[Override]) -> list[str]:
 def expand_groups(overrides: list[str], parser: OverridesParser, loader: ConfigLoader) -> list[Override]:
     """Parse overrides; those that set several keys of a group, `tracking={csv: false}`, become one for each key."""
     found = []
-    for override in parser.parse_overrides(overrides):
+    for line in overrides:
+        try:
+            (override,) = parser.parse_overrides([line])
+        except ValueError as error:  # Python reads no integer of so many digits
+            key = line.partition("=")[0]
+            raise ConfigError(f"{key}: a number has too many digits; {NUMBER_RANGE}") from error
         values = override.value()
         if override.type == OverrideType.CHANGE and isinstance(values, dict) and is_group(override, loader):
             lines = [f"{override.key_or_group}.{key}={written(value)}" for key, value in values.items()]
@@ -117,6 +123,8 @@ def check_groups(overrides: Sequence[Override], groups: Set[str], loader: Config
         name = override.key_or_group
         if not name:
             raise ConfigError(f"{override.input_line}: there is no key before the equals sign; write KEY=VALUE")
+        if name == "hydra":
+            raise ConfigError(f"{override.input_line}: hydra is a group of keys; write hydra.KEY=VALUE")
         if (is_hydras(name) and name != "hydra/launcher") or not is_group(override, loader):
             continue
         if name not in groups and not is_hydras(name):
@@ -143,12 +151,16 @@ def _check_options(override: Override, options: list[str]) -> None:
 def check_keys(base: DictConfig, overrides: Sequence[Override], groups: Set[str], loader: ConfigLoader) -> None:
     """Check that the config of the chosen options has the keys that are changed or deleted.
 
+    Keys of a group whose options are swept over are checked with each of its options, where cells are composed.
+
     Raises:
         ConfigError: with the closest name.
     """
+    swept = {override.key_or_group for override in overrides if override.is_sweep_override()}
     for override in overrides:
         is_key = not is_hydras(override.key_or_group) and not is_group(override, loader)
-        if is_key and override.type in {OverrideType.CHANGE, OverrideType.DEL}:
+        group, dot, _ = override.key_or_group.partition(".")
+        if is_key and override.type in {OverrideType.CHANGE, OverrideType.DEL} and not (dot and group in swept):
             _check_key(base, override, groups)
 
 

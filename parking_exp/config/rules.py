@@ -123,8 +123,12 @@ def _check_algorithm(run: RunConfig) -> list[str]:
         )
     train_freq = run.algorithm.arguments.get("train_freq")
     if isinstance(train_freq, list):
-        if len(train_freq) != 2 or train_freq[1] not in {"step", "episode"} or not isinstance(train_freq[0], int):
-            problems.append(f"algorithm.train_freq={train_freq} is not a number or [number, step | episode]")
+        number, unit = train_freq if len(train_freq) == 2 else (0, "")
+        if type(number) is not int or number < 1 or unit not in ("step", "episode"):
+            problems.append(
+                f"algorithm.train_freq={train_freq} is neither a number nor [NUMBER, step] nor [NUMBER, episode], "
+                "with a NUMBER of 1 or more"
+            )
         elif train_freq[1] == "episode" and run.n_envs > 1:
             problems.append("algorithm.train_freq counts episodes, which works with one env only; set n_envs=1")
     actions = run.env.action.longitudinal + run.env.action.lateral

@@ -44,9 +44,10 @@ Name = Annotated[str, Field(pattern=NAME, max_length=80)]
 Uri = Annotated[str, AfterValidator(strip_password)]
 Positive = Annotated[int, Field(ge=1)]
 Count = Annotated[int, Field(ge=0)]
-NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
-PositiveFloat = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+NonNegative = Annotated[float, Field(ge=0)]
+PositiveFloat = Annotated[float, Field(gt=0)]
 Duration = Annotated[float, Field(gt=0, le=100_000)]
+Pixels = Annotated[int, Field(ge=1, le=10_000)]
 Share = Annotated[float, Field(gt=0, le=1)]
 Bounds = Annotated[list[float], Field(min_length=2, max_length=2)]
 Simulation = Literal["vectorized", "highway_env"]
@@ -58,7 +59,7 @@ NumberOfScenes = Annotated[int, Field(ge=1, le=TRAINING_SCENES_START)]
 class ConfigModel(BaseModel):
     """A strict, frozen part of the config: unknown keys and wrong types are errors."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
 
 
 class ObservationConfig(ConfigModel):
@@ -99,16 +100,16 @@ class EnvConfig(ConfigModel):
     success_goal_reward: PositiveFloat
     collision_reward: float
     steering_range: PositiveFloat
-    simulation_frequency: Positive
-    policy_frequency: Positive
+    simulation_frequency: Annotated[int, Field(ge=1, le=1000)]
+    policy_frequency: Annotated[int, Field(ge=1, le=100)]  # episode_steps() counts duration x policy_frequency steps
     duration: Duration
     controlled_vehicles: Literal[1]
     vehicles_count: Annotated[int, Field(ge=0, le=26)]
     add_walls: bool
     other_vehicles_type: str
     neighbour_vehicles_connected_lanes: bool
-    screen_width: Positive
-    screen_height: Positive
+    screen_width: Pixels
+    screen_height: Pixels
     centering_position: Bounds
     scaling: PositiveFloat
     show_trajectories: bool
@@ -165,7 +166,7 @@ class EnvConfig(ConfigModel):
 class ThirdParty(BaseModel):
     """A section with fields of ours and, besides them, constructor arguments of the class in `_target_`."""
 
-    model_config = ConfigDict(extra="allow", frozen=True, strict=True, allow_inf_nan=False)
+    model_config = ConfigDict(extra="allow", frozen=True, strict=True)
 
     name: Name
     target: Annotated[str, Field(alias="_target_")]
@@ -271,9 +272,9 @@ class RunConfig(ConfigModel):
     total_timesteps: Positive
     n_envs: Positive
     # Below, a round would be longer than 1,000 steps of each env.
-    updates_per_step: Annotated[float, Field(ge=0.001, allow_inf_nan=False)]
-    device: Annotated[str, Field(pattern=r"^(cpu|auto|mps|cuda(:\d+)?)$")]
-    torch_threads: Positive | None
+    updates_per_step: Annotated[float, Field(ge=0.001)]
+    device: Annotated[str, Field(pattern=r"^(cpu|auto|cuda(:\d{1,3})?)$")]
+    torch_threads: Annotated[int, Field(ge=1, le=1024)] | None
     precision: Literal["auto"] | Precision
     timeout_s: PositiveFloat | None = None
     env: EnvConfig

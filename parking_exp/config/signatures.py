@@ -49,7 +49,8 @@ class Parameter:
             return type(value).__name__.replace("NoneType", "None") in parts
         if isinstance(value, int | float | str):
             return any(isinstance(value, SIMPLE_TYPES[part]) for part in parts if part in SIMPLE_TYPES)
-        return any(part not in SIMPLE_TYPES for part in parts)  # a list or a mapping: for an object, then
+        kinds = ("tuple", "list", "Sequence", "np.ndarray") if isinstance(value, list) else ("dict", "Mapping")
+        return any(part.startswith(kinds) for part in parts)
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,8 @@ Every complaint is one sentence that names the key, what is wrong and the closes
 torch or mlflow: a typo is refused in well under two seconds.
 """
 
-from collections.abc import Mapping, Set
+import math
+from collections.abc import Iterator, Mapping, Set
 from typing import Any, TypeVar
 
 from omegaconf import DictConfig, OmegaConf
@@ -13,7 +14,7 @@ from pydantic import BaseModel, ValidationError
 
 from parking_exp.config.constructor_arguments import check_arguments
 from parking_exp.config.credentials import keep_password
-from parking_exp.config.messages import sentence
+from parking_exp.config.messages import LARGEST_NUMBER, NUMBER_RANGE, sentence
 from parking_exp.config.rules import check_rules
 from parking_exp.config.schema import RunConfig, SweepOptions
 from parking_exp.errors import ConfigError
@@ -64,7 +65,20 @@ def check(model: type[Model], plain: Mapping[str, Any]) -> Model:
     Raises:
         ConfigError: they don't fit.
     """
+    if problems := list(_bad_numbers(plain)):
+        raise ConfigError("\n".join(problems[:5]))
     try:
         return model.model_validate(plain)
     except ValidationError as error:
         raise ConfigError("\n".join(sentence(item, model) for item in error.errors()[:5])) from error
+
+
+def _bad_numbers(value: object, key: str = "") -> Iterator[str]:
+    """Yield a sentence for each number in nested containers that is not finite or too large to compute with."""
+    if isinstance(value, float) and not math.isfinite(value):
+        yield f"{key}={value}: input should be a finite number"
+    elif isinstance(value, int | float) and abs(value) > LARGEST_NUMBER:
+        yield f"{key} is out of range; {NUMBER_RANGE}"
+    items = value.items() if isinstance(value, Mapping) else enumerate(value) if isinstance(value, list) else ()
+    for name, item in items:
+        yield from _bad_numbers(item, f"{key}.{name}" if key else str(name))

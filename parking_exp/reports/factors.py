@@ -1,88 +1,14 @@
-"""Factors of a comparison: what differs in the configs of cells, their labels, and the kind of design.
-
-The store keeps resolved configs, not what was typed. A group's option (`algorithm=td3`) changes many keys at once:
-those that follow from it alone are no factors of their own. Keys that always change together count once.
-"""
+"""The kind of design that the cells of a comparison make."""
 
 import math
-from collections.abc import Hashable, Mapping, Sequence
-from typing import Any
+from collections.abc import Mapping, Sequence
 
-from parking_exp.config.run_key import changes_results
-from parking_exp.reports.formats import setting
-from parking_exp.reports.report_data import Design, Factor, Setting
+from parking_exp.config.cell_labels import FEW_CELLS, Factor, Setting, hashable
+from parking_exp.reports.report_data import Design
 
-Config = Mapping[str, Setting]
-"""Dotted keys -> values of one cell."""
-
-GROUPS = ("env", "algorithm", "buffer")
-EXPERIMENT = "experiment"
-# As many distinct values as cells is what drawing from a range gives; below this many cells it says nothing.
-FEW_CELLS = 5
 SEARCH_CELLS = 8
 MOST_LEVELS = 12
 COVERED = 0.5
-
-
-def differing(configs: Sequence[Config]) -> list[str]:
-    """Return the keys that can change a result and are not the same in all configs."""
-    keys = dict.fromkeys(key for config in configs for key in config)
-    return [key for key in keys if can_matter(key) and len({_hashable(config.get(key)) for config in configs}) > 1]
-
-
-def can_matter(key: str) -> bool:
-    """Whether a key can change a result, and is no seed."""
-    return key != "seed" and changes_results(key)
-
-
-def find_factors(
-    configs: Sequence[Config], experiments: Sequence[str]
-) -> tuple[list[Factor], list[dict[str, Setting]]]:
-    """Return the factors, and for each cell its settings: factor's key -> value, None where a cell has no such key.
-
-    Args:
-        configs: of each cell.
-        experiments: that each cell belongs to.
-    """
-    columns: dict[str, list[Setting]] = {}
-    if len(set(experiments)) > 1:
-        columns[EXPERIMENT] = list(experiments)
-    varying = differing(configs)
-    for group in GROUPS:
-        if f"{group}.name" in varying:
-            columns[group] = [config.get(f"{group}.name") for config in configs]
-    bundles = list(columns)  # names that stand for many keys
-    # How a run was evaluated is no factor unless there is nothing else. Of keys that change together, one of the run
-    # itself stands for those of a group: `n_envs` for the warm-up that it needs.
-    rest = [key for key in varying if key not in {f"{group}.name" for group in GROUPS}]
-    for key in sorted(rest, key=lambda key: (key.startswith("evaluation."), "." in key)):
-        values = [config.get(key) for config in configs]
-        if any(_follows(values, columns[bundle]) for bundle in bundles) or _double(values, columns):
-            continue
-        columns[key] = _with_null(key, values, configs)
-    settings = [{key: values[cell] for key, values in columns.items()} for cell in range(len(configs))]
-    names = _names(list(columns))
-    return [_factor(key, names[key], values) for key, values in columns.items()], settings
-
-
-def label(settings: Mapping[str, Setting], factors: Sequence[Factor]) -> str:
-    """Return what sets a cell apart, e.g. `her_final, n_sampled_goal=8`: groups by their option alone."""
-    words = []
-    for factor in factors:
-        value = settings[factor.key]
-        if value is None:
-            continue
-        bare = factor.key in {*GROUPS, EXPERIMENT}
-        words.append(setting(value) if bare else f"{factor.name}={setting(value)}")
-    return ", ".join(words)
-
-
-def unique(labels: Sequence[str], names: Sequence[str]) -> list[str]:
-    """Return labels that are all different: of those that are not, each gets the key that ends its cell's name."""
-    return [
-        text if text and labels.count(text) == 1 else f"{text or name.rpartition('-')[0]} ({name.rpartition('-')[2]})"
-        for text, name in zip(labels, names, strict=True)
-    ]
 
 
 def design(factors: Sequence[Factor], settings: Sequence[Mapping[str, Setting]]) -> Design:
@@ -95,7 +21,7 @@ def design(factors: Sequence[Factor], settings: Sequence[Mapping[str, Setting]])
     crossed = complete_cases(factors, settings)
     if len(factors) == 1:
         return "factorial" if factors[0].numeric and len(factors[0].levels) > 2 else "list"
-    levels = [len({_hashable(settings[cell][factor.key]) for cell in crossed}) for factor in factors]
+    levels = [len({hashable(settings[cell][factor.key]) for cell in crossed}) for factor in factors]
     possible = math.prod(levels)
     # Of factors with one level only there is nothing to cross.
     if sum(count > 1 for count in levels) < 2 or max(levels) > MOST_LEVELS:
@@ -106,54 +32,3 @@ def design(factors: Sequence[Factor], settings: Sequence[Mapping[str, Setting]])
 def complete_cases(factors: Sequence[Factor], settings: Sequence[Mapping[str, Setting]]) -> list[int]:
     """Return the cells that have a value of every factor: a control without hindsight has no `n_sampled_goal`."""
     return [cell for cell, one in enumerate(settings) if all(one[factor.key] is not None for factor in factors)]
-
-
-def _factor(key: str, name: str, values: Sequence[Setting]) -> Factor:
-    levels: list[Any] = list({_hashable(value): value for value in values if value is not None}.values())
-    numeric = bool(levels) and all(isinstance(one, int | float) and not isinstance(one, bool) for one in levels)
-    if numeric:
-        levels.sort()
-    log = numeric and levels[0] > 0 and levels[-1] / levels[0] >= 8
-    return Factor(key, name, levels, numeric, log)
-
-
-def _names(keys: Sequence[str]) -> dict[str, str]:
-    """Return the shortest endings of the keys that are all different."""
-    names = {}
-    for key in keys:
-        parts = key.split(".")
-        endings = [".".join(parts[start:]) for start in range(len(parts) - 1, -1, -1)]
-        taken = [other for other in keys if other != key]
-        names[key] = next((end for end in endings if not any(f".{other}".endswith(f".{end}") for other in taken)), key)
-    return names
-
-
-def _follows(values: Sequence[Setting], bundle: Sequence[Setting]) -> bool:
-    """Whether each option of a bundle comes with one value only."""
-    found: dict[Hashable, set[Hashable]] = {}
-    for option, value in zip(bundle, values, strict=True):
-        found.setdefault(_hashable(option), set()).add(_hashable(value))
-    return all(len(known) == 1 for known in found.values())
-
-
-def _with_null(key: str, values: Sequence[Setting], configs: Sequence[Config]) -> list[Setting]:
-    """Tell null from not there: where the same option of the group has a value in another cell, it is null."""
-    group = key.partition(".")[0]
-    options = [config.get(f"{group}.name") for config in configs]
-    having = {_hashable(option) for option, value in zip(options, values, strict=True) if value is not None}
-    return [
-        "null" if value is None and _hashable(option) in having else value
-        for option, value in zip(options, values, strict=True)
-    ]
-
-
-def _double(values: Sequence[Setting], columns: Mapping[str, Sequence[Setting]]) -> bool:
-    """Whether a key changes exactly where another does. In a search all do: every cell has values of its own."""
-    if len(set(map(_hashable, values))) == len(values) >= FEW_CELLS:
-        return False
-    return any(_follows(values, known) and _follows(known, values) for known in columns.values())
-
-
-def _hashable(value: Setting) -> Hashable:
-    # 1 and True, 1 and 1.0 are the same to a dict; True is another setting than 1.
-    return (isinstance(value, bool), value)

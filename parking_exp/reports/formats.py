@@ -5,6 +5,7 @@ import re
 from numbers import Real
 from typing import Any
 
+from parking_exp.config.cell_labels import setting
 from parking_exp.reports.report_data import Interval, Share
 
 CONTROL = re.compile(r"[\x00-\x1f\x7f-\x9f\u2028\u2029]+")
@@ -83,15 +84,6 @@ def rate(share: Interval | Share) -> float | None:
     if isinstance(share, Interval):
         return finite(share.value)
     return share.k / share.n if share.n else None
-
-
-def setting(value: Any) -> str:
-    """Write a config value as YAML would."""
-    if value is None:
-        return "null"
-    if isinstance(value, bool):
-        return str(value).lower()
-    return f"{value:.6g}" if isinstance(value, float) else str(value)
 
 
 def level(value: Any) -> str:

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 
 import pandas as pd
 
-from parking_exp.reports.factors import can_matter, differing
+from parking_exp.config.cell_labels import can_matter, differing
 from parking_exp.reports.report_data import FailedRun, Provenance
 from parking_exp.reports.selection import Group
 from parking_exp.reports.untracked import REASONS

@@ -8,13 +8,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Literal, cast
 
+from parking_exp.config.cell_labels import Factor, Setting
 from parking_exp.envs.outcomes import Outcome
 
 if TYPE_CHECKING:
     from parking_exp.reports.tuning_data import Tuning
 
 Verdict = Literal["a", "b", "same", "unknown"]
-Setting = str | int | float | bool | None
 Design = Literal["single", "list", "factorial", "search"]
 """How cells differ: one cell; a few without a plan; crossed factors; many points drawn from ranges."""
 
@@ -261,25 +261,6 @@ class Pair:
         return replace(
             self, a=self.b, b=self.a, difference=difference, improvement=improvement, verdict=cast(Verdict, verdict)
         )
-
-
-@dataclass(frozen=True)
-class Factor:
-    """A key that differs between cells.
-
-    Attributes:
-        key: e.g. `buffer.n_sampled_goal`, or a group such as `buffer`.
-        name: short, for axes: `n_sampled_goal`.
-        levels: its values, numbers in order.
-        numeric: whether all levels are numbers.
-        log: whether its levels are better shown on a logarithmic axis.
-    """
-
-    key: str
-    name: str
-    levels: Sequence[Setting]
-    numeric: bool
-    log: bool = False
 
 
 @dataclass(frozen=True)

@@ -11,10 +11,17 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from parking_exp.config.cell_labels import (
+    GROUPS,
+    Config,
+    Factor,
+    Setting,
+    can_matter,
+    cell_labels,
+    find_factors,
+    setting,
+)
 from parking_exp.errors import ConfigError, suggestion
-from parking_exp.reports.factors import GROUPS, Config, can_matter, find_factors, label, unique
-from parking_exp.reports.formats import setting
-from parking_exp.reports.report_data import Factor, Setting
 from parking_exp.results.dtypes import typed
 
 CONFIG = "config."
@@ -61,9 +68,9 @@ def group(runs: pd.DataFrame) -> tuple[list[Group], list[Factor]]:
     experiments = [str(table["experiment"].iloc[0]) for table in tables]
     names = [str(table["cell"].iloc[0]) for table in tables]
     factors, settings = find_factors(configs, experiments)
-    labels = [label(one, factors) for one in settings] if len(tables) > 1 else [_plain_label(configs[0], names[0])]
+    labels = cell_labels(factors, settings, names) if len(tables) > 1 else [_plain_label(configs[0], names[0])]
     found = []
-    for number, text in enumerate(unique(labels, names)):
+    for number, text in enumerate(labels):
         once = _one_a_seed(tables[number])
         found.append(
             Group(
@@ -130,7 +137,7 @@ def relabelled(groups: Sequence[Group]) -> tuple[list[Group], list[Factor]]:
     names = [one.name for one in groups]
     if len(groups) == 1:
         return [replace(groups[0], settings=settings[0])], factors
-    labels = unique([label(one, factors) for one in settings], names)
+    labels = cell_labels(factors, settings, names)
     return [
         replace(one, label=text, settings=setting) for one, text, setting in zip(groups, labels, settings, strict=True)
     ], factors

@@ -56,10 +56,10 @@ def version_lines(states: Sequence[RunState]) -> Iterator[str]:
 
 
 def stopped_lines(states: Sequence[RunState]) -> Iterator[str]:
-    """Yield a line for every run that was cut off, with the step that it goes on from."""
+    """Yield a line for every interrupted run, with the step at which it resumes."""
     for state in states:
         if state.stage == "pending" and state.step and not state.other_version:
-            yield f"stopped  {name(state)}: goes on from step {state.step} of {state.total_timesteps}"
+            yield f"stopped  {name(state)}: resumes at step {_steps(state)}"
 
 
 def running_lines(states: Sequence[RunState]) -> Iterator[str]:
@@ -71,7 +71,7 @@ def running_lines(states: Sequence[RunState]) -> Iterator[str]:
 
 def under_way(state: RunState) -> str:
     """Say how far a running run is."""
-    parts = [f"{state.step} of {state.total_timesteps} steps"]
+    parts = [f"{_steps(state)} steps"]
     if state.doing == "train" and state.steps_per_s:
         parts.append(f"{state.steps_per_s:.0f} steps/s")
         if state.left_s is not None:
@@ -79,6 +79,11 @@ def under_way(state: RunState) -> str:
     elif state.doing:
         parts.append(state.doing)
     return ", ".join(parts)
+
+
+def _steps(state: RunState) -> str:
+    """Return `300 of 1000`: how many env steps a run has done, and of how many where that is known."""
+    return f"{state.step} of {state.total_timesteps}" if state.total_timesteps else str(state.step)
 
 
 def name(state: RunState) -> str:

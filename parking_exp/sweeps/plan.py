@@ -10,6 +10,7 @@ from typing import Any
 
 from rich.console import Console
 
+from parking_exp.config.cell_labels import cell_labels, find_factors, settings_of
 from parking_exp.config.compose import Composed
 from parking_exp.config.schema import RunConfig
 from parking_exp.config.validate import validate
@@ -74,12 +75,14 @@ def plan(
         if id(one.cell) not in cells:
             config = validate(one.cell)
             cells[id(one.cell)] = config, config.run_dir.parent
+    labels = _labels({folder: config for config, folder in cells.values()})
+    for one in composed:
         config, folder = cells[id(one.cell)]
         if one.seed is not None:
             config = config.model_copy(update={"seed": one.seed})
         path = folder / f"seed={config.seed}"
         if path not in runs:
-            label = _label(one, config) or folder.name
+            label = one.label or labels[folder]
             state = read_state(path)
             if state.other_version and state.stage != "done":
                 RunDirectory(path).check_version()
@@ -87,11 +90,15 @@ def plan(
     return list(runs.values())
 
 
-def _label(one: Composed, config: RunConfig) -> str:
-    """Return a cell's label, with the final name of an option that other keys of the cell rename."""
-    groups = ("env", "algorithm", "buffer")
-    names = {one.cell[group]["name"]: getattr(config, group).name for group in groups}
-    return ", ".join(names.get(part, part) for part in one.label.split(", "))
+def _labels(cells: Mapping[Path, RunConfig]) -> dict[Path, str]:
+    """Return what sets each cell apart from the others of its experiment; the name of one that is alone."""
+    labels: dict[Path, str] = {}
+    for experiment in {folder.parent for folder in cells}:
+        own = [folder for folder in cells if folder.parent == experiment]
+        factors, settings = find_factors([settings_of(cells[folder].plain()) for folder in own], [""] * len(own))
+        names = [folder.name for folder in own]
+        labels |= zip(own, cell_labels(factors, settings, names) if len(own) > 1 else names, strict=True)
+    return labels
 
 
 def describe(runs: Sequence[PlannedRun], launch: Launch, out: Console) -> None:

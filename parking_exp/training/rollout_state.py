@@ -58,12 +58,11 @@ def set_state(model: OffPolicyAlgorithm, state: Mapping[str, Any]) -> None:
 
 def _random_states(model: OffPolicyAlgorithm) -> dict[str, Any]:
     version, numbers, gauss = random.getstate()
-    device = _accelerator(model)
     return {
         "python": {"version": version, "numbers": np.array(numbers, np.uint32), "gauss": gauss},
         "numpy": np.random.get_state(legacy=False),
         "torch": torch.get_rng_state().numpy(),
-        "accelerator": device[0].get_rng_state(*device[1]).cpu().numpy() if device else None,
+        "accelerator": torch.cuda.get_rng_state(model.device).numpy() if model.device.type == "cuda" else None,
         "action_space": model.action_space.np_random.bit_generator.state,
     }
 
@@ -73,16 +72,9 @@ def _set_random_states(model: OffPolicyAlgorithm, state: Mapping[str, Any]) -> N
     random.setstate((python["version"], tuple(python["numbers"].tolist()), python["gauss"]))
     np.random.set_state(state["numpy"])
     torch.set_rng_state(torch.from_numpy(state["torch"]))
-    if device := _accelerator(model):
-        device[0].set_rng_state(torch.from_numpy(state["accelerator"]), *device[1])
-    model.action_space.np_random.bit_generator.state = state["action_space"]
-
-
-def _accelerator(model: OffPolicyAlgorithm) -> tuple[Any, tuple[torch.device, ...]] | None:
-    """Return torch's module for the model's accelerator and the arguments that name the device; None for the CPU."""
     if model.device.type == "cuda":
-        return torch.cuda, (model.device,)
-    return (torch.mps, ()) if model.device.type == "mps" else None
+        torch.cuda.set_rng_state(torch.from_numpy(state["accelerator"]), model.device)
+    model.action_space.np_random.bit_generator.state = state["action_space"]
 
 
 def _sde(model: Any) -> StateDependentNoiseDistribution | None:

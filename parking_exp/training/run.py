@@ -51,8 +51,8 @@ def train(config: DictConfig | Mapping[str, Any] | RunConfig, *, supervised: boo
     directory = RunDirectory(config.run_dir)
     if directory.result() is None:
         directory.check_version()
-        if config.device.startswith("cuda") and not torch.cuda.is_available():
-            raise ConfigError(f"device={config.device}: torch finds no CUDA device; the closest valid choice is cpu")
+        if config.device.startswith("cuda") and int(config.device[5:] or 0) >= torch.cuda.device_count():
+            raise ConfigError(f"device={config.device}: torch finds no such device; the closest valid choice is auto")
         check_saving(config)
     with nullcontext() if supervised else directory.supervisor_lock(), directory.training_lock():
         if (result := directory.result()) is not None:

@@ -10,6 +10,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterable, Sequence
+from contextlib import closing
 from typing import TYPE_CHECKING, Any
 
 from parking_exp.config.run_key import short_hash
@@ -96,8 +97,8 @@ def measure(config: RunConfig) -> UnitCosts:
     from parking_exp.algorithms.build import build_model, torch_settings
     from parking_exp.envs.training_envs import make_training_envs
 
-    with torch_settings(config):
-        model = build_model(config, make_training_envs(config.env, config.n_envs), seed=0)
+    with torch_settings(config), closing(make_training_envs(config.env, config.n_envs)) as envs:
+        model = build_model(config, envs, seed=0)
         model.set_logger(Logger(None, []))
         model.gradient_steps = 0
         enough = config.env.for_training().episode_steps() * config.n_envs + model.batch_size

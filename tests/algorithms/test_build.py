@@ -13,9 +13,10 @@ from stable_baselines3.common.torch_layers import CombinedExtractor
 from stable_baselines3.common.vec_env import DummyVecEnv
 from support.runs import make_config, options
 
-from parking_exp.algorithms.build import build_model, greedy_policy
+from parking_exp.algorithms.build import build_model, greedy_policy, torch_settings
 from parking_exp.buffers import HerBuffer
 from parking_exp.envs.training_envs import make_training_envs
+from parking_exp.envs.vec_env import ParkingVecEnv
 from parking_exp.errors import ConfigError
 
 SMALL = ("experiment=smoke", "tracking.mlflow=false")
@@ -113,6 +114,15 @@ def test_every_argument_arrives():
     assert model.policy_kwargs["net_arch"] == [7, 5]
     assert len(model.critic.q_networks) == 3
     assert list(model.action_noise.base_noise._sigma) == [0.2, 0.3]
+
+
+def test_the_env_that_a_precision_is_chosen_with_is_closed(monkeypatch):
+    closed = []
+    close = ParkingVecEnv.close
+    monkeypatch.setattr(ParkingVecEnv, "close", lambda self: closed.append(self) or close(self))
+    with torch_settings(make_config(*SMALL, "precision=auto")) as precision:
+        assert precision in ("highest", "medium")
+    assert len(closed) == 1
 
 
 def test_a_learning_rate_schedule_is_a_target_node():

@@ -123,6 +123,12 @@ def test_help_names_groups_keys_and_examples():
         assert [line for line in done.stdout.splitlines() if len(line) > 120] == []
 
 
+NOT_SUPPORTED = (
+    "--config-name, --config-path and --experimental-rerun: not supported here; put options of your own into a "
+    "directory and pass --config-dir=DIRECTORY; rerun the same command to resume"
+)
+
+
 @pytest.mark.parametrize(
     ("name", "arguments", "message"),
     [
@@ -131,7 +137,13 @@ def test_help_names_groups_keys_and_examples():
         ("train", ["--seed=1", "n_envs=0"], "--seed: there is no such flag; write KEY=VALUE, without dashes"),
         ("train", ["--cfg"], "--cfg/-c: expected one argument"),
         ("train", ["--cfg", "job", "-m"], "Only one of --run, --multirun, --cfg, --info and --shell_completion can be specified"),
-        ("train", ["--experimental-rerun", "x"], "--experimental-rerun: Hydra keeps no jobs here; type the command again, which goes on"),
+        ("train", ["--experimental-rerun", "x"], NOT_SUPPORTED),
+        ("train", ["--config-name=nope"], NOT_SUPPORTED),
+        ("tune", ["--config-path=/nope"], NOT_SUPPORTED),
+        ("train", ["--config-dir=/nope", "--dry-run"], "--config-dir=/nope: there is no such directory"),
+        ("train", ["hydra=1"], "hydra=1: hydra is a group of keys; write hydra.KEY=VALUE"),
+        ("status", ["--cfg", "job", "hydra=null"], "hydra=null: hydra is a group of keys; write hydra.KEY=VALUE"),
+        ("train", ["--cfg", "job", "sead=1"], "sead: there is no such key; did you mean 'seed'?"),
     ],
 )  # fmt: skip
 def test_a_flag_that_cannot_be_is_refused_in_a_sentence(name, arguments, message, tmp_path):
@@ -143,7 +155,7 @@ def test_a_flag_that_cannot_be_is_refused_in_a_sentence(name, arguments, message
     ("flags", "words", "expected"),
     [
         ({"--json": "json=true"}, ["a=1", "--json", "b=2"], ["a=1", "b=2", "json=true"]),
-        ({}, ["a=1", "--config-dir", "mine", "b=2"], ["a=1", "b=2"]),
+        ({}, ["a=1", "--config-dir", ".", "b=2"], ["a=1", "b=2"]),
         ({}, ["her_final, n_sampled_goal=8", "-1"], ["her_final, n_sampled_goal=8", "-1"]),
     ],
 )

@@ -122,6 +122,14 @@ def test_a_status_that_is_damaged_is_one_runs_alone(tmp_path):
         assert (read_state(process.path).stage, read_state(process.path).step) == ("running", 0)
 
 
+def test_a_run_whose_length_is_unknown_is_told_without_it(tmp_path):
+    for seed, total in ((0, None), (1, 1000)):
+        path = run_dir(tmp_path, "cell-a", seed, status="interrupted", total_timesteps=total)
+        (path / "checkpoints" / "step=300").mkdir(parents=True)
+    lines = type_here("status", f"output_dir={tmp_path}").stdout.splitlines()
+    assert lines[-2:] == ["stopped  a seed=0: resumes at step 300", "stopped  a seed=1: resumes at step 300 of 1000"]
+
+
 def test_text_of_a_foreign_run_does_nothing_to_the_terminal(tmp_path):
     evil = "x\x1b]0;t\x07\x9b31m\r\x7f\u202e\nfailed   other"
     run_dir(tmp_path, "cell-\x1b[2J", 0, status="failed", error=evil, label=evil, host=evil)

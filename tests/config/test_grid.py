@@ -102,6 +102,8 @@ def test_seeds_on_a_command_line():
     assert [run.seed for run in runs("seeds=3")] == [0, 1, 2]
     assert [run.seed for run in runs("seeds=[5,2]")] == [run.seed for run in runs("seeds=5,2")] == [5, 2]
     assert [run.seed for run in runs("experiment=her_traps", "seed=9", "buffer=her_episode")] == [9] * 11
+    assert [run.seed for run in runs("experiment=tutorial", "seeds=null")] == [0, 0]
+    assert [run.seed for run in runs("seed=3", "seeds=null")] == [3]
     # All cells get their first seed before any gets its second.
     assert [(run.seed, run.algorithm.name) for run in runs("seeds=2", "algorithm=sac,td3")] == [
         (0, "sac"), (0, "td3"), (1, "sac"), (1, "td3"),
@@ -117,6 +119,18 @@ def test_seeds_on_a_command_line():
             "seeds=[[1, 2], [3]] is neither a number of seeds (1 or more) nor a list of them, such as [0,1]",
         ),
         (("seeds=3", "seed=1"), "seed and seeds are both given; seeds=[...] names several"),
+        (
+            ("buffer=her_future,replay", "buffer.n_sampled_goal=2,4"),
+            "buffer.n_sampled_goal: buffer=replay has no such key; leave out the option or the key",
+        ),
+        (
+            ("algorithm=sac,td3", "algorithm.policy_delay=1,2"),
+            "algorithm.policy_delay: algorithm=sac has no such key; leave out the option or the key",
+        ),
+        (
+            ("algorithm=sac,td3", "algorithm.gama=1"),
+            "algorithm.gama: algorithm=sac has no such key; leave out the option or the key",
+        ),
         (("cells=3",), "cells=3 is not a list of {key: [values]}"),
         (("cells=[3]",), "cells=[3] is not a list of {key: [values]}"),
         (("budget=smal",), "budget=smal: there is no such option; did you mean 'small'?"),

@@ -118,12 +118,12 @@ def test_run_directories_are_absolute_and_readable(tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     ("overrides", "expected"),
     [
-        ("algorithm=sac algorithm._target_=sb3_contrib.TQC", "parking-tqc-her_future"),
+        ("algorithm=sac algorithm._target_=sb3_contrib.TQC algorithm.features=ego_fine", "parking-tqc-her_future"),
         ("algorithm=sac algorithm._target_=support.failing_algorithms.Lingers", "parking-lingers-her_future"),
         ("algorithm=sac algorithm._target_=stable_baselines3.SAC", "parking-sac-her_future"),
         ("algorithm=td3 algorithm._target_=stable_baselines3.TD3", "parking-td3-her_future"),
         ("algorithm.name=sac", "parking-td3-her_future"),
-        ("algorithm=sac algorithm.name=my_variant algorithm._target_=sb3_contrib.TQC", "parking-my_variant-her_future"),
+        ("algorithm=sac algorithm.name=my_variant algorithm._target_=sb3_contrib.TQC algorithm.features=raw", "parking-my_variant-her_future"),
         ("buffer.goal_selection_strategy=final", "parking-td3-her_final"),
         ("buffer=replay buffer.goal_selection_strategy=random", "parking-td3-her_random"),
         ("~buffer.goal_selection_strategy", "parking-td3-her_future"),

@@ -1,5 +1,7 @@
 """Tests of config validation: what is refused, and the sentence that says so."""
 
+import contextlib
+import copy
 import re
 import shutil
 
@@ -148,7 +150,7 @@ def test_stores_that_mlflow_knows_are_taken(uri):
         ("seed=true", "seed=True: input should be a valid integer"),
         ("total_timesteps=0", "total_timesteps=0 is out of range; the closest valid choice is 1"),
         ("n_envs=0", "n_envs=0 is out of range; the closest valid choice is 1"),
-        ("device=gpu", "device='gpu' is not a valid choice; choose from cpu, auto, cuda, cuda:N, mps"),
+        ("device=gpu", "device='gpu' is not a valid choice; choose from cpu, auto, cuda, cuda:N"),
         ("algorithm.gamma=1.5", "algorithm.gamma=1.5 is out of range; the closest valid choice is 1.0"),
         ("algorithm.tau=0", "algorithm.tau=0 is out of range; it must be greater than 0.0"),
         ("algorithm.learning_rate=-1", "algorithm.learning_rate=-1 is out of range; it must be greater than 0.0"),
@@ -288,7 +290,43 @@ def test_stores_that_mlflow_knows_are_taken(uri):
             "algorithm.policy_kwargs.activation_fn.negative_slop: torch.nn.LeakyReLU has no such argument; did you mean 'negative_slope'?",
         ),
         ("algorithm.policy_kwargs=[1]", "algorithm.policy_kwargs=[1]: a value of another kind stands there; see it with --cfg job"),
-        ("env.duration=1e300", "env.duration=1e+300 is out of range; the closest valid choice is 100000.0"),
+        ("env.duration=1e9", "env.duration=1000000000.0 is out of range; the closest valid choice is 100000.0"),
+        ("env.policy_frequency=100000000", "env.policy_frequency=100000000 is out of range; the closest valid choice is 100"),
+        ("env.success_goal_reward=1e300", "env.success_goal_reward is out of range; numbers lie between -1e+15 and 1e+15"),
+        ("algorithm.net_arch=[64,1e300]", "algorithm.net_arch.1 is out of range; numbers lie between -1e+15 and 1e+15"),
+        (f"n_envs={'9' * 5000}", "n_envs: a number has too many digits; numbers lie between -1e+15 and 1e+15"),
+        (f"seeds={'9' * 5000}", "seeds: a number has too many digits; numbers lie between -1e+15 and 1e+15"),
+        ("device=mps", "device='mps' is not a valid choice; choose from cpu, auto, cuda, cuda:N"),
+        ("torch_threads=1000000", "torch_threads=1000000 is out of range; the closest valid choice is 1024"),
+        (
+            "experiment=article algorithm.learning_rate=[]",
+            "algorithm.learning_rate=[] has the wrong type; parking_exp.algorithms.SAC takes float | Schedule",
+        ),
+        (
+            "experiment=article algorithm.learning_rate={}",
+            "algorithm.learning_rate={} has the wrong type; parking_exp.algorithms.SAC takes float | Schedule",
+        ),
+        (
+            "experiment=article algorithm.learning_rate={start:-1}",
+            "algorithm.learning_rate={'start': -1} has the wrong type; parking_exp.algorithms.SAC takes float | Schedule",
+        ),
+        (
+            "algorithm=sac algorithm.action_noise={}",
+            "algorithm.action_noise={} has the wrong type; parking_exp.algorithms.SAC takes ActionNoise | None",
+        ),
+        (
+            "algorithm.train_freq=[0,step]",
+            "algorithm.train_freq=[0, 'step'] is neither a number nor [NUMBER, step] nor [NUMBER, episode], with a NUMBER of 1 or more",
+        ),
+        ("buffer.relabel_collision=null", "buffer.relabel_collision=None is not a valid choice; choose from exclude, keep, sb3"),
+        (
+            "buffer.goal_selection_strategy=[future]",
+            "buffer.goal_selection_strategy=['future'] is not a valid choice; did you mean 'future'?",
+        ),
+        (
+            "algorithm=sac algorithm._target_=sb3_contrib.TQC",
+            "algorithm.features=ego_mirrored: the policy of sb3_contrib.TQC does not mirror its steering; set algorithm.features=ego_fine",
+        ),
         ("env.success_goal_reward=0.08", "env.training_success_goal_reward=0.1 is above env.success_goal_reward=0.08, so that agents would learn to stop short of it; the closest valid choice is 0.08"),
         ("env.training_duration=1e12", "env.training_duration=1000000000000.0 is out of range; the closest valid choice is 100000.0"),
         (
@@ -348,6 +386,28 @@ def test_stores_that_mlflow_knows_are_taken(uri):
 def test_a_value_that_cannot_be_is_refused_with_the_closest_valid_choice(override, message):
     with pytest.raises(ConfigError, match=f"^{re.escape(message)}$"):
         make_config(*override.split())
+
+
+def keys(node, path=()):
+    """Paths of all keys and list entries of a plain config."""
+    for name, value in node.items() if isinstance(node, dict) else enumerate(node) if isinstance(node, list) else ():
+        yield (*path, name)
+        yield from keys(value, (*path, name))
+
+
+@pytest.mark.parametrize("value", [1e300, -1e300, 1e12, 10**5000, -(10**5000), 0, [], {}, None, [None]], ids=range(10))
+def test_a_value_is_refused_in_a_sentence_or_taken_whatever_it_is_and_wherever_it_stands(value):
+    default = make_config().plain()
+    for path in keys(default):
+        plain = copy.deepcopy(default)
+        node = plain
+        for name in path[:-1]:
+            node = node[name]
+        node[path[-1]] = value
+        with contextlib.suppress(ConfigError):
+            config = validate(plain)
+            assert config.run_key
+            assert config.update_rounds()[0]
 
 
 @pytest.mark.parametrize(

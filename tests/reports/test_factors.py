@@ -2,10 +2,16 @@
 
 from itertools import product
 
+import pandas as pd
 import pytest
 
-from parking_exp.reports.factors import design, differing, find_factors, label, unique
-from parking_exp.reports.formats import setting
+from parking_exp.config.cell_labels import cell_labels, differing, find_factors, setting
+from parking_exp.config.compose import composed_runs
+from parking_exp.reports.factors import design
+from parking_exp.reports.selection import group
+from parking_exp.results.dtypes import column, typed
+from parking_exp.sweeps.plan import plan
+from parking_exp.tracking.sync import flatten
 
 
 def cell(env="parking", algorithm="sac", buffer="her_future", **others):
@@ -27,7 +33,8 @@ def cell(env="parking", algorithm="sac", buffer="her_future", **others):
 
 def described(configs, experiments=None):
     factors, settings = find_factors(configs, experiments or ["one"] * len(configs))
-    return [factor.key for factor in factors], [label(one, factors) for one in settings], design(factors, settings)
+    names = [f"{number}-{number}" for number in range(len(configs))]
+    return [factor.key for factor in factors], cell_labels(factors, settings, names), design(factors, settings)
 
 
 def test_what_follows_from_a_groups_option_is_no_factor_of_its_own():
@@ -49,8 +56,9 @@ def test_a_her_ablation_is_a_crossing_and_its_control_stands_outside():
     ]
     assert factors[1].levels == [1, 4, 8]
     assert settings[-1] == {"buffer": "replay", "buffer.n_sampled_goal": None}
-    assert label(settings[-1], factors) == "replay"
-    assert label(settings[2], factors) == "her_future, n_sampled_goal=8"
+    labels = cell_labels(factors, settings, ["name-key"] * 10)
+    assert labels[-1] == "replay"
+    assert labels[2] == "her_future, n_sampled_goal=8"
     assert design(factors, settings) == "factorial"
 
 
@@ -112,11 +120,46 @@ def test_names_that_end_alike_are_told_apart():
 
 
 def test_labels_that_are_the_same_get_the_key_of_their_cell():
-    assert unique(["sac", "td3", "sac"], ["parking-sac-her-aa", "b-bb", "parking-sac-her-cc"]) == [
-        "sac (aa)",
-        "td3",
-        "sac (cc)",
-    ]
+    factors, _ = find_factors([cell(), cell(algorithm="td3")], ["one"] * 2)
+    settings = [{"algorithm": name} for name in ("sac", "td3", "sac")]
+    names = ["parking-sac-her-aa", "b-bb", "parking-sac-her-cc"]
+    assert cell_labels(factors, settings, names) == ["sac (aa)", "td3", "sac (cc)"]
+
+
+@pytest.mark.parametrize(
+    ("overrides", "expected"),
+    [
+        (["updates_per_step=1e-2,1e-1"], {"updates_per_step=0.01", "updates_per_step=0.1"}),
+        (["precision=highest,medium", "seeds=2"], {"precision=highest", "precision=medium"}),
+        (
+            ["n_envs=16", "env.training_duration=20,null", "buffer=her_final,replay", "algorithm.net_arch=[64,64],[8]"],
+            None,
+        ),
+        (["++algorithm.policy_kwargs={},{n_critics:3}", "algorithm.gamma=0.9,0.95"], None),
+        (["experiment=her_traps", "algorithm.learning_rate=1e-5,3e-3", "seeds=1"], None),
+    ],
+)
+def test_plans_and_reports_label_the_same_cells_alike(overrides, expected, tmp_path):
+    runs = plan(composed_runs("config", [*overrides, f"output_dir={tmp_path}"]))
+    params = [flatten(run.config.plain()) for run in runs]
+    found, _ = group(
+        pd.DataFrame(
+            {
+                "experiment": "parking",
+                "cell": [run.config.cell for run in runs],
+                "seed": [run.config.seed for run in runs],
+                "status": "done",
+                "started": range(len(runs)),
+                **{
+                    f"config.{key}": column([typed(one.get(key)) for one in params])
+                    for key in {*params[0], *params[-1]}
+                },
+            }
+        )
+    )
+    planned = {run.config.cell: run.label for run in runs}
+    assert planned == {one.name: one.label for one in found}
+    assert expected is None or set(planned.values()) == expected
 
 
 @pytest.mark.parametrize(

@@ -42,7 +42,7 @@ def test_a_dry_run_prints_the_plan_and_makes_nothing(tmp_path):
 def test_labels_of_a_sweep_say_what_runs_and_what_comes_to_the_same_runs_once(tmp_path):
     axes = ["buffer=her_future,her_final", "buffer.n_sampled_goal=2,4", "buffer.goal_selection_strategy=final"]
     runs = plan(composed_runs("config", [*QUICK, *axes, f"output_dir={tmp_path}"]))
-    assert [run.label for run in runs] == ["her_final, n_sampled_goal=2", "her_final, n_sampled_goal=4"]
+    assert [run.label for run in runs] == ["n_sampled_goal=2", "n_sampled_goal=4"]
 
 
 def test_typed_again_a_sweep_does_only_what_is_missing(tmp_path):

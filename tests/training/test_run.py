@@ -559,10 +559,12 @@ def test_a_relative_sqlite_uri_means_the_same_everywhere(tmp_path, monkeypatch):
     assert sorted(path.name for path in tmp_path.iterdir()) == ["my", "outputs"]
 
 
-@pytest.mark.skipif(torch.cuda.is_available(), reason="there is a CUDA device")
 def test_a_device_that_is_not_there_is_refused_before_anything_is_made(tmp_path):
-    with pytest.raises(ConfigError, match="device=cuda: torch finds no CUDA device; the closest valid choice is cpu"):
-        train(make_config("experiment=smoke", f"output_dir={tmp_path}", "device=cuda"))
+    device = f"cuda:{torch.cuda.device_count()}"
+    with pytest.raises(
+        ConfigError, match=f"^device={device}: torch finds no such device; the closest valid choice is auto$"
+    ):
+        train(make_config("experiment=smoke", f"output_dir={tmp_path}", f"device={device}"))
     assert list(tmp_path.iterdir()) == []
 
 
