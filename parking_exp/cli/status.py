@@ -31,9 +31,9 @@ from parking_exp.runs.state_tables import (
 from parking_exp.terminal import console, say
 from parking_exp.tracking.sync_all import sync_all
 from parking_exp.tuning.schema import Storage
-from parking_exp.tuning.search import SEARCH_FILE, study_in
+from parking_exp.tuning.search import SEARCH_FILE, StoredSearch, study_in
 from parking_exp.tuning.tables import progress_lines, trial_table
-from parking_exp.tuning.trials import counts, rows
+from parking_exp.tuning.trials import TrialRow, counts, rows
 
 WATCH_S = 2.0
 FLAGS = {"--json": "json=true", "--watch": "watch=true", "--sync": "sync=true"}
@@ -140,44 +140,45 @@ def _sync(request: StatusRequest) -> None:
 def _picture(request: StatusRequest, states: list[RunState]) -> RenderableType:
     lines = (running_lines, stopped_lines, failure_lines, damaged_lines, version_lines)
     parts: list[RenderableType] = [cell_table(states), *(line for some in lines for line in some(states))]
-    return Group(*parts, *(part for folder in _searches(request) for part in _search_picture(folder, request.storage)))
+    return Group(*parts, *(part for name, found in _searches(request) for part in _search_picture(name, found)))
 
 
-def _searches(request: StatusRequest) -> list[Path]:
-    """Return the folders of experiments that are searches."""
-    return sorted(file.parent for file in request.output_path.glob(f"{request.experiment_name or '*'}/{SEARCH_FILE}"))
+Searched = tuple[StoredSearch, list[TrialRow]] | ParkingError
 
 
-def _search_picture(folder: Path, storage: str | None) -> Iterator[RenderableType]:
+def _searches(request: StatusRequest) -> Iterator[tuple[str, Searched]]:
+    """Yield the name of each experiment that is a search, with its trials, or why they can't be read."""
+    for file in sorted(request.output_path.glob(f"{request.experiment_name or '*'}/{SEARCH_FILE}")):
+        try:
+            if (found := study_in(file.parent, request.storage)) is not None:
+                yield file.parent.name, (found, rows(found.study, file.parent, found.n_trials))
+        except ParkingError as error:
+            yield file.parent.name, error
+
+
+def _search_picture(name: str, found: Searched) -> Iterator[RenderableType]:
     """Yield the trials of a search, the best first, and how far it is."""
-    try:
-        if (found := study_in(folder, storage)) is None:
-            return
-        settings, trials = found.search, rows(found.study, folder, found.n_trials)
-        yield ""
-        yield f"search {folder.name}"
-        yield trial_table(trials, settings)
-        yield from progress_lines(trials, settings, found.n_trials)
-    except ParkingError as error:
-        yield f"search {folder.name}: {error}"
+    if isinstance(found, ParkingError):
+        yield f"search {name}: {found}"
+        return
+    stored, trials = found
+    yield ""
+    yield f"search {name}"
+    yield trial_table(trials, stored.search)
+    yield from progress_lines(trials, stored.search, stored.n_trials)
 
 
 def _searches_plain(request: StatusRequest) -> list[dict[str, Any]]:
     """Return the searches and their trials as JSON can hold them."""
-    plain = []
-    for folder in _searches(request):
-        try:
-            if (found := study_in(folder, request.storage)) is None:
-                continue
-            trials = rows(found.study, folder, found.n_trials)
-        except ParkingError as error:
-            plain.append({"experiment": folder.name, "error": str(error)})
+    plain = list[dict[str, Any]]()
+    for name, found in _searches(request):
+        about: dict[str, Any] = {"experiment": name}
+        if isinstance(found, ParkingError):
+            about["error"] = str(found)
         else:
-            about: dict[str, Any] = {
-                "experiment": folder.name,
-                "n_trials": found.n_trials,
-                "objectives": found.search.objective,
-            }
-            states: dict[str, Any] = dict(counts(trials).items())
-            plain.append(about | states | {"trials": [asdict(trial) for trial in trials]})
+            stored, trials = found
+            about |= {"n_trials": stored.n_trials, "objectives": stored.search.objective}
+            about |= dict(counts(trials).items())
+            about["trials"] = [asdict(trial) for trial in trials]
+        plain.append(about)
     return plain
