@@ -33,7 +33,7 @@ from parking_exp.tracking.sync_all import sync_all
 from parking_exp.tuning.schema import Storage
 from parking_exp.tuning.search import SEARCH_FILE, StoredSearch, study_in
 from parking_exp.tuning.tables import progress_lines, trial_table
-from parking_exp.tuning.trials import TrialRow, counts, rows
+from parking_exp.tuning.trials import counts
 
 WATCH_S = 2.0
 FLAGS = {"--json": "json=true", "--watch": "watch=true", "--sync": "sync=true"}
@@ -143,29 +143,25 @@ def _picture(request: StatusRequest, states: list[RunState]) -> RenderableType:
     return Group(*parts, *(part for name, found in _searches(request) for part in _search_picture(name, found)))
 
 
-Searched = tuple[StoredSearch, list[TrialRow]] | ParkingError
-
-
-def _searches(request: StatusRequest) -> Iterator[tuple[str, Searched]]:
-    """Yield the name of each experiment that is a search, with its trials, or why they can't be read."""
+def _searches(request: StatusRequest) -> Iterator[tuple[str, StoredSearch | ParkingError]]:
+    """Yield the name of each experiment that is a search, and the search, or why it can't be read."""
     for file in sorted(request.output_path.glob(f"{request.experiment_name or '*'}/{SEARCH_FILE}")):
         try:
             if (found := study_in(file.parent, request.storage)) is not None:
-                yield file.parent.name, (found, rows(found.study, file.parent, found.n_trials))
+                yield file.parent.name, found
         except ParkingError as error:
             yield file.parent.name, error
 
 
-def _search_picture(name: str, found: Searched) -> Iterator[RenderableType]:
+def _search_picture(name: str, found: StoredSearch | ParkingError) -> Iterator[RenderableType]:
     """Yield the trials of a search, the best first, and how far it is."""
     if isinstance(found, ParkingError):
         yield f"search {name}: {found}"
         return
-    stored, trials = found
     yield ""
     yield f"search {name}"
-    yield trial_table(trials, stored.search)
-    yield from progress_lines(trials, stored.search, stored.n_trials)
+    yield trial_table(found.trials, found.search)
+    yield from progress_lines(found.trials, found.search, found.n_trials)
 
 
 def _searches_plain(request: StatusRequest) -> list[dict[str, Any]]:
@@ -176,9 +172,8 @@ def _searches_plain(request: StatusRequest) -> list[dict[str, Any]]:
         if isinstance(found, ParkingError):
             about["error"] = str(found)
         else:
-            stored, trials = found
-            about |= {"n_trials": stored.n_trials, "objectives": stored.search.objective}
-            about |= dict(counts(trials).items())
-            about["trials"] = [asdict(trial) for trial in trials]
+            about |= {"n_trials": found.n_trials, "objectives": found.search.objective}
+            about |= dict(counts(found.trials).items())
+            about["trials"] = [asdict(trial) for trial in found.trials]
         plain.append(about)
     return plain

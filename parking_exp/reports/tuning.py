@@ -25,7 +25,7 @@ from parking_exp.tuning.schema import HIGHER_IS_BETTER, Dimension, SearchConfig
 from parking_exp.tuning.search import SEARCH_FILE, study_in
 from parking_exp.tuning.space import parameter
 from parking_exp.tuning.study import storage_errors
-from parking_exp.tuning.trials import TrialRow, front, rows
+from parking_exp.tuning.trials import TrialRow, front
 
 if TYPE_CHECKING:
     from optuna import Study
@@ -48,8 +48,7 @@ def with_search(report: ReportData, output_dir: Path, storage: str | None = None
         folder = output_dir / name
         try:
             if (stored := study_in(folder, storage)) is not None:
-                trials = rows(stored.study, folder, stored.n_trials)
-                found = tuning_of(folder, stored.search, stored.n_trials, trials, stored.study)
+                found = tuning_of(folder, stored.search, stored.n_trials, stored.trials, stored.study)
                 break
         except ParkingError as error:
             problems.append(f"The search of {name} is left out: {str(error).splitlines()[0].rstrip('.')}.")

@@ -46,7 +46,7 @@ def tune(search: Search, launch: Launch, *, dry_run: bool = False) -> None:
     n_trials, n_workers = search.request.n_trials, _n_workers(search, launch)
     if dry_run:
         found = study_in(search.folder, search.request.storage)
-        _describe(search, rows(found.study, search.folder, n_trials) if found else [], n_workers, out)
+        _describe(search, found.trials[:n_trials] if found else [], n_workers, out)
         return
     study = search.open()
     trials = rows(study, search.folder, n_trials)

@@ -21,6 +21,7 @@ from parking_exp.tuning.objectives import HOLD, evaluations
 from parking_exp.tuning.schema import TUNING_KEYS, SearchConfig, TuneRequest
 from parking_exp.tuning.space import base_value, in_order, parameter
 from parking_exp.tuning.study import known_parameters, load_study, open_study, storage_of
+from parking_exp.tuning.trials import TrialRow, rows
 
 if TYPE_CHECKING:
     from optuna import Study
@@ -243,11 +244,12 @@ def _set(cell: DictConfig, key: str, value: Any) -> None:
 
 @dataclass(frozen=True)
 class StoredSearch:
-    """A search as other commands find it in its folder: its settings, number of trials and study."""
+    """A search as other commands find it in its folder: its settings, number of trials, study and the trials so far."""
 
     search: SearchConfig
     n_trials: int
     study: "Study"
+    trials: list[TrialRow]
 
 
 def study_in(folder: Path, storage: str | None = None) -> StoredSearch | None:
@@ -258,7 +260,7 @@ def study_in(folder: Path, storage: str | None = None) -> StoredSearch | None:
         storage: that was typed.
 
     Raises:
-        ConfigError: its settings can't be read, or its study lies in another storage.
+        ConfigError: its settings or its study are damaged, or the study lies in another storage.
         StoreError: its storage fails.
         UntrustedError: see `storage_of`.
     """
@@ -271,6 +273,9 @@ def study_in(folder: Path, storage: str | None = None) -> StoredSearch | None:
     if place not in (None, storage):
         raise ConfigError(f"the study is in {place}; pass storage={place} to read it")
     study = load_study(folder.name, storage_of(folder, place))
-    if study is not None and len(study.directions) != len(settings.objective):
+    if study is None:
+        return None
+    if len(study.directions) != len(settings.objective):
         raise ConfigError(f"{folder / SEARCH_FILE} and the study differ in their number of objectives")
-    return None if study is None else StoredSearch(settings, n_trials if isinstance(n_trials, int) else 0, study)
+    number = n_trials if isinstance(n_trials, int) else 0
+    return StoredSearch(settings, number, study, rows(study, folder, number))

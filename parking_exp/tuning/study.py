@@ -8,7 +8,7 @@ import json
 import os
 import time
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, cast
 
@@ -129,12 +129,9 @@ def load_study(name: str, storage: Any) -> "Study | None":
     """
     import optuna
 
-    try:
+    with storage_errors(name), suppress(KeyError):
         return optuna.load_study(study_name=name, storage=storage)
-    except KeyError:
-        return None
-    except Exception as error:
-        raise StoreError(f"the study {name} can't be read: {_first_line(error)}") from error
+    return None
 
 
 @contextmanager
