@@ -15,10 +15,11 @@ WIDE = 1000  # columns of what is no terminal: lines are not broken there
 
 
 def printable(line: str) -> str:
-    r"""Return a line with escapes such as `\x1b`, `\n`, `\u202e` for all characters that are not printable."""
-    if line.isprintable():
-        return line
-    return "".join(one if one.isprintable() else one.encode("unicode_escape").decode() for one in line)
+    r"""Return a line with escapes such as `\x1b`, `\n`, `\u202e` for what is not printable or can't be encoded."""
+    if not line.isprintable():
+        line = "".join(one if one.isprintable() else one.encode("unicode_escape").decode() for one in line)
+    encoding = sys.stdout.encoding or "utf-8"
+    return line.encode(encoding, "backslashreplace").decode(encoding)
 
 
 def say(*lines: str, stderr: bool = False) -> None:

@@ -18,6 +18,15 @@ def test_characters_that_are_not_printable_are_shown_as_escapes():
     assert printable("größe 学習 λ − “a, b” é") == "größe 学習 λ − “a, b” é"  # noqa: RUF001
 
 
+def test_characters_that_the_output_can_not_encode_are_shown_as_escapes(monkeypatch):
+    out = io.TextIOWrapper(io.BytesIO(), encoding="ascii")
+    monkeypatch.setattr("sys.stdout", out)
+    say("“a” − é")  # noqa: RUF001
+    Screen(file=out, width=300).print("“a”")
+    out.flush()
+    assert out.buffer.getvalue() == rb"\u201ca\u201d \u2212 \xe9" b"\n" rb"\u201ca\u201d" b"\n"
+
+
 def test_lines_are_printed_one_by_one(capsys):
     say("one", HOSTILE)
     say("two", stderr=True)

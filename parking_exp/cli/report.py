@@ -11,7 +11,7 @@ from parking_exp.config.overrides import in_quotes
 from parking_exp.errors import ConfigError
 from parking_exp.reports.run import report, validate_report
 
-KEYS = {"experiment_name", "from", "export", "cells", "baseline", "output_dir", "name", "tracking", "report", "hydra"}
+KEYS = {"experiment_name", "from", "export", "cells", "baseline", "output_dir", "name", "storage", "tracking", "report"}
 
 
 def main() -> None:
@@ -59,7 +59,7 @@ def report_overrides(words: list[str]) -> list[str]:
             found.append(f"{key}={in_quotes(_unquoted(value))}")
         elif key == "cells" and equals and value != "null" and not value.startswith("["):
             cells += _labels(value)
-        elif key.lstrip("+~").split(".")[0].split("/")[0] in KEYS:
+        elif key.lstrip("+~").split(".")[0].split("/")[0] in {*KEYS, "hydra"}:
             found.append(word)
         else:
             cells += _labels(word) if not equals else [word]

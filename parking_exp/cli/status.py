@@ -16,7 +16,7 @@ from parking_exp.cli.command import for_each, run_command
 from parking_exp.config.paths import default_uri, directory_path
 from parking_exp.config.schema import ConfigModel, Name, StoreConfig
 from parking_exp.config.validate import parse
-from parking_exp.errors import ConfigError, RunNotFoundError, StoreError, UnsyncedError, plural, suggestion
+from parking_exp.errors import ConfigError, ParkingError, RunNotFoundError, UnsyncedError, plural, suggestion
 from parking_exp.runs.directory import RunDirectory
 from parking_exp.runs.lookup import find_runs
 from parking_exp.runs.state import RunState, as_plain, read_state
@@ -30,9 +30,10 @@ from parking_exp.runs.state_tables import (
 )
 from parking_exp.terminal import console, say
 from parking_exp.tracking.sync_all import sync_all
-from parking_exp.tuning.search import SEARCH_FILE, study_in
+from parking_exp.tuning.schema import Storage
+from parking_exp.tuning.search import SEARCH_FILE, StoredSearch, study_in
 from parking_exp.tuning.tables import progress_lines, trial_table
-from parking_exp.tuning.trials import counts, rows
+from parking_exp.tuning.trials import counts
 
 WATCH_S = 2.0
 FLAGS = {"--json": "json=true", "--watch": "watch=true", "--sync": "sync=true"}
@@ -57,6 +58,7 @@ class StatusRequest(ConfigModel):
     watch: bool
     sync: bool
     tracking: StoreConfig
+    storage: Storage | None
 
     @property
     def output_path(self) -> Path:
@@ -138,44 +140,40 @@ def _sync(request: StatusRequest) -> None:
 def _picture(request: StatusRequest, states: list[RunState]) -> RenderableType:
     lines = (running_lines, stopped_lines, failure_lines, damaged_lines, version_lines)
     parts: list[RenderableType] = [cell_table(states), *(line for some in lines for line in some(states))]
-    return Group(*parts, *(part for folder in _searches(request) for part in _search_picture(folder)))
+    return Group(*parts, *(part for name, found in _searches(request) for part in _search_picture(name, found)))
 
 
-def _searches(request: StatusRequest) -> list[Path]:
-    """Return the folders of experiments that are searches."""
-    return sorted(file.parent for file in request.output_path.glob(f"{request.experiment_name or '*'}/{SEARCH_FILE}"))
+def _searches(request: StatusRequest) -> Iterator[tuple[str, StoredSearch | ParkingError]]:
+    """Yield the name of each experiment that is a search, and the search, or why it can't be read."""
+    for file in sorted(request.output_path.glob(f"{request.experiment_name or '*'}/{SEARCH_FILE}")):
+        try:
+            if (found := study_in(file.parent, request.storage)) is not None:
+                yield file.parent.name, found
+        except ParkingError as error:
+            yield file.parent.name, error
 
 
-def _search_picture(folder: Path) -> Iterator[RenderableType]:
+def _search_picture(name: str, found: StoredSearch | ParkingError) -> Iterator[RenderableType]:
     """Yield the trials of a search, the best first, and how far it is."""
-    try:
-        if (found := study_in(folder)) is None:
-            return
-        settings, trials = found.search, rows(found.study, folder, found.n_trials)
-        yield ""
-        yield f"search {folder.name}"
-        yield trial_table(trials, settings)
-        yield from progress_lines(trials, settings, found.n_trials)
-    except (ConfigError, StoreError) as error:
-        yield f"search {folder.name}: {error}"
+    if isinstance(found, ParkingError):
+        yield f"search {name}: {found}"
+        return
+    yield ""
+    yield f"search {name}"
+    yield trial_table(found.trials, found.search)
+    yield from progress_lines(found.trials, found.search, found.n_trials)
 
 
 def _searches_plain(request: StatusRequest) -> list[dict[str, Any]]:
     """Return the searches and their trials as JSON can hold them."""
-    plain = []
-    for folder in _searches(request):
-        try:
-            if (found := study_in(folder)) is None:
-                continue
-            trials = rows(found.study, folder, found.n_trials)
-        except (ConfigError, StoreError) as error:
-            plain.append({"experiment": folder.name, "error": str(error)})
+    plain = list[dict[str, Any]]()
+    for name, found in _searches(request):
+        about: dict[str, Any] = {"experiment": name}
+        if isinstance(found, ParkingError):
+            about["error"] = str(found)
         else:
-            about: dict[str, Any] = {
-                "experiment": folder.name,
-                "n_trials": found.n_trials,
-                "objectives": found.search.objective,
-            }
-            states: dict[str, Any] = dict(counts(trials).items())
-            plain.append(about | states | {"trials": [asdict(trial) for trial in trials]})
+            about |= {"n_trials": found.n_trials, "objectives": found.search.objective}
+            about |= dict(counts(found.trials).items())
+            about["trials"] = [asdict(trial) for trial in found.trials]
+        plain.append(about)
     return plain

@@ -1,6 +1,7 @@
 """Experiment files from anywhere: `experiment=PATH.yaml` as an option that Hydra finds."""
 
 import atexit
+import re
 import shutil
 import tempfile
 from functools import cache
@@ -48,5 +49,7 @@ def with_absolute_path(line: str) -> str:
 def _path_in(line: str) -> Path | None:
     """Return the path of an experiment file in an override; None where it has none."""
     key, _, value = line.partition("=")
-    path = Path(value.strip("'\"")).expanduser()
+    if value[:1] in {"'", '"'}:
+        value = re.sub(r"\\(.)", r"\1", value[1:-1])  # what `in_quotes` has escaped
+    path = Path(value).expanduser()
     return path if key == "experiment" and path.suffix in (".yaml", ".yml") else None

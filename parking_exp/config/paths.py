@@ -4,9 +4,12 @@ What lies below an output directory is written down relative to it, and found fr
 """
 
 import os
+from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING
 from urllib.parse import unquote, urlparse
+
+from parking_exp.errors import UntrustedError
 
 if TYPE_CHECKING:
     from parking_exp.config.schema import RunConfig
@@ -71,3 +74,14 @@ def is_same_store(one: str, other: str) -> bool:
 def lies_inside(path: Path, folder: Path) -> bool:
     """Whether a path is below a folder once all symbolic links are followed."""
     return path.resolve().is_relative_to(folder.resolve())
+
+
+def refuse_links(paths: Iterable[Path], folder: Path) -> None:
+    """Refuse symbolic links that lead out of a folder: files elsewhere would be read, written or sent to a store.
+
+    Raises:
+        UntrustedError: one of the paths is such a link.
+    """
+    for path in paths:
+        if path.is_symlink() and not lies_inside(path, folder):
+            raise UntrustedError(f"{path} is a symbolic link that leads out of {folder}; remove it")

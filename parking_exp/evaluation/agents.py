@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from parking_exp.config.allowlist import check_trust
-from parking_exp.config.paths import directory_path
+from parking_exp.config.paths import directory_path, refuse_links
 from parking_exp.config.schema import EnvConfig, RunConfig
 from parking_exp.errors import DamagedModelError, ModelError, RunNotFoundError, did_you_mean
 from parking_exp.runs.directory import RunDirectory
@@ -142,8 +142,9 @@ def _pretrained(run: str, output_dir: Path) -> Agent:
         hint = did_you_mean(run, _pretrained_runs())
         raise RunNotFoundError(f"run={run}: there is no such pretrained agent; there are {', '.join(names)}{hint}")
     folder = PRETRAINED_DIR / name
-    config = read_config(folder, output_dir)
-    return Agent(f"pretrained agent {name}", config, folder / POLICY_FILE, output_dir / PRETRAINED / name)
+    config, results = read_config(folder, output_dir), output_dir / PRETRAINED / name
+    refuse_links([results.parent, results, *results.rglob("*")], output_dir)
+    return Agent(f"pretrained agent {name}", config, folder / POLICY_FILE, results)
 
 
 def _ways_out(directory: RunDirectory, model: str) -> str:

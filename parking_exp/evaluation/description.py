@@ -21,7 +21,7 @@ def describe(episodes: pd.DataFrame) -> str:
         note = "  (strict: inside the lines, within 10 degrees, standing)" if name == "parked" else ""
         lines.append(f"{name:<8}{count / n:7.1%}   95 % interval {low:.1%} to {high:.1%}   {count} of {n}{note}")
     means = summarise(episodes)
-    phrases = [metric.summary.format(means[metric.key]) for metric in METRICS if metric.summary]
+    phrases = [metric.phrase(means[metric.key]) for metric in METRICS if not metric.is_rate]
     lines.append(f"mean     {', '.join(phrases)}")
     return "\n".join(lines)
 

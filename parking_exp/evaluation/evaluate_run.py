@@ -1,5 +1,6 @@
 """Evaluate a stored run on real highway-env: rates with intervals, an episodes table, a video."""
 
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -31,6 +32,7 @@ from parking_exp.runs.files import write_json
 from parking_exp.terminal import Screen, say
 
 EPISODES = 100
+LINE_EVERY_S = 10.0  # of progress, where the output is no terminal
 PRETRAINED_EPISODES = 20  # a first look; their cards have the rates of 500
 
 
@@ -150,15 +152,19 @@ def _evaluate(request: EvaluationRequest, agent: Agent, env: EnvConfig, folder: 
 
 @contextmanager
 def _progress(what: str, total: int) -> Iterator[Callable[[int], None]]:
-    """Show a progress bar on a terminal, and yield what moves it."""
+    """Show a progress bar on a terminal, lines of text elsewhere, and yield what moves it."""
     from rich.progress import Progress
 
-    screen = Screen(stderr=True)
+    screen, shown = Screen(stderr=True), time.monotonic()
     with Progress(console=screen, transient=True, disable=not screen.is_terminal) as bar:
         task = bar.add_task(what, total=total)
 
         def update(finished: int) -> None:
+            nonlocal shown
             bar.update(task, completed=finished)
+            if not screen.is_terminal and time.monotonic() - shown >= LINE_EVERY_S:
+                shown = time.monotonic()
+                say(f"{what}: {finished} done", stderr=True)
 
         yield update
 

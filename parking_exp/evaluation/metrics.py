@@ -38,7 +38,7 @@ class Metric:
         dtype: of the column in frames.
         label: heading in tables.
         unit: shown behind the label; empty for none.
-        summary: format of a sentence's part about its mean; empty: sentences leave it out.
+        summary: format of a sentence's part about its mean, of a number; empty: label, mean and unit.
         higher_is_better: None where neither is.
         column: in `Results.runs`; None: `NAME_rate` or the name.
         in_curves: whether `Results.curves` has it.
@@ -76,6 +76,10 @@ class Metric:
         """Label and unit."""
         unit = "%" if self.is_rate else self.unit
         return f"{self.label} ({unit})" if unit else self.label
+
+    def phrase(self, mean: float) -> str:
+        """Write its mean as part of a sentence."""
+        return (self.summary or f"{self.label.lower()} {{:.3g}} {self.unit}".rstrip()).format(mean)
 
     def values(self, episodes: Any) -> Any:
         """Return its value in each row of a frame of episodes."""

@@ -12,12 +12,13 @@ from omegaconf import DictConfig
 from pydantic import Field
 
 from parking_exp.config.compose import composed
-from parking_exp.config.paths import directory_path
+from parking_exp.config.paths import directory_path, refuse_links
 from parking_exp.config.schema import ConfigModel, StoreConfig
 from parking_exp.config.signatures import signature
 from parking_exp.config.validate import parse
 from parking_exp.errors import ConfigError, did_you_mean, plural
 from parking_exp.terminal import say
+from parking_exp.tuning.schema import Storage
 
 if TYPE_CHECKING:
     from parking_exp.reports.report_data import ReportData
@@ -44,6 +45,7 @@ class ReportRequest(ConfigModel):
     baseline: str | None
     output_dir: str
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._+-]*$", max_length=200)] | None
+    storage: Storage | None
     tracking: StoreConfig
     report: ReportOptions
 
@@ -71,6 +73,7 @@ def validate_report(config: DictConfig) -> ReportRequest:
     """
     request = parse(ReportRequest, config)
     typed = {"experiment": request.experiments, "tracking.uri": request.tracking.uri, "export": request.export}
+    typed |= {"storage": request.storage}
     if request.source and (beside := [key for key, value in typed.items() if value]):
         raise ConfigError(
             f"{beside[0]}: from={request.source} is all that the report is made of; leave one of them out"
@@ -119,6 +122,7 @@ def report(config: DictConfig) -> Path:
         ConfigError: a cell or baseline that there is not.
         ResultsError: the store can't be read, or has no such runs.
         RunNotFoundError: none of the runs is done.
+        UntrustedError: a symbolic link leads out of the report's folder.
     """
     request = validate_report(config)
     exported = directory_path(request.export) if request.export else None
@@ -134,6 +138,8 @@ def report(config: DictConfig) -> Path:
         from parking_exp.reports.render.files import write  # with matplotlib: not before there is something to draw
 
         folder = request.output_path / "reports" / (request.name or _folder_name(data.experiments))
+        refuse_links([folder.parent, folder], request.output_path)
+        refuse_links(folder.rglob("*"), folder)
         folder.mkdir(parents=True, exist_ok=True)
         with FileLock(folder / ".lock"):
             write(data, folder, request.report.formats)
@@ -186,7 +192,7 @@ def _build(request: ReportRequest, material: "ReportSource") -> "ReportData":
     )
     data = build(material.results, question, material.untracked, material.unsynced)
     if request.source is None:
-        return with_search(data, request.output_path)
+        return with_search(data, request.output_path, request.storage)
     return with_tuning(data, material.tuning) if material.tuning else data
 
 
@@ -220,6 +226,8 @@ def _command(request: ReportRequest, experiments: Sequence[str]) -> str:
         words.append(f"output_dir={request.output_dir}")
     if request.tracking.uri:
         words.append(f"tracking.uri={request.tracking.uri}")
+    if request.storage:
+        words.append(f"storage={request.storage}")
     if request.name:
         words.append(f"name={request.name}")
     return shlex.join(words)

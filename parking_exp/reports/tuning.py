@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from parking_exp.config.schema import NAME
-from parking_exp.errors import ParkingError, StoreError, plural
+from parking_exp.errors import ParkingError, plural
 from parking_exp.reports import formats
 from parking_exp.reports.report_data import Factor, Interval, ReportData, Setting
 from parking_exp.reports.tuning_data import Budget, Objective, Retested, Trial, Tuning
@@ -25,7 +25,7 @@ from parking_exp.tuning.schema import HIGHER_IS_BETTER, Dimension, SearchConfig
 from parking_exp.tuning.search import SEARCH_FILE, study_in
 from parking_exp.tuning.space import parameter
 from parking_exp.tuning.study import storage_errors
-from parking_exp.tuning.trials import TrialRow, front, rows
+from parking_exp.tuning.trials import TrialRow, front
 
 if TYPE_CHECKING:
     from optuna import Study
@@ -35,7 +35,7 @@ GROUP_PREFIX = re.compile(r"\b(algorithm|buffer|env)\.")
 WHERE_FROM = "Cells of a search have runs with its tuning seeds, by which trials were chosen"
 
 
-def with_search(report: ReportData, output_dir: Path) -> ReportData:
+def with_search(report: ReportData, output_dir: Path, storage: str | None = None) -> ReportData:
     """Return a report with the search of its experiments, and unchanged where none of them has one.
 
     Of several searches it is the first. One whose study can't be read is left out with a warning.
@@ -45,12 +45,13 @@ def with_search(report: ReportData, output_dir: Path) -> ReportData:
     found, problems, others = None, [], list(searches)
     for name in searches:
         others.remove(name)
+        folder = output_dir / name
         try:
-            found = read_tuning(output_dir / name)
-        except StoreError as error:
-            problems.append(f"The search of {name} is left out: {error}.")
-        if found is not None:
-            break
+            if (stored := study_in(folder, storage)) is not None:
+                found = tuning_of(folder, stored.search, stored.n_trials, stored.trials, stored.study)
+                break
+        except ParkingError as error:
+            problems.append(f"The search of {name} is left out: {str(error).splitlines()[0].rstrip('.')}.")
     report = replace(report, warnings=[*report.warnings, *problems])
     if found is None:
         return report
@@ -67,22 +68,6 @@ def with_tuning(report: ReportData, found: Tuning) -> ReportData:
         claims=[*claims(found), *report.claims],
         warnings=[*report.warnings, f"{WHERE_FROM}; {again}."],
     )
-
-
-def read_tuning(folder: Path) -> Tuning | None:
-    """Return the search of an experiment's folder; None where it has no study.
-
-    Raises:
-        StoreError: its study, or what it was made with, can't be read.
-    """
-    try:
-        found = study_in(folder)
-        if found is None:
-            return None
-        trials = rows(found.study, folder, found.n_trials)
-        return tuning_of(folder, found.search, found.n_trials, trials, found.study)
-    except ParkingError as error:
-        raise StoreError(str(error).splitlines()[0].rstrip(".")) from error
 
 
 def tuning_of(folder: Path, search: SearchConfig, n_trials: int, trials: Sequence[TrialRow], study: "Study") -> Tuning:

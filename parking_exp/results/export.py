@@ -116,8 +116,10 @@ def read_export(folder: str | Path) -> Export:
         ResultsError: it is not there, not whole, or damaged.
     """
     uri, folder = str(folder), directory_path(folder)
+    if folder.is_file():
+        raise ResultsError(f"{folder} is a file; name the folder of an export")
     if not folder.is_dir():
-        there = [path.name for path in folder.parent.iterdir()] if folder.parent.is_dir() else []
+        there = [path.name for path in folder.parent.iterdir() if path.is_dir()] if folder.parent.is_dir() else []
         make_one = "; `python scripts/report.py experiment=NAME export=FOLDER` makes one"
         raise ResultsError(f"{folder}: there is no such folder{did_you_mean(folder.name, there) or make_one}")
     if absent := [name for name in FILES if not (folder / name).is_file()]:

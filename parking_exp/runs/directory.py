@@ -20,9 +20,9 @@ from filelock import FileLock
 from pydantic import TypeAdapter, ValidationError
 
 from parking_exp.config.credentials import strip_password
-from parking_exp.config.paths import absolute, directory_path, lies_inside, relative
+from parking_exp.config.paths import absolute, directory_path, refuse_links, relative
 from parking_exp.config.schema import RunConfig
-from parking_exp.errors import ConfigError, OutputDirectoryError, RunLockedError, UntrustedError
+from parking_exp.errors import ConfigError, OutputDirectoryError, RunLockedError
 from parking_exp.runs.files import read_object, write_json
 from parking_exp.runs.layout_version import new_entries, other_version, refusal
 from parking_exp.runs.locks import hold, is_held
@@ -221,9 +221,7 @@ class RunDirectory:
         Raises:
             UntrustedError: it has a symbolic link that leads out of it.
         """
-        for path in self.path.rglob("*"):
-            if path.is_symlink() and not lies_inside(path, self.path):
-                raise UntrustedError(f"{path} is a symbolic link that leads out of the run directory; remove it")
+        refuse_links(self.path.rglob("*"), self.path)
 
     @contextmanager
     def supervisor_lock(self) -> Iterator[None]:

@@ -22,7 +22,7 @@ class Launch:
     """A launcher of Hydra's, set up as the command line says.
 
     Any launcher will do: it is given one override a job, `run=PATH`, and a task that trains what lies there; a search
-    gives it jobs of its own, `study=PATH n_trials=N`, and another task.
+    gives it jobs of its own, `study=PATH n_trials=N [storage=URI]`, and another task.
 
     Raises:
         ConfigError: the launcher is not installed, or its config is wrong.

@@ -18,6 +18,7 @@ from filelock import FileLock
 
 from parking_exp.config.credentials import with_password
 from parking_exp.config.paths import SQLITE, database
+from parking_exp.errors import StoreError
 from parking_exp.tracking.relocation import relocate
 
 if TYPE_CHECKING:
@@ -28,6 +29,7 @@ ENVIRONMENT = {
     "MLFLOW_DISABLE_TELEMETRY": "true",  # nothing leaves the machine
     "GIT_PYTHON_REFRESH": "quiet",
     "MLFLOW_SUPPRESS_PRINTING_URL_TO_STDOUT": "true",  # for each run that ends
+    "MLFLOW_ENABLE_ARTIFACTS_PROGRESS_BAR": "false",
     # MLflow's own 7 tries with doubling pauses take 4 minutes on a port where nobody listens. These take 2.3 s, and
     # what they do not reach is sent later anyway.
     "MLFLOW_HTTP_REQUEST_MAX_RETRIES": "2",
@@ -86,6 +88,10 @@ def _make_database(path: Path) -> None:
     """Make an empty store: MLflow's migrations are not atomic in sqlite, so the whole file is renamed into place."""
     from mlflow import MlflowClient
 
+    if {"'", '"'} <= set(str(Path.cwd())):  # MLflow writes it into SQL as Python's repr of it
+        raise StoreError(
+            "MLflow can't make a store in a working directory with both ' and \" in its path; change to another"
+        )
     new = path.with_name(f".{path.name}.new")
     _delete_database(new)  # a process that was killed may have left one
     try:

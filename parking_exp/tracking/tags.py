@@ -1,5 +1,6 @@
 """MLflow tags that describe experiments and runs in its UI: kind, description, command, headline result."""
 
+import json
 from typing import Any
 
 from parking_exp.config.schema import RunConfig
@@ -7,14 +8,17 @@ from parking_exp.runs.directory import RunDirectory
 
 NOTE = "mlflow.note.content"
 KIND = "mlflow.experimentKind"
+VIEW = "mlflow.sharedViewState.results"  # a saved view of the UI, whose own table of runs has no metric
+VIEW_COLUMNS = ["metrics.`final/success_rate`", "metrics.`final/crash_rate`", "metrics.`final/parked_rate`"]
 MODEL_TRAINING = "custom_model_development"  # without it, the UI opens an experiment as one of GenAI: traces, prompts
 
 
 def experiment_tags(name: str) -> dict[str, str]:
-    """Return MLflow's own tags of an experiment: its kind, and a description."""
+    """Return MLflow's own tags of an experiment: its kind, a description, and a view of its results."""
     report = f"`python scripts/report.py experiment={name}` compares its cells."
     return {
         KIND: MODEL_TRAINING,
+        VIEW: json.dumps({"name": "results", "createdAt": 0, "state": json.dumps({"selectedColumns": VIEW_COLUMNS})}),
         NOTE: f"Parking agents, trained and evaluated on highway-env's `parking-v0`: one run a cell and seed. {report}",
     }
 

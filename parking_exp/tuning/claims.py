@@ -17,14 +17,13 @@ from filelock import FileLock, Timeout
 from parking_exp.runs.locks import is_held
 from parking_exp.tuning.schema import SearchConfig
 from parking_exp.tuning.space import applies, in_order, parameter, suggest, to_value
-from parking_exp.tuning.study import CHANGES, ENQUEUED, HEARTBEAT, claiming
+from parking_exp.tuning.study import CHANGES, ENQUEUED, HEARTBEAT, TRIALS_FOLDER, claiming
 
 if TYPE_CHECKING:
     from optuna import Study, Trial
     from optuna.samplers import BaseSampler
     from optuna.trial import FrozenTrial
 
-TRIALS_FOLDER = ".trials"
 LOST_S = 180.0  # of a trial on another machine: no heartbeat for so long
 HEARTBEAT_S = 30.0
 
@@ -132,9 +131,9 @@ def _trial_lock(folder: Path, number: int) -> FileLock:
 
 def _lock_if_lost(folder: Path, frozen: "FrozenTrial") -> FileLock | None:
     """Lock a trial if no process works on it, else return None."""
-    heartbeat = frozen.user_attrs.get(HEARTBEAT, {})
+    heartbeat = _heartbeat(frozen)
     began = frozen.datetime_start.timestamp() if frozen.datetime_start else 0.0
-    if _is_elsewhere(heartbeat, folder) and time.time() - max(heartbeat.get("time", 0.0), began) < LOST_S:
+    if _is_elsewhere(heartbeat, folder) and time.time() - max(heartbeat["time"], began) < LOST_S:
         return None
     lock = _trial_lock(folder, frozen.number)
     try:
@@ -146,10 +145,16 @@ def _lock_if_lost(folder: Path, frozen: "FrozenTrial") -> FileLock | None:
 
 def worked_on(folder: Path, frozen: "FrozenTrial") -> bool:
     """Whether a process works on a trial, as far as this machine can tell."""
-    heartbeat = frozen.user_attrs.get(HEARTBEAT, {})
+    heartbeat = _heartbeat(frozen)
     if _is_elsewhere(heartbeat, folder):
-        return time.time() - heartbeat.get("time", 0.0) < LOST_S
+        return time.time() - heartbeat["time"] < LOST_S
     return is_held(folder / TRIALS_FOLDER / f"{frozen.number:05d}.lock")
+
+
+def _heartbeat(frozen: "FrozenTrial") -> Mapping[str, Any]:
+    """Return the last heartbeat of a trial; {} where it has none, or something else in its place."""
+    found = frozen.user_attrs.get(HEARTBEAT)
+    return found if isinstance(found, dict) and isinstance(found.get("time"), int | float) else {}
 
 
 def _is_elsewhere(heartbeat: Mapping[str, Any], folder: Path) -> bool:

@@ -45,8 +45,8 @@ def tune(search: Search, launch: Launch, *, dry_run: bool = False) -> None:
     out = console()
     n_trials, n_workers = search.request.n_trials, _n_workers(search, launch)
     if dry_run:
-        found = study_in(search.folder)
-        _describe(search, rows(found.study, search.folder, n_trials) if found else [], n_workers, out)
+        found = study_in(search.folder, search.request.storage)
+        _describe(search, found.trials[:n_trials] if found else [], n_workers, out)
         return
     study = search.open()
     trials = rows(study, search.folder, n_trials)
@@ -124,6 +124,8 @@ def _train(search: Search, study: "Study", launch: Launch, n_workers: int) -> li
     """
     n_trials = search.request.n_trials
     job = [f"study={in_quotes(str(search.folder))}", f"n_trials={n_trials}"]
+    if search.request.storage:
+        job.append(f"storage={in_quotes(search.request.storage)}")
     with TrialMonitor(search, search.open()) as monitor:
         try:
             trials, problem = rows(study, search.folder, n_trials), None
@@ -156,5 +158,5 @@ def do_job(config: "DictConfig") -> object:
     """Hydra's task function: work on the search of a folder, or train the run of a directory."""
     if not config.study:
         return train_run(config)
-    work_job(str(config.study), config.n_trials)
+    work_job(str(config.study), config.n_trials, config.storage)
     return None

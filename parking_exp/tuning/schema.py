@@ -3,8 +3,10 @@
 import math
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import BeforeValidator, Field, model_validator
+from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
+from parking_exp.config.credentials import keep_password
+from parking_exp.config.paths import absolute
 from parking_exp.config.schema import ConfigModel, Count, Name, Positive
 
 Objective = Literal["success_auc", "final_success", "final_parked", "cost_to_95"]
@@ -18,6 +20,8 @@ Seeds = Annotated[list[Annotated[int, Field(ge=0, lt=2**32)]], Field(min_length=
 WILCOXON_SEEDS = 5
 TUNING_KEYS = frozenset({"search", "n_trials", "n_workers", "storage"})
 """Keys of `conf/tune.yaml` beside those of a run."""
+Storage = Annotated[str, AfterValidator(lambda uri: absolute(keep_password(uri)))]
+"""URI of Optuna's storage, without the password; `with_password` has that where the storage is opened."""
 
 
 def _as_list(value: Any) -> Any:
@@ -130,4 +134,4 @@ class TuneRequest(ConfigModel):
     search: SearchConfig
     n_trials: Positive
     n_workers: Positive | None
-    storage: str | None
+    storage: Storage | None

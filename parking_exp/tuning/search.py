@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any
 from omegaconf import DictConfig, OmegaConf, open_dict
 
 from parking_exp.config.compose import Composed, composed_runs
+from parking_exp.config.credentials import strip_password
 from parking_exp.config.experiment_files import with_absolute_path
 from parking_exp.config.overrides import in_quotes
-from parking_exp.config.paths import absolute
 from parking_exp.config.schema import RunConfig
 from parking_exp.config.validate import check, parse, validate
 from parking_exp.errors import ConfigError, OutputDirectoryError, suggestion
@@ -21,6 +21,7 @@ from parking_exp.tuning.objectives import HOLD, evaluations
 from parking_exp.tuning.schema import TUNING_KEYS, SearchConfig, TuneRequest
 from parking_exp.tuning.space import base_value, in_order, parameter
 from parking_exp.tuning.study import known_parameters, load_study, open_study, storage_of
+from parking_exp.tuning.trials import TrialRow, rows
 
 if TYPE_CHECKING:
     from optuna import Study
@@ -192,15 +193,16 @@ class Search:
         """Write down what workers and other commands need to find the study and compose the configs of trials."""
         request, extra = self.request, self.extra_config_dir
         # Workers may be started from another directory.
-        overrides = [with_absolute_path(line) for line in self.overrides]
+        overrides = [strip_password(with_absolute_path(line)) for line in self.overrides]
         typed = {"overrides": overrides, "extra_config_dir": extra and str(Path(extra).absolute())}
-        storage = absolute(request.storage) if request.storage else None
-        settings = {"storage": storage, "n_trials": request.n_trials}
+        settings = {"storage": request.storage, "n_trials": request.n_trials}
         write_json(self.folder / SEARCH_FILE, {**typed, **settings, "search": request.search.model_dump(by_alias=True)})
 
     @classmethod
-    def load(cls, folder: Path) -> "Search":
+    def load(cls, folder: Path, storage: str | None) -> "Search":
         """Return the search of an experiment's folder as it was typed last, wherever the process runs that asks.
+
+        The storage is that of the caller: what the folder's files name is never opened.
 
         Raises:
             ConfigError: there is none.
@@ -208,9 +210,8 @@ class Search:
         stored = read_object(folder / SEARCH_FILE)
         if not isinstance(stored.get("overrides"), list):
             raise ConfigError(f"{folder / SEARCH_FILE} can't be read; type the search again")
-        known = {"output_dir": str(folder.parent), "storage": stored.get("storage")}
-        found = [f"{key}={in_quotes(value)}" for key, value in known.items() if value]
-        return cls([*stored["overrides"], *found], stored.get("extra_config_dir"))
+        known = [f"output_dir={in_quotes(str(folder.parent))}", f"storage={in_quotes(storage) if storage else 'null'}"]
+        return cls([*stored["overrides"], *known], stored.get("extra_config_dir"))
 
 
 def _contexts(search: SearchConfig, key: str) -> list[dict[str, Any]]:
@@ -243,24 +244,38 @@ def _set(cell: DictConfig, key: str, value: Any) -> None:
 
 @dataclass(frozen=True)
 class StoredSearch:
-    """A search as other commands find it in its folder: its settings, number of trials and study."""
+    """A search as other commands find it in its folder: its settings, number of trials, study and the trials so far."""
 
     search: SearchConfig
     n_trials: int
     study: "Study"
+    trials: list[TrialRow]
 
 
-def study_in(folder: Path) -> StoredSearch | None:
+def study_in(folder: Path, storage: str | None = None) -> StoredSearch | None:
     """Return the search of an experiment's folder, for reading; None without one.
 
+    Args:
+        folder: of the experiment; the database that its files name is opened only if it is `storage`.
+        storage: that was typed.
+
     Raises:
-        ConfigError: its settings can't be read.
+        ConfigError: its settings or its study are damaged, or the study lies in another storage.
         StoreError: its storage fails.
+        UntrustedError: see `storage_of`.
     """
     stored = read_object(folder / SEARCH_FILE)
     if "search" not in stored:
         return None
     settings = check(SearchConfig, stored["search"])
-    n_trials = stored.get("n_trials")
-    study = load_study(folder.name, storage_of(folder, stored.get("storage")))
-    return None if study is None else StoredSearch(settings, n_trials if isinstance(n_trials, int) else 0, study)
+    n_trials, place = stored.get("n_trials"), stored.get("storage")
+    place = strip_password(place) if isinstance(place, str) else None
+    if place not in (None, storage):
+        raise ConfigError(f"the study is in {place}; pass storage={place} to read it")
+    study = load_study(folder.name, storage_of(folder, place))
+    if study is None:
+        return None
+    if len(study.directions) != len(settings.objective):
+        raise ConfigError(f"{folder / SEARCH_FILE} and the study differ in their number of objectives")
+    number = n_trials if isinstance(n_trials, int) else 0
+    return StoredSearch(settings, number, study, rows(study, folder, number))

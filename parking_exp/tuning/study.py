@@ -6,14 +6,16 @@ from 0 to n_trials - 1 are trained.
 
 import json
 import os
+import time
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, cast
 
 from filelock import FileLock, Timeout
 
-from parking_exp.config.credentials import strip_password
+from parking_exp.config.credentials import strip_password, with_password
+from parking_exp.config.paths import refuse_links
 from parking_exp.config.schema import RunConfig
 from parking_exp.errors import ConfigError, ParkingError, StoreError
 from parking_exp.tuning.schema import HIGHER_IS_BETTER, SearchConfig
@@ -22,7 +24,7 @@ from parking_exp.tuning.space import applies, in_order, parameter, to_parameter
 if TYPE_CHECKING:
     from optuna import Study
 
-STUDY_FILE, CLAIM_LOCK = "study.journal", ".claiming"
+STUDY_FILE, CLAIM_LOCK, TRIALS_FOLDER = "study.journal", ".claiming", ".trials"
 Values = Callable[[Mapping[str, Any]], Mapping[str, Any]]
 DEFINITION = "definition"  # attribute of a study
 # Attributes of a trial.
@@ -52,28 +54,36 @@ class _JournalLock:
         self._lock.release()
 
 
-def storage_of(folder: Path, url: str | None) -> Any:
-    """Return the storage of a search's study.
+def storage_of(folder: Path, uri: str | None) -> Any:
+    """Return the storage of a search's study: at a URI, or without one the journal in the search's folder.
 
     Raises:
         StoreError: it can't be reached.
+        UntrustedError: a file of the search is a symbolic link that leads out of its folder.
     """
     import optuna
     from optuna.storages.journal import JournalFileBackend
+    from sqlalchemy.exc import DBAPIError
 
     optuna.logging.set_verbosity(optuna.logging.ERROR)
     path = folder / STUDY_FILE
+    # Not the folders of cells, which may lie on another disk.
+    refuse_links((one for names in (".*", "study.*", f"{TRIALS_FOLDER}/*") for one in folder.glob(names)), folder)
     try:
-        if url is None:
+        if uri is None:
             folder.mkdir(parents=True, exist_ok=True)
             path.touch()
             backend = JournalFileBackend(str(path), lock_obj=cast(Any, _JournalLock(path)))
             return optuna.storages.JournalStorage(backend)
-        return optuna.storages.get_storage(url)
+        for wait_s in (1, 1, None):  # where another process makes the same tables at the same time, one of both fails
+            try:
+                return optuna.storages.get_storage(with_password(uri))
+            except DBAPIError:
+                if wait_s is None:
+                    raise
+                time.sleep(wait_s)
     except Exception as error:  # any driver of a database may be behind it
-        raise StoreError(
-            f"storage={strip_password(url or str(path))}: the study can't be opened: {_first_line(error)}"
-        ) from error
+        raise StoreError(f"storage={uri or path}: the study can't be opened: {_first_line(error)}") from error
 
 
 def directions(search: SearchConfig) -> list[Literal["maximize", "minimize"]]:
@@ -119,12 +129,9 @@ def load_study(name: str, storage: Any) -> "Study | None":
     """
     import optuna
 
-    try:
+    with storage_errors(name), suppress(KeyError):
         return optuna.load_study(study_name=name, storage=storage)
-    except KeyError:
-        return None
-    except Exception as error:
-        raise StoreError(f"the study {name} can't be read: {_first_line(error)}") from error
+    return None
 
 
 @contextmanager

@@ -6,6 +6,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
+from pydantic import FiniteFloat, TypeAdapter, ValidationError
+
+from parking_exp.errors import ConfigError
 from parking_exp.tuning.claims import worked_on
 from parking_exp.tuning.schema import HIGHER_IS_BETTER
 from parking_exp.tuning.study import CHANGES, COST, CPU_S, REASON, RUNS, SEED_VALUES, STEPS, storage_errors
@@ -38,13 +41,13 @@ class TrialRow:
     number: int
     state: TrialState
     changes: Mapping[str, Any]
-    parameters: Mapping[str, float | str]
-    values: Sequence[float]
-    by_seed: Sequence[Sequence[float]]
+    parameters: Mapping[str, int | FiniteFloat | str]
+    values: Sequence[FiniteFloat]
+    by_seed: Sequence[Sequence[FiniteFloat]]
     runs: Sequence[str]
     env_steps: int | None
-    cpu_s: float | None
-    cost: float | None
+    cpu_s: FiniteFloat | None
+    cost: FiniteFloat | None
     reason: str | None
     seconds: float | None
 
@@ -57,6 +60,9 @@ class TrialRow:
         return f"trial {self.number}: {', '.join(changed) or 'as it stands'}"
 
 
+ROW = TypeAdapter(TrialRow)
+
+
 def rows(study: "Study", folder: Path, n_trials: int) -> list[TrialRow]:
     """Return the trials that have begun, or wait to, of the first `n_trials`.
 
@@ -65,29 +71,36 @@ def rows(study: "Study", folder: Path, n_trials: int) -> list[TrialRow]:
         StoreError: its storage fails.
     """
     with storage_errors(study.study_name):
-        found = study.get_trials(deepcopy=False)[:n_trials]
-    return [_row(frozen, folder) for frozen in found]
+        found, n_objectives = study.get_trials(deepcopy=False)[:n_trials], len(study.directions)
+    return [_row(frozen, folder, n_objectives) for frozen in found]
 
 
-def _row(frozen: "FrozenTrial", folder: Path) -> TrialRow:
+def _row(frozen: "FrozenTrial", folder: Path, n_objectives: int) -> TrialRow:
+    try:
+        return ROW.validate_python(_entries(frozen, folder, n_objectives))
+    except ValueError as error:
+        what = error.errors()[0]["loc"][0] if isinstance(error, ValidationError) else "parameters"
+        raise ConfigError(f"the study is damaged: trial {frozen.number} has no valid {what}") from error
+
+
+def _entries(frozen: "FrozenTrial", folder: Path, n_objectives: int) -> dict[str, Any]:
     known = {"COMPLETE": "done", "PRUNED": "pruned", "FAIL": "failed", "WAITING": "pending"}
-    state: Any = known.get(frozen.state.name) or ("running" if worked_on(folder, frozen) else "pending")
     attributes = frozen.user_attrs
-    done = frozen.state.name == "COMPLETE"
-    return TrialRow(
-        number=frozen.number,
-        state=state,
-        changes=attributes.get(CHANGES, {}),
-        parameters={name: _plain(value) for name, value in frozen.params.items()},
-        values=list(frozen.values or []) if done else [],
-        by_seed=attributes.get(SEED_VALUES, []),
-        runs=attributes.get(RUNS, []),
-        env_steps=attributes.get(STEPS),
-        cpu_s=attributes.get(CPU_S),
-        cost=attributes.get(COST),
-        reason=attributes.get(REASON),
-        seconds=frozen.duration.total_seconds() if frozen.duration else None,
-    )
+    values = list(frozen.values or []) if frozen.state.name == "COMPLETE" else []
+    return {
+        "number": frozen.number,
+        "state": known.get(frozen.state.name) or ("running" if worked_on(folder, frozen) else "pending"),
+        "changes": attributes.get(CHANGES, {}),
+        "parameters": {name: _plain(value) for name, value in frozen.params.items()},
+        "values": values if len(values) in (0, n_objectives) else None,
+        "by_seed": attributes.get(SEED_VALUES, []),
+        "runs": attributes.get(RUNS, []),
+        "env_steps": attributes.get(STEPS),
+        "cpu_s": attributes.get(CPU_S),
+        "cost": attributes.get(COST),
+        "reason": attributes.get(REASON),
+        "seconds": frozen.duration.total_seconds() if frozen.duration else None,
+    }
 
 
 def _plain(value: Any) -> float | str:

@@ -42,8 +42,8 @@ LOOK_S, ELSEWHERE_POLL_S = 0.5, 1.0
 Outcome = Literal["done", "pruned", "failed", "stopped"]
 
 
-def work_job(folder: str, n_trials: int) -> None:
-    """Work on the search of a folder as a job of another launcher.
+def work_job(folder: str, n_trials: int, storage: str | None = None) -> None:
+    """Work on the search of a folder as a job of another launcher; see `work`.
 
     Raises:
         KeyboardInterrupt: a signal to the job stopped it; what was under way is saved.
@@ -53,16 +53,18 @@ def work_job(folder: str, n_trials: int) -> None:
         def train(path: Path, stop: Stop | None) -> WorkerResult | None:
             return None if asked() else supervise(path, stop=lambda: asked() or (stop is not None and stop()))
 
-        work(Path(folder), n_trials, train)
+        work(Path(folder), n_trials, train, storage)
 
 
-def work(folder: Path, n_trials: int, train: Train) -> None:
+def work(folder: Path, n_trials: int, train: Train, storage: str | None = None) -> None:
     """Train the first `n_trials` trials until none is left, or `train` says that all is stopped.
+
+    The study is the journal in the folder, or lies in `storage`.
 
     Raises:
         StoreError: the study can't be read or written.
     """
-    search = Search.load(folder)
+    search = Search.load(folder, storage)
     study = search.open()
     settings = search.request.search
     study.pruner = make_pruner(settings, evaluations(search.base))

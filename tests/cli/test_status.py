@@ -214,6 +214,58 @@ def test_durations_in_words(seconds, words):
     assert duration(seconds) == words
 
 
+def search_in(folder, uri, **stored):
+    """Write a search whose study, with one trial, lies in a storage."""
+    study = optuna.create_study(study_name=folder.name, storage=storage_of(folder, uri), direction="maximize")
+    study.add_trial(optuna.trial.create_trial(value=0.5))
+    write_json(folder / "search.json", {"n_trials": 3, "search": SETTINGS, "storage": uri, **stored})
+    return study
+
+
+def test_no_database_is_opened_that_only_a_search_names(tmp_path):
+    folder, elsewhere = run_dir(tmp_path / "outputs", status="done").parents[1], tmp_path / "elsewhere.db"
+    write_json(folder / "search.json", {"n_trials": 3, "search": SETTINGS, "storage": f"sqlite:///{elsewhere}"})
+    told = type_here("status", f"output_dir={tmp_path / 'outputs'}")
+    assert told.returncode == 0, told.stderr
+    words = f"the study is in sqlite:///{elsewhere}; pass storage=sqlite:///{elsewhere} to read it"
+    assert told.stdout.splitlines()[-1] == f"search mine: {words}"
+    assert not elsewhere.exists()
+    search_in(folder, f"sqlite:///{elsewhere}")
+    told = type_here("status", f"output_dir={tmp_path / 'outputs'}", f"storage=sqlite:///{elsewhere}")
+    assert "3 trials: 1 done, 2 pending" in told.stdout
+    link = folder / "study.journal"
+    link.symlink_to(tmp_path / "file")
+    write_json(folder / "search.json", {"n_trials": 3, "search": SETTINGS})
+    told = type_here("status", f"output_dir={tmp_path / 'outputs'}")
+    assert told.stdout.splitlines()[-1].startswith(f"search mine: {link} is a symbolic link that leads out of {folder}")
+    assert not (tmp_path / "file").exists()
+
+
+def test_a_search_with_another_number_of_objectives_than_its_study_is_told_in_a_sentence(tmp_path, capsys):
+    folder = run_dir(tmp_path, status="done").parents[1]
+    search_in(folder, None, search=SETTINGS | {"objective": ["success_auc", "final_success"]})
+    (config,) = composed("status", [f"output_dir={tmp_path}"])
+    show(config)
+    words = f"{folder}/search.json and the study differ in their number of objectives"
+    assert capsys.readouterr().out.splitlines()[-1] == f"search mine: {words}"
+
+
+@pytest.mark.parametrize("as_json", [True, False])
+def test_a_wrong_value_in_a_study_is_told_beside_the_runs(tmp_path, capsys, as_json):
+    folder = run_dir(tmp_path, status="done").parents[1]
+    study = search_in(folder, None)
+    study.add_trial(optuna.trial.create_trial(value=0.5, user_attrs={"changes": ["x"]}))
+    (config,) = composed("status", [f"output_dir={tmp_path}", f"json={as_json}"])
+    show(config)
+    shown, words = capsys.readouterr().out, "the study is damaged: trial 1 has no valid changes"
+    if as_json:
+        assert json.loads(shown)["done"] == 1
+        assert json.loads(shown)["searches"] == [{"experiment": "mine", "error": words}]
+    else:
+        assert shown.splitlines()[1].split() == ["a", "1"]
+        assert shown.splitlines()[-1] == f"search mine: {words}"
+
+
 @pytest.mark.parametrize("as_json", [True, False])
 def test_a_search_whose_storage_fails_is_told_in_a_sentence(tmp_path, monkeypatch, capsys, as_json):
     folder = run_dir(tmp_path, status="done").parents[1]

@@ -12,7 +12,7 @@ from parking_exp.algorithms.build import build_model, greedy_policy
 from parking_exp.algorithms.policy_files import load_policy, save_policy
 from parking_exp.config.compose import composed
 from parking_exp.envs.training_envs import make_training_envs
-from parking_exp.errors import DamagedModelError, ModelError, RunNotFoundError
+from parking_exp.errors import DamagedModelError, ModelError, RunNotFoundError, UntrustedError
 from parking_exp.evaluation import agents
 from parking_exp.evaluation.agents import PRETRAINED_DIR, find_agent, load_model, pretrained_names
 from parking_exp.evaluation.evaluate import evaluate, summarise
@@ -32,6 +32,15 @@ def test_there_are_a_default_and_a_parked_agent_each_with_a_card_in_less_than_10
         files = {file.name: file.stat().st_size for file in (PRETRAINED_DIR / name).iterdir()}
         assert set(files) == {"README.md", "config.yaml", "policy.safetensors"}
         assert sum(files.values()) < 100_000
+
+
+@pytest.mark.parametrize("link", ["pretrained", "pretrained/default", "pretrained/default/evaluations"])
+def test_results_of_a_pretrained_agent_follow_no_link_out_of_the_output_directory(tmp_path, link):
+    path = tmp_path / "outputs" / link
+    path.parent.mkdir(parents=True)
+    path.symlink_to(tmp_path / "elsewhere")
+    with pytest.raises(UntrustedError, match=rf"^{path} is a symbolic link that leads out of {tmp_path / 'outputs'}"):
+        find_agent("pretrained", tmp_path / "outputs")
 
 
 @pytest.mark.parametrize(

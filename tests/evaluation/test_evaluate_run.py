@@ -2,6 +2,9 @@
 
 from support.runs import type_here
 
+from parking_exp.config.compose import composed
+from parking_exp.evaluation import evaluate_run
+
 SHORT = ("run=pretrained", "episodes=2", "simulator=vectorized", "env=parking", "env.duration=0.4", "name=short")
 
 
@@ -17,6 +20,14 @@ def test_without_a_terminal_there_are_lines_of_text_alone_and_the_video_and_gif_
         f"results        {folder}",
     ]
     assert {path.name for path in folder.iterdir()} == {"episodes.csv", "summary.json", "video.gif", "video.mp4"}
+
+
+def test_without_a_terminal_progress_is_a_line_every_few_seconds(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(evaluate_run, "LINE_EVERY_S", 0.0)
+    monkeypatch.chdir(tmp_path)
+    evaluate_run.evaluate_run(composed("evaluate", list(SHORT))[0])
+    # Two steps of two episodes.
+    assert capsys.readouterr().err == "2 episodes of parking: 0 done\n2 episodes of parking: 2 done\n"
 
 
 def test_no_video_is_named_where_none_is_asked_for(tmp_path):

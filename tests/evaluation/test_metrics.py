@@ -1,6 +1,7 @@
 """A metric is declared once."""
 
 import json
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -20,7 +21,6 @@ ENTRY = """
         of=lambda episode: abs(episode.end.side_m),
         label="Offset to the side",
         unit="m",
-        summary="{:.2f} m to the side",
         higher_is_better=False,
         in_curves=True,
         in_reports=True,
@@ -86,7 +86,7 @@ def test_a_metric_that_is_declared_is_in_episodes_summaries_store_frames_and_rep
     assert found["csv"].endswith(",speed_mps,side_m")
     assert found["side"] > 0
     assert "side_m_mean" in found["summary"]
-    assert found["words"].endswith(" m to the side")
+    assert re.search(r", offset to the side [\d.]+ m$", found["words"])
     assert {"eval/side_m_mean", "final/side_m_mean", "certified/side_m_mean"} <= set(found["store"])
     assert 0 < found["runs"] < 1
     assert (found["curves"], found["episodes"]) == ("float64", "float64")

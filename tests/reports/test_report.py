@@ -65,6 +65,28 @@ def test_a_report_has_a_page_markdown_tables_figures_and_every_number(made):
     assert stored["command"] == f"python scripts/report.py experiment=one output_dir={made}"
 
 
+@pytest.mark.parametrize("link", ["reports", "reports/one", "reports/one/tables", "reports/one/.lock"])
+def test_a_report_does_not_follow_links_out_of_the_output_directory(made, tmp_path_factory, link):
+    elsewhere = tmp_path_factory.mktemp("elsewhere")
+    (elsewhere / "index.html").write_text("mine")
+    path, target = made / link, elsewhere / "file" if link.endswith(".lock") else elsewhere
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.symlink_to(target)
+    folder = made if link.count("/") < 2 else made / "reports" / "one"
+    done = report(made, "experiment=one", code=2)
+    assert done.stderr == f"error: {path} is a symbolic link that leads out of {folder}; remove it\n"
+    assert [file.name for file in elsewhere.iterdir()] == ["index.html"]
+
+
+def test_a_report_deletes_nothing_outside_of_its_folder(made):
+    folder, other = made / "reports" / "one", made / "mine.svg"
+    folder.mkdir(parents=True)
+    other.write_text("mine")
+    (folder / ".made-figures").write_text(f"../../../mine.svg\n{other}")
+    report(made, "experiment=one", "report=quick")
+    assert other.exists()
+
+
 def test_neither_torch_nor_the_simulators_are_imported(made):
     code = (
         "import sys; sys.argv = ['report.py', 'experiment=one', sys.argv[1]]\n"

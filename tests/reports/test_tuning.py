@@ -349,12 +349,35 @@ def test_of_several_searches_the_first_that_can_be_read_is_shown(begun):
 
 def test_a_storage_that_fails_leaves_the_report_as_it_is_with_a_warning_without_passwords(folder):
     write_search(folder, storage="nonsense+driver://me:secret@localhost/studies")
-    plain = report("smoke")
-    found = with_search(plain, folder.parent)
+    plain, place = report("smoke"), "storage=nonsense+driver://me@localhost/studies"
+    found = with_search(plain, folder.parent, place.removeprefix("storage="))
     (warning,) = found.warnings
-    assert warning.startswith("The search of smoke is left out: storage=nonsense+driver://***@localhost/studies: ")
+    assert warning.startswith(f"The search of smoke is left out: {place}: the study can't be opened: ")
     assert "secret" not in warning
     assert replace(found, warnings=plain.warnings) == plain
+    (warning,) = with_search(plain, folder.parent).warnings
+    assert warning.endswith(
+        f"left out: the study is in nonsense+driver://me@localhost/studies; pass {place} to read it."
+    )
+
+
+def test_a_study_in_the_storage_that_is_passed_is_read(folder, tmp_path):
+    uri = f"sqlite:///{tmp_path}/elsewhere.db"
+    write_search(folder, storage=uri)
+    plain = report("smoke")
+    assert with_search(plain, folder.parent).tuning is None
+    assert not (tmp_path / "elsewhere.db").exists()
+    study = optuna.create_study(study_name="smoke", storage=storage_of(folder, uri), direction="maximize")
+    study.add_trial(trial(0.5))
+    assert [one.values for one in with_search(plain, folder.parent, uri).tuning.trials] == [[0.5]]
+
+
+def test_a_wrong_value_in_a_study_leaves_it_out_with_a_sentence(begun):
+    study = optuna.load_study(study_name="smoke", storage=storage_of(begun, None))
+    study.add_trial(trial(0.5, values_by_seed="x"))
+    assert with_search(report("smoke"), begun.parent).warnings == [
+        "The search of smoke is left out: the study is damaged: trial 2 has no valid by_seed."
+    ]
 
 
 def test_a_mistake_of_ours_is_not_told_as_a_storage_that_fails(begun, monkeypatch):

@@ -484,7 +484,7 @@ def test_a_real_run_is_loaded_as_it_was_trained(smoke):
 
 
 @needs_server
-def test_a_server_gives_the_same_frames_as_a_database(tmp_path, ablation, monkeypatch):
+def test_a_server_gives_the_same_frames_as_a_database(tmp_path, ablation, monkeypatch, capfd):
     with closed_port() as port:
         pass
     with mlflow_server(port, tmp_path) as uri:
@@ -494,6 +494,7 @@ def test_a_server_gives_the_same_frames_as_a_database(tmp_path, ablation, monkey
             load("her", uri=uri),
             load("her", uri=f"sqlite:///{tmp_path}/server.db"),
         )
+        assert capfd.readouterr() == ("", "")  # no progress bars of downloads
         places = found.runs.pop("artifact_uri")
         assert places.str.startswith("mlflow-artifacts:").all()
         pd.testing.assert_frame_equal(found.runs, local.runs.drop(columns="artifact_uri"))

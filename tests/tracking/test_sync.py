@@ -349,6 +349,9 @@ def test_mlflows_ui_is_told_what_experiments_and_runs_are(output_dir):
     sync(directory)
     experiment = client.get_experiment_by_name("smoke")
     assert experiment.tags["mlflow.experimentKind"] == "custom_model_development"
+    view = json.loads(experiment.tags["mlflow.sharedViewState.results"])
+    assert view["name"] == "results"
+    assert json.loads(view["state"])["selectedColumns"][0] == "metrics.`final/success_rate`"
     assert "experiment=smoke" in experiment.tags["mlflow.note.content"]
     assert client.get_run(directory.run_id).data.tags["mlflow.note.content"] == (
         "sac, her_future on parking, seed 0: success 94.0%, crash 4.0%, parked 0.0% on 5 scenes, 5 of them certified on highway-env,"

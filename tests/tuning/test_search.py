@@ -1,10 +1,15 @@
 """A search and the configs of its trials: as Hydra would compose them, and checked before anything starts."""
 
+import json
+
 import pytest
 import yaml
 from support.runs import make_config, options
 
 from parking_exp.config.compose import compose
+from parking_exp.config.credentials import with_password
+from parking_exp.config.experiment_files import with_absolute_path
+from parking_exp.config.overrides import in_quotes
 from parking_exp.errors import ConfigError, OutputDirectoryError
 from parking_exp.tuning.search import Search, study_in
 from parking_exp.tuning.unit_costs import shape
@@ -73,10 +78,26 @@ def test_a_worker_finds_the_search_from_another_directory(tmp_path, monkeypatch)
     search.open()
     search.save()
     monkeypatch.chdir(tmp_path)
-    found = Search.load(tmp_path / "here" / "out" / "smoke")
+    found = Search.load(tmp_path / "here" / "out" / "smoke", search.request.storage)
     assert found.folder == tmp_path / "here" / "out" / "smoke"
     assert found.request.storage == f"sqlite:///{tmp_path / 'here' / 'study.db'}"
     assert found.request.n_trials == 7
+
+
+def test_passwords_are_not_stored_and_a_worker_takes_its_storage_from_its_caller_alone(tmp_path, monkeypatch):
+    monkeypatch.delenv("PARKING_EXP_PASSWORDS", raising=False)
+    uris = [f"{key}=postgresql://me:sec'ret@host/{key}?password=secret" for key in ("storage", "tracking.uri")]
+    search = Search([*SMOKE, *(f'{key}="{uri}"' for key, _, uri in (uri.partition("=") for uri in uris)),
+                     f"output_dir={tmp_path}"])  # fmt: skip
+    search.folder.mkdir()
+    search.save()
+    text = (search.folder / "search.json").read_text()
+    assert "secret" not in text
+    assert "sec'ret" not in text
+    assert json.loads(text)["storage"] == search.request.storage == "postgresql://me@host/storage"
+    assert with_password(search.request.storage) == uris[0].removeprefix("storage=")
+    assert Search.load(search.folder, "sqlite:////other.db").request.storage == "sqlite:////other.db"
+    assert Search.load(search.folder, None).request.storage is None
 
 
 def test_the_number_of_trials_is_the_last_that_was_typed(tmp_path):
@@ -85,7 +106,7 @@ def test_the_number_of_trials_is_the_last_that_was_typed(tmp_path):
         search.open()
         search.save()
     assert study_in(search.folder).n_trials == 3
-    assert Search.load(search.folder).request.n_trials == 3
+    assert Search.load(search.folder, None).request.n_trials == 3
 
 
 def test_a_folder_that_can_not_be_made_gets_a_sentence(tmp_path):
@@ -101,6 +122,15 @@ def test_unit_costs_are_those_of_all_configs_that_cost_the_same():
     assert len({shape(search.config(changes)) for changes in same}) == 1
     others = [{"algorithm.batch_size": 64}, {"algorithm": "td3"}, {"n_envs": 1}, {"env": "parking_parked"}]
     assert len({shape(search.config(changes)) for changes in [{}, *others]}) == 5
+
+
+def test_an_experiment_file_may_have_quotes_in_its_path(tmp_path):
+    path = tmp_path / 'it\'s "mine"' / "own.yaml"
+    path.parent.mkdir()
+    path.write_text("# @package _global_\ntotal_timesteps: 30000\n")
+    line = f"experiment={in_quotes(str(path))}"
+    assert with_absolute_path(line) == line
+    assert make_config(line).total_timesteps == 30_000
 
 
 def test_a_yaml_file_that_can_not_be_read_gets_a_sentence(tmp_path):

@@ -10,7 +10,7 @@ import optuna
 import pytest
 from support.searches import base, settings
 
-from parking_exp.errors import ConfigError, StoreError
+from parking_exp.errors import ConfigError, StoreError, UntrustedError
 from parking_exp.tuning import claims
 from parking_exp.tuning.claims import LOST_S, claim, make_sampler
 from parking_exp.tuning.study import HEARTBEAT, STUDY_FILE, load_study, open_study, storage_of
@@ -252,7 +252,7 @@ def test_a_storage_that_fails_while_trials_are_read_gets_a_sentence(tmp_path, mo
     monkeypatch.setattr(study, "get_trials", fail)
     with pytest.raises(StoreError) as error:
         rows(study, folder, 1)
-    assert str(error.value) == "the storage of study test fails: postgresql://***@here is gone; type it again later"
+    assert str(error.value) == "the storage of study test fails: postgresql://me@here is gone; type it again later"
 
 
 def test_a_study_in_a_database_is_shared_in_the_same_way(tmp_path):
@@ -264,6 +264,88 @@ def test_a_study_in_a_database_is_shared_in_the_same_way(tmp_path):
     other = claim(again, folder, settings(), 2)
     assert other.number == 1
     assert [row.state for row in rows(again, folder, 2)] == ["done", "running"]
+
+
+def _open_at_once(path, barrier, failures):
+    barrier.wait()
+    try:
+        storage_of(path / str(os.getpid()), f"sqlite:///{path}/study.db")
+    except StoreError as error:
+        failures.put(str(error))
+
+
+def test_processes_that_meet_an_empty_database_at_once_all_open_it(tmp_path):
+    context = multiprocessing.get_context("spawn")
+    barrier, failures = context.Barrier(4), context.Queue()
+    processes = [context.Process(target=_open_at_once, args=(tmp_path, barrier, failures)) for _ in range(4)]
+    for process in processes:
+        process.start()
+    for process in processes:
+        process.join()
+    assert failures.empty(), failures.get()
+
+
+@pytest.mark.parametrize("name", ["study.journal", "study.journal.lock", ".claiming", ".trials", ".trials/00000.lock"])
+def test_files_of_a_search_that_are_links_out_of_its_folder_are_refused(tmp_path, name):
+    link = tmp_path / "test" / name
+    link.parent.mkdir(parents=True)
+    link.symlink_to(tmp_path / "elsewhere")
+    with pytest.raises(UntrustedError) as error:
+        opened(tmp_path)
+    assert str(error.value) == f"{link} is a symbolic link that leads out of {tmp_path / 'test'}; remove it"
+    assert not (tmp_path / "elsewhere").exists()
+
+
+def test_the_folder_of_a_search_and_those_of_its_cells_may_lie_on_another_disk(tmp_path):
+    for name in ("disk/test", "disk/cell"):
+        (tmp_path / name).mkdir(parents=True)
+    (tmp_path / "test").symlink_to(tmp_path / "disk" / "test")
+    (tmp_path / "test" / "cell").symlink_to(tmp_path / "disk" / "cell")
+    opened(tmp_path)
+    assert (tmp_path / "disk" / "test" / STUDY_FILE).exists()
+
+
+def test_a_heartbeat_of_another_type_is_none(tmp_path):
+    study, folder = opened(tmp_path)
+    taken = claim(study, folder, settings(), 1)
+    for wrong in ("now", [1], {"host": "elsewhere", "time": "now"}):
+        taken.trial.set_user_attr(HEARTBEAT, wrong)
+        assert rows(study, folder, 1)[0].state == "running"
+    taken.release()
+    assert claim(study, folder, settings(), 1).number == 0
+
+
+@pytest.mark.parametrize(
+    ("state", "values", "attributes", "what"),
+    [
+        ("COMPLETE", [0.5], {"changes": ["x"]}, "changes"),
+        ("COMPLETE", [0.5], {"values_by_seed": 0.5}, "by_seed"),
+        ("COMPLETE", [0.5], {"runs": "a/b"}, "runs"),
+        ("COMPLETE", [0.5], {"runs": [1]}, "runs"),
+        ("FAIL", None, {"env_steps": "many"}, "env_steps"),
+        ("FAIL", None, {"cost": float("nan")}, "cost"),
+        ("FAIL", None, {"reason": {}}, "reason"),
+        ("COMPLETE", [float("inf")], {}, "values"),
+    ],
+)
+def test_a_wrong_value_in_a_study_is_named_with_its_trial(tmp_path, state, values, attributes, what):
+    study, folder = opened(tmp_path)
+    study.add_trial(
+        optuna.trial.create_trial(state=optuna.trial.TrialState[state], values=values, user_attrs=attributes)
+    )
+    with pytest.raises(ConfigError) as error:
+        rows(study, folder, 2)
+    assert str(error.value) == f"the study is damaged: trial 1 has no valid {what}"
+
+
+def test_more_values_than_objectives_are_refused_too(tmp_path):
+    study, folder = opened(tmp_path)
+    study.tell(claim(study, folder, settings(), 1).trial, 0.5)
+    journal = folder / STUDY_FILE
+    assert journal.read_text().count('"values":[0.5]') == 1
+    journal.write_text(journal.read_text().replace('"values":[0.5]', '"values":[0.5,0.25]'))
+    with pytest.raises(ConfigError, match=r"^the study is damaged: trial 0 has no valid values$"):
+        rows(opened(tmp_path)[0], folder, 1)
 
 
 def _optimum(params):

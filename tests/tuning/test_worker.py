@@ -29,20 +29,31 @@ def test_workers_train_no_more_trials_than_their_job_says(tmp_path):
     assert found.n_trials == 5
 
 
-def test_a_launcher_of_hydras_hands_folder_and_number_of_trials_to_the_task():
+STORED = [*JOB, "storage='postgresql://me@host/studies'"]
+
+
+def test_a_launcher_of_hydras_hands_folder_storage_and_number_of_trials_to_the_task():
     seen = []
-    launch = Launch(["hydra/launcher=basic"], task=lambda job: seen.append((job.study, job.n_trials, job.run)))
-    assert launch.jobs([JOB, JOB]) == ([None, None], None)
-    assert seen == [("/some where/smoke", 3, None)] * 2
+    launch = Launch(
+        ["hydra/launcher=basic"], task=lambda job: seen.append((job.study, job.n_trials, job.storage, job.run))
+    )
+    assert launch.jobs([JOB, STORED]) == ([None, None], None)
+    assert seen == [
+        ("/some where/smoke", 3, None, None),
+        ("/some where/smoke", 3, "postgresql://me@host/studies", None),
+    ]
 
 
 @pytest.mark.parametrize("launcher", ["local", "slurm"])
-def test_our_launchers_hand_folder_and_number_of_trials_to_each_worker(monkeypatch, launcher):
+@pytest.mark.parametrize(("job", "storage"), [(JOB, None), (STORED, "postgresql://me@host/studies")])
+def test_our_launchers_hand_folder_storage_and_number_of_trials_to_each_worker(monkeypatch, launcher, job, storage):
     seen = []
-    monkeypatch.setattr(worker, "work", lambda folder, n_trials, train: seen.append((str(folder), n_trials)))
-    monkeypatch.setattr(worker, "work_job", lambda folder, n_trials: seen.append((folder, n_trials)))
+    monkeypatch.setattr(
+        worker, "work", lambda folder, n_trials, _, storage: seen.append((str(folder), n_trials, storage))
+    )
+    monkeypatch.setattr(worker, "work_job", lambda folder, n_trials, storage: seen.append((folder, n_trials, storage)))
     monkeypatch.setattr(slurm, "launch", lambda task, paths, *_: [task(str(path)) for path in paths])
     options = ["hydra.launcher.executor=local"] if launcher == "slurm" else []
     launch = Launch([f"hydra/launcher={launcher}", "hydra.launcher.n_jobs=2", *options])
-    assert launch.jobs([JOB, JOB]) == ([None, None], None)
-    assert seen == [("/some where/smoke", 3)] * 2
+    assert launch.jobs([job, job]) == ([None, None], None)
+    assert seen == [("/some where/smoke", 3, storage)] * 2

@@ -57,7 +57,8 @@ def write_tables(report: ReportData, folder: Path, sections: Sequence[Section] =
 def _replace(new: Path, folder: Path) -> None:
     """Move all files of a folder into another one, and delete there what an earlier report has left."""
     names, before = {path.name for path in new.iterdir()}, folder.with_name(f"{MADE}{folder.name}")
-    stale = set(before.read_text(encoding="utf-8").splitlines()) - names if before.exists() else set()
+    listed = before.read_text(encoding="utf-8").splitlines() if before.exists() else []
+    stale = {path.name for path in folder.iterdir()} & set(listed) - names
     write_atomically(before, "\n".join(sorted(names | stale)))
     for path in new.iterdir():
         path.replace(folder / path.name)

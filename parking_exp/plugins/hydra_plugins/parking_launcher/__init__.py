@@ -16,7 +16,7 @@ from omegaconf import DictConfig
 
 
 class _RunLauncher(Launcher):
-    """Base of both launchers: a job is a run, `run=PATH`, or a worker of a search, `study=PATH n_trials=N`."""
+    """Base of both launchers: a job is a run, `run=PATH`, or a search's worker, `study=PATH n_trials=N storage=URI`."""
 
     def setup(self, *, hydra_context: HydraContext, task_function: TaskFunction, config: DictConfig) -> None:
         """Do nothing: the task follows from the jobs."""
@@ -25,7 +25,7 @@ class _RunLauncher(Launcher):
         """Do the jobs; how a run ended is in JobReturn.return_value."""
         jobs = [_job(overrides) for overrides in job_overrides]
         if "study" in jobs[0]:
-            results = self.search(Path(jobs[0]["study"]), jobs[0]["n_trials"], len(jobs))
+            results = self.search(Path(jobs[0]["study"]), jobs[0]["n_trials"], jobs[0].get("storage"), len(jobs))
         else:
             results = self.train([Path(job["run"]) for job in jobs])
         returns = []
@@ -39,7 +39,7 @@ class _RunLauncher(Launcher):
         """Train the runs of these directories; return how each ended."""
         raise NotImplementedError
 
-    def search(self, folder: Path, n_trials: int, n_workers: int) -> Sequence[Any]:
+    def search(self, folder: Path, n_trials: int, storage: str | None, n_workers: int) -> Sequence[Any]:
         """Have so many workers train the first trials of a search."""
         raise NotImplementedError
 
@@ -59,12 +59,12 @@ class LocalLauncher(_RunLauncher):
         results = launch(paths, self.n_jobs, self.memory_gb)
         return [results.get(path) for path in paths]
 
-    def search(self, folder: Path, n_trials: int, n_workers: int) -> Sequence[Any]:
+    def search(self, folder: Path, n_trials: int, storage: str | None, n_workers: int) -> Sequence[Any]:
         """Have so many workers train the first trials of a search."""
         from parking_exp.sweeps.local import launch_workers
         from parking_exp.tuning.worker import work
 
-        launch_workers(lambda train: work(folder, n_trials, train), n_workers, self.memory_gb)
+        launch_workers(lambda train: work(folder, n_trials, train, storage), n_workers, self.memory_gb)
         return [None] * n_workers
 
 
@@ -84,11 +84,12 @@ class SlurmLauncher(_RunLauncher):
 
         return self._launch(supervise_job, paths, paths[0].parents[2])
 
-    def search(self, folder: Path, n_trials: int, n_workers: int) -> Sequence[Any]:
+    def search(self, folder: Path, n_trials: int, storage: str | None, n_workers: int) -> Sequence[Any]:
         """Have so many workers train the first trials of a search."""
         from parking_exp.tuning.worker import work_job
 
-        return self._launch(partial(work_job, n_trials=n_trials), [folder] * n_workers, folder.parent)
+        job = partial(work_job, n_trials=n_trials, storage=storage)
+        return self._launch(job, [folder] * n_workers, folder.parent)
 
     def _launch(self, task: Callable[[str], Any], paths: Sequence[Path], output_dir: Path) -> Sequence[Any]:
         from parking_exp.sweeps.slurm import launch
