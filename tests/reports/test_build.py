@@ -198,22 +198,6 @@ def test_metrics_that_are_nan_leave_a_run_out_and_say_so(output_dir):
     assert not any(math.isnan(value) for value in numbers(found.plain()))
 
 
-def test_values_that_are_not_of_their_columns_type_break_no_report(output_dir):
-    runs = made(output_dir, "one", {"sac": []}, range(3), lambda *_: Look(success=0.6, curve=(0.5, 1.0)))
-    run_id = runs["sac", 1].run_id
-    with sqlite3.connect(output_dir / "mlflow.db") as database:
-        for change in (
-            "runs SET start_time='abc', artifact_uri=NULL",
-            "metrics SET value='abc'",
-            "latest_metrics SET value='abc'",
-        ):
-            database.execute(f"UPDATE {change} WHERE run_uuid = ?", (run_id,))
-    found = content(output_dir)
-    assert (found.cells[0].success.value, found.cells[0].success.n) == (pytest.approx(0.6), 2)
-    start = f"run {run_id} ({found.cells[0].name}, seed 1): impossible values count as missing: start_time='abc', artifact_uri=None, "
-    assert sum(sentence.startswith(start) for sentence in found.warnings) == 1
-
-
 @pytest.mark.parametrize(
     ("key", "value"),
     [("env.vehicles_count", "many"), ("env.vehicles_count", "99"), ("buffer.n_sampled_goal", "9" * 5000), ("total_timesteps", "-inf"), ("evaluation.final_n_scenes", "9" * 20)],
