@@ -80,7 +80,8 @@ def launch(
     if executor == "slurm":  # of an array; submitit's own limit is 256
         parameters = {"slurm_array_parallelism": n_jobs or len(paths), **parameters}
     jobs = make_executor(executor, folder, parameters)
-    texts, submitted = [str(path) for path in paths], []
+    texts = [str(path) for path in paths]
+    submitted: list[Any] = []
     try:
         if executor == "slurm":
             # One array after the other, so that no more than n_jobs run at a time.
@@ -147,9 +148,8 @@ def _has_result(job: Any) -> bool:
 
 def _cancel(submitted: Sequence[Any], paths: Sequence[Path], executor: str) -> None:
     """Ask jobs to stop, and wait a while until their runs are saved."""
-    if executor == "slurm":
-        if submitted:
-            subprocess.run(["scancel", "--quiet", *(job.job_id for job in submitted)], check=False)
+    if executor == "slurm" and submitted:
+        subprocess.run(["scancel", "--quiet", *(job.job_id for job in submitted)], check=False)
     for job in submitted if executor == "local" else []:
         if not job.done():  # its `cancel` kills within a second; SIGTERM is passed on to the run
             with suppress(ProcessLookupError):
