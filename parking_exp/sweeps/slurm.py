@@ -5,7 +5,6 @@ import re
 import shutil
 import signal
 import subprocess
-import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
@@ -95,7 +94,7 @@ def launch(
             n_jobs = n_jobs or len(cores())
             while len(submitted) < len(texts) or any(not job.done() for job in submitted):
                 while len(submitted) < len(texts) and sum(not job.done() for job in submitted) < n_jobs:
-                    with _ignored_by_children():
+                    with _sigint_blocked():  # also in the job; `_cancel` asks it to stop
                         submitted.append(jobs.submit(task, texts[len(submitted)]))
                 time.sleep(POLL_S)
     except submitit.core.utils.FailedJobError as error:
@@ -165,25 +164,12 @@ def _cancel(submitted: Sequence[Any], paths: Sequence[Path], executor: str) -> N
 
 @contextmanager
 def _sigint_blocked() -> Iterator[None]:
-    """Hold back SIGINT until the end of the block."""
+    """Hold back SIGINT until the end of the block, and for good in processes that are started in it."""
     signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield
     finally:
         signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
-
-
-@contextmanager
-def _ignored_by_children() -> Iterator[None]:
-    """Have processes that are started now ignore a terminal's SIGINT; `_cancel` asks them to stop."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, before)
 
 
 def _result(job: Any, executor: str) -> Any:
