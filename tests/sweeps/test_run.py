@@ -376,3 +376,17 @@ def test_keys_of_submitit_that_the_yaml_lists_or_that_are_added_are_accepted(tmp
     slurm = ("hydra/launcher=slurm", "hydra.launcher.executor=local", *parameters)
     done = type_here("train", *QUICK, f"output_dir={tmp_path}", "seeds=2", *slurm, "dry_run=true")
     assert (done.returncode, done.stderr) == (0, "")
+
+
+@pytest.mark.slow
+def test_a_worker_that_is_signalled_twice_as_slurm_does_saves_its_checkpoint_all_the_same(tmp_path):
+    process = begin(tmp_path, "seeds=[0]", *SLOW[:2], "checkpoint.every_n_steps=null", "hydra/launcher=local")
+    wait_until(lambda: any(tmp_path.glob("*/*/*/metrics.jsonl")))
+    (worker,) = workers(tmp_path)
+    os.kill(worker, signal.SIGTERM)
+    log = next(tmp_path.glob("*/*/*/log.txt"))
+    wait_until(lambda: "saving a checkpoint before leaving" in log.read_text())
+    os.kill(worker, signal.SIGTERM)
+    process.communicate(timeout=30)
+    assert stages(tmp_path) == ["interrupted"]
+    assert len(list(tmp_path.glob("*/*/*/checkpoints/step=*"))) == 1
