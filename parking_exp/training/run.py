@@ -31,7 +31,7 @@ from parking_exp.training.checkpoints import Progress
 from parking_exp.training.finish import finish
 from parking_exp.training.loop import TrainingLoop
 from parking_exp.training.progress import TrainingProgress
-from parking_exp.training.signals import StopRequest, stop_on_signal
+from parking_exp.training.signals import StopRequest, interrupt, stop_on_signal
 
 
 def train(config: DictConfig | Mapping[str, Any] | RunConfig, *, supervised: bool = False) -> RunResult:
@@ -62,7 +62,9 @@ def train(config: DictConfig | Mapping[str, Any] | RunConfig, *, supervised: boo
         directory.create(config)
         # A run goes on as it began, on whatever machine.
         recorded = directory.read_status().get("precision")
-        with stop_on_signal() as stop, torch_settings(config, recorded) as precision:
+        # Slurm signals every process of a job, and the supervisor passes its own signal on: the checkpoint comes first.
+        at_second = (lambda _: None) if supervised else interrupt
+        with stop_on_signal(at_second=at_second) as stop, torch_settings(config, recorded) as precision:
             directory.update(precision=precision)
             return _train(config, directory, stop)
 
