@@ -130,7 +130,8 @@ def check_groups(overrides: Sequence[Override], groups: Set[str], loader: Config
         if name not in groups and not is_hydras(name):
             raise ConfigError(f"{name}: there is no such group here{suggestion(name, groups)}")
         if override.type != OverrideType.DEL:
-            _check_options(override, loader.get_group_options(name))
+            # Ray's launcher brings `ray_aws`, whose nodes do not share output_dir.
+            _check_options(override, [one for one in loader.get_group_options(name) if one != "ray_aws"])
 
 
 def _check_options(override: Override, options: list[str]) -> None:

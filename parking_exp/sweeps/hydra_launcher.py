@@ -12,7 +12,7 @@ from omegaconf import DictConfig
 
 from parking_exp.config.compose import hydra_ready
 from parking_exp.config.overrides import hydra_overrides, in_quotes
-from parking_exp.errors import ConfigError, ParkingError, suggestion
+from parking_exp.errors import ConfigError, ParkingError, plural, suggestion
 from parking_exp.sweeps.supervisor import WorkerResult, supervise_job
 
 EXTRAS = {"slurm", "ray"}
@@ -90,7 +90,10 @@ class Launch:
                 return [], f"hydra/launcher={self.name} broke: {words.rstrip('.')}{hint}"
         values = [one._return_value for one in returns]  # not `return_value`: that raises what a job has raised
         broken = [value for value in values if isinstance(value, BaseException)]
-        return values, f"{len(broken)} jobs broke; the first: {broken[0]}" if broken else None
+        return (
+            values,
+            f"{len(broken)} of {plural(len(values), 'job')} ended early; the first: {broken[0]}" if broken else None,
+        )
 
 
 def _refuse_unknown_keys(overrides: list[str]) -> None:
@@ -99,19 +102,21 @@ def _refuse_unknown_keys(overrides: list[str]) -> None:
     Raises:
         ConfigError: with the closest one.
     """
-    if not any(override.startswith("hydra.launcher.") for override in overrides):
+    typed = [override for override in overrides if override.startswith("hydra.launcher.")]
+    if not typed:
         return
     chosen = [override for override in overrides if override.lstrip("+~").startswith("hydra/launcher")]
-    loader = GlobalHydra.instance().config_loader()
-    whole = loader.load_configuration("worker", chosen, RunMode.MULTIRUN)
-    for override in overrides:
+    whole = GlobalHydra.instance().config_loader().load_configuration("worker", chosen, RunMode.MULTIRUN)
+    name = whole.hydra.runtime.choices["hydra/launcher"]
+    for override in typed:
         key = override.partition("=")[0]
         node: object = whole.hydra.launcher
-        for part in key.split(".")[2:] if key.startswith("hydra.launcher.") else []:
+        for part in key.split(".")[2:]:
             if isinstance(node, DictConfig) and part not in node:
-                name = whole.hydra.runtime.choices["hydra/launcher"]
                 known = [str(one) for one in node if one != "_target_"]
-                raise ConfigError(f"{key}: hydra/launcher={name} has no such key{suggestion(part, known)}")
+                # `parameters`, `ray.init` and the like take every key of their library.
+                hint = f"; to add it, write +{override}" if node is not whole.hydra.launcher else ""
+                raise ConfigError(f"{key}: hydra/launcher={name} has no such key{suggestion(part, known)}{hint}")
             node = node[part] if isinstance(node, DictConfig) else None
 
 

@@ -1,10 +1,10 @@
 """The slurm launcher: runs as jobs of submitit, on a Slurm cluster or on this machine."""
 
-import importlib.util
 import os
+import re
 import shutil
 import signal
-import threading
+import subprocess
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
@@ -15,27 +15,38 @@ from parking_exp.errors import ConfigError, FailedRunError, suggestion
 from parking_exp.resources import cores
 from parking_exp.runs.directory import RunDirectory
 from parking_exp.sweeps.supervisor import GRACE_S
+from parking_exp.terminal import say
 
 POLL_S = 0.2
 SLURM_POLL_S = 5.0
 CLUSTERS = ("slurm", "local")
 
 
-def check(executor: str) -> None:
-    """Refuse an unknown executor, or one that is not installed here.
+def make_executor(executor: str, folder: Path, parameters: Mapping[str, Any]) -> Any:
+    """Return submitit's executor with these parameters.
 
     Raises:
-        ConfigError: with what to type instead.
+        ConfigError: there is no such executor, no Slurm or no submitit here, or it refuses a parameter.
     """
     if executor not in CLUSTERS:
         raise ConfigError(f"hydra.launcher.executor={executor} is not a valid choice{suggestion(executor, CLUSTERS)}")
-    if importlib.util.find_spec("submitit") is None:
-        raise ConfigError("hydra/launcher=slurm: submitit is not installed; pip install 'parking-exp[slurm]'")
     if executor == "slurm" and shutil.which("srun") is None:
         raise ConfigError(
             "hydra/launcher=slurm: there is no Slurm here, srun is not found; hydra.launcher.executor=local uses this "
             "machine instead"
         )
+    try:
+        import submitit
+
+        made = submitit.AutoExecutor(folder=folder / "%j", cluster=executor)
+        made.update_parameters(**{key: value for key, value in parameters.items() if value is not None})
+    except ImportError as error:
+        raise ConfigError(
+            "hydra/launcher=slurm: submitit is not installed; pip install 'parking-exp[slurm]'"
+        ) from error
+    except (NameError, TypeError, ValueError, AssertionError) as error:
+        raise ConfigError(f"hydra.launcher.parameters: {str(error).splitlines()[0]}") from error
+    return made
 
 
 def launch(
@@ -54,7 +65,7 @@ def launch(
     Args:
         task: called with a path, in a job.
         paths: run directories with frozen configs, or folders of searches, on a file system that the nodes share.
-        executor: `slurm`, or `local` for processes of this machine, as `check` lets through.
+        executor: `slurm`, or `local` for processes of this machine, as `make_executor` accepts.
         n_jobs: how many at a time; None: as many as the cluster takes, or this machine has cores.
         folder: for submitit's own scripts and logs.
         parameters: of `submitit.AutoExecutor.update_parameters`.
@@ -65,44 +76,83 @@ def launch(
     """
     import submitit
 
+    if executor == "slurm":  # of an array; submitit's own limit is 256
+        parameters = {"slurm_array_parallelism": n_jobs or len(paths), **parameters}
+    jobs = make_executor(executor, folder, parameters)
+    texts = [str(path) for path in paths]
+    submitted: list[Any] = []
     try:
-        jobs = submitit.AutoExecutor(folder=folder / "%j", cluster=executor)
-        limit = {"slurm_array_parallelism": n_jobs} if executor == "slurm" and n_jobs else {}
-        jobs.update_parameters(**{key: value for key, value in parameters.items() if value is not None}, **limit)
-    except (RuntimeError, NameError, TypeError, ValueError) as error:
-        raise ConfigError(f"hydra.launcher: submitit refuses its parameters: {error}") from error
-    texts, submitted = [str(path) for path in paths], []
-    try:
-        if executor == "slurm":  # one array, and Slurm keeps to its limit
-            with _sigint_blocked():  # Ctrl-C is to find all that was submitted
-                submitted += jobs.map_array(task, texts)
-        elif n_jobs is None:
-            n_jobs = len(cores())
-        while len(submitted) < len(texts) or any(not job.done() for job in submitted):
-            under_way = sum(not job.done() for job in submitted)
-            while len(submitted) < len(texts) and (n_jobs is None or under_way < n_jobs):
-                with _ignored_by_children():
-                    submitted.append(jobs.submit(task, texts[len(submitted)]))
-                under_way += 1
-            time.sleep(SLURM_POLL_S if executor == "slurm" else POLL_S)
+        if executor == "slurm":
+            # One array after the other, so that no more than n_jobs run at a time.
+            size = max_array_size(_output_of("scontrol", "show", "config"))
+            while len(submitted) < len(texts):
+                with _sigint_blocked():  # Ctrl-C is to find all that was submitted
+                    submitted += jobs.map_array(task, texts[len(submitted) :][:size])
+                while _under_way(submitted):
+                    time.sleep(SLURM_POLL_S)
+        else:
+            n_jobs = n_jobs or len(cores())
+            while len(submitted) < len(texts) or any(not job.done() for job in submitted):
+                while len(submitted) < len(texts) and sum(not job.done() for job in submitted) < n_jobs:
+                    with _sigint_blocked():  # also in the job; `_cancel` asks it to stop
+                        submitted.append(jobs.submit(task, texts[len(submitted)]))
+                time.sleep(POLL_S)
     except submitit.core.utils.FailedJobError as error:
-        raise FailedRunError(f"submitit cannot submit: {error}") from error
+        raise FailedRunError(f"submitit cannot submit: {str(error).splitlines()[-1]}") from error
     except BaseException:
         _cancel(submitted, paths, executor)
         raise
-    return [_result(job) for job in submitted]
+    return [_result(job, executor) for job in submitted]
+
+
+def max_array_size(config: str) -> int:
+    """Return how many jobs an array can have, from the output of `scontrol show config`."""
+    found = re.search(r"^MaxArraySize\s*=\s*(\d+)", config, re.MULTILINE)
+    return max(1, int(found[1])) if found else 1
+
+
+def _under_way(jobs: Sequence[Any]) -> list[Any]:
+    """Return the jobs of Slurm that have no result yet and that `squeue` lists.
+
+    Where there is no accounting, Slurm tells no more about a job that was cancelled, ran out of time or lost its node
+    than that it is gone. Where squeue fails, the jobs count as under way.
+    """
+    left = [job for job in jobs if not _has_result(job)]
+    try:
+        listed = _output_of("squeue", "--noheader", "--array", "--format=%i", f"--user={os.getuid()}").split()
+    except FailedRunError as error:  # its controller may be restarted
+        say(f"warning: {error}", stderr=True)
+        return left
+    return [job for job in left if job.job_id in listed]
+
+
+def _output_of(*command: str) -> str:
+    """Return what a command of Slurm prints.
+
+    Raises:
+        FailedRunError: it fails.
+    """
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    if done.returncode:
+        raise FailedRunError(f"{command[0]} failed: {done.stderr.strip()}")
+    return done.stdout
+
+
+def _has_result(job: Any) -> bool:
+    """Return whether a job has written its result; a change of its folder's mode has NFS look again."""
+    folder = job.paths.folder
+    folder.chmod(folder.stat().st_mode)
+    return bool(job.paths.result_pickle.exists())
 
 
 def _cancel(submitted: Sequence[Any], paths: Sequence[Path], executor: str) -> None:
     """Ask jobs to stop, and wait a while until their runs are saved."""
-    for job in submitted:
-        if job.done():
-            continue
-        if executor == "local":  # its `cancel` kills within a second; SIGTERM is passed on to the run
+    if executor == "slurm" and submitted:
+        subprocess.run(["scancel", "--quiet", *(job.job_id for job in submitted)], check=False)
+    for job in submitted if executor == "local" else []:
+        if not job.done():  # its `cancel` kills within a second; SIGTERM is passed on to the run
             with suppress(ProcessLookupError):
                 os.kill(int(job.job_id), signal.SIGTERM)
-        else:
-            job.cancel(check=False)
     deadline = time.monotonic() + GRACE_S + 1
     begun = paths[: len(submitted)]
     while time.monotonic() < deadline and (
@@ -114,7 +164,7 @@ def _cancel(submitted: Sequence[Any], paths: Sequence[Path], executor: str) -> N
 
 @contextmanager
 def _sigint_blocked() -> Iterator[None]:
-    """Hold back SIGINT until the end of the block."""
+    """Hold back SIGINT until the end of the block, and for good in processes that are started in it."""
     signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield
@@ -122,20 +172,12 @@ def _sigint_blocked() -> Iterator[None]:
         signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
 
 
-@contextmanager
-def _ignored_by_children() -> Iterator[None]:
-    """Have processes that are started now ignore a terminal's SIGINT; `_cancel` asks them to stop."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, before)
-
-
-def _result(job: Any) -> Any:
-    """Return what a job returned, or the error that submitit found instead."""
-    error = job.exception()
-    return error if error is not None else job.result()
+def _result(job: Any, executor: str) -> Any:
+    """Return what a job returned, or the error that it ended with."""
+    if not _has_result(job):
+        by = "by Slurm" if executor == "slurm" else "from outside"
+        return FailedRunError(f"stopped {by}; rerun the same command (log: {job.paths.stderr})")
+    if (error := job.exception()) is None:
+        return job.result()
+    trace = str(error).split("-" * 22)[1]  # between two rules
+    return FailedRunError(f"{trace.strip().splitlines()[-1]} (log: {job.paths.stderr})")

@@ -31,7 +31,7 @@ from parking_exp.training.checkpoints import Progress
 from parking_exp.training.finish import finish
 from parking_exp.training.loop import TrainingLoop
 from parking_exp.training.progress import TrainingProgress
-from parking_exp.training.signals import StopRequest, stop_on_signal
+from parking_exp.training.signals import StopRequest, interrupt, stop_on_signal
 
 
 def train(config: DictConfig | Mapping[str, Any] | RunConfig, *, supervised: bool = False) -> RunResult:
@@ -60,7 +60,9 @@ def train(config: DictConfig | Mapping[str, Any] | RunConfig, *, supervised: boo
             say(*_closing_lines(result, directory))
             return result
         directory.create(config)
-        with stop_on_signal() as stop, torch_settings(config):
+        # Slurm signals every process of a job, and the supervisor passes its own signal on: the checkpoint comes first.
+        at_second = (lambda _: None) if supervised else interrupt
+        with stop_on_signal(at_second=at_second) as stop, torch_settings(config):
             return _train(config, directory, stop)
 
 

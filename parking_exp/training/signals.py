@@ -16,7 +16,8 @@ class StopRequest:
     signal_number: int | None = None
 
 
-def _interrupt(number: int) -> None:
+def interrupt(number: int) -> None:
+    """Raise KeyboardInterrupt."""
     raise KeyboardInterrupt
 
 
@@ -24,7 +25,7 @@ def _interrupt(number: int) -> None:
 def stop_on_signal(
     saved: str = "a checkpoint",
     at_first: Callable[[], None] | None = None,
-    at_second: Callable[[int], None] = _interrupt,
+    at_second: Callable[[int], None] = interrupt,
 ) -> Iterator[StopRequest]:
     """Turn the first SIGINT or SIGTERM into a StopRequest; a second one interrupts at once.
 

@@ -1,6 +1,7 @@
 """One contract for all launchers: what runs, what fails, and that the same command goes on."""
 
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -10,12 +11,15 @@ import psutil
 import pytest
 from support.sweep_processes import FAILING, SLOW, begin, stages, statuses, sweep, trained, wait_until
 
+from parking_exp.sweeps import slurm as slurm_launcher
+
 RAY = Path(sys.executable).with_name("ray")
 LOCAL = ("hydra/launcher=local",)
 BASIC = ("hydra/launcher=basic",)
 SLURM = ("hydra/launcher=slurm", "hydra.launcher.executor=local", "hydra.launcher.n_jobs=2")
+SLURM_CLUSTER = ("hydra/launcher=slurm", "hydra.launcher.parameters.mem_gb=1", "hydra.launcher.n_jobs=2")
 RAY_CLUSTER = ("hydra/launcher=ray",)
-LAUNCHERS = [LOCAL, BASIC, SLURM, RAY_CLUSTER]
+LAUNCHERS = [LOCAL, BASIC, SLURM, SLURM_CLUSTER, RAY_CLUSTER]
 
 
 def ray(*arguments):
@@ -35,7 +39,22 @@ def cluster():
 
 
 @pytest.fixture
+def slurm():
+    """A Slurm with two idle CPUs; tests use the real one, and are skipped where there is none."""
+    if shutil.which("sinfo") is None or subprocess.run(["sinfo"], capture_output=True, check=False).returncode:
+        pytest.skip("there is no Slurm")
+
+
+def jobs_of_slurm():
+    """{job: state} of what is queued or runs."""
+    done = subprocess.run(["squeue", "-h", "-r", "-o", "%i %T"], capture_output=True, text=True, check=True)
+    return dict(line.split() for line in done.stdout.splitlines())
+
+
+@pytest.fixture
 def launcher(request):
+    if request.param == SLURM_CLUSTER:
+        request.getfixturevalue("slurm")
     if request.param == RAY_CLUSTER:
         pytest.importorskip("ray")
         request.getfixturevalue("cluster")
@@ -43,7 +62,7 @@ def launcher(request):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("launcher", LAUNCHERS, indirect=True, ids=lambda value: value[0])
+@pytest.mark.parametrize("launcher", LAUNCHERS, indirect=True, ids=":".join)
 def test_every_run_is_trained_a_failure_is_told_and_nothing_is_done_twice(tmp_path, launcher):
     targets = "algorithm._target_=parking_exp.algorithms.SAC,support.failing_algorithms.Raises,support.failing_algorithms.IsKilled"
     done = sweep(tmp_path, targets, *launcher, timeout=300)
@@ -81,7 +100,7 @@ def test_on_ray_a_run_is_killed_a_node_stops_and_typed_again_the_sweep_is_comple
     assert sum(trained(tmp_path)) >= 6  # two of them in two pieces
 
 
-@pytest.mark.parametrize("launcher", [LOCAL, BASIC, SLURM], ids=lambda value: value[0])
+@pytest.mark.parametrize("launcher", [LOCAL, BASIC, SLURM, SLURM_CLUSTER], indirect=True, ids=":".join)
 @pytest.mark.slow
 def test_a_sweep_that_is_killed_goes_on_when_typed_again(tmp_path, launcher):
     process = begin(tmp_path, "seeds=3", *SLOW, *launcher)
@@ -93,7 +112,7 @@ def test_a_sweep_that_is_killed_goes_on_when_typed_again(tmp_path, launcher):
     wait_until(lambda: stages(tmp_path) == ["done"] * 3)  # submitit's jobs outlive the sweep that submitted them
 
 
-@pytest.mark.parametrize("launcher", [BASIC, SLURM], ids=lambda value: value[0])
+@pytest.mark.parametrize("launcher", [BASIC, SLURM, SLURM_CLUSTER], indirect=True, ids=":".join)
 @pytest.mark.slow
 def test_ctrl_c_saves_what_is_under_way(tmp_path, launcher):
     process = begin(tmp_path, "seeds=2", *SLOW[:2], "checkpoint.every_n_steps=null", *launcher)
@@ -103,3 +122,52 @@ def test_ctrl_c_saves_what_is_under_way(tmp_path, launcher):
     assert process.returncode == 130
     wait_until(lambda: "running" not in stages(tmp_path))
     assert any(tmp_path.glob("*/*/*/checkpoints/step=*"))
+
+
+@pytest.mark.slow
+def test_a_job_that_is_killed_is_reported_in_one_sentence_and_the_sweep_returns(tmp_path):
+    process = begin(tmp_path, "seeds=2", *SLOW, *SLURM)
+    wait_until(lambda: len({path.parents[1] for path in tmp_path.glob("*/*/*/checkpoints/step=*")}) == 2)
+    (worker,) = [status["pid"] for (_, seed), status in statuses(tmp_path).items() if seed == "seed=0"]
+    psutil.Process(worker).parent().kill()
+    _, errors = process.communicate(timeout=120)
+    assert process.returncode == 2
+    (line,) = [line for line in errors.splitlines() if "ended early" in line]
+    assert line.startswith(
+        "error: 1 of 2 jobs ended early; the first: stopped from outside; rerun the same command (log: "
+    )
+    assert stages(tmp_path) == ["done", "running"]  # the second says so for good, and its lock is free
+    assert errors.splitlines()[-1] == "error: of 2 runs, 1 not done; type the same command to go on"
+
+
+@pytest.mark.slow
+def test_on_slurm_a_sweep_returns_whose_running_and_waiting_jobs_are_cancelled(tmp_path, slurm):
+    process = begin(tmp_path, "seeds=3", *SLOW[:2], "checkpoint.every_n_steps=null", *SLURM_CLUSTER)
+    wait_until(lambda: len(list(tmp_path.glob("*/*/*/metrics.jsonl"))) == 2)
+    assert sorted(jobs_of_slurm().values()) == ["PENDING", "RUNNING", "RUNNING"]
+    subprocess.run(["scancel", *jobs_of_slurm()], check=True)
+    _, errors = process.communicate(timeout=60)
+    assert process.returncode == 2
+    (line,) = [line for line in errors.splitlines() if "ended early" in line]
+    assert line.startswith("error: 3 of 3 jobs ended early; the first: stopped by Slurm; rerun the same command (log: ")
+    assert errors.splitlines()[-1] == "error: of 3 runs, 3 not done; type the same command to go on"
+    assert stages(tmp_path) == ["interrupted", "interrupted", "pending"]
+    assert len(list(tmp_path.glob("*/*/*/checkpoints/step=*"))) == 2
+
+
+@pytest.mark.slow
+def test_on_slurm_a_sweep_beyond_the_largest_array_becomes_several(tmp_path, slurm, monkeypatch):
+    monkeypatch.setattr("parking_exp.sweeps.slurm.max_array_size", lambda config: 2)
+    folder = tmp_path / "submitit"
+    done = slurm_launcher.launch(str.upper, [Path("a"), Path("b"), Path("c")], "slurm", None, folder, {"mem_gb": 1})
+    assert done == ["A", "B", "C"]
+    assert len(list(folder.glob("*_0"))) == 1
+    assert jobs_of_slurm() == {}
+
+
+@pytest.mark.parametrize(
+    ("config", "size"),
+    [("MaxArraySize            = 1001\n", 1001), ("MaxArraySize = 0\n", 1), ("ClusterName = x\n", 1)],
+)
+def test_the_largest_array_is_what_slurm_is_configured_for(config, size):
+    assert slurm_launcher.max_array_size("MaxArrayTasks = 7\n" + config) == size

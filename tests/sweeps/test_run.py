@@ -326,9 +326,10 @@ def test_what_waits_is_frozen(tmp_path):
             "hydra.launcher.n_job=2",
             "error: hydra.launcher.n_job: hydra/launcher=local has no such key; did you mean 'n_jobs'?\n",
         ),
+        ("hydra/launcher=ray_a", "error: hydra/launcher=ray_a: there is no such option; did you mean 'ray'?\n"),
         (
-            "hydra/launcher=slurm",
-            "error: hydra/launcher=slurm: there is no Slurm here, srun is not found; hydra.launcher.executor=local",
+            "hydra/launcher=no",
+            "error: hydra/launcher=no: there is no such option; choose from basic, local, ray, slurm\n",
         ),
         ("hydra.launcher.n_jobs=0", "error: hydra.launcher.n_jobs=0 is not valid; give a number above 0, or null\n"),
     ],
@@ -339,3 +340,53 @@ def test_a_sweep_that_cannot_be_is_refused_before_anything_is_made(tmp_path, arg
     assert done.stderr.startswith(message)
     assert done.stderr.count("\n") == 1
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("argument", "message"),
+    [
+        (
+            "hydra.launcher.executor=slurm",
+            "error: hydra/launcher=slurm: there is no Slurm here, srun is not found; hydra.launcher.executor=local",
+        ),
+        (
+            "hydra.launcher.parameters.slurm_nodelist=n1",
+            "error: hydra.launcher.parameters.slurm_nodelist: hydra/launcher=slurm has no such key; did you mean "
+            "'slurm_qos'?; to add it, write +hydra.launcher.parameters.slurm_nodelist=n1\n",
+        ),
+        ("+hydra.launcher.parameters.slurm_qso=high", "error: hydra.launcher.parameters: Unknown argument 'qso'"),
+        (
+            "hydra.launcher.parameters.timeout_min=long",
+            "error: hydra.launcher.parameters: Parameter \"timeout_min\" expected type <class 'int'>",
+        ),
+    ],
+)
+def test_what_slurm_cannot_do_is_refused_before_anything_is_made(tmp_path, monkeypatch, argument, message):
+    monkeypatch.setenv("PATH", str(tmp_path))  # without Slurm's commands, also where there is a Slurm
+    slurm = ("hydra/launcher=slurm", "hydra.launcher.executor=local")
+    done = type_here("train", *QUICK, f"output_dir={tmp_path / 'outputs'}", "seeds=2", *slurm, argument)
+    assert done.returncode == 2
+    assert done.stderr.startswith(message)
+    assert done.stderr.count("\n") == 1
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_keys_of_submitit_that_the_yaml_lists_or_that_are_added_are_accepted(tmp_path):
+    parameters = ("hydra.launcher.parameters.slurm_qos=high", "+hydra.launcher.parameters.slurm_nodelist=n1")
+    slurm = ("hydra/launcher=slurm", "hydra.launcher.executor=local", *parameters)
+    done = type_here("train", *QUICK, f"output_dir={tmp_path}", "seeds=2", *slurm, "dry_run=true")
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+@pytest.mark.slow
+def test_a_worker_that_is_signalled_twice_as_slurm_does_saves_its_checkpoint_all_the_same(tmp_path):
+    process = begin(tmp_path, "seeds=[0]", *SLOW[:2], "checkpoint.every_n_steps=null", "hydra/launcher=local")
+    wait_until(lambda: any(tmp_path.glob("*/*/*/metrics.jsonl")))
+    (worker,) = workers(tmp_path)
+    os.kill(worker, signal.SIGTERM)
+    log = next(tmp_path.glob("*/*/*/log.txt"))
+    wait_until(lambda: "saving a checkpoint before leaving" in log.read_text())
+    os.kill(worker, signal.SIGTERM)
+    process.communicate(timeout=30)
+    assert stages(tmp_path) == ["interrupted"]
+    assert len(list(tmp_path.glob("*/*/*/checkpoints/step=*"))) == 1

@@ -72,9 +72,9 @@ class SlurmLauncher(_RunLauncher):
     """Jobs of a Slurm cluster, or processes of this machine, by submitit; see `parking_exp.sweeps.slurm.launch`."""
 
     def __init__(self, executor: str, n_jobs: int | None, folder: str | None, parameters: Mapping[str, Any]) -> None:
-        from parking_exp.sweeps.slurm import check
+        from parking_exp.sweeps.slurm import make_executor
 
-        check(executor)
+        make_executor(executor, Path(), parameters)  # refuses what is wrong before anything is on disk
         _check("n_jobs", n_jobs, int)
         self.executor, self.n_jobs, self.folder, self.parameters = executor, n_jobs, folder, dict(parameters)
 
