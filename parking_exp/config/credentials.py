@@ -9,9 +9,7 @@ import os
 import re
 
 VARIABLE = "PARKING_EXP_PASSWORDS"  # JSON: URI without password -> URI as passed
-USERINFO = re.compile(
-    r"^([\w+.-]+://[^:/@?]*):.*@"
-)  # up to the last @: SQLAlchemy allows most characters in a password
+USERINFO = re.compile(r"^([\w+.-]+://[^:/@?]*):.*@")  # up to the last @: SQLAlchemy allows most characters in a password
 QUERY = re.compile(r"(?<=[?&])(?:password|passwd)=[^&]*&?")
 
 
