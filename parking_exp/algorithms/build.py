@@ -17,9 +17,9 @@ from parking_exp.algorithms.features import EgoFrameExtractor, FineEgoFrameExtra
 from parking_exp.algorithms.mirrored_policies import MIRRORED
 from parking_exp.algorithms.noise import VectorizedNormalNoise
 from parking_exp.buffers import HerBuffer
-from parking_exp.config.constructor_arguments import CLASS_ARGUMENTS, ignored_features, not_mirrored
+from parking_exp.config.constructor_arguments import ignored_features, not_mirrored, takes
 from parking_exp.config.schema import RunConfig
-from parking_exp.config.signatures import policy_signature
+from parking_exp.config.targets import CLASS_ARGUMENTS
 from parking_exp.envs.interface import Policy
 from parking_exp.envs.reward import GoalReward
 from parking_exp.envs.training_envs import is_parking
@@ -99,11 +99,16 @@ def _computes_ego_features(model: OffPolicyAlgorithm) -> bool:
 
 def _mirrored_policy(config: RunConfig) -> type:
     """Return the policy that mirrors the steering with its features."""
-    aliases: dict[Any, type] = getattr(get_object(config.algorithm.target), "policy_aliases", {})
-    policy = MIRRORED.get(aliases.get(config.algorithm.arguments.get("policy"), object))
+    policy = MIRRORED.get(_policy(config) or object)
     if policy is None:
         raise ConfigError(not_mirrored(config.algorithm))
     return policy
+
+
+def _policy(config: RunConfig) -> type | None:
+    """Return the policy class of an algorithm; None where `policy_aliases` does not have it."""
+    aliases: dict[Any, type] = getattr(get_object(config.algorithm.target), "policy_aliases", {})
+    return aliases.get(config.algorithm.arguments.get("policy"))
 
 
 def _policy_kwargs(config: RunConfig) -> dict[str, Any]:
@@ -120,9 +125,7 @@ def _policy_kwargs(config: RunConfig) -> dict[str, Any]:
         if config.algorithm.features == "ego_mirrored":
             policy_kwargs["features_extractor_class"] = MirroredEgoFrameExtractor
             policy_kwargs["features_extractor_kwargs"]["steering"] = config.env.action.lateral
-    elif (policy := policy_signature(config.algorithm.target, "MultiInputPolicy")) is None or policy.takes(
-        "features_extractor_class"
-    ):
+    elif (policy := _policy(config)) is None or takes(policy, "features_extractor_class"):
         # What a MultiInputPolicy has by default, except CrossQ's.
         policy_kwargs["features_extractor_class"] = CombinedExtractor
     given = config.algorithm.arguments.get("policy_kwargs") or {}

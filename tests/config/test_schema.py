@@ -1,14 +1,16 @@
 """Names, keys and derived values of a run's config."""
 
+import inspect
+
 import pytest
 from highway_env.envs.parking_env import ParkingEnv
 from support.runs import make_config, options
 
+from parking_exp.buffers import HerBuffer
 from parking_exp.buffers.strategies import STRATEGIES
 from parking_exp.config.her_options import GOAL_STRATEGIES, HER_OPTIONS
 from parking_exp.config.run_key import changes_results, result_part
 from parking_exp.config.schema import BUFFER_NAMES, RunConfig
-from parking_exp.config.signatures import signature
 from parking_exp.config.validate import validate
 
 
@@ -106,7 +108,7 @@ def _dotted(node, prefix=""):
 def test_strategies_and_their_options_have_one_name_everywhere():
     assert tuple(STRATEGIES) == GOAL_STRATEGIES
     assert {f"her_{strategy}" for strategy in GOAL_STRATEGIES} | {"replay"} == set(options("buffer")) == BUFFER_NAMES
-    assert set(HER_OPTIONS) <= set(signature("parking_exp.buffers.HerBuffer").parameters)
+    assert set(HER_OPTIONS) <= set(inspect.signature(HerBuffer).parameters)
 
 
 def test_run_directories_are_absolute_and_readable(tmp_path, monkeypatch):
