@@ -19,6 +19,7 @@ BASES = {
     "algorithm": ("stable_baselines3.common.off_policy_algorithm.OffPolicyAlgorithm", "an off-policy algorithm"),
     "buffer": ("stable_baselines3.common.buffers.ReplayBuffer", "a replay buffer"),
 }
+POLICY = "MultiInputPolicy"
 HYDRA_KEYS = {"_target_", "_partial_", "_convert_", "_recursive_", "_args_"}
 SIMPLE_TYPES = {int, float, bool, str, NoneType}
 # May be null although the library's annotation has no None: the run computes them.
@@ -31,7 +32,9 @@ OF_ALGORITHM: SetByRun = {
     "seed": "seed",
     "device": "device",
     "buffer_size": "buffer.buffer_size",
-    "optimize_memory_usage": "buffer.optimize_memory_usage",
+    "optimize_memory_usage": None,
+    "n_steps": None,
+    "policy": None,
     "replay_buffer_class": "buffer._target_",
     "replay_buffer_kwargs": "buffer",
     "tensorboard_log": "tracking.tensorboard",
@@ -44,6 +47,7 @@ OF_BUFFER: SetByRun = {
     "env": "env",
     "n_envs": "n_envs",
     "device": "device",
+    "optimize_memory_usage": None,
     "reward": "env",
 }
 OF_POLICY: SetByRun = {
@@ -60,7 +64,7 @@ def check_arguments(run: RunConfig) -> list[str]:
     """Return what is wrong with the arguments of the algorithm, of its policy and of the buffer."""
     return [
         *_check_section("algorithm", run.algorithm, OF_ALGORITHM, {"policy_kwargs"}),
-        *_check_section("buffer", run.buffer, OF_BUFFER, {"buffer_size", "optimize_memory_usage"}),
+        *_check_section("buffer", run.buffer, OF_BUFFER, {"buffer_size"}),
     ]
 
 
@@ -78,6 +82,11 @@ def not_mirrored(algorithm: AlgorithmConfig) -> str:
         f"algorithm.features=ego_mirrored: the policy of {algorithm.target} does not mirror its steering; "
         "set algorithm.features=ego_fine"
     )
+
+
+def policy_class(algorithm: type) -> type | None:
+    """Return the policy class that an algorithm has for goal observations; None where it does not say."""
+    return getattr(algorithm, "policy_aliases", {}).get(POLICY)
 
 
 def takes(call: Any, name: str) -> bool:
@@ -115,8 +124,7 @@ def _check_policy(algorithm: AlgorithmConfig, algorithm_class: type) -> list[str
         return [
             f"{key}.{own[0]} takes the place of algorithm.features={algorithm.features}; set algorithm.features=raw"
         ]
-    policy_name = str(algorithm.arguments.get("policy"))
-    policy = getattr(algorithm_class, "policy_aliases", {}).get(policy_name)
+    policy = policy_class(algorithm_class)
     if policy is None:
         return []
     if algorithm.features != "raw" and not takes(policy, "features_extractor_class"):
@@ -124,7 +132,7 @@ def _check_policy(algorithm: AlgorithmConfig, algorithm_class: type) -> list[str
     mirrored = find("stable_baselines3.SAC"), find("stable_baselines3.TD3")
     if algorithm.features == "ego_mirrored" and not issubclass(algorithm_class, mirrored):
         return [not_mirrored(algorithm)]
-    if problems := _check_call(key, policy, policy_name, given, OF_POLICY):
+    if problems := _check_call(key, policy, POLICY, given, OF_POLICY):
         return problems
     optimizer = given.get("optimizer_class", "torch.optim.Adam")
     extractor = given.get("features_extractor_class", "stable_baselines3.common.torch_layers.CombinedExtractor")

@@ -23,7 +23,6 @@ LIMITS: dict[str, Any] = {
     "gamma": Share,
     "train_freq": Positive,
     "gradient_steps": Annotated[int, Field(ge=-1)],  # -1: as many as steps
-    "n_steps": Annotated[int, Field(ge=1, le=1)],
     "policy_delay": Positive,
     "target_update_interval": Positive,
     "target_policy_noise": NonNegative,
@@ -35,7 +34,6 @@ LIMITS: dict[str, Any] = {
     "n_sampled_goal": Positive,
     "goal_selection_strategy": GoalStrategy,
     **RELABEL_OPTIONS,
-    "policy": Literal["MultiInputPolicy"],
     "n_critics": Annotated[int, Field(ge=1, le=100)],
     "n_quantiles": Annotated[int, Field(ge=1, le=10_000)],
     "weight_decay": NonNegative,
