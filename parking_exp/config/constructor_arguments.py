@@ -42,6 +42,7 @@ OF_ALGORITHM: SetByRun = {
     "_init_setup_model": None,
 }
 OF_BUFFER: SetByRun = {
+    "buffer_size": "buffer.buffer_size",
     "observation_space": "env",
     "action_space": "env",
     "env": "env",
@@ -63,8 +64,8 @@ OF_EXTRACTOR: SetByRun = {"observation_space": "env"}
 def check_arguments(run: RunConfig) -> list[str]:
     """Return what is wrong with the arguments of the algorithm, of its policy and of the buffer."""
     return [
-        *_check_section("algorithm", run.algorithm, OF_ALGORITHM, {"policy_kwargs"}),
-        *_check_section("buffer", run.buffer, OF_BUFFER, {"buffer_size"}),
+        *_check_section("algorithm", run.algorithm, OF_ALGORITHM),
+        *_check_section("buffer", run.buffer, OF_BUFFER),
     ]
 
 
@@ -91,12 +92,12 @@ def policy_class(algorithm: type) -> type | None:
 
 def takes(call: Any, name: str) -> bool:
     """Return whether a class or function may be given an argument."""
-    parameters = _parameters(call)
-    return name in parameters or _takes_any(parameters)
+    parameters, is_open = _parameters(call)
+    return is_open or name in parameters
 
 
-def _check_section(key: str, section: ThirdParty, set_by_run: SetByRun, own: Set[str]) -> list[str]:
-    """Check a section's class and its arguments; `own` are fields of ours that the run makes arguments of."""
+def _check_section(key: str, section: ThirdParty, set_by_run: SetByRun) -> list[str]:
+    """Check a section's class and its arguments."""
     base, words = BASES[key]
     try:
         found = find(section.target)
@@ -105,7 +106,7 @@ def _check_section(key: str, section: ThirdParty, set_by_run: SetByRun, own: Set
     if not isinstance(found, type) or not issubclass(found, find(base)):
         return [f"{key}._target_={section.target} is not {words} of Stable-Baselines3"]
     siblings = set(type(section).model_fields) - {"target"}
-    problems = _check_call(key, found, section.target, section.arguments, set_by_run, own=own, siblings=siblings)
+    problems = _check_call(key, found, section.target, section.arguments, set_by_run, siblings)
     if not problems and isinstance(section, AlgorithmConfig):
         problems = _check_policy(section, found)
     return problems
@@ -160,28 +161,26 @@ def _check_call(
     name: str,
     given: Mapping[str, Any],
     set_by_run: SetByRun,
-    *,
-    own: Set[str] = frozenset(),
     siblings: Set[str] = frozenset(),
+    *,
     partial: bool = False,
 ) -> list[str]:
     """Check the arguments of a call; a `partial` one gets more. `siblings` are the valid keys that are no arguments."""
-    parameters, problems = _parameters(call), []
-    choices = (set(parameters) - set(set_by_run) - own) | siblings
+    parameters, is_open = _parameters(call)
+    choices, problems = (parameters.keys() - set_by_run.keys()) | siblings, []
     for argument, value in given.items():
         if argument in set_by_run:
             source = set_by_run[argument]
             problems.append(f"{key}.{argument} is set by the run itself" + (f"; use {source}" if source else ""))
         elif argument in parameters:
             problems += _check_value(f"{key}.{argument}", value, name, parameters[argument])
-        elif not _takes_any(parameters):
+        elif not is_open:
             problems.append(f"{key}.{argument}: {name} has no such argument{suggestion(argument, choices)}")
     if not partial:
         problems += [
             f"{key}.{argument} is missing; {name} needs it"
             for argument, parameter in parameters.items()
-            if parameter.default is parameter.empty and not _is_variadic(parameter)
-            if argument not in {*given, *set_by_run, *own}
+            if parameter.default is parameter.empty and argument not in {*given, *set_by_run}
         ]
     return problems
 
@@ -226,19 +225,15 @@ def _check_node(key: str, node: Mapping[str, Any]) -> list[str]:
     return _check_call(key, found, str(target), given, {}, partial=bool(node.get("_partial_")) or "_args_" in node)
 
 
-def _parameters(call: Any) -> dict[str, inspect.Parameter]:
+def _parameters(call: Any) -> tuple[dict[str, inspect.Parameter], bool]:
+    """Return the named parameters of a class or function, and whether it takes any others."""
     try:
-        return dict(inspect.signature(call).parameters)
-    except (TypeError, ValueError):  # compiled, without a signature: anything may pass
-        return {"kwargs": inspect.Parameter("kwargs", inspect.Parameter.VAR_KEYWORD)}
-
-
-def _is_variadic(parameter: inspect.Parameter) -> bool:
-    return parameter.kind in (parameter.VAR_KEYWORD, parameter.VAR_POSITIONAL)
-
-
-def _takes_any(parameters: Mapping[str, inspect.Parameter]) -> bool:
-    return any(parameter.kind is parameter.VAR_KEYWORD for parameter in parameters.values())
+        parameters = inspect.signature(call).parameters
+    except (TypeError, ValueError):  # compiled, without a signature
+        return {}, True
+    variadic = {name for name, one in parameters.items() if one.kind in (one.VAR_POSITIONAL, one.VAR_KEYWORD)}
+    is_open = any(parameters[name].kind is inspect.Parameter.VAR_KEYWORD for name in variadic)
+    return {name: one for name, one in parameters.items() if name not in variadic}, is_open
 
 
 def _takes_none(parameter: inspect.Parameter) -> bool:

@@ -46,6 +46,7 @@ class ConfigModel(BaseModel):
 class ObservationConfig(ConfigModel):
     """highway-env's `observation` options."""
 
+    type: Literal["KinematicsGoal"]  # stored, so that highway-env takes the `env` section of a run's config as it is
     features: Annotated[list[Literal["x", "y", "vx", "vy", "cos_h", "sin_h"]], Field(min_length=1)]
     scales: list[PositiveFloat]
     normalize: bool
@@ -54,6 +55,7 @@ class ObservationConfig(ConfigModel):
 class ActionConfig(ConfigModel):
     """highway-env's `action` options."""
 
+    type: Literal["ContinuousAction"]
     acceleration_range: Bounds | None
     steering_range: Bounds | None
     speed_range: Bounds | None
@@ -103,18 +105,12 @@ class EnvConfig(ConfigModel):
         return self.model_copy(update={key: value for key, value in values.items() if value is not None})
 
     def highway_options(self) -> dict[str, Any]:
-        """Return the `config` for `gym.make(ENV_ID, config=...)`, options that cannot be chosen here included."""
+        """Return the `config` for `gym.make(ENV_ID, config=...)`."""
         ours = {"name", "simulator", "reward"}
         training = {name for name in type(self).model_fields if name.startswith("training_")}
         options = self.model_dump(exclude=ours | training)
-        action = {key: value for key, value in options["action"].items() if value is not None}
-        return {
-            **options,
-            "observation": {"type": "KinematicsGoal", **options["observation"]},
-            "action": {"type": "ContinuousAction", **action},
-            "controlled_vehicles": 1,
-            "manual_control": False,
-        }
+        options["action"] = {key: value for key, value in options["action"].items() if value is not None}
+        return options
 
     @property
     def uncovered(self) -> list[str]:

@@ -17,6 +17,7 @@ def test_parking_has_highway_envs_own_options_and_values():
     ours = make_config("env=parking").env.highway_options()
     theirs = ParkingEnv.default_config()
     extra = {"longitudinal": True, "lateral": True, "dynamical": False, "clip": True}
+    assert (theirs.pop("controlled_vehicles"), theirs.pop("manual_control")) == (1, False)  # no choice here
     assert ours.pop("action") == {**theirs.pop("action"), **extra}
     assert ours == theirs
 
