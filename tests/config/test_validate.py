@@ -86,76 +86,117 @@ def test_the_expected_options_are_there():
 
 
 @pytest.mark.parametrize(
+    ("override", "hint"),
+    [
+        ("sead=1", "seed"),
+        ("env=parkin_sparse", "parking_sparse"),
+        ("experiment=artcle", "article"),
+        ("+env.duratoin=3", "duration"),
+        ("algorithm.learning_rat=1", "learning_rate"),
+        ("+algorithm.gama=1", "gamma"),
+        ("evaluation.n_scene=3", "n_scenes"),
+        ("algorithm.policy_kwargs.n_critics=3", "+algorithm.policy_kwargs.n_critics=3"),
+        ("tracking.mlfow=true", "mlflow"),
+        ("seed=-1", "0"),
+        ("total_timesteps=0", "1"),
+        ("device=gpu", "cuda:N"),
+        ("algorithm.gamma=1.5", "1.0"),
+        ("algorithm.tau=0", "greater than 0.0"),
+        ("algorithm.learning_rate=-1", "greater than 0.0"),
+        ("algorithm.batch_size=1.5", ""),
+        ("algorithm=sac algorithm.use_sde=3", ""),
+        ("algorithm.features=egoo", "ego"),
+        ("buffer.relabel_collision=kep", "keep"),
+        ("buffer.goal_velocity=1", ""),
+        ("buffer.goal_selection_strategy=futur", "future"),
+        ("+algorithm.seed=3", "seed"),
+        ("+algorithm.buffer_size=3", "buffer.buffer_size"),
+        ("algorithm._target_=nowhere.SAC", "not installed"),
+        ("evaluation=often", ""),
+        ("algorithm.gamma=null", ""),
+        ("algorithm=sac algorithm.ent_coef=atuo", "auto"),
+        ("~algorithm.learning_starts", "25856"),
+        ("~buffer.n_sampled_goal algorithm.learning_starts=10", "25856"),
+        ("total_timesteps=26000", "26001"),
+        ("algorithm=td3 algorithm.action_noise.sigma=[0.1]", ""),
+        ("env.other_vehicles_type=nowhere.Car", ""),
+        ("env.action.speed_range=[5,-5]", ""),
+        ("updates_per_step=0.0004", "0.001"),
+        ("algorithm.train_freq=[1,episode]", "n_envs=1"),
+        ("+env.controlled_vehicles=2", ""),
+        ("+algorithm.n_steps=3", "set by the run"),
+        ("+buffer.optimize_memory_usage=true", "set by the run"),
+        ("algorithm.learning_starts=100", "25856"),
+        ("buffer.buffer_size=800", "26112"),
+        ("evaluation.first_scene=2147483600", "2147483148"),
+        ("algorithm=td3 algorithm.action_noise.sigma=[-0.1,0.1]", "0.0"),
+        ("+algorithm.policy_kwargs.n_critic=3", "n_critics"),
+        ("+algorithm.policy_kwargs.n_critics=0", "1"),
+        ("+algorithm.policy_kwargs.use_sde=true", "algorithm.use_sde"),
+        ("+algorithm.policy_kwargs.optimizer_kwargs={weight_decy:0.1}", "weight_decay"),
+        ("+algorithm.policy_kwargs.optimizer_kwargs={lr:0.1}", "algorithm.learning_rate"),
+        (
+            "+algorithm.policy_kwargs.features_extractor_class=parking_exp.algorithms.features.EgoFrameExtractor",
+            "algorithm.features=raw",
+        ),
+        ("+algorithm.policy_kwargs.activation_fn=torch.nn.Tan", "Tanh"),
+        ("+algorithm.policy_kwargs.activation_fn=tanh", ""),
+        ("+algorithm.policy_kwargs.activation_fn=torch.optim.Adam", "torch.nn.Module"),
+        ("+algorithm.policy_kwargs.activation_fn={_target_:hydra.utils.get_class,path:torch.nn.Tan}", "Tanh"),
+        ("+algorithm.policy_kwargs.activation_fn={_target_:torch.nn.LeakyReLU,negative_slop:0.2}", "negative_slope"),
+        ("algorithm.policy_kwargs=[1]", ""),
+        ("env.duration=1e9", "100000.0"),
+        ("env.success_goal_reward=1e300", ""),
+        ("algorithm.net_arch=[64,1e300]", ""),
+        (f"n_envs={'9' * 5000}", ""),
+        (f"seeds={'9' * 5000}", ""),
+        ("torch_threads=1000000", "1024"),
+        ("experiment=article algorithm.learning_rate={}", ""),
+        ("algorithm=sac algorithm.action_noise={}", ""),
+        ("algorithm.train_freq=[0,step]", ""),
+        ("buffer.relabel_collision=null", ""),
+        ("buffer.goal_selection_strategy=[future]", "future"),
+        ("+algorithm.policy_kwargs.net_arch=[5]", "algorithm.net_arch"),
+        ("+algorithm.policy_kwargs.n_critics=100000", "100"),
+        ("+algorithm.policy_kwargs.optimizer_kwargs={betas:[0.9,1]}", "less than 1.0"),
+        ("+algorithm.policy_kwargs.optimizer_kwargs={betas:0.9}", ""),
+        ("evaluation.final_n_scenes=10000000000", "2147483648"),
+        ("algorithm._target_=stable_baselines3.PPO", ""),
+        ("algorithm._target_=json.dumps", "off-policy"),
+        ("buffer._target_=stable_baselines3.SAC", "replay buffer"),
+        ("algorithm._target_=__main__.X", ""),
+        ("algorithm._target_=builtins.dict", ""),
+        ("=3", "KEY=VALUE"),
+        ("budget=null", ""),
+        ("buffer=[replay,x]", ""),
+        ("env@foo=parking", "env=OPTION"),
+        ("seed=???", ""),
+        ("algorithm.learning_rate=inf", "finite"),
+        ("+algorithm.policy_kwargs.log_std_init=nan", "finite"),
+        ("+algorithm.policy_kwargs.optimizer_kwargs.eps=inf", "finite"),
+        ("updates_per_step=nan", "finite"),
+        ("timeout_s=inf", "finite"),
+        ("env.reward_weights=[inf,1,1,1,1,1]", "finite"),
+        ("algorithm=td3 algorithm.action_noise.mean=[0,nan]", "finite"),
+        ("tracking.uri=ftp://host/store", "sqlite:///PATH"),
+        ("tracking.uri='sqlite://'", "sqlite:///PATH"),
+        ("tracking.uri='sqlite:///a.db?timeout=9'", "sqlite:///PATH"),
+    ],
+)
+def test_what_cannot_run_is_refused_in_a_sentence_with_its_key_and_a_valid_choice(override, hint):
+    refused(override, override.split()[-1].lstrip("+~").partition("=")[0], hint)
+
+
+@pytest.mark.parametrize(
     ("override", "key", "hint"),
     [
-        ("sead=1", "sead", "seed"),
-        ("algoritm=sac", "algoritm", "algorithm"),
-        ("env=parkin_sparse", "env", "parking_sparse"),
-        ("algorithm=sca", "algorithm", "sac"),
-        ("experiment=artcle", "experiment", "article"),
-        ("env.duratoin=3", "env.duratoin", "duration"),
-        ("+env.duratoin=3", "env.duratoin", "duration"),
-        ("env.observation.scale=3", "env.observation.scale", "scales"),
-        ("algorithm.learning_rat=1", "algorithm.learning_rat", "learning_rate"),
-        ("+algorithm.gama=1", "algorithm.gama", "gamma"),
-        ("buffer.n_sampled_goals=3", "buffer.n_sampled_goals", "n_sampled_goal"),
-        ("+buffer.n_sampled_goals=3", "buffer.n_sampled_goals", "n_sampled_goal"),
-        ("evaluation.n_scene=3", "evaluation.n_scene", "n_scenes"),
-        ("checkpoint.keep=3", "checkpoint.keep", "keep_last"),
-        (
-            "algorithm.policy_kwargs.n_critics=3",
-            "algorithm.policy_kwargs.n_critics",
-            "+algorithm.policy_kwargs.n_critics=3",
-        ),
-        ("tracking.mlfow=true", "tracking.mlfow", "mlflow"),
-        ("seed=abc", "seed", ""),
-        ("seed=-1", "seed", "0"),
-        ("seed=true", "seed", ""),
-        ("total_timesteps=0", "total_timesteps", "1"),
-        ("n_envs=0", "n_envs", "1"),
-        ("device=gpu", "device", "cuda:N"),
-        ("algorithm.gamma=1.5", "algorithm.gamma", "1.0"),
-        ("algorithm.tau=0", "algorithm.tau", "greater than 0.0"),
-        ("algorithm.learning_rate=-1", "algorithm.learning_rate", "greater than 0.0"),
-        ("algorithm.batch_size=0", "algorithm.batch_size", "1"),
-        ("algorithm.batch_size=1.5", "algorithm.batch_size", ""),
-        ("algorithm=sac algorithm.use_sde=3", "algorithm.use_sde", ""),
-        ("algorithm.features=egoo", "algorithm.features", "ego"),
-        ("buffer.relabel_collision=kep", "buffer.relabel_collision", "keep"),
-        ("buffer.relabel_terminated=gaol", "buffer.relabel_terminated", "goal"),
-        ("buffer.goal_velocity=1", "buffer.goal_velocity", ""),
         ("buffer.goal_selection_strategy=null", "buffer.n_sampled_goal", "buffer=her_future"),
-        ("buffer.goal_selection_strategy=futur", "buffer.goal_selection_strategy", "future"),
-        ("+algorithm.seed=3", "algorithm.seed", "seed"),
-        ("+algorithm.buffer_size=3", "algorithm.buffer_size", "buffer.buffer_size"),
-        ("algorithm._target_=stable_baselines3.SACC", "algorithm._target_", "SAC"),
-        ("algorithm._target_=nowhere.SAC", "algorithm._target_", "not installed"),
-        ("evaluation=often", "evaluation", ""),
-        ("algorithm.gamma=null", "algorithm.gamma", ""),
-        ("algorithm.batch_size=[9]", "algorithm.batch_size", ""),
-        ("algorithm=sac algorithm.ent_coef=atuo", "algorithm.ent_coef", "auto"),
-        ("~algorithm.learning_starts", "algorithm.learning_starts", "25856"),
-        ("~buffer.n_sampled_goal algorithm.learning_starts=10", "algorithm.learning_starts", "25856"),
-        ("total_timesteps=26000", "total_timesteps", "26001"),
-        ("buffer=replay total_timesteps=10", "total_timesteps", "26001"),
-        ("algorithm=td3 algorithm.action_noise.sigma=[0.1]", "algorithm.action_noise.sigma", ""),
         (
             "env.observation.features=[x,y,cos_h,sin_h] env.observation.scales=[1,1,1,1] algorithm.features=raw",
             "env.observation",
             "",
         ),
-        ("env.other_vehicles_type=nowhere.Car", "env.other_vehicles_type", ""),
-        ("env.action.speed_range=[5,-5]", "env.action.speed_range", ""),
-        ("updates_per_step=0.0004", "updates_per_step", "0.001"),
-        ("algorithm.train_freq=[1,episode]", "algorithm.train_freq", "n_envs=1"),
-        ("checkpoint.keep_last=0", "checkpoint.keep_last", "1"),
-        ("+env.controlled_vehicles=2", "env.controlled_vehicles", ""),
-        ("+algorithm.n_steps=3", "algorithm.n_steps", "set by the run"),
-        ("+buffer.optimize_memory_usage=true", "buffer.optimize_memory_usage", "set by the run"),
         ("env.policy_frequency=20 n_envs=1", "env.policy_frequency", "15"),
-        ("algorithm.learning_starts=100", "algorithm.learning_starts", "25856"),
-        ("buffer.buffer_size=800", "buffer.buffer_size", "26112"),
-        ("evaluation.first_scene=2147483600", "evaluation.first_scene", "2147483148"),
         (
             "env.observation.features=[y,x,vx,vy,cos_h,sin_h] buffer=replay",
             "algorithm.features",
@@ -165,117 +206,17 @@ def test_the_expected_options_are_there():
         (schedule("end", "-1"), "algorithm.learning_rate.end", "0.0"),
         (schedule("end_fraction", "-1"), "algorithm.learning_rate.end_fraction", "greater than 0.0"),
         (schedule("end_fraction", "2"), "algorithm.learning_rate.end_fraction", "1.0"),
-        ("algorithm=td3 algorithm.action_noise.sigma=[-0.1,0.1]", "algorithm.action_noise.sigma.0", "0.0"),
         (schedule("start", "nan"), "algorithm.learning_rate.start", ""),
         (schedule("_target_", "3"), "algorithm.learning_rate._target_", ""),
-        ("+algorithm.policy_kwargs.n_critic=3", "algorithm.policy_kwargs.n_critic", "n_critics"),
-        ("+algorithm.policy_kwargs.n_critics=0", "algorithm.policy_kwargs.n_critics", "1"),
-        ("+algorithm.policy_kwargs.use_sde=true", "algorithm.policy_kwargs.use_sde", "algorithm.use_sde"),
-        (
-            "+algorithm.policy_kwargs.optimizer_kwargs={weight_decy:0.1}",
-            "algorithm.policy_kwargs.optimizer_kwargs.weight_decy",
-            "weight_decay",
-        ),
-        (
-            "+algorithm.policy_kwargs.optimizer_kwargs={lr:0.1}",
-            "algorithm.policy_kwargs.optimizer_kwargs.lr",
-            "algorithm.learning_rate",
-        ),
-        (
-            "+algorithm.policy_kwargs.features_extractor_class=parking_exp.algorithms.features.EgoFrameExtractor",
-            "algorithm.policy_kwargs.features_extractor_class",
-            "algorithm.features=raw",
-        ),
-        ("+algorithm.policy_kwargs.activation_fn=torch.nn.Tan", "algorithm.policy_kwargs.activation_fn", "Tanh"),
-        ("+algorithm.policy_kwargs.activation_fn=tanh", "algorithm.policy_kwargs.activation_fn", ""),
-        (
-            "+algorithm.policy_kwargs.activation_fn=torch.optim.Adam",
-            "algorithm.policy_kwargs.activation_fn",
-            "torch.nn.Module",
-        ),
-        (
-            "+algorithm.policy_kwargs.activation_fn={_target_:hydra.utils.get_class,path:torch.nn.Tan}",
-            "algorithm.policy_kwargs.activation_fn",
-            "Tanh",
-        ),
-        (
-            "+algorithm.policy_kwargs.activation_fn={_target_:torch.nn.LeakyReLU,negative_slop:0.2}",
-            "algorithm.policy_kwargs.activation_fn.negative_slop",
-            "negative_slope",
-        ),
-        ("algorithm.policy_kwargs=[1]", "algorithm.policy_kwargs", ""),
-        ("env.duration=1e9", "env.duration", "100000.0"),
-        ("env.policy_frequency=100000000", "env.policy_frequency", "100"),
-        ("env.success_goal_reward=1e300", "env.success_goal_reward", ""),
-        ("algorithm.net_arch=[64,1e300]", "algorithm.net_arch.1", ""),
-        (f"n_envs={'9' * 5000}", "n_envs", ""),
-        (f"seeds={'9' * 5000}", "seeds", ""),
-        ("device=mps", "device", ""),
-        ("torch_threads=1000000", "torch_threads", "1024"),
-        ("experiment=article algorithm.learning_rate=[]", "algorithm.learning_rate", ""),
-        ("experiment=article algorithm.learning_rate={}", "algorithm.learning_rate", ""),
-        ("experiment=article algorithm.learning_rate={start:-1}", "algorithm.learning_rate", ""),
-        ("algorithm=sac algorithm.action_noise={}", "algorithm.action_noise", ""),
-        ("algorithm.train_freq=[0,step]", "algorithm.train_freq", ""),
-        ("buffer.relabel_collision=null", "buffer.relabel_collision", ""),
-        ("buffer.goal_selection_strategy=[future]", "buffer.goal_selection_strategy", "future"),
         ("algorithm=sac algorithm._target_=sb3_contrib.TQC", "algorithm.features", "algorithm.features=ego_fine"),
         ("env.success_goal_reward=0.08", "env.training_success_goal_reward", "0.08"),
-        ("env.training_duration=1e12", "env.training_duration", "100000.0"),
-        ("+algorithm.policy_kwargs.net_arch=[5]", "algorithm.policy_kwargs.net_arch", "algorithm.net_arch"),
-        ("+algorithm.policy_kwargs.n_critics=100000", "algorithm.policy_kwargs.n_critics", "100"),
-        ("algorithm=tqc +algorithm.policy_kwargs.n_quantiles=100000", "algorithm.policy_kwargs.n_quantiles", "10000"),
-        (
-            "+algorithm.policy_kwargs.optimizer_kwargs={betas:[0.9,1]}",
-            "algorithm.policy_kwargs.optimizer_kwargs.betas.1",
-            "less than 1.0",
-        ),
-        (
-            "+algorithm.policy_kwargs.optimizer_kwargs={betas:[-0.1,0.9]}",
-            "algorithm.policy_kwargs.optimizer_kwargs.betas.0",
-            "0.0",
-        ),
-        ("+algorithm.policy_kwargs.optimizer_kwargs={betas:0.9}", "algorithm.policy_kwargs.optimizer_kwargs.betas", ""),
-        (
-            "+algorithm.policy_kwargs.optimizer_kwargs={betas:[0.9]}",
-            "algorithm.policy_kwargs.optimizer_kwargs.betas",
-            "",
-        ),
-        ("evaluation.final_n_scenes=10000000000", "evaluation.final_n_scenes", "2147483648"),
-        ("evaluation.n_scenes=10000000000", "evaluation.n_scenes", "2147483648"),
-        ("algorithm._target_=json.JSONEncoder", "algorithm._target_", ""),
-        ("algorithm._target_=stable_baselines3.PPO", "algorithm._target_", ""),
-        ("algorithm._target_=json.dumps", "algorithm._target_", "off-policy"),
-        ("buffer._target_=stable_baselines3.SAC", "buffer._target_", "replay buffer"),
-        ("algorithm._target_=__main__.X", "algorithm._target_", ""),
-        ("algorithm._target_=builtins.dict", "algorithm._target_", ""),
-        ("algorithm._target_=stable_baselines3.sacc.SAC", "algorithm._target_", "did you mean 'sac'"),
-        ("=3", "", "KEY=VALUE"),
-        ("budget=null", "budget", ""),
-        ("buffer=[replay,x]", "buffer", ""),
-        ("algorithm=3", "algorithm", "td3"),
-        ("env@foo=parking", "env@foo", "env=OPTION"),
-        ("seed=???", "seed", ""),
-        ("algorithm.learning_rate=inf", "algorithm.learning_rate", "finite"),
-        ("algorithm.gamma=nan", "algorithm.gamma", "finite"),
-        ("algorithm.target_policy_noise=nan", "algorithm.target_policy_noise", "finite"),
-        ("+algorithm.policy_kwargs.log_std_init=nan", "algorithm.policy_kwargs.log_std_init", "finite"),
-        ("+algorithm.policy_kwargs.optimizer_kwargs.eps=inf", "algorithm.policy_kwargs.optimizer_kwargs.eps", "finite"),
-        ("env.collision_reward=nan", "env.collision_reward", "finite"),
-        ("env.scaling=inf", "env.scaling", "finite"),
-        ("updates_per_step=nan", "updates_per_step", "finite"),
-        ("timeout_s=inf", "timeout_s", "finite"),
-        # Numbers in lists.
-        ("env.reward_weights=[inf,1,1,1,1,1]", "env.reward_weights.0", "finite"),
-        ("algorithm=td3 algorithm.action_noise.mean=[0,nan]", "algorithm.action_noise.mean.1", "finite"),
-        # Stores.
-        ("tracking.uri=ftp://host/store", "tracking.uri", "sqlite:///PATH"),
-        ("tracking.uri=./mlruns", "tracking.uri", "sqlite:///PATH"),
-        ("tracking.uri='sqlite://'", "tracking.uri", "sqlite:///PATH"),
-        ("tracking.uri='sqlite:///a.db?timeout=9'", "tracking.uri", "sqlite:///PATH"),
     ],
 )
-def test_what_cannot_run_is_refused_in_a_sentence_with_the_key_and_a_valid_choice(override, key, hint):
+def test_what_contradicts_another_key_is_refused_with_the_key_to_change(override, key, hint):
+    refused(override, key, hint)
+
+
+def refused(override, key, hint):
     with pytest.raises(ConfigError) as refusal:
         make_config(*override.split())
     message = str(refusal.value)
@@ -312,52 +253,39 @@ def test_a_value_is_refused_in_a_sentence_or_taken_whatever_it_is_and_wherever_i
 
 
 @pytest.mark.parametrize(
-    ("override", "sizes"),
+    ("override", "size"),
     [
-        ("buffer.buffer_size=99999999999", r"11,300.0 GB of memory or more \(99999999999 x 113 bytes\)"),
-        ("algorithm.batch_size=99999999999", r"11,300.0 GB of memory or more \(99999999999 x 113 bytes\)"),
-        ("algorithm.net_arch=[9999999,9999999]", r"400,000.0 GB of memory or more \(\d+ x 4 bytes\)"),
-        ("evaluation.final_n_scenes=2000000000", r"2,000.0 GB of memory or more \(2000000000 x 1000 bytes\)"),
+        ("buffer.buffer_size=99999999999", "11,300.0 GB"),
+        ("algorithm.batch_size=99999999999", "11,300.0 GB"),
+        ("algorithm.net_arch=[9999999,9999999]", "400,000.0 GB"),
+        ("evaluation.final_n_scenes=2000000000", "2,000.0 GB"),
     ],
 )
-def test_what_never_fits_into_memory_is_refused_with_what_it_takes_and_what_there_is(override, sizes):
-    key, there = override.partition("=")[0], f"{total_memory() / 1e9:,.1f} GB"
-    with pytest.raises(
-        ConfigError, match=rf"^{key} takes {sizes}, and this machine has {there}; choose a smaller one$"
-    ):
-        make_config(override)
+def test_what_never_fits_into_memory_is_refused_with_what_it_takes_and_what_there_is(override, size):
+    refused(override, override.partition("=")[0], size)
+    refused(override, override.partition("=")[0], f"this machine has {total_memory() / 1e9:,.1f} GB")
 
 
 @pytest.mark.parametrize(
     "override",
-    [
-        "seed=[1",
-        "run name=3",
-        "seed",
-        "experiment_name=a b(",
-        "experiment_name='a",
-        "algorithm=sac,",
-        "algorithm.gamma=choice()",
-    ],
+    ["seed=[1", "run name=3", "seed", "experiment_name=a b(", "experiment_name='a", "algorithm=sac,", "seed=choice()"],
 )
-def test_what_hydras_grammar_cannot_read_is_said_without_its_words(override):
-    message = f"{override}: can't be read; write KEY=VALUE, where a list is [1,2], and text with spaces, quotes or brackets stands in quotes: \"KEY='a (b)'\""
-    with pytest.raises(ConfigError, match=f"^{re.escape(message)}$"):
+def test_what_hydras_grammar_cannot_read_is_refused_with_how_to_write_it(override):
+    with pytest.raises(ConfigError, match=f"^{re.escape(override)}: .*KEY=VALUE"):
         make_config(override)
 
 
 @pytest.mark.parametrize("algorithm", options("algorithm"))
 def test_policy_kwargs_are_those_of_the_algorithms_own_policy(algorithm):
     make_config(f"algorithm={algorithm}", "+algorithm.policy_kwargs={n_critics:3,net_arch:{pi:[8],qf:[9]}}")
-    message = "algorithm.policy_kwargs.n_critic: MultiInputPolicy has no such argument; did you mean 'n_critics'?"
-    with pytest.raises(ConfigError, match=f"^{re.escape(message)}$"):
-        make_config(f"algorithm={algorithm}", "+algorithm.policy_kwargs.n_critic=3")
+    refused(
+        f"algorithm={algorithm} +algorithm.policy_kwargs.n_critic=3", "algorithm.policy_kwargs.n_critic", "n_critics"
+    )
 
 
 def test_an_evaluation_has_no_more_episodes_than_there_are_scenes():
     (config,) = composed("evaluate", ["episodes=10000000000"])
-    message = "episodes=10000000000 is out of range; the closest valid choice is 2147483648"
-    with pytest.raises(ConfigError, match=f"^{message}$"):
+    with pytest.raises(ConfigError, match=r"^episodes=10000000000 .* 2147483648$"):
         validate_request(config)
 
 
@@ -373,11 +301,9 @@ def test_plain_replay_may_start_learning_within_an_episode():
 
 
 def test_nested_targets_are_checked_too():
-    with pytest.raises(ConfigError, match=r"NormalActionNoise has no such argument; did you mean 'sigma'"):
-        make_config("algorithm=td3", "+algorithm.action_noise.sigm=1")
-    noise = "{_target_: stable_baselines3.common.noise.NormalActionNoise, mean: [0, 0]}"
-    with pytest.raises(ConfigError, match=r"algorithm.action_noise.sigma is missing"):
-        make_config("algorithm=sac", f"algorithm.action_noise={noise}")
+    refused("algorithm=td3 +algorithm.action_noise.sigm=1", "algorithm.action_noise.sigm", "did you mean 'sigma'")
+    noise = "{_target_:stable_baselines3.common.noise.NormalActionNoise,mean:[0,0]}"
+    refused(f"algorithm=sac algorithm.action_noise={noise}", "algorithm.action_noise.sigma", "missing")
 
 
 def test_several_keys_of_a_group_can_be_set_at_once():
