@@ -17,9 +17,9 @@ from parking_exp.algorithms.features import EgoFrameExtractor, FineEgoFrameExtra
 from parking_exp.algorithms.mirrored_policies import MIRRORED
 from parking_exp.algorithms.noise import VectorizedNormalNoise
 from parking_exp.buffers import HerBuffer
-from parking_exp.config.constructor_arguments import CLASS_ARGUMENTS, ignored_features, not_mirrored
+from parking_exp.config.constructor_arguments import POLICY, ignored_features, not_mirrored, policy_class, takes
 from parking_exp.config.schema import RunConfig
-from parking_exp.config.signatures import policy_signature
+from parking_exp.config.targets import CLASS_ARGUMENTS
 from parking_exp.envs.interface import Policy
 from parking_exp.envs.reward import GoalReward
 from parking_exp.envs.training_envs import is_parking
@@ -41,6 +41,7 @@ def build_model(config: RunConfig, env: VecEnv, seed: int, *, for_training: bool
     arguments = config.algorithm.arguments
     train_freq, gradient_steps = config.update_rounds()
     node: dict[str, Any] = {
+        "policy": POLICY,
         **arguments,
         "_target_": config.algorithm.target,
         "_convert_": "all",
@@ -99,8 +100,7 @@ def _computes_ego_features(model: OffPolicyAlgorithm) -> bool:
 
 def _mirrored_policy(config: RunConfig) -> type:
     """Return the policy that mirrors the steering with its features."""
-    aliases: dict[Any, type] = getattr(get_object(config.algorithm.target), "policy_aliases", {})
-    policy = MIRRORED.get(aliases.get(config.algorithm.arguments.get("policy"), object))
+    policy = MIRRORED.get(policy_class(get_class(config.algorithm.target)) or object)
     if policy is None:
         raise ConfigError(not_mirrored(config.algorithm))
     return policy
@@ -120,8 +120,8 @@ def _policy_kwargs(config: RunConfig) -> dict[str, Any]:
         if config.algorithm.features == "ego_mirrored":
             policy_kwargs["features_extractor_class"] = MirroredEgoFrameExtractor
             policy_kwargs["features_extractor_kwargs"]["steering"] = config.env.action.lateral
-    elif (policy := policy_signature(config.algorithm.target, "MultiInputPolicy")) is None or policy.takes(
-        "features_extractor_class"
+    elif (policy := policy_class(get_class(config.algorithm.target))) is None or takes(
+        policy, "features_extractor_class"
     ):
         # What a MultiInputPolicy has by default, except CrossQ's.
         policy_kwargs["features_extractor_class"] = CombinedExtractor

@@ -1,7 +1,7 @@
 """Parse a command line, run the command, and turn errors into sentences and exit statuses.
 
-The parser is Hydra's own, an argparse parser of flags and `key=value` words, with flags of ours besides. Hydra answers
-`--help`, `--cfg job` and the like. Commands import torch and mlflow once a config is known to be good.
+The parser takes Hydra's flags, flags of ours, and `key=value` words. Hydra answers `--help`, `--cfg job` and the like.
+Commands import torch and mlflow once our own keys are known to be good.
 """
 
 import argparse
@@ -16,7 +16,6 @@ from pathlib import Path
 from typing import NoReturn
 
 import hydra
-from hydra._internal.utils import _run_hydra, get_args_parser
 from omegaconf import DictConfig
 
 from parking_exp.config.compose import VERSION_BASE, composed, config_dir
@@ -30,6 +29,11 @@ from parking_exp.errors import (
     did_you_mean,
 )
 from parking_exp.terminal import LogFormatter, say
+
+# Hydra's flags that show something, and those that change how.
+SHOWING = ("help", "hydra_help", "version", "cfg", "info", "shell_completion")
+OTHERS = ("resolve", "package", "run", "multirun", "config_dir")
+NOT_SUPPORTED = ("config_name", "config_path", "experimental_rerun")
 
 Task = Callable[[DictConfig], object]
 Command = Callable[[list[str], str | None], None]
@@ -54,10 +58,10 @@ def run_command(
     if logging.lastResort is not None:  # what warnings go through
         logging.lastResort.setFormatter(LogFormatter())
     with errors_as_sentences():
-        parser, arguments = _parse(sys.argv[1:], flags or {})
+        arguments = _parse(sys.argv[1:], flags or {})
         arguments.overrides = [quoted(override) for override in read(arguments.overrides)]
-        if any(getattr(arguments, flag) for flag in ("help", "hydra_help", "cfg", "info", "shell_completion")):
-            _run_hydras(parser, arguments, config_name)
+        if any(getattr(arguments, flag) for flag in SHOWING):
+            _run_hydra(arguments, config_name)
         else:
             command(arguments.overrides, arguments.config_dir)
 
@@ -108,26 +112,44 @@ def fail(error: ParkingError) -> NoReturn:
     sys.exit(128 + error.signal_number if isinstance(error, InterruptedRunError) else 2)
 
 
-def _parse(words: list[str], flags: Mapping[str, str]) -> tuple[argparse.ArgumentParser, argparse.Namespace]:
+def _parser(flags: Mapping[str, str]) -> argparse.ArgumentParser:
+    """Return a parser of Hydra's flags, as `hydra.main` has them, of ours, and of overrides."""
+    parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False, exit_on_error=False)
+    parser.add_argument("overrides", nargs="*")
+    for names in (
+        ("--help", "-h"), ("--hydra-help",), ("--version",), ("--shell-completion", "-sc"), ("--resolve",),
+        ("--run", "-r"), ("--multirun", "-m"),
+    ):  # fmt: skip
+        parser.add_argument(*names, action="store_true")
+    for names in (
+        ("--package", "-p"), ("--config-dir", "-cd"), ("--config-name", "-cn"), ("--config-path", "-cp"),
+        ("--experimental-rerun",),
+    ):  # fmt: skip
+        parser.add_argument(*names)
+    parser.add_argument("--cfg", "-c", choices=["job", "hydra", "all"])
+    infos = ["all", "config", "defaults", "defaults-tree", "plugins", "searchpath"]
+    parser.add_argument("--info", "-i", nargs="?", const="all", choices=infos)
+    for flag, override in flags.items():
+        parser.add_argument(flag, action="append_const", dest="flags", const=override)
+    return parser
+
+
+def _parse(words: list[str], flags: Mapping[str, str]) -> argparse.Namespace:
     """Parse the words of a command line: Hydra's flags and ours, between the overrides or around them.
 
     Raises:
         ConfigError: there is no such flag, or its value is missing or wrong.
     """
-    parser = get_args_parser()
-    parser.allow_abbrev = False  # it would take `--experiment` for `--experimental-rerun`
-    parser.exit_on_error = False
-    for flag in flags:
-        parser.add_argument(flag, action="append_const", dest="flags", const=flags[flag])
     try:
-        arguments, unknown = parser.parse_known_intermixed_args(words)
+        arguments, unknown = _parser(flags).parse_known_intermixed_args(words)
     except argparse.ArgumentError as error:
         raise ConfigError(f"{error.argument_name}: {error.message}") from error
     if unknown:
         flag = next((word for word in unknown if word.startswith("-")), unknown[0]).partition("=")[0]
-        hint = did_you_mean(flag, parser._option_string_actions, cutoff=0.8) or "; write KEY=VALUE, without dashes"
+        known = [*flags, *(f"--{name.replace('_', '-')}" for name in (*SHOWING, *OTHERS))]
+        hint = did_you_mean(flag, known, cutoff=0.8) or "; write KEY=VALUE, without dashes"
         raise ConfigError(f"{flag}: there is no such flag{hint}")
-    if arguments.config_name or arguments.config_path or arguments.experimental_rerun:
+    if any(getattr(arguments, name) for name in NOT_SUPPORTED):
         raise ConfigError(
             "--config-name, --config-path and --experimental-rerun: not supported here; put options of your own into a "
             "directory and pass --config-dir=DIRECTORY; rerun the same command to resume"
@@ -135,10 +157,10 @@ def _parse(words: list[str], flags: Mapping[str, str]) -> tuple[argparse.Argumen
     if arguments.config_dir and not Path(arguments.config_dir).is_dir():
         raise ConfigError(f"--config-dir={arguments.config_dir}: there is no such directory")
     arguments.overrides += getattr(arguments, "flags", None) or []
-    return parser, arguments
+    return arguments
 
 
-def _run_hydras(parser: argparse.ArgumentParser, arguments: argparse.Namespace, config_name: str) -> None:
+def _run_hydra(arguments: argparse.Namespace, config_name: str) -> None:
     """Have Hydra show help, a config or the like.
 
     Raises:
@@ -146,11 +168,14 @@ def _run_hydras(parser: argparse.ArgumentParser, arguments: argparse.Namespace, 
     """
     if arguments.cfg:
         composed(config_name, arguments.overrides, arguments.config_dir)
-    hydra.version.setbase(VERSION_BASE)
+    given = {f"--{name.replace('_', '-')}": getattr(arguments, name) for name in (*SHOWING, *OTHERS)}
+    words = [flag if value is True else f"{flag}={value}" for flag, value in given.items() if value]
+    show = hydra.main(str(config_dir()), config_name, VERSION_BASE)(lambda config: None)
     shown = io.StringIO()  # Hydra would print a traceback when the pipe that it prints to is closed
     try:
         with redirect_stdout(shown):
-            _run_hydra(arguments, parser, lambda config: None, str(config_dir()), config_name)
+            sys.argv[1:] = [*words, *arguments.overrides]
+            show()
     except ValueError as error:  # flags that do not go together
         raise ConfigError(str(error)) from error
     finally:

@@ -1,43 +1,50 @@
-"""Allow-list of classes that a stored config may instantiate, since it may come from anywhere."""
+"""Allow-list of classes that a stored config may instantiate, since it may come from anywhere.
+
+Names decide alone: nothing is imported to judge them.
+"""
 
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from parking_exp.config.constructor_arguments import CLASS_ARGUMENTS, class_path
 from parking_exp.config.schema import RunConfig
-from parking_exp.config.signatures import defined_in
-from parking_exp.config.source_lookup import UnknownTarget
+from parking_exp.config.targets import CLASS_ARGUMENTS, class_path
 from parking_exp.errors import UntrustedError
 
-# Packages and modules whose classes a run is made of. To construct one of them does nothing but make an object; other
-# modules of these projects have classes that write files or start processes (Stable-Baselines3's loggers and VecEnvs).
-TRUSTED = (
-    "highway_env.vehicle",
-    "parking_exp.buffers",
-    "parking_exp.algorithms.crossq",
-    "parking_exp.algorithms.features",
-    "parking_exp.algorithms.fast",
-    "sb3_contrib.crossq",
-    "sb3_contrib.tqc",
-    "stable_baselines3.common.buffers",
-    "stable_baselines3.common.noise",
-    "stable_baselines3.common.policies",
-    "stable_baselines3.common.torch_layers",
-    "stable_baselines3.common.utils",
-    "stable_baselines3.ddpg",
-    "stable_baselines3.her",
-    "stable_baselines3.sac",
-    "stable_baselines3.td3",
-    "torch.nn",
-    "torch.optim",
-)
+# Module -> classes in it, under each name that a config may use. To construct one of them only makes an object.
+CLASSES = {
+    "highway_env.vehicle.behavior": ["IDMVehicle", "LinearVehicle", "AggressiveVehicle", "DefensiveVehicle"],
+    "highway_env.vehicle.controller": ["ControlledVehicle", "MDPVehicle"],
+    "highway_env.vehicle.kinematics": ["Vehicle"],
+    "parking_exp.algorithms": ["DDPG", "SAC", "TD3"],
+    "parking_exp.algorithms.crossq": ["CrossQ"],
+    "parking_exp.algorithms.features": [
+        "EgoFrameExtractor",
+        "FineEgoFrameExtractor",
+        "MirroredEgoFrameExtractor",
+    ],
+    "parking_exp.buffers": ["HerBuffer"],
+    "sb3_contrib": ["CrossQ", "TQC"],
+    "stable_baselines3": ["DDPG", "HerReplayBuffer", "SAC", "TD3"],
+    "stable_baselines3.common.buffers": ["DictReplayBuffer", "ReplayBuffer"],
+    "stable_baselines3.common.noise": ["NormalActionNoise", "OrnsteinUhlenbeckActionNoise"],
+    "stable_baselines3.common.torch_layers": ["CombinedExtractor", "FlattenExtractor", "NatureCNN"],
+    "stable_baselines3.common.utils": ["ConstantSchedule", "LinearSchedule"],
+    "stable_baselines3.her": ["HerReplayBuffer"],
+    "torch.nn": [
+        *("CELU", "ELU", "GELU", "Hardsigmoid", "Hardswish", "Hardtanh", "Identity", "LeakyReLU", "LogSigmoid", "Mish"),
+        *("PReLU", "RReLU", "ReLU", "ReLU6", "SELU", "SiLU", "Sigmoid", "Softplus", "Softsign", "Tanh", "Tanhshrink"),
+    ],
+    "torch.optim": [
+        *("ASGD", "Adadelta", "Adafactor", "Adagrad", "Adam", "AdamW", "Adamax", "Muon", "NAdam", "RAdam", "RMSprop"),
+        *("Rprop", "SGD"),
+    ],
+}
+ALLOWED = frozenset(f"{module}.{name}" for module, names in CLASSES.items() for name in names)
 
 
 def check_trust(config: RunConfig, source: Path) -> None:
-    """Refuse a stored config that would execute something else than the classes a run is made of.
-
-    Sources are read and nothing of them is imported.
+    """Refuse a stored config that would execute something else than the classes that runs are made of.
 
     Raises:
         UntrustedError: it has a `_target_` that is no such class.
@@ -52,16 +59,8 @@ def check_trust(config: RunConfig, source: Path) -> None:
 
 
 def is_trusted(target: object) -> bool:
-    """Whether a `_target_` is the dotted path of a class that is defined in one of the `TRUSTED` modules."""
-    if not isinstance(target, str) or not all(part.isidentifier() for part in target.split(".")):
-        return False
-    if target.partition(".")[0] not in {trusted.partition(".")[0] for trusted in TRUSTED}:
-        return False  # another package that has imported such a class
-    try:
-        module = defined_in(target)
-    except UnknownTarget:
-        return False
-    return any(module == trusted or module.startswith(f"{trusted}.") for trusted in TRUSTED)
+    """Return whether a `_target_` is on the allow-list."""
+    return isinstance(target, str) and target in ALLOWED
 
 
 def _targets(node: Any, key: str = "") -> Iterator[tuple[str, Any]]:

@@ -3,32 +3,31 @@
 import copy
 import sys
 import warnings
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cache, lru_cache
 from operator import attrgetter
 from pathlib import Path
-from typing import Any, cast
+from typing import Any, ClassVar, cast
 
 import hydra
 import yaml
-from hydra._internal.config_loader_impl import ConfigLoaderImpl
-from hydra._internal.config_repository import CachingConfigRepository, IConfigRepository
-from hydra._internal.hydra import Hydra
-from hydra._internal.utils import create_config_search_path
+from hydra import initialize_config_dir
 from hydra.core.config_search_path import ConfigSearchPath
 from hydra.core.global_hydra import GlobalHydra
 from hydra.core.override_parser.overrides_parser import OverridesParser
-from hydra.core.override_parser.types import Override
+from hydra.core.override_parser.types import OverrideType
+from hydra.core.plugins import Plugins
 from hydra.errors import HydraException, OverrideParseException
-from hydra.plugins.config_source import ConfigResult
+from hydra.plugins.search_path_plugin import SearchPathPlugin
 from omegaconf import DictConfig, ListConfig, OmegaConf, open_dict
 from omegaconf.errors import OmegaConfBaseException
 
 from parking_exp.config.experiment_files import experiment_files
 from parking_exp.config.grid import check_blocks, check_number, points, seeds_of
 from parking_exp.config.overrides import (
+    OptionsOf,
     check_groups,
     check_keys,
     expand_groups,
@@ -44,7 +43,7 @@ from parking_exp.config.validate import validate
 from parking_exp.errors import ConfigError, ParkingError
 
 VERSION_BASE = "1.3"
-MOST_KEPT = 100  # compositions, of some 100 KB each
+MOST_CACHED = 100  # compositions, of some 100 KB each
 
 
 @dataclass(frozen=True)
@@ -123,15 +122,15 @@ def composed_runs(config_name: str, overrides: list[str], extra_config_dir: str 
     with hydra_ready(extra_config_dir, *folders):
         loader = GlobalHydra.instance().config_loader()
         parser = OverridesParser.create(config_loader=loader)
-        compose_lines = _compose_with(config_name)
-        parsed = expand_groups(overrides, parser, loader)
+        options_of = cache(loader.get_group_options)
+        compose_lines = _compose_with(config_name, options_of)
+        parsed = expand_groups(overrides, parser, options_of)
         groups = compose_lines().options.keys()
-        check_groups(parsed, groups, loader)
+        check_groups(parsed, groups, options_of)
         ours = [one for one in parsed if not is_launchers(one.key_or_group)]
-        chosen = first_values(one for one in ours if is_group(one, loader) or is_hydras(one.key_or_group))
+        chosen = first_values(one for one in ours if is_group(one, options_of) or is_hydras(one.key_or_group))
         base = compose_lines(*chosen)
-        _repository().keep(config_name, {(): compose_lines(), tuple(chosen): base})
-        check_keys(base.config, parsed, groups, loader)
+        check_keys(base.config, parsed, groups, options_of)
         swept = parser.parse_overrides([f"{key}={value}" for key, value in base.sweep.items()])
         typed = typed_values([one for one in [*swept, *parsed] if not is_hydras(one.key_or_group)])
         if "seeds" not in base.config:
@@ -139,42 +138,54 @@ def composed_runs(config_name: str, overrides: list[str], extra_config_dir: str 
         seeds, experiments = typed_seeds(parsed), typed.pop("experiment", None)
         typed.pop("seeds", None)
         named = [{"experiment": [name], **typed} for name in experiments] if experiments else [typed]
-        return [run for one in named for run in _runs(compose_lines, one, seeds)]
+        return [run for one in named for run in _runs(compose_lines, options_of, one, seeds)]
 
 
-def _compose_with(config_name: str) -> Compose:
-    """Return a function that composes a config with some overrides; what it has composed before, it returns again."""
-    repository = _repository()
+def _compose_with(config_name: str, options_of: OptionsOf) -> Compose:
+    """Return a function that composes a config with some overrides.
+
+    Hydra takes more than a tenth of a second for that. So it composes each choice of options once, and values of keys
+    are set in a copy.
+    """
     parser = OverridesParser.create()
+    # The user's own directories may be large, and are read anew in each call.
+    state: object = object() if UserDirectories.paths else _state_of_tree()
 
-    @cache
     def compose_lines(*lines: str) -> Composition:
-        if (kept := repository.compositions.get((config_name, lines))) is not None:
-            return copy.deepcopy(kept)
-        values = [one for one in parser.parse_overrides(list(lines)) if _is_value(one, repository)]
-        if values:  # Hydra, too, applies them at its end; what comes before takes some ten times as long
-            typed = {one.input_line for one in values}
-            plain = compose_lines(*(line for line in lines if line not in typed))
-            changed = copy.deepcopy(plain.config)
-            ConfigLoaderImpl._apply_overrides_to_config(values, changed)
-            return replace(plain, config=changed)
-        config = hydra.compose(config_name, list(lines), return_hydra_config=True)
-        options = {str(k): v for k, v in config.hydra.runtime.choices.items() if not str(k).startswith("hydra")}
-        sweep = _container(config.hydra.sweeper.get("params")) or {}
-        with open_dict(config):
-            del config["hydra"]
-        return Composition(config, options, sweep)
+        overrides = parser.parse_overrides(list(lines))
+        values = [one for one in overrides if not is_group(one, options_of)]
+        if all(one.type is OverrideType.CHANGE and not is_hydras(one.key_or_group) for one in values):
+            options = tuple(str(one.input_line) for one in overrides if one not in values)
+            composition = copy.deepcopy(_compose_once(config_name, options, state))
+            try:
+                for one in values:
+                    OmegaConf.update(composition.config, one.key_or_group, one.value(), merge=True)
+                return composition
+            except OmegaConfBaseException:
+                pass  # Hydra says which override is wrong
+        return _compose(config_name, lines)
 
     return compose_lines
 
 
-def _is_value(override: Override, repository: IConfigRepository) -> bool:
-    """Whether an override sets a key, and neither chooses an option nor is Hydra's."""
-    is_choice = repository.group_exists(override.key_or_group) and not isinstance(override.value(), dict)
-    return not (is_choice or override.is_sweep_override() or is_hydras(override.key_or_group))
+def _compose(config_name: str, lines: Sequence[str]) -> Composition:
+    config = hydra.compose(config_name, list(lines), return_hydra_config=True)
+    options = {str(k): v for k, v in config.hydra.runtime.choices.items() if not str(k).startswith("hydra")}
+    sweep = _container(config.hydra.sweeper.get("params")) or {}
+    with open_dict(config):
+        del config["hydra"]
+    return Composition(config, options, sweep)
 
 
-def _runs(compose_lines: Compose, typed: dict[str, list[str]], seeds: list[int] | None) -> list[Composed]:
+@lru_cache(maxsize=MOST_CACHED)
+def _compose_once(config_name: str, lines: Sequence[str], state: object) -> Composition:
+    """Compose, once for each state of the tree's files in a process."""
+    return _compose(config_name, lines)
+
+
+def _runs(
+    compose_lines: Compose, options_of: OptionsOf, typed: dict[str, list[str]], seeds: list[int] | None
+) -> list[Composed]:
     """Compose every cell of an experiment, and give it its seeds; all get their first before any its second."""
     base = compose_lines(*(f"{key}={typed[key][0]}" for key in ("experiment", "cells") if key in typed)).config
     blocks = check_blocks(_container(base.cells))
@@ -186,10 +197,14 @@ def _runs(compose_lines: Compose, typed: dict[str, list[str]], seeds: list[int] 
     if "seed" in typed or "seed" in in_blocks:
         seeds = None
     runs, cells = [], set()
-    all_points = points(blocks, typed, lambda key, point: _has(compose_lines, key, point), experiment)
+
+    def has(key: str, point: list[str]) -> bool:
+        return bool(options_of(key)) or _has(compose_lines, key, point)
+
+    all_points = points(blocks, typed, has, experiment)
     check_number(len(all_points) * len(seeds or [None]), f"{len(all_points)} cells x {len(seeds or [None])} seeds")
     for point in all_points:
-        composition = _cell(compose_lines, point)
+        composition = _cell(compose_lines, has, point)
         cell = composition.config
         if (known := OmegaConf.to_yaml(cell)) in cells:  # blocks that differ may be the same once values are typed
             continue
@@ -198,7 +213,7 @@ def _runs(compose_lines: Compose, typed: dict[str, list[str]], seeds: list[int] 
     return sorted(runs, key=attrgetter("rank"))
 
 
-def _cell(compose_lines: Compose, point: list[str]) -> Composition:
+def _cell(compose_lines: Compose, has: Callable[[str, list[str]], bool], point: list[str]) -> Composition:
     """Compose a cell.
 
     Raises:
@@ -209,15 +224,13 @@ def _cell(compose_lines: Compose, point: list[str]) -> Composition:
     except HydraException as error:
         for key in (line.partition("=")[0] for line in point):
             option = next((line for line in point if line.startswith(f"{key.partition('.')[0]}=")), None)
-            if option and not _has(compose_lines, key, [option]):
+            if option and not has(key, [option]):
                 raise ConfigError(f"{key}: {option} has no such key; leave out the option or the key") from error
         raise
 
 
 def _has(compose_lines: Compose, key: str, point: list[str]) -> bool:
-    """Whether the config of a point has a key, or its tree a group of that name."""
-    if GlobalHydra.instance().config_loader().get_group_options(key):
-        return True
+    """Whether the config of a point has a key."""
     node: Any = compose_lines(*point).config
     for part in key.split("."):
         if not isinstance(node, DictConfig) or part not in node:
@@ -245,36 +258,24 @@ def config_dir() -> Path:
     return inside if inside.is_dir() else package.parent / "conf"
 
 
-class KeptFiles(CachingConfigRepository):
-    """The YAML files of the tree, each read once, and what options alone compose to.
+class UserDirectories(SearchPathPlugin):
+    """Adds directories of the user's own options to Hydra's search path, behind ours."""
 
-    Hydra reads them anew for each config that it composes, which is most of the time that this takes.
-    """
+    paths: ClassVar[Sequence[str]] = ()
 
-    def __init__(self, delegate: IConfigRepository) -> None:
-        """Wrap Hydra's own repository."""
-        super().__init__(delegate)
-        self.compositions: dict[tuple[str, tuple[str, ...]], Composition] = {}
+    def manipulate_search_path(self, search_path: ConfigSearchPath) -> None:
+        """Append the directories."""
+        for number, path in enumerate(self.paths):
+            search_path.append(f"command-line {number}", path)
 
-    def keep(self, config_name: str, compositions: Mapping[tuple[str, ...], Composition]) -> None:
-        """Keep what lines compose to, for the next call in this process."""
-        for lines, composition in compositions.items():
-            is_hydras = any(line.lstrip("+~").startswith("hydra") for line in lines)
-            if (config_name, lines) not in self.compositions and len(self.compositions) < MOST_KEPT and not is_hydras:
-                self.compositions[config_name, lines] = copy.deepcopy(composition)
 
-    def load_config(self, config_path: str) -> ConfigResult | None:
-        """Return a copy of a file's content: what Hydra merges into it must not stay."""
-        return copy.deepcopy(super().load_config(config_path))
-
-    def initialize_sources(self, config_search_path: ConfigSearchPath) -> None:
-        """Look elsewhere from now on (`hydra.searchpath`), which the next call must not do."""
-        _kept_files.cache_clear()
-        super().initialize_sources(config_search_path)
-
-    def __deepcopy__(self, memo: object) -> "KeptFiles":
-        """Return itself: Hydra takes a copy for each config, and would lose what that one has read."""
-        return self
+@cache
+def _register_plugins() -> None:
+    # Hydra looks for launchers in `hydra_plugins` alone, and a checkout need not be installed.
+    plugins = str(Path(__file__).resolve().parents[1] / "plugins")
+    if plugins not in sys.path and Path(plugins).is_dir():
+        sys.path.append(plugins)
+    Plugins.instance().register(UserDirectories)
 
 
 @contextmanager
@@ -284,17 +285,15 @@ def hydra_ready(extra_config_dir: str | None, *more: str) -> Iterator[None]:
     Raises:
         ConfigError: what Hydra or OmegaConf complain about meanwhile, in their first sentence.
     """
-    hydra.version.setbase(VERSION_BASE)
-    instance = GlobalHydra.instance()
-    outer = instance.hydra  # we may be called within a Hydra app, such as a benchmark or a user's own
-    extra = [str(Path(one).absolute()) for one in (extra_config_dir, *more) if one]
-    ours = _set_up(*extra)
-    plain = ours.config_loader.repository
-    # The user's own directories may be large, and are read anew in each call.
-    ours.config_loader.repository = KeptFiles(plain) if extra else _kept_files(plain, _state_of_tree())
-    instance.hydra = ours
+    _register_plugins()
+    outer = GlobalHydra.instance().hydra  # we may be called within a Hydra app, such as a benchmark or a user's own
+    GlobalHydra.instance().clear()
+    UserDirectories.paths = [str(Path(one).absolute()) for one in (extra_config_dir, *more) if one]
     try:
-        with warnings.catch_warnings():
+        with (
+            initialize_config_dir(str(config_dir()), "parking_exp", VERSION_BASE),
+            warnings.catch_warnings(),
+        ):
             # Our preset `ray` has the name of the launcher's own config, and may well be checked against it.
             warnings.filterwarnings("ignore", message=r"(?s).*validated against ConfigStore schema")
             yield
@@ -305,36 +304,13 @@ def hydra_ready(extra_config_dir: str | None, *more: str) -> Iterator[None]:
             raise error.__cause__ from error
         raise ConfigError(_first_sentence(error)) from error
     finally:
-        ours.config_loader.repository = plain
-        instance.hydra = outer
-
-
-def _repository() -> KeptFiles:
-    return cast(KeptFiles, cast(ConfigLoaderImpl, GlobalHydra.instance().config_loader()).repository)
-
-
-@lru_cache(maxsize=1)
-def _kept_files(plain: IConfigRepository, state: frozenset[tuple[Path, int]]) -> KeptFiles:
-    """Return our tree's files as they are in this state: several calls in one process read and compose them once."""
-    return KeptFiles(plain)
+        UserDirectories.paths = ()
+        GlobalHydra.instance().hydra = outer
 
 
 def _state_of_tree() -> frozenset[tuple[Path, int]]:
     """Return the files of our tree and when each was changed."""
     return frozenset((path, path.stat().st_mtime_ns) for path in config_dir().rglob("*.yaml"))
-
-
-@cache
-def _set_up(*extra_config_dirs: str) -> Any:
-    """Set Hydra up, once in a process for the same directories of the user's."""
-    # Hydra looks for launchers in `hydra_plugins` alone, and a checkout need not be installed.
-    plugins = str(Path(__file__).resolve().parents[1] / "plugins")
-    if plugins not in sys.path and Path(plugins).is_dir():
-        sys.path.append(plugins)
-    search_path = create_config_search_path(str(config_dir()))
-    for number, folder in enumerate(extra_config_dirs):
-        search_path.prepend(f"command-line {number}", folder, anchor="schema")
-    return Hydra(task_name="parking_exp", config_loader=ConfigLoaderImpl(config_search_path=search_path))
 
 
 def _first_sentence(error: Exception) -> str:

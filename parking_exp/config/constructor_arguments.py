@@ -1,126 +1,76 @@
-"""Check constructor arguments of third-party classes against their signatures and ranges.
+"""Check the arguments of third-party classes against their signatures, nested ones included.
 
-Nested ones, too: nodes with a `_target_`, `policy_kwargs`, and the arguments of optimizer and features extractor.
+Nested are nodes with a `_target_`, `policy_kwargs`, and the arguments of optimizer and features extractor. The classes
+are imported for it, and torch with them, so everything that can be checked without them is checked first.
 """
 
-import re
+import inspect
 from collections.abc import Mapping, Set
-from typing import Annotated, Any, Literal
+from types import NoneType
+from typing import Any, get_args
 
-from pydantic import Field, TypeAdapter, ValidationError
-
-from parking_exp.config.her_options import RELABEL_OPTIONS, GoalStrategy
-from parking_exp.config.messages import no_target, sentence
-from parking_exp.config.schema import (
-    AlgorithmConfig,
-    Count,
-    NonNegative,
-    Positive,
-    PositiveFloat,
-    RunConfig,
-    Share,
-    ThirdParty,
-)
-from parking_exp.config.signatures import Parameter, Signature, base_names, may_derive_from, policy_signature, signature
-from parking_exp.config.source_lookup import UnknownTarget
+from parking_exp.config.limits import has_limit
+from parking_exp.config.schema import AlgorithmConfig, RunConfig, ThirdParty
+from parking_exp.config.targets import CLASS_ARGUMENTS, UnknownTarget, class_path, find
 from parking_exp.errors import suggestion
 
-Decay = Annotated[float, Field(ge=0, lt=1)]
-
-# Ranges that third-party signatures don't state. A schedule, "auto", and [number, unit] for train_freq pass.
-RANGES: dict[str, Any] = {
-    "learning_rate": PositiveFloat,
-    "buffer_size": Positive,
-    "learning_starts": Count,
-    "batch_size": Positive,
-    "tau": Share,
-    "gamma": Share,
-    "train_freq": Positive,
-    "gradient_steps": Annotated[int, Field(ge=-1)],  # -1: as many as steps
-    "n_steps": Annotated[int, Field(ge=1, le=1)],
-    "policy_delay": Positive,
-    "target_update_interval": Positive,
-    "target_policy_noise": NonNegative,
-    "target_noise_clip": NonNegative,
-    "ent_coef": PositiveFloat,
-    "target_entropy": float,
-    "stats_window_size": Positive,
-    "top_quantiles_to_drop_per_net": Count,
-    "n_sampled_goal": Positive,
-    "goal_selection_strategy": GoalStrategy,
-    **RELABEL_OPTIONS,
-    "policy": Literal["MultiInputPolicy"],
-    "n_critics": Annotated[int, Field(ge=1, le=100)],
-    "n_quantiles": Annotated[int, Field(ge=1, le=10_000)],
-    "weight_decay": NonNegative,
-    "eps": NonNegative,
-    "betas": Annotated[list[Decay], Field(min_length=2, max_length=2)],
-}
-# Ranges of arguments whose names mean something else elsewhere, by the class that takes them. Of lists, each entry.
-RANGES_OF: dict[str, dict[str, Any]] = {
-    "LinearSchedule": {"start": PositiveFloat, "end": NonNegative, "end_fraction": Share},
-    "ConstantSchedule": {"val": PositiveFloat},
-    "NormalActionNoise": {"mean": float, "sigma": NonNegative},
-    "OrnsteinUhlenbeckActionNoise": {"mean": float, "sigma": NonNegative, "theta": NonNegative, "dt": PositiveFloat},
-}
 # What the classes of the sections derive from, and what that is called.
 BASES = {
-    "algorithm": ("OffPolicyAlgorithm", "off-policy algorithm"),
-    "buffer": ("ReplayBuffer", "replay buffer"),
+    "algorithm": ("stable_baselines3.common.off_policy_algorithm.OffPolicyAlgorithm", "an off-policy algorithm"),
+    "buffer": ("stable_baselines3.common.buffers.ReplayBuffer", "a replay buffer"),
 }
-# Arguments that are classes, and the base that these must have. In a config they are dotted paths, or `_target_` nodes.
-CLASS_ARGUMENTS = {
-    "activation_fn": "Module",
-    "optimizer_class": "Optimizer",
-    "features_extractor_class": "BaseFeaturesExtractor",
-}
-CLASS_LOOKUPS = ("hydra.utils.get_class", "hydra.utils.get_object")
-HYDRAS_KEYS = {"_target_", "_partial_", "_convert_", "_recursive_", "_args_"}
+POLICY = "MultiInputPolicy"
+HYDRA_KEYS = {"_target_", "_partial_", "_convert_", "_recursive_", "_args_"}
+SIMPLE_TYPES = {int, float, bool, str, NoneType}
+# May be null although the library's annotation has no None: the run computes them.
+NULLABLE = {"train_freq", "gradient_steps"}
 
-# Arguments that the run feeds from elsewhere, and from where.
-Fed = Mapping[str, str | None]
-FED_TO_ALGORITHM: Fed = {
+# Arguments that the run sets, and the key that they come from.
+SetByRun = Mapping[str, str | None]
+OF_ALGORITHM: SetByRun = {
     "env": "env",
     "seed": "seed",
     "device": "device",
     "buffer_size": "buffer.buffer_size",
-    "optimize_memory_usage": "buffer.optimize_memory_usage",
+    "optimize_memory_usage": None,
+    "n_steps": None,
+    "policy": None,
     "replay_buffer_class": "buffer._target_",
     "replay_buffer_kwargs": "buffer",
     "tensorboard_log": "tracking.tensorboard",
     "verbose": "tracking.stdout",
     "_init_setup_model": None,
 }
-FED_TO_BUFFER: Fed = {
+OF_BUFFER: SetByRun = {
+    "buffer_size": "buffer.buffer_size",
     "observation_space": "env",
     "action_space": "env",
     "env": "env",
     "n_envs": "n_envs",
     "device": "device",
+    "optimize_memory_usage": None,
     "reward": "env",
 }
-FED_TO_POLICY: Fed = {
+OF_POLICY: SetByRun = {
     "observation_space": "env",
     "action_space": "env",
     "lr_schedule": "algorithm.learning_rate",
     "use_sde": "algorithm.use_sde",
 }
-FED_TO_OPTIMIZER: Fed = {"params": "algorithm.net_arch", "lr": "algorithm.learning_rate"}
-FED_TO_EXTRACTOR: Fed = {"observation_space": "env"}
-# Arguments that may be null in our YAML although the library's own annotation says otherwise: we fill them in.
-UNSET = {"train_freq", "gradient_steps"}
+OF_OPTIMIZER: SetByRun = {"params": "algorithm.net_arch", "lr": "algorithm.learning_rate"}
+OF_EXTRACTOR: SetByRun = {"observation_space": "env"}
 
 
 def check_arguments(run: RunConfig) -> list[str]:
-    """Say what is wrong with the arguments of the algorithm, of its policy and of the buffer."""
+    """Return what is wrong with the arguments of the algorithm, of its policy and of the buffer."""
     return [
-        *_check_section("algorithm", run.algorithm, FED_TO_ALGORITHM, {"policy_kwargs", "features", "net_arch"}),
-        *_check_section("buffer", run.buffer, FED_TO_BUFFER, {"buffer_size", "optimize_memory_usage"}),
+        *_check_section("algorithm", run.algorithm, OF_ALGORITHM),
+        *_check_section("buffer", run.buffer, OF_BUFFER),
     ]
 
 
 def ignored_features(algorithm: AlgorithmConfig) -> str:
-    """Say that an algorithm's policy computes no features of ours."""
+    """Return the error that an algorithm's policy has no features extractor."""
     return (
         f"algorithm.features={algorithm.features}: the policy of {algorithm.target} has no features extractor and "
         "would ignore it; set algorithm.features=raw"
@@ -128,44 +78,46 @@ def ignored_features(algorithm: AlgorithmConfig) -> str:
 
 
 def not_mirrored(algorithm: AlgorithmConfig) -> str:
-    """Say that an algorithm's policy can't mirror its steering."""
+    """Return the error that an algorithm's policy cannot mirror its steering."""
     return (
         f"algorithm.features=ego_mirrored: the policy of {algorithm.target} does not mirror its steering; "
         "set algorithm.features=ego_fine"
     )
 
 
-def class_path(value: object) -> object:
-    """Return the dotted path that a class argument names: itself, that of its `_target_`, or what that looks up."""
-    if not isinstance(value, Mapping):
-        return value
-    is_lookup = value.get("_target_") in CLASS_LOOKUPS and "_args_" not in value
-    return value.get("path" if is_lookup else "_target_")
+def policy_class(algorithm: type) -> type | None:
+    """Return the policy class that an algorithm has for goal observations; None where it does not say."""
+    return getattr(algorithm, "policy_aliases", {}).get(POLICY)
 
 
-def _check_section(key: str, section: ThirdParty, fed: Fed, own: Set[str]) -> list[str]:
-    """Check a section's constructor arguments; `own` are fields of ours that the run makes arguments of."""
+def takes(call: Any, name: str) -> bool:
+    """Return whether a class or function may be given an argument."""
+    parameters, is_open = _parameters(call)
+    return is_open or name in parameters
+
+
+def _check_section(key: str, section: ThirdParty, set_by_run: SetByRun) -> list[str]:
+    """Check a section's class and its arguments."""
     base, words = BASES[key]
     try:
-        expected, fits = signature(section.target), may_derive_from(section.target, base)
+        found = find(section.target)
     except UnknownTarget as error:
-        return [no_target(f"{key}._target_", section.target, error)]
-    if not fits:
-        return [f"{key}._target_={section.target} is no {words} of Stable-Baselines3"]
-    siblings = set(section.arguments) | set(type(section).model_fields) - {"target"}
-    given = section.arguments
-    problems = _check_call(key, section.target, expected, given, fed, own=own, siblings=siblings)
+        return [f"{key}._target_={section.target}: {error}"]
+    if not isinstance(found, type) or not issubclass(found, find(base)):
+        return [f"{key}._target_={section.target} is not {words} of Stable-Baselines3"]
+    siblings = set(type(section).model_fields) - {"target"}
+    problems = _check_call(key, found, section.target, section.arguments, set_by_run, siblings)
     if not problems and isinstance(section, AlgorithmConfig):
-        problems = _check_policy(section)
+        problems = _check_policy(section, found)
     return problems
 
 
-def _check_policy(algorithm: AlgorithmConfig) -> list[str]:
+def _check_policy(algorithm: AlgorithmConfig, algorithm_class: type) -> list[str]:
     """Check `policy_kwargs` against the policy's own constructor."""
     key, given = "algorithm.policy_kwargs", algorithm.arguments.get("policy_kwargs") or {}
     if not isinstance(given, Mapping):
         return [f"{key}={given!r} is not a group of keys"]
-    # A mapping, of `pi` and `qf`, says what algorithm.net_arch can't.
+    # A mapping, of `pi` and `qf`, says what algorithm.net_arch cannot.
     if "net_arch" in given and not isinstance(given["net_arch"], Mapping):
         return [f"{key}.net_arch takes the place of algorithm.net_arch; use algorithm.net_arch"]
     own = [name for name in given if str(name).startswith("features_extractor")]
@@ -173,126 +125,117 @@ def _check_policy(algorithm: AlgorithmConfig) -> list[str]:
         return [
             f"{key}.{own[0]} takes the place of algorithm.features={algorithm.features}; set algorithm.features=raw"
         ]
-    policy = str(algorithm.arguments.get("policy"))
-    expected = policy_signature(algorithm.target, policy)
-    if expected is None:
+    policy = policy_class(algorithm_class)
+    if policy is None:
         return []
-    if algorithm.features != "raw" and not expected.takes("features_extractor_class"):
+    if algorithm.features != "raw" and not takes(policy, "features_extractor_class"):
         return [ignored_features(algorithm)]
-    if algorithm.features == "ego_mirrored" and not base_names(algorithm.target) & {"SAC", "TD3"}:
+    mirrored = find("stable_baselines3.SAC"), find("stable_baselines3.TD3")
+    if algorithm.features == "ego_mirrored" and not issubclass(algorithm_class, mirrored):
         return [not_mirrored(algorithm)]
-    problems = _check_call(key, policy, expected, given, FED_TO_POLICY)
-    if problems:
+    if problems := _check_call(key, policy, POLICY, given, OF_POLICY):
         return problems
-    optimizer = class_path(given.get("optimizer_class", "torch.optim.Adam"))
-    problems += _check_kwargs(f"{key}.optimizer_kwargs", optimizer, given.get("optimizer_kwargs"), FED_TO_OPTIMIZER)
-    extractor = class_path(
-        given.get("features_extractor_class", "stable_baselines3.common.torch_layers.CombinedExtractor")
-    )
-    name = "features_extractor_kwargs"
-    return problems + _check_kwargs(f"{key}.{name}", extractor, given.get(name), FED_TO_EXTRACTOR)
+    optimizer = given.get("optimizer_class", "torch.optim.Adam")
+    extractor = given.get("features_extractor_class", "stable_baselines3.common.torch_layers.CombinedExtractor")
+    return [
+        *_check_kwargs(f"{key}.optimizer_kwargs", optimizer, given.get("optimizer_kwargs"), OF_OPTIMIZER),
+        *_check_kwargs(
+            f"{key}.features_extractor_kwargs", extractor, given.get("features_extractor_kwargs"), OF_EXTRACTOR
+        ),
+    ]
 
 
-def _check_kwargs(key: str, target: object, given: object, fed: Fed) -> list[str]:
-    """Check keyword arguments that a class is called with, beside others."""
+def _check_kwargs(key: str, value: object, given: object, set_by_run: SetByRun) -> list[str]:
+    """Check keyword arguments that a class argument is called with, beside others."""
     if given is None:
         return []
     if not isinstance(given, Mapping):
         return [f"{key}={given!r} is not a group of keys"]
-    return _check_call(key, str(target), signature(str(target)), given, fed, partial=True)
+    target = class_path(value)
+    return _check_call(key, find(target), str(target), given, set_by_run, partial=True)
 
 
 def _check_call(
     key: str,
-    target: str,
-    expected: Signature,
+    call: Any,
+    name: str,
     given: Mapping[str, Any],
-    fed: Fed,
-    *,
-    own: Set[str] = frozenset(),
+    set_by_run: SetByRun,
     siblings: Set[str] = frozenset(),
+    *,
     partial: bool = False,
 ) -> list[str]:
-    """Check the arguments of a call; more may come with a `partial` one. `siblings` are valid names beside them."""
-    problems = []
-    choices = (set(expected.parameters) - set(fed) - own) | siblings
-    for name, value in given.items():
-        parameter = expected.parameters.get(name)
-        if name in fed:
-            source = fed[name]
-            problems.append(f"{key}.{name} is set by the run itself" + (f"; use {source}" if source else ""))
-        elif parameter is not None:
-            problems += _check_value(f"{key}.{name}", name, value, target, parameter)
-        elif not expected.open:
-            problems.append(f"{key}.{name}: {target} has no such argument{suggestion(name, choices - {name})}")
+    """Check the arguments of a call; a `partial` one gets more. `siblings` are the valid keys that are no arguments."""
+    parameters, is_open = _parameters(call)
+    choices, problems = (parameters.keys() - set_by_run.keys()) | siblings, []
+    for argument, value in given.items():
+        if argument in set_by_run:
+            source = set_by_run[argument]
+            problems.append(f"{key}.{argument} is set by the run itself" + (f"; use {source}" if source else ""))
+        elif argument in parameters:
+            problems += _check_value(f"{key}.{argument}", value, name, parameters[argument])
+        elif not is_open:
+            problems.append(f"{key}.{argument}: {name} has no such argument{suggestion(argument, choices)}")
     if not partial:
         problems += [
-            f"{key}.{name} is missing; {target} needs it"
-            for name, parameter in expected.parameters.items()
-            if parameter.required and name not in {*given, *fed, *own}
+            f"{key}.{argument} is missing; {name} needs it"
+            for argument, parameter in parameters.items()
+            if parameter.default is parameter.empty and argument not in {*given, *set_by_run}
         ]
     return problems
 
 
-def _check_value(key: str, name: str, value: Any, target: str, parameter: Parameter) -> list[str]:
-    if name in CLASS_ARGUMENTS and isinstance(value, str | Mapping):
-        return _check_class(key, value, CLASS_ARGUMENTS[name])
+def _check_value(key: str, value: Any, call: str, parameter: inspect.Parameter) -> list[str]:
+    """Check a value's type where the annotation is simple; numbers with a known range have been checked already."""
+    if parameter.name in CLASS_ARGUMENTS and isinstance(value, str | Mapping):
+        return _check_class(key, value, CLASS_ARGUMENTS[parameter.name])
     if isinstance(value, Mapping) and "_target_" in value:
         return _check_node(key, value)
-    if name in UNSET and value is None:
+    annotation = parameter.annotation
+    if value is None and parameter.name not in NULLABLE and not _takes_none(parameter):
+        return [f"{key}=null: {call} needs a value"]
+    kinds = set(get_args(annotation)) or {annotation}
+    if has_limit(parameter.name, call) or not kinds <= SIMPLE_TYPES:
         return []
-    if not parameter.accepts(value):
-        return [f"{key}={value!r} has the wrong type; {target} takes {parameter.annotation}"]
-    ranges = RANGES_OF.get(target.rpartition(".")[2], RANGES)
-    if name not in ranges:
+    if type(value) in kinds or (type(value) is int and float in kinds):
         return []
-    if isinstance(value, list) and ranges is not RANGES:
-        return [
-            problem for index, one in enumerate(value) for problem in _check_range(f"{key}.{index}", one, ranges[name])
-        ]
-    if (name == "train_freq" and isinstance(value, list)) or (value is None and "None" in str(parameter.annotation)):
-        return []
-    return _check_range(key, value, ranges[name])
+    return [f"{key}={value!r} has the wrong type; {call} takes {inspect.formatannotation(annotation)}"]
 
 
 def _check_class(key: str, value: str | Mapping[str, Any], base: str) -> list[str]:
     """Check a class argument; a node may also name a function that returns the class."""
-    target = class_path(value)
-    if not isinstance(target, str):
-        return [f"{key}={value!r} is not a dotted path, PACKAGE.MODULE.CLASS"]
-    is_call = isinstance(value, Mapping) and target == value["_target_"]
     if isinstance(value, Mapping) and (problems := _check_node(key, {**value, "_partial_": True})):
         return problems
+    target = class_path(value)
     try:
-        others = base_names(target) & set(CLASS_ARGUMENTS.values())
+        found = find(target)
     except UnknownTarget as error:
-        return [] if is_call else [no_target(key, target, error)]
-    return [f"{key}={target} is no {base}"] if others and base not in others else []
+        return [f"{key}={target}: {error}"]
+    fits = issubclass(found, find(base)) if isinstance(found, type) else isinstance(value, Mapping)
+    return [] if fits else [f"{key}={target} is not a subclass of {base}"]
 
 
 def _check_node(key: str, node: Mapping[str, Any]) -> list[str]:
-    target = node["_target_"]
-    if not isinstance(target, str):
-        return [f"{key}._target_={target!r} is not a dotted path, PACKAGE.MODULE.CLASS"]
+    target = node.get("_target_")
     try:
-        expected = signature(target)
+        found = find(target)
     except UnknownTarget as error:
-        return [no_target(f"{key}._target_", target, error)]
-    given = {name: value for name, value in node.items() if name not in HYDRAS_KEYS}
-    partial = bool(node.get("_partial_")) or "_args_" in node
-    return _check_call(key, target, expected, given, {}, partial=partial)
+        return [f"{key}._target_={target}: {error}"]
+    given = {name: value for name, value in node.items() if name not in HYDRA_KEYS}
+    return _check_call(key, found, str(target), given, {}, partial=bool(node.get("_partial_")) or "_args_" in node)
 
 
-def _check_range(key: str, value: Any, valid: Any) -> list[str]:
-    if key in {"algorithm.ent_coef", "algorithm.target_entropy"} and isinstance(value, str):
-        pattern = r"auto(_\d+(\.\d*)?(e-?\d+)?)?" if key == "algorithm.ent_coef" else "auto"
-        return (
-            []
-            if re.fullmatch(pattern, value)
-            else [f"{key}={value} is not a valid choice; choose from auto and a number"]
-        )
+def _parameters(call: Any) -> tuple[dict[str, inspect.Parameter], bool]:
+    """Return the named parameters of a class or function, and whether it takes any others."""
     try:
-        TypeAdapter(valid).validate_python(value, strict=True)
-    except ValidationError as error:
-        return [sentence(item, prefix=key) for item in error.errors()]
-    return []
+        parameters = inspect.signature(call).parameters
+    except (TypeError, ValueError):  # compiled, without a signature
+        return {}, True
+    variadic = {name for name, one in parameters.items() if one.kind in (one.VAR_POSITIONAL, one.VAR_KEYWORD)}
+    is_open = any(parameters[name].kind is inspect.Parameter.VAR_KEYWORD for name in variadic)
+    return {name: one for name, one in parameters.items() if name not in variadic}, is_open
+
+
+def _takes_none(parameter: inspect.Parameter) -> bool:
+    annotation = parameter.annotation
+    return annotation in (parameter.empty, Any) or any(word in str(annotation) for word in ("None", "Optional"))

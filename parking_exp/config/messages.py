@@ -1,20 +1,22 @@
-"""Error messages for pydantic failures and for a `_target_` that cannot be found."""
+"""Error messages for what pydantic refuses."""
 
 from typing import Any, get_args, get_origin
 
-from pydantic import BaseModel
+from pydantic import BaseModel, TypeAdapter, ValidationError
 
-from parking_exp.config.source_lookup import UnknownTarget
 from parking_exp.errors import suggestion
 
 LARGEST_NUMBER = 1e15  # of any key: its square is a float, and its digits can be printed
 NUMBER_RANGE = f"numbers lie between {-LARGEST_NUMBER:.0e} and {LARGEST_NUMBER:.0e}"
 
 
-def no_target(key: str, target: str, error: UnknownTarget) -> str:
-    """Return what is wrong with a `_target_` that names nothing."""
-    extra = "; pip install 'parking-exp[contrib]'" if target.startswith("sb3_contrib.") and not error.known else ""
-    return f"{key}={target}: {error.reason}{suggestion(target.rpartition('.')[2], error.known)}{extra}"
+def problems_of(valid: Any, value: object, key: str) -> list[str]:
+    """Return what is wrong with the value of a key, given the type that it must have."""
+    try:
+        TypeAdapter(valid).validate_python(value, strict=True)
+    except ValidationError as error:
+        return [sentence(item, prefix=key) for item in error.errors()]
+    return []
 
 
 def sentence(item: Any, model: type[BaseModel] | None = None, prefix: str = "") -> str:

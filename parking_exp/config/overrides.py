@@ -1,8 +1,7 @@
 """Command-line overrides in Hydra's grammar: quoting them, reading their values, and checking the names in them."""
 
-from collections.abc import Iterable, Sequence, Set
+from collections.abc import Callable, Iterable, Sequence, Set
 
-from hydra.core.config_loader import ConfigLoader
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import Override, OverrideType
 from hydra.errors import HydraException
@@ -10,9 +9,10 @@ from omegaconf import DictConfig
 
 from parking_exp.config.grid import seeds_of, written
 from parking_exp.config.messages import NUMBER_RANGE
-from parking_exp.config.signatures import signature
-from parking_exp.config.source_lookup import UnknownTarget
-from parking_exp.errors import ConfigError, suggestion
+from parking_exp.errors import ConfigError, did_you_mean, suggestion
+
+OptionsOf = Callable[[str], list[str]]
+"""Returns the options of a group; none of what is no group."""
 
 
 def quoted(argument: str) -> str:
@@ -54,9 +54,9 @@ def is_launchers(key: str) -> bool:
     return key.startswith(("hydra/launcher", "hydra.launcher"))
 
 
-def is_group(override: Override, loader: ConfigLoader) -> bool:
+def is_group(override: Override, options_of: OptionsOf) -> bool:
     """Whether an override chooses an option of a group."""
-    return bool(loader.get_group_options(override.key_or_group))
+    return bool(options_of(override.key_or_group))
 
 
 def typed_seeds(overrides: list[Override]) -> list[int] | None:
@@ -95,7 +95,7 @@ def first_values(overrides: Iterable[Override]) -> list[str]:
     return lines
 
 
-def expand_groups(overrides: list[str], parser: OverridesParser, loader: ConfigLoader) -> list[Override]:
+def expand_groups(overrides: list[str], parser: OverridesParser, options_of: OptionsOf) -> list[Override]:
     """Parse overrides; those that set several keys of a group, `tracking={csv: false}`, become one for each key."""
     found = []
     for line in overrides:
@@ -105,7 +105,7 @@ def expand_groups(overrides: list[str], parser: OverridesParser, loader: ConfigL
             key = line.partition("=")[0]
             raise ConfigError(f"{key}: a number has too many digits; {NUMBER_RANGE}") from error
         values = override.value()
-        if override.type == OverrideType.CHANGE and isinstance(values, dict) and is_group(override, loader):
+        if override.type == OverrideType.CHANGE and isinstance(values, dict) and is_group(override, options_of):
             lines = [f"{override.key_or_group}.{key}={written(value)}" for key, value in values.items()]
             found += parser.parse_overrides(lines)
         else:
@@ -113,7 +113,7 @@ def expand_groups(overrides: list[str], parser: OverridesParser, loader: ConfigL
     return found
 
 
-def check_groups(overrides: Sequence[Override], groups: Set[str], loader: ConfigLoader) -> None:
+def check_groups(overrides: Sequence[Override], groups: Set[str], options_of: OptionsOf) -> None:
     """Check that groups and options exist.
 
     Raises:
@@ -125,13 +125,13 @@ def check_groups(overrides: Sequence[Override], groups: Set[str], loader: Config
             raise ConfigError(f"{override.input_line}: there is no key before the equals sign; write KEY=VALUE")
         if name == "hydra":
             raise ConfigError(f"{override.input_line}: hydra is a group of keys; write hydra.KEY=VALUE")
-        if (is_hydras(name) and name != "hydra/launcher") or not is_group(override, loader):
+        if (is_hydras(name) and name != "hydra/launcher") or not is_group(override, options_of):
             continue
         if name not in groups and not is_hydras(name):
             raise ConfigError(f"{name}: there is no such group here{suggestion(name, groups)}")
         if override.type != OverrideType.DEL:
             # Ray's launcher brings `ray_aws`, whose nodes do not share output_dir.
-            _check_options(override, [one for one in loader.get_group_options(name) if one != "ray_aws"])
+            _check_options(override, [option for option in options_of(name) if option != "ray_aws"])
 
 
 def _check_options(override: Override, options: list[str]) -> None:
@@ -149,7 +149,7 @@ def _check_options(override: Override, options: list[str]) -> None:
             raise ConfigError(f"{name}={value}: there is no such option{suggestion(str(value), options)}")
 
 
-def check_keys(base: DictConfig, overrides: Sequence[Override], groups: Set[str], loader: ConfigLoader) -> None:
+def check_keys(base: DictConfig, overrides: Sequence[Override], groups: Set[str], options_of: OptionsOf) -> None:
     """Check that the config of the chosen options has the keys that are changed or deleted.
 
     Keys of a group whose options are swept over are checked with each of its options, where cells are composed.
@@ -159,7 +159,7 @@ def check_keys(base: DictConfig, overrides: Sequence[Override], groups: Set[str]
     """
     swept = {override.key_or_group for override in overrides if override.is_sweep_override()}
     for override in overrides:
-        is_key = not is_hydras(override.key_or_group) and not is_group(override, loader)
+        is_key = not is_hydras(override.key_or_group) and not is_group(override, options_of)
         group, dot, _ = override.key_or_group.partition(".")
         if is_key and override.type in {OverrideType.CHANGE, OverrideType.DEL} and not (dot and group in swept):
             _check_key(base, override, groups)
@@ -172,29 +172,18 @@ def _check_key(base: DictConfig, override: Override, groups: Set[str]) -> None:
         known = [str(key) for key in node] if isinstance(node, DictConfig) else []
         if part not in known:
             parent = ".".join(parts[:depth])
-            arguments = _arguments(node)
-            if part in arguments:
+            if "_target_" in known and not did_you_mean(part, known):
                 raise ConfigError(
-                    f"{override.key_or_group}: an argument of {parent}._target_ that its YAML does not list; "
-                    f"write +{override.input_line}"
+                    f"{override.key_or_group}: there is no such key in the YAML of {parent}; if it is an argument of "
+                    f"{parent}._target_, write +{override.input_line}"
                 )
             if parent and isinstance(node, DictConfig) and not known:
                 raise ConfigError(f"{override.key_or_group}: {parent} is empty so far; write +{override.input_line}")
             if not parent and part in groups:
                 raise ConfigError(f"{part}: no option is chosen; write {part}=OPTION {override.input_line}")
-            choices = {*known, *arguments, *([] if parent else groups)}
+            choices = {*known, *([] if parent else groups)}
             if "experiment_name" in known:
                 choices.add("experiment")  # status.py and report.py have replaced it by that key already
             raise ConfigError(f"{override.key_or_group}: there is no such key{suggestion(part, choices)}")
         assert isinstance(node, DictConfig)
         node = node._get_node(part) if node._is_none() else node[part]
-
-
-def _arguments(node: object) -> set[str]:
-    """Constructor arguments of a `_target_` node."""
-    if not isinstance(node, DictConfig) or "_target_" not in node:
-        return set()
-    try:
-        return set(signature(node["_target_"]).parameters)
-    except UnknownTarget:
-        return set()

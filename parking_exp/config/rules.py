@@ -5,14 +5,15 @@ from collections.abc import Mapping
 from importlib.metadata import entry_points
 from itertools import pairwise
 
+from parking_exp.config.allowlist import is_trusted
 from parking_exp.config.her_options import HER_OPTIONS
-from parking_exp.config.messages import no_target
+from parking_exp.config.limits import check_limits
 from parking_exp.config.schema import DEFAULT_FEATURES, DEFAULT_SCALES, TRAINING_SCENES_START, EnvConfig, RunConfig
-from parking_exp.config.signatures import signature
-from parking_exp.config.source_lookup import UnknownTarget
+from parking_exp.config.targets import UnknownTarget, find
 from parking_exp.resources import total_memory
 
 STORES = ("sqlite", "http", "https", "postgresql", "mysql", "mssql", "databricks")  # MLflow's own
+HER_CLASSES = ("HerBuffer", "HerReplayBuffer")
 # What is needed at least: `HerBuffer` takes 113 bytes a transition, other buffers and a batch of tensors more.
 TRANSITION_BYTES, SCENE_BYTES = 113, 1000
 
@@ -47,15 +48,22 @@ def check_env(env: EnvConfig) -> list[str]:
             f"env.{option} is not simulated by env.simulator=vectorized; use env.simulator=highway_env"
             for option in env.uncovered
         ]
-    try:
-        signature(env.other_vehicles_type)
-    except UnknownTarget as error:
-        problems.append(no_target("env.other_vehicles_type", env.other_vehicles_type, error))
+    if not is_trusted(env.other_vehicles_type):  # which is one of highway-env's, and takes a second to import
+        try:
+            find(env.other_vehicles_type)
+        except UnknownTarget as error:
+            problems.append(f"env.other_vehicles_type={env.other_vehicles_type}: {error}")
     return problems
 
 
 def check_rules(run: RunConfig) -> list[str]:
-    """Rules between keys of different groups."""
+    """Check the ranges of well-known arguments, and rules between keys of different groups."""
+    limits = [
+        *check_limits("algorithm", run.algorithm.arguments, run.algorithm.target),
+        *check_limits("buffer", run.buffer.arguments, run.buffer.target),
+    ]
+    if limits:
+        return limits
     checks = (_check_memory, _check_buffer, _check_algorithm, _check_evaluation, _check_tracking)
     return check_env(run.env) + [problem for check in checks for problem in check(run)]
 
@@ -81,7 +89,10 @@ def _check_memory(run: RunConfig) -> list[str]:
 def _check_buffer(run: RunConfig) -> list[str]:
     problems = []
     without = run.buffer.arguments.get("goal_selection_strategy", "future") is None
-    relabels = not without and "n_sampled_goal" in signature(run.buffer.target).parameters
+    is_her = run.buffer.class_name in HER_CLASSES or not {*HER_OPTIONS, "goal_selection_strategy"}.isdisjoint(
+        run.buffer.arguments
+    )
+    relabels = is_her and not without
     idle = [name for name in HER_OPTIONS if name in run.buffer.arguments]
     if without and idle:
         problems.append(f"buffer.{idle[0]} has no effect without virtual goals; leave it out, or use buffer=her_future")
@@ -133,6 +144,8 @@ def _check_algorithm(run: RunConfig) -> list[str]:
             problems.append("algorithm.train_freq counts episodes, which works with one env only; set n_envs=1")
     actions = run.env.action.longitudinal + run.env.action.lateral
     noise = run.algorithm.arguments.get("action_noise")
+    if noise is not None and not (isinstance(noise, Mapping) and "_target_" in noise):
+        problems.append(f"algorithm.action_noise={noise} has no _target_; give one, or null")
     for name in ("mean", "sigma"):
         values = noise.get(name) if isinstance(noise, Mapping) else None
         if isinstance(values, list) and len(values) != actions:

@@ -5,39 +5,21 @@ the library's own names, and `config.constructor_arguments` checks them.
 """
 
 import math
-import re
 from fractions import Fraction
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
 from parking_exp.config.credentials import strip_password
-from parking_exp.config.her_options import GOAL_STRATEGIES
 from parking_exp.config.paths import directory_path
 from parking_exp.config.run_key import result_part, short_hash
 
+ENV_ID = "parking-v0"
 DEFAULT_FEATURES = ["x", "y", "vx", "vy", "cos_h", "sin_h"]
 DEFAULT_SCALES = [100, 100, 5, 5, 1, 1]
 # Seeds of training scenes start here; evaluation scenes lie below, so the two never meet.
 TRAINING_SCENES_START = 2**31
-
-# Names that our options have: they say what runs, and follow the keys that change it. Any other name is the user's own.
-ALGORITHM_NAMES = frozenset({"sac", "td3", "ddpg", "tqc", "crossq"})
-BUFFER_NAMES = frozenset({"replay", *(f"her_{strategy}" for strategy in GOAL_STRATEGIES)})
-ENV_NAMES = frozenset(
-    {
-        "parking",
-        "parking_sparse",
-        "parking_parked",
-        "parking_action_repeat",
-        "parking_2021",
-        "parking_stop",
-        "parking_stop_parked",
-    }
-)
-STANDING = 0.1  # what counts as standing, 0.5 m/s, in units of the observation
-REPLAY_CLASSES = ("HerBuffer", "HerReplayBuffer", "DictReplayBuffer")  # ours and Stable-Baselines3's
 
 NAME = r"^[A-Za-z0-9][A-Za-z0-9._-]*$"
 Name = Annotated[str, Field(pattern=NAME, max_length=80)]
@@ -64,7 +46,7 @@ class ConfigModel(BaseModel):
 class ObservationConfig(ConfigModel):
     """highway-env's `observation` options."""
 
-    type: Literal["KinematicsGoal"]
+    type: Literal["KinematicsGoal"]  # stored, so that highway-env takes the `env` section of a run's config as it is
     features: Annotated[list[Literal["x", "y", "vx", "vy", "cos_h", "sin_h"]], Field(min_length=1)]
     scales: list[PositiveFloat]
     normalize: bool
@@ -87,7 +69,6 @@ class EnvConfig(ConfigModel):
     """The `env` group: highway-env's options under their own names, and five of ours."""
 
     name: Name
-    id: Literal["parking-v0"]
     simulator: Simulation
     reward: Literal["dense", "sparse"]
     training_duration: Duration | None
@@ -102,7 +83,6 @@ class EnvConfig(ConfigModel):
     simulation_frequency: Annotated[int, Field(ge=1, le=1000)]
     policy_frequency: Annotated[int, Field(ge=1, le=100)]  # episode_steps() counts duration x policy_frequency steps
     duration: Duration
-    controlled_vehicles: Literal[1]
     vehicles_count: Annotated[int, Field(ge=0, le=26)]
     add_walls: bool
     other_vehicles_type: str
@@ -114,23 +94,7 @@ class EnvConfig(ConfigModel):
     show_trajectories: bool
     render_agent: bool
     offscreen_rendering: bool | None
-    manual_control: Literal[False]
     real_time_rendering: bool
-
-    @model_validator(mode="after")
-    def _name_what_runs(self) -> Self:
-        """`sparse` and `parked` in an option's name follow the keys; what makes the other variants may be gone."""
-        if self.name not in ENV_NAMES:
-            return self
-        variants = {
-            "parking_action_repeat": self.policy_frequency == 1,
-            "parking_2021": not self.add_walls,
-            "parking_stop": min(self.reward_weights[2:4]) * STANDING >= self.success_goal_reward**2,
-        }
-        name = self.name.removesuffix("_parked")
-        name = name if variants.get(name) else "parking"
-        name += "_parked" * (self.vehicles_count > 0) + "_sparse" * (self.reward == "sparse")
-        return self.model_copy(update={"name": name})
 
     def for_training(self) -> Self:
         """Return the config of training envs, in which `training_duration` and `training_success_goal_reward` apply."""
@@ -141,8 +105,8 @@ class EnvConfig(ConfigModel):
         return self.model_copy(update={key: value for key, value in values.items() if value is not None})
 
     def highway_options(self) -> dict[str, Any]:
-        """Return the `config` for `gym.make(self.id, config=...)`."""
-        ours = {"name", "id", "simulator", "reward"}
+        """Return the `config` for `gym.make(ENV_ID, config=...)`."""
+        ours = {"name", "simulator", "reward"}
         training = {name for name in type(self).model_fields if name.startswith("training_")}
         options = self.model_dump(exclude=ours | training)
         options["action"] = {key: value for key, value in options["action"].items() if value is not None}
@@ -180,10 +144,6 @@ class ThirdParty(BaseModel):
         """The last part of `_target_`."""
         return self.target.rpartition(".")[2]
 
-    def _named_after_class(self) -> Self:
-        name = re.sub(r"[^a-z0-9_]", "", self.class_name.lower()).strip("_")
-        return self.model_copy(update={"name": name[:80] or self.name})
-
 
 class AlgorithmConfig(ThirdParty):
     """The `algorithm` group."""
@@ -192,30 +152,11 @@ class AlgorithmConfig(ThirdParty):
     net_arch: Annotated[list[Positive], Field(min_length=1)]
     averaged_policy: PositiveFloat | None
 
-    @model_validator(mode="after")
-    def _name_what_runs(self) -> Self:
-        """`sac` with another class is named after that class, in lower case."""
-        if self.name not in ALGORITHM_NAMES:
-            return self
-        return self._named_after_class()
-
 
 class BufferConfig(ThirdParty):
     """The `buffer` group."""
 
     buffer_size: Positive
-    optimize_memory_usage: Literal[False]
-
-    @model_validator(mode="after")
-    def _name_what_runs(self) -> Self:
-        """`her_*` and `replay` follow the strategy, and other classes have their own name, in lower case."""
-        if self.name not in BUFFER_NAMES:
-            return self
-        if self.class_name not in REPLAY_CLASSES:
-            return self._named_after_class()
-        default = None if self.class_name == "DictReplayBuffer" else "future"
-        strategy = self.arguments.get("goal_selection_strategy", default)
-        return self.model_copy(update={"name": "replay" if strategy is None else f"her_{strategy}"})
 
 
 class EvaluationConfig(ConfigModel):

@@ -6,7 +6,7 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
-from parking_exp.config.schema import EnvConfig
+from parking_exp.config.schema import ENV_ID, EnvConfig
 from parking_exp.envs.interface import Observation, Step
 from parking_exp.envs.outcomes import Pose, relative_pose
 
@@ -45,7 +45,7 @@ def make_env(config: EnvConfig, *, render_mode: str | None = None) -> gym.Env:
 
     gym.register_envs(highway_env)
     # Gymnasium's checker tests every space at every step and costs time; our tests run it instead.
-    env = gym.make(config.id, config=config.highway_options(), render_mode=render_mode, disable_env_checker=True)
+    env = gym.make(ENV_ID, config=config.highway_options(), render_mode=render_mode, disable_env_checker=True)
     return SparseReward(env) if config.reward == "sparse" else env
 
 

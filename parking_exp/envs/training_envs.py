@@ -7,7 +7,7 @@ from typing import Any
 from stable_baselines3.common.monitor import ResultsWriter
 from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv, VecMonitor
 
-from parking_exp.config.schema import EnvConfig
+from parking_exp.config.schema import ENV_ID, EnvConfig
 from parking_exp.envs.action_replay import ReplayActions
 from parking_exp.envs.highway import make_env
 from parking_exp.envs.vec_env import ParkingVecEnv
@@ -36,7 +36,7 @@ def make_training_envs(
     envs = VecMonitor(simulated, info_keywords=MONITORED)
     envs.t_start = time.time() - elapsed_s
     if monitor is not None:
-        header: dict[str, float | str] = {"t_start": envs.t_start, "env_id": config.id}
+        header: dict[str, float | str] = {"t_start": envs.t_start, "env_id": ENV_ID}
         envs.results_writer = ResultsWriter(str(monitor), header, MONITORED, override_existing=not monitor.exists())
     return envs
 
@@ -70,4 +70,4 @@ def is_parking(envs: VecEnv) -> bool:
     if isinstance(envs.unwrapped, ParkingVecEnv):
         return True
     (spec,) = envs.get_attr("spec", 0)
-    return spec is not None and spec.id == "parking-v0"
+    return spec is not None and spec.id == ENV_ID

@@ -14,7 +14,6 @@ from pydantic import Field
 from parking_exp.config.compose import composed
 from parking_exp.config.paths import directory_path, refuse_links
 from parking_exp.config.schema import ConfigModel, StoreConfig
-from parking_exp.config.signatures import signature
 from parking_exp.config.validate import parse
 from parking_exp.errors import ConfigError, did_you_mean, plural
 from parking_exp.terminal import say
@@ -100,14 +99,12 @@ def _refuse_misspelt(typed: Sequence[str]) -> None:
 
 
 def _config_keys() -> Iterator[str]:
-    """Yield the dotted keys of the default run, and the arguments that its classes have besides."""
+    """Yield the dotted keys of the default run."""
     nodes: list[tuple[str, Any]] = [("", composed("config", [])[0])]
     for name, node in nodes:
         yield name
         if isinstance(node, DictConfig):
             nodes += [(f"{name}.{key!s}".removeprefix("."), value) for key, value in node.items()]
-            if "_target_" in node:
-                yield from (f"{name}.{argument}" for argument in signature(node["_target_"]).parameters)
 
 
 def _endings(key: str) -> list[str]:

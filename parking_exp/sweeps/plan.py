@@ -13,7 +13,7 @@ from rich.console import Console
 from parking_exp.config.cell_labels import cell_labels, find_factors, settings_of
 from parking_exp.config.compose import Composed
 from parking_exp.config.schema import RunConfig
-from parking_exp.config.validate import validate
+from parking_exp.config.validate import validate_all
 from parking_exp.errors import ConfigError, plural
 from parking_exp.resources import cores
 from parking_exp.runs.directory import RunDirectory
@@ -70,11 +70,9 @@ def plan(
         OutputDirectoryError: another version of this package has begun a run, and it is not done.
     """
     runs: dict[Path, PlannedRun] = {}
-    cells: dict[int, tuple[RunConfig, Path]] = {}  # a cell is checked once for all its seeds
-    for one in composed:
-        if id(one.cell) not in cells:
-            config = validate(one.cell)
-            cells[id(one.cell)] = config, config.run_dir.parent
+    unique = {id(one.cell): one.cell for one in composed}  # a cell is checked once for all its seeds
+    configs = validate_all(unique.values())
+    cells = {key: (config, config.run_dir.parent) for key, config in zip(unique, configs, strict=True)}
     labels = _labels({folder: config for config, folder in cells.values()})
     for one in composed:
         config, folder = cells[id(one.cell)]

@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING, Any
 
 from filelock import FileLock
 
+from parking_exp.config.cell_labels import settings_of
 from parking_exp.config.paths import absolute, database, relative, relative_path
 from parking_exp.config.schema import RunConfig
 from parking_exp.runs.directory import RunDirectory, Status
@@ -138,13 +139,9 @@ def present_status(directory: RunDirectory) -> Status:
     return status
 
 
-def flatten(config: Mapping[str, Any], prefix: str = "") -> dict[str, str]:
+def flatten(config: Mapping[str, Any]) -> dict[str, str]:
     """Return nested mappings as one level with dotted keys; lists stay whole."""
-    flat: dict[str, str] = {}
-    for key, value in config.items():
-        name = f"{prefix}{key}"
-        flat |= flatten(value, f"{name}.") if isinstance(value, Mapping) and value else {name: str(value)}
-    return flat
+    return {key: str(value) for key, value in settings_of(config).items()}
 
 
 class _Sent:

@@ -113,26 +113,17 @@ def test_seeds_on_a_command_line():
 @pytest.mark.parametrize(
     ("overrides", "message"),
     [
-        (("seeds=a,b",), "seeds=['a', 'b'] is neither a number of seeds (1 or more) nor a list of them, such as [0,1]"),
-        (
-            ("seeds=[1,2],[3]",),
-            "seeds=[[1, 2], [3]] is neither a number of seeds (1 or more) nor a list of them, such as [0,1]",
-        ),
-        (("seeds=3", "seed=1"), "seed and seeds are both given; seeds=[...] names several"),
+        (("seeds=a,b",), "seeds=['a', 'b'] is neither"),
+        (("seeds=[1,2],[3]",), "seeds=[[1, 2], [3]] is neither"),
+        (("seeds=3", "seed=1"), "seed and seeds are both given"),
         (
             ("buffer=her_future,replay", "buffer.n_sampled_goal=2,4"),
-            "buffer.n_sampled_goal: buffer=replay has no such key; leave out the option or the key",
+            "buffer.n_sampled_goal: buffer=replay has no such key",
         ),
-        (
-            ("algorithm=sac,td3", "algorithm.policy_delay=1,2"),
-            "algorithm.policy_delay: algorithm=sac has no such key; leave out the option or the key",
-        ),
-        (
-            ("algorithm=sac,td3", "algorithm.gama=1"),
-            "algorithm.gama: algorithm=sac has no such key; leave out the option or the key",
-        ),
-        (("cells=3",), "cells=3 is not a list of {key: [values]}"),
-        (("cells=[3]",), "cells=[3] is not a list of {key: [values]}"),
+        (("algorithm=sac,td3", "algorithm.policy_delay=1,2"), "algorithm.policy_delay: algorithm=sac has no such key"),
+        (("algorithm=sac,td3", "algorithm.gama=1"), "algorithm.gama: algorithm=sac has no such key"),
+        (("cells=3",), "cells=3 is not a list"),
+        (("cells=[3]",), "cells=[3] is not a list"),
         (("budget=smal",), "budget=smal: there is no such option; did you mean 'small'?"),
     ],
 )

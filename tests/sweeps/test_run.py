@@ -39,10 +39,19 @@ def test_a_dry_run_prints_the_plan_and_makes_nothing(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_labels_of_a_sweep_say_what_runs_and_what_comes_to_the_same_runs_once(tmp_path):
-    axes = ["buffer=her_future,her_final", "buffer.n_sampled_goal=2,4", "buffer.goal_selection_strategy=final"]
+def test_labels_of_a_sweep_are_what_differs_between_its_cells(tmp_path):
+    axes = [
+        "buffer=her_final",
+        "buffer.n_sampled_goal=2,4",
+        "algorithm.gamma=0.9",
+        "buffer.goal_selection_strategy=final,future",
+    ]
     runs = plan(composed_runs("config", [*QUICK, *axes, f"output_dir={tmp_path}"]))
-    assert [run.label for run in runs] == ["n_sampled_goal=2", "n_sampled_goal=4"]
+    assert [run.label for run in runs] == [
+        f"goal_selection_strategy={strategy}, n_sampled_goal={number}"
+        for number in (2, 4)
+        for strategy in ("final", "future")
+    ]
 
 
 def test_typed_again_a_sweep_does_only_what_is_missing(tmp_path):
