@@ -1,7 +1,6 @@
 """Load the results of runs from an MLflow store."""
 
 import re
-from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -19,7 +18,6 @@ from parking_exp.evaluation.trajectories import TRAJECTORIES_FILE
 from parking_exp.results.dtypes import TEXT, column, flags, integers, text, times, typed
 from parking_exp.results.invalid_values import sound_points, sound_runs
 from parking_exp.results.recordings import EPISODES, read_episodes, read_trajectories
-from parking_exp.runs.layout_version import other_version
 from parking_exp.tracking.failures import is_store_failure, reason
 from parking_exp.tracking.reader import Point, Reader, StoredRun
 
@@ -130,7 +128,7 @@ def load(
         + first_few([*impossible.get(run_id, []), *points.get(run_id, [])])
         for run_id in {*impossible, *points}
     }
-    said = (*_of_other_versions(kept), *_twice(runs), *_sentences(runs, wrong), *problems)
+    said = (*_twice(runs), *_sentences(runs, wrong), *problems)
     return Results(runs, curves, episodes, reader.uri, said, len(found) - len(kept), None if uri else here)
 
 
@@ -233,18 +231,6 @@ def _sentences(runs: pd.DataFrame, problems: Mapping[str, str]) -> Iterator[str]
     for run_id, cell, seed in zip(runs["run_id"], runs["cell"], runs["seed"], strict=True):
         if run_id in problems:
             yield f"run {run_id} ({cell}, seed {seed}): {problems[run_id]}"
-
-
-def _of_other_versions(found: Sequence[StoredRun]) -> Iterator[str]:
-    """Say how many runs another version of this package has made."""
-    for maker, number in Counter(other_version({"layout": _layout(run.tags.get("layout"))}) for run in found).items():
-        if maker:
-            what = "only that version can evaluate them or go on with them"
-            yield f"{plural(number, 'run')} made by {maker}: the numbers are read as they are; {what}"
-
-
-def _layout(tag: str | None) -> int:
-    return int(tag) if tag is not None and tag.isdecimal() else 0
 
 
 def _twice(runs: pd.DataFrame) -> Iterator[str]:

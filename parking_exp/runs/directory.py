@@ -22,9 +22,8 @@ from pydantic import TypeAdapter, ValidationError
 from parking_exp.config.credentials import strip_password
 from parking_exp.config.paths import absolute, directory_path, lies_inside, relative
 from parking_exp.config.schema import RunConfig
-from parking_exp.errors import ConfigError, OutputDirectoryError, RunLockedError, UntrustedError
+from parking_exp.errors import OutputDirectoryError, RunLockedError, UntrustedError
 from parking_exp.runs.files import read_object, write_json
-from parking_exp.runs.layout_version import new_entries, other_version, refusal
 from parking_exp.runs.locks import hold, is_held
 from parking_exp.runs.provenance import typed_command
 from parking_exp.runs.status_schema import Status, StatusEntries, read_entries
@@ -105,21 +104,6 @@ class RunDirectory:
     def under_way(self) -> bool:
         """Whether a process, be it this one, is responsible for the run now, or works on it."""
         return any(is_held(self.path / name) for name in (SUPERVISOR_LOCK, TRAINING_LOCK))
-
-    @property
-    def version_problem(self) -> str | None:
-        """What to do with a run that another version of this package has made; None for a run of this version."""
-        maker = other_version(self.read_status())
-        return refusal(self.path, maker) if maker else None
-
-    def check_version(self) -> None:
-        """Refuse to train in a directory that another version of this package has made.
-
-        Raises:
-            OutputDirectoryError: it is such a directory.
-        """
-        if problem := self.version_problem:
-            raise OutputDirectoryError(f"{self.path}: {problem}")
 
     def update(self, **values: Any) -> None:
         """Change entries of status.json; None removes one."""
@@ -209,10 +193,8 @@ class RunDirectory:
         """Read the run's config, with the output directory and store of where the run is now.
 
         Raises:
-            ConfigError: another version of this package has made the run, or `read_config` refuses what is there.
+            ConfigError: it is missing, damaged, or does not fit the schema.
         """
-        if problem := self.version_problem:
-            raise ConfigError(f"{self.path}: {problem}")
         return read_config(self.path, self.output_dir)
 
     def check_links(self) -> None:
@@ -257,7 +239,7 @@ class RunDirectory:
     def _update(self, values: dict[str, Any], durable: bool) -> None:
         # A training, its supervisor, a sync and an evaluation may change different entries at once.
         with FileLock(self.path / ".status.lock"):
-            changed = {**(self.read_status() or new_entries()), **values}
+            changed = {**self.read_status(), **values}
             kept = {key: value for key, value in changed.items() if value is not None}
             write_json(self.path / STATUS_FILE, kept, durable=durable)
 

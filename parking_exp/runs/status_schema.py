@@ -18,9 +18,8 @@ class _Entries(BaseModel):
 
 
 class StatusEntries(_Entries):
-    """How far a run is. `layout_version.py` says what `layout` is, `state.RunState` what the other entries mean."""
+    """How far a run is; `state.RunState` says what the entries mean."""
 
-    layout: Count | None = None
     status: Status | None = None
     label: str | None = None
     error: str | None = None
