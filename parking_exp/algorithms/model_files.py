@@ -10,7 +10,6 @@ import re
 import zipfile
 from collections import deque
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
 from itertools import chain
 from pathlib import Path
 from typing import Any
@@ -27,7 +26,7 @@ from stable_baselines3.common.vec_env import VecEnv
 
 from parking_exp.algorithms.fast.base import FastTraining
 from parking_exp.errors import DamagedModelError, ModelError
-from parking_exp.runs.files import fsync
+from parking_exp.runs.files import replacing
 
 VARIABLES = "pytorch_variables"
 # Entries of the pickled part that a HER buffer wants an env for: without them `SAC.load(path)` is enough.
@@ -182,18 +181,6 @@ def _walk(node: Any, name: str, seen: set[int]) -> Iterator[tuple[str, Any]]:
 def _check_sums(archive: zipfile.ZipFile) -> None:
     if (member := archive.testzip()) is not None:
         raise zipfile.BadZipFile(f"the checksum of {member} is wrong")
-
-
-@contextmanager
-def replacing(path: Path) -> Iterator[Path]:
-    """Yield a name for a file that takes another one's place when it is whole."""
-    temporary = path.with_name(f".{path.name}")
-    try:
-        yield temporary
-        fsync(temporary)
-        temporary.replace(path)
-    finally:
-        temporary.unlink(missing_ok=True)
 
 
 def _saved(model: OffPolicyAlgorithm) -> Iterator[tuple[str, Any]]:

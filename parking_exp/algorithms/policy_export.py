@@ -23,10 +23,11 @@ from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from stable_baselines3.common.policies import BasePolicy
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 
-from parking_exp.algorithms.model_files import class_path, replacing
+from parking_exp.algorithms.model_files import class_path
 from parking_exp.algorithms.policy_files import load_policy, save_policy
 from parking_exp.envs.interface import Observation, Policy
 from parking_exp.errors import ModelError
+from parking_exp.runs.files import replacing
 
 TOLERANCE = 1e-6  # between a file's actions and those of torch in double precision
 ROUNDING = 1e-4  # between a file's actions and those of torch in single precision; some 5e-6 are seen

@@ -35,7 +35,6 @@ SUPERVISOR_LOCK, TRAINING_LOCK = ".claim", ".lock"
 LOCK_PATIENCE_S = 2.0
 # A supervisor that is killed takes its worker with it; until it is gone, the next one waits.
 WORKER_PATIENCE_S = 20.0
-STALE_S = 3600.0
 # Space that a run keeps while it trains, so that its end can be written down on a disk that is full by then.
 RESERVE, RESERVE_BYTES = ".reserve", 64 * 1024
 ENDS = ("done", "failed", "interrupted", "pruned")
@@ -223,7 +222,6 @@ class RunDirectory:
     def training_lock(self) -> Iterator[None]:
         """Be the process that trains the run; raises what `supervisor_lock` does."""
         with self._held(TRAINING_LOCK, WORKER_PATIENCE_S):
-            self._delete_stale()
             yield
 
     @contextmanager
@@ -248,13 +246,6 @@ class RunDirectory:
             write_config(self.path, config, durable=durable)
         except OSError as error:
             raise OutputDirectoryError(f"output_dir: {self.path} cannot be written: {error.strerror}") from error
-
-    def _delete_stale(self) -> None:
-        """Delete what a kill in the middle of a write has left, long ago: others may be writing now."""
-        for stale in self.path.glob(".*.tmp"):
-            with suppress(OSError):
-                if stale.stat().st_mtime < time.time() - STALE_S:
-                    stale.unlink()
 
     def read_status(self) -> dict[str, Any]:
         """Return the entries of status.json; one of the wrong type is none."""

@@ -56,9 +56,11 @@ def read_entries(path: Path, schema: type[BaseModel]) -> tuple[dict[str, Any], s
     A file that is not there has no entries, and there is nothing wrong with it.
     """
     try:
-        found = read_json(path) if path.exists() else {}
-    except (OSError, ValueError, RecursionError):
-        found = None
+        found = read_json(path)
+    except (OSError, ValueError):
+        return {}, f"{path.name} can't be read"
+    if found is None:
+        return {}, None
     if not isinstance(found, dict):
         return {}, f"{path.name} can't be read"
     found = {key: value for key, value in found.items() if value is not None}

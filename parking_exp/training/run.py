@@ -73,12 +73,10 @@ def _train(config: RunConfig, directory: RunDirectory, stop: StopRequest) -> Run
     try:
         checkpoint = checkpoints.latest(directory.checkpoints)
         progress = checkpoints.read_progress(checkpoint) if checkpoint else Progress()
-        damaged = restore_logs(directory.path, checkpoint)
+        restore_logs(directory.path, checkpoint)
         shown = config.tracking.progress_bar
         with TrainingProgress(config.total_timesteps, progress.step, shown, heartbeat=directory.heartbeat) as bar:
             bar.say(f"{config.cell}, seed {config.seed}: {config.total_timesteps} env steps, in {directory.path}")
-            for name in damaged:
-                bar.say(f"{name} was damaged; it is taken from the checkpoint")
             tracker = open_tracker(config, directory, bar.say)
             loop = TrainingLoop(
                 config=config,
