@@ -33,6 +33,6 @@ def test_a_stored_config_that_does_not_fit_the_schema_is_refused(directory, old,
     text = path.read_text()
     assert old in text
     path.write_text(text.replace(old, new, 1))
-    with pytest.raises(ConfigError, match="config.yaml") as refused:
+    with pytest.raises(ConfigError, match=r"config\.yaml") as refused:
         directory.config()
     assert named in str(refused.value)
