@@ -8,6 +8,7 @@ import argparse
 import io
 import logging
 import os
+import re
 import signal
 import sys
 from collections.abc import Callable, Iterator, Mapping
@@ -125,7 +126,10 @@ def _parse(words: list[str], flags: Mapping[str, str]) -> tuple[argparse.Argumen
         raise ConfigError(f"{error.argument_name}: {error.message}") from error
     if unknown:
         flag = next((word for word in unknown if word.startswith("-")), unknown[0]).partition("=")[0]
-        hint = did_you_mean(flag, parser._option_string_actions, cutoff=0.8) or "; write KEY=VALUE, without dashes"
+        hint = (
+            did_you_mean(flag, re.findall(r"--[\w-]+", parser.format_usage()), cutoff=0.8)
+            or "; write KEY=VALUE, without dashes"
+        )
         raise ConfigError(f"{flag}: there is no such flag{hint}")
     if arguments.config_name or arguments.config_path or arguments.experimental_rerun:
         raise ConfigError(
