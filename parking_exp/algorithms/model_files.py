@@ -10,7 +10,6 @@ import re
 import zipfile
 from collections import deque
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
 from itertools import chain
 from pathlib import Path
 from typing import Any
@@ -27,7 +26,7 @@ from stable_baselines3.common.vec_env import VecEnv
 
 from parking_exp.algorithms.fast.base import FastTraining
 from parking_exp.errors import DamagedModelError, ModelError
-from parking_exp.runs.files import fsync
+from parking_exp.runs.files import replacing
 
 VARIABLES = "pytorch_variables"
 # Entries of the pickled part that a HER buffer wants an env for: without them `SAC.load(path)` is enough.
@@ -38,7 +37,7 @@ NOT_WEIGHTS = (gym.Env, VecEnv, BaseBuffer, BaseCallback, Logger, Distribution, 
 MODULE_DICTS = {"_modules", "_parameters", "_buffers"}  # of torch.nn.Module: left out of the names
 
 # Classes that are saved and restored exactly with the networks that they make by themselves: proven by
-# tests/algorithms/test_contract.py, and not checked again. `check_saving` takes 90 ms, `check_saved` 4 ms of each file.
+# tests/algorithms/test_contract.py, and not checked again: `check_saving` takes 90 ms, `check_saved` 4 ms of each file.
 PROVEN = {
     "parking_exp.algorithms.fast.sac.SAC",
     "parking_exp.algorithms.fast.td3.TD3",
@@ -75,8 +74,8 @@ def load_weights(path: Path, model: OffPolicyAlgorithm) -> None:
         OSError: the disk fails.
     """
     weights = read_weights(path.read_bytes(), str(path), model.device)
-    if names := unsaved(model):
-        raise ModelError(f"{path} does not hold all of {class_path(type(model))}: {missing(names)}")
+    if problem := saving_problem(model):
+        raise ModelError(f"{path} does not hold all of {class_path(type(model))}: {problem}")
     apply_weights(weights, model, str(path))
 
 
@@ -133,8 +132,8 @@ def check_saved(model: OffPolicyAlgorithm) -> None:
     Raises:
         ModelError: it has such weights.
     """
-    if class_path(type(model)) not in PROVEN and (names := unsaved(model)):
-        raise ModelError(f"{class_path(type(model))} can't be saved and restored exactly: {missing(names)}")
+    if class_path(type(model)) not in PROVEN and (problem := saving_problem(model)):
+        raise ModelError(f"{class_path(type(model))} can't be saved and restored exactly: {problem}")
 
 
 def class_path(algorithm: type) -> str:
@@ -142,12 +141,15 @@ def class_path(algorithm: type) -> str:
     return f"{algorithm.__module__}.{algorithm.__qualname__}"
 
 
-def unsaved(model: OffPolicyAlgorithm) -> list[str]:
-    """Return the names of tensors and optimizers that a model keeps and its files do not hold."""
+def saving_problem(model: OffPolicyAlgorithm) -> str | None:
+    """Name the tensors and optimizers that a model keeps and its files do not hold; return None if they hold all."""
     saved = set()
     for _, one in _saved(model):
         saved |= {_key(part) for part in (_state(one).values() if isinstance(one, torch.nn.Module) else [one])}
-    return [name for name, one in reachable(model) if _key(one) not in saved]
+    if not saved:
+        return "its _get_torch_save_params() names no weights"
+    names = [name for name, one in reachable(model) if _key(one) not in saved]
+    return f"{_some(names)} would be lost; its _get_torch_save_params() must name what holds them" if names else None
 
 
 def reachable(model: OffPolicyAlgorithm) -> Iterator[tuple[str, torch.Tensor | torch.optim.Optimizer]]:
@@ -155,11 +157,6 @@ def reachable(model: OffPolicyAlgorithm) -> Iterator[tuple[str, torch.Tensor | t
     # Of the fast classes: rebuilt from the weights whenever these are replaced.
     own = {"_update"} if isinstance(model, FastTraining) else set()
     yield from _walk({name: value for name, value in vars(model).items() if name not in own}, "", set())
-
-
-def missing(names: list[str]) -> str:
-    """Say what a class has to do about tensors that its files do not hold."""
-    return f"{_some(names)} would be lost; its _get_torch_save_params() must name what holds them"
 
 
 def _walk(node: Any, name: str, seen: set[int]) -> Iterator[tuple[str, Any]]:
@@ -184,18 +181,6 @@ def _check_sums(archive: zipfile.ZipFile) -> None:
         raise zipfile.BadZipFile(f"the checksum of {member} is wrong")
 
 
-@contextmanager
-def replacing(path: Path) -> Iterator[Path]:
-    """Yield a name for a file that takes another one's place when it is whole."""
-    temporary = path.with_name(f".{path.name}")
-    try:
-        yield temporary
-        fsync(temporary)
-        temporary.replace(path)
-    finally:
-        temporary.unlink(missing_ok=True)
-
-
 def _saved(model: OffPolicyAlgorithm) -> Iterator[tuple[str, Any]]:
     """Yield what a model's files hold: modules, optimizers and tensors."""
     for name in chain(*model._get_torch_save_params()):
@@ -209,8 +194,6 @@ def _saved(model: OffPolicyAlgorithm) -> Iterator[tuple[str, Any]]:
 def _misfit(weights: Weights, model: OffPolicyAlgorithm) -> str | None:
     """Say in what a file's weights differ from a model's: names, shapes, types."""
     saved = dict(_saved(model))
-    if not saved:
-        return "it has no weights that could be loaded"
     lacks, odd = sorted(set(saved) - set(weights)), sorted(set(weights) - set(saved))
     if lacks or odd:
         return " and ".join([f"it lacks {_some(lacks)}"] * bool(lacks) + [f"it has {_some(odd)} besides"] * bool(odd))

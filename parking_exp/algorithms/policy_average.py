@@ -1,6 +1,6 @@
 """Exponential moving average of an actor's weights, for a policy that is steadier than the one that is trained."""
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -41,7 +41,8 @@ class PolicyAverage:
             return
         actor = self._actor()
         if self._weights:
-            torch._foreach_lerp_(self._weights, actor, 1 - 0.5 ** (new / self.half_life))
+            for average, trained in zip(self._weights, actor, strict=True):
+                average.lerp_(trained, 1 - 0.5 ** (new / self.half_life))
         else:
             self._weights = [weight.clone() for weight in actor]
         self._updates = self.model._n_updates
@@ -53,13 +54,12 @@ class PolicyAverage:
         if not self._weights:
             yield
             return
-        actor = self._actor()
-        trained = [weight.clone() for weight in actor]
-        torch._foreach_copy_(actor, self._weights)
+        trained = [weight.clone() for weight in self._actor()]
+        self._replace_actor(self._weights)
         try:
             yield
         finally:
-            torch._foreach_copy_(actor, trained)
+            self._replace_actor(trained)
 
     def load(self, path: Path) -> None:
         """Restore the average from a model file that was saved while it was applied; the model is as it was then.
@@ -79,3 +79,7 @@ class PolicyAverage:
     def _actor(self) -> list[torch.Tensor]:
         weights = self.model.policy.state_dict()
         return [weights[name] for name in self._names]
+
+    def _replace_actor(self, weights: Iterable[torch.Tensor]) -> None:
+        for weight, new in zip(self._actor(), weights, strict=True):
+            weight.copy_(new)

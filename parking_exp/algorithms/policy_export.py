@@ -1,19 +1,17 @@
 """Export a policy to files that other programs read: ONNX, TorchScript, or the actor's weights as safetensors.
 
 An exported policy takes the env's Dict observation and gives the action that `predict(deterministic=True)` gives:
-features, mirroring, and the scale of the actions are inside. It computes in double precision, from float32 to float32.
-In single precision torch itself gives actions that differ by more than 1e-6 when a batch has another size, and no other
-runtime could be held to it.
+features, mirroring, and the scale of the actions are inside.
 """
 
 import copy
 import inspect
 import io
 import warnings
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import torch
@@ -21,37 +19,20 @@ from gymnasium import spaces
 from stable_baselines3.common.distributions import Distribution
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from stable_baselines3.common.policies import BasePolicy
-from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 
-from parking_exp.algorithms.model_files import class_path, replacing
+from parking_exp.algorithms.model_files import class_path
 from parking_exp.algorithms.policy_files import load_policy, save_policy
 from parking_exp.envs.interface import Observation, Policy
 from parking_exp.errors import ModelError
+from parking_exp.runs.files import replacing
 
-TOLERANCE = 1e-6  # between a file's actions and those of torch in double precision
-ROUNDING = 1e-4  # between a file's actions and those of torch in single precision; some 5e-6 are seen
+TOLERANCE = 1e-4  # between a file's actions and the model's; torch's own differ by 6e-6 between two batch sizes
 OPSET = 17  # of ONNX: what onnxruntime reads since 1.13
 ACTION = "action"
 
 
-class Differences(NamedTuple):
-    """Largest differences of an exported policy's actions from the model's.
-
-    Attributes:
-        double: from those that torch computes in double precision, as the file does.
-        single: from those that torch computes in single precision, whose rounding this is.
-    """
-
-    double: float
-    single: float
-
-
 class PolicyModule(torch.nn.Module):
-    """A deterministic policy as one module: Dict observation, float32, to actions, float32, as `env.step` takes them.
-
-    Args:
-        policy: one in double precision, `in_double_precision`.
-    """
+    """A deterministic policy as one module: from the Dict observation to actions as `env.step` takes them, float32."""
 
     low: torch.Tensor
     high: torch.Tensor
@@ -61,17 +42,15 @@ class PolicyModule(torch.nn.Module):
         assert isinstance(policy.action_space, spaces.Box)
         self.policy = policy
         self.names = list(_input_shapes(policy))
-        self.register_buffer("low", torch.as_tensor(policy.action_space.low, dtype=torch.float64))
-        self.register_buffer("high", torch.as_tensor(policy.action_space.high, dtype=torch.float64))
+        self.register_buffer("low", torch.as_tensor(policy.action_space.low))
+        self.register_buffer("high", torch.as_tensor(policy.action_space.high))
 
     def forward(self, observation: dict[str, torch.Tensor]) -> torch.Tensor:
         """Return actions, shape (batch, actions), for observations of shape (batch, features) each."""
-        actions = self.policy._predict(observation, deterministic=True)
+        actions = self.policy(observation, deterministic=True)
         if self.policy.squash_output:
-            actions = self.low + 0.5 * (actions + 1.0) * (self.high - self.low)
-        else:
-            actions = torch.clamp(actions, self.low, self.high)
-        return actions.float()
+            return self.low + 0.5 * (actions + 1.0) * (self.high - self.low)
+        return torch.clamp(actions, self.low, self.high)
 
 
 class _Positional(torch.nn.Module):
@@ -85,21 +64,8 @@ class _Positional(torch.nn.Module):
         return self.module(dict(zip(self.module.names, entries, strict=True)))
 
 
-def in_double_precision(policy: BasePolicy) -> BasePolicy:
-    """Return a copy of a policy that computes in double precision; its `predict` is Stable-Baselines3's.
-
-    Observations are single precision still: Stable-Baselines3 makes them so, before the features are computed.
-    """
-    policy = _copied(policy).double()
-    policy.set_training_mode(False)
-    for module in policy.modules():
-        if isinstance(module, BaseFeaturesExtractor):
-            module.register_forward_pre_hook(lambda _, inputs: tuple(map(_double, inputs)))
-    return policy
-
-
-def export_policy(model: OffPolicyAlgorithm, file_format: str, path: Path, observations: Observation) -> Differences:
-    """Write a model's policy into a file, read that back, and compare its actions with the model's.
+def export_policy(model: OffPolicyAlgorithm, file_format: str, path: Path, observations: Observation) -> float:
+    """Write a model's policy to a file, read it back, and return the largest difference of its actions.
 
     Args:
         model: what is exported, on the CPU.
@@ -126,37 +92,27 @@ def export_policy(model: OffPolicyAlgorithm, file_format: str, path: Path, obser
             raise ModelError(f"the policy {kind} can't be exported as {file_format}: {words}") from error
 
 
-def check_actions(exported: Policy, model: OffPolicyAlgorithm, observations: Observation, name: str) -> Differences:
-    """Compare a policy's actions with those of the model that it was made of.
-
-    Args:
-        exported: what was read back from a file.
-        model: what it was made of.
-        observations: on which they are compared.
-        name: what an error says was exported.
+def check_actions(exported: Policy, model: OffPolicyAlgorithm, observations: Observation, name: str) -> float:
+    """Return the largest difference of an exported policy's actions from the model's; `name` is for errors.
 
     Raises:
-        ModelError: an action differs by more than `TOLERANCE`, or `ROUNDING` in single precision.
+        ModelError: it is above `TOLERANCE`.
     """
-    found = exported(observations)
-    exact, _ = in_double_precision(model.policy).predict(observations, deterministic=True)
-    # The copy in double precision is ours; the model as it is shows that it is the same policy.
-    rounded, _ = model.predict(observations, deterministic=True)
-    differences = Differences(_difference(found, exact), _difference(found, rounded))
-    for difference, allowed in zip(differences, (TOLERANCE, ROUNDING), strict=True):
-        if not difference <= allowed:  # NaN, too
-            raise ModelError(
-                f"{name}: the exported policy's actions differ from the model's by {difference:.2g}, and "
-                f"{allowed:g} is allowed; nothing is written"
-            )
-    return differences
+    expected, _ = model.predict(observations, deterministic=True)
+    difference = float(np.abs(exported(observations) - expected).max())
+    if not difference <= TOLERANCE:  # NaN, too
+        raise ModelError(
+            f"{name}: the exported policy's actions differ from the model's by {difference:.2g}, and "
+            f"{TOLERANCE:g} is allowed; nothing is written"
+        )
+    return difference
 
 
 def write_onnx(model: OffPolicyAlgorithm, path: Path) -> None:
     """Write a model's policy as ONNX: an input for each entry of the observation, and `action`; any batch size."""
     import onnx
 
-    module = PolicyModule(in_double_precision(model.policy))
+    module = PolicyModule(model.policy).eval()
     entries = _example(model.policy)
     # The newer exporter takes 20 s, prints what it does, and writes weights into a file of their own.
     older: dict[str, Any] = {"dynamo": False} if "dynamo" in inspect.signature(torch.onnx.export).parameters else {}
@@ -193,7 +149,7 @@ def read_onnx(path: Path, model: OffPolicyAlgorithm) -> Policy:
 
 def write_torchscript(model: OffPolicyAlgorithm, path: Path) -> None:
     """Write a model's policy as TorchScript: a module that takes a dict of tensors."""
-    module, written = PolicyModule(in_double_precision(model.policy)).eval(), io.BytesIO()
+    module, written = PolicyModule(model.policy).eval(), io.BytesIO()
     with _quiet(), torch.no_grad():
         traced = torch.jit.trace(module, (_example(model.policy),), check_trace=False)
         torch.jit.save(torch.jit.freeze(traced), written)  # frozen, it has no critics
@@ -220,8 +176,7 @@ def read_safetensors(path: Path, model: OffPolicyAlgorithm) -> Policy:
         for weight in other.policy.state_dict().values():
             weight.zero_()
     load_policy(path, other)
-    exact = in_double_precision(other.policy)
-    return lambda observation: exact.predict(observation, deterministic=True)[0]
+    return lambda observation: other.predict(observation, deterministic=True)[0]
 
 
 WRITERS: dict[str, Callable[[OffPolicyAlgorithm, Path], None]] = {
@@ -263,15 +218,5 @@ def _example(policy: BasePolicy) -> dict[str, torch.Tensor]:
     return {name: torch.rand(2, *shape) for name, shape in _input_shapes(policy).items()}
 
 
-def _double(value: Any) -> Any:
-    if isinstance(value, Mapping):
-        return {name: entry.double() for name, entry in value.items()}
-    return value.double()
-
-
 def _single(observation: Observation) -> Observation:
     return {name: np.asarray(value, np.float32) for name, value in observation.items()}
-
-
-def _difference(actions: np.ndarray, expected: np.ndarray) -> float:
-    return float(np.abs(np.asarray(actions, np.float64) - expected).max())

@@ -20,14 +20,7 @@ from parking_exp.errors import ConfigError, ParkingError, RunNotFoundError, Unsy
 from parking_exp.runs.directory import RunDirectory
 from parking_exp.runs.lookup import find_runs
 from parking_exp.runs.state import RunState, as_plain, read_state
-from parking_exp.runs.state_tables import (
-    cell_table,
-    damaged_lines,
-    failure_lines,
-    running_lines,
-    stopped_lines,
-    version_lines,
-)
+from parking_exp.runs.state_tables import cell_table, damaged_lines, failure_lines, running_lines, stopped_lines
 from parking_exp.terminal import console, say
 from parking_exp.tracking.sync_all import sync_all
 from parking_exp.tuning.schema import Storage
@@ -127,7 +120,7 @@ def _sync(request: StatusRequest) -> None:
     for directory, problem in sync_all(directories, uris):
         if problem is None:
             say(f"{directory.path}: the store has everything", stderr=True)
-        elif directory.version_problem is None:  # else it stays as it is, and has a line of its own
+        else:
             problems.setdefault(problem, []).append(directory)
     for problem, runs in problems.items():
         others = f" and {len(runs) - 1} more" if len(runs) > 1 else ""
@@ -138,7 +131,7 @@ def _sync(request: StatusRequest) -> None:
 
 
 def _picture(request: StatusRequest, states: list[RunState]) -> RenderableType:
-    lines = (running_lines, stopped_lines, failure_lines, damaged_lines, version_lines)
+    lines = (running_lines, stopped_lines, failure_lines, damaged_lines)
     parts: list[RenderableType] = [cell_table(states), *(line for some in lines for line in some(states))]
     return Group(*parts, *(part for name, found in _searches(request) for part in _search_picture(name, found)))
 

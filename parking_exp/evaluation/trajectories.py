@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from parking_exp.runs.files import fsync
+from parking_exp.runs.files import replacing
 
 TRAJECTORIES_FILE = "trajectories.npz"
 CAR_COLUMNS = ("x_m", "y_m", "heading_rad", "speed_mps")
@@ -37,8 +37,5 @@ class Recorder:
         order = np.argsort(rows, kind="stable")  # rows of a scene stay in the order of time
         scene, length = np.unique(rows, return_counts=True)
         columns = dict(zip(CAR_COLUMNS, cars[order].T, strict=True))
-        temporary = path.with_name(f".{path.name}.tmp")
-        with temporary.open("wb") as file:
+        with replacing(path) as temporary, temporary.open("wb") as file:
             np.savez_compressed(file, scene=scene, length=length, **columns)
-        fsync(temporary)  # a run that is done has it, after a power cut, too
-        temporary.replace(path)

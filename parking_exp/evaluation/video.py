@@ -16,6 +16,7 @@ from parking_exp.envs.highway import make_env
 from parking_exp.envs.interface import Policy
 from parking_exp.envs.outcomes import outcome
 from parking_exp.evaluation.evaluate import rollout
+from parking_exp.runs.files import replacing
 
 HOLD_S = 1.0  # how long the end of an episode stays in sight
 MOST_S = 20.0  # of an episode: a timeout lasts 100 s, and is mostly a car that stands
@@ -47,17 +48,15 @@ def record(
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     rate = env.simulation_frequency
-    temporary = path.with_name(f".{path.name}")
     # Every third frame and a palette: a README's picture should not weigh megabytes.
     number, stride, kept = 0, max(1, rate // 5), []
-    with _headless():
+    with _headless(), replacing(path) as temporary:
         video: Any = iio.get_writer(temporary, format="FFMPEG", fps=rate, codec="libx264", macro_block_size=2)
         with video:
             for number, frame in enumerate(_frames(policy, env, scenes, on_episode), start=1):
                 video.append_data(frame)
                 if gif and number % stride == 1 % stride:
                     kept.append(Image.fromarray(frame).quantize(64))
-    temporary.replace(path)
     if gif:
         first, *rest = kept
         duration_ms = 1000 * stride / rate

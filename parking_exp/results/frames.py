@@ -2,7 +2,6 @@
 
 import json
 import re
-from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -19,7 +18,6 @@ from parking_exp.evaluation.metrics import METRICS, RUN_METRICS
 from parking_exp.evaluation.trajectories import TRAJECTORIES_FILE
 from parking_exp.results.dtypes import TEXT, column, flags, integers, text, times, typed
 from parking_exp.results.recordings import EPISODES, read_episodes, read_trajectories
-from parking_exp.runs.layout_version import other_version
 from parking_exp.tracking.failures import is_store_failure, reason
 from parking_exp.tracking.reader import Reader
 
@@ -128,7 +126,7 @@ def load(
     points, damaged = _points(logs)
     runs["steps"] = runs["run_id"].map(points.groupby("run_id")["step"].max()).fillna(0).astype("int64")
     episodes, problems = _episodes(reader, runs[runs["status"] != "running"], runs["run_id"].to_list())
-    said = (*_of_other_versions(kept), *_twice(runs), *_sentences(runs, {**missing, **damaged}), *problems)
+    said = (*_twice(runs), *_sentences(runs, {**missing, **damaged}), *problems)
     return Results(runs, _curves(points), episodes, reader.uri, said, len(found) - len(kept), None if uri else here)
 
 
@@ -243,20 +241,6 @@ def _sentences(runs: pd.DataFrame, problems: Mapping[str, str]) -> Iterator[str]
     for run_id, cell, seed in zip(runs["run_id"], runs["cell"], runs["seed"], strict=True):
         if run_id in problems:
             yield f"run {run_id} ({cell}, seed {seed}): {problems[run_id]}"
-
-
-def _of_other_versions(found: Sequence["Run"]) -> Iterator[str]:
-    """Say how many runs another version of this package has made."""
-    for maker, number in Counter(
-        other_version({"layout": _layout(run.data.tags.get("layout"))}) for run in found
-    ).items():
-        if maker:
-            what = "only that version can evaluate them or go on with them"
-            yield f"{plural(number, 'run')} made by {maker}: the numbers are read as they are; {what}"
-
-
-def _layout(tag: str | None) -> int:
-    return int(tag) if tag is not None and tag.isdecimal() else 0
 
 
 def _twice(runs: pd.DataFrame) -> Iterator[str]:

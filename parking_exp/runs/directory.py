@@ -22,9 +22,8 @@ from pydantic import TypeAdapter, ValidationError
 from parking_exp.config.credentials import strip_password
 from parking_exp.config.paths import absolute, directory_path, refuse_links, relative
 from parking_exp.config.schema import RunConfig
-from parking_exp.errors import ConfigError, OutputDirectoryError, RunLockedError
+from parking_exp.errors import OutputDirectoryError, RunLockedError
 from parking_exp.runs.files import read_object, write_json
-from parking_exp.runs.layout_version import new_entries, other_version, refusal
 from parking_exp.runs.locks import hold, is_held
 from parking_exp.runs.provenance import typed_command
 from parking_exp.runs.status_schema import Status, StatusEntries, read_entries
@@ -36,7 +35,6 @@ SUPERVISOR_LOCK, TRAINING_LOCK = ".claim", ".lock"
 LOCK_PATIENCE_S = 2.0
 # A supervisor that is killed takes its worker with it; until it is gone, the next one waits.
 WORKER_PATIENCE_S = 20.0
-STALE_S = 3600.0
 # Space that a run keeps while it trains, so that its end can be written down on a disk that is full by then.
 RESERVE, RESERVE_BYTES = ".reserve", 64 * 1024
 ENDS = ("done", "failed", "interrupted", "pruned")
@@ -105,21 +103,6 @@ class RunDirectory:
     def under_way(self) -> bool:
         """Whether a process, be it this one, is responsible for the run now, or works on it."""
         return any(is_held(self.path / name) for name in (SUPERVISOR_LOCK, TRAINING_LOCK))
-
-    @property
-    def version_problem(self) -> str | None:
-        """What to do with a run that another version of this package has made; None for a run of this version."""
-        maker = other_version(self.read_status())
-        return refusal(self.path, maker) if maker else None
-
-    def check_version(self) -> None:
-        """Refuse to train in a directory that another version of this package has made.
-
-        Raises:
-            OutputDirectoryError: it is such a directory.
-        """
-        if problem := self.version_problem:
-            raise OutputDirectoryError(f"{self.path}: {problem}")
 
     def update(self, **values: Any) -> None:
         """Change entries of status.json; None removes one."""
@@ -209,10 +192,8 @@ class RunDirectory:
         """Read the run's config, with the output directory and store of where the run is now.
 
         Raises:
-            ConfigError: another version of this package has made the run, or `read_config` refuses what is there.
+            ConfigError: it is missing, damaged, or does not fit the schema.
         """
-        if problem := self.version_problem:
-            raise ConfigError(f"{self.path}: {problem}")
         return read_config(self.path, self.output_dir)
 
     def check_links(self) -> None:
@@ -239,7 +220,6 @@ class RunDirectory:
     def training_lock(self) -> Iterator[None]:
         """Be the process that trains the run; raises what `supervisor_lock` does."""
         with self._held(TRAINING_LOCK, WORKER_PATIENCE_S):
-            self._delete_stale()
             yield
 
     @contextmanager
@@ -255,7 +235,7 @@ class RunDirectory:
     def _update(self, values: dict[str, Any], durable: bool) -> None:
         # A training, its supervisor, a sync and an evaluation may change different entries at once.
         with FileLock(self.path / ".status.lock"):
-            changed = {**(self.read_status() or new_entries()), **values}
+            changed = {**self.read_status(), **values}
             kept = {key: value for key, value in changed.items() if value is not None}
             write_json(self.path / STATUS_FILE, kept, durable=durable)
 
@@ -264,13 +244,6 @@ class RunDirectory:
             write_config(self.path, config, durable=durable)
         except OSError as error:
             raise OutputDirectoryError(f"output_dir: {self.path} cannot be written: {error.strerror}") from error
-
-    def _delete_stale(self) -> None:
-        """Delete what a kill in the middle of a write has left, long ago: others may be writing now."""
-        for stale in self.path.glob(".*.tmp"):
-            with suppress(OSError):
-                if stale.stat().st_mtime < time.time() - STALE_S:
-                    stale.unlink()
 
     def read_status(self) -> dict[str, Any]:
         """Return the entries of status.json; one of the wrong type is none."""

@@ -1,32 +1,37 @@
-"""Atomic and durable writes of small files, and strict reads of JSON and YAML.
-
-The write is ours, since it is ten lines and not every file needs to be durable.
-"""
+"""Atomic writes of files, and reads of JSON and YAML."""
 
 import hashlib
 import json
 import os
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, ClassVar
 
 import yaml
 
 
-def write_atomically(path: Path, text: str, *, durable: bool = True) -> None:
-    """Replace a file's content so that a kill or a full disk leaves the old content or the new, never a part.
+@contextmanager
+def replacing(path: Path, *, durable: bool = True) -> Iterator[Path]:
+    """Yield a path to write to; at the end of the block that file replaces `path`.
 
-    Not `durable` is faster, by an fsync: a power cut may then leave an empty file.
+    A kill, an error or a full disk leaves the old content or the new, never a part. Without `durable` there is no
+    fsync: a power cut may then leave an empty file.
     """
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")  # two processes may write at once; the last stays
+    temporary = path.with_name(f".tmp-{os.getpid()}-{path.name}")  # two processes may write at once; the last one wins
     try:
-        with temporary.open("w", encoding="utf-8") as file:
-            file.write(text)
-            if durable:
-                file.flush()
-                os.fsync(file.fileno())
+        yield temporary
+        if durable:
+            fsync(temporary)
         temporary.replace(path)
     finally:
         temporary.unlink(missing_ok=True)
+
+
+def write_atomically(path: Path, text: str, *, durable: bool = True) -> None:
+    """Replace a text file; see `replacing`."""
+    with replacing(path, durable=durable) as temporary:
+        temporary.write_text(text, encoding="utf-8")
 
 
 def write_json(path: Path, value: Any, *, durable: bool = True) -> None:
@@ -35,10 +40,10 @@ def write_json(path: Path, value: Any, *, durable: bool = True) -> None:
 
 
 def read_json(path: Path) -> Any:
-    """Read a JSON file, or return None where there is none.
+    """Read a JSON file; return None if it does not exist.
 
     Raises:
-        ValueError: it is none, or nested too deeply.
+        ValueError: its content is not JSON, or nested too deeply.
     """
     try:
         return json.loads(path.read_text(encoding="utf-8")) if path.exists() else None
@@ -83,7 +88,7 @@ class _PlainLoader(yaml.SafeLoader):
 
 
 def read_object(path: Path) -> dict[str, Any]:
-    """Read a JSON object; {} where there is none, or a power cut has left an empty file."""
+    """Read a JSON object; return {} if the file does not exist or holds anything else."""
     try:
         found = read_json(path)
     except (OSError, ValueError):

@@ -1,8 +1,7 @@
-"""The append-only logs of a run (`metrics.jsonl`, `episodes.csv`, `monitor.csv`), and their repair from checkpoints."""
+"""The append-only logs of a run (`metrics.jsonl`, `episodes.csv`, `monitor.csv`), and their copies in checkpoints."""
 
 import json
 import numbers
-import os
 import shutil
 import time
 from collections.abc import Iterator, Mapping
@@ -27,23 +26,12 @@ def copy_logs(run_dir: Path, checkpoint: Path) -> None:
     (checkpoint / "metrics.jsonl").touch()
 
 
-def restore_logs(run_dir: Path, checkpoint: Path | None) -> list[str]:
-    """Cut the logs back to a checkpoint: what was written after it is going to be done again.
-
-    Returns:
-        The names of those that had lost something that they had at the checkpoint.
-    """
-    damaged = []
+def restore_logs(run_dir: Path, checkpoint: Path | None) -> None:
+    """Set the logs back to a checkpoint, or to none: the steps after it are done again."""
     for name in APPENDED:
-        path, copy = run_dir / name, checkpoint / name if checkpoint else None
-        if copy is None or not copy.exists():
-            path.unlink(missing_ok=True)
-        elif _begins_like(path, copy):
-            os.truncate(path, copy.stat().st_size)
-        else:
-            damaged.append(name)
-            shutil.copyfile(copy, path)
-    return damaged
+        (run_dir / name).unlink(missing_ok=True)
+        if checkpoint is not None and (checkpoint / name).exists():
+            shutil.copyfile(checkpoint / name, run_dir / name)
 
 
 def has_whole_logs(checkpoint: Path) -> bool:
@@ -51,14 +39,6 @@ def has_whole_logs(checkpoint: Path) -> bool:
     digests = read_object(checkpoint / "manifest.json")
     copies = [checkpoint / name for name in APPENDED if name in digests]
     return bool(copies) and all(_has_hash(copy, digests[copy.name]) for copy in copies)
-
-
-def _begins_like(path: Path, copy: Path) -> bool:
-    size = copy.stat().st_size
-    if not path.exists() or path.stat().st_size < size:
-        return False
-    with path.open("rb") as file:
-        return file.read(size) == copy.read_bytes()
 
 
 def _has_hash(path: Path, digest: str) -> bool:

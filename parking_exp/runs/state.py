@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any, Literal
 
 from parking_exp.runs.directory import HEARTBEAT_FILE, STATUS_FILE, RunDirectory
-from parking_exp.runs.layout_version import other_version
 from parking_exp.runs.status_schema import HeartbeatEntries, StatusEntries, read_entries
 
 Stage = Literal["done", "running", "failed", "pending", "pruned"]
@@ -35,7 +34,6 @@ class RunState:
         started: when its last process began, in seconds since 1970.
         unsynced: why the store does not have all of it; None where it has.
         damaged: what is wrong with its status.json; None if nothing is.
-        other_version: which version of the package has made it, where that is not this one; else None.
     """
 
     run_dir: str
@@ -60,7 +58,6 @@ class RunState:
     unsynced: str | None = None
     started: float | None = None
     damaged: str | None = None
-    other_version: str | None = None
 
     def plain(self) -> dict[str, Any]:
         """Return everything as JSON can hold it."""
@@ -81,7 +78,6 @@ def read_state(path: Path) -> RunState:
         "unsynced": status.get("unsynced"),
         "started": status.get("started"),
         "damaged": damaged,
-        "other_version": other_version(status),
     }
     written = status.get("status", "pending")
     if written == "done":

@@ -4,7 +4,7 @@ from collections.abc import Iterator, Sequence
 
 from rich.table import Table
 
-from parking_exp.errors import plural, quoted_label
+from parking_exp.errors import quoted_label
 from parking_exp.runs.state import STAGES, RunState, by_cell, counts
 
 
@@ -47,18 +47,10 @@ def damaged_lines(states: Sequence[RunState]) -> Iterator[str]:
             yield f"damaged  {name(state)}: {state.damaged}; it counts as {state.stage}   {state.run_dir}"
 
 
-def version_lines(states: Sequence[RunState]) -> Iterator[str]:
-    """Yield a line for each other version of this package that has made some of the runs."""
-    makers = [state.other_version for state in states if state.other_version]
-    for maker in sorted(set(makers)):
-        made = f"{plural(makers.count(maker), 'run')} made by {maker}"
-        yield f"version  {made}: results stay as they are; only that version can evaluate or resume them"
-
-
 def stopped_lines(states: Sequence[RunState]) -> Iterator[str]:
     """Yield a line for every interrupted run, with the step at which it resumes."""
     for state in states:
-        if state.stage == "pending" and state.step and not state.other_version:
+        if state.stage == "pending" and state.step:
             yield f"stopped  {name(state)}: resumes at step {_steps(state)}"
 
 

@@ -18,9 +18,8 @@ class _Entries(BaseModel):
 
 
 class StatusEntries(_Entries):
-    """How far a run is. `layout_version.py` says what `layout` is, `state.RunState` what the other entries mean."""
+    """How far a run is; `state.RunState` says what the entries mean."""
 
-    layout: Count | None = None
     status: Status | None = None
     label: str | None = None
     error: str | None = None
@@ -57,9 +56,11 @@ def read_entries(path: Path, schema: type[BaseModel]) -> tuple[dict[str, Any], s
     A file that is not there has no entries, and there is nothing wrong with it.
     """
     try:
-        found = read_json(path) if path.exists() else {}
-    except (OSError, ValueError, RecursionError):
-        found = None
+        found = read_json(path)
+    except (OSError, ValueError):
+        return {}, f"{path.name} can't be read"
+    if found is None:
+        return {}, None
     if not isinstance(found, dict):
         return {}, f"{path.name} can't be read"
     found = {key: value for key, value in found.items() if value is not None}

@@ -19,7 +19,7 @@ from parking_exp.resources import cores
 from parking_exp.runs.directory import RunDirectory
 from parking_exp.runs.lookup import find_runs
 from parking_exp.runs.state import RunState, by_cell, counts, read_state
-from parking_exp.runs.state_tables import cell_table, damaged_lines, duration, version_lines
+from parking_exp.runs.state_tables import cell_table, damaged_lines, duration
 from parking_exp.sweeps.hydra_launcher import Launch
 
 NO_RUN_YET = "; no run has finished yet to tell the time by"
@@ -67,7 +67,6 @@ def plan(
 
     Raises:
         ConfigError: a run cannot be.
-        OutputDirectoryError: another version of this package has begun a run, and it is not done.
     """
     runs: dict[Path, PlannedRun] = {}
     unique = {id(one.cell): one.cell for one in composed}  # a cell is checked once for all its seeds
@@ -81,10 +80,7 @@ def plan(
         path = folder / f"seed={config.seed}"
         if path not in runs:
             label = one.label or labels[folder]
-            state = read_state(path)
-            if state.other_version and state.stage != "done":
-                RunDirectory(path).check_version()
-            runs[path] = PlannedRun(config, path, label, state, retry is not None, entries(one))
+            runs[path] = PlannedRun(config, path, label, read_state(path), retry is not None, entries(one))
     return list(runs.values())
 
 
@@ -103,7 +99,7 @@ def describe(runs: Sequence[PlannedRun], launch: Launch, out: Console) -> None:
     """Print the plan: cells x seeds, what is done, what will run, and how long that may take."""
     states = [run.state for run in runs]
     out.print(cell_table(states, [run.label for run in runs]))
-    for line in (*damaged_lines(states), *version_lines(states)):
+    for line in damaged_lines(states):
         out.print(line)
     found, due = counts(states), [run for run in runs if run.is_due and run.state.stage != "running"]
     cells, seeds = len({run.path.parent for run in runs}), len({run.config.seed for run in runs})
@@ -182,7 +178,7 @@ def _kind_rates(output_dir: Path, wanted: Set[str]) -> dict[str, float]:
     for state, rate in itertools.islice(_cell_rates(states), MOST_CONFIGS):
         if wanted <= rates.keys():
             break
-        with suppress(ConfigError):  # damaged, or of another version
+        with suppress(ConfigError):  # damaged, or it does not fit the schema
             rates.setdefault(_kind(RunDirectory(Path(state.run_dir)).config()), rate)
     return rates
 

@@ -26,7 +26,6 @@ from parking_exp.config.paths import absolute, database, relative, relative_path
 from parking_exp.config.schema import RunConfig
 from parking_exp.runs.directory import RunDirectory, Status
 from parking_exp.runs.files import fingerprint, read_object, write_json
-from parking_exp.runs.layout_version import LAYOUT
 from parking_exp.runs.metric_logs import has_whole_logs, read_metrics
 from parking_exp.runs.provenance import PROVENANCE_FILE, read_provenance
 from parking_exp.tracking import artifacts
@@ -55,7 +54,7 @@ def sync(directory: RunDirectory, uri: str) -> None:
     """Make a store agree with a run directory. Done again, it changes nothing.
 
     Raises:
-        ConfigError: the run was made by another version of this package.
+        ConfigError: the run's config can't be read.
         DamagedFileError: the log of metrics can't be read.
         UntrustedError: a symbolic link leads out of the run directory.
         StoreError: the store can't take the run as it is.
@@ -98,12 +97,9 @@ def try_sync(directory: RunDirectory, uri: str) -> str | None:
     """Sync as far as the store allows, and return what is in the way, or None.
 
     The reason is noted in status.json as `unsynced` until a later attempt succeeds. An error of this package stops
-    nothing either, since the run directory has everything; its traceback is kept, and named. A run directory of another
-    version of this package is not touched.
+    nothing either, since the run directory has everything; its traceback is kept, and named.
     """
-    problem = directory.version_problem
-    if problem is not None:
-        return problem
+    problem = None
     try:
         sync(directory, uri)
     except Exception as error:
@@ -189,7 +185,6 @@ def _tags(directory: RunDirectory, config: RunConfig, uri: str) -> dict[str, str
     run_dir = relative_path(directory.path, path.parent) if path else str(directory.path.absolute())
     return {
         **read_provenance(directory.path / PROVENANCE_FILE)[1],
-        "layout": str(LAYOUT),
         "experiment": config.experiment_name,
         "cell": config.cell,
         "seed": str(config.seed),

@@ -36,11 +36,8 @@ def sync_all(directories: Iterable[RunDirectory], uris: Sequence[str]) -> Iterat
 
 
 def sync_problem(directories: Iterable[RunDirectory], uris: Sequence[str]) -> str | None:
-    """Sync all runs as `sync_all` does; return a sentence if a store has not got all of them, with what to type.
-
-    Runs of another version stay as they are, and are no problem: what lists the runs says so of them.
-    """
-    found = [(one, problem) for one, problem in sync_all(directories, uris) if problem and not one.version_problem]
+    """Sync all runs as `sync_all` does; return a sentence if a store has not got all of them, with what to type."""
+    found = [(one, problem) for one, problem in sync_all(directories, uris) if problem]
     if not found:
         return None
     directory, problem = found[0]

@@ -25,7 +25,6 @@ from parking_exp.algorithms.policy_average import PolicyAverage
 from parking_exp.buffers import HerBuffer
 from parking_exp.errors import DamagedFileError, DamagedModelError, ModelError
 from parking_exp.runs.files import fsync, read_json, sha256, write_json
-from parking_exp.runs.layout_version import new_entries, other_version
 from parking_exp.runs.metric_logs import copy_logs
 from parking_exp.training import rollout_state, serialization
 
@@ -103,7 +102,7 @@ def save(
 
 
 def latest(directory: Path) -> Path | None:
-    """Return the newest whole checkpoint, or None. Damaged ones and those of other versions are skipped."""
+    """Return the newest whole checkpoint, or None. Damaged ones are skipped."""
     for folder in reversed(_found(directory)):
         problem = check(folder)
         if problem is None:
@@ -113,7 +112,7 @@ def latest(directory: Path) -> Path | None:
 
 
 def check(folder: Path) -> str | None:
-    """Return what is wrong with a checkpoint; None if this version has made it and all files have their hashes."""
+    """Return what is wrong with a checkpoint; None if all files have their hashes."""
     try:
         manifest = read_json(folder / MANIFEST)
     except ValueError:  # not JSON, or not even text
@@ -122,9 +121,6 @@ def check(folder: Path) -> str | None:
         return f"{MANIFEST} is missing"
     if not isinstance(manifest, dict):
         return f"{MANIFEST} is not readable"
-    if (maker := other_version(manifest)) is not None:
-        return f"it was made by {maker}"
-    manifest.pop("layout", None)
     for name in (MODEL, BUFFER, STATE, ARRAYS, METRICS):
         if name not in manifest:
             return f"{MANIFEST} does not name {name}"
@@ -204,7 +200,7 @@ def _new_directory(target: Path) -> Iterator[Path]:
         files = sorted(folder.iterdir())
         for file in files:
             fsync(file)
-        write_json(folder / MANIFEST, new_entries() | {file.name: sha256(file) for file in files})
+        write_json(folder / MANIFEST, {file.name: sha256(file) for file in files})
         fsync(folder)
         if target.exists():  # the same step, found corrupt before
             shutil.rmtree(target)

@@ -42,7 +42,7 @@ def train(config: DictConfig | Mapping[str, Any] | RunConfig, *, supervised: boo
 
     Raises:
         ConfigError: the config cannot run; nothing was made on disk.
-        OutputDirectoryError: the run directory can't be written, or another version of this package has made it.
+        OutputDirectoryError: the run directory can't be written.
         RunLockedError: another process is working on the same run.
         InterruptedRunError: SIGINT or SIGTERM; the state is saved.
         FailedRunError: anything else; the run is marked failed, its traceback kept.
@@ -50,7 +50,6 @@ def train(config: DictConfig | Mapping[str, Any] | RunConfig, *, supervised: boo
     config = validate(config)
     directory = RunDirectory(config.run_dir)
     if directory.result() is None:
-        directory.check_version()
         if config.device.startswith("cuda") and int(config.device[5:] or 0) >= torch.cuda.device_count():
             raise ConfigError(f"device={config.device}: torch finds no such device; the closest valid choice is auto")
         check_saving(config)
@@ -76,12 +75,10 @@ def _train(config: RunConfig, directory: RunDirectory, stop: StopRequest) -> Run
     try:
         checkpoint = checkpoints.latest(directory.checkpoints)
         progress = checkpoints.read_progress(checkpoint) if checkpoint else Progress()
-        damaged = restore_logs(directory.path, checkpoint)
+        restore_logs(directory.path, checkpoint)
         shown = config.tracking.progress_bar
         with TrainingProgress(config.total_timesteps, progress.step, shown, heartbeat=directory.heartbeat) as bar:
             bar.say(f"{config.cell}, seed {config.seed}: {config.total_timesteps} env steps, in {directory.path}")
-            for name in damaged:
-                bar.say(f"{name} was damaged; it is taken from the checkpoint")
             tracker = open_tracker(config, directory, bar.say)
             loop = TrainingLoop(
                 config=config,

@@ -12,7 +12,6 @@ from benchmarks.timing import spread
 from parking_exp.config.compose import composed_runs
 from parking_exp.runs.directory import STATUS_FILE, RunDirectory
 from parking_exp.runs.files import write_json
-from parking_exp.runs.layout_version import new_entries
 from parking_exp.sweeps.local import launch
 from parking_exp.sweeps.plan import plan
 
@@ -72,7 +71,7 @@ def scan(rounds: int, n_seeds: int, *cells: str) -> dict[str, Any]:
         runs = composed_runs("config", ["experiment=her_ablation", *cells, f"seeds={n_seeds}", f"output_dir={folder}"])
         for run in plan(runs):
             run.path.mkdir(parents=True)
-            entries = {**new_entries(), "status": "done", "steps": 20_000, "label": run.label}
+            entries = {"status": "done", "steps": 20_000, "label": run.label}
             write_json(run.path / STATUS_FILE, entries, durable=False)
         values = []
         for _ in range(rounds):

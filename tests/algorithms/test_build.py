@@ -4,81 +4,20 @@ import subprocess
 import sys
 from pathlib import Path
 
-import gymnasium as gym
-import numpy as np
 import pytest
 import torch
 from stable_baselines3.common.logger import Logger
 from stable_baselines3.common.torch_layers import CombinedExtractor
 from stable_baselines3.common.vec_env import DummyVecEnv
+from support.reach import Reach
 from support.runs import make_config, options
 
-from parking_exp.algorithms.build import build_model, greedy_policy
+from parking_exp.algorithms.build import build_model
 from parking_exp.buffers import HerBuffer
 from parking_exp.envs.training_envs import make_training_envs
 from parking_exp.errors import ConfigError
 
 SMALL = ("experiment=smoke", "tracking.mlflow=false")
-
-
-class Reach(gym.Env):
-    """An oracle: a point in the plane that must come within 0.2 of a goal. A straight line does it in 10 steps."""
-
-    STEPS = 20
-    observation_space = gym.spaces.Dict(
-        {key: gym.spaces.Box(-2, 2, (2,), np.float64) for key in ("observation", "achieved_goal", "desired_goal")}
-    )
-    action_space = gym.spaces.Box(-1, 1, (2,), np.float32)
-
-    def reset(self, *, seed=None, options=None):
-        super().reset(seed=seed)
-        self.point, self.goal = self.np_random.uniform(-1, 1, (2, 2))
-        self.steps = 0
-        return self._observe(), {}
-
-    def step(self, action):
-        self.point = np.clip(self.point + 0.2 * np.asarray(action, dtype=float), -2, 2)
-        self.steps += 1
-        reward = float(self.compute_reward(self.point, self.goal, {}))
-        info = {"is_success": reward == 0}
-        return self._observe(), reward, reward == 0, self.steps >= self.STEPS, info
-
-    def compute_reward(self, achieved_goal, desired_goal, info):
-        return np.where(np.linalg.norm(achieved_goal - desired_goal, axis=-1) <= 0.2, 0.0, -1.0)
-
-    def _observe(self):
-        return {"observation": self.point.copy(), "achieved_goal": self.point.copy(), "desired_goal": self.goal.copy()}
-
-
-def success_rate(model, episodes=50):
-    env, policy, successes = Reach(), greedy_policy(model), 0
-    for seed in range(episodes):
-        observation, info = env.reset(seed=seed)
-        done = False
-        while not done:
-            action = policy({key: value[None] for key, value in observation.items()})[0]
-            observation, _, terminated, truncated, info = env.step(action)
-            done = terminated or truncated
-        successes += info["is_success"]
-    return successes / episodes
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("algorithm", ["sac", "td3", "ddpg", "crossq"])
-def test_each_algorithm_learns_to_reach_a_goal(algorithm):
-    config = make_config(
-        *SMALL, f"algorithm={algorithm}", "algorithm.features=raw", "algorithm.net_arch=[32,32]",
-        "algorithm.batch_size=64", "algorithm.learning_starts=200", "algorithm.learning_rate=3e-3",
-        "updates_per_step=1.0", "buffer.relabel_collision=sb3", "buffer.relabel_terminated=sb3",
-        "buffer.goal_velocity=achieved", *([] if algorithm == "crossq" else ["algorithm.tau=0.02"]),
-    )  # fmt: skip
-    env = DummyVecEnv([Reach, Reach])
-    model = build_model(config, env, seed=0)
-    model.set_logger(Logger(None, []))
-    before = success_rate(model)
-    model.learn(1500)
-    assert before <= 0.5
-    assert success_rate(model) >= 0.9
 
 
 def test_what_needs_parkings_reward_is_refused_for_another_env():

@@ -13,10 +13,11 @@ from support.run_equality import leaves, parameters
 from support.runs import make_config
 
 from parking_exp.algorithms.build import build_model
-from parking_exp.algorithms.model_files import load_weights, read_weights, replacing, save_model
+from parking_exp.algorithms.model_files import load_weights, read_weights, save_model
 from parking_exp.cli.command import fail
 from parking_exp.envs.training_envs import make_training_envs
 from parking_exp.errors import DamagedModelError, ModelError
+from parking_exp.runs.files import replacing
 from parking_exp.training import checkpoints
 from parking_exp.training.checkpoints import Progress
 

@@ -15,7 +15,6 @@ from parking_exp.config.compose import composed
 from parking_exp.errors import RunNotFoundError
 from parking_exp.runs.directory import RunDirectory
 from parking_exp.runs.files import read_json, write_json
-from parking_exp.runs.layout_version import new_entries
 from parking_exp.runs.lookup import find_run
 from parking_exp.runs.state import read_state
 from parking_exp.runs.state_tables import duration
@@ -25,9 +24,7 @@ from parking_exp.tuning.study import storage_of
 def run_dir(output_dir, cell="cell-a", seed=0, **status):
     path = output_dir / "mine" / cell / f"seed={seed}"
     path.mkdir(parents=True)
-    (path / "status.json").write_text(
-        json.dumps({**new_entries(), "total_timesteps": 1000, "label": cell[-1], **status})
-    )
+    (path / "status.json").write_text(json.dumps({"total_timesteps": 1000, "label": cell[-1], **status}))
     return path
 
 
@@ -89,7 +86,7 @@ def test_a_status_that_is_damaged_is_one_runs_alone(tmp_path):
         "[]",
         '"x"',
         "[" * 100_000,
-        json.dumps({**new_entries(), "status": "done", "success_rate": math.nan}),
+        json.dumps({"status": "done", "success_rate": math.nan}),
         "\xff",
     ]
     for number, content in enumerate(contents):

@@ -1,5 +1,6 @@
 """Trained agents are found by name, and pretrained ones park."""
 
+import re
 import shutil
 
 import numpy as np
@@ -64,14 +65,10 @@ def test_their_configs_are_those_of_the_recipes():
 
 
 def test_a_name_that_there_is_not_is_told_with_those_that_there_are(tmp_path):
-    sentence = r"run=pretrained/parkd: there is no such pretrained agent; there are default, parked; did you mean "
-    with pytest.raises(RunNotFoundError, match=sentence):
-        find_agent("pretrained/parkd", tmp_path)
-    with pytest.raises(RunNotFoundError, match=r"there are default, parked"):
-        find_agent("pretrained/../default", tmp_path)
-    with pytest.raises(
-        RunNotFoundError, match=r"run=pretrained: a pretrained agent has one model; leave model=best out"
-    ):
+    for name in ("pretrained/parkd", "pretrained/../default"):
+        with pytest.raises(RunNotFoundError, match=rf"^run={re.escape(name)}.* default, parked"):
+            find_agent(name, tmp_path)
+    with pytest.raises(RunNotFoundError, match=r"^run=pretrained.* model=best"):
         find_agent("pretrained", tmp_path, "best")
 
 
@@ -90,14 +87,9 @@ def test_a_saved_policy_is_restored_bit_for_bit_and_alone(algorithm, tmp_path):
 def test_a_policy_of_other_features_or_without_mirroring_is_refused(tmp_path):
     path = tmp_path / "policy.safetensors"
     save_policy(make_model("algorithm=td3", "algorithm.features=ego_fine"), path)
-    sentence = f"{path} has the weights of another policy: its policy is MultiInputPolicy, not MirroredTD3Policy"
-    with pytest.raises(ModelError, match=f"^{sentence}$"):
+    with pytest.raises(ModelError, match=r"MultiInputPolicy, not MirroredTD3Policy"):
         load_policy(path, make_model("algorithm=td3", "algorithm.features=ego_mirrored"))
-    sentence = (
-        f"{path} has the weights of another policy: its features extractor is FineEgoFrameExtractor, "
-        "not EgoFrameExtractor"
-    )
-    with pytest.raises(ModelError, match=f"^{sentence}$"):
+    with pytest.raises(ModelError, match=r"FineEgoFrameExtractor, not EgoFrameExtractor"):
         load_policy(path, make_model("algorithm=td3", "algorithm.features=ego"))
 
 
@@ -122,34 +114,29 @@ def test_the_policy_of_another_network_is_refused_and_changes_nothing(tmp_path):
     save_policy(make_model("algorithm.net_arch=[9]"), tmp_path / "policy.safetensors")
     model = make_model()
     before = [weight.clone() for weight in model.actor.parameters()]
-    with pytest.raises(ModelError) as refused:
+    with pytest.raises(ModelError, match=r"actor.mu.0.weight is 9 x 19 of float32"):
         load_policy(tmp_path / "policy.safetensors", model)
-    assert str(refused.value) == (
-        f"{tmp_path}/policy.safetensors does not fit this TD3: "
-        "actor.mu.0.weight is 9 x 19 of float32 there, and 8 x 19 of float32 here"
-    )
     assert all(map(torch.equal, before, model.actor.parameters()))
 
 
 @pytest.mark.parametrize(
-    ("change", "difference"),
+    ("change", "named"),
     [
-        (lambda weights: weights.pop("actor.mu.0.bias"), "actor.mu.0.bias is missing there, and 8 of float32 here"),
-        (lambda weights: weights.update(more=torch.zeros(2)), "more is 2 of float32 there, and missing here"),
+        (lambda weights: weights.pop("actor.mu.0.bias"), "actor.mu.0.bias"),
+        (lambda weights: weights.update(more=torch.zeros(2)), "more"),
         (
             lambda weights: weights.update({"actor.mu.0.bias": torch.zeros(8, dtype=torch.float64)}),
-            "actor.mu.0.bias is 8 of float64 there, and 8 of float32 here",
+            "actor.mu.0.bias",
         ),
     ],
 )
-def test_a_file_with_other_weights_is_refused_with_the_first_that_differs(change, difference, tmp_path):
+def test_a_file_with_other_weights_is_refused_with_the_first_that_differs(change, named, tmp_path):
     model = make_model("algorithm=td3")
     weights = dict(model.actor.state_dict(prefix="actor."))
     change(weights)
     (tmp_path / "policy.safetensors").write_bytes(save(weights))
-    with pytest.raises(ModelError) as refused:
+    with pytest.raises(ModelError, match=rf"policy\.safetensors .*: {named} is "):
         load_policy(tmp_path / "policy.safetensors", model)
-    assert str(refused.value) == f"{tmp_path}/policy.safetensors does not fit this TD3: {difference}"
 
 
 @pytest.mark.parametrize("damage", [lambda content: content[:-9], lambda content: b"", lambda content: b"\xff" * 99])

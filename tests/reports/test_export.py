@@ -23,7 +23,6 @@ from parking_exp.reports.tuning_data import Budget, Objective, Trial, Tuning
 from parking_exp.reports.untracked import find_untracked
 from parking_exp.results import load, read_export
 from parking_exp.runs.files import write_json
-from parking_exp.runs.layout_version import new_entries
 
 CELLS = {
     f"{buffer}{n}": [f"buffer=her_{buffer}", f"buffer.n_sampled_goal={n}", "evaluation.final_n_scenes=40"]
@@ -54,7 +53,7 @@ def store(empty):
         make_store(Path(folder), "one", CELLS, range(3), look, bulk=True)
         for cell in [*(Path(folder) / "one").iterdir(), Path(folder) / "one" / "other-0123456789"]:
             (cell / "seed=9").mkdir(parents=True)
-            write_json(cell / "seed=9" / "status.json", {**new_entries(), "status": "pending"})
+            write_json(cell / "seed=9" / "status.json", {"status": "pending"})
         yield Path(folder)
 
 

@@ -531,15 +531,3 @@ def test_a_store_that_was_lost_is_made_again_from_all_run_directories(output_dir
 def test_results_say_in_a_line_what_they_are(output_dir):
     make_store(output_dir, "her", HER, [0])
     assert repr(load("her", output_dir=output_dir)).startswith("<Results of sqlite:///")
-
-
-def test_runs_of_another_version_are_read_and_said(output_dir):
-    looks = {0: Look(tags={"layout": None}), 1: Look(tags={"layout": "99"}), 2: Look()}
-    make_store(output_dir, "one", {"": []}, looks, lambda _, seed: looks[seed])
-    found = load("one", output_dir=output_dir)
-    assert len(found.runs) == 3
-    assert found.runs["success_rate"].notna().all()
-    assert [problem.partition(":")[0] for problem in found.problems] == [
-        "1 run made by an earlier version of parking_exp",
-        "1 run made by a later version of parking_exp",
-    ]

@@ -31,7 +31,6 @@ from parking_exp.evaluation.evaluate import summarise
 from parking_exp.evaluation.metrics import EPISODE_COLUMNS
 from parking_exp.runs.directory import RunDirectory, RunResult
 from parking_exp.runs.files import sha256, write_json
-from parking_exp.runs.layout_version import LAYOUT, new_entries
 from parking_exp.runs.metric_logs import append_episodes, copy_logs
 from parking_exp.runs.provenance import provenance
 from parking_exp.tracking.store import Store
@@ -323,7 +322,7 @@ def _insert(
         directory.path.mkdir(parents=True, exist_ok=True)
         write_json(
             directory.path / "status.json",
-            {**new_entries(), "status": look.status, "run_id": run_id, "tracking_uri": uri},
+            {"status": look.status, "run_id": run_id, "tracking_uri": uri},
         )
         _record_as_synced(directory, look, run_id, uri)
         place_in_store = {"run_uuid": run_id, "artifact_uri": artifact_uri, "experiment_id": int(experiment_id)}
@@ -352,7 +351,6 @@ def _rows(
     """Return a run's rows of MLflow's tables."""
     run, name = {"run_uuid": place["run_uuid"]}, f"{config.cell}-seed={config.seed}"
     tags = {
-        "layout": str(LAYOUT),
         "experiment": config.experiment_name,
         "cell": config.cell,
         "seed": str(config.seed),

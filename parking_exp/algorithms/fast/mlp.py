@@ -90,13 +90,8 @@ def as_layers(tensors: list[torch.Tensor]) -> list[Layer]:
     return list(zip(tensors[::2], tensors[1::2], strict=True))
 
 
-def is_wide(weight: torch.Tensor) -> bool:
-    """Whether the precision makes a difference to a layer."""
-    return _onednn is not None and min(weight.shape) >= WIDE
-
-
 def _by_onednn(weight: torch.Tensor) -> bool:
-    return is_wide(weight) and torch.get_float32_matmul_precision() != "highest"
+    return _onednn is not None and min(weight.shape) >= WIDE and torch.get_float32_matmul_precision() != "highest"
 
 
 def _linear(x: torch.Tensor, weight: torch.Tensor, bias: torch.Tensor) -> torch.Tensor:

@@ -1,0 +1,60 @@
+"""Agents learn a goal-conditioned task with our HER buffer, and do not learn it without HER."""
+
+import pytest
+import torch
+from stable_baselines3.common.logger import Logger
+from stable_baselines3.common.vec_env import DummyVecEnv
+from support.marks import slow_but
+from support.reach import CHANCE, Reach, success_rate
+from support.runs import make_config
+
+from parking_exp.algorithms.build import build_model, greedy_policy
+from parking_exp.algorithms.fast.supported import is_supported
+
+# The bound and four standard deviations of a rate over 200 episodes: 1 %.
+UNTRAINED = CHANCE + 4 * (CHANCE * (1 - CHANCE) / 200) ** 0.5
+AS_SB3 = ("buffer.relabel_collision=sb3", "buffer.relabel_terminated=sb3", "buffer.goal_velocity=achieved")
+
+
+def untrained(algorithm, *overrides):
+    config = make_config(
+        "experiment=smoke", f"algorithm={algorithm}", "algorithm.features=raw", "algorithm.net_arch=[64,64]",
+        "algorithm.batch_size=64", "algorithm.learning_starts=200", "algorithm.learning_rate=3e-3",
+        "algorithm.gamma=0.9", "updates_per_step=1.0", *overrides,
+        *([] if algorithm == "crossq" else ["algorithm.tau=0.02"]),
+        *(["algorithm.action_noise=null"] if algorithm in {"td3", "ddpg"} else []),
+    )  # fmt: skip
+    env = DummyVecEnv([Reach] * 4)
+    model = build_model(config, env, seed=0)
+    model.set_logger(Logger(None, []))
+    env.seed(0)
+    return model
+
+
+@pytest.fixture(autouse=True)
+def one_thread():
+    """Rounding, and so learning, depends on how many there are."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield
+    torch.set_num_threads(before)
+
+
+STEPS_AND_RATE = {"sac": (3000, 0.95), "td3": (3000, 0.95), "ddpg": (3000, 0.95), "crossq": (8000, 0.2)}
+
+
+@pytest.mark.parametrize("algorithm", slow_but(["sac"], STEPS_AND_RATE))
+def test_with_her_and_the_fast_update_an_agent_learns_to_reach_goals(algorithm):
+    model = untrained(algorithm, *AS_SB3)
+    assert is_supported(model) == (algorithm != "crossq")
+    assert success_rate(greedy_policy(model)) <= UNTRAINED
+    steps, rate = STEPS_AND_RATE[algorithm]
+    model.learn(steps)
+    assert success_rate(greedy_policy(model)) >= rate
+
+
+def test_without_her_it_does_not():
+    """Rewards are -1 in all but one of about 1,000 episodes, and it sees 300."""
+    model = untrained("sac", "buffer=replay")
+    model.learn(3000)
+    assert success_rate(greedy_policy(model)) <= UNTRAINED

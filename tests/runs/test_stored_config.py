@@ -1,0 +1,38 @@
+"""Stored configs are data: read back as they were written, or refused with the key that is wrong."""
+
+import pytest
+from support.runs import make_config
+
+from parking_exp.errors import ConfigError
+from parking_exp.runs.directory import RunDirectory
+
+
+@pytest.fixture
+def directory(tmp_path):
+    config = make_config("experiment=smoke", f"output_dir={tmp_path}")
+    directory = RunDirectory(config.run_dir)
+    directory.create(config)
+    return directory
+
+
+def test_a_stored_config_is_read_back_as_it_was(directory, tmp_path):
+    assert directory.config() == make_config("experiment=smoke", f"output_dir={tmp_path}")
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "named"),
+    [
+        ("n_envs:", "number_of_envs:", "number_of_envs"),
+        ("name: sac", "name: ${seed}", "algorithm.name"),
+        ("n_envs: ", "n_envs: !!python/name:os.getcwd ", "config.yaml"),
+        ("n_envs: ", "n_envs: [", "config.yaml"),
+    ],
+)
+def test_a_stored_config_that_does_not_fit_the_schema_is_refused(directory, old, new, named):
+    path = directory.path / "config.yaml"
+    text = path.read_text()
+    assert old in text
+    path.write_text(text.replace(old, new, 1))
+    with pytest.raises(ConfigError, match=r"config\.yaml") as refused:
+        directory.config()
+    assert named in str(refused.value)
