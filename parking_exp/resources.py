@@ -35,31 +35,10 @@ def pin(some_cores: Sequence[int]) -> None:
         os.sched_setaffinity(0, some_cores)
 
 
-def free_memory(cgroup: Path = CGROUP) -> int:
-    """Return how many bytes are free: of the machine, and of its control group in a container.
-
-    psutil alone knows the machine's: in a container, runs of some 0.6 GB each would be started until one is killed.
-    """
-    free = psutil.virtual_memory().available
-    limit, used = _read(cgroup / "memory.max"), _read(cgroup / "memory.current")
-    if limit is not None and used is not None:
-        free = min(free, limit - used + _reclaimable(cgroup / "memory.stat"))
-    return free
-
-
 def total_memory(cgroup: Path = CGROUP) -> int:
     """Return how many bytes of memory this machine has, or the control group may use."""
     total, limit = psutil.virtual_memory().total, _read(cgroup / "memory.max")
     return total if limit is None else min(total, limit)
-
-
-def memory_of(pid: int) -> int:
-    """Return how many bytes of memory a process and its children hold; 0 if it is gone."""
-    try:
-        process = psutil.Process(pid)
-        return sum(one.memory_info().rss for one in [process, *process.children(recursive=True)])
-    except psutil.Error:
-        return 0
 
 
 def cuda_devices() -> list[str]:
@@ -76,12 +55,3 @@ def _read(path: Path) -> int | None:
         return int(path.read_text())
     except (OSError, ValueError):  # no control group, or "max"
         return None
-
-
-def _reclaimable(stat: Path) -> int:
-    """Page cache counts as used, and goes when memory is wanted."""
-    try:
-        lines = dict(line.split() for line in stat.read_text().splitlines())
-    except (OSError, ValueError):
-        return 0
-    return int(lines.get("inactive_file", 0))

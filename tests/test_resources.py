@@ -7,7 +7,7 @@ import pytest
 from support.runs import run_script
 from support.sweep_processes import FAILING, QUICK
 
-from parking_exp.resources import cores, cuda_devices, free_memory, shares, total_memory
+from parking_exp.resources import cores, cuda_devices, shares, total_memory
 from parking_exp.sweeps.supervisor import WorkerResources
 
 
@@ -49,18 +49,6 @@ def test_all_memory_is_bounded_by_the_control_group(tmp_path):
     assert total_memory(tmp_path) == 3000
 
 
-def test_free_memory_is_bounded_by_the_control_group(tmp_path):
-    whole = free_memory(tmp_path)  # there is no control group here
-    assert whole > 0
-    (tmp_path / "memory.max").write_text("3000\n")
-    (tmp_path / "memory.current").write_text("1800\n")
-    assert free_memory(tmp_path) == 1200
-    (tmp_path / "memory.stat").write_text("anon 1300\ninactive_file 500\n")
-    assert free_memory(tmp_path) == 1700
-    (tmp_path / "memory.max").write_text("max\n")
-    assert free_memory(tmp_path) == pytest.approx(whole, rel=0.5)
-
-
 def told(tmp_path, *arguments):
     """What the two runs of a sweep said of their processes."""
     environment = {**FAILING, "TELLS": str(tmp_path), "CUDA_VISIBLE_DEVICES": "4,5"}
@@ -82,11 +70,3 @@ def test_workers_side_by_side_have_cores_threads_and_devices_of_their_own(tmp_pa
     for one, mine in zip(found, expected, strict=True):
         assert set(one["threads"].values()) == {str(len(mine))}
         assert one["torch"] == len(mine)
-
-
-@pytest.mark.slow
-def test_where_memory_is_short_one_run_waits_for_the_other(tmp_path):
-    first, second = sorted(
-        one["time"] for one in told(tmp_path, "hydra.launcher.memory_gb=100000", "hydra.launcher.n_jobs=2")
-    )
-    assert first[1] < second[0]

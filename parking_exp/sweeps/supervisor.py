@@ -32,7 +32,6 @@ KILLS = {signal.SIGKILL, signal.SIGTERM, signal.SIGINT, signal.SIGHUP}
 
 WorkerResult = Literal["done", "failed", "stopped", "elsewhere"]
 """How a run ended: done; failed, with the reason in status.json; stopped, on request; elsewhere: in another process."""
-OnStart = Callable[[subprocess.Popen[bytes]], None]
 Stop = Callable[[], bool]
 
 
@@ -51,19 +50,13 @@ class WorkerResources:
         return found
 
 
-def supervise(
-    path: Path,
-    resources: WorkerResources | None = None,
-    stop: Stop | None = None,
-    started: OnStart | None = None,
-) -> WorkerResult:
+def supervise(path: Path, resources: WorkerResources | None = None, stop: Stop | None = None) -> WorkerResult:
     """Train one run in a fresh process, and see to it that its directory says how that went.
 
     Args:
         path: the run directory, with its frozen config.
         resources: of the machine; None: all of it.
         stop: asked again and again; once it is true, the run saves a checkpoint and leaves, or is killed after GRACE_S.
-        started: called with the process.
     """
     directory = RunDirectory(path)
     if directory.under_way:
@@ -72,12 +65,12 @@ def supervise(
         with directory.supervisor_lock():
             if (status := directory.status) in ("done", "failed"):
                 return status  # by another sweep, since this one was planned
-            return _run(directory, resources or WorkerResources(), stop or (lambda: False), started)
+            return _run(directory, resources or WorkerResources(), stop or (lambda: False))
     except RunLockedError:
         return "elsewhere"
 
 
-def _run(directory: RunDirectory, resources: WorkerResources, stop: Stop, started: OnStart | None) -> WorkerResult:
+def _run(directory: RunDirectory, resources: WorkerResources, stop: Stop) -> WorkerResult:
     try:
         config = directory.config()
         if config.run_dir != directory_path(directory.path):
@@ -95,8 +88,6 @@ def _run(directory: RunDirectory, resources: WorkerResources, stop: Stop, starte
         process = _start(directory.path, resources, log)
         try:
             directory.update(pid=process.pid)
-            if started is not None:
-                started(process)
             late, stopped = _wait(process, config.timeout_s, stop)
         finally:
             if process.poll() is None:  # an error here: no worker is left without a supervisor

@@ -92,7 +92,7 @@ def _frozen(output_dir: Path, *overrides: str) -> list[Path]:
 
 def _seconds(paths: Sequence[Path], workers: int) -> float:
     begin = time.perf_counter()
-    endings = launch(paths, workers, memory_gb=0.1)
+    endings = launch(paths, workers)
     seconds = time.perf_counter() - begin
     if set(endings.values()) != {"done"}:
         raise RuntimeError(f"a run that was to be timed has failed: {endings}")

@@ -47,16 +47,15 @@ class _RunLauncher(Launcher):
 class LocalLauncher(_RunLauncher):
     """Fresh processes side by side on this machine; see `parking_exp.sweeps.local.launch`."""
 
-    def __init__(self, n_jobs: int | None, memory_gb: float | None) -> None:
+    def __init__(self, n_jobs: int | None) -> None:
         _check("n_jobs", n_jobs, int)
-        _check("memory_gb", memory_gb, int | float)
-        self.n_jobs, self.memory_gb = n_jobs, memory_gb
+        self.n_jobs = n_jobs
 
     def train(self, paths: Sequence[Path]) -> Sequence[Any]:
         """Train the runs of these directories; return how each ended."""
         from parking_exp.sweeps.local import launch
 
-        results = launch(paths, self.n_jobs, self.memory_gb)
+        results = launch(paths, self.n_jobs)
         return [results.get(path) for path in paths]
 
     def search(self, folder: Path, n_trials: int, storage: str | None, n_workers: int) -> Sequence[Any]:
@@ -64,7 +63,7 @@ class LocalLauncher(_RunLauncher):
         from parking_exp.sweeps.local import launch_workers
         from parking_exp.tuning.worker import work
 
-        launch_workers(lambda train: work(folder, n_trials, train, storage), n_workers, self.memory_gb)
+        launch_workers(lambda train: work(folder, n_trials, train, storage), n_workers)
         return [None] * n_workers
 
 
