@@ -106,13 +106,8 @@ def make_sampler(search: SearchConfig, seed: int) -> "BaseSampler":
     from optuna import samplers
     from optuna.exceptions import ExperimentalWarning
 
-    match search.sampler:
-        case "random":
-            return samplers.RandomSampler(seed=seed)
-        case "cmaes":
-            return samplers.CmaEsSampler(seed=seed, warn_independent_sampling=False)
-        case "gp":
-            return samplers.GPSampler(seed=seed)
+    if search.sampler == "random":
+        return samplers.RandomSampler(seed=seed)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", ExperimentalWarning)
         # `group`: where trials lack parameters because of conditions, those that come together are sampled together.

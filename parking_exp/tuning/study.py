@@ -10,7 +10,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, cast
+from typing import TYPE_CHECKING, Any, cast
 
 from filelock import FileLock, Timeout
 
@@ -18,7 +18,7 @@ from parking_exp.config.credentials import strip_password, with_password
 from parking_exp.config.paths import refuse_links
 from parking_exp.config.schema import RunConfig
 from parking_exp.errors import ConfigError, ParkingError, StoreError
-from parking_exp.tuning.schema import HIGHER_IS_BETTER, SearchConfig
+from parking_exp.tuning.schema import SearchConfig
 from parking_exp.tuning.space import applies, in_order, parameter, to_parameter
 
 if TYPE_CHECKING:
@@ -29,7 +29,7 @@ Values = Callable[[Mapping[str, Any]], Mapping[str, Any]]
 DEFINITION = "definition"  # attribute of a study
 # Attributes of a trial.
 CHANGES, ENQUEUED, HEARTBEAT, RUNS, REASON = "changes", "enqueued", "alive", "runs", "reason"
-SEED_VALUES, STEPS, CPU_S, COST = "values_by_seed", "env_steps", "cpu_s", "cost"
+SEED_VALUES, STEPS, CPU_S = "values_by_seed", "env_steps", "cpu_s"
 CLAIM_PATIENCE_S = 120.0
 
 
@@ -86,11 +86,6 @@ def storage_of(folder: Path, uri: str | None) -> Any:
         raise StoreError(f"storage={uri or path}: the study can't be opened: {_first_line(error)}") from error
 
 
-def directions(search: SearchConfig) -> list[Literal["maximize", "minimize"]]:
-    """Return Optuna's direction of each objective."""
-    return ["maximize" if HIGHER_IS_BETTER[name] else "minimize" for name in search.objective]
-
-
 def open_study(folder: Path, search: SearchConfig, base: RunConfig, values: Values, storage: Any) -> "Study":
     """Return the study of a search, made with trial 0 and what is enqueued if there is none yet.
 
@@ -110,7 +105,7 @@ def open_study(folder: Path, search: SearchConfig, base: RunConfig, values: Valu
     name = folder.name
     with claiming(folder), storage_errors(name):
         study = optuna.create_study(
-            storage=storage, study_name=name, directions=directions(search), load_if_exists=True
+            storage=storage, study_name=name, directions=["maximize"] * len(search.objective), load_if_exists=True
         )
         definition = _definition(search, base)
         if (known := study.user_attrs.get(DEFINITION)) is None:

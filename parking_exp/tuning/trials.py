@@ -10,8 +10,7 @@ from pydantic import FiniteFloat, TypeAdapter, ValidationError
 
 from parking_exp.errors import ConfigError
 from parking_exp.tuning.claims import worked_on
-from parking_exp.tuning.schema import HIGHER_IS_BETTER
-from parking_exp.tuning.study import CHANGES, COST, CPU_S, REASON, RUNS, SEED_VALUES, STEPS, storage_errors
+from parking_exp.tuning.study import CHANGES, CPU_S, REASON, RUNS, SEED_VALUES, STEPS, storage_errors
 
 if TYPE_CHECKING:
     from optuna import Study
@@ -33,7 +32,7 @@ class TrialRow:
         values: of the objectives, mean over its seeds; none before it is done.
         by_seed: the values of each seed.
         runs: its run directories, relative to the output directory.
-        env_steps, cpu_s, cost: of all its runs; None where it is not known.
+        env_steps, cpu_s: of all its runs; None where it is not known.
         reason: why it failed.
         seconds: from its begin to its end; None before that.
     """
@@ -47,7 +46,6 @@ class TrialRow:
     runs: Sequence[str]
     env_steps: int | None
     cpu_s: FiniteFloat | None
-    cost: FiniteFloat | None
     reason: str | None
     seconds: float | None
 
@@ -91,46 +89,37 @@ def _entries(frozen: "FrozenTrial", folder: Path, n_objectives: int) -> dict[str
         "number": frozen.number,
         "state": known.get(frozen.state.name) or ("running" if worked_on(folder, frozen) else "pending"),
         "changes": attributes.get(CHANGES, {}),
-        "parameters": {name: _plain(value) for name, value in frozen.params.items()},
+        "parameters": {name: plain_choice(value) for name, value in frozen.params.items()},
         "values": values if len(values) in (0, n_objectives) else None,
         "by_seed": attributes.get(SEED_VALUES, []),
         "runs": attributes.get(RUNS, []),
         "env_steps": attributes.get(STEPS),
         "cpu_s": attributes.get(CPU_S),
-        "cost": attributes.get(COST),
         "reason": attributes.get(REASON),
         "seconds": frozen.duration.total_seconds() if frozen.duration else None,
     }
 
 
-def _plain(value: Any) -> float | str:
-    """Return a parameter as tables show it: choices are kept as JSON."""
+def plain_choice(value: Any) -> float | str:
+    """Return a parameter as people read it: Optuna knows choices as JSON texts."""
     if not isinstance(value, str):
         return value
     choice = json.loads(value)
     return choice if isinstance(choice, str | int | float) and not isinstance(choice, bool) else value
 
 
-def ranked(trials: Sequence[TrialRow], objectives: Sequence[str]) -> list[TrialRow]:
+def ranked(trials: Sequence[TrialRow]) -> list[TrialRow]:
     """Return the trials that are done, best first: by the objective, or Pareto front after Pareto front."""
     left, found = [trial for trial in trials if trial.values], []
     while left:
-        best = front(left, objectives)
-        sign = -1 if HIGHER_IS_BETTER[objectives[0]] else 1
-        found += sorted(best, key=lambda trial: (sign * trial.values[0], trial.number))
+        best = [trial for trial in left if not any(_dominates(other.values, trial.values) for other in left)]
+        found += sorted(best, key=lambda trial: (-trial.values[0], trial.number))
         left = [trial for trial in left if trial not in best]
     return found
 
 
-def front(trials: Sequence[TrialRow], objectives: Sequence[str]) -> list[TrialRow]:
-    """Return the trials that are done and that no other beats in all objectives."""
-    signs = [-1 if HIGHER_IS_BETTER[name] else 1 for name in objectives]
-    losses = [(trial, [s * v for s, v in zip(signs, trial.values, strict=True)]) for trial in trials if trial.values]
-    return [trial for trial, loss in losses if not any(_dominates(other, loss) for _, other in losses)]
-
-
 def _dominates(one: Sequence[float], other: Sequence[float]) -> bool:
-    return all(a <= b for a, b in zip(one, other, strict=True)) and list(one) != list(other)
+    return all(a >= b for a, b in zip(one, other, strict=True)) and list(one) != list(other)
 
 
 def counts(trials: Sequence[TrialRow]) -> dict[TrialState, int]:

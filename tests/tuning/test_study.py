@@ -323,7 +323,7 @@ def test_a_heartbeat_of_another_type_is_none(tmp_path):
         ("COMPLETE", [0.5], {"runs": "a/b"}, "runs"),
         ("COMPLETE", [0.5], {"runs": [1]}, "runs"),
         ("FAIL", None, {"env_steps": "many"}, "env_steps"),
-        ("FAIL", None, {"cost": float("nan")}, "cost"),
+        ("FAIL", None, {"cpu_s": float("nan")}, "cpu_s"),
         ("FAIL", None, {"reason": {}}, "reason"),
         ("COMPLETE", [float("inf")], {}, "values"),
     ],
