@@ -47,7 +47,7 @@ def tune(search: Search, launch: Launch, *, dry_run: bool = False) -> None:
         found = study_in(search.folder, search.request.storage)
         _describe(search, found.trials[:n_trials] if found else [], n_workers, out)
         return
-    study = search.open()
+    study = search.open().study
     trials = rows(study, search.folder, n_trials)
     _describe(search, trials, n_workers, out)
     search.save()
@@ -122,7 +122,7 @@ def _train(search: Search, study: "Study", launch: Launch, n_workers: int) -> li
     job = [f"study={in_quotes(str(search.folder))}", f"n_trials={n_trials}"]
     if search.request.storage:
         job.append(f"storage={in_quotes(search.request.storage)}")
-    with TrialMonitor(search, search.open()) as monitor:
+    with TrialMonitor(search, search.open().study) as monitor:
         try:
             trials, problem = rows(study, search.folder, n_trials), None
             while _left(search, trials) and problem is None:

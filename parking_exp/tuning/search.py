@@ -19,7 +19,7 @@ from parking_exp.errors import ConfigError, OutputDirectoryError, suggestion
 from parking_exp.runs.files import read_object, write_json
 from parking_exp.tuning.schema import TUNING_KEYS, SearchConfig, TuneRequest
 from parking_exp.tuning.space import base_value, in_order
-from parking_exp.tuning.study import load_study, open_study, storage_of
+from parking_exp.tuning.study import OpenStudy, load_study, open_study, storage_of
 from parking_exp.tuning.trials import TrialRow, rows
 
 if TYPE_CHECKING:
@@ -154,7 +154,7 @@ class Search:
             return [f"{where}: {line}" for line in str(error).splitlines()]
         return []
 
-    def open(self) -> "Study":
+    def open(self) -> OpenStudy:
         """Return the study, made with its folder if there is none yet.
 
         Raises:

@@ -9,6 +9,7 @@ import os
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
@@ -22,15 +23,36 @@ from parking_exp.tuning.schema import SearchConfig
 from parking_exp.tuning.space import applies, in_order, parameter, to_parameter
 
 if TYPE_CHECKING:
-    from optuna import Study
+    from optuna import Study, Trial
 
 STUDY_FILE, CLAIM_LOCK, TRIALS_FOLDER = "study.journal", ".claiming", ".trials"
 Values = Callable[[Mapping[str, Any]], Mapping[str, Any]]
 DEFINITION = "definition"  # attribute of a study
 # Attributes of a trial.
-CHANGES, ENQUEUED, HEARTBEAT, RUNS, REASON = "changes", "enqueued", "alive", "runs", "reason"
+CHANGES, ENQUEUED, RUNS, REASON = "changes", "enqueued", "runs", "reason"
 SEED_VALUES, STEPS, CPU_S = "values_by_seed", "env_steps", "cpu_s"
 CLAIM_PATIENCE_S = 120.0
+
+
+@dataclass(frozen=True)
+class OpenStudy:
+    """A study that trials are claimed from: Optuna's study, its storage, and the folder of the search."""
+
+    study: "Study"
+    storage: Any
+    folder: Path
+
+    def trial(self, number: int) -> "Trial":
+        """Return a running trial, begun by this process or another one."""
+        import optuna
+
+        study_id = self.storage.get_study_id_from_name(self.study.study_name)
+        return optuna.Trial(self.study, self.storage.get_trial_id_from_study_id_trial_number(study_id, number))
+
+
+def trial_lock_path(folder: Path, number: int) -> Path:
+    """Return the lock file of a trial, held by the process that works on it."""
+    return folder / TRIALS_FOLDER / f"{number:05d}.lock"
 
 
 class _JournalLock:
@@ -86,7 +108,7 @@ def storage_of(folder: Path, uri: str | None) -> Any:
         raise StoreError(f"storage={uri or path}: the study can't be opened: {_first_line(error)}") from error
 
 
-def open_study(folder: Path, search: SearchConfig, base: RunConfig, values: Values, storage: Any) -> "Study":
+def open_study(folder: Path, search: SearchConfig, base: RunConfig, values: Values, storage: Any) -> OpenStudy:
     """Return the study of a search, made with trial 0 and what is enqueued if there is none yet.
 
     Args:
@@ -113,7 +135,7 @@ def open_study(folder: Path, search: SearchConfig, base: RunConfig, values: Valu
         elif known != definition:
             raise ConfigError(_other_definition(name, known, definition))
         _enqueue(study, search, values)
-        return study
+        return OpenStudy(study, storage, folder)
 
 
 def load_study(name: str, storage: Any) -> "Study | None":

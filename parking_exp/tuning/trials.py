@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any, Literal
 from pydantic import FiniteFloat, TypeAdapter, ValidationError
 
 from parking_exp.errors import ConfigError
-from parking_exp.tuning.claims import worked_on
-from parking_exp.tuning.study import CHANGES, CPU_S, REASON, RUNS, SEED_VALUES, STEPS, storage_errors
+from parking_exp.runs.locks import is_held
+from parking_exp.tuning.study import CHANGES, CPU_S, REASON, RUNS, SEED_VALUES, STEPS, storage_errors, trial_lock_path
 
 if TYPE_CHECKING:
     from optuna import Study
@@ -82,12 +82,14 @@ def _row(frozen: "FrozenTrial", folder: Path, n_objectives: int) -> TrialRow:
 
 
 def _entries(frozen: "FrozenTrial", folder: Path, n_objectives: int) -> dict[str, Any]:
-    known = {"COMPLETE": "done", "PRUNED": "pruned", "FAIL": "failed", "WAITING": "pending"}
+    running = "running" if is_held(trial_lock_path(folder, frozen.number)) else "pending"
+    known = {"COMPLETE": "done", "PRUNED": "pruned", "FAIL": "failed", "WAITING": "pending", "RUNNING": running}
     attributes = frozen.user_attrs
     values = list(frozen.values or []) if frozen.state.name == "COMPLETE" else []
     return {
         "number": frozen.number,
-        "state": known.get(frozen.state.name) or ("running" if worked_on(folder, frozen) else "pending"),
+        "state": known.get(frozen.state.name)
+        or ("running" if is_held(trial_lock_path(folder, frozen.number)) else "pending"),
         "changes": attributes.get(CHANGES, {}),
         "parameters": {name: plain_choice(value) for name, value in frozen.params.items()},
         "values": values if len(values) in (0, n_objectives) else None,

@@ -54,11 +54,12 @@ def work(folder: Path, n_trials: int, train: Train, storage: str | None = None) 
         StoreError: the study can't be read or written.
     """
     search = Search.load(folder, storage)
-    study = search.open()
+    opened = search.open()
+    study = opened.study
     settings = search.request.search
     study.pruner = make_pruner(settings, evaluations(search.base))
     try:
-        while (taken := claim(study, folder, settings, n_trials)) is not None:
+        while (taken := claim(opened, settings, n_trials)) is not None:
             try:
                 if _Trial(search, study, taken, train).run() == "stopped":
                     return
@@ -170,7 +171,6 @@ class _Trial:
             result = self.train(directory.path, stop)
             if result == "elsewhere":  # another trial has the same config
                 time.sleep(ELSEWHERE_POLL_S)
-                self.taken.send_heartbeat()
                 attempts -= 1
             elif result == "stopped" and prune:
                 directory.update(status="pruned")
@@ -183,7 +183,6 @@ class _Trial:
         A trial goes on where the study can't be reached.
         """
         try:
-            self.taken.send_heartbeat()
             return self.settings.pruner is not None and self._judge(config, number, read_curve(directory))
         except Exception as error:  # a database may fail in any way
             if self._problem is None:

@@ -192,7 +192,9 @@ def test_an_export_of_some_cells_has_no_others(material, tmp_path):
 def test_the_search_of_an_export_is_the_one_that_was_written(material, tmp_path):
     kind = {"name": "FloatDistribution", "attributes": {"low": 0.9, "high": 0.99, "log": False, "step": None}}
     trial = Trial(0, "trial 0", "done", {"algorithm.gamma": 0.9, "buffer": None}, [0.5], 100)
-    search = Tuning("one", "tpe", None, 2, ["success_auc"], 2, {"algorithm.gamma": kind}, [trial], retested=[], notes=["none"])
+    search = Tuning(
+        "one", "tpe", None, 2, ["success_auc"], 2, {"algorithm.gamma": kind}, [trial], retested=[], notes=["none"]
+    )
     data = with_tuning(made_of(material), search)
     export.write(material, data, tmp_path / "one", "", only_cells=False)
     found = export.read(str(tmp_path / "one"))
