@@ -16,7 +16,7 @@ from parking_exp.config.schema import NAME
 from parking_exp.errors import ParkingError
 from parking_exp.reports import formats
 from parking_exp.reports.report_data import Interval, ReportData
-from parking_exp.reports.tuning_data import Retested, Trial, Tuning
+from parking_exp.reports.tuning_data import Retested, Tuning
 from parking_exp.reports.tuning_findings import claims
 from parking_exp.statistics import mean_interval, welch
 from parking_exp.tuning.retest import RetestedTrial, read_retest
@@ -90,7 +90,7 @@ def tuning_of(folder: Path, search: SearchConfig, n_trials: int, trials: Sequenc
         objectives=search.objective,
         n_seeds=len(search.tuning_seeds),
         parameters={name: _described(distribution) for name, distribution in distributions.items()},
-        trials=[_trial(row) for row in trials],
+        trials=trials,
         retested=retested,
         notes=notes,
     )
@@ -104,20 +104,6 @@ def _described(distribution: Any) -> Mapping[str, Any]:
     if choices := found["attributes"].get("choices"):
         found["attributes"]["choices"] = list(dict.fromkeys(map(plain_choice, choices)))
     return found
-
-
-def _trial(row: TrialRow) -> Trial:
-    return Trial(
-        number=row.number,
-        label=row.label,
-        state=row.state,
-        settings=dict(row.parameters),
-        values=list(row.values),
-        env_steps=row.env_steps,
-        cpu_s=row.cpu_s,
-        seconds=row.seconds,
-        reason=row.reason,
-    )
 
 
 def _retested(trial: RetestedTrial) -> Retested:

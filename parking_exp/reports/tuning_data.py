@@ -4,33 +4,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from parking_exp.reports.report_data import Interval, Setting
-
-
-@dataclass(frozen=True)
-class Trial:
-    """A trial of a search.
-
-    Attributes:
-        number: 0 is the unchanged config.
-        label: its number and what it changes in that config.
-        state: done, pruned, failed, running, or pending.
-        settings: value of each parameter that it has.
-        values: objectives, mean over tuning seeds; empty unless it is done.
-        env_steps, cpu_s: total of its runs; None if unknown.
-        seconds: wall-clock duration.
-        reason: why it failed.
-    """
-
-    number: int
-    label: str
-    state: str
-    settings: Mapping[str, Setting]
-    values: Sequence[float] = ()
-    env_steps: int | None = None
-    cpu_s: float | None = None
-    seconds: float | None = None
-    reason: str | None = None
+from parking_exp.reports.report_data import Interval
+from parking_exp.tuning.trials import TrialRow
 
 
 @dataclass(frozen=True)
@@ -76,6 +51,6 @@ class Tuning:
     objectives: Sequence[str]
     n_seeds: int
     parameters: Mapping[str, Mapping[str, Any]]
-    trials: Sequence[Trial]
+    trials: Sequence[TrialRow]
     retested: Sequence[Retested] = ()
     notes: Sequence[str] = ()

@@ -6,7 +6,6 @@ from 0 to n_trials - 1 are trained.
 
 import json
 import os
-import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
@@ -85,7 +84,6 @@ def storage_of(folder: Path, uri: str | None) -> Any:
     """
     import optuna
     from optuna.storages.journal import JournalFileBackend
-    from sqlalchemy.exc import DBAPIError
 
     optuna.logging.set_verbosity(optuna.logging.ERROR)
     path = folder / STUDY_FILE
@@ -97,13 +95,7 @@ def storage_of(folder: Path, uri: str | None) -> Any:
             path.touch()
             backend = JournalFileBackend(str(path), lock_obj=cast(Any, _JournalLock(path)))
             return optuna.storages.JournalStorage(backend)
-        for wait_s in (1, 1, None):  # where another process makes the same tables at the same time, one of both fails
-            try:
-                return optuna.storages.get_storage(with_password(uri))
-            except DBAPIError:
-                if wait_s is None:
-                    raise
-                time.sleep(wait_s)
+        return optuna.storages.get_storage(with_password(uri))
     except Exception as error:  # any driver of a database may be behind it
         raise StoreError(f"storage={uri or path}: the study can't be opened: {_first_line(error)}") from error
 
@@ -175,28 +167,23 @@ def _first_line(error: Exception) -> str:
 
 def _definition(search: SearchConfig, base: RunConfig) -> dict[str, Any]:
     """Return what makes values of trials comparable: all of the search, and the config that trials change."""
-    plain = json.loads(json.dumps(search.model_dump(by_alias=True)))
+    plain = json.loads(json.dumps(search.model_dump(by_alias=True, exclude_defaults=True)))
     found = {f"search.{key}": plain[key] for key in ("objective", "tuning_seeds", "enqueue")}
     found |= {f"search.space.{key}": value for key, value in plain["space"].items()}
     return found | {"config": base.model_copy(update={"seed": 0}).run_key}
 
 
 def _other_definition(name: str, known: Mapping[str, Any], asked: Mapping[str, Any]) -> str:
-    differing = [key for key in {**known, **asked} if known.get(key) != asked.get(key)]
-    key = differing[0]
-    if key == "config":
-        what = "with other keys of the config that its trials change"
-    else:
-        short = (
-            {k: v for k, v in (one.get(key) or {}).items() if v} if isinstance(one.get(key), dict) else one.get(key)
-            for one in (known, asked)
-        )
-        was, now = (json.dumps(one) if one else "absent" for one in short)
-        what = f"with another search: {key} was {was} and is {now}"
-    more = f" ({len(differing) - 1} more keys differ)" if len(differing) > 1 else ""
+    differing = [
+        f"{key} was {json.dumps(known.get(key))} and is {json.dumps(asked.get(key))}"
+        if key != "config"
+        else "other keys of the base config differ"
+        for key in {**known, **asked}
+        if known.get(key) != asked.get(key)
+    ]
     return (
-        f"the study {name} was made {what}{more}; type what it was made with to go on with it, or "
-        "experiment_name=OTHER to begin another"
+        f"the study {name} was made for another search: {'; '.join(differing)}; restore that to resume it, or start "
+        "another with experiment_name=OTHER"
     )
 
 

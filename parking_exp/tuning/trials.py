@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -25,29 +25,29 @@ class TrialRow:
     """A trial.
 
     Attributes:
-        number: 0 is the config as it stands.
-        state: done, pruned, failed, running, or pending, also after its worker was killed.
+        number: 0 is the unchanged config.
+        state: done, pruned, failed, running, or pending; pending again after its worker was killed.
         changes: what it changes in the search's config.
-        parameters: name -> value, as far as the space has them: numbers, or texts of choices.
-        values: of the objectives, mean over its seeds; none before it is done.
-        by_seed: the values of each seed.
-        runs: its run directories, relative to the output directory.
-        env_steps, cpu_s: of all its runs; None where it is not known.
+        parameters: name -> value, a number or the text of a choice.
+        values: objectives, mean over seeds; empty unless it is done.
+        by_seed: objectives of each seed.
+        runs: run directories, relative to the output directory.
+        env_steps, cpu_s: total of its runs; None if unknown.
         reason: why it failed.
-        seconds: from its begin to its end; None before that.
+        seconds: wall-clock duration; None before its end.
     """
 
     number: int
     state: TrialState
-    changes: Mapping[str, Any]
-    parameters: Mapping[str, int | FiniteFloat | str]
-    values: Sequence[FiniteFloat]
-    by_seed: Sequence[Sequence[FiniteFloat]]
-    runs: Sequence[str]
-    env_steps: int | None
-    cpu_s: FiniteFloat | None
-    reason: str | None
-    seconds: float | None
+    changes: Mapping[str, Any] = field(default_factory=dict)
+    parameters: Mapping[str, int | FiniteFloat | str] = field(default_factory=dict)
+    values: Sequence[FiniteFloat] = ()
+    by_seed: Sequence[Sequence[FiniteFloat]] = ()
+    runs: Sequence[str] = ()
+    env_steps: int | None = None
+    cpu_s: FiniteFloat | None = None
+    reason: str | None = None
+    seconds: float | None = None
 
     @property
     def label(self) -> str:
@@ -111,17 +111,8 @@ def plain_choice(value: Any) -> float | str:
 
 
 def ranked(trials: Sequence[TrialRow]) -> list[TrialRow]:
-    """Return the trials that are done, best first: by the objective, or Pareto front after Pareto front."""
-    left, found = [trial for trial in trials if trial.values], []
-    while left:
-        best = [trial for trial in left if not any(_dominates(other.values, trial.values) for other in left)]
-        found += sorted(best, key=lambda trial: (-trial.values[0], trial.number))
-        left = [trial for trial in left if trial not in best]
-    return found
-
-
-def _dominates(one: Sequence[float], other: Sequence[float]) -> bool:
-    return all(a >= b for a, b in zip(one, other, strict=True)) and list(one) != list(other)
+    """Return the trials that are done, best first by the first objective."""
+    return sorted((trial for trial in trials if trial.values), key=lambda trial: (-trial.values[0], trial.number))
 
 
 def counts(trials: Sequence[TrialRow]) -> dict[TrialState, int]:

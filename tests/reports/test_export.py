@@ -18,11 +18,12 @@ from parking_exp.reports.build import Question, build
 from parking_exp.reports.curves import RunEvaluations
 from parking_exp.reports.sources import ReportSource
 from parking_exp.reports.tuning import with_tuning
-from parking_exp.reports.tuning_data import Trial, Tuning
+from parking_exp.reports.tuning_data import Tuning
 from parking_exp.reports.untracked import find_untracked
 from parking_exp.results import load, read_export
 from parking_exp.runs.files import write_json
 from parking_exp.runs.layout_version import new_entries
+from parking_exp.tuning.trials import TrialRow
 
 CELLS = {
     f"{buffer}{n}": [f"buffer=her_{buffer}", f"buffer.n_sampled_goal={n}", "evaluation.final_n_scenes=40"]
@@ -191,7 +192,7 @@ def test_an_export_of_some_cells_has_no_others(material, tmp_path):
 
 def test_the_search_of_an_export_is_the_one_that_was_written(material, tmp_path):
     kind = {"name": "FloatDistribution", "attributes": {"low": 0.9, "high": 0.99, "log": False, "step": None}}
-    trial = Trial(0, "trial 0", "done", {"algorithm.gamma": 0.9, "buffer": None}, [0.5], 100)
+    trial = TrialRow(0, "done", {}, {"algorithm.gamma": 0.9}, [0.5], [[0.25], [0.75]], ["one/cell/seed=0"], 100)
     search = Tuning(
         "one", "tpe", None, 2, ["success_auc"], 2, {"algorithm.gamma": kind}, [trial], retested=[], notes=["none"]
     )

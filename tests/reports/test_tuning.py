@@ -132,10 +132,10 @@ def test_conditional_parameters_are_missing_where_they_do_not_apply(folder):
     found = tuning(folder, [trial(0.2, gamma=0.98), trial(0.3, rate=1e-4, buffer="replay")])
     assert list(found.parameters) == list(DISTRIBUTIONS)
     assert found.parameters["buffer"]["attributes"]["choices"] == ["her_future", "replay"]
-    assert found.trials[0].settings == {
+    assert found.trials[0].parameters == {
         "algorithm.learning_rate": 1e-3, "1 - algorithm.gamma": 0.02, "buffer": "her_future", "buffer.n_sampled_goal": 4
     }  # fmt: skip
-    assert "buffer.n_sampled_goal" not in found.trials[1].settings
+    assert "buffer.n_sampled_goal" not in found.trials[1].parameters
 
 
 def many(folder, **changes):
@@ -236,7 +236,7 @@ def test_names_in_a_search_can_do_no_harm(folder, tmp_path):
     found = replace(
         found,
         parameters={bad: found.parameters["algorithm.learning_rate"]},
-        trials=[replace(one, settings={bad: one.settings["algorithm.learning_rate"]}) for one in found.trials],
+        trials=[replace(one, parameters={bad: one.parameters["algorithm.learning_rate"]}) for one in found.trials],
         retested=[replace(found.retested[0], label=bad)],
     )
     whole = replace(report(), tuning=found, claims=list(claims(found)))

@@ -69,9 +69,7 @@ def test_a_search_of_one_trial_has_runs_with_tags_a_status_and_goes_on_when_type
     assert "best so far: trial 0: as it stands (success_auc 0.0%)" in shown.stdout
     other = tune(tmp_path, "n_trials=1", *options, "total_timesteps=80")
     assert other.returncode == 2
-    assert other.stderr.startswith(
-        "error: the study smoke was made with other keys of the config that its trials change"
-    )
+    assert "the base config" in other.stderr
 
 
 @pytest.mark.slow

@@ -13,7 +13,8 @@ from parking_exp.reports import formats
 from parking_exp.reports.figures.canvas import Canvas
 from parking_exp.reports.figures.style import FULL_IN, INK, TEXT_PT, clean, report_style
 from parking_exp.reports.report_data import Factor, ReportData
-from parking_exp.reports.tuning_data import Trial, Tuning
+from parking_exp.reports.tuning_data import Tuning
+from parking_exp.tuning.trials import TrialRow
 
 Drawn = tuple[Canvas, str]
 MOST_AXES = 8  # of parallel coordinates
@@ -41,7 +42,7 @@ def study_of(tuning: Tuning) -> Any:
             warnings.simplefilter("ignore", optuna.exceptions.ExperimentalWarning)
             study.set_metric_names(list(tuning.objectives))
         for trial in tuning.trials:
-            settings = {clean(name): _clean(value) for name, value in trial.settings.items()}
+            settings = {clean(name): _clean(value) for name, value in trial.parameters.items()}
             study.add_trial(
                 optuna.trial.create_trial(
                     state=optuna.trial.TrialState[STATES[trial.state]],
@@ -120,7 +121,7 @@ def _varied(tuning: Tuning) -> list[str]:
     return [
         clean(name)
         for name in tuning.parameters
-        if len({trial.settings[name] for trial in done if name in trial.settings}) > 1
+        if len({trial.parameters[name] for trial in done if name in trial.parameters}) > 1
     ]
 
 
@@ -203,8 +204,8 @@ def cell_coordinates(report: ReportData) -> Drawn | None:
     factors = sorted(report.factors, key=lambda factor: order.get(factor.key, len(order)))
     settings = {factor.name: [_level(factor, cell.settings.get(factor.key)) for cell, _ in cells] for factor in factors}
     trials = [
-        Trial(row, cell.label, "done", {name: levels[row] for name, levels in settings.items()}, [success])
-        for row, (cell, success) in enumerate(cells)
+        TrialRow(row, "done", parameters={name: levels[row] for name, levels in settings.items()}, values=[success])
+        for row, (_, success) in enumerate(cells)
     ]
     parameters = {factor.name: _distribution(factor, settings[factor.name]) for factor in factors}
     tuning = Tuning(report.title, "", None, len(cells), ["success"], 0, parameters, trials)

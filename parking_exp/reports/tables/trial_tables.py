@@ -18,7 +18,7 @@ from parking_exp.reports.tables.model import (
     whole,
     words,
 )
-from parking_exp.reports.tuning_data import Trial
+from parking_exp.tuning.trials import TrialRow
 
 
 def trials(report: ReportData, cells: Sequence[Cell]) -> Iterator[Table]:
@@ -54,14 +54,14 @@ def _value(name: str, place: int) -> Column:
 def _parameter(name: str, distribution: str) -> Column:
     """Return the column of a parameter, which conditions may have kept out of some trials."""
 
-    def entry(trial: Trial) -> Entry:
-        if name not in trial.settings:
+    def entry(trial: TrialRow) -> Entry:
+        if name not in trial.parameters:
             return Entry("")
-        value = trial.settings[name]
+        value = trial.parameters[name]
         return Entry(f"{value:.3g}", value) if isinstance(value, float) else setting(value)
 
     numeric = distribution != "CategoricalDistribution"
-    return Column(name, entry, {name: lambda trial: trial.settings.get(name)}, numeric=numeric)
+    return Column(name, entry, {name: lambda trial: trial.parameters.get(name)}, numeric=numeric)
 
 
 def _optional(text: str | None) -> Entry:
