@@ -3,14 +3,13 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from parking_exp.reports.figures import cells, factors, lot, pairs, retest, search, tuning
+from parking_exp.reports.figures import cells, factors, lot, pairs, search, studies
 from parking_exp.reports.figures.canvas import Canvas
 from parking_exp.reports.report_data import Cell, ReportData
 from parking_exp.reports.tables import cells as cell_tables
 from parking_exp.reports.tables import factors as factor_tables
 from parking_exp.reports.tables import pairs as pair_tables
-from parking_exp.reports.tables import provenance
-from parking_exp.reports.tables import tuning as tuning_tables
+from parking_exp.reports.tables import provenance, trial_tables
 from parking_exp.reports.tables.model import MakeTables, Table
 from parking_exp.reports.tuning_findings import retest_text, search_text
 
@@ -61,23 +60,20 @@ SECTIONS = (
         "retest",
         "The best on fresh seeds",
         text=retest_text,
-        figures=[Figure("retest", "Tuning seeds and fresh seeds", retest.retest)],
-        tables=[tuning_tables.retest],
-        tables_first=True,
+        tables=[trial_tables.retest],
     ),
     Section(
         "tuning",
         "The search",
         text=search_text,
         figures=[
-            Figure("optimisation_history", "Optimisation history", tuning.history),
-            Figure("pareto_front", "Pareto front", tuning.pareto_front),
-            Figure("parameter_importance", "Importance of parameters", tuning.importance),
-            Figure("slices_{}", "Value against each parameter", tuning.slices),
-            Figure("trial_coordinates_{}", "Trials across their parameters", tuning.parallel_coordinates),
-            Figure("budget", "Env steps of trials", tuning.budget),
+            Figure("optimisation_history", "Optimisation history", studies.history),
+            Figure("pareto_front", "Pareto front", studies.pareto_front),
+            Figure("parameter_importance", "Importance of parameters", studies.importance),
+            Figure("slices_{}", "Value against each parameter", studies.slices),
+            Figure("trial_coordinates", "Trials across their parameters", studies.trial_coordinates),
         ],
-        tables=[tuning_tables.trials],
+        tables=[trial_tables.trials],
     ),
     Section(
         "results",
@@ -129,7 +125,7 @@ SECTIONS = (
         "search",
         "Hyperparameters",
         figures=[
-            Figure("parallel_coordinates", "What was tried", search.parallel_coordinates),
+            Figure("parallel_coordinates", "What was tried", studies.cell_coordinates),
             Figure("importance", "Which hyperparameters matter", search.importance),
         ],
         tables=[factor_tables.importance],

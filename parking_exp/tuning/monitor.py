@@ -9,7 +9,6 @@ from parking_exp.errors import ParkingError
 from parking_exp.runs.state import read_state
 from parking_exp.runs.state_tables import name, under_way
 from parking_exp.sweeps.monitor import LiveView
-from parking_exp.tuning.objectives import describe
 from parking_exp.tuning.search import Search
 from parking_exp.tuning.tables import progress_lines, trial_table
 from parking_exp.tuning.trials import TrialRow, rows
@@ -52,9 +51,8 @@ class TrialMonitor(LiveView):
         if trial.state == "running":
             self.say(f"started  {trial.label}")
             return
-        seeds = len(request.search.tuning_seeds)
         values = zip(request.search.objective, trial.values, strict=False)
-        words = ", ".join(f"{key} {describe(key, value, seeds)}" for key, value in values)
+        words = ", ".join(f"{key} {value:.1%}" for key, value in values)
         steps = f"after {trial.env_steps:,} env steps" if trial.env_steps is not None else ""
         what = words or trial.reason or steps
         self.say(f"{trial.state:<8} {trial.label}: {what}  {which}")

@@ -1,4 +1,4 @@
-"""Objectives of a search: a number for each run of a trial, and their mean over its seeds."""
+"""Objectives of a search: a number in 0 ... 1 for each run of a trial, the higher the better."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -7,20 +7,7 @@ from parking_exp.config.schema import RunConfig
 from parking_exp.runs.directory import RunDirectory
 from parking_exp.runs.metric_logs import read_metrics
 from parking_exp.statistics.curves import normalised_area
-from parking_exp.statistics.survival import steps_to
 from parking_exp.tuning.schema import Objective
-
-THRESHOLD, HOLD = 0.95, 3
-# A run that never holds 95 % costs more than any that does [CPU-seconds]: more than a day on one core.
-CENSORED_S = 1e5
-
-
-@dataclass(frozen=True)
-class UnitCosts:
-    """CPU-seconds of one gradient update and of one env step, policy and replay buffer included."""
-
-    update_s: float
-    step_s: float
 
 
 @dataclass(frozen=True)
@@ -30,12 +17,17 @@ class RunCurve:
     Attributes:
         steps: env steps, rising.
         success: success rates.
-        final: metrics of the run's end; none before that.
+        final: metrics at the end of the run; empty before that.
     """
 
     steps: Sequence[int]
     success: Sequence[float]
     final: Mapping[str, float]
+
+    @property
+    def area(self) -> float:
+        """Normalised area under the curve."""
+        return normalised_area(self.steps, self.success)
 
 
 def read_curve(directory: RunDirectory) -> RunCurve:
@@ -70,47 +62,23 @@ def updates_at(config: RunConfig, step: int) -> float:
     return max(0.0, step - starts) * gradient_steps / (train_freq * config.n_envs)
 
 
-def cost_at(config: RunConfig, step: float, units: UnitCosts) -> float:
-    """Return the cost of a run up to an env step [CPU-seconds of the core where the unit costs were measured]."""
-    return updates_at(config, round(step)) * units.update_s + step * units.step_s
-
-
-def run_value(objective: Objective, config: RunConfig, curve: RunCurve, units: UnitCosts | None) -> float:
-    """Return an objective of one finished run.
-
-    A run that never holds 95 % has a `cost_to_95` above all that do, the higher the lower its success.
-    """
+def run_value(objective: Objective, curve: RunCurve) -> float:
+    """Return an objective of one finished run."""
     match objective:
         case "success_auc":
-            return normalised_area(curve.steps, curve.success)
+            return curve.area
         case "final_success":
             return curve.final["final/success_rate"]
         case "final_parked":
             return curve.final["final/parked_rate"]
-    assert units is not None
-    step, reached = steps_to(curve.steps, curve.success, THRESHOLD, HOLD)
-    if reached:
-        return cost_at(config, step, units)
-    whole = cost_at(config, curve.steps[-1], units)
-    return CENSORED_S + whole * (2 - normalised_area(curve.steps, curve.success))
 
 
-def partial_value(objective: Objective, finished: Sequence[float], curve: RunCurve, share: float) -> float:
-    """Return what pruning compares while a trial is under way: its mean area so far, lower being better for a cost.
+def partial_value(finished: Sequence[float], curve: RunCurve, share: float) -> float:
+    """Return the mean area so far, which pruning compares.
 
     Args:
-        objective: of the search.
         finished: areas of the trial's finished runs.
-        curve: of the run under way, with at least one evaluation.
-        share: of the run under way that is over; it counts as much of a finished one.
+        curve: of the current run, with at least one evaluation.
+        share: fraction of the current run that is over, which weights its area.
     """
-    area = (sum(finished) + share * normalised_area(curve.steps, curve.success)) / (len(finished) + share)
-    return 1 - area if objective == "cost_to_95" else area
-
-
-def describe(objective: str, value: float, n_seeds: int) -> str:
-    """Write an objective's value, mean over seeds, for people."""
-    if objective != "cost_to_95":
-        return f"{value:.1%}"
-    missed = round(value * n_seeds / CENSORED_S) if value >= CENSORED_S / n_seeds else 0
-    return f"{value:.1f} CPU-s" if not missed else f"{missed} of {n_seeds} seeds never hold 95 %"
+    return (sum(finished) + share * curve.area) / (len(finished) + share)

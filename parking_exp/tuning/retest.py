@@ -5,10 +5,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from statistics import mean
-from typing import TYPE_CHECKING, Any, cast
+from typing import Annotated, Any, cast
 
 import yaml
 from omegaconf import OmegaConf
+from pydantic import Field, TypeAdapter
 from rich.console import Console
 from rich.table import Table
 
@@ -19,26 +20,23 @@ from parking_exp.config.schema import RunConfig
 from parking_exp.config.validate import validate
 from parking_exp.errors import FailedRunError, plural
 from parking_exp.runs.directory import RunDirectory
-from parking_exp.runs.files import write_atomically, write_json
+from parking_exp.runs.files import read_object, write_atomically, write_json
 from parking_exp.statistics.intervals import mean_interval
 from parking_exp.sweeps.hydra_launcher import Launch
 from parking_exp.sweeps.plan import plan
 from parking_exp.sweeps.run import sweep
-from parking_exp.tuning.objectives import CENSORED_S, describe, read_curve, run_value
-from parking_exp.tuning.schema import HIGHER_IS_BETTER, Objective, SearchConfig
+from parking_exp.tuning.objectives import read_curve, run_value
+from parking_exp.tuning.schema import Objective, SearchConfig
 from parking_exp.tuning.search import Search
 from parking_exp.tuning.trials import TrialRow, ranked
-from parking_exp.tuning.unit_costs import known_costs
-
-if TYPE_CHECKING:
-    from optuna import Study
 
 RETEST_FILE = "retest.json"
+Rates = Annotated[list[Annotated[float, Field(ge=0, le=1)]], Field(min_length=1)]
 GROUPS = ("env", "algorithm", "buffer")
 
 
 @dataclass(frozen=True)
-class Retested:
+class RetestedTrial:
     """A trial that was trained again on fresh seeds.
 
     Attributes:
@@ -50,11 +48,11 @@ class Retested:
     number: int
     label: str
     changes: Mapping[str, Any]
-    tuning: Sequence[float]
-    test: Sequence[float]
+    tuning: Rates
+    test: Rates
 
 
-def retest(search: Search, study: "Study", trials: Sequence[TrialRow], launch: Launch) -> list[Retested]:
+def retest(search: Search, trials: Sequence[TrialRow], launch: Launch) -> list[RetestedTrial]:
     """Train trial 0 and the best trials on the test seeds, as a sweep, and return how they did, best first.
 
     Raises:
@@ -76,13 +74,21 @@ def retest(search: Search, study: "Study", trials: Sequence[TrialRow], launch: L
         return {"search": search.folder.name, "trial": numbers[id(run.cell)]}
 
     sweep(plan(runs, search.composed.cell.retry, entries), launch)
-    tested = [_retested(search, study, trial) for trial in chosen]
-    sign = -1 if HIGHER_IS_BETTER[settings.objective[0]] else 1
-    tested.sort(key=lambda one: (sign * mean(one.test), one.number))
+    tested = [_retested(search, trial) for trial in chosen]
+    tested.sort(key=lambda trial: (-mean(trial.test), trial.number))
     about = {"objective": settings.objective[0], "tuning_seeds": settings.tuning_seeds}
     found = [asdict(one) for one in tested]
     write_json(search.folder / RETEST_FILE, {**about, "test_seeds": settings.test_seeds, "trials": found})
     return tested
+
+
+def read_retest(folder: Path) -> list[RetestedTrial]:
+    """Return the trials that were trained again, best first; none before that.
+
+    Raises:
+        ValidationError: the file is damaged.
+    """
+    return TypeAdapter(list[RetestedTrial]).validate_python(read_object(folder / RETEST_FILE).get("trials", []))
 
 
 def _chosen(trials: Sequence[TrialRow], settings: SearchConfig) -> list[TrialRow]:
@@ -90,22 +96,21 @@ def _chosen(trials: Sequence[TrialRow], settings: SearchConfig) -> list[TrialRow
     if not settings.n_retest:
         return []
     by_runs: dict[tuple[str, ...], TrialRow] = {}
-    for trial in ranked(trials, settings.objective):
+    for trial in ranked(trials):
         by_runs.setdefault(tuple(trial.runs), trial)
     first = [trial for trial in by_runs.values() if trial.number == 0]
     others = [trial for trial in by_runs.values() if trial.number != 0]
     return [*first, *others[: settings.n_retest]]
 
 
-def _retested(search: Search, study: "Study", trial: TrialRow) -> Retested:
+def _retested(search: Search, trial: TrialRow) -> RetestedTrial:
     config, objective = search.config(trial.changes), search.request.search.objective[0]
-    units = known_costs(study, config) if objective == "cost_to_95" else None
     runs = [config.model_copy(update={"seed": seed}) for seed in search.request.search.test_seeds]
-    test = [run_value(objective, run, read_curve(RunDirectory(run.run_dir)), units) for run in runs]
-    return Retested(trial.number, trial.label, trial.changes, [values[0] for values in trial.by_seed], test)
+    test = [run_value(objective, read_curve(RunDirectory(run.run_dir))) for run in runs]
+    return RetestedTrial(trial.number, trial.label, trial.changes, [values[0] for values in trial.by_seed], test)
 
 
-def write_winner(search: Search, tested: Sequence[Retested], out: Console) -> None:
+def write_winner(search: Search, tested: Sequence[RetestedTrial], out: Console) -> None:
     """Print how the re-run trials did, and write the best of them as an experiment file.
 
     Raises:
@@ -123,8 +128,8 @@ def write_winner(search: Search, tested: Sequence[Retested], out: Console) -> No
     if search.config(winner.changes).cell_key != tuned_config(path, search.extra_config_dir).cell_key:
         raise FailedRunError(f"{path} does not stand for the config of trial {winner.number}; please report it")
     out.print(
-        f"the winner is {winner.label}: {objective} {describe(objective, mean(winner.test), len(winner.test))} on "
-        f"{plural(len(winner.test), 'fresh seed')}; tuning minus test {_difference(objective, winner)}"
+        f"the winner is {winner.label}: {objective} {mean(winner.test):.1%} on "
+        f"{plural(len(winner.test), 'fresh seed')}; tuning minus test {_drop(winner)}"
         + (f"; chosen as the best of {len(tested)}, its value is somewhat too high" if len(tested) > 1 else "")
     )
     out.print(f"experiment     {path}")
@@ -132,7 +137,7 @@ def write_winner(search: Search, tested: Sequence[Retested], out: Console) -> No
     out.print(f"train it with  {shlex.join(['python', 'scripts/train.py', f'experiment={path}', *typed])}")
 
 
-def retest_table(tested: Sequence[Retested], objective: Objective) -> Table:
+def retest_table(tested: Sequence[RetestedTrial], objective: Objective) -> Table:
     """Return one row for each re-run trial: its objective on tuning and on fresh seeds, and the difference."""
     table = Table(box=None, pad_edge=False)
     table.add_column("trial", overflow="fold")
@@ -140,26 +145,23 @@ def retest_table(tested: Sequence[Retested], objective: Objective) -> Table:
         table.add_column(title, justify="right")
     for one in tested:
         interval = ""
-        if HIGHER_IS_BETTER[objective] and len(one.test) > 1:
+        if len(one.test) > 1:
             estimate = mean_interval(one.test)
             interval = f" [{100 * estimate.low:.1f}, {100 * estimate.high:.1f}]"
         table.add_row(
             one.label,
-            describe(objective, mean(one.tuning), len(one.tuning)),
-            describe(objective, mean(one.test), len(one.test)) + interval,
-            _difference(objective, one),
+            f"{mean(one.tuning):.1%}",
+            f"{mean(one.test):.1%}{interval}",
+            _drop(one),
         )
     return table
 
 
-def _difference(objective: Objective, one: Retested) -> str:
-    if not HIGHER_IS_BETTER[objective] and max(*one.tuning, *one.test) >= CENSORED_S:
-        return "not known: seeds never hold 95 %"
-    value = mean(one.tuning) - mean(one.test)
-    return f"{100 * value:+.1f} points" if HIGHER_IS_BETTER[objective] else f"{value:+.1f} CPU-s"
+def _drop(trial: RetestedTrial) -> str:
+    return f"{100 * (mean(trial.tuning) - mean(trial.test)):+.1f} points"
 
 
-def _as_experiment(search: Search, winner: Retested, n_tested: int) -> str:
+def _as_experiment(search: Search, winner: RetestedTrial, n_tested: int) -> str:
     """Return the YAML of an experiment: groups of the winner, and all keys in which it differs from their defaults."""
     composed = search.composed_with(winner.changes)
     options = {group: composed.options[group] for group in GROUPS}

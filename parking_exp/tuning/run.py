@@ -20,7 +20,6 @@ from parking_exp.tuning.retest import retest, write_winner
 from parking_exp.tuning.search import Search, study_in
 from parking_exp.tuning.tables import progress_lines, space_table, trial_table
 from parking_exp.tuning.trials import TrialRow, counts, rows
-from parking_exp.tuning.unit_costs import measure_unit_costs, shapes
 from parking_exp.tuning.worker import work_job
 
 if TYPE_CHECKING:
@@ -48,14 +47,11 @@ def tune(search: Search, launch: Launch, *, dry_run: bool = False) -> None:
         found = study_in(search.folder, search.request.storage)
         _describe(search, found.trials[:n_trials] if found else [], n_workers, out)
         return
-    study = search.open()
+    study = search.open().study
     trials = rows(study, search.folder, n_trials)
     _describe(search, trials, n_workers, out)
     search.save()
     if _left(search, trials):
-        if "cost_to_95" in search.request.search.objective:
-            out.print("measuring the cost of an update and of an env step, once for each shape of networks")
-            measure_unit_costs(study, shapes(search.request.search, search.config))
         trials = _train(search, study, launch, n_workers)
     out.print(trial_table(trials, search.request.search))
     for line in progress_lines(trials, search.request.search, n_trials):
@@ -65,7 +61,7 @@ def tune(search: Search, launch: Launch, *, dry_run: bool = False) -> None:
     if not counts(trials)["done"]:
         reason = next((trial.reason for trial in trials if trial.reason), "all were pruned")
         raise FailedRunError(f"no trial is done; the first reason: {reason}")
-    write_winner(search, retest(search, study, trials, launch), out)
+    write_winner(search, retest(search, trials, launch), out)
 
 
 def _n_workers(search: Search, launch: Launch) -> int:
@@ -126,7 +122,7 @@ def _train(search: Search, study: "Study", launch: Launch, n_workers: int) -> li
     job = [f"study={in_quotes(str(search.folder))}", f"n_trials={n_trials}"]
     if search.request.storage:
         job.append(f"storage={in_quotes(search.request.storage)}")
-    with TrialMonitor(search, search.open()) as monitor:
+    with TrialMonitor(search, search.open().study) as monitor:
         try:
             trials, problem = rows(study, search.folder, n_trials), None
             while _left(search, trials) and problem is None:

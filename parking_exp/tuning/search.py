@@ -17,10 +17,9 @@ from parking_exp.config.schema import RunConfig
 from parking_exp.config.validate import check, parse, validate
 from parking_exp.errors import ConfigError, OutputDirectoryError, suggestion
 from parking_exp.runs.files import read_object, write_json
-from parking_exp.tuning.objectives import HOLD, evaluations
 from parking_exp.tuning.schema import TUNING_KEYS, SearchConfig, TuneRequest
-from parking_exp.tuning.space import base_value, in_order, parameter
-from parking_exp.tuning.study import known_parameters, load_study, open_study, storage_of
+from parking_exp.tuning.space import base_value, in_order
+from parking_exp.tuning.study import OpenStudy, load_study, open_study, storage_of
 from parking_exp.tuning.trials import TrialRow, rows
 
 if TYPE_CHECKING:
@@ -145,28 +144,8 @@ class Search:
                     problems += self._problems({**context, key: value}, f"search.space.{key}")
         for number, values in enumerate(search.enqueue):
             problems += self._problems(values, f"search.enqueue.{number}")
-        if not problems:
-            problems += self._unsuited()
         if problems:
             raise ConfigError("\n".join(dict.fromkeys(problems[:5])))
-
-    def _unsuited(self) -> list[str]:
-        """Say what the sampler or the objective can't do with this search."""
-        search = self.request.search
-        if "cost_to_95" in search.objective and evaluations(self.base) < HOLD:
-            return [f"evaluation.every_n_steps: cost_to_95 needs {HOLD} evaluations of a run at least"]
-        if search.sampler not in ("cmaes", "gp"):
-            return []
-        found = []
-        for number, changes in enumerate([{}, *search.enqueue]):
-            known = known_parameters(search, self.values(changes))
-            missing = [key for key, one in search.space.items() if parameter(key, one) not in known]
-            found += [
-                f"search.sampler={search.sampler} needs a value of every key in every trial, and the value of {key} in "
-                f"trial {number} is not in its range; widen that, or write search.sampler=tpe"
-                for key in missing[:1]
-            ]
-        return found
 
     def _problems(self, values: Mapping[str, Any], where: str) -> list[str]:
         try:
@@ -175,7 +154,7 @@ class Search:
             return [f"{where}: {line}" for line in str(error).splitlines()]
         return []
 
-    def open(self) -> "Study":
+    def open(self) -> OpenStudy:
         """Return the study, made with its folder if there is none yet.
 
         Raises:

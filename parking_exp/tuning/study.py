@@ -6,11 +6,11 @@ from 0 to n_trials - 1 are trained.
 
 import json
 import os
-import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, cast
+from typing import TYPE_CHECKING, Any, cast
 
 from filelock import FileLock, Timeout
 
@@ -18,19 +18,40 @@ from parking_exp.config.credentials import strip_password, with_password
 from parking_exp.config.paths import refuse_links
 from parking_exp.config.schema import RunConfig
 from parking_exp.errors import ConfigError, ParkingError, StoreError
-from parking_exp.tuning.schema import HIGHER_IS_BETTER, SearchConfig
+from parking_exp.tuning.schema import SearchConfig
 from parking_exp.tuning.space import applies, in_order, parameter, to_parameter
 
 if TYPE_CHECKING:
-    from optuna import Study
+    from optuna import Study, Trial
 
 STUDY_FILE, CLAIM_LOCK, TRIALS_FOLDER = "study.journal", ".claiming", ".trials"
 Values = Callable[[Mapping[str, Any]], Mapping[str, Any]]
 DEFINITION = "definition"  # attribute of a study
 # Attributes of a trial.
-CHANGES, ENQUEUED, HEARTBEAT, RUNS, REASON = "changes", "enqueued", "alive", "runs", "reason"
-SEED_VALUES, STEPS, CPU_S, COST = "values_by_seed", "env_steps", "cpu_s", "cost"
+CHANGES, ENQUEUED, RUNS, REASON = "changes", "enqueued", "runs", "reason"
+SEED_VALUES, STEPS, CPU_S = "values_by_seed", "env_steps", "cpu_s"
 CLAIM_PATIENCE_S = 120.0
+
+
+@dataclass(frozen=True)
+class OpenStudy:
+    """A study that trials are claimed from: Optuna's study, its storage, and the folder of the search."""
+
+    study: "Study"
+    storage: Any
+    folder: Path
+
+    def trial(self, number: int) -> "Trial":
+        """Return a running trial, begun by this process or another one."""
+        import optuna
+
+        study_id = self.storage.get_study_id_from_name(self.study.study_name)
+        return optuna.Trial(self.study, self.storage.get_trial_id_from_study_id_trial_number(study_id, number))
+
+
+def trial_lock_path(folder: Path, number: int) -> Path:
+    """Return the lock file of a trial, held by the process that works on it."""
+    return folder / TRIALS_FOLDER / f"{number:05d}.lock"
 
 
 class _JournalLock:
@@ -63,7 +84,6 @@ def storage_of(folder: Path, uri: str | None) -> Any:
     """
     import optuna
     from optuna.storages.journal import JournalFileBackend
-    from sqlalchemy.exc import DBAPIError
 
     optuna.logging.set_verbosity(optuna.logging.ERROR)
     path = folder / STUDY_FILE
@@ -75,23 +95,12 @@ def storage_of(folder: Path, uri: str | None) -> Any:
             path.touch()
             backend = JournalFileBackend(str(path), lock_obj=cast(Any, _JournalLock(path)))
             return optuna.storages.JournalStorage(backend)
-        for wait_s in (1, 1, None):  # where another process makes the same tables at the same time, one of both fails
-            try:
-                return optuna.storages.get_storage(with_password(uri))
-            except DBAPIError:
-                if wait_s is None:
-                    raise
-                time.sleep(wait_s)
+        return optuna.storages.get_storage(with_password(uri))
     except Exception as error:  # any driver of a database may be behind it
         raise StoreError(f"storage={uri or path}: the study can't be opened: {_first_line(error)}") from error
 
 
-def directions(search: SearchConfig) -> list[Literal["maximize", "minimize"]]:
-    """Return Optuna's direction of each objective."""
-    return ["maximize" if HIGHER_IS_BETTER[name] else "minimize" for name in search.objective]
-
-
-def open_study(folder: Path, search: SearchConfig, base: RunConfig, values: Values, storage: Any) -> "Study":
+def open_study(folder: Path, search: SearchConfig, base: RunConfig, values: Values, storage: Any) -> OpenStudy:
     """Return the study of a search, made with trial 0 and what is enqueued if there is none yet.
 
     Args:
@@ -110,7 +119,7 @@ def open_study(folder: Path, search: SearchConfig, base: RunConfig, values: Valu
     name = folder.name
     with claiming(folder), storage_errors(name):
         study = optuna.create_study(
-            storage=storage, study_name=name, directions=directions(search), load_if_exists=True
+            storage=storage, study_name=name, directions=["maximize"] * len(search.objective), load_if_exists=True
         )
         definition = _definition(search, base)
         if (known := study.user_attrs.get(DEFINITION)) is None:
@@ -118,7 +127,7 @@ def open_study(folder: Path, search: SearchConfig, base: RunConfig, values: Valu
         elif known != definition:
             raise ConfigError(_other_definition(name, known, definition))
         _enqueue(study, search, values)
-        return study
+        return OpenStudy(study, storage, folder)
 
 
 def load_study(name: str, storage: Any) -> "Study | None":
@@ -158,28 +167,23 @@ def _first_line(error: Exception) -> str:
 
 def _definition(search: SearchConfig, base: RunConfig) -> dict[str, Any]:
     """Return what makes values of trials comparable: all of the search, and the config that trials change."""
-    plain = json.loads(json.dumps(search.model_dump(by_alias=True)))
+    plain = json.loads(json.dumps(search.model_dump(by_alias=True, exclude_defaults=True)))
     found = {f"search.{key}": plain[key] for key in ("objective", "tuning_seeds", "enqueue")}
     found |= {f"search.space.{key}": value for key, value in plain["space"].items()}
     return found | {"config": base.model_copy(update={"seed": 0}).run_key}
 
 
 def _other_definition(name: str, known: Mapping[str, Any], asked: Mapping[str, Any]) -> str:
-    differing = [key for key in {**known, **asked} if known.get(key) != asked.get(key)]
-    key = differing[0]
-    if key == "config":
-        what = "with other keys of the config that its trials change"
-    else:
-        short = (
-            {k: v for k, v in (one.get(key) or {}).items() if v} if isinstance(one.get(key), dict) else one.get(key)
-            for one in (known, asked)
-        )
-        was, now = (json.dumps(one) if one else "absent" for one in short)
-        what = f"with another search: {key} was {was} and is {now}"
-    more = f" ({len(differing) - 1} more keys differ)" if len(differing) > 1 else ""
+    differing = [
+        f"{key} was {json.dumps(known.get(key))} and is {json.dumps(asked.get(key))}"
+        if key != "config"
+        else "other keys of the base config differ"
+        for key in {**known, **asked}
+        if known.get(key) != asked.get(key)
+    ]
     return (
-        f"the study {name} was made {what}{more}; type what it was made with to go on with it, or "
-        "experiment_name=OTHER to begin another"
+        f"the study {name} was made for another search: {'; '.join(differing)}; restore that to resume it, or start "
+        "another with experiment_name=OTHER"
     )
 
 

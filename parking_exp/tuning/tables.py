@@ -6,7 +6,6 @@ from rich.table import Table
 
 from parking_exp.errors import plural
 from parking_exp.runs.state_tables import duration
-from parking_exp.tuning.objectives import describe
 from parking_exp.tuning.schema import Dimension, SearchConfig
 from parking_exp.tuning.trials import TrialRow, counts, ranked
 
@@ -45,11 +44,10 @@ def trial_table(trials: Sequence[TrialRow], search: SearchConfig, most: int = SH
     for name in search.objective:
         table.add_column(name, justify="right")
     table.add_column("changes", overflow="fold")
-    best = ranked(trials, search.objective)
+    best = ranked(trials)
     others = [trial for trial in trials if trial.state in ("running", "failed")]
     for trial in [*best[: max(1, most - len(others))], *others[:most]]:
-        told = zip(search.objective, trial.values, strict=False)  # a trial that is not over has no values
-        values = [describe(name, value, len(search.tuning_seeds)) for name, value in told]
+        values = [f"{value:.1%}" for value in trial.values]  # none before the trial is done
         values += [""] * (len(search.objective) - len(values))
         changes = trial.reason or trial.label.partition(": ")[2]
         table.add_row(str(trial.number), trial.state, *values, changes)
@@ -62,9 +60,9 @@ def progress_lines(trials: Sequence[TrialRow], search: SearchConfig, n_trials: i
     pending = found["pending"] + n_trials - len(trials)
     parts = [f"{number} {state}" for state, number in {**found, "pending": pending}.items() if number]
     yield f"{plural(n_trials, 'trial')}: {', '.join(parts)}"
-    if best := ranked(trials, search.objective):
+    if best := ranked(trials):
         values = zip(search.objective, best[0].values, strict=True)
-        words = ", ".join(f"{name} {describe(name, value, len(search.tuning_seeds))}" for name, value in values)
+        words = ", ".join(f"{name} {value:.1%}" for name, value in values)
         yield f"best so far: {best[0].label} ({words})"
     if (left := left_s(trials, n_trials)) is not None:
         yield f"about {duration(left)} left"

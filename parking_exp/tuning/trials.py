@@ -2,16 +2,15 @@
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from pydantic import FiniteFloat, TypeAdapter, ValidationError
 
 from parking_exp.errors import ConfigError
-from parking_exp.tuning.claims import worked_on
-from parking_exp.tuning.schema import HIGHER_IS_BETTER
-from parking_exp.tuning.study import CHANGES, COST, CPU_S, REASON, RUNS, SEED_VALUES, STEPS, storage_errors
+from parking_exp.runs.locks import is_held
+from parking_exp.tuning.study import CHANGES, CPU_S, REASON, RUNS, SEED_VALUES, STEPS, storage_errors, trial_lock_path
 
 if TYPE_CHECKING:
     from optuna import Study
@@ -26,30 +25,29 @@ class TrialRow:
     """A trial.
 
     Attributes:
-        number: 0 is the config as it stands.
-        state: done, pruned, failed, running, or pending, also after its worker was killed.
+        number: 0 is the unchanged config.
+        state: done, pruned, failed, running, or pending; pending again after its worker was killed.
         changes: what it changes in the search's config.
-        parameters: name -> value, as far as the space has them: numbers, or texts of choices.
-        values: of the objectives, mean over its seeds; none before it is done.
-        by_seed: the values of each seed.
-        runs: its run directories, relative to the output directory.
-        env_steps, cpu_s, cost: of all its runs; None where it is not known.
+        parameters: name -> value, a number or the text of a choice.
+        values: objectives, mean over seeds; empty unless it is done.
+        by_seed: objectives of each seed.
+        runs: run directories, relative to the output directory.
+        env_steps, cpu_s: total of its runs; None if unknown.
         reason: why it failed.
-        seconds: from its begin to its end; None before that.
+        seconds: wall-clock duration; None before its end.
     """
 
     number: int
     state: TrialState
-    changes: Mapping[str, Any]
-    parameters: Mapping[str, int | FiniteFloat | str]
-    values: Sequence[FiniteFloat]
-    by_seed: Sequence[Sequence[FiniteFloat]]
-    runs: Sequence[str]
-    env_steps: int | None
-    cpu_s: FiniteFloat | None
-    cost: FiniteFloat | None
-    reason: str | None
-    seconds: float | None
+    changes: Mapping[str, Any] = field(default_factory=dict)
+    parameters: Mapping[str, int | FiniteFloat | str] = field(default_factory=dict)
+    values: Sequence[FiniteFloat] = ()
+    by_seed: Sequence[Sequence[FiniteFloat]] = ()
+    runs: Sequence[str] = ()
+    env_steps: int | None = None
+    cpu_s: FiniteFloat | None = None
+    reason: str | None = None
+    seconds: float | None = None
 
     @property
     def label(self) -> str:
@@ -84,53 +82,37 @@ def _row(frozen: "FrozenTrial", folder: Path, n_objectives: int) -> TrialRow:
 
 
 def _entries(frozen: "FrozenTrial", folder: Path, n_objectives: int) -> dict[str, Any]:
-    known = {"COMPLETE": "done", "PRUNED": "pruned", "FAIL": "failed", "WAITING": "pending"}
+    running = "running" if is_held(trial_lock_path(folder, frozen.number)) else "pending"
+    known = {"COMPLETE": "done", "PRUNED": "pruned", "FAIL": "failed", "WAITING": "pending", "RUNNING": running}
     attributes = frozen.user_attrs
     values = list(frozen.values or []) if frozen.state.name == "COMPLETE" else []
     return {
         "number": frozen.number,
-        "state": known.get(frozen.state.name) or ("running" if worked_on(folder, frozen) else "pending"),
+        "state": known.get(frozen.state.name)
+        or ("running" if is_held(trial_lock_path(folder, frozen.number)) else "pending"),
         "changes": attributes.get(CHANGES, {}),
-        "parameters": {name: _plain(value) for name, value in frozen.params.items()},
+        "parameters": {name: plain_choice(value) for name, value in frozen.params.items()},
         "values": values if len(values) in (0, n_objectives) else None,
         "by_seed": attributes.get(SEED_VALUES, []),
         "runs": attributes.get(RUNS, []),
         "env_steps": attributes.get(STEPS),
         "cpu_s": attributes.get(CPU_S),
-        "cost": attributes.get(COST),
         "reason": attributes.get(REASON),
         "seconds": frozen.duration.total_seconds() if frozen.duration else None,
     }
 
 
-def _plain(value: Any) -> float | str:
-    """Return a parameter as tables show it: choices are kept as JSON."""
+def plain_choice(value: Any) -> float | str:
+    """Return a parameter as people read it: Optuna knows choices as JSON texts."""
     if not isinstance(value, str):
         return value
     choice = json.loads(value)
     return choice if isinstance(choice, str | int | float) and not isinstance(choice, bool) else value
 
 
-def ranked(trials: Sequence[TrialRow], objectives: Sequence[str]) -> list[TrialRow]:
-    """Return the trials that are done, best first: by the objective, or Pareto front after Pareto front."""
-    left, found = [trial for trial in trials if trial.values], []
-    while left:
-        best = front(left, objectives)
-        sign = -1 if HIGHER_IS_BETTER[objectives[0]] else 1
-        found += sorted(best, key=lambda trial: (sign * trial.values[0], trial.number))
-        left = [trial for trial in left if trial not in best]
-    return found
-
-
-def front(trials: Sequence[TrialRow], objectives: Sequence[str]) -> list[TrialRow]:
-    """Return the trials that are done and that no other beats in all objectives."""
-    signs = [-1 if HIGHER_IS_BETTER[name] else 1 for name in objectives]
-    losses = [(trial, [s * v for s, v in zip(signs, trial.values, strict=True)]) for trial in trials if trial.values]
-    return [trial for trial, loss in losses if not any(_dominates(other, loss) for _, other in losses)]
-
-
-def _dominates(one: Sequence[float], other: Sequence[float]) -> bool:
-    return all(a <= b for a, b in zip(one, other, strict=True)) and list(one) != list(other)
+def ranked(trials: Sequence[TrialRow]) -> list[TrialRow]:
+    """Return the trials that are done, best first by the first objective."""
+    return sorted((trial for trial in trials if trial.values), key=lambda trial: (-trial.values[0], trial.number))
 
 
 def counts(trials: Sequence[TrialRow]) -> dict[TrialState, int]:

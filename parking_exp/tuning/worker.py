@@ -13,25 +13,14 @@ from parking_exp.errors import ConfigError, OutputDirectoryError, ParkingError, 
 from parking_exp.runs.directory import RunDirectory
 from parking_exp.runs.metric_logs import read_metrics
 from parking_exp.runs.state import read_state
-from parking_exp.statistics.curves import normalised_area
 from parking_exp.sweeps.local import Train
 from parking_exp.sweeps.supervisor import Stop, WorkerResult, stop_of_job, supervise
 from parking_exp.terminal import say
 from parking_exp.tuning.claims import Claim, claim
-from parking_exp.tuning.objectives import (
-    RunCurve,
-    UnitCosts,
-    cost_at,
-    evaluations,
-    partial_value,
-    read_curve,
-    run_value,
-    updates_at,
-)
+from parking_exp.tuning.objectives import RunCurve, evaluations, partial_value, read_curve, run_value, updates_at
 from parking_exp.tuning.schema import SearchConfig
 from parking_exp.tuning.search import Search
-from parking_exp.tuning.study import COST, CPU_S, REASON, RUNS, SEED_VALUES, STEPS
-from parking_exp.tuning.unit_costs import known_costs, measure_unit_costs
+from parking_exp.tuning.study import CPU_S, REASON, RUNS, SEED_VALUES, STEPS
 
 if TYPE_CHECKING:
     from optuna import Study
@@ -65,11 +54,12 @@ def work(folder: Path, n_trials: int, train: Train, storage: str | None = None) 
         StoreError: the study can't be read or written.
     """
     search = Search.load(folder, storage)
-    study = search.open()
+    opened = search.open()
+    study = opened.study
     settings = search.request.search
     study.pruner = make_pruner(settings, evaluations(search.base))
     try:
-        while (taken := claim(study, folder, settings, n_trials)) is not None:
+        while (taken := claim(opened, settings, n_trials)) is not None:
             try:
                 if _Trial(search, study, taken, train).run() == "stopped":
                     return
@@ -85,21 +75,17 @@ def work(folder: Path, n_trials: int, train: Train, storage: str | None = None) 
 
 
 def make_pruner(search: SearchConfig, evaluations_a_run: int) -> "BasePruner":
-    """Return the pruner of a search; its steps are evaluations, counted through all seeds (of wilcoxon: seeds)."""
+    """Return the pruner of a search; its steps are evaluations, counted through all seeds."""
     from optuna import pruners
 
-    whole = evaluations_a_run * len(search.tuning_seeds)
-    # A third: the first rung is after take-off, and before a whole run has been spent on a trial.
-    first_rung = max(1, evaluations_a_run // 3)
     match search.pruner:
         case "median":
             return pruners.MedianPruner(n_startup_trials=5)
         case "hyperband":
+            # The first rung is after take-off, and before a whole run has been spent on a trial.
+            first_rung = max(1, evaluations_a_run // 3)
+            whole = evaluations_a_run * len(search.tuning_seeds)
             return pruners.HyperbandPruner(min_resource=first_rung, max_resource=whole)
-        case "asha":
-            return pruners.SuccessiveHalvingPruner(min_resource=first_rung, reduction_factor=3)
-        case "wilcoxon":
-            return pruners.WilcoxonPruner(p_threshold=0.1)
     return pruners.NopPruner()
 
 
@@ -111,7 +97,6 @@ class _Trial:
         self.study, self.taken, self.train = study, taken, train
         self.areas: list[float] = []  # under the curves of its finished runs
         self.values: list[list[float]] = []  # of the objectives, of its finished runs
-        self.units: UnitCosts | None = None
         self._reported = set(study.get_trials(deepcopy=False)[taken.number].intermediate_values)
         self._problem: str | None = None  # why its progress can't be reported
 
@@ -121,9 +106,6 @@ class _Trial:
             config = self.search.config(self.taken.changes)
         except ConfigError as error:  # values that do not go together
             return self._over("failed", reason=str(error).replace("\n", "; "))
-        if "cost_to_95" in self.settings.objective:
-            measure_unit_costs(self.study, [config])
-            self.units = known_costs(self.study, config)
         seeds = self.settings.tuning_seeds
         runs = [config.model_copy(update={"seed": seed}) for seed in seeds]
         before = sum(read_state(run.run_dir).started is not None for run in runs)  # begun by an earlier process
@@ -145,18 +127,12 @@ class _Trial:
         self.taken.trial.set_user_attr(name, value)
 
     def _over(self, outcome: Outcome, runs: Sequence[RunConfig] = (), reason: str | None = None) -> Outcome:
-        """Note what the trial took and why it failed, and tell the study that it is over.
-
-        Costs are CPU time as measured, env steps, and in unit costs.
-        """
+        """Note what the trial took and why it failed, and tell the study that it is over."""
         from optuna.trial import TrialState
 
         states = [read_state(run.run_dir) for run in runs]
         self._note(CPU_S, sum(_cpu_s(state.run_dir) for state in states))
         self._note(STEPS, sum(state.step for state in states))
-        if self.units is not None:
-            costs = [cost_at(run, state.step, self.units) for run, state in zip(runs, states, strict=True)]
-            self._note(COST, sum(costs))
         if reason is not None:
             self._note(REASON, reason)
         if outcome == "done":
@@ -195,7 +171,6 @@ class _Trial:
             result = self.train(directory.path, stop)
             if result == "elsewhere":  # another trial has the same config
                 time.sleep(ELSEWHERE_POLL_S)
-                self.taken.send_heartbeat()
                 attempts -= 1
             elif result == "stopped" and prune:
                 directory.update(status="pruned")
@@ -208,8 +183,7 @@ class _Trial:
         A trial goes on where the study can't be reached.
         """
         try:
-            self.taken.send_heartbeat()
-            return self.settings.pruner not in (None, "wilcoxon") and self._judge(config, number, read_curve(directory))
+            return self.settings.pruner is not None and self._judge(config, number, read_curve(directory))
         except Exception as error:  # a database may fail in any way
             if self._problem is None:
                 say(f"trial {self.taken.number}: its progress can't be reported ({error}); it goes on", stderr=True)
@@ -219,15 +193,9 @@ class _Trial:
     def _judge_finished(self, config: RunConfig, number: int) -> bool:
         """Count a finished run in, and return whether the trial is to be pruned after it."""
         curve = read_curve(RunDirectory(config.run_dir))
-        values = [run_value(name, config, curve, self.units) for name in self.settings.objective]
-        pruned = False
-        if self.settings.pruner == "wilcoxon":
-            self._report(number, values[0])
-            pruned = self._should_prune()
-        elif self.settings.pruner is not None:
-            pruned = self._judge(config, number, curve)
-        self.areas.append(normalised_area(curve.steps, curve.success))
-        self.values.append(values)
+        pruned = self.settings.pruner is not None and self._judge(config, number, curve)
+        self.areas.append(curve.area)
+        self.values.append([run_value(name, curve) for name in self.settings.objective])
         return pruned
 
     def _judge(self, config: RunConfig, number: int, curve: RunCurve) -> bool:
@@ -236,7 +204,7 @@ class _Trial:
         for position in range(len(curve.steps)):
             so_far = RunCurve(curve.steps[: position + 1], curve.success[: position + 1], {})
             share = min(1.0, curve.steps[position] / config.total_timesteps)
-            value = partial_value(self.settings.objective[0], self.areas, so_far, share)
+            value = partial_value(self.areas, so_far, share)
             self._report(first + position, value)
         if not curve.steps or (number == 0 and updates_at(config, curve.steps[-1]) < self.settings.grace_updates):
             return False

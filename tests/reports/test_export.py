@@ -16,13 +16,13 @@ from parking_exp.cli.report import report_overrides
 from parking_exp.reports import export, lot_map
 from parking_exp.reports.build import Question, build
 from parking_exp.reports.curves import RunEvaluations
-from parking_exp.reports.report_data import Factor
 from parking_exp.reports.sources import ReportSource
 from parking_exp.reports.tuning import with_tuning
-from parking_exp.reports.tuning_data import Budget, Objective, Trial, Tuning
+from parking_exp.reports.tuning_data import Tuning
 from parking_exp.reports.untracked import find_untracked
 from parking_exp.results import load, read_export
 from parking_exp.runs.files import write_json
+from parking_exp.tuning.trials import TrialRow
 
 CELLS = {
     f"{buffer}{n}": [f"buffer=her_{buffer}", f"buffer.n_sampled_goal={n}", "evaluation.final_n_scenes=40"]
@@ -190,12 +190,11 @@ def test_an_export_of_some_cells_has_no_others(material, tmp_path):
 
 
 def test_the_search_of_an_export_is_the_one_that_was_written(material, tmp_path):
-    factor = Factor("algorithm.gamma", "gamma", [0.9, 0.99], numeric=True)
-    trial = Trial(0, "trial 0", "done", {"algorithm.gamma": 0.9, "buffer": None}, [0.5], [0.5], [[0.25], [0.75]], 100)
+    kind = {"name": "FloatDistribution", "attributes": {"low": 0.9, "high": 0.99, "log": False, "step": None}}
+    trial = TrialRow(0, "done", {}, {"algorithm.gamma": 0.9}, [0.5], [[0.25], [0.75]], ["one/cell/seed=0"], 100)
     search = Tuning(
-        "one", "tpe", None, 2, [Objective("success_auc", True, True)], [0, 1], [2], [factor], [trial], Budget(100, 0, 1, 0, 0),
-        front=[], importance={"algorithm.gamma": 1.0}, retested=[], notes=["none"],
-    )  # fmt: skip
+        "one", "tpe", None, 2, ["success_auc"], 2, {"algorithm.gamma": kind}, [trial], retested=[], notes=["none"]
+    )
     data = with_tuning(made_of(material), search)
     export.write(material, data, tmp_path / "one", "", only_cells=False)
     found = export.read(str(tmp_path / "one"))

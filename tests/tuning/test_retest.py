@@ -8,7 +8,7 @@ from support.searches import settings
 
 from parking_exp.sweeps.hydra_launcher import Launch
 from parking_exp.tuning import retest
-from parking_exp.tuning.retest import Retested, tuned_config, write_winner
+from parking_exp.tuning.retest import RetestedTrial, tuned_config, write_winner
 from parking_exp.tuning.run import tune
 from parking_exp.tuning.search import Search
 from parking_exp.tuning.trials import TrialRow
@@ -16,7 +16,7 @@ from parking_exp.tuning.trials import TrialRow
 
 def trial(number, value, *runs, state="done"):
     values = [value] if state == "done" else []
-    return TrialRow(number, state, {}, {}, values, [values], runs or [str(number)], 0, 0.0, 0.0, None, 0.0)
+    return TrialRow(number, state, {}, {}, values, [values], runs or [str(number)], 0, 0.0, None, 0.0)
 
 
 def chosen(n_retest, *trials):
@@ -59,7 +59,7 @@ def of_user(tmp_path):
 
 def test_the_winner_becomes_an_experiment_file_with_what_differs_from_the_groups_it_names(tmp_path):
     search, out = of_user(tmp_path), io.StringIO()
-    winner = Retested(3, "trial 3: gamma=0.97", {"algorithm.gamma": 0.97}, [0.5, 0.7], [0.4, 0.6])
+    winner = RetestedTrial(3, "trial 3: gamma=0.97", {"algorithm.gamma": 0.97}, [0.5, 0.7], [0.4, 0.6])
     search.folder.mkdir(parents=True)
     write_winner(search, [winner], Console(file=out, width=400))
     path = search.folder / "tuned_own.yaml"

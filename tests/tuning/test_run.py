@@ -69,9 +69,7 @@ def test_a_search_of_one_trial_has_runs_with_tags_a_status_and_goes_on_when_type
     assert "best so far: trial 0: as it stands (success_auc 0.0%)" in shown.stdout
     other = tune(tmp_path, "n_trials=1", *options, "total_timesteps=80")
     assert other.returncode == 2
-    assert other.stderr.startswith(
-        "error: the study smoke was made with other keys of the config that its trials change"
-    )
+    assert "the base config" in other.stderr
 
 
 @pytest.mark.slow
@@ -163,17 +161,11 @@ def test_other_launchers_train_trials_as_well(tmp_path, launcher):
 
 
 @pytest.mark.slow
-def test_two_objectives_give_a_front_and_a_cost_is_counted_in_unit_costs(tmp_path):
+def test_two_objectives_are_both_recorded(tmp_path):
     options = ["n_trials=2", "search.tuning_seeds=[1001]", "tracking.mlflow=false", "search.pruner=null"]
-    # With two envs, as in the smoke search, a step may cost as much as an update of networks that small.
-    options += ["n_envs=16", "algorithm.learning_starts=200", "total_timesteps=400"]
-    done = tune(tmp_path, *options, "search.objective=[success_auc,cost_to_95]")
+    done = tune(tmp_path, *options, "search.objective=[success_auc,final_parked]")
     assert done.returncode == 0, done.stderr
-    found = study_in(tmp_path / "smoke").study
-    costs = {key: value for key, value in found.user_attrs.items() if key.startswith("unit_costs ")}
-    assert costs
-    assert all(0 < cost["step_s"] < cost["update_s"] < 1 for cost in costs.values())
-    assert all(len(trial.values) == 2 and trial.cost > 0 for trial in trials(tmp_path))
+    assert all(len(trial.values) == 2 for trial in trials(tmp_path))
 
 
 @pytest.mark.slow

@@ -12,7 +12,6 @@ from parking_exp.config.experiment_files import with_absolute_path
 from parking_exp.config.overrides import in_quotes
 from parking_exp.errors import ConfigError, OutputDirectoryError
 from parking_exp.tuning.search import Search, study_in
-from parking_exp.tuning.unit_costs import shape
 
 SMOKE = ("search=smoke",)
 
@@ -116,14 +115,6 @@ def test_a_folder_that_can_not_be_made_gets_a_sentence(tmp_path):
     assert str(error.value) == f"output_dir: {tmp_path / 'smoke'} cannot be made: File exists"
 
 
-def test_unit_costs_are_those_of_all_configs_that_cost_the_same():
-    search = Search(SMOKE)
-    same = [{}, {"algorithm.gamma": 0.9}, {"env.collision_reward": -1.0}, {"algorithm.ent_coef": 0.1}]
-    assert len({shape(search.config(changes)) for changes in same}) == 1
-    others = [{"algorithm.batch_size": 64}, {"algorithm": "td3"}, {"n_envs": 1}, {"env": "parking_parked"}]
-    assert len({shape(search.config(changes)) for changes in [{}, *others]}) == 5
-
-
 def test_an_experiment_file_may_have_quotes_in_its_path(tmp_path):
     path = tmp_path / 'it\'s "mine"' / "own.yaml"
     path.parent.mkdir()
@@ -177,8 +168,6 @@ def test_what_is_typed_wrong_gets_a_sentence(overrides, words):
          "search.enqueue.0: algorithm.gamma=2.0"),
         ({"space": {"algorithm": {"choices": ["sac", "td3"]}, "algorithm.ent_coef": {"uniform": [0.1, 0.2]}}},
          "search.space.algorithm.ent_coef: algorithm.ent_coef: there is no such key"),
-        ({"space": {"algorithm.learning_rate": {"log": [1.0e-4, 1.0e-3]}}, "sampler": "gp"},
-         "search.sampler=gp needs a value of every key in every trial"),
     ],
 )  # fmt: skip
 def test_a_space_that_can_not_be_is_refused_before_anything_starts(tmp_path, changes, words):

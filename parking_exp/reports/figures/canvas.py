@@ -31,12 +31,14 @@ class Canvas:
         width, height: of the figure [in].
     """
 
-    def __init__(self, width: float, height: float) -> None:
+    def __init__(self, width: float, height: float, figure: Any = None) -> None:
         from matplotlib.backends.backend_agg import FigureCanvasAgg
         from matplotlib.figure import Figure
 
         self.width, self.height = width, height
-        self.figure = Figure(figsize=(width, height), dpi=72)  # so that display units are SVG's points
+        self.figure = figure or Figure()
+        self.figure.set_size_inches(width, height)
+        self.figure.set_dpi(72)  # so that display units are SVG's points
         FigureCanvasAgg(self.figure)
         self._tips: list[Tip] = []
         self._texts: dict[str, str] = {}
