@@ -10,12 +10,12 @@ from collections.abc import Iterable, Sequence
 # What the system says of a disk and of rights on it. Any other `OSError` may be a bug, and keeps its traceback.
 DISK_ERRORS = {
     errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EROFS, errno.EACCES, errno.EPERM, errno.EEXIST,
-    errno.ENOTDIR, errno.EISDIR, errno.ENAMETOOLONG,
+    errno.ENOTDIR, errno.EISDIR, errno.ENAMETOOLONG, errno.ELOOP, errno.ESTALE, errno.ENOLCK,
 }  # fmt: skip
 
 
 class ParkingError(Exception):
-    """Base of all errors that are the user's to mend."""
+    """Base class of errors caused by user input or by the machine, printed without a traceback."""
 
 
 class ConfigError(ParkingError, ValueError):

@@ -19,6 +19,7 @@ import hydra
 from omegaconf import DictConfig
 
 from parking_exp.config.compose import VERSION_BASE, composed, config_dir
+from parking_exp.config.credentials import strip_password
 from parking_exp.config.overrides import quoted
 from parking_exp.errors import (
     DISK_ERRORS,
@@ -98,7 +99,7 @@ def errors_as_sentences() -> Iterator[None]:
         where = f": {error.filename}" if error.filename else ""
         fail(OutputDirectoryError(f"{error.strerror or error}{where}"))
     except KeyboardInterrupt:
-        fail(InterruptedRunError("stopped; type the same command to go on", signal.SIGINT))
+        fail(InterruptedRunError("stopped; rerun the same command to resume", signal.SIGINT))
 
 
 def fail(error: ParkingError) -> NoReturn:
@@ -107,7 +108,8 @@ def fail(error: ParkingError) -> NoReturn:
         raise error
     prefix = "" if isinstance(error, InterruptedRunError) else "error: "
     # Only a ConfigError has lines of its own; in others they stand in a name or a library's words.
-    lines = str(error).strip().split("\n") if isinstance(error, ConfigError) else [str(error).strip()]
+    text = strip_password(str(error).strip())
+    lines = text.split("\n") if isinstance(error, ConfigError) else [text]
     say(*(f"{prefix}{line}" for line in lines), stderr=True)
     sys.exit(128 + error.signal_number if isinstance(error, InterruptedRunError) else 2)
 
@@ -149,13 +151,12 @@ def _parse(words: list[str], flags: Mapping[str, str]) -> argparse.Namespace:
         known = [*flags, *(f"--{name.replace('_', '-')}" for name in (*SHOWING, *OTHERS))]
         hint = did_you_mean(flag, known, cutoff=0.8) or "; write KEY=VALUE, without dashes"
         raise ConfigError(f"{flag}: there is no such flag{hint}")
-    if any(getattr(arguments, name) for name in NOT_SUPPORTED):
-        raise ConfigError(
-            "--config-name, --config-path and --experimental-rerun: not supported here; put options of your own into a "
-            "directory and pass --config-dir=DIRECTORY; rerun the same command to resume"
-        )
+    if passed := [name for name in NOT_SUPPORTED if getattr(arguments, name)]:
+        instead = "put options of your own into a directory and pass --config-dir=DIRECTORY"
+        instead = "rerun the same command to resume" if passed == ["experimental_rerun"] else instead
+        raise ConfigError(f"--{passed[0].replace('_', '-')} is not supported here; {instead}")
     if arguments.config_dir and not Path(arguments.config_dir).is_dir():
-        raise ConfigError(f"--config-dir={arguments.config_dir}: there is no such directory")
+        raise ConfigError(f"--config-dir={arguments.config_dir} is not a directory")
     arguments.overrides += getattr(arguments, "flags", None) or []
     return arguments
 
@@ -179,4 +180,4 @@ def _run_hydra(arguments: argparse.Namespace, config_name: str) -> None:
     except ValueError as error:  # flags that do not go together
         raise ConfigError(str(error)) from error
     finally:
-        sys.stdout.write(shown.getvalue())
+        sys.stdout.write(strip_password(shown.getvalue()))

@@ -19,7 +19,7 @@ from parking_exp.config.validate import parse
 from parking_exp.errors import ConfigError, ParkingError, RunNotFoundError, UnsyncedError, plural, suggestion
 from parking_exp.runs.directory import RunDirectory
 from parking_exp.runs.lookup import find_runs
-from parking_exp.runs.state import RunState, as_plain, read_state
+from parking_exp.runs.state import RunState, as_plain, labelled, read_state
 from parking_exp.runs.state_tables import cell_table, damaged_lines, failure_lines, running_lines, stopped_lines
 from parking_exp.terminal import console, say
 from parking_exp.tracking.sync_all import sync_all
@@ -98,7 +98,7 @@ def show(config: DictConfig) -> None:
 
 
 def _look(request: StatusRequest) -> list[RunState]:
-    found = [read_state(path) for path in find_runs(request.output_path, request.experiment_name)]
+    found = labelled([read_state(path) for path in find_runs(request.output_path, request.experiment_name)])
     if not found:
         if request.experiment_name is None:
             raise RunNotFoundError(f"there are no runs in {request.output_path}; train one first, or set output_dir")

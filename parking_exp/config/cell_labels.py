@@ -89,6 +89,19 @@ def find_factors(
     return [_factor(key, names[key], values) for key, values in columns.items()], settings
 
 
+def label_cells(configs: Sequence[Config], names: Sequence[str]) -> list[str]:
+    """Return the labels of the cells of an experiment; a cell that is alone is its algorithm and buffer.
+
+    Args:
+        configs: of each cell.
+        names: of each cell, e.g. `parking-sac-her_future-83d1101904`.
+    """
+    if len(configs) == 1:
+        options = [str(configs[0][f"{group}.name"]) for group in GROUPS[1:] if f"{group}.name" in configs[0]]
+        return [", ".join(options) or names[0]]
+    return cell_labels(*find_factors(configs, [""] * len(configs)), names)
+
+
 def cell_labels(
     factors: Sequence[Factor], settings: Sequence[Mapping[str, Setting]], names: Sequence[str]
 ) -> list[str]:

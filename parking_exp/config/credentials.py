@@ -9,8 +9,9 @@ import os
 import re
 
 VARIABLE = "PARKING_EXP_PASSWORDS"  # JSON: URI without password -> URI as passed
-USERINFO = re.compile(r"(://[^:/@?\s]*):\S*@")  # up to the last @: a password may have one
-QUERY = re.compile(r"([?&])(?:password|passwd)=[^&\s'\"]*(&?)")
+# Up to the last @: a password may have one, and spaces. `:5432/` is a port: a password that begins so is to be encoded.
+USERINFO = re.compile(r"(://[^:/@?\s]*):(?!\d+(?:[/?\s]|$)).*@")
+QUERY = re.compile(r"([?&])(?:(?:ssl)?password|passwd)=[^&\s'\"]*(&?)")
 
 
 def strip_password(text: str) -> str:

@@ -123,8 +123,8 @@ def check_groups(overrides: Sequence[Override], groups: Set[str], options_of: Op
         name = override.key_or_group
         if not name:
             raise ConfigError(f"{override.input_line}: there is no key before the equals sign; write KEY=VALUE")
-        if name == "hydra":
-            raise ConfigError(f"{override.input_line}: hydra is a group of keys; write hydra.KEY=VALUE")
+        if name in ("hydra", "hydra.launcher"):
+            raise ConfigError(f"{override.input_line}: {name} is a group of keys; write {name}.KEY=VALUE")
         if (is_hydras(name) and name != "hydra/launcher") or not is_group(override, options_of):
             continue
         if name not in groups and not is_hydras(name):

@@ -212,7 +212,7 @@ class RunConfig(ConfigModel):
     total_timesteps: Positive
     n_envs: Positive
     # Below, a round would be longer than 1,000 steps of each env.
-    updates_per_step: Annotated[float, Field(ge=0.001)]
+    updates_per_step: Annotated[float, Field(ge=0.001, le=1000)]
     device: Annotated[str, Field(pattern=r"^(cpu|auto|cuda(:\d{1,3})?)$")]
     torch_threads: Annotated[int, Field(ge=1, le=1024)] | None
     precision: Literal["highest", "medium"]

@@ -162,9 +162,9 @@ def _progress(what: str, total: int) -> Iterator[Callable[[int], None]]:
         def update(finished: int) -> None:
             nonlocal shown
             bar.update(task, completed=finished)
-            if not screen.is_terminal and time.monotonic() - shown >= LINE_EVERY_S:
+            if finished and not screen.is_terminal and time.monotonic() - shown >= LINE_EVERY_S:
                 shown = time.monotonic()
-                say(f"{what}: {finished} done", stderr=True)
+                say(f"{what}: {finished} of {total} done", stderr=True)
 
         yield update
 

@@ -19,6 +19,7 @@ from parking_exp.config.cell_labels import (
     can_matter,
     cell_labels,
     find_factors,
+    label_cells,
     setting,
 )
 from parking_exp.errors import ConfigError, suggestion
@@ -68,7 +69,7 @@ def group(runs: pd.DataFrame) -> tuple[list[Group], list[Factor]]:
     experiments = [str(table["experiment"].iloc[0]) for table in tables]
     names = [str(table["cell"].iloc[0]) for table in tables]
     factors, settings = find_factors(configs, experiments)
-    labels = cell_labels(factors, settings, names) if len(tables) > 1 else [_plain_label(configs[0], names[0])]
+    labels = cell_labels(factors, settings, names) if len(tables) > 1 else label_cells(configs, names)
     found = []
     for number, text in enumerate(labels):
         once = _one_a_seed(tables[number])
@@ -203,11 +204,6 @@ def _config(columns: Mapping[str, np.ndarray], row: int) -> dict[str, Setting]:
 def _plain(value: Any) -> Setting:
     plain = value.item() if isinstance(value, np.generic) else value
     return str(plain) if isinstance(plain, float) and math.isinf(plain) else plain  # JSON has no infinity
-
-
-def _plain_label(config: Config, name: str) -> str:
-    words = [str(config[f"{part}.name"]) for part in ("algorithm", "buffer") if f"{part}.name" in config]
-    return ", ".join(words) or name
 
 
 def _one_a_seed(table: pd.DataFrame) -> pd.DataFrame:

@@ -16,7 +16,7 @@ from parking_exp.runs.state import RunState, read_state
 
 REASONS = {
     "running": "under way",
-    "interrupted": "cut off; it goes on when the sweep is typed again",
+    "interrupted": "interrupted; rerun the sweep to resume it",
     "pending": "not begun",
     "done": "the store lacks it; python scripts/status.py sync=true sends it",
 }

@@ -36,7 +36,7 @@ def typed_command() -> str | None:
         words = ["python", f"scripts/{name}"]
     else:  # called from Python
         return None
-    return strip_password(shlex.join([*words, *sys.argv[1:]]))
+    return shlex.join([*words, *map(strip_password, sys.argv[1:])])
 
 
 def read_provenance(path: Path) -> tuple[int | None, dict[str, str]]:

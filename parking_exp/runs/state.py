@@ -2,12 +2,16 @@
 
 import time
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import asdict, dataclass
+from contextlib import suppress
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
+from parking_exp.config.cell_labels import label_cells, settings_of
 from parking_exp.runs.directory import HEARTBEAT_FILE, STATUS_FILE, RunDirectory
+from parking_exp.runs.files import read_plain_yaml
 from parking_exp.runs.status_schema import HeartbeatEntries, StatusEntries, read_entries
+from parking_exp.runs.stored_config import CONFIG_FILE
 
 Stage = Literal["done", "running", "failed", "pending", "pruned"]
 STAGES: tuple[Stage, ...] = ("done", "running", "failed", "pending", "pruned")
@@ -20,7 +24,9 @@ class RunState:
     Attributes:
         run_dir: absolute run directory.
         experiment, cell, seed: what it belongs to.
-        label: what sets its cell apart from others of its sweep; the cell's name where it was not part of one.
+        label: what sets its cell apart from the others of its sweep, or from all of its experiment (`labelled`); before
+            its first plan, the cell's name.
+        trial: number of the trial of a search that it is part of.
         stage: done, running (a process holds one of its locks), failed, pending, also after it was cut off, or
             pruned by a search.
         step, total_timesteps: env steps done (pending: saved), and in all.
@@ -58,6 +64,7 @@ class RunState:
     unsynced: str | None = None
     started: float | None = None
     damaged: str | None = None
+    trial: int | None = None
 
     def plain(self) -> dict[str, Any]:
         """Return everything as JSON can hold it."""
@@ -78,6 +85,7 @@ def read_state(path: Path) -> RunState:
         "unsynced": status.get("unsynced"),
         "started": status.get("started"),
         "damaged": damaged,
+        "trial": status.get("trial"),
     }
     written = status.get("status", "pending")
     if written == "done":
@@ -92,6 +100,24 @@ def read_state(path: Path) -> RunState:
         return RunState(**known, stage="failed", step=_saved_step(path), **where, reason=reason, killed=killed)
     stage: Stage = "pruned" if written == "pruned" else "pending"
     return RunState(**known, stage=stage, step=_saved_step(path))
+
+
+def labelled(states: Sequence[RunState]) -> list[RunState]:
+    """Label runs by what sets the config of their cell apart from the others of its experiment, as reports do.
+
+    Runs of a search keep the label of their trial, and so do runs whose config can't be read.
+    """
+    configs: dict[tuple[str, str], Any] = {}
+    for key, runs in by_cell(states):
+        with suppress(OSError, ValueError):
+            found = read_plain_yaml(Path(runs[0].run_dir) / CONFIG_FILE)
+            if isinstance(found, dict) and runs[0].trial is None:
+                configs[key] = settings_of(found)
+    labels: dict[tuple[str, str], str] = {}
+    for experiment in {experiment for experiment, _ in configs}:
+        own = [key for key in configs if key[0] == experiment]
+        labels |= zip(own, label_cells([configs[key] for key in own], [cell for _, cell in own]), strict=True)
+    return [replace(state, label=labels.get((state.experiment, state.cell), state.label)) for state in states]
 
 
 def counts(states: Iterable[RunState]) -> dict[Stage, int]:

@@ -63,7 +63,7 @@ def launch_workers(work: Callable[[Train], None], n_workers: int) -> dict[Path, 
     with stop_on_signal("checkpoints", pool.stop.set, _leave) as request:
         pool.run(work)
     if request.signal_number is not None:
-        words = "stopped; what was under way is saved; type the same command to go on"
+        words = "stopped; what was under way is saved; rerun the same command to resume"
         raise InterruptedRunError(words, request.signal_number)
     return pool.results
 

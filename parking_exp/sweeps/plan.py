@@ -10,7 +10,7 @@ from typing import Any
 
 from rich.console import Console
 
-from parking_exp.config.cell_labels import cell_labels, find_factors, settings_of
+from parking_exp.config.cell_labels import label_cells, settings_of
 from parking_exp.config.compose import Composed
 from parking_exp.config.schema import RunConfig
 from parking_exp.config.validate import validate_all
@@ -85,13 +85,12 @@ def plan(
 
 
 def _labels(cells: Mapping[Path, RunConfig]) -> dict[Path, str]:
-    """Return what sets each cell apart from the others of its experiment; the name of one that is alone."""
+    """Return what sets each cell apart from the others of its experiment."""
     labels: dict[Path, str] = {}
     for experiment in {folder.parent for folder in cells}:
         own = [folder for folder in cells if folder.parent == experiment]
-        factors, settings = find_factors([settings_of(cells[folder].plain()) for folder in own], [""] * len(own))
-        names = [folder.name for folder in own]
-        labels |= zip(own, cell_labels(factors, settings, names) if len(own) > 1 else names, strict=True)
+        configs = [settings_of(cells[folder].plain()) for folder in own]
+        labels |= zip(own, label_cells(configs, [folder.name for folder in own]), strict=True)
     return labels
 
 

@@ -131,6 +131,6 @@ def _judge(states: Sequence[RunState]) -> None:
     parts = [f"{found[stage]} {word}" for stage, word in words.items() if found[stage]]
     again = found["pending"] or any(state.killed for state in states)
     retry = any(state.stage == "failed" and not state.killed for state in states)
-    advice = "; type the same command to go on" if again else ""
+    advice = "; rerun the same command to resume" if again else ""
     advice += "; retry=failed runs failed ones again" if retry else ""
     raise FailedRunError(f"of {plural(len(states), 'run')}, {' and '.join(parts)}{advice}")

@@ -74,7 +74,7 @@ def _run(directory: RunDirectory, resources: WorkerResources, stop: Stop) -> Wor
     try:
         config = directory.config()
         if config.run_dir != directory_path(directory.path):
-            raise ConfigError(f"{directory.path / 'config.yaml'} is the config of another run; type the sweep again")
+            raise ConfigError(f"{directory.path / 'config.yaml'} is the config of another run; rerun the sweep")
         directory.reserve()
     except (ConfigError, OutputDirectoryError) as error:
         directory.update(status="failed", error=str(error))

@@ -108,16 +108,17 @@ def _delete_database(path: Path) -> None:
 
 
 def _is_half_made(path: Path) -> bool:
-    """Return whether making a store was interrupted: its migrations did not reach their head, and it has no runs.
+    """Return whether making a store was interrupted: its migrations did not reach their head, and it holds nothing.
 
-    MLflow can't complete such a database. One with experiments, or with tables of another program, is not touched.
+    MLflow can't complete such a database.
     """
     with closing(sqlite3.connect(path)) as connection:
         tables = {name for (name,) in connection.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
         if not tables:
             return True
-        for table, content in (("experiments", "experiment_id != 0"), ("runs", "1")):
-            if table in tables and connection.execute(f"SELECT 1 FROM {table} WHERE {content} LIMIT 1").fetchone():
+        for table in tables - {"alembic_version", "workspaces"}:
+            user_made = "WHERE experiment_id != 0" if table == "experiments" else ""
+            if connection.execute(f'SELECT 1 FROM "{table}" {user_made} LIMIT 1').fetchone():
                 return False
         versions = connection.execute("SELECT * FROM alembic_version") if "alembic_version" in tables else []
         return "experiments" in tables and [version for (version,) in versions] != [_newest_version()]

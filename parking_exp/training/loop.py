@@ -137,7 +137,7 @@ class TrainingLoop:
         if self.stop.signal_number is not None:
             self.save_checkpoint()
             raise InterruptedRunError(
-                f"stopped at step {self.model.num_timesteps}; type the same command to go on from there",
+                f"stopped at step {self.model.num_timesteps}; rerun the same command to resume",
                 self.stop.signal_number,
             )
 

@@ -57,7 +57,7 @@ def tune(search: Search, launch: Launch, *, dry_run: bool = False) -> None:
     for line in progress_lines(trials, search.request.search, n_trials):
         out.print(line)
     if left := _left(search, trials):
-        raise FailedRunError(f"{plural(left, 'trial')} not over; type the same command to go on")
+        raise FailedRunError(f"{plural(left, 'trial')} not over; rerun the same command to resume")
     if not counts(trials)["done"]:
         reason = next((trial.reason for trial in trials if trial.reason), "all were pruned")
         raise FailedRunError(f"no trial is done; the first reason: {reason}")

@@ -248,7 +248,7 @@ def study_in(folder: Path, storage: str | None = None) -> StoredSearch | None:
         return None
     settings = check(SearchConfig, stored["search"])
     n_trials, place = stored.get("n_trials"), stored.get("storage")
-    place = strip_password(place) if isinstance(place, str) else None
+    place = strip_password(place) if isinstance(place, str) and place else None
     if place not in (None, storage):
         raise ConfigError(f"the study is in {place}; pass storage={place} to read it")
     study = load_study(folder.name, storage_of(folder, place))

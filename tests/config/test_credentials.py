@@ -3,7 +3,7 @@
 import json
 
 import pytest
-from support.runs import make_config, only_run, run_script
+from support.runs import make_config, only_run, run_script, type_here
 
 from parking_exp.config.credentials import VARIABLE, keep_password, strip_password, with_password
 
@@ -52,3 +52,27 @@ def test_no_file_and_no_message_of_a_run_has_the_password_of_its_store(tmp_path)
     files = [file for file in tmp_path.rglob("*") if file.is_file()]
     assert [file for file in files if b"se-cret" in file.read_bytes()] == []
     assert "se-cret" not in done.stdout + done.stderr
+
+
+@pytest.mark.parametrize("uri", ["http://127.0.0.1:5999/a@b", "postgresql://host:5432/db?options=a@b"])
+def test_a_port_is_no_password(uri):
+    assert strip_password(uri) == uri
+
+
+@pytest.mark.parametrize(
+    "argument",
+    [
+        "tracking.uri=[postgresql://me:se-cret@host/db]",
+        "seed=postgresql://me:se-cret@host/db",
+    ],
+)
+def test_a_refusal_does_not_show_a_password(argument, tmp_path):
+    done = type_here("train", argument.strip("'"), cwd=tmp_path)
+    assert done.returncode == 2
+    assert "cret" not in done.stderr
+
+
+def test_a_password_with_a_space_is_not_stored():
+    config = make_config("tracking.uri='postgresql://me:se cret@host/db'")
+    assert config.tracking.uri == "postgresql://me@host/db"
+    assert with_password(config.tracking.uri) == "postgresql://me:se cret@host/db"

@@ -238,4 +238,4 @@ def test_a_sweep_goes_on_after_a_run_that_failed(tmp_path):
     assert sorted(path.parent.name for path in tmp_path.glob("*/*/*/result.json")) == ["seed=0", "seed=2"]
     assert done.returncode == 2
     assert f"error: output_dir: {run.run_dir} cannot be made: File exists" in done.stderr
-    assert done.stderr.splitlines()[-1] == "error: of 3 runs, 1 not done; type the same command to go on"
+    assert done.stderr.splitlines()[-1] == "error: of 3 runs, 1 not done; rerun the same command to resume"

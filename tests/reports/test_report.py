@@ -319,7 +319,7 @@ def test_a_report_sends_what_the_store_lacks_and_reads_it_there(output_dir):
     assert cell["counts"] == {"done": 1, "running": 0, "failed": 1, "pending": 1}
     assert [(run["seed"], run["status"], run["reason"]) for run in stored(output_dir)["provenance"]["unfinished"]] == [
         (1, "failed", "it was killed"),
-        (2, "interrupted", "cut off; it goes on when the sweep is typed again"),
+        (2, "interrupted", "interrupted; rerun the sweep to resume it"),
     ]
 
 

@@ -68,7 +68,7 @@ def test_every_run_is_trained_a_failure_is_told_and_nothing_is_done_twice(tmp_pa
     done = sweep(tmp_path, targets, *launcher, timeout=300)
     assert done.returncode == 2
     assert done.stderr.splitlines()[-1] == (
-        "error: of 3 runs, 2 failed; type the same command to go on; retry=failed runs failed ones again"
+        "error: of 3 runs, 2 failed; rerun the same command to resume; retry=failed runs failed ones again"
     )
     errors = {status["label"].rpartition(".")[2]: status.get("error") for status in statuses(tmp_path).values()}
     assert errors == {
@@ -137,7 +137,7 @@ def test_a_job_that_is_killed_is_reported_in_one_sentence_and_the_sweep_returns(
         "error: 1 of 2 jobs ended early; the first: stopped from outside; rerun the same command (log: "
     )
     assert stages(tmp_path) == ["done", "running"]  # the second says so for good, and its lock is free
-    assert errors.splitlines()[-1] == "error: of 2 runs, 1 not done; type the same command to go on"
+    assert errors.splitlines()[-1] == "error: of 2 runs, 1 not done; rerun the same command to resume"
 
 
 @pytest.mark.slow
@@ -150,7 +150,7 @@ def test_on_slurm_a_sweep_returns_whose_running_and_waiting_jobs_are_cancelled(t
     assert process.returncode == 2
     (line,) = [line for line in errors.splitlines() if "ended early" in line]
     assert line.startswith("error: 3 of 3 jobs ended early; the first: stopped by Slurm; rerun the same command (log: ")
-    assert errors.splitlines()[-1] == "error: of 3 runs, 3 not done; type the same command to go on"
+    assert errors.splitlines()[-1] == "error: of 3 runs, 3 not done; rerun the same command to resume"
     assert stages(tmp_path) == ["interrupted", "interrupted", "pending"]
     assert len(list(tmp_path.glob("*/*/*/checkpoints/step=*"))) == 2
 

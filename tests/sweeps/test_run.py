@@ -84,7 +84,7 @@ def test_every_way_to_fail_is_told_and_the_others_go_on(tmp_path):
     for kind in kinds:
         assert f"failed   _target_=support.failing_algorithms.{kind} seed=0: {reasons[kind]}" in done.stdout
     assert done.stderr.splitlines()[-1] == (
-        "error: of 5 runs, 4 failed; type the same command to go on; retry=failed runs failed ones again"
+        "error: of 5 runs, 4 failed; rerun the same command to resume; retry=failed runs failed ones again"
     )
     # A kill says nothing about the run; the others would fail again.
     again = sweep(tmp_path, f"algorithm._target_={targets}", "dry_run=true")
@@ -156,7 +156,7 @@ def test_ctrl_c_saves_checkpoints_and_leaves_within_ten_seconds(tmp_path):
     _, errors = process.communicate(timeout=10)
     assert process.returncode == 130
     assert "saving checkpoints before leaving" in errors
-    assert errors.splitlines()[-1] == "stopped; what was under way is saved; type the same command to go on"
+    assert errors.splitlines()[-1] == "stopped; what was under way is saved; rerun the same command to resume"
     assert workers(tmp_path) == []
     assert stages(tmp_path) == ["interrupted", "interrupted"]
     assert len(list(tmp_path.glob("*/*/*/checkpoints/step=*"))) == 2
@@ -238,7 +238,7 @@ def test_a_config_of_another_run_is_not_trained(tmp_path):
     RunDirectory(ours.path).freeze(another.config, ours.label, None)
     assert supervise(ours.path) == "failed"
     place = ours.path / "config.yaml"
-    assert read_state(ours.path).reason == f"{place} is the config of another run; type the sweep again"
+    assert read_state(ours.path).reason == f"{place} is the config of another run; rerun the sweep"
 
 
 def test_who_looks_at_a_run_does_not_keep_it_from_being_frozen_or_claimed(tmp_path):
@@ -297,7 +297,7 @@ def test_a_worker_that_is_killed_is_failed_and_goes_on_when_typed_again(tmp_path
     out, errors = process.communicate(timeout=120)
     assert process.returncode == 2
     assert "seed=0: killed by SIGKILL (out of memory?)" in out
-    assert errors.splitlines()[-1] == "error: of 2 runs, 1 failed; type the same command to go on"
+    assert errors.splitlines()[-1] == "error: of 2 runs, 1 failed; rerun the same command to resume"
     assert stages(tmp_path) == ["done", "failed"]
     assert sweep(tmp_path, "seeds=2", *SLOW).returncode == 0
     assert trained(tmp_path) == [1, 2]

@@ -446,7 +446,7 @@ def test_a_signal_saves_a_checkpoint_and_the_same_command_goes_on(tmp_path, sign
     process.send_signal(signal_number)
     _, errors = process.communicate(timeout=60)
     assert process.returncode == 128 + signal_number
-    assert "type the same command to go on" in errors
+    assert "rerun the same command to resume" in errors
     assert "Traceback" not in errors
     directory, client = only_run(output_dir), store(output_dir)
     (checkpoint,) = directory.checkpoints.iterdir()
