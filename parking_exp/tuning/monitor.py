@@ -38,24 +38,20 @@ class TrialMonitor(LiveView):
         before = {trial.number: trial.state for trial in self.trials}
         try:
             self.trials = self._read()
-        except ParkingError:  # a storage that fails: the workers meet it as well, and say so
+        except ParkingError:  # the workers report a failing storage
             return
         for trial in self.trials:
             if before.get(trial.number) != trial.state and trial.state != "pending":
                 self._print_event(trial)
 
     def _print_event(self, trial: TrialRow) -> None:
-        request = self.search.request
-        over = sum(one.state in ("done", "pruned", "failed") for one in self.trials)
-        which = f"({over} of {request.n_trials})"
         if trial.state == "running":
             self.say(f"started  {trial.label}")
             return
-        values = zip(request.search.objective, trial.values, strict=False)
-        words = ", ".join(f"{key} {value:.1%}" for key, value in values)
-        steps = f"after {trial.env_steps:,} env steps" if trial.env_steps is not None else ""
-        what = words or trial.reason or steps
-        self.say(f"{trial.state:<8} {trial.label}: {what}  {which}")
+        values = zip(self.search.request.search.objective, trial.values, strict=False)
+        result = ", ".join(f"{name} {value:.1%}" for name, value in values) or trial.reason or ""
+        over = sum(row.state in ("done", "pruned", "failed") for row in self.trials)
+        self.say(f"{trial.state:<8} {trial.label}: {result}  ({over} of {self.search.request.n_trials})")
 
     def _render(self) -> RenderableType:
         request = self.search.request

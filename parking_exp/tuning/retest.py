@@ -1,4 +1,4 @@
-"""The end of a search: trial 0 and the best are trained on fresh seeds, and the winner becomes an experiment file."""
+"""Retrain trial 0 and the best trials on fresh seeds, and write the winner as an experiment file."""
 
 import shlex
 from collections.abc import Mapping, Sequence
@@ -41,8 +41,7 @@ class RetestedTrial:
 
     Attributes:
         number, label, changes: of the trial.
-        tuning: its objective on each tuning seed.
-        test: its objective on each test seed.
+        tuning, test: its objective on each tuning seed and on each test seed.
     """
 
     number: int
@@ -53,7 +52,7 @@ class RetestedTrial:
 
 
 def retest(search: Search, trials: Sequence[TrialRow], launch: Launch) -> list[RetestedTrial]:
-    """Train trial 0 and the best trials on the test seeds, as a sweep, and return how they did, best first.
+    """Train trial 0 and the best trials on the test seeds, as a sweep, and return the results, best first.
 
     Raises:
         FailedRunError: some of the runs failed.
@@ -92,7 +91,7 @@ def read_retest(folder: Path) -> list[RetestedTrial]:
 
 
 def _chosen(trials: Sequence[TrialRow], settings: SearchConfig) -> list[TrialRow]:
-    """Return trial 0, if it is done, and the best of the others; of trials that share their runs, one."""
+    """Return trial 0, if it is done, and the best of the others, without trials that share the runs of another."""
     if not settings.n_retest:
         return []
     by_runs: dict[tuple[str, ...], TrialRow] = {}
@@ -111,7 +110,7 @@ def _retested(search: Search, trial: TrialRow) -> RetestedTrial:
 
 
 def write_winner(search: Search, tested: Sequence[RetestedTrial], out: Console) -> None:
-    """Print how the re-run trials did, and write the best of them as an experiment file.
+    """Print the results on fresh seeds, and write the best trial as an experiment file.
 
     Raises:
         FailedRunError: the file does not compose to the winner's config.
@@ -126,19 +125,19 @@ def write_winner(search: Search, tested: Sequence[RetestedTrial], out: Console) 
     path = search.folder / f"tuned_{search.folder.name}.yaml"
     write_atomically(path, _as_experiment(search, winner, len(tested)))
     if search.config(winner.changes).cell_key != tuned_config(path, search.extra_config_dir).cell_key:
-        raise FailedRunError(f"{path} does not stand for the config of trial {winner.number}; please report it")
+        raise FailedRunError(f"{path} does not compose to the config of trial {winner.number}; please report it")
     out.print(
         f"the winner is {winner.label}: {objective} {mean(winner.test):.1%} on "
         f"{plural(len(winner.test), 'fresh seed')}; tuning minus test {_drop(winner)}"
         + (f"; chosen as the best of {len(tested)}, its value is somewhat too high" if len(tested) > 1 else "")
     )
     out.print(f"experiment     {path}")
-    typed = ["--config-dir", search.extra_config_dir] if search.extra_config_dir else []
-    out.print(f"train it with  {shlex.join(['python', 'scripts/train.py', f'experiment={path}', *typed])}")
+    config_dir = ["--config-dir", search.extra_config_dir] if search.extra_config_dir else []
+    out.print(f"train it with  {shlex.join(['python', 'scripts/train.py', f'experiment={path}', *config_dir])}")
 
 
 def retest_table(tested: Sequence[RetestedTrial], objective: Objective) -> Table:
-    """Return one row for each re-run trial: its objective on tuning and on fresh seeds, and the difference."""
+    """Return one row for each retrained trial: its objective on tuning and on fresh seeds, and the difference."""
     table = Table(box=None, pad_edge=False)
     table.add_column("trial", overflow="fold")
     for title in (f"{objective}, tuning seeds", "fresh seeds", "tuning minus test"):
@@ -162,7 +161,7 @@ def _drop(trial: RetestedTrial) -> str:
 
 
 def _as_experiment(search: Search, winner: RetestedTrial, n_tested: int) -> str:
-    """Return the YAML of an experiment: groups of the winner, and all keys in which it differs from their defaults."""
+    """Return the YAML of an experiment: the winner's groups, and the keys that differ from their defaults."""
     composed = search.composed_with(winner.changes)
     options = {group: composed.options[group] for group in GROUPS}
     plain = composed_runs("config", [f"{group}={option}" for group, option in options.items()], search.extra_config_dir)
@@ -181,15 +180,15 @@ def _as_experiment(search: Search, winner: RetestedTrial, n_tested: int) -> str:
 
 
 def _changed(config: Mapping[str, Any], default: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the keys of a config that its default does not have, or has with another value."""
-    found = {}
+    """Return the keys of a config that its default lacks or gives another value."""
+    changed = {}
     for key, value in config.items():
-        there = default.get(key)
-        if key not in default or value != there:
-            found[key] = _changed(value, there) if isinstance(value, dict) and isinstance(there, dict) else value
-    return found
+        usual = default.get(key)
+        if key not in default or value != usual:
+            changed[key] = _changed(value, usual) if isinstance(value, dict) and isinstance(usual, dict) else value
+    return changed
 
 
 def tuned_config(path: Path, extra_config_dir: str | None) -> RunConfig:
-    """Return the config that an experiment file stands for."""
+    """Return the config that an experiment file composes to."""
     return validate(composed_runs("config", [f"experiment={in_quotes(str(path))}"], extra_config_dir)[0].cell)

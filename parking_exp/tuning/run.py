@@ -1,4 +1,4 @@
-"""Run a search: print its plan, have workers train its trials, train the best on fresh seeds, write the winner down."""
+"""Run a search: print its plan, train its trials, retrain the best on fresh seeds, write the winner."""
 
 import time
 from typing import TYPE_CHECKING
@@ -31,7 +31,7 @@ ENOUGH_SEEDS = 3
 
 
 def tune(search: Search, launch: Launch, *, dry_run: bool = False) -> None:
-    """Do the trials of a search that are left, re-run the best on fresh seeds, and write the winner as an experiment.
+    """Train the remaining trials of a search, retrain the best on fresh seeds, and write the winner.
 
     Raises:
         ConfigError: the space, the study or the launcher does not fit.
@@ -68,7 +68,7 @@ def _n_workers(search: Search, launch: Launch) -> int:
     """Return how many trials are trained at a time.
 
     Raises:
-        ConfigError: neither the search nor the launcher says.
+        ConfigError: neither the search nor the launcher sets it.
     """
     if search.request.n_workers:
         return search.request.n_workers
@@ -78,7 +78,7 @@ def _n_workers(search: Search, launch: Launch) -> int:
         return int(n_jobs)
     if launch.name == "local":
         return len(cores())
-    raise ConfigError(f"hydra/launcher={launch.name}: say how many trials are trained at a time, n_workers=N")
+    raise ConfigError(f"hydra/launcher={launch.name}: set the number of parallel trials, n_workers=N")
 
 
 def _left(search: Search, trials: list[TrialRow]) -> int:
@@ -88,7 +88,7 @@ def _left(search: Search, trials: list[TrialRow]) -> int:
 
 
 def _describe(search: Search, trials: list[TrialRow], n_workers: int, out: Console) -> None:
-    """Print the space, the budget, what is done, and how long the rest may take."""
+    """Print the space, the budget, the progress, and an estimate of the time left."""
     request, base = search.request, search.base
     settings = request.search
     out.print(space_table(settings))
@@ -114,10 +114,7 @@ def _describe(search: Search, trials: list[TrialRow], n_workers: int, out: Conso
 
 
 def _train(search: Search, study: "Study", launch: Launch, n_workers: int) -> list[TrialRow]:
-    """Launch workers as long as they find something to do, watch the trials, and sync the store in the end.
-
-    What other processes have under way is waited for, and taken over where they leave it.
-    """
+    """Launch workers while trials are left, wait for trials of other processes, and sync the store in the end."""
     n_trials = search.request.n_trials
     job = [f"study={in_quotes(str(search.folder))}", f"n_trials={n_trials}"]
     if search.request.storage:

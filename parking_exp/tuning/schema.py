@@ -26,7 +26,7 @@ def _as_list(value: Any) -> Any:
 
 
 class Dimension(ConfigModel):
-    """What a search tries for one key, in one of five forms, and for which values of other keys.
+    """The range or choices of one key, in one of five forms, and the condition under which it is sampled.
 
     Attributes:
         log: lowest and highest value, on a log scale.
@@ -34,7 +34,7 @@ class Dimension(ConfigModel):
         one_minus_log: lowest and highest value, with one minus it on a log scale, for values close below 1.
         int: lowest and highest whole number.
         choices: values, or options of a group.
-        when: key -> values of that key with which this one is tried; other trials keep the config's own value.
+        when: key -> values of that key with which this one is sampled; other trials keep the config's own value.
     """
 
     log: Range | None = None
@@ -68,7 +68,7 @@ class Dimension(ConfigModel):
 
     @property
     def ends(self) -> list[Any]:
-        """The values to be checked: both ends of a range, or every choice."""
+        """Values to validate: both ends of a range, or every choice."""
         return self.choices if self.choices is not None else list(self.bounds)
 
 

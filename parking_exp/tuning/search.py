@@ -32,9 +32,9 @@ _COMPOSING = threading.Lock()
 
 @dataclass(frozen=True)
 class Search:
-    """A search: the overrides that were typed, and Hydra's `--config-dir`.
+    """A search: the overrides of its command, and Hydra's `--config-dir`.
 
-    What a trial changes is a mapping of keys and groups to values: `{"algorithm": "td3", "algorithm.gamma": 0.97}`.
+    The changes of a trial map keys and groups to values: `{"algorithm": "td3", "algorithm.gamma": 0.97}`.
     """
 
     overrides: Sequence[str]
@@ -46,12 +46,12 @@ class Search:
         """The config that trials change, with the keys of scripts/tune.py.
 
         Raises:
-            ConfigError: it does not compose, or the overrides stand for several configs.
+            ConfigError: it does not compose, or the overrides are a sweep.
         """
         return self._with_options([])
 
     def _with_options(self, lines: Sequence[str]) -> Composed:
-        """Return the config with other options of groups; that takes Hydra some tenths of a second, and is kept."""
+        """Return the config with other options of groups, cached because composing takes tenths of a second."""
         with _COMPOSING:
             if (known := self._options.get(tuple(lines))) is not None:
                 return known
@@ -130,15 +130,15 @@ class Search:
             ConfigError: with a sentence for each of the first five things that are wrong.
         """
         search, problems = self.request.search, []
-        self.config({})  # what is wrong without any change is said once
+        self.config({})  # report errors of the base config once
         try:
             dimensions = in_order(search)
         except ValueError as error:
             raise ConfigError(str(error)) from error
-        typed = {line.partition("=")[0].lstrip("+~") for line in self.overrides}
+        overridden = {line.partition("=")[0].lstrip("+~") for line in self.overrides}
         for key, dimension in dimensions:
-            if key in typed:
-                problems.append(f"{key} is typed, and search.space has it; leave one of them out")
+            if key in overridden:
+                problems.append(f"{key} is both an override and a key of search.space; remove one of them")
             for context in _contexts(search, key):
                 for value in dimension.ends:
                     problems += self._problems({**context, key: value}, f"search.space.{key}")
@@ -169,32 +169,34 @@ class Search:
         return open_study(self.folder, self.request.search, self.base, self.values, storage)
 
     def save(self) -> None:
-        """Write down what workers and other commands need to find the study and compose the configs of trials."""
+        """Save what workers and other commands need to find the study and to compose the configs of trials."""
         request, extra = self.request, self.extra_config_dir
         # Workers may be started from another directory.
         overrides = [strip_password(with_absolute_path(line)) for line in self.overrides]
-        typed = {"overrides": overrides, "extra_config_dir": extra and str(Path(extra).absolute())}
+        command = {"overrides": overrides, "extra_config_dir": extra and str(Path(extra).absolute())}
         settings = {"storage": request.storage, "n_trials": request.n_trials}
-        write_json(self.folder / SEARCH_FILE, {**typed, **settings, "search": request.search.model_dump(by_alias=True)})
+        write_json(
+            self.folder / SEARCH_FILE, {**command, **settings, "search": request.search.model_dump(by_alias=True)}
+        )
 
     @classmethod
     def load(cls, folder: Path, storage: str | None) -> "Search":
-        """Return the search of an experiment's folder as it was typed last, wherever the process runs that asks.
+        """Return the last search of an experiment's folder, with the storage of the caller.
 
-        The storage is that of the caller: what the folder's files name is never opened.
+        A storage that the folder's files name is never opened.
 
         Raises:
             ConfigError: there is none.
         """
         stored = read_object(folder / SEARCH_FILE)
         if not isinstance(stored.get("overrides"), list):
-            raise ConfigError(f"{folder / SEARCH_FILE} can't be read; type the search again")
+            raise ConfigError(f"{folder / SEARCH_FILE} can't be read; rerun the search")
         known = [f"output_dir={in_quotes(str(folder.parent))}", f"storage={in_quotes(storage) if storage else 'null'}"]
         return cls([*stored["overrides"], *known], stored.get("extra_config_dir"))
 
 
 def _contexts(search: SearchConfig, key: str) -> list[dict[str, Any]]:
-    """Return values of other keys with which a key is tried: of its conditions, and each option of its group."""
+    """Return the values of other keys to check a key with: its conditions, and each option of its group."""
     context: dict[str, Any] = {}
     waiting = [key]
     while waiting:
@@ -236,7 +238,7 @@ def study_in(folder: Path, storage: str | None = None) -> StoredSearch | None:
 
     Args:
         folder: of the experiment; the database that its files name is opened only if it is `storage`.
-        storage: that was typed.
+        storage: as passed by the user.
 
     Raises:
         ConfigError: its settings or its study are damaged, or the study lies in another storage.

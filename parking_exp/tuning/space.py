@@ -21,7 +21,7 @@ def parameter(key: str, dimension: Dimension) -> str:
 
 
 def suggest(trial: "Trial", name: str, dimension: Dimension) -> Any:
-    """Return a trial's parameter of a dimension, sampled if it has none; choices are JSON texts."""
+    """Return a trial's parameter for a dimension, sampled if it has none; choices are JSON texts."""
     low, high = dimension.bounds
     if dimension.choices is not None:
         return trial.suggest_categorical(name, [json.dumps(choice) for choice in dimension.choices])
@@ -33,9 +33,9 @@ def suggest(trial: "Trial", name: str, dimension: Dimension) -> Any:
 
 
 def to_parameter(dimension: Dimension, value: Any) -> Any:
-    """Return a config's value as Optuna's parameter; None where the dimension does not have it."""
+    """Return a config's value as Optuna's parameter, or None if it is outside the dimension."""
     if dimension.choices is not None:
-        same = (one for one in dimension.choices if one == value and isinstance(one, bool) == isinstance(value, bool))
+        same = (c for c in dimension.choices if c == value and isinstance(c, bool) == isinstance(value, bool))
         return next(map(json.dumps, same), None)
     if isinstance(value, bool) or not isinstance(value, int | float) or (dimension.whole and value != int(value)):
         return None
@@ -57,15 +57,15 @@ def to_value(dimension: Dimension, parameter: Any) -> Any:
 
 
 def applies(dimension: Dimension, chosen: Mapping[str, Any]) -> bool:
-    """Whether a dimension is tried beside these values of other keys."""
+    """Return whether a dimension is sampled with these values of other keys."""
     return all(chosen.get(key) in values for key, values in dimension.when.items())
 
 
 def in_order(search: SearchConfig) -> list[tuple[str, Dimension]]:
-    """Return the dimensions, each after those that its `when` names; groups first, since they bring the others' keys.
+    """Return the dimensions, each after those that its `when` names; groups first, since they define other keys.
 
     Raises:
-        ValueError: they wait for one another.
+        ValueError: their conditions are circular.
     """
     waiting = sorted(search.space.items(), key=lambda item: "." in item[0])
     found: dict[str, Dimension] = {}
@@ -79,7 +79,7 @@ def in_order(search: SearchConfig) -> list[tuple[str, Dimension]]:
 
 
 def base_value(base: DictConfig, groups: Mapping[str, str], key: str) -> Any:
-    """Return the value of a key, or the chosen option of a group, in the config as it stands."""
+    """Return the value of a key, or the chosen option of a group, in the base config."""
     if key in groups:
         return groups[key]
     node = OmegaConf.select(base, key.lstrip("+"))

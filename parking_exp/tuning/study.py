@@ -1,7 +1,7 @@
 """The study of a search: Optuna's record of its trials.
 
-The study is a journal file in the experiment's folder, or lies where `storage` says. Trials are numbered from 0; those
-from 0 to n_trials - 1 are trained.
+The study is a journal file in the experiment's folder, or is in the database of `storage`. Trials are numbered from 0;
+those from 0 to n_trials - 1 are trained.
 """
 
 import json
@@ -61,7 +61,7 @@ class _JournalLock:
         self._path, self._lock = path, FileLock(f"{path}.lock")
 
     def acquire(self) -> bool:
-        """Wait for the lock, and cut off what a process that was killed, or a full disk, left of a line."""
+        """Wait for the lock, and remove an incomplete last line, which a kill or a full disk leaves."""
         self._lock.acquire()
         with self._path.open("r+b") as file:
             file.seek(max(0, file.seek(0, os.SEEK_END) - 1))
@@ -76,7 +76,7 @@ class _JournalLock:
 
 
 def storage_of(folder: Path, uri: str | None) -> Any:
-    """Return the storage of a search's study: at a URI, or without one the journal in the search's folder.
+    """Return the storage of a study: the database at a URI, or without one the journal in the search's folder.
 
     Raises:
         StoreError: it can't be reached.
@@ -87,7 +87,7 @@ def storage_of(folder: Path, uri: str | None) -> Any:
 
     optuna.logging.set_verbosity(optuna.logging.ERROR)
     path = folder / STUDY_FILE
-    # Not the folders of cells, which may lie on another disk.
+    # The folders of cells may be on another disk.
     refuse_links((one for names in (".*", "study.*", f"{TRIALS_FOLDER}/*") for one in folder.glob(names)), folder)
     try:
         if uri is None:
@@ -101,7 +101,7 @@ def storage_of(folder: Path, uri: str | None) -> Any:
 
 
 def open_study(folder: Path, search: SearchConfig, base: RunConfig, values: Values, storage: Any) -> OpenStudy:
-    """Return the study of a search, made with trial 0 and what is enqueued if there is none yet.
+    """Return the study of a search; create it with trial 0 and the enqueued configs if there is none.
 
     Args:
         folder: of the experiment.
@@ -131,7 +131,7 @@ def open_study(folder: Path, search: SearchConfig, base: RunConfig, values: Valu
 
 
 def load_study(name: str, storage: Any) -> "Study | None":
-    """Return the study of a search that was begun, for reading; None where there is none.
+    """Return the study of a search for reading, or None if there is none.
 
     Raises:
         StoreError: the storage fails.
@@ -145,7 +145,7 @@ def load_study(name: str, storage: Any) -> "Study | None":
 
 @contextmanager
 def storage_errors(name: str) -> Iterator[None]:
-    """Raise what a storage complains about as one sentence.
+    """Raise errors of a storage as one sentence.
 
     Raises:
         ConfigError: the study can't be used.
@@ -155,10 +155,10 @@ def storage_errors(name: str) -> Iterator[None]:
         yield
     except ParkingError:
         raise
-    except ValueError as error:  # of a journal that is damaged, of directions that differ
-        raise ConfigError(f"the study {name} can't be used: {error}; experiment_name=OTHER begins another") from error
+    except ValueError as error:  # a damaged journal, or other directions
+        raise ConfigError(f"study {name} can't be used: {error}; start another with experiment_name=OTHER") from error
     except Exception as error:
-        raise StoreError(f"the storage of study {name} fails: {_first_line(error)}; type it again later") from error
+        raise StoreError(f"the storage of study {name} fails: {_first_line(error)}; try again later") from error
 
 
 def _first_line(error: Exception) -> str:
@@ -166,7 +166,7 @@ def _first_line(error: Exception) -> str:
 
 
 def _definition(search: SearchConfig, base: RunConfig) -> dict[str, Any]:
-    """Return what makes values of trials comparable: all of the search, and the config that trials change."""
+    """Return what must not change for trials to be comparable: objective, seeds, space and base config."""
     plain = json.loads(json.dumps(search.model_dump(by_alias=True, exclude_defaults=True)))
     found = {f"search.{key}": plain[key] for key in ("objective", "tuning_seeds", "enqueue")}
     found |= {f"search.space.{key}": value for key, value in plain["space"].items()}
@@ -189,10 +189,10 @@ def _other_definition(name: str, known: Mapping[str, Any], asked: Mapping[str, A
 
 @contextmanager
 def claiming(folder: Path) -> Iterator[None]:
-    """Be the only process on this machine that begins or takes up a trial.
+    """Be the only process that begins or resumes a trial.
 
     Raises:
-        StoreError: another one has been at it for minutes.
+        StoreError: another process holds the lock for minutes.
     """
     try:
         with FileLock(folder / CLAIM_LOCK, timeout=CLAIM_PATIENCE_S):
@@ -204,20 +204,20 @@ def claiming(folder: Path) -> Iterator[None]:
 
 
 def _enqueue(study: "Study", search: SearchConfig, values: Values) -> None:
-    """Make the config as it stands, and what is to be tried after it, the first trials, where they are missing."""
-    typed: list[dict[str, Any]] = [{}, *search.enqueue]
-    for changes in typed[len(study.get_trials(deepcopy=False)) :]:
+    """Enqueue the unchanged config and `search.enqueue` as the first trials, where they are missing."""
+    first: list[dict[str, Any]] = [{}, *search.enqueue]
+    for changes in first[len(study.get_trials(deepcopy=False)) :]:
         known = known_parameters(search, values(changes))
         study.enqueue_trial(known, user_attrs={ENQUEUED: sorted(known), CHANGES: changes})
 
 
 def known_parameters(search: SearchConfig, values: Mapping[str, Any]) -> dict[str, Any]:
-    """Return Optuna's parameters of a config, as far as the space has its values."""
-    found: dict[str, Any] = {}
+    """Return Optuna's parameters for the values of a config that are inside the space."""
+    known: dict[str, Any] = {}
     chosen: dict[str, Any] = {}
     for key, dimension in in_order(search):
-        one = to_parameter(dimension, values.get(key))
-        if one is not None and applies(dimension, chosen):
-            found[parameter(key, dimension)] = one
+        value = to_parameter(dimension, values.get(key))
+        if value is not None and applies(dimension, chosen):
+            known[parameter(key, dimension)] = value
             chosen[key] = values[key]
-    return found
+    return known

@@ -23,7 +23,7 @@ def space_table(search: SearchConfig) -> Table:
 
 
 def dimension_text(dimension: Dimension) -> str:
-    """Write a dimension for people."""
+    """Describe a dimension in a line."""
     low, high = dimension.bounds
     condition = ", ".join(f"{key}={'|'.join(map(str, values))}" for key, values in dimension.when.items())
     if dimension.choices is not None:
@@ -37,7 +37,7 @@ def dimension_text(dimension: Dimension) -> str:
 
 
 def trial_table(trials: Sequence[TrialRow], search: SearchConfig, most: int = SHOWN) -> Table:
-    """Return the best trials, then those under way: state, value and what each changes."""
+    """Return the best trials, then running and failed ones: state, value and changes."""
     table = Table(box=None, pad_edge=False)
     table.add_column("trial", justify="right")
     table.add_column("state")
@@ -55,7 +55,7 @@ def trial_table(trials: Sequence[TrialRow], search: SearchConfig, most: int = SH
 
 
 def progress_lines(trials: Sequence[TrialRow], search: SearchConfig, n_trials: int) -> Iterator[str]:
-    """Yield how far a search is: trials in each state, the best so far, time left."""
+    """Yield the progress of a search: trials in each state, the best so far, time left."""
     found = counts(trials)
     pending = found["pending"] + n_trials - len(trials)
     parts = [f"{number} {state}" for state, number in {**found, "pending": pending}.items() if number]
@@ -69,7 +69,7 @@ def progress_lines(trials: Sequence[TrialRow], search: SearchConfig, n_trials: i
 
 
 def left_s(trials: Sequence[TrialRow], n_trials: int) -> float | None:
-    """Return how long the trials that are left take [s], at the mean time of those that are over."""
+    """Estimate the time left [s] from the mean duration of the trials that are over."""
     took = [trial.seconds for trial in trials if trial.state in ("done", "pruned") and trial.seconds]
     running = sum(trial.state == "running" for trial in trials)
     over = sum(trial.state in ("done", "pruned", "failed") for trial in trials)

@@ -1,4 +1,4 @@
-"""The trials of a search as tables of them show them: state, parameters, values, what they took."""
+"""The trials of a search as tables show them: state, parameters, values, and resources used."""
 
 import json
 from collections.abc import Mapping, Sequence
@@ -62,7 +62,7 @@ ROW = TypeAdapter(TrialRow)
 
 
 def rows(study: "Study", folder: Path, n_trials: int) -> list[TrialRow]:
-    """Return the trials that have begun, or wait to, of the first `n_trials`.
+    """Return the trials that have begun or are enqueued, of the first `n_trials`.
 
     Raises:
         ConfigError: the study is damaged.
@@ -116,6 +116,6 @@ def ranked(trials: Sequence[TrialRow]) -> list[TrialRow]:
 
 
 def counts(trials: Sequence[TrialRow]) -> dict[TrialState, int]:
-    """Return how many trials are in which state."""
-    found = [trial.state for trial in trials]
-    return {state: found.count(state) for state in STATES}
+    """Return how many trials are in each state."""
+    states = [trial.state for trial in trials]
+    return {state: states.count(state) for state in STATES}

@@ -1,4 +1,4 @@
-"""A worker of a search: takes trials from the study in turn, trains each on its seeds, prunes, and tells the study."""
+"""Work on a search: claim trials one after the other, train each on its seeds, prune, and tell the study."""
 
 import errno
 import os
@@ -59,18 +59,18 @@ def work(folder: Path, n_trials: int, train: Train, storage: str | None = None) 
     settings = search.request.search
     study.pruner = make_pruner(settings, evaluations(search.base))
     try:
-        while (taken := claim(opened, settings, n_trials)) is not None:
+        while (claimed := claim(opened, settings, n_trials)) is not None:
             try:
-                if _Trial(search, study, taken, train).run() == "stopped":
+                if _Trial(search, study, claimed, train).run() == "stopped":
                     return
             finally:
-                taken.release()
+                claimed.release()
     except (ParkingError, OSError):
         raise
     except Exception as error:  # a database may fail in any way
         raise StoreError(
             f"the study {study.study_name} can't be written ({type(error).__name__}: {str(error).splitlines()[0]}); "
-            "runs are kept, and the same command goes on"
+            "runs are kept; rerun the same command to resume"
         ) from error
 
 
@@ -90,20 +90,20 @@ def make_pruner(search: SearchConfig, evaluations_a_run: int) -> "BasePruner":
 
 
 class _Trial:
-    """A trial that this worker has taken: trained on one seed after the other, and judged on the way."""
+    """A claimed trial, trained on one seed after the other and pruned on the way."""
 
-    def __init__(self, search: Search, study: "Study", taken: Claim, train: Train) -> None:
+    def __init__(self, search: Search, study: "Study", claimed: Claim, train: Train) -> None:
         self.search, self.settings = search, search.request.search
-        self.study, self.taken, self.train = study, taken, train
+        self.study, self.claimed, self.train = study, claimed, train
         self.areas: list[float] = []  # under the curves of its finished runs
         self.values: list[list[float]] = []  # of the objectives, of its finished runs
-        self._reported = set(study.get_trials(deepcopy=False)[taken.number].intermediate_values)
+        self._reported = set(study.get_trials(deepcopy=False)[claimed.number].intermediate_values)
         self._problem: str | None = None  # why its progress can't be reported
 
     def run(self) -> Outcome:
-        """Train it on its seeds, as far as that is not done, and tell the study how it went."""
+        """Train the runs that are not done, and tell the study the result."""
         try:
-            config = self.search.config(self.taken.changes)
+            config = self.search.config(self.claimed.changes)
         except ConfigError as error:  # values that do not go together
             return self._over("failed", reason=str(error).replace("\n", "; "))
         seeds = self.settings.tuning_seeds
@@ -111,34 +111,34 @@ class _Trial:
         before = sum(read_state(run.run_dir).started is not None for run in runs)  # begun by an earlier process
         for number, run in enumerate(runs):
             begun = runs[: max(number + 1, before)]
-            self._note(RUNS, [str(one.run_dir.relative_to(one.output_path)) for one in begun])
+            self._record(RUNS, [str(one.run_dir.relative_to(one.output_path)) for one in begun])
             outcome = self._run(run, number)
             if outcome == "stopped":
                 return outcome
             if outcome == "failed":
                 return self._over(outcome, begun, f"seed {run.seed}: {read_state(run.run_dir).reason or 'it failed'}")
-            # A seed was judged before the next one began.
+            # Only after its newest run: earlier ones were judged before the next one began.
             if outcome == "pruned" or (self._judge_finished(run, number) and number + 1 == len(begun) < len(runs)):
                 return self._over("pruned", begun)
-        self._note(SEED_VALUES, self.values)
+        self._record(SEED_VALUES, self.values)
         return self._over("done", runs)
 
-    def _note(self, name: str, value: Any) -> None:
-        self.taken.trial.set_user_attr(name, value)
+    def _record(self, name: str, value: Any) -> None:
+        self.claimed.trial.set_user_attr(name, value)
 
     def _over(self, outcome: Outcome, runs: Sequence[RunConfig] = (), reason: str | None = None) -> Outcome:
-        """Note what the trial took and why it failed, and tell the study that it is over."""
+        """Record what the trial took and why it failed, and tell the study that it is over."""
         from optuna.trial import TrialState
 
         states = [read_state(run.run_dir) for run in runs]
-        self._note(CPU_S, sum(_cpu_s(state.run_dir) for state in states))
-        self._note(STEPS, sum(state.step for state in states))
+        self._record(CPU_S, sum(_cpu_s(state.run_dir) for state in states))
+        self._record(STEPS, sum(state.step for state in states))
         if reason is not None:
-            self._note(REASON, reason)
+            self._record(REASON, reason)
         if outcome == "done":
-            self.study.tell(self.taken.trial, [mean(column) for column in zip(*self.values, strict=True)])
+            self.study.tell(self.claimed.trial, [mean(column) for column in zip(*self.values, strict=True)])
         else:
-            self.study.tell(self.taken.trial, state=TrialState.PRUNED if outcome == "pruned" else TrialState.FAIL)
+            self.study.tell(self.claimed.trial, state=TrialState.PRUNED if outcome == "pruned" else TrialState.FAIL)
         return outcome
 
     def _run(self, config: RunConfig, number: int) -> Outcome:
@@ -157,17 +157,17 @@ class _Trial:
             state = read_state(directory.path)
             if state.stage == "done":
                 return "done"
-            if state.stage == "pruned" and self.taken.number > 0:  # trial 0 goes on where another was given up
+            if state.stage == "pruned" and self.claimed.number > 0:  # trial 0 finishes runs that another trial shares
                 return "pruned"
             if state.stage == "failed":
                 on_full_disk = os.strerror(errno.ENOSPC) in (state.reason or "")
                 if on_full_disk and attempts:  # no fault of the trial's: it stays open
-                    raise OutputDirectoryError(f"trial {self.taken.number}: {state.reason}; {state.run_dir}")
+                    raise OutputDirectoryError(f"trial {self.claimed.number}: {state.reason}; {state.run_dir}")
                 if attempts == ATTEMPTS or not (state.killed or on_full_disk):
                     return "failed"
             attempts += 1
-            entries = {"search": self.search.folder.name, "trial": self.taken.number}
-            directory.freeze(config, f"trial {self.taken.number}", state.started, entries=entries)
+            entries = {"search": self.search.folder.name, "trial": self.claimed.number}
+            directory.freeze(config, f"trial {self.claimed.number}", state.started, entries=entries)
             result = self.train(directory.path, stop)
             if result == "elsewhere":  # another trial has the same config
                 time.sleep(ELSEWHERE_POLL_S)
@@ -178,20 +178,17 @@ class _Trial:
                 return "stopped"
 
     def _judge_running(self, directory: RunDirectory, config: RunConfig, number: int) -> bool:
-        """Report the evaluations so far, and return whether the trial is to be pruned.
-
-        A trial goes on where the study can't be reached.
-        """
+        """Report the evaluations so far, and return whether to prune; a failing storage prunes nothing."""
         try:
             return self.settings.pruner is not None and self._judge(config, number, read_curve(directory))
         except Exception as error:  # a database may fail in any way
             if self._problem is None:
-                say(f"trial {self.taken.number}: its progress can't be reported ({error}); it goes on", stderr=True)
+                say(f"trial {self.claimed.number}: can't report progress ({error}); training continues", stderr=True)
             self._problem = str(error)
             return False
 
     def _judge_finished(self, config: RunConfig, number: int) -> bool:
-        """Count a finished run in, and return whether the trial is to be pruned after it."""
+        """Add a finished run to the trial, and return whether to prune the trial after it."""
         curve = read_curve(RunDirectory(config.run_dir))
         pruned = self.settings.pruner is not None and self._judge(config, number, curve)
         self.areas.append(curve.area)
@@ -199,7 +196,7 @@ class _Trial:
         return pruned
 
     def _judge(self, config: RunConfig, number: int, curve: RunCurve) -> bool:
-        """Report the evaluations of a run, and return whether its trial is to be pruned, once it is old enough."""
+        """Report the evaluations of a run, and return whether to prune its trial."""
         first = number * evaluations(config)
         for position in range(len(curve.steps)):
             so_far = RunCurve(curve.steps[: position + 1], curve.success[: position + 1], {})
@@ -208,21 +205,15 @@ class _Trial:
             self._report(first + position, value)
         if not curve.steps or (number == 0 and updates_at(config, curve.steps[-1]) < self.settings.grace_updates):
             return False
-        return self._should_prune()
-
-    def _should_prune(self) -> bool:
-        """Whether the study's pruner gives the trial up; the config as it stands is always tried to its end."""
-        return self.taken.number > 0 and self.taken.trial.should_prune()
+        return self.claimed.number > 0 and self.claimed.trial.should_prune()
 
     def _report(self, step: int, value: float) -> None:
         if step not in self._reported:
-            self.taken.trial.report(value, step)
+            self.claimed.trial.report(value, step)
             self._reported.add(step)
 
 
 def _cpu_s(run_dir: str) -> float:
-    """Return the CPU seconds of a run so far, as its last evaluation has them."""
-    found: Any = 0.0
-    for record in read_metrics(Path(run_dir) / "metrics.jsonl"):
-        found = record["metrics"].get("time/cpu_s", found)
-    return float(found)
+    """Return the CPU seconds of a run up to its last evaluation."""
+    recorded = [record["metrics"].get("time/cpu_s") for record in read_metrics(Path(run_dir) / "metrics.jsonl")]
+    return float(next((cpu_s for cpu_s in reversed(recorded) if cpu_s is not None), 0.0))

@@ -109,7 +109,7 @@ def test_ctrl_c_leaves_everything_resumable(tmp_path):
 
 @pytest.mark.slow
 def test_kills_at_random_moments_lose_no_trial_and_do_none_twice(tmp_path):
-    options = ("n_trials=8", "search.tuning_seeds=[1001]", "tracking.mlflow=false", TWO)
+    options = ("n_trials=16", "search.tuning_seeds=[1001]", "tracking.mlflow=false", TWO)
     dice = random.Random(0)
     for attempt in range(30):
         process = begin(tmp_path, *options)
@@ -127,7 +127,7 @@ def test_kills_at_random_moments_lose_no_trial_and_do_none_twice(tmp_path):
     assert done.returncode == 0, done.stderr
     assert attempt > 1
     found = trials(tmp_path)
-    assert [trial.number for trial in found] == list(range(8))
+    assert [trial.number for trial in found] == list(range(16))
     assert {trial.state for trial in found} <= {"done", "pruned"}
     paths = [tmp_path / path for trial in found for path in trial.runs]
     assert len(set(paths)) == len(list(tmp_path.glob("smoke/*/seed=*")))

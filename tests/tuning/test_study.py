@@ -229,7 +229,7 @@ def test_a_storage_that_fails_while_trials_are_read_gets_a_sentence(tmp_path, mo
     monkeypatch.setattr(study.study, "get_trials", fail)
     with pytest.raises(StoreError) as error:
         rows(study.study, folder, 1)
-    assert str(error.value) == "the storage of study test fails: postgresql://me@here is gone; type it again later"
+    assert str(error.value) == "the storage of study test fails: postgresql://me@here is gone; try again later"
 
 
 def test_a_study_in_a_database_is_shared_in_the_same_way(tmp_path):
