@@ -12,7 +12,7 @@ from omegaconf import DictConfig
 
 from parking_exp.config.compose import hydra_ready
 from parking_exp.config.overrides import hydra_overrides, in_quotes
-from parking_exp.errors import ConfigError, ParkingError, plural, suggestion
+from parking_exp.errors import ConfigError, ParkingError, did_you_mean, plural, suggestion
 from parking_exp.sweeps.supervisor import WorkerResult, supervise_job
 
 EXTRAS = {"slurm", "ray"}
@@ -114,9 +114,13 @@ def _refuse_unknown_keys(overrides: list[str]) -> None:
         for part in key.split(".")[2:]:
             if isinstance(node, DictConfig) and part not in node:
                 known = [str(one) for one in node if one != "_target_"]
-                # `parameters`, `ray.init` and the like take every key of their library.
-                hint = f"; to add it, write +{override}" if node is not whole.hydra.launcher else ""
-                raise ConfigError(f"{key}: hydra/launcher={name} has no such key{suggestion(part, known)}{hint}")
+                if node is whole.hydra.launcher:
+                    hint = suggestion(part, known)
+                else:  # `parameters`, `ray.init` and the like take every key of their library
+                    close = did_you_mean(part, known, cutoff=0.8)
+                    hint = f"{close} If not, add it:" if close else "; to add it, write"
+                    hint += f" +{override}"
+                raise ConfigError(f"{key}: hydra/launcher={name} has no such key{hint}")
             node = node[part] if isinstance(node, DictConfig) else None
 
 

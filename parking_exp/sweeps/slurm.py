@@ -19,6 +19,8 @@ from parking_exp.terminal import say
 
 POLL_S = 0.2
 SLURM_POLL_S = 5.0
+MAX_ARRAY_SIZE = 1001  # Slurm's default
+RULE = "-" * 22  # around the traceback in submitit's message
 CLUSTERS = ("slurm", "local")
 
 
@@ -83,13 +85,12 @@ def launch(
     submitted: list[Any] = []
     try:
         if executor == "slurm":
-            # One array after the other, so that no more than n_jobs run at a time.
             size = max_array_size(_output_of("scontrol", "show", "config"))
             while len(submitted) < len(texts):
                 with _sigint_blocked():  # Ctrl-C is to find all that was submitted
                     submitted += jobs.map_array(task, texts[len(submitted) :][:size])
-                while _under_way(submitted):
-                    time.sleep(SLURM_POLL_S)
+                if n_jobs or len(submitted) == len(texts):  # the limit holds within an array only
+                    _wait(submitted)
         else:
             n_jobs = n_jobs or len(cores())
             while len(submitted) < len(texts) or any(not job.done() for job in submitted):
@@ -98,6 +99,7 @@ def launch(
                         submitted.append(jobs.submit(task, texts[len(submitted)]))
                 time.sleep(POLL_S)
     except submitit.core.utils.FailedJobError as error:
+        _cancel(submitted, paths, executor)  # earlier arrays
         raise FailedRunError(f"submitit cannot submit: {str(error).splitlines()[-1]}") from error
     except BaseException:
         _cancel(submitted, paths, executor)
@@ -108,21 +110,37 @@ def launch(
 def max_array_size(config: str) -> int:
     """Return how many jobs an array can have, from the output of `scontrol show config`."""
     found = re.search(r"^MaxArraySize\s*=\s*(\d+)", config, re.MULTILINE)
-    return max(1, int(found[1])) if found else 1
+    return (int(found[1]) if found else 0) or MAX_ARRAY_SIZE
+
+
+def _wait(jobs: Sequence[Any]) -> None:
+    """Wait until no job is under way; warn once when `squeue` fails, and again only after it has worked."""
+    warned = False
+    while True:
+        try:
+            if not _under_way(jobs):
+                return
+            warned = False
+        except FailedRunError as error:  # e.g. the controller is being restarted
+            if not warned:
+                say(f"warning: {error}", stderr=True)
+            warned = True
+        time.sleep(SLURM_POLL_S)
 
 
 def _under_way(jobs: Sequence[Any]) -> list[Any]:
     """Return the jobs of Slurm that have no result yet and that `squeue` lists.
 
     Where there is no accounting, Slurm tells no more about a job that was cancelled, ran out of time or lost its node
-    than that it is gone. Where squeue fails, the jobs count as under way.
+    than that it is gone.
+
+    Raises:
+        FailedRunError: squeue fails.
     """
     left = [job for job in jobs if not _has_result(job)]
-    try:
-        listed = _output_of("squeue", "--noheader", "--array", "--format=%i", f"--user={os.getuid()}").split()
-    except FailedRunError as error:  # its controller may be restarted
-        say(f"warning: {error}", stderr=True)
-        return left
+    if not left:
+        return []
+    listed = _output_of("squeue", "--noheader", "--array", "--format=%i", f"--user={os.getuid()}").split()
     return [job for job in left if job.job_id in listed]
 
 
@@ -130,9 +148,12 @@ def _output_of(*command: str) -> str:
     """Return what a command of Slurm prints.
 
     Raises:
-        FailedRunError: it fails.
+        FailedRunError: it fails, cannot be started or takes more than a minute.
     """
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    try:
+        done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=60)
+    except (OSError, subprocess.TimeoutExpired) as error:
+        raise FailedRunError(f"{command[0]} failed: {error}") from error
     if done.returncode:
         raise FailedRunError(f"{command[0]} failed: {done.stderr.strip()}")
     return done.stdout
@@ -177,7 +198,11 @@ def _result(job: Any, executor: str) -> Any:
     if not _has_result(job):
         by = "by Slurm" if executor == "slurm" else "from outside"
         return FailedRunError(f"stopped {by}; rerun the same command (log: {job.paths.stderr})")
-    if (error := job.exception()) is None:
-        return job.result()
-    trace = str(error).split("-" * 22)[1]  # between two rules
-    return FailedRunError(f"{trace.strip().splitlines()[-1]} (log: {job.paths.stderr})")
+    try:
+        if (error := job.exception()) is None:
+            return job.result()
+    except Exception as problem:  # unpickling can raise anything; the other jobs' results are still returned
+        return FailedRunError(f"cannot read {job.paths.result_pickle}: {str(problem) or type(problem).__name__}")
+    trace = str(error).rpartition(RULE)[0] or str(error)  # what follows the last rule are paths of logs
+    lines = [line.strip() for line in trace.splitlines() if line.strip(" -")]
+    return FailedRunError(f"{lines[-1] if lines else type(error).__name__} (log: {job.paths.stderr})")

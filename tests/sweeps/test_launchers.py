@@ -1,6 +1,7 @@
 """One contract for all launchers: what runs, what fails, and that the same command goes on."""
 
 import os
+import pickle
 import shutil
 import signal
 import subprocess
@@ -11,6 +12,7 @@ import psutil
 import pytest
 from support.sweep_processes import FAILING, SLOW, begin, stages, statuses, sweep, trained, wait_until
 
+from parking_exp.errors import FailedRunError
 from parking_exp.sweeps import slurm as slurm_launcher
 
 RAY = Path(sys.executable).with_name("ray")
@@ -167,7 +169,130 @@ def test_on_slurm_a_sweep_beyond_the_largest_array_becomes_several(tmp_path, slu
 
 @pytest.mark.parametrize(
     ("config", "size"),
-    [("MaxArraySize            = 1001\n", 1001), ("MaxArraySize = 0\n", 1), ("ClusterName = x\n", 1)],
+    [("MaxArraySize            = 1001\n", 1001), ("MaxArraySize = 0\n", 1001), ("ClusterName = x\n", 1001)],
 )
 def test_the_largest_array_is_what_slurm_is_configured_for(config, size):
     assert slurm_launcher.max_array_size("MaxArrayTasks = 7\n" + config) == size
+
+
+@pytest.fixture
+def fake(tmp_path, monkeypatch):
+    """Put shell scripts on PATH: the n-th call of a command does its n-th line, further ones its last."""
+    monkeypatch.setenv("PATH", str(tmp_path), prepend=os.pathsep)
+    monkeypatch.setattr(slurm_launcher, "SLURM_POLL_S", 0)
+
+    def write(name, *lines):
+        cases = "".join(f"{number}) {line};;\n" for number, line in enumerate(lines[:-1], 1))
+        script = tmp_path / name
+        script.write_text(
+            f"#!/bin/sh\necho {name} >> {tmp_path}/calls\n"
+            f"case $(grep -c {name} {tmp_path}/calls) in\n{cases}*) {lines[-1]};;\nesac\n"
+        )
+        script.chmod(0o755)
+
+    return write
+
+
+@pytest.fixture
+def job(tmp_path):
+    """A job of Slurm that has no result yet."""
+    submitit = pytest.importorskip("submitit")
+    folder = tmp_path / "submitit"
+    folder.mkdir()
+    return submitit.SlurmJob(folder, job_id="7_1", tasks=[0])
+
+
+def write_result(job, outcome, value):
+    job.paths.result_pickle.write_bytes(pickle.dumps((outcome, value)))
+
+
+def calls(tmp_path):
+    return (tmp_path / "calls").read_text().split() if (tmp_path / "calls").exists() else []
+
+
+def test_a_job_without_a_result_is_under_way_while_squeue_lists_it(tmp_path, fake, job):
+    fake("squeue", "echo 7_1; echo 7_10", "echo 7_10")
+    assert slurm_launcher._under_way([job]) == [job]
+    assert slurm_launcher._under_way([job]) == []
+    write_result(job, "success", "done")
+    assert slurm_launcher._under_way([job]) == []
+    assert calls(tmp_path) == ["squeue"] * 2  # a job with a result is not asked about
+
+
+def test_a_failing_squeue_warns_once_until_it_works_again(tmp_path, fake, job, capsys):
+    fail = "echo no controller >&2; exit 1"
+    fake("squeue", fail, fail, "echo 7_1", fail, fail, "true")
+    slurm_launcher._wait([job])
+    assert capsys.readouterr().err == "warning: squeue failed: no controller\n" * 2
+    assert len(calls(tmp_path)) == 6
+
+
+@pytest.mark.parametrize(("n_jobs", "order"), [(None, "sbatch sbatch squeue"), (2, "sbatch squeue sbatch squeue")])
+def test_arrays_wait_for_each_other_only_where_n_jobs_is_set(tmp_path, fake, n_jobs, order):
+    pytest.importorskip("submitit")
+    fake("scontrol", "echo MaxArraySize = 2")
+    fake("srun", "true")
+    fake("sbatch", "echo Submitted batch job 7", "echo Submitted batch job 8")
+    fake("squeue", "true")
+    paths = [Path("a"), Path("b"), Path("c")]
+    results = slurm_launcher.launch(str.upper, paths, "slurm", n_jobs, tmp_path / "submitit", {"mem_gb": 1})
+    assert calls(tmp_path) == ["scontrol", *order.split()]
+    assert [str(result).partition(";")[0] for result in results] == ["stopped by Slurm"] * 3
+
+
+def test_an_array_that_slurm_refuses_cancels_those_before_it(tmp_path, fake):
+    pytest.importorskip("submitit")
+    fake("scontrol", "echo MaxArraySize = 1")
+    fake("srun", "true")
+    fake("sbatch", "echo Submitted batch job 7", "echo over the limit >&2; exit 1")
+    fake("scancel", f"echo $2 >> {tmp_path}/calls")
+    with pytest.raises(FailedRunError, match=r"submitit cannot submit: .*over the limit"):
+        slurm_launcher.launch(str.upper, [Path("a"), Path("b")], "slurm", None, tmp_path / "submitit", {"mem_gb": 1})
+    assert calls(tmp_path) == ["scontrol", "sbatch", "sbatch", "scancel", "7"]
+
+
+def test_the_largest_array_is_slurms_default_where_scontrol_shows_none(fake):
+    fake("scontrol", "echo ClusterName = x")
+    assert slurm_launcher.max_array_size(slurm_launcher._output_of("scontrol", "show", "config")) == 1001
+
+
+def test_a_command_of_slurm_that_is_missing_or_hangs_is_one_error(fake, monkeypatch):
+    with pytest.raises(FailedRunError, match=r"no_such_command failed: .*No such file"):
+        slurm_launcher._output_of("no_such_command")
+
+    def hang(command, timeout, **_):
+        raise subprocess.TimeoutExpired(command, timeout)
+
+    monkeypatch.setattr(subprocess, "run", hang)
+    with pytest.raises(FailedRunError, match=r"squeue failed: .*timed out after 60 seconds"):
+        slurm_launcher._output_of("squeue")
+
+
+@pytest.mark.parametrize(
+    ("trace", "sentence"),
+    [
+        ("Traceback:\n  File x\nValueError: a bad day\n", "ValueError: a bad day"),
+        (f"ValueError: a table\n{'-' * 30}\n", "ValueError: a table"),
+    ],
+)
+def test_a_job_that_raised_is_reported_with_the_last_line_of_its_traceback(job, trace, sentence):
+    write_result(job, "error", trace)
+    assert str(slurm_launcher._result(job, "slurm")) == f"{sentence} (log: {job.paths.stderr})"
+
+
+@pytest.mark.parametrize(
+    ("text", "sentence"), [("no rule", "no rule"), ("", "RuntimeError"), ("-" * 50, "RuntimeError")]
+)
+def test_another_text_of_submitits_is_reported_as_well(job, monkeypatch, text, sentence):
+    write_result(job, "error", "")
+    monkeypatch.setattr(job, "exception", lambda: RuntimeError(text))
+    assert str(slurm_launcher._result(job, "slurm")) == f"{sentence} (log: {job.paths.stderr})"
+
+
+def test_an_unreadable_result_is_an_error_of_its_job_and_others_are_returned(job):
+    job.paths.result_pickle.write_bytes(b"no pickle")
+    error = slurm_launcher._result(job, "slurm")
+    assert isinstance(error, FailedRunError)
+    assert str(error).startswith(f"cannot read {job.paths.result_pickle}: ")
+    write_result(job, "success", "done")
+    assert slurm_launcher._result(job, "slurm") == "done"

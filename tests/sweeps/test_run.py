@@ -360,8 +360,13 @@ def test_a_sweep_that_cannot_be_is_refused_before_anything_is_made(tmp_path, arg
         ),
         (
             "hydra.launcher.parameters.slurm_nodelist=n1",
-            "error: hydra.launcher.parameters.slurm_nodelist: hydra/launcher=slurm has no such key; did you mean "
-            "'slurm_qos'?; to add it, write +hydra.launcher.parameters.slurm_nodelist=n1\n",
+            "error: hydra.launcher.parameters.slurm_nodelist: hydra/launcher=slurm has no such key; to add it, "
+            "write +hydra.launcher.parameters.slurm_nodelist=n1\n",
+        ),
+        (
+            "hydra.launcher.parameters.slurm_partitoin=long",
+            "error: hydra.launcher.parameters.slurm_partitoin: hydra/launcher=slurm has no such key; did you mean "
+            "'slurm_partition'? If not, add it: +hydra.launcher.parameters.slurm_partitoin=long\n",
         ),
         ("+hydra.launcher.parameters.slurm_qso=high", "error: hydra.launcher.parameters: Unknown argument 'qso'"),
         (
