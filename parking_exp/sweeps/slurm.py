@@ -110,7 +110,7 @@ def launch(
 def max_array_size(config: str) -> int:
     """Return how many jobs an array can have, from the output of `scontrol show config`."""
     found = re.search(r"^MaxArraySize\s*=\s*(\d+)", config, re.MULTILINE)
-    return (int(found[1]) if found else 0) or MAX_ARRAY_SIZE
+    return max(1, int(found[1])) if found else MAX_ARRAY_SIZE  # 0: the cluster takes no arrays
 
 
 def _wait(jobs: Sequence[Any]) -> None:

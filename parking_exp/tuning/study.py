@@ -6,6 +6,7 @@ those from 0 to n_trials - 1 are trained.
 
 import json
 import os
+import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
@@ -84,6 +85,7 @@ def storage_of(folder: Path, uri: str | None) -> Any:
     """
     import optuna
     from optuna.storages.journal import JournalFileBackend
+    from sqlalchemy.exc import DBAPIError
 
     optuna.logging.set_verbosity(optuna.logging.ERROR)
     path = folder / STUDY_FILE
@@ -95,7 +97,13 @@ def storage_of(folder: Path, uri: str | None) -> Any:
             path.touch()
             backend = JournalFileBackend(str(path), lock_obj=cast(Any, _JournalLock(path)))
             return optuna.storages.JournalStorage(backend)
-        return optuna.storages.get_storage(with_password(uri))
+        for wait_s in (1, 1, None):  # of two processes that create the same tables at once, one fails
+            try:
+                return optuna.storages.get_storage(with_password(uri))
+            except DBAPIError:
+                if wait_s is None:
+                    raise
+                time.sleep(wait_s)
     except Exception as error:  # any driver of a database may be behind it
         raise StoreError(f"storage={uri or path}: the study can't be opened: {_first_line(error)}") from error
 

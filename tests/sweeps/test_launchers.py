@@ -169,7 +169,7 @@ def test_on_slurm_a_sweep_beyond_the_largest_array_becomes_several(tmp_path, slu
 
 @pytest.mark.parametrize(
     ("config", "size"),
-    [("MaxArraySize            = 1001\n", 1001), ("MaxArraySize = 0\n", 1001), ("ClusterName = x\n", 1001)],
+    [("MaxArraySize            = 1001\n", 1001), ("MaxArraySize = 0\n", 1), ("ClusterName = x\n", 1001)],
 )
 def test_the_largest_array_is_what_slurm_is_configured_for(config, size):
     assert slurm_launcher.max_array_size("MaxArrayTasks = 7\n" + config) == size

@@ -321,3 +321,22 @@ def test_tpe_needs_six_tenths_of_the_trials_of_random_search_at_most():
         needed = sorted(_trials_to(0.06, sampler, seed) for seed in range(20))
         medians[sampler] = (needed[9] + needed[10]) / 2
     assert medians["tpe"] <= 0.6 * medians["random"], medians
+
+
+def _open_at_once(path, barrier, failures):
+    barrier.wait()
+    try:
+        storage_of(path / str(os.getpid()), f"sqlite:///{path}/study.db")
+    except StoreError as error:
+        failures.put(str(error))
+
+
+def test_processes_that_meet_an_empty_database_at_once_all_open_it(tmp_path):
+    context = multiprocessing.get_context("spawn")
+    barrier, failures = context.Barrier(4), context.Queue()
+    processes = [context.Process(target=_open_at_once, args=(tmp_path, barrier, failures)) for _ in range(4)]
+    for process in processes:
+        process.start()
+    for process in processes:
+        process.join()
+    assert failures.empty(), failures.get()
