@@ -142,7 +142,8 @@ def test_long_ways_have_every_fifth_place_and_the_last_and_their_length(material
     for path in paths:
         assert len(path.x_m) == -(-path.steps // 5) + 1
         assert path.x_m[0] == 0
-    short = lot_map._thinned(material.results.trajectories(material.results.runs["run_id"][0]).query("step <= 100"))
+    run_id = material.results.runs.query("`config.buffer.name` == 'her_future'")["run_id"].iloc[0]
+    short = lot_map._thinned(material.results.trajectories(run_id).query("step <= 100"))
     assert short.groupby("scene").size().unique().tolist() == [101]
 
 
