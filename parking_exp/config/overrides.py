@@ -1,12 +1,14 @@
 """Command-line overrides in Hydra's grammar: quoting them, reading their values, and checking the names in them."""
 
 from collections.abc import Callable, Iterable, Sequence, Set
+from typing import Any
 
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import Override, OverrideType
 from hydra.errors import HydraException
-from omegaconf import DictConfig
+from omegaconf import DictConfig, OmegaConf
 
+from parking_exp.config.cell_labels import settings_of
 from parking_exp.config.grid import seeds_of, written
 from parking_exp.config.messages import NUMBER_RANGE
 from parking_exp.errors import ConfigError, did_you_mean, suggestion
@@ -181,6 +183,11 @@ def _check_key(base: DictConfig, override: Override, groups: Set[str]) -> None:
                 raise ConfigError(f"{override.key_or_group}: {parent} is empty so far; write +{override.input_line}")
             if not parent and part in groups:
                 raise ConfigError(f"{part}: no option is chosen; write {part}=OPTION {override.input_line}")
+            everything: Any = OmegaConf.to_container(base)
+            inside = [key for key in settings_of(everything) if f".{part}." in f"{key}."]
+            if not parent and inside:  # the group was forgotten
+                place = inside[0][: f"{inside[0]}.".index(f".{part}.")]
+                raise ConfigError(f"{part}: there is no such key; did you mean '{place}.{part}'?")
             choices = {*known, *([] if parent else groups)}
             if "experiment_name" in known:
                 choices.add("experiment")  # status.py and report.py have replaced it by that key already

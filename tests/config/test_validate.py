@@ -89,6 +89,8 @@ def test_the_expected_options_are_there():
     ("override", "hint"),
     [
         ("sead=1", "seed"),
+        ("learning_rate=1e-3", "algorithm.learning_rate"),
+        ("n_sampled_goal=4", "buffer.n_sampled_goal"),
         ("env=parkin_sparse", "parking_sparse"),
         ("experiment=artcle", "article"),
         ("+env.duratoin=3", "duration"),
