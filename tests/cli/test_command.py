@@ -121,10 +121,7 @@ def test_help_names_groups_keys_and_examples():
         assert [line for line in done.stdout.splitlines() if len(line) > 120] == []
 
 
-NOT_SUPPORTED = (
-    "--config-name, --config-path and --experimental-rerun: not supported here; put options of your own into a "
-    "directory and pass --config-dir=DIRECTORY; rerun the same command to resume"
-)
+INSTEAD = "is not supported here; put options of your own into a directory and pass --config-dir=DIRECTORY"
 
 
 @pytest.mark.parametrize(
@@ -135,10 +132,11 @@ NOT_SUPPORTED = (
         ("train", ["--seed=1", "n_envs=0"], "--seed: there is no such flag; write KEY=VALUE, without dashes"),
         ("train", ["--cfg"], "--cfg/-c: expected one argument"),
         ("train", ["--cfg", "job", "-m"], "Only one of --run, --multirun, --cfg, --info and --shell_completion can be specified"),
-        ("train", ["--experimental-rerun", "x"], NOT_SUPPORTED),
-        ("train", ["--config-name=nope"], NOT_SUPPORTED),
-        ("tune", ["--config-path=/nope"], NOT_SUPPORTED),
-        ("train", ["--config-dir=/nope", "--dry-run"], "--config-dir=/nope: there is no such directory"),
+        ("train", ["--experimental-rerun", "x"], "--experimental-rerun is not supported here; rerun the same command to resume"),
+        ("train", ["--config-name=nope"], f"--config-name {INSTEAD}"),
+        ("tune", ["--config-path=/nope"], f"--config-path {INSTEAD}"),
+        ("train", ["--config-dir=/nope", "--dry-run"], "--config-dir=/nope is not a directory"),
+        ("train", ["hydra.launcher=3"], "hydra.launcher=3: hydra.launcher is a group of keys; write hydra.launcher.KEY=VALUE"),
         ("train", ["hydra=1"], "hydra=1: hydra is a group of keys; write hydra.KEY=VALUE"),
         ("status", ["--cfg", "job", "hydra=null"], "hydra=null: hydra is a group of keys; write hydra.KEY=VALUE"),
         ("train", ["--cfg", "job", "sead=1"], "sead: there is no such key; did you mean 'seed'?"),

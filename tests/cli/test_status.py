@@ -6,7 +6,7 @@ import time
 
 import optuna
 import pytest
-from support.runs import run_script, type_here
+from support.runs import make_config, run_script, type_here
 from support.searches import SETTINGS
 from support.sweep_processes import SLOW, begin, statuses, wait_until
 
@@ -15,8 +15,8 @@ from parking_exp.config.compose import composed
 from parking_exp.errors import RunNotFoundError
 from parking_exp.runs.directory import RunDirectory
 from parking_exp.runs.files import read_json, write_json
-from parking_exp.runs.lookup import find_run
-from parking_exp.runs.state import read_state
+from parking_exp.runs.lookup import find_run, find_runs
+from parking_exp.runs.state import labelled, read_state
 from parking_exp.runs.state_tables import duration
 from parking_exp.tuning.study import storage_of
 
@@ -26,6 +26,16 @@ def run_dir(output_dir, cell="cell-a", seed=0, **status):
     path.mkdir(parents=True)
     (path / "status.json").write_text(json.dumps({"total_timesteps": 1000, "label": cell[-1], **status}))
     return path
+
+
+def test_cells_are_labelled_by_all_of_their_experiment_whatever_was_planned_first(tmp_path):
+    for label, seed, rate in (("alone", 0, "0.01"), ("another", 0, "0.1"), ("another", 1, "0.1")):
+        config = make_config("experiment=smoke", f"updates_per_step={rate}", f"seed={seed}", f"output_dir={tmp_path}")
+        RunDirectory(config.run_dir).freeze(config, label, None)
+    states = [read_state(path) for path in find_runs(tmp_path)]
+    assert {state.label for state in labelled(states[:1])} == {"sac, her_future"}
+    found = {(state.label, state.seed) for state in labelled(states)}
+    assert found == {("updates_per_step=0.01", 0), ("updates_per_step=0.1", 0), ("updates_per_step=0.1", 1)}
 
 
 def test_stages_are_told_from_status_claim_and_beat(tmp_path):

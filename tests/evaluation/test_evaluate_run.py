@@ -27,7 +27,7 @@ def test_without_a_terminal_progress_is_a_line_every_few_seconds(tmp_path, monke
     monkeypatch.chdir(tmp_path)
     evaluate_run.evaluate_run(composed("evaluate", list(SHORT))[0])
     # Two steps of two episodes.
-    assert capsys.readouterr().err == "2 episodes of parking: 0 done\n2 episodes of parking: 2 done\n"
+    assert capsys.readouterr().err == "2 episodes of parking: 2 of 2 done\n"
 
 
 def test_no_video_is_named_where_none_is_asked_for(tmp_path):
