@@ -24,7 +24,6 @@ from parking_exp.evaluation.metrics import EPISODE_COLUMNS
 from parking_exp.results import frames, load
 from parking_exp.results.dtypes import column, times, typed
 from parking_exp.results.recordings import EPISODES
-from parking_exp.tracking.reader import Reader
 
 HER = {"four": ["buffer.n_sampled_goal=4"], "none": ["buffer=replay"]}
 LOOKS = {
@@ -484,36 +483,33 @@ def test_a_real_run_is_loaded_as_it_was_trained(smoke):
 
 
 @needs_server
-def test_a_server_gives_the_same_frames_as_a_database(tmp_path, ablation, monkeypatch, capfd):
+def test_a_server_gives_the_same_frames_as_an_embedded_store(tmp_path, capfd):
+    looks = {**LOOKS, ("four", 1): Look(missing=["episodes.csv"]), ("none", 0): Look(nan=["eval/return_mean"])}
+    make_store(tmp_path / "local", "her", HER, range(3), lambda *key: looks[key])
+    local = load("her", output_dir=tmp_path / "local")
+    capfd.readouterr()
     with closed_port() as port:
         pass
     with mlflow_server(port, tmp_path) as uri:
-        looks = {**LOOKS, ("four", 1): Look(missing=["episodes.csv"]), ("none", 0): Look(nan=["eval/return_mean"])}
         made = make_store(tmp_path, "her", HER, range(3), lambda *key: looks[key], uri=uri)
-        found, local = (
-            load("her", uri=uri),
-            load("her", uri=f"sqlite:///{tmp_path}/server.db"),
-        )
+        found = load("her", uri=uri)
         assert capfd.readouterr() == ("", "")  # no progress bars of downloads
-        places = found.runs.pop("artifact_uri")
-        assert places.str.startswith("mlflow-artifacts:").all()
-        pd.testing.assert_frame_equal(found.runs, local.runs.drop(columns="artifact_uri"))
-        pd.testing.assert_frame_equal(found.curves, local.curves)
-        directory = made["four", 0]
-        stored = (
-            found.episodes[found.episodes["run_id"] == directory.run_id].drop(columns="run_id").reset_index(drop=True)
-        )
-        pd.testing.assert_frame_equal(stored, pd.read_csv(directory.path / "episodes.csv").astype(EPISODES))
+        assert found.runs["artifact_uri"].str.startswith("mlflow-artifacts:").all()
+        places = ["run_id", "run_dir", "artifact_uri", "config.output_dir", "config.tracking.uri", "ended"]
+        pd.testing.assert_frame_equal(found.runs.drop(columns=places), local.runs.drop(columns=places))
+        for name in ("curves", "episodes"):
+            pd.testing.assert_frame_equal(by_cell_and_seed(found, name), by_cell_and_seed(local, name))
         assert [problem.partition("episodes.csv ")[2] for problem in found.problems] == ["is missing in the store"]
-        whole = load("her", uri=uri)
-        assert len(whole.trajectories(directory.run_id)) == len(
-            load("her", output_dir=ablation[0]).trajectories(ablation[1]["four", 0].run_id)
-        )
-        assert whole.trajectories(made["four", 2].run_id).empty
-        monkeypatch.setattr("parking_exp.tracking.reader.HISTORIES", "/nowhere")  # a server without that route
-        pd.testing.assert_frame_equal(load("her", uri=uri).curves, local.curves)
-        monkeypatch.setattr("parking_exp.tracking.reader.POINTS_A_REQUEST", 2)
-        assert len(Reader(uri).histories([directory.run_id], ["eval/success_rate"])["eval/success_rate"]) == 3
+        assert len(found.trajectories(made["four", 0].run_id)) > 0
+        assert found.trajectories(made["four", 2].run_id).empty
+
+
+def by_cell_and_seed(results, name):
+    """A frame in which cell and seed stand for the run."""
+    known = results.runs.set_index("run_id")["cell"] + " " + results.runs.set_index("run_id")["seed"].astype(str)
+    frame = getattr(results, name)
+    frame = frame.assign(run_id=frame["run_id"].astype(str).map(known))
+    return frame.sort_values(["run_id", "step"], kind="stable", ignore_index=True)
 
 
 @pytest.mark.slow
