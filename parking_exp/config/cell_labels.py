@@ -138,7 +138,7 @@ def _factor(key: str, name: str, values: Sequence[Setting]) -> Factor:
     numeric = bool(levels) and all(isinstance(one, int | float) and not isinstance(one, bool) for one in levels)
     if numeric:
         levels.sort()
-    log = numeric and levels[0] > 0 and levels[-1] / levels[0] >= 8
+    log = numeric and levels[0] > 0 and levels[-1] >= 8 * levels[0]
     return Factor(key, name, levels, numeric, log)
 
 

@@ -152,7 +152,11 @@ def _check_kwargs(key: str, value: object, given: object, set_by_run: SetByRun) 
     if not isinstance(given, Mapping):
         return [f"{key}={given!r} is not a group of keys"]
     target = class_path(value)
-    return _check_call(key, find(target), str(target), given, set_by_run, partial=True)
+    try:
+        call = find(target)
+    except UnknownTarget as error:
+        return [f"{key}: {target}: {error}"]
+    return _check_call(key, call, str(target), given, set_by_run, partial=True)
 
 
 def _check_call(

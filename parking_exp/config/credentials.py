@@ -9,8 +9,8 @@ import os
 import re
 
 VARIABLE = "PARKING_EXP_PASSWORDS"  # JSON: URI without password -> URI as passed
-# Up to the last @: a password may have one, and spaces. `:5432/` is a port: a password that begins so is to be encoded.
-USERINFO = re.compile(r"(://[^:/@?\s]*):(?!\d+(?:[/?\s]|$)).*@")
+# Up to the last @: a password may have one, and spaces. `:5432/path` is a port.
+USERINFO = re.compile(r"(://[^:/@?\s]*):(?!\d+(?:[/?][^\s@]*)?(?:\s|$)).*@")
 QUERY = re.compile(r"([?&])(?:(?:ssl)?password|passwd)=[^&\s'\"]*(&?)")
 
 

@@ -6,6 +6,7 @@
 `help(parking_exp.results)` has its files and their columns.
 """
 
+import gzip
 import json
 import re
 import zlib
@@ -23,14 +24,14 @@ from parking_exp.evaluation.metrics import DTYPES
 from parking_exp.results.dtypes import TEXT, column, flags, typed
 from parking_exp.results.frames import CONFIGURED, COST, CURVE_COLUMNS, FINAL, RUN_COLUMNS, STATUSES, Results
 from parking_exp.results.recordings import EPISODES, NULLABLE, TRAJECTORIES
+from parking_exp.runs.files import replacing, write_atomically
 
 REPORT = "report.json"
 FILES = ("runs.csv.gz", "curves.csv.gz", "outcomes.csv.gz", "trajectories.csv.gz", REPORT)
 LOCAL_COLUMNS = ("run_dir", "artifact_uri", "config.output_dir", "config.tracking.uri")
 """Columns of runs that name a place on the machine; an export has none of them."""
 PATH = re.compile(r"(?<![\w.~:/])(?:(?:sqlite|file):/*)?~?/(?:[^\s/'\",:;)\]]+/)*([^\s/'\",:;)\]]+)/?")
-GZIP = {"method": "gzip", "mtime": 1}  # the same content gives the same bytes
-DAMAGED = (ValueError, KeyError, OSError, EOFError, OverflowError, zlib.error)  # what pandas and gzip raise
+DAMAGED = (ValueError, TypeError, KeyError, OSError, EOFError, OverflowError, zlib.error)  # what pandas and gzip raise
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,17 +96,20 @@ def write_export(
         "curves.csv.gz": results.curves,
         # One column per run: equal columns compress to almost nothing.
         "outcomes.csv.gz": final.astype({"run_id": str}).pivot(index="scene", columns="run_id", values="outcome"),
-        "trajectories.csv.gz": pd.concat([pd.DataFrame(columns=["run_id", *TRAJECTORIES]), *recordings]),
+        "trajectories.csv.gz": pd.concat([pd.DataFrame(columns=["run_id", *TRAJECTORIES]), *recordings]).astype(
+            TRAJECTORIES
+        ),
     }
     tables["outcomes.csv.gz"] = tables["outcomes.csv.gz"].reset_index()
     tables["trajectories.csv.gz"] = tables["trajectories.csv.gz"].drop(columns="speed_mps")
     for name, table in tables.items():
-        digits = "%.2f" if name == "trajectories.csv.gz" else "%.6g"
-        table.to_csv(folder / name, index=False, float_format=digits, compression=GZIP)
+        text = table.to_csv(index=False, float_format="%.2f" if name == "trajectories.csv.gz" else "%.6g")
+        with replacing(folder / name) as temporary:  # writes through no link
+            temporary.write_bytes(gzip.compress(text.encode(), mtime=1))  # the same content gives the same bytes
     said = [without_paths(one) for one in dict.fromkeys([*problems, *results.problems])]
     described = {"problems": said, "ignored": results.ignored, **(about or {})}
     text = json.dumps(described, ensure_ascii=False, allow_nan=False, indent=1)
-    (folder / REPORT).write_text(text + "\n", encoding="utf-8")
+    write_atomically(folder / REPORT, text + "\n")
     return folder
 
 
@@ -197,7 +201,7 @@ def _run_column(name: str, words: pd.Series) -> Any:
     if name in CONFIGURED.values():
         return pd.to_numeric(words).astype("Int64")
     if name in ("seed", "steps"):
-        return pd.to_numeric(words).astype("int64")
+        return pd.to_numeric(words).astype("Int64").astype("int64")  # refuses fractions and gaps
     if name in (*FINAL.values(), *COST.values()):
         return words.astype("float64")
     if name in ("started", "ended"):

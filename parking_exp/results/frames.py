@@ -211,8 +211,8 @@ def _points(logs: Mapping[str, bytes]) -> tuple[pd.DataFrame, dict[str, str]]:
         try:
             for record in map(json.loads, content.splitlines()):
                 known = [(names[key], value) for key, value in record["metrics"].items() if key in names]
-                rows += [(name, run_id, int(record["step"]), float(value)) for name, value in known]
-        except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
+                rows += [(name, run_id, np.int64(record["step"]), float(value)) for name, value in known]
+        except (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError):
             damaged[run_id] = "metrics.jsonl can't be read: it is damaged"
     return pd.DataFrame(rows, columns=["name", "run_id", "step", "value"]).astype(
         {"name": TEXT, "run_id": TEXT, "step": "int64", "value": "float64"}

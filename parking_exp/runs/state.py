@@ -4,12 +4,13 @@ import time
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
+from functools import cache
 from pathlib import Path
 from typing import Any, Literal
 
 from parking_exp.config.cell_labels import label_cells, settings_of
 from parking_exp.runs.directory import HEARTBEAT_FILE, STATUS_FILE, RunDirectory
-from parking_exp.runs.files import read_plain_yaml
+from parking_exp.runs.files import fingerprint, read_plain_yaml
 from parking_exp.runs.status_schema import HeartbeatEntries, StatusEntries, read_entries
 from parking_exp.runs.stored_config import CONFIG_FILE
 
@@ -110,7 +111,8 @@ def labelled(states: Sequence[RunState]) -> list[RunState]:
     configs: dict[tuple[str, str], Any] = {}
     for key, runs in by_cell(states):
         with suppress(OSError, ValueError):
-            found = read_plain_yaml(Path(runs[0].run_dir) / CONFIG_FILE)
+            path = Path(runs[0].run_dir) / CONFIG_FILE
+            found = _read_config(path, *fingerprint(path))
             if isinstance(found, dict) and runs[0].trial is None:
                 configs[key] = settings_of(found)
     labels: dict[tuple[str, str], str] = {}
@@ -118,6 +120,12 @@ def labelled(states: Sequence[RunState]) -> list[RunState]:
         own = [key for key in configs if key[0] == experiment]
         labels |= zip(own, label_cells([configs[key] for key in own], [cell for _, cell in own]), strict=True)
     return [replace(state, label=labels.get((state.experiment, state.cell), state.label)) for state in states]
+
+
+@cache
+def _read_config(path: Path, size: int, time_ns: int) -> Any:
+    """Read a config once while it stays as it is: `status.py watch=true` asks for it every other second."""
+    return read_plain_yaml(path)
 
 
 def counts(states: Iterable[RunState]) -> dict[Stage, int]:

@@ -67,6 +67,8 @@ class Reader:
         Raises:
             Exception: it is there and can't be had; `failures.reason` makes a sentence of it.
         """
+        if not isinstance(folder_uri, str):  # missing in a store from elsewhere
+            raise ResultsError("the store does not say where its artifacts are")
         folder, within = local_folder(folder_uri), self._artifacts_in
         if within is not None and (folder is None or not lies_inside(folder / name, within)):
             raise ResultsError(f"it lies outside of {within}; tracking.uri={self.uri} reads it there, too")
@@ -94,7 +96,7 @@ class Reader:
                     raise
                 return error  # the caller says it
 
-        if all(local_folder(uri) is not None for _, uri in places):
+        if not any(isinstance(uri, str) and local_folder(uri) is None for _, uri in places):
             yield from map(one, places)
             return
         with ThreadPoolExecutor(DOWNLOADS_AT_ONCE) as pool:

@@ -82,13 +82,12 @@ def _row(frozen: "FrozenTrial", folder: Path, n_objectives: int) -> TrialRow:
 
 
 def _entries(frozen: "FrozenTrial", folder: Path, n_objectives: int) -> dict[str, Any]:
-    running = "running" if is_held(trial_lock_path(folder, frozen.number)) else "pending"
-    known = {"COMPLETE": "done", "PRUNED": "pruned", "FAIL": "failed", "WAITING": "pending", "RUNNING": running}
+    states = {"COMPLETE": "done", "PRUNED": "pruned", "FAIL": "failed", "WAITING": "pending"}
     attributes = frozen.user_attrs
     values = list(frozen.values or []) if frozen.state.name == "COMPLETE" else []
     return {
         "number": frozen.number,
-        "state": known.get(frozen.state.name)
+        "state": states.get(frozen.state.name)
         or ("running" if is_held(trial_lock_path(folder, frozen.number)) else "pending"),
         "changes": attributes.get(CHANGES, {}),
         "parameters": {name: plain_choice(value) for name, value in frozen.params.items()},

@@ -38,6 +38,13 @@ def test_cells_are_labelled_by_all_of_their_experiment_whatever_was_planned_firs
     assert found == {("updates_per_step=0.01", 0), ("updates_per_step=0.1", 0), ("updates_per_step=0.1", 1)}
 
 
+def test_an_odd_number_in_a_config_does_not_hide_other_runs(tmp_path):
+    for cell, gamma in (("cell-a", "1"), ("cell-b", "1" + 400 * "0")):
+        path = run_dir(tmp_path, cell, status="done", steps=1)
+        (path / "config.yaml").write_text(f"algorithm: {{gamma: {gamma}}}")
+    assert len(labelled([read_state(path) for path in find_runs(tmp_path)])) == 2
+
+
 def test_stages_are_told_from_status_claim_and_beat(tmp_path):
     now = time.time()
     done = run_dir(tmp_path, seed=0, status="done", steps=1000, success_rate=0.9, wall_s=12.0)

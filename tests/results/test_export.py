@@ -104,14 +104,14 @@ def test_final_episodes_of_any_scenes_come_back(stored, tmp_path):
 @pytest.mark.parametrize("steps", [[0, 1, 2], [0, 5, 10, 12], [40]])
 def test_trajectories_come_back_in_centimetres_without_speeds(stored, tmp_path, steps):
     run_id = stored.runs["run_id"][0]
-    x = np.array([0, 1.0, 0.5, 0.53])[: len(steps)]
+    x = np.array([0, 1.001, 0.5, 0.534])[: len(steps)]
     trajectory = pd.DataFrame({"scene": 3, "step": steps, "x_m": x, "y_m": -x, "heading_rad": x / 10, "speed_mps": 1.0})
     folder = write_export(stored, tmp_path / "one", {run_id: trajectory})
     found = read_export(folder).trajectories(run_id)
     assert found["step"].tolist() == steps
-    assert found["x_m"].tolist() == pytest.approx(x.tolist(), abs=1e-6)
-    assert found["y_m"].tolist() == pytest.approx((-x).tolist(), abs=1e-6)
-    assert found["heading_rad"].tolist() == pytest.approx((x / 10).tolist(), abs=0.0051)
+    assert found["x_m"].tolist() == pytest.approx(x.round(2).tolist(), abs=1e-6)
+    assert found["y_m"].tolist() == pytest.approx((-x).round(2).tolist(), abs=1e-6)
+    assert found["heading_rad"].tolist() == pytest.approx((x / 10).round(2).tolist(), abs=1e-6)
     assert found["speed_mps"].isna().all()
     assert found.dtypes.to_dict() == stored.trajectories(run_id).dtypes.to_dict()
     assert read_export(folder).trajectories(stored.runs["run_id"][1]).empty
@@ -195,6 +195,16 @@ def test_an_export_that_was_interrupted_is_not_whole(stored, written, monkeypatc
         read_export(written)
 
 
+def test_an_export_does_not_write_through_links(stored, written, tmp_path):
+    other = tmp_path / "other.csv"
+    other.write_text("mine")
+    (written / "runs.csv.gz").unlink()
+    (written / "runs.csv.gz").symlink_to(other)
+    write_export(stored, written)
+    assert other.read_text() == "mine"
+    assert len(read_export(written).runs) == 4
+
+
 def test_a_folder_that_is_not_there_is_a_sentence_with_the_closest_or_how_to_make_one(written):
     with pytest.raises(ResultsError, match=r"hers: there is no such folder; did you mean 'her'\?"):
         read_export(written.with_name("hers"))
@@ -218,6 +228,7 @@ def test_a_file_that_is_missing_is_named(written, name):
         ("report.json", "{", "[", r"report.json can't be read: "),
         ("runs.csv.gz", "run_id,", "run,", r"runs.csv.gz can't be read: it has no column 'run_id'"),
         ("runs.csv.gz", ",done,", ",finished,", r"runs.csv.gz can't be read: it has a status that there is not"),
+        ("runs.csv.gz", ",200,", ",200.5,", r"runs.csv.gz can't be read: "),
         ("runs.csv.gz", "2023-11-14 ", "2023-99-14 ", r"runs.csv.gz can't be read: "),
         ("curves.csv.gz", "\n", "\nx", r"curves.csv.gz can't be read: it has rows of runs that are not in runs.csv.gz"),
         ("curves.csv.gz", ",0.333333", ",a", r"curves.csv.gz can't be read: "),

@@ -202,7 +202,9 @@ def cell_coordinates(report: ReportData) -> Drawn | None:
         return None
     order = {item.factor: rank for rank, item in enumerate(report.importance)}
     factors = sorted(report.factors, key=lambda factor: order.get(factor.key, len(order)))
-    settings = {factor.name: [_level(factor, cell.settings.get(factor.key)) for cell, _ in cells] for factor in factors}
+    settings = {
+        factor.name: _levels(factor, [cell.settings.get(factor.key) for cell, _ in cells]) for factor in factors
+    }
     trials = [
         TrialRow(row, "done", parameters={name: levels[row] for name, levels in settings.items()}, values=[success])
         for row, (_, success) in enumerate(cells)
@@ -212,12 +214,14 @@ def cell_coordinates(report: ReportData) -> Drawn | None:
     return trial_coordinates(replace(report, tuning=tuning))
 
 
-def _level(factor: Factor, value: Any) -> Any:
-    return value if factor.numeric and isinstance(value, int | float) else formats.level(value)
+def _levels(factor: Factor, values: Sequence[Any]) -> list[Any]:
+    """Return the levels of cells as numbers, or as texts where one of them has none, such as `buffer=replay`."""
+    numeric = factor.numeric and all(isinstance(value, int | float) for value in values)
+    return list(values) if numeric else [str(formats.level(value)) for value in values]
 
 
 def _distribution(factor: Factor, levels: Sequence[Any]) -> dict[str, Any]:
     if any(isinstance(level, str) for level in levels):
-        return {"name": "CategoricalDistribution", "attributes": {"choices": list(dict.fromkeys(map(str, levels)))}}
+        return {"name": "CategoricalDistribution", "attributes": {"choices": list(dict.fromkeys(levels))}}
     ends = {"low": min(levels), "high": max(levels), "log": factor.log and min(levels) > 0, "step": None}
     return {"name": "FloatDistribution", "attributes": ends}
