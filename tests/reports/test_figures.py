@@ -16,6 +16,7 @@ from support import report_factory
 from parking_exp.reports import formats
 from parking_exp.reports.figures import cells, style
 from parking_exp.reports.figures.export import draw
+from parking_exp.reports.figures.studies import cell_coordinates
 from parking_exp.reports.report_data import Interval
 from parking_exp.reports.sections import SECTIONS
 
@@ -79,6 +80,14 @@ def test_every_picture_is_written_in_every_format(three):
 def test_factors_and_searches_have_pictures_of_their_own(ablation, search):
     assert list(ablation) == [*LIST[:4], "main_effects", "interaction_1", *LIST[4:]]
     assert list(search) == [*LIST, "parallel_coordinates", "importance"]
+
+
+def test_a_sweep_in_which_a_cell_lacks_a_numeric_key_is_drawn():
+    report = report_factory.search(5)
+    first = replace(report.cells[0], settings={**report.cells[0].settings, "algorithm.batch_size": None})
+    canvas, caption = cell_coordinates(replace(report, cells=[first, *report.cells[1:]]))
+    assert caption.startswith("Each cell as a line")
+    assert canvas.figure.axes
 
 
 def test_without_formats_nothing_is_written(tmp_path):
