@@ -211,7 +211,7 @@ class Experiment:
 
     @property
     def runs(self) -> int:
-        """How many runs are done."""
+        """Number of finished runs."""
         return sum(len(cell.seeds) for cell in self.report.cells)
 
     @property

@@ -114,7 +114,7 @@ class EpisodeIndex:
 
     @property
     def n_records(self) -> int:
-        """How many records must be saved: those after them are unused."""
+        """Number of records that must be saved: those after them are unused."""
         free = np.zeros(len(self.table), bool)
         free[self._unused[: self._n_unused]] = True
         taken = np.flatnonzero(~free)

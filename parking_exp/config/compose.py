@@ -4,7 +4,7 @@ import copy
 import sys
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from functools import cache, lru_cache
 from operator import attrgetter
@@ -157,12 +157,10 @@ def _compose_with(config_name: str, options_of: OptionsOf) -> Compose:
         if all(one.type is OverrideType.CHANGE and not is_hydras(one.key_or_group) for one in values):
             options = tuple(str(one.input_line) for one in overrides if one not in values)
             composition = copy.deepcopy(_compose_once(config_name, options, state))
-            try:
+            with suppress(OmegaConfBaseException):  # composed below, where Hydra says which override is wrong
                 for one in values:
                     OmegaConf.update(composition.config, one.key_or_group, one.value(), merge=True)
                 return composition
-            except OmegaConfBaseException:
-                pass  # Hydra says which override is wrong
         return _compose(config_name, lines)
 
     return compose_lines

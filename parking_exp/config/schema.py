@@ -255,7 +255,7 @@ class RunConfig(ConfigModel):
 
     @property
     def certified_n_scenes(self) -> int:
-        """How many of the final evaluation's scenes are repeated on highway-env; all where it simulates them anyway."""
+        """Number of final scenes that are repeated on highway-env; all of them where the run simulates on it anyway."""
         asked, number = self.evaluation.certified_n_scenes, self.evaluation.final_n_scenes
         return number if self.env.simulator == "highway_env" else min(asked, number)
 

@@ -60,7 +60,7 @@ class EvaluationRequest(ConfigModel):
 
     @property
     def n_scenes(self) -> int:
-        """How many scenes it is evaluated on."""
+        """Number of scenes that the policy is evaluated on."""
         return self.episodes or (PRETRAINED_EPISODES if is_pretrained(self.run) else EPISODES)
 
 

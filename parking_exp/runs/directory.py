@@ -80,7 +80,7 @@ class RunDirectory:
 
     @property
     def status(self) -> Status:
-        """How far the run is. A run that was killed still says `running`; its lock is free."""
+        """Status in status.json. A run that was killed still says `running`; its lock is free."""
         return self.read_status().get("status", "pending")
 
     @property

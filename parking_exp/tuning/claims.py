@@ -33,7 +33,7 @@ class Claim:
 
     @property
     def changes(self) -> dict[str, Any]:
-        """What the trial changes in the search's config."""
+        """Overrides of the search's config that the trial sets."""
         return dict(self.trial.user_attrs[CHANGES])
 
     def release(self) -> None:
