@@ -5,7 +5,7 @@ simulator.*            env steps/s against highway-env, random actions, 512 or 8
 evaluation.*           seconds to evaluate a trained policy on 500 scenes
 update.*               updates/s, sampling included, against Stable-Baselines3's train(); 3x256 with precision=medium
 update.*.sbx.ratio     the same with raw features against sbx (JAX) on our replay buffer; n1, n8: updates per round
-run.article.ratio      env steps/s of the tutorial's recipe against plain Stable-Baselines3 + highway-env
+run.tutorial.ratio      env steps/s of the tutorial's recipe against plain Stable-Baselines3 + highway-env
 run.to_95.ratio        CPU time of training to 95 % success: that recipe / the default one, medians of three seeds
 run.whole.ratio        CPU time of that recipe to 95 % / CPU time of a whole default run
 run.default.overhead   wall time of the default run / the same training without tracking, checkpoints, evaluation

@@ -39,7 +39,7 @@ WIDTH = 120
 PACKAGES = ("highway-env", "stable-baselines3", "sb3-contrib", "torch", "python")
 DRAWN = {  # cells that a table's figures show; of others all
     "her_ablation": ("her_future*", "replay"),
-    "her_traps": ("her_future*", "algorithm.features=ego_mirrored"),
+    "her_relabelling": ("her_future*", "algorithm.features=ego_mirrored"),
 }
 SOURCE = "Source"  # of a picture: the PNG keyword
 LINK, NO_BREAK = re.compile(r"\[[^\]]*\]\([^)]*\)"), "\0"
@@ -202,7 +202,7 @@ class Experiment:
     def provenance(self) -> str:
         """Return where the runs come from: how many, CPU time, machines, versions, commits."""
         origin = self.report.provenance
-        certified = ", ".join(map(str, self.results.runs["config.evaluation.certified_n_scenes"].unique()))
+        certified = ", ".join(map(str, self.results.runs["config.evaluation.n_certified_scenes"].unique()))
         versions = [f"{name} {', '.join(origin.versions[name])}" for name in PACKAGES if name in origin.versions]
         return (
             f"{self.runs} runs, {self.cpu_hours:.1f} CPU-hours, {', '.join(origin.machines)}; {', '.join(versions)}; "

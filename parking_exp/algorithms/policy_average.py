@@ -31,7 +31,9 @@ class PolicyAverage:
         weights = model.policy.state_dict().items()
         self._names = [name for name, weight in weights if name.startswith(ACTOR) and weight.is_floating_point()]
         if half_life is not None and not self._names:
-            raise ConfigError(f"algorithm.averaged_policy: {type(model).__name__} has no actor to average; use null")
+            raise ConfigError(
+                f"algorithm.policy_ema_half_life: {type(model).__name__} has no actor to average; use null"
+            )
         self._weights: list[torch.Tensor] = []
         self._updates = 0
 

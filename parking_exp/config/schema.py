@@ -150,7 +150,7 @@ class AlgorithmConfig(ThirdParty):
 
     features: Literal["raw", "ego", "ego_fine", "ego_mirrored"]
     net_arch: Annotated[list[Positive], Field(min_length=1)]
-    averaged_policy: PositiveFloat | None
+    policy_ema_half_life: PositiveFloat | None
 
 
 class BufferConfig(ThirdParty):
@@ -165,7 +165,7 @@ class EvaluationConfig(ConfigModel):
     every_n_steps: Positive | None
     n_scenes: NumberOfScenes
     final_n_scenes: NumberOfScenes
-    certified_n_scenes: NumberOfScenes
+    n_certified_scenes: NumberOfScenes
     first_scene: Scene
     video_episodes: Count
 
@@ -254,9 +254,9 @@ class RunConfig(ConfigModel):
         return self.output_path / self.experiment_name / self.cell / f"seed={self.seed}"
 
     @property
-    def certified_n_scenes(self) -> int:
+    def n_certified_scenes(self) -> int:
         """Number of final scenes that are repeated on highway-env; all of them where the run simulates on it anyway."""
-        asked, number = self.evaluation.certified_n_scenes, self.evaluation.final_n_scenes
+        asked, number = self.evaluation.n_certified_scenes, self.evaluation.final_n_scenes
         return number if self.env.simulator == "highway_env" else min(asked, number)
 
     def update_rounds(self) -> tuple[int | tuple[int, str], int]:

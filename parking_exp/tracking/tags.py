@@ -39,5 +39,5 @@ def _headline(status: dict[str, Any], directory: RunDirectory, config: RunConfig
         return str(status.get("status", "pending"))
     rates = {name: result.metrics.get(f"final/{name}_rate") for name in ("success", "crash", "parked")}
     words = ", ".join(f"{name} {rate:.1%}" for name, rate in rates.items() if rate is not None)
-    scenes = f"{config.evaluation.final_n_scenes} scenes, {config.certified_n_scenes} of them certified on highway-env,"
+    scenes = f"{config.evaluation.final_n_scenes} scenes, {config.n_certified_scenes} of them certified on highway-env,"
     return f"{words} on {scenes} after {result.steps:,} env steps"

@@ -62,4 +62,4 @@ def certified_scenes(config: RunConfig) -> list[int]:
     evaluation = config.evaluation
     scenes = range(evaluation.first_scene, evaluation.first_scene + evaluation.final_n_scenes)
     rng = np.random.default_rng(derive_seeds(config.seed).certified_scenes)
-    return sorted(rng.choice(scenes, config.certified_n_scenes, replace=False).tolist())
+    return sorted(rng.choice(scenes, config.n_certified_scenes, replace=False).tolist())

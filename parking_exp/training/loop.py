@@ -59,7 +59,7 @@ class TrainingLoop:
         self.env = make_training_envs(config.env, config.n_envs, path / "monitor.csv", progress.wall_s)
         self.model = build_model(config, self.env, seeds.policy)
         self.policy = greedy_policy(self.model)
-        self.average = PolicyAverage(self.model, config.algorithm.averaged_policy)
+        self.average = PolicyAverage(self.model, config.algorithm.policy_ema_half_life)
         self.env.seed(seeds.training_scenes)  # after the model, which seeds the envs with its own seed
         self._rollout_state: dict[str, Any] | None = None
         if checkpoint is None:

@@ -84,7 +84,7 @@ def peer_costs(path: Path, seeds: int, every: int = PEER_EVERY, most: int = PEER
 
     Of a seed that never holds 95 % it is all of its CPU time: less than it would take.
     """
-    config = run_config("experiment=article", "torch_threads=1")
+    config = run_config("experiment=tutorial", "torch_threads=1")
     tags = provenance()
     machine = {name: tags[name] for name in sorted(tags) if name == "cpu" or name.startswith(PACKAGES)}
     asked = {"success": THRESHOLD, "evaluations": HOLD, "n_scenes": N_SCENES, "every": every, "most": most}
@@ -103,7 +103,7 @@ def peer_costs(path: Path, seeds: int, every: int = PEER_EVERY, most: int = PEER
 def _cost_s(model: OffPolicyAlgorithm, config: RunConfig, every: int, most: int) -> dict[str, Any]:
     """Train a model until 95 % are held, and return what that cost with all that was seen on the way."""
     model.set_logger(Logger(None, []))
-    found = _Evaluations(config.env, every, PolicyAverage(model, config.algorithm.averaged_policy))
+    found = _Evaluations(config.env, every, PolicyAverage(model, config.algorithm.policy_ema_half_life))
     model.learn(most, found, log_interval=10**9)
     cost = found.cost_s()
     curve = {"steps": found.steps, "success": found.rates, "cpu_s": [rounded(one) for one in found.cpu_s]}

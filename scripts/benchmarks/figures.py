@@ -26,7 +26,7 @@ TARGETS = {
         for net in NETS
         for steps in SBX_ROUNDS
     },
-    "run.article.ratio": (">=", 1.8),
+    "run.tutorial.ratio": (">=", 1.8),
     "run.to_95.ratio": (">=", 50.0),
     "run.whole.ratio": (">=", 40.0),
     "run.default.overhead": ("<=", 1.25),
@@ -90,13 +90,13 @@ def all_figures(settings: Any, all_cores: list[int]) -> Figures:
         "run.whole.ratio": partial(costs, whole=True),
         "simulator.n512.ratio": partial(stepping, 512, "parking"),
         "simulator.n8.ratio": partial(stepping, 8, "parking"),
-        "simulator.parked.n512.ratio": partial(stepping, 512, "parking_parked"),
+        "simulator.parked.n512.ratio": partial(stepping, 512, "parking_crowded"),
         "run.default.overhead": lambda: overhead()[0],
         "evaluation.500_scenes.wall_s": lambda: simulation.bulk_evaluation(
             overhead()[1], training.run_config().env, 50 if quick else 500, rounds
         ),
         **_updates(quick, rounds),
-        "run.article.ratio": partial(training.article, rounds, steps=rounds * 8 if quick else 3000),
+        "run.tutorial.ratio": partial(training.tutorial, rounds, steps=rounds * 8 if quick else 3000),
         "her.sample.capacity_ratio": lambda: buffers().capacity_ratio(rounds),
         "her.sample.ratio": lambda: buffers().against_sb3(rounds),
         "her.bytes_per_transition": lambda: buffers().memory(),
@@ -115,7 +115,7 @@ def _updates(quick: bool, rounds: int) -> Figures:
 
     def update(algorithm: str, net: str, gradient_steps: int = 8, sbx: bool = False) -> dict[str, Any]:
         wide = net == "3x256"
-        # As experiment=article has it; sbx knows no other features.
+        # As experiment=tutorial has it; sbx knows no other features.
         options = (["algorithm.features=raw"] if wide or sbx else []) + (["precision=medium"] if wide else [])
         options += ["n_envs=8", f"updates_per_step={gradient_steps / 8}", "algorithm.learning_starts=1000"]
         config = training.run_config(

@@ -39,9 +39,9 @@ def run_config(*overrides: str) -> RunConfig:
     return validate(config)
 
 
-def article(rounds: int, steps: int) -> dict[str, Any]:
+def tutorial(rounds: int, steps: int) -> dict[str, Any]:
     """Compare training steps a second of the tutorial's recipe, `steps` in all on each side after the warm-up."""
-    config = run_config("experiment=article", "torch_threads=1")
+    config = run_config("experiment=tutorial", "torch_threads=1")
     ours = build_model(config, make_training_envs(config.env, config.n_envs), seed=0)
     peer = tutorial_model(config, seed=0)
     for model in (ours, peer):
@@ -62,7 +62,7 @@ def article(rounds: int, steps: int) -> dict[str, Any]:
 
 
 def tutorial_model(config: RunConfig, seed: int) -> SAC:
-    """Return the model of the tutorial's recipe, experiment=article, in plain Stable-Baselines3 + highway-env."""
+    """Return the model of the tutorial's recipe, experiment=tutorial, in plain Stable-Baselines3 + highway-env."""
     arguments = config.algorithm.arguments
     return SAC(
         "MultiInputPolicy",

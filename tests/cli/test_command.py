@@ -100,7 +100,7 @@ def test_help_names_groups_keys_and_examples():
             "algorithm: ",
             "env: parking, parking_2021",
             "total_timesteps: ",
-            "python scripts/train.py experiment=article",
+            "python scripts/train.py experiment=tutorial",
         ],
         "evaluate": [
             "run: latest",
@@ -207,7 +207,7 @@ def test_paths_that_hydras_grammar_cannot_read_are_quoted(argument, expected):
 
 
 def test_showing_the_config_runs_nothing(tmp_path):
-    done = type_here("train", "--cfg", "job", "experiment=article", cwd=tmp_path)
+    done = type_here("train", "--cfg", "job", "experiment=tutorial", cwd=tmp_path)
     assert done.returncode == 0
     assert "total_timesteps: 10000" in done.stdout
     assert list(tmp_path.iterdir()) == []

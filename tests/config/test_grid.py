@@ -101,8 +101,10 @@ def test_a_sweep_can_have_a_hundred_thousand_runs():
 def test_seeds_on_a_command_line():
     assert [run.seed for run in runs("seeds=3")] == [0, 1, 2]
     assert [run.seed for run in runs("seeds=[5,2]")] == [run.seed for run in runs("seeds=5,2")] == [5, 2]
-    assert [run.seed for run in runs("experiment=her_traps", "seed=9", "buffer=her_episode")] == [9] * 11
-    assert [run.seed for run in runs("experiment=tutorial", "seeds=null")] == [0, 0]
+    assert [run.seed for run in runs("experiment=her_relabelling", "seed=9", "buffer=her_episode")] == [9] * 11
+    assert [run.seed for run in runs("experiment=variants", "seeds=null")] == [0] * len(
+        runs("experiment=variants", "seeds=1")
+    )
     assert [run.seed for run in runs("seed=3", "seeds=null")] == [3]
     # All cells get their first seed before any gets its second.
     assert [(run.seed, run.algorithm.name) for run in runs("seeds=2", "algorithm=sac,td3")] == [
@@ -134,12 +136,12 @@ def test_what_is_no_sweep_is_refused_in_a_sentence(overrides, message):
 
 @pytest.mark.slow
 def test_what_is_typed_applies_to_every_cell_that_has_it():
-    found = runs("experiment=her_traps", "seeds=1", "algorithm.features=raw")
+    found = runs("experiment=her_relabelling", "seeds=1", "algorithm.features=raw")
     assert {run.algorithm.features for run in found} == {"raw"}
     assert len({run.run_key for run in found}) == len(found) == 21
-    found = runs("experiment=her_ablation", "seeds=1", "env=parking_parked,parking_sparse", "buffer=her_final,replay")
+    found = runs("experiment=her_ablation", "seeds=1", "env=parking_crowded,parking_sparse", "buffer=her_final,replay")
     assert Counter((run.env.name, run.buffer.name) for run in found) == {
-        ("parking_parked", "her_final"): 4, ("parking_parked", "replay"): 1,
+        ("parking_crowded", "her_final"): 4, ("parking_crowded", "replay"): 1,
         ("parking_sparse", "her_final"): 4, ("parking_sparse", "replay"): 1,
     }  # fmt: skip
     found = runs("experiment=her_ablation", "seeds=1", "env=parking", "++buffer.n_sampled_goal=3", "buffer=her_final")
@@ -147,8 +149,8 @@ def test_what_is_typed_applies_to_every_cell_that_has_it():
 
 
 def test_several_experiments_are_one_after_the_other():
-    found = runs("experiment=smoke,her_traps", "seeds=1")
-    assert Counter(run.experiment_name for run in found) == {"smoke": 1, "her_traps": 22}
+    found = runs("experiment=smoke,her_relabelling", "seeds=1")
+    assert Counter(run.experiment_name for run in found) == {"smoke": 1, "her_relabelling": 22}
 
 
 def test_a_cell_may_name_its_seeds():
@@ -182,8 +184,8 @@ def test_the_her_ablation_is_every_strategy_with_every_share_and_a_control_on_bo
     assert len({run.run_key for run in found}) == 68
 
 
-def test_the_her_traps_are_the_relabelling_options_where_they_can_make_a_difference():
-    found = runs("experiment=her_traps", "seeds=1")
+def test_the_her_relabelling_are_the_relabelling_options_where_they_can_make_a_difference():
+    found = runs("experiment=her_relabelling", "seeds=1")
     names = ("relabel_collision", "relabel_terminated", "goal_velocity")
     cells = {
         (run.buffer.name, run.algorithm.features, *(run.buffer.arguments[name] for name in names)) for run in found
@@ -205,7 +207,7 @@ def test_the_her_traps_are_the_relabelling_options_where_they_can_make_a_differe
     assert len(found) == 22
 
 
-@pytest.mark.parametrize("experiment", slow_but(["her_traps"], ["her_ablation", "her_traps"]))
+@pytest.mark.parametrize("experiment", slow_but(["her_relabelling"], ["her_ablation", "her_relabelling"]))
 @pytest.mark.parametrize(("budget", "steps"), [("small", 96_000), ("full", 256_000)])
 def test_every_cell_has_as_many_env_steps_and_updates(experiment, budget, steps):
     """Whatever differs, it is the buffer or the reward: the same steps, updates, networks and evaluation."""
@@ -217,7 +219,7 @@ def test_every_cell_has_as_many_env_steps_and_updates(experiment, budget, steps)
 
 
 def test_ten_seeds_and_the_small_budget_unless_said_otherwise():
-    found = runs("experiment=her_traps", "buffer.relabel_collision=sb3", "buffer.relabel_terminated=sb3")
+    found = runs("experiment=her_relabelling", "buffer.relabel_collision=sb3", "buffer.relabel_terminated=sb3")
     assert len(found) == 40
     assert {run.total_timesteps for run in found} == {96_000}
 

@@ -120,7 +120,7 @@ def test_run_directories_are_absolute_and_readable(tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     ("override", "name"),
     [
-        ("env=parking_stop_parked", "parking_stop_parked-td3-her_future"),
+        ("env=parking_stop_crowded", "parking_stop_crowded-td3-her_future"),
         ("algorithm=sac", "parking-sac-her_future"),
         ("buffer=her_final", "parking-td3-her_final"),
         ("buffer.goal_selection_strategy=final", "parking-td3-her_future"),

@@ -19,7 +19,7 @@ from parking_exp.errors import ConfigError
 from parking_exp.evaluation.evaluate_run import validate_request
 from parking_exp.resources import total_memory
 
-ARTICLE = {
+TUTORIAL = {
     "total_timesteps": 10_000,
     "n_envs": 1,
     "updates_per_step": 1.0,
@@ -34,9 +34,6 @@ ARTICLE = {
     "buffer.buffer_size": 1_000_000,
     "buffer.n_sampled_goal": 4,
     "buffer.goal_selection_strategy": "future",
-    "evaluation.every_n_steps": 1000,
-    "evaluation.n_scenes": 5,
-    "checkpoint.keep_last": 1,
     "env.training_duration": None,
     "env.training_success_goal_reward": None,
     "env.duration": 100,
@@ -46,7 +43,7 @@ ARTICLE = {
 @pytest.mark.parametrize(
     ("group", "option"),
     [
-        pytest.param(group, option, marks=pytest.mark.slow if option in ("her_ablation", "her_traps") else ())
+        pytest.param(group, option, marks=pytest.mark.slow if option in ("her_ablation", "her_relabelling") else ())
         for group in GROUPS
         for option in options(group)
     ],
@@ -69,8 +66,8 @@ def schedule(key, value):
 def test_the_expected_options_are_there():
     assert {group: options(group) for group in GROUPS} == {
         "env": [
-            "parking", "parking_2021", "parking_action_repeat", "parking_parked", "parking_sparse", "parking_stop",
-            "parking_stop_parked",
+            "parking", "parking_2021", "parking_action_repeat", "parking_crowded", "parking_sparse", "parking_stop",
+            "parking_stop_crowded",
         ],
         "algorithm": ["crossq", "ddpg", "sac", "td3", "tqc"],
         "buffer": ["her_episode", "her_final", "her_future", "her_random", "replay"],
@@ -79,7 +76,7 @@ def test_the_expected_options_are_there():
         "checkpoint": ["default"],
         "tracking": ["default"],
         "experiment": [
-            "algorithms", "article", "envs_and_updates", "features", "her_ablation", "her_traps", "parked", "smoke", "tutorial",
+            "algorithms", "envs_and_updates", "features", "her_ablation", "her_relabelling", "parked", "smoke", "tutorial",
             "variants",
         ],
     }  # fmt: skip
@@ -92,7 +89,7 @@ def test_the_expected_options_are_there():
         ("learning_rate=1e-3", "algorithm.learning_rate"),
         ("n_sampled_goal=4", "buffer.n_sampled_goal"),
         ("env=parkin_sparse", "parking_sparse"),
-        ("experiment=artcle", "article"),
+        ("experiment=tutorail", "tutorial"),
         ("+env.duratoin=3", "duration"),
         ("algorithm.learning_rat=1", "learning_rate"),
         ("+algorithm.gama=1", "gamma"),
@@ -153,7 +150,7 @@ def test_the_expected_options_are_there():
         (f"n_envs={'9' * 5000}", ""),
         (f"seeds={'9' * 5000}", ""),
         ("torch_threads=1000000", "1024"),
-        ("experiment=article algorithm.learning_rate={}", ""),
+        ("experiment=tutorial algorithm.learning_rate={}", ""),
         ("algorithm=sac algorithm.action_noise={}", ""),
         ("algorithm.train_freq=[0,step]", ""),
         ("buffer.relabel_collision=null", ""),
@@ -324,8 +321,8 @@ def test_a_users_own_options_of_every_group_are_taken(tmp_path):
 def test_configs_that_are_composed_together_are_apart():
     one, other = composed("config", ["evaluation.n_scenes=5,10", "total_timesteps=7"])
     assert (one.evaluation.n_scenes, other.evaluation.n_scenes) == (5, 10)
-    article, smoke = composed("config", ["experiment=article,smoke"])
-    assert (article.checkpoint.every_n_steps, smoke.checkpoint.every_n_steps) == (1000, 100)
+    tutorial, smoke = composed("config", ["experiment=tutorial,smoke"])
+    assert (tutorial.checkpoint.every_n_steps, smoke.checkpoint.every_n_steps) == (2500, 100)
 
 
 @pytest.mark.parametrize(
@@ -394,18 +391,18 @@ def test_every_point_of_a_sweep_is_checked():
 
 
 def test_the_experiment_overrides_the_root_and_the_command_line_overrides_both():
-    assert make_config("experiment=article").total_timesteps == 10_000
-    assert make_config("experiment=article", "total_timesteps=1234").total_timesteps == 1234
+    assert make_config("experiment=tutorial").total_timesteps == 10_000
+    assert make_config("experiment=tutorial", "total_timesteps=1234").total_timesteps == 1234
 
 
-def test_article_is_the_tutorials_recipe():
-    config = make_config("experiment=article")
+def test_tutorial_is_the_usual_recipe():
+    config = make_config("experiment=tutorial")
     found = {}
-    for key in ARTICLE:
+    for key in TUTORIAL:
         section, _, name = key.rpartition(".")
         node = getattr(config, section) if section else config
         found[key] = getattr(node, name) if name in type(node).model_fields else node.arguments[name]
-    assert found == ARTICLE
+    assert found == TUTORIAL
 
 
 def test_validating_does_not_change_the_config():

@@ -94,7 +94,7 @@ def test_random_scenes_have_the_distribution_of_highway_envs():
 
 
 def test_state_is_saved_restored_and_continued_identically():
-    config = env_config("env=parking_parked", "env.vehicles_count=26")
+    config = env_config("env=parking_crowded", "env.vehicles_count=26")
     rng = np.random.default_rng(0)
     simulator = Simulator(config, Scenes.from_seeds(range(64), 26))
     actions = np.clip(rng.normal(0.7, 0.5, (40, 64, 2)), -1, 1)
@@ -116,7 +116,7 @@ def test_state_is_saved_restored_and_continued_identically():
 
 
 def test_a_scene_does_not_depend_on_its_neighbours():
-    config = env_config("env=parking_parked")
+    config = env_config("env=parking_crowded")
     actions = np.random.default_rng(0).uniform(-1, 1, (60, 50, 2))
     together = Simulator(config, Scenes.from_seeds(range(50), 10))
     alone = Simulator(config, Scenes.from_seeds([37], 10))

@@ -53,7 +53,7 @@ def test_parking_is_unmodified_parking_v0(scene):
 
 @pytest.mark.parametrize(
     ("option", "their_id"),
-    [("parking_parked", "parking-parked-v0"), ("parking_action_repeat", "parking-ActionRepeat-v0")],
+    [("parking_crowded", "parking-parked-v0"), ("parking_action_repeat", "parking-ActionRepeat-v0")],
 )
 def test_variants_equal_highway_envs_own(option, their_id):
     config = make_config(f"env={option}", "n_envs=1").env

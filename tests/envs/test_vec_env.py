@@ -53,7 +53,7 @@ def test_until_the_first_reset_it_equals_highway_env_in_a_dummy_vec_env(config):
 @pytest.mark.slow
 def test_crashes_and_their_terminal_observations_equal_those_of_a_dummy_vec_env():
     """Full throttle until each env has crashed once, at different times; what comes after is another scene."""
-    config = make_config("env=parking_parked", "env.training_duration=20").env
+    config = make_config("env=parking_crowded", "env.training_duration=20").env
     ours = ParkingVecEnv(config.for_training(), 6)
     theirs = DummyVecEnv([lambda: make_env(config.for_training())] * 6)
     ours.seed(0), theirs.seed(0)

@@ -45,7 +45,7 @@ def test_an_episode_does_not_depend_on_its_neighbours():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("option", ["parking", "parking_parked", "parking_sparse"])
+@pytest.mark.parametrize("option", ["parking", "parking_crowded", "parking_sparse"])
 def test_both_simulators_give_the_same_table(option):
     env = make_config(f"env={option}", "env.duration=4").env
     ours, theirs = (evaluate(straight_on, env, range(30), simulator=name) for name in ("vectorized", "highway_env"))
@@ -77,7 +77,7 @@ def test_trajectories_lead_from_the_origin_to_where_the_episode_ended(simulator,
 
 @pytest.mark.slow
 def test_both_simulators_record_the_same_trajectories():
-    env = make_config("env=parking_parked", "env.duration=4").env
+    env = make_config("env=parking_crowded", "env.duration=4").env
     found = {}
     for simulator in ("vectorized", "highway_env"):
         found[simulator] = Recorder()

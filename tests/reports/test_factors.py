@@ -136,7 +136,7 @@ def test_labels_that_are_the_same_get_the_key_of_their_cell():
             None,
         ),
         (["++algorithm.policy_kwargs={},{n_critics:3}", "algorithm.gamma=0.9,0.95"], None),
-        (["experiment=her_traps", "algorithm.learning_rate=1e-5,3e-3", "seeds=1"], None),
+        (["experiment=her_relabelling", "algorithm.learning_rate=1e-5,3e-3", "seeds=1"], None),
     ],
 )
 def test_plans_and_reports_label_the_same_cells_alike(overrides, expected, tmp_path):

@@ -12,14 +12,14 @@ def test_the_benchmark_measures_and_writes(tmp_path):
     done = run_script(
         "benchmark",
         "--quick",
-        "only=[simulator,update.ddpg.2x64,run.article,her,sweep.overhead,sweep.resume]",
+        "only=[simulator,update.ddpg.2x64,run.tutorial,her,sweep.overhead,sweep.resume]",
         f"output_dir={tmp_path}",
     )
     assert done.returncode == 0, done.stderr
     written = json.loads((tmp_path / "benchmark.json").read_text())
     assert sorted(written) == sorted([
         "simulator.n512.ratio", "simulator.n8.ratio", "simulator.parked.n512.ratio", "update.ddpg.2x64.ratio",
-        "run.article.ratio", "her.sample.capacity_ratio", "her.sample.ratio", "her.bytes_per_transition", "her.save.bytes_per_transition",
+        "run.tutorial.ratio", "her.sample.capacity_ratio", "her.sample.ratio", "her.bytes_per_transition", "her.save.bytes_per_transition",
         "sweep.overhead_s_per_run", "sweep.resume_scan_s.1000_runs",
     ])  # fmt: skip
     for key, entry in written.items():

@@ -208,7 +208,7 @@ def _content(config: RunConfig, look: Look) -> tuple[list[dict[str, Any]], pd.Da
         rows.append((step, {**_prefixed("eval", summarise(table)), **cost}))
         before = step
     if done:
-        for phase, table in (("final", final), ("certified", final.head(evaluation.certified_n_scenes))):
+        for phase, table in (("final", final), ("certified", final.head(evaluation.n_certified_scenes))):
             tables.append(table.assign(phase=phase, step=before))
             rows[-1][1].update(_prefixed(phase, summarise(table)))
     lines = [

@@ -46,12 +46,12 @@ def test_a_kind_that_the_sweep_has_finished_is_not_timed_by_other_experiments(tm
 
 
 def test_runs_that_do_other_work_for_an_env_step_tell_no_time(tmp_path):
-    article = ("experiment=article", "hydra.launcher.n_jobs=1", "seeds=2")
-    assert planned(tmp_path, *article) == "; no run has finished yet to tell the time by"
+    tutorial = ("experiment=tutorial", "hydra.launcher.n_jobs=1", "seeds=2")
+    assert planned(tmp_path, *tutorial) == "; no run has finished yet to tell the time by"
     finish(tmp_path, 16)
-    assert planned(tmp_path, *article) == NONE_OF_KIND
-    finish(tmp_path, 250, "experiment=article", "experiment_name=mine", "total_timesteps=5000")
-    assert planned(tmp_path, *article) == ", about 17 min"
+    assert planned(tmp_path, *tutorial) == NONE_OF_KIND
+    finish(tmp_path, 250, "experiment=tutorial", "experiment_name=mine", "total_timesteps=5000")
+    assert planned(tmp_path, *tutorial) == ", about 17 min"
 
 
 def test_a_plan_says_how_many_of_its_runs_it_has_a_time_for(tmp_path):
@@ -106,12 +106,12 @@ def test_what_hardly_changes_the_work_of_an_env_step_makes_no_other_kind(tmp_pat
 def test_an_estimate_reads_one_config_a_cell_and_not_too_many(tmp_path, monkeypatch):
     for seed in range(3):
         finish(tmp_path, 16, f"seed={seed}")
-    finish(tmp_path, 250, "experiment=article")
-    article = make_config("experiment=article", f"output_dir={tmp_path}")
+    finish(tmp_path, 250, "experiment=tutorial")
+    tutorial = make_config("experiment=tutorial", f"output_dir={tmp_path}")
     monkeypatch.setattr(plan, "MOST_CONFIGS", 2)
-    assert duration_estimate(article, 10_000, 1) == ", about 4 min"
+    assert duration_estimate(tutorial, 10_000, 1) == ", about 4 min"
     monkeypatch.setattr(plan, "MOST_CONFIGS", 1)  # that of the longer runs
-    assert duration_estimate(article, 10_000, 1) == NONE_OF_KIND
+    assert duration_estimate(tutorial, 10_000, 1) == NONE_OF_KIND
 
 
 def test_a_config_that_cannot_be_read_tells_no_time(tmp_path):

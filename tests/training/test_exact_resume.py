@@ -52,7 +52,7 @@ KINDS = {
         HIGHWAY, "n_envs=4", "algorithm=td3", "buffer=her_random", "buffer.buffer_size=200", "algorithm.learning_starts=48",
         "algorithm.action_noise._target_=stable_baselines3.common.noise.OrnsteinUhlenbeckActionNoise",
     ),
-    "td3, averaged policy": ("algorithm=td3", "algorithm.averaged_policy=30", "buffer.relabel_collision=exclude"),
+    "td3, averaged policy": ("algorithm=td3", "algorithm.policy_ema_half_life=30", "buffer.relabel_collision=exclude"),
     "ddpg, one env, Stable-Baselines3's replay": (
         "algorithm=ddpg", "n_envs=1", "buffer._target_=stable_baselines3.common.buffers.DictReplayBuffer", *SB3_BUFFER,
         "~buffer.n_sampled_goal", "~buffer.goal_selection_strategy",

@@ -185,7 +185,7 @@ def test_the_final_evaluation_is_certified_on_highway_env(smoke):
 
 @pytest.mark.parametrize("seed", [0, 1])
 def test_some_final_scenes_drawn_by_the_seed_are_certified(tmp_path, seed):
-    arguments = ("evaluation.certified_n_scenes=2", "evaluation.video_episodes=0", "tracking.mlflow=false")
+    arguments = ("evaluation.n_certified_scenes=2", "evaluation.video_episodes=0", "tracking.mlflow=false")
     config = make_config("experiment=smoke", f"seed={seed}", *arguments, f"output_dir={tmp_path}")
     metrics = train(config).metrics
     table = pd.read_csv(config.run_dir / "episodes.csv").drop(columns="step").set_index("phase")
@@ -318,10 +318,10 @@ def test_evaluate_prints_and_stores_episodes_and_a_video(finished, tmp_path):
 @pytest.mark.slow
 def test_evaluate_takes_a_directory_another_env_and_the_best_model(finished):
     directory, _ = finished
-    done = run_script("evaluate", f"run={directory.path}", "episodes=2", "env=parking_parked", "env.duration=2",
+    done = run_script("evaluate", f"run={directory.path}", "episodes=2", "env=parking_crowded", "env.duration=2",
                       "model=best", "tracking.mlflow=false", "name=parked")  # fmt: skip
     assert done.returncode == 0, done.stderr
-    assert "best model on 2 scenes of parking_parked" in done.stdout
+    assert "best model on 2 scenes of parking_crowded" in done.stdout
     assert len(pd.read_csv(directory.path / "evaluations" / "parked" / "episodes.csv")) == 2
 
 

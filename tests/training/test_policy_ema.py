@@ -18,7 +18,7 @@ from parking_exp.training import checkpoints
 from parking_exp.training.checkpoints import Progress
 from parking_exp.training.run import train
 
-SMOKE = ("experiment=smoke", "algorithm=td3", "algorithm.averaged_policy=20", "evaluation.video_episodes=0")
+SMOKE = ("experiment=smoke", "algorithm=td3", "algorithm.policy_ema_half_life=20", "evaluation.video_episodes=0")
 
 
 def make_model(*overrides):
@@ -145,7 +145,7 @@ def test_an_average_of_another_model_is_refused_with_what_to_do(tmp_path):
 def test_a_policy_without_an_actor_has_no_average():
     model = make_model()
     model.policy = torch.nn.Linear(2, 2)
-    with pytest.raises(ConfigError, match=r"^algorithm\.averaged_policy: TD3 has no actor to average; use null$"):
+    with pytest.raises(ConfigError, match=r"^algorithm\.policy_ema_half_life: TD3 has no actor to average; use null$"):
         PolicyAverage(model, half_life=10)
     PolicyAverage(model, half_life=None)
 
