@@ -12,19 +12,19 @@ import pytest
 import scipy.stats
 from optuna.distributions import CategoricalDistribution, FloatDistribution, IntDistribution
 from optuna.trial import TrialState, create_trial
+from parking_exp.reports.build import Question, build
+from parking_exp.reports.export import _plain
+from parking_exp.reports.render.files import write_tables
+from parking_exp.reports.render.markdown import markdown
+from parking_exp.reports.render.page import page
 from pydantic import TypeAdapter
 from support import report_factory
 from support.searches import settings
 from support.store_factory import Look, compose, make_store
 
 from parking_exp.errors import ResultsError
-from parking_exp.reports.build import Question, build
-from parking_exp.reports.export import _plain
 from parking_exp.reports.figures.export import draw
 from parking_exp.reports.figures.studies import FEWEST_TRIALS, importance, study_of
-from parking_exp.reports.render.files import write_tables
-from parking_exp.reports.render.markdown import markdown
-from parking_exp.reports.render.page import page
 from parking_exp.reports.sections import SECTIONS
 from parking_exp.reports.tuning import tuning_of, with_search
 from parking_exp.reports.tuning_data import Tuning
