@@ -12,11 +12,6 @@ import pytest
 import scipy.stats
 from optuna.distributions import CategoricalDistribution, FloatDistribution, IntDistribution
 from optuna.trial import TrialState, create_trial
-from parking_exp.reports.build import Question, build
-from parking_exp.reports.export import _plain
-from parking_exp.reports.render.files import write_tables
-from parking_exp.reports.render.markdown import markdown
-from parking_exp.reports.render.page import page
 from pydantic import TypeAdapter
 from support import report_factory
 from support.searches import settings
@@ -25,7 +20,12 @@ from support.store_factory import Look, compose, make_store
 from parking_exp.errors import ResultsError
 from parking_exp.reports.figures.export import draw
 from parking_exp.reports.figures.studies import FEWEST_TRIALS, importance, study_of
-from parking_exp.reports.sections import SECTIONS
+from parking_exp.reports.render.html_page import page
+from parking_exp.reports.render.markdown_report import markdown
+from parking_exp.reports.report_builder import build_report
+from parking_exp.reports.report_export import _plain
+from parking_exp.reports.report_files import write_tables
+from parking_exp.reports.sections import SECTIONS, section_contents
 from parking_exp.reports.tuning import tuning_of, with_search
 from parking_exp.reports.tuning_data import Tuning
 from parking_exp.reports.tuning_findings import claims, retest_text, search_text
@@ -204,7 +204,8 @@ def test_figures_and_tables_show_the_trials(folder, tmp_path):
     assert names_of(draw(whole, tmp_path / "figures", [], OWN)) == [
         "optimisation_history", "slices_1", "trial_coordinates"
     ]  # fmt: skip
-    names = {path.name for path in write_tables(whole, tmp_path / "tables", OWN)}
+    write_tables(section_contents(whole, sections=OWN), whole.shown, tmp_path / "tables")
+    names = {path.name for path in (tmp_path / "tables").iterdir()}
     assert names >= {"trials.csv", "trials.tex", "retest.csv", "retest.tex"}
     with (tmp_path / "tables" / "trials.csv").open() as file:
         written = list(csv.DictReader(file))
@@ -242,7 +243,8 @@ def test_names_in_a_search_can_do_no_harm(folder, tmp_path):
     whole = replace(report(), tuning=found, claims=list(claims(found)))
     pictures = draw(whole, tmp_path, ["svg"], OWN)
     assert "slices_1" in names_of(pictures)
-    assert "<script>window.pwned" not in page(whole, pictures) + markdown(whole)
+    contents = section_contents(whole, pictures)
+    assert "<script>window.pwned" not in page(whole, contents) + markdown(whole, contents, "svg")
 
 
 def test_without_a_search_there_is_nothing_of_it_and_optuna_is_not_asked(tmp_path, monkeypatch):
@@ -252,12 +254,13 @@ def test_without_a_search_there_is_nothing_of_it_and_optuna_is_not_asked(tmp_pat
     assert with_search(plain, tmp_path) == plain
     assert plain.plain()["tuning"] is None
     assert draw(plain, tmp_path, [], OWN) == []
-    assert not {path.stem for path in write_tables(plain, tmp_path, OWN)} & {"trials", "retest"}
-    assert "The search" not in page(plain, sections=OWN)
+    contents = section_contents(plain, sections=OWN)
+    assert not any(content.tables for content in contents)
+    assert "The search" not in page(plain, contents)
 
 
 def test_reports_import_no_optuna():
-    code = "import sys, parking_exp.reports.render.files, parking_exp.reports.tuning; print('optuna' in sys.modules)"
+    code = "import sys, parking_exp.reports.report_files, parking_exp.reports.tuning; print('optuna' in sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=120)
     assert done.stdout == "False\n"
 
@@ -332,7 +335,7 @@ def test_pruned_runs_are_neither_missing_nor_unfinished_and_cells_of_them_alone_
         output_dir, "one", {"far": compose("algorithm.gamma=0.5")}, [0], lambda *_: Look(status="pruned"), bulk=True
     )
     results = load("one", output_dir=output_dir)
-    found = build(results, Question(experiments=["one"]), find_untracked(results.runs, output_dir, ["one"]))
+    found = build_report(results, ["one"], untracked=find_untracked(results.runs, output_dir, ["one"]))
     assert {cell.label: cell.counts for cell in found.cells} == {
         "sac": {"done": 2, "running": 0, "failed": 0, "pending": 0},
         "ddpg": {"done": 1, "running": 0, "failed": 0, "pending": 0, "pruned": 1},
@@ -348,6 +351,6 @@ def test_runs_that_are_missing_are_counted_without_the_pruned_ones(output_dir):
         output_dir, "one", {"sac": []}, range(3), lambda _, seed: Look(status=states[seed], error="no way"), bulk=True
     )
     results = load("one", output_dir=output_dir)
-    found = build(results, Question(experiments=["one"]))
+    found = build_report(results, ["one"])
     assert found.missing == ["1 of 2 runs are done: 1 failed."]
     assert [run.status for run in found.provenance.unfinished] == ["failed"]
