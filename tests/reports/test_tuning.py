@@ -20,8 +20,8 @@ from support.store_factory import Look, compose, make_store
 from parking_exp.errors import ResultsError
 from parking_exp.reports.build import Question, build
 from parking_exp.reports.export import _plain
-from parking_exp.reports.figures.export import draw
-from parking_exp.reports.figures.studies import FEWEST_TRIALS, importance, study_of
+from parking_exp.reports.figures.figure_files import draw
+from parking_exp.reports.figures.study_figures import FEWEST_TRIALS, draw_parameter_importance, study_of
 from parking_exp.reports.render.files import write_tables
 from parking_exp.reports.render.markdown import markdown
 from parking_exp.reports.render.page import page
@@ -158,11 +158,11 @@ def test_the_study_of_an_export_has_the_importances_of_the_study(folder):
 
 
 def test_importance_takes_trials_that_differ(folder):
-    assert importance(replace(report(), tuning=many(folder))) is not None
+    assert list(draw_parameter_importance(replace(report(), tuning=many(folder))))
     few = [trial(k / 20, rate=1e-3 + k * 1e-4) for k in range(FEWEST_TRIALS - 1)]
     same = [trial(0.5, rate=1e-3 + k * 1e-4) for k in range(FEWEST_TRIALS)]
     for trials in (few, same):
-        assert importance(replace(report(), tuning=tuning(folder, trials))) is None
+        assert not list(draw_parameter_importance(replace(report(), tuning=tuning(folder, trials))))
 
 
 def test_retrained_trials_have_intervals_and_welchs_for_tuning_minus_test(folder):

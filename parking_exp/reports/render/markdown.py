@@ -10,7 +10,7 @@ from parking_exp.reports.sections import SECTIONS, Section, provenance_tables, s
 from parking_exp.reports.tables.writers import markdown as table_text
 
 if TYPE_CHECKING:
-    from parking_exp.reports.figures.export import Picture
+    from parking_exp.reports.figures.figure_files import Picture
 
 FIGURES_BEFORE = "pairs"
 """The section that all figures stand before."""

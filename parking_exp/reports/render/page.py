@@ -2,7 +2,6 @@
 
 import base64
 import hashlib
-import re
 from collections.abc import Mapping, Sequence
 from functools import cache
 from pathlib import Path
@@ -18,8 +17,8 @@ from parking_exp.reports.sections import SECTIONS, Section, provenance_tables, s
 from parking_exp.reports.tables.model import Table
 
 if TYPE_CHECKING:
-    from parking_exp.reports.figures.export import Picture
-    from parking_exp.reports.figures.style import CellStyle
+    from parking_exp.reports.figures.figure_files import Picture
+    from parking_exp.reports.figures.figure_style import CellStyle
 
 TEMPLATES = Path(__file__).parent / "templates"
 MAX_ROWS = 3000
@@ -47,7 +46,7 @@ def page(
 
     Args:
         report: what to say; everything in it is escaped.
-        pictures: figures; their SVG goes in as it is.
+        pictures: figures; their SVG goes in as images, in which nothing is executed.
         styles: of the cells in the figures, by id; drawn beside their names.
         sections: its parts.
     """
@@ -92,7 +91,7 @@ def _environment() -> Environment:
 def _section(section: Section, report: ReportData, pictures: Sequence["Picture"]) -> dict[str, Any] | None:
     """Return what the template needs of a section; None where it has nothing to say."""
     drawn = [
-        {"name": p.name, "title": p.title, "caption": p.caption, "svg": Markup(p.svg), "width": _width(p.svg)}
+        {"name": p.name, "title": p.title, "caption": p.caption, "svg": base64.b64encode(p.svg).decode()}
         for p in pictures
         if p.section == section.id
     ]
@@ -110,12 +109,6 @@ def _cut(table: Table, section: Section, report: ReportData) -> tuple[Table, str
     shorter = section_tables(section, report, report.shown_cells)
     table = next(one for one in shorter if one.name == table.name and one.caption)
     return table, f" Only the cells that the figures show: the whole table is in tables/{table.stem}.csv."
-
-
-def _width(svg: str) -> int:
-    """Return the width below which a picture's letters are too small: that of its points on a screen [px]."""
-    found = re.search(r'viewBox="\S+ \S+ ([\d.]+)', svg)
-    return round(float(found[1]) * 96 / 72) if found else 0
 
 
 def _badges(report: ReportData) -> list[tuple[str, str]]:
