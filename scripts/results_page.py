@@ -24,7 +24,7 @@ sys.path.insert(0, str(ROOT))
 
 from parking_exp import statistics
 from parking_exp.reports import formats
-from parking_exp.reports.build import Question, build
+from parking_exp.reports.report_builder import build_report
 from parking_exp.reports.report_data import Cell, ReportData, Setting
 from parking_exp.results import Results, read_export
 from parking_exp.terminal import say
@@ -68,7 +68,9 @@ class Experiment:
 
     def only(self, *cells: str, baseline: str | None = None) -> "Experiment":
         """Return a part of it, as `scripts/report.py` takes its cells and baseline; its labels are shorter."""
-        return Experiment(self.results, build(self.results, Question(self.report.experiments, cells, baseline)))
+        return Experiment(
+            self.results, build_report(self.results, self.report.experiments, cells=cells, baseline=baseline)
+        )
 
     def cell(self, label: str) -> Cell:
         """Return a cell."""
@@ -245,7 +247,7 @@ def main(arguments: list[str]) -> int:
 def _experiment(folder: Path) -> Experiment:
     results = read_export(folder)
     names = list(dict.fromkeys(results.runs["experiment"]))
-    return Experiment(results, build(results, Question(names)))
+    return Experiment(results, build_report(results, names))
 
 
 def _page(found: dict[str, Experiment]) -> str:

@@ -12,8 +12,8 @@ from parking_exp.envs.geometry import N_SLOTS
 from parking_exp.envs.outcomes import OUTCOMES, Outcome
 from parking_exp.envs.scenes import Scenes
 from parking_exp.errors import ResultsError
-from parking_exp.reports.curves import FinalEpisodes
 from parking_exp.reports.report_data import Path, SlotRate
+from parking_exp.reports.run_evaluations import FinalEpisodes
 from parking_exp.results.frames import Results
 
 PATHS_AN_OUTCOME = 4

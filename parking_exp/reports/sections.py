@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 from parking_exp.reports.figures.cell_figures import draw_final_success, draw_learning_curves, draw_time_to_90
 from parking_exp.reports.figures.factor_figures import draw_importance, draw_interactions, draw_main_effects
@@ -16,13 +17,14 @@ from parking_exp.reports.figures.study_figures import (
     draw_slices,
     draw_trial_coordinates,
 )
-from parking_exp.reports.report_data import Cell, ReportData
-from parking_exp.reports.tables import cells as cell_tables
-from parking_exp.reports.tables import factors as factor_tables
-from parking_exp.reports.tables import pairs as pair_tables
-from parking_exp.reports.tables import provenance, trial_tables
-from parking_exp.reports.tables.model import MakeTables, Table
+from parking_exp.reports.methods import methods
+from parking_exp.reports.report_data import ReportData
+from parking_exp.reports.tables import report_tables, trial_tables
+from parking_exp.reports.tables.table import Table
 from parking_exp.reports.tuning_findings import retest_text, search_text
+
+if TYPE_CHECKING:
+    from parking_exp.reports.figures.figure_files import Picture
 
 
 @dataclass(frozen=True)
@@ -48,19 +50,57 @@ class Section:
         id: its anchor.
         title: its heading.
         text: data -> paragraphs.
-        figures: in order; Markdown has those of all sections together.
-        tables: what makes its tables, see `tables`.
-        tables_first: whether the page has tables before figures.
-        in_markdown: whether its text and tables are in `report.md` too.
+        tables: data -> tables, see `tables.report_tables`.
+        figures: in order.
     """
 
     id: str
     title: str
-    text: Callable[[ReportData], Sequence[str]] = lambda report: ()
+    text: Callable[[ReportData], Iterable[str]] = lambda report: ()
+    tables: Sequence[Callable[[ReportData], Iterable[Table]]] = ()
     figures: Sequence[Figure] = ()
-    tables: Sequence[MakeTables] = ()
-    tables_first: bool = False
-    in_markdown: bool = True
+
+
+@dataclass(frozen=True)
+class SectionContent:
+    """What a section says of a report: what the page, Markdown, LaTeX and CSV are written from."""
+
+    id: str
+    title: str
+    text: Sequence[str]
+    tables: Sequence[Table]
+    pictures: Sequence["Picture"]
+
+    @property
+    def readable_tables(self) -> list[Table]:
+        """The tables that people read."""
+        return [table for table in self.tables if table.readable]
+
+
+def section_contents(
+    report: ReportData, pictures: Sequence["Picture"] = (), sections: "Sequence[Section] | None" = None
+) -> list[SectionContent]:
+    """Return what sections say of a report, by default all of them."""
+    return [
+        SectionContent(
+            section.id,
+            section.title,
+            list(section.text(report)),
+            [table for tables in section.tables for table in tables(report)],
+            [picture for picture in pictures if picture.section == section.id],
+        )
+        for section in (SECTIONS if sections is None else sections)
+    ]
+
+
+def what_was_run(report: ReportData) -> Iterable[str]:
+    """Yield when and how runs and report were made."""
+    origin = report.provenance
+    if origin.first and origin.last:
+        yield f"Runs from {origin.first} to {origin.last}."
+    yield f"Store: {origin.uri}. Report made {report.made} by parking-exp {report.version}."
+    if origin.left_out:
+        yield f"Cells that were not asked for: {'; '.join(origin.left_out)}."
 
 
 SECTIONS = (
@@ -87,27 +127,26 @@ SECTIONS = (
         "results",
         "Which is better",
         figures=[Figure("final_success", "Final success, every seed", draw_final_success)],
-        tables=[cell_tables.headline],
-        tables_first=True,
+        tables=[report_tables.headline],
     ),
     Section(
         "curves",
         "Learning curves",
         figures=[Figure("learning_curves", "Learning curves", draw_learning_curves)],
-        tables=[cell_tables.curves],
+        tables=[report_tables.curves],
     ),
     Section(
         "time",
         "Time to 90 %",
         figures=[Figure("time_to_90", "Time to 90 %", draw_time_to_90)],
-        tables=[cell_tables.times, cell_tables.survival],
+        tables=[report_tables.times, report_tables.survival],
     ),
     Section(
         "pairs",
         "Pair by pair",
         text=lambda report: [report.family] if report.pairs else [],
         figures=[Figure("pairwise", "Differences between cells", draw_pairs)],
-        tables=[pair_tables.pairs],
+        tables=[report_tables.pairs],
     ),
     Section(
         "factors",
@@ -116,13 +155,13 @@ SECTIONS = (
             Figure("main_effects", "Main effects", draw_main_effects),
             Figure("interaction_{}", "Interaction", draw_interactions),
         ],
-        tables=[factor_tables.effects, factor_tables.interactions],
+        tables=[report_tables.effects, report_tables.interactions],
     ),
     Section(
         "scenes",
         "Where episodes fail",
         figures=[Figure("scene_map", "Where on the lot episodes fail", draw_scene_map)],
-        tables=[cell_tables.slots],
+        tables=[report_tables.slots],
     ),
     Section(
         "trajectories",
@@ -136,26 +175,14 @@ SECTIONS = (
             Figure("parallel_coordinates", "What was tried", draw_cell_coordinates),
             Figure("importance", "Which hyperparameters matter", draw_importance),
         ],
-        tables=[factor_tables.importance],
+        tables=[report_tables.importance],
     ),
-    Section("seeds", "Every seed", tables=[cell_tables.seeds], in_markdown=False),
+    Section("seeds", "Every seed", tables=[report_tables.seeds]),
+    Section(
+        "provenance",
+        "What was run",
+        text=what_was_run,
+        tables=[report_tables.versions, report_tables.config, report_tables.unfinished, report_tables.common],
+    ),
+    Section("methods", "How it was computed", text=methods),
 )
-PROVENANCE = (provenance.config, provenance.common, provenance.versions, provenance.unfinished)
-"""The tables of what was run, which page and Markdown arrange themselves."""
-
-
-def section_tables(section: Section, report: ReportData, cells: Sequence[Cell]) -> list[Table]:
-    """Return a section's tables, with rows for these cells."""
-    return [table for make in section.tables for table in make(report, cells)]
-
-
-def provenance_tables(report: ReportData, cells: Sequence[Cell]) -> dict[str, Table]:
-    """Return the tables of what was run that have something to read, by name."""
-    made = [table for make in PROVENANCE for table in make(report, cells)]
-    return {table.name: table for table in made if table.readable}
-
-
-def report_tables(report: ReportData, cells: Sequence[Cell], sections: Sequence[Section] = SECTIONS) -> list[Table]:
-    """Return all tables of a report."""
-    made = [table for section in sections for table in section_tables(section, report, cells)]
-    return [*made, *(table for make in PROVENANCE for table in make(report, cells))]

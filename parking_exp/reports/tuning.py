@@ -14,7 +14,6 @@ from pydantic import ValidationError
 
 from parking_exp.config.schema import NAME
 from parking_exp.errors import ParkingError
-from parking_exp.reports import formats
 from parking_exp.reports.report_data import Interval, ReportData
 from parking_exp.reports.tuning_data import Retested, Tuning
 from parking_exp.reports.tuning_findings import claims
@@ -108,7 +107,6 @@ def _described(distribution: Any) -> Mapping[str, Any]:
 
 def _retested(trial: RetestedTrial) -> Retested:
     found = welch(trial.tuning, trial.test)
-    low, high = (formats.within(end, -1.0, 1.0) for end in (found.low, found.high))
     return Retested(
         number=trial.number,
         label=trial.label,
@@ -116,10 +114,12 @@ def _retested(trial: RetestedTrial) -> Retested:
         n_test=len(trial.test),
         tuning=_mean(trial.tuning),
         test=_mean(trial.test),
-        difference=Interval(found.difference, low, high, min(found.n_a, found.n_b), found.method),
+        difference=Interval.of(
+            found.difference, found.low, found.high, min(found.n_a, found.n_b), found.method, bounds=(-1.0, 1.0)
+        ),
     )
 
 
 def _mean(rates: Sequence[float]) -> Interval:
     found = mean_interval(rates, bounds=(0.0, 1.0))
-    return Interval(found.mean, formats.finite(found.low), formats.finite(found.high), found.n, found.method)
+    return Interval.of(found.mean, found.low, found.high, found.n, found.method)

@@ -17,15 +17,19 @@ FEWEST_ROWS = 5
 
 @dataclass(frozen=True)
 class ParameterImportance:
-    """What one parameter explains alone; `spearman` and `direction` (-1, 0, 1) are None where it is no number or
-    constant."""
+    """What one parameter explains alone.
 
-    parameter: str
+    Attributes:
+        factor: its name.
+        share: of the variance, in 0 ... 1.
+        p: of a permutation test.
+        direction: Spearman's rank correlation; None where it is no number or constant.
+    """
+
+    factor: str
     share: float
     p: float
-    spearman: float | None
-    direction: int | None
-    kind: str
+    direction: float | None
 
 
 def importance(
@@ -59,18 +63,16 @@ def importance(
 def _importance(column: pd.Series, centred: np.ndarray, shuffled: np.ndarray) -> ParameterImportance:
     name, total, n = str(column.name), float(centred @ centred), len(centred)
     numeric = column.dtype.kind in "iuf"
-    kind = "number" if numeric else "category"
     if numeric and not np.isfinite(column.to_numpy(dtype=float)).all():
         raise ValueError(f"column {name!r} holds NaN or infinity; drop those runs first")
     if column.nunique(dropna=False) < 2 or total <= 1e-24 * n:
-        return ParameterImportance(name, 0.0, 1.0, None, None, kind)
-    spearman, direction = None, None
+        return ParameterImportance(name, 0.0, 1.0, None)
+    direction = None
     if numeric:
         ranks = column.rank().to_numpy(dtype=float)
         ranks = (ranks - ranks.mean()) / ranks.std()
         design = np.stack([ranks, ranks**2], axis=1)
-        spearman = float(np.corrcoef(ranks, _ranks(centred))[0, 1])
-        direction = 0 if abs(spearman) < 1e-12 else int(np.sign(spearman))
+        direction = float(np.corrcoef(ranks, _ranks(centred))[0, 1])
     else:
         codes = column.astype("category").cat.codes.to_numpy()
         design = (codes[:, None] == np.unique(codes)).astype(float)
@@ -80,7 +82,7 @@ def _importance(column: pd.Series, centred: np.ndarray, shuffled: np.ndarray) ->
     p = (1 + int(np.count_nonzero(by_chance >= explained - 1e-9))) / (1 + len(shuffled))
     left = n - 1 - rank
     share = max(0.0, 1 - (1 - explained) * (n - 1) / left) if left > 0 else 0.0
-    return ParameterImportance(name, min(share, 1.0), p, spearman, direction, kind)
+    return ParameterImportance(name, min(share, 1.0), p, direction)
 
 
 def _basis(design: np.ndarray) -> tuple[np.ndarray, int]:

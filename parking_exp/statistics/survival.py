@@ -1,6 +1,7 @@
 """Time to a threshold, with runs that never reach it as censored: Kaplan-Meier, log-rank, restricted mean."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -144,8 +145,8 @@ def restricted_mean(times: ArrayLike, observed: ArrayLike, horizon: float, confi
 
 
 def log_rank(
-    a: tuple[ArrayLike, ArrayLike],
-    b: tuple[ArrayLike, ArrayLike],
+    a: Sequence[ArrayLike],
+    b: Sequence[ArrayLike],
 ) -> float:
     """Return the two-sided p of the log-rank test (Mantel 1966) of two pairs (times, observed); NaN without any event.
 

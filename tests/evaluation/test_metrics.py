@@ -43,8 +43,9 @@ import numpy as np
 from support.store_factory import compose, make_store
 from parking_exp.evaluation.evaluate import evaluate, summarise
 from parking_exp.evaluation.description import describe
-from parking_exp.reports.build import Question, build
-from parking_exp.reports.render.files import write_tables
+from parking_exp.reports.report_builder import build_report
+from parking_exp.reports.report_files import write_tables
+from parking_exp.reports.sections import section_contents
 from parking_exp.results import load
 from parking_exp.runs.metric_logs import append_episodes
 from parking_exp.tracking.reader import Reader
@@ -55,8 +56,8 @@ episodes = evaluate(lambda seen: np.zeros((len(seen["observation"]), 2)), env, [
 append_episodes(folder / "episodes.csv", episodes, "eval", 0)
 make_store(folder, "one", {"sac": [], "td3": ["algorithm=td3"]}, range(2), bulk=True)
 results = load("one", output_dir=folder)
-report = build(results, Question(["one"]))
-write_tables(report, folder)
+report = build_report(results, ["one"])
+write_tables(section_contents(report), report.shown, folder)
 (experiment,) = [one for name, one in Reader(results.uri).experiments().items() if name == "one"]
 print(json.dumps({
     "csv": (folder / "episodes.csv").read_text().splitlines()[0],

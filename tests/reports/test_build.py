@@ -16,9 +16,9 @@ from support.runs import in_memory
 from support.store_factory import Look, compose, make_store
 
 from parking_exp.errors import ConfigError, RunNotFoundError
-from parking_exp.reports.build import Question, build
-from parking_exp.reports.curves import RunEvaluations
-from parking_exp.reports.selection import choose, group, one_cell
+from parking_exp.reports.cell_selection import choose, group, one_cell
+from parking_exp.reports.report_builder import build_report
+from parking_exp.reports.run_evaluations import RunEvaluations
 from parking_exp.reports.untracked import find_untracked
 from parking_exp.results.frames import load
 from parking_exp.statistics import steps_to
@@ -31,7 +31,7 @@ ALGORITHMS = {name: [f"algorithm={name}"] for name in ENDS}
 def content(output_dir, experiment="one", **changes):
     results = load(experiment, output_dir=output_dir)
     untracked = find_untracked(results.runs, output_dir, [experiment])
-    return build(results, Question(experiments=[experiment], **changes), untracked)
+    return build_report(results, [experiment], untracked=untracked, **changes)
 
 
 @pytest.fixture(scope="module")
@@ -359,7 +359,7 @@ def test_hundreds_of_cells_are_compared_with_one_and_the_best_are_shown(output_d
 def test_cells_are_chosen_by_label_pattern_and_config(output_dir):
     cells = {f"{s}{n}": [f"buffer=her_{s}", f"buffer.n_sampled_goal={n}"] for s in ("future", "final") for n in (1, 4)}
     made(output_dir, "one", cells, [0])
-    groups, _ = group(load("one", output_dir=output_dir).runs)
+    groups = group(load("one", output_dir=output_dir).runs)
 
     def labels(*asked):
         return {one.label for one in choose(groups, asked)}
@@ -387,7 +387,7 @@ def test_cells_are_chosen_by_label_pattern_and_config(output_dir):
 )
 def test_a_cell_that_there_is_not_is_refused_in_a_sentence(output_dir, asked, words):
     made(output_dir, "one", {"a": ["buffer=her_final"], "b": []}, [0])
-    groups, _ = group(load("one", output_dir=output_dir).runs)
+    groups = group(load("one", output_dir=output_dir).runs)
     with pytest.raises(ConfigError, match=words):
         choose(groups, [asked])
     with pytest.raises(ConfigError):
@@ -396,7 +396,7 @@ def test_a_cell_that_there_is_not_is_refused_in_a_sentence(output_dir, asked, wo
 
 def test_a_baseline_has_to_be_one_cell(output_dir):
     made(output_dir, "one", {"a": ["buffer=her_final"], "b": []}, [0])
-    groups, _ = group(load("one", output_dir=output_dir).runs)
+    groups = group(load("one", output_dir=output_dir).runs)
     with pytest.raises(ConfigError, match=r"baseline=her_\*: 2 cells fit"):
         one_cell(groups, "her_*")
 
@@ -422,7 +422,7 @@ def test_of_two_runs_with_the_same_seed_the_one_that_is_done_counts(output_dir):
     results = load("one", output_dir=output_dir)
     again = results.runs.assign(seed=0)
     again.loc[again["success_rate"] == 0.2, "status"] = "failed"
-    found = build(replace(results, runs=again), Question(experiments=["one"]))
+    found = build_report(replace(results, runs=again), ["one"])
     assert [seed.success for seed in found.cells[0].seeds] == [0.8]
     assert "“sac, her_future”: a run was left out, since another one has the same seed." in found.warnings
 
@@ -526,7 +526,7 @@ def test_an_evaluation_without_a_rate_does_not_count_as_holding(two):
 
 def test_what_a_sync_cannot_send_is_warned_of(two):
     said = ["The store has not got all of 1 run, e.g. x: no space left on device."]
-    found = build(load("one", output_dir=two), Question(["one"]), unsynced=said)
+    found = build_report(load("one", output_dir=two), ["one"], unsynced=said)
     assert said[0] in found.warnings
 
 
@@ -534,7 +534,7 @@ def test_cells_of_other_experiments_with_the_same_name_are_left_out_by_name(outp
     for experiment in ("one", "two"):
         made(output_dir, experiment, ALGORITHMS, [0])
     results = load(["one", "two"], output_dir=output_dir)
-    found = build(results, Question(experiments=["one", "two"], cells=["one"]))
+    found = build_report(results, ["one", "two"], cells=["one"])
     assert [cell.experiment for cell in found.cells] == ["one", "one"]
     assert sorted(found.provenance.left_out) == ["two, sac", "two, td3"]
 
@@ -543,7 +543,7 @@ def test_cells_are_narrowed_by_the_end_of_a_key_by_lists_and_by_other_ways_to_wr
     cells = {"a": ["buffer=her_final", "algorithm.net_arch=[16,16]"], "b": ["buffer=her_final", "algorithm.gamma=0.002"],
              "c": ["algorithm.gamma=0.002"]}  # fmt: skip
     made(output_dir, "one", cells, [0])
-    groups, _ = group(load("one", output_dir=output_dir).runs)
+    groups = group(load("one", output_dir=output_dir).runs)
     assert len(choose(groups, ["gamma=2e-3"])) == 2
     assert len(choose(groups, ["her_final", "gamma=0.002"])) == 1
     assert len(choose(groups, ["algorithm.net_arch=[16,16]"])) == 3
@@ -553,9 +553,9 @@ def test_cells_are_narrowed_by_the_end_of_a_key_by_lists_and_by_other_ways_to_wr
 
 def test_infinite_values_of_a_config_are_words(two):
     results = load("one", output_dir=two)
-    found = build(
+    found = build_report(
         replace(results, runs=results.runs.assign(**{"config.env.x": [math.inf] * 5 + [1.0] * 5})),
-        Question(["one"]),
+        ["one"],
     )
     assert found.provenance.difference["env.x"] == ["inf", 1.0]
 
@@ -565,7 +565,7 @@ def test_runs_that_are_done_here_and_not_in_the_store_are_missing(output_dir):
     results = load("one", output_dir=output_dir)
     gone = results.runs["run_id"] == runs["sac", 1].run_id
     left = results.runs[~gone]
-    found = build(replace(results, runs=left), Question(["one"]), find_untracked(left, output_dir, ["one"]))
+    found = build_report(replace(results, runs=left), ["one"], untracked=find_untracked(left, output_dir, ["one"]))
     assert found.missing == [
         "1 more run is done here, but not in the store; `python scripts/status.py sync=true` sends what is missing."
     ]
@@ -574,7 +574,7 @@ def test_runs_that_are_done_here_and_not_in_the_store_are_missing(output_dir):
 def test_the_same_config_in_two_experiments_is_said_to_be_the_same_runs(output_dir):
     for experiment in ("one", "two"):
         made(output_dir, experiment, {"sac": []}, [0])
-    found = build(load(["one", "two"], output_dir=output_dir), Question(["one", "two"]))
+    found = build_report(load(["one", "two"], output_dir=output_dir), ["one", "two"])
     assert (
         "one and two have the same config: equal seeds are equal runs, and they are not independent." in found.warnings
     )

@@ -7,6 +7,8 @@ from dataclasses import asdict, replace
 from pathlib import Path
 
 import pytest
+from parking_exp.reports.build import Question, build
+from parking_exp.reports.curves import RunEvaluations
 from support.marks import slow_but
 from support.report_command import report
 from support.runs import in_memory, read_text
@@ -14,8 +16,6 @@ from support.store_factory import Look, make_store
 
 from parking_exp.cli.report import report_overrides
 from parking_exp.reports import export, lot_map
-from parking_exp.reports.build import Question, build
-from parking_exp.reports.curves import RunEvaluations
 from parking_exp.reports.sources import ReportSource
 from parking_exp.reports.tuning import with_tuning
 from parking_exp.reports.tuning_data import Tuning

@@ -7,8 +7,8 @@ import pytest
 
 from parking_exp.config.cell_labels import cell_labels, differing, find_factors, setting
 from parking_exp.config.compose import composed_runs
-from parking_exp.reports.factors import design
-from parking_exp.reports.selection import group
+from parking_exp.reports.cell_selection import group
+from parking_exp.reports.factor_effects import design
 from parking_exp.results.dtypes import column, typed
 from parking_exp.sweeps.plan import plan
 from parking_exp.tracking.sync import flatten
@@ -142,7 +142,7 @@ def test_labels_that_are_the_same_get_the_key_of_their_cell():
 def test_plans_and_reports_label_the_same_cells_alike(overrides, expected, tmp_path):
     runs = plan(composed_runs("config", [*overrides, f"output_dir={tmp_path}"]))
     params = [flatten(run.config.plain()) for run in runs]
-    found, _ = group(
+    found = group(
         pd.DataFrame(
             {
                 "experiment": "parking",

@@ -5,10 +5,9 @@ import shutil
 from typing import NamedTuple
 
 import pytest
+from parking_exp.reports.render.page import page
 from support import report_factory
 from support.marks import slow_but
-
-from parking_exp.reports.render.page import page
 
 ARGUMENTS = [
     "--no-sandbox",

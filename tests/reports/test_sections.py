@@ -2,15 +2,15 @@
 
 import csv
 
+from parking_exp.reports.render.files import write_tables
+from parking_exp.reports.render.markdown import markdown
+from parking_exp.reports.render.page import page
+from parking_exp.reports.tables.model import Table, cell_columns, rate, spread
 from support import report_factory
 
 from parking_exp.reports.figures.figure_files import draw
 from parking_exp.reports.figures.figure_style import new_figure
-from parking_exp.reports.render.files import write_tables
-from parking_exp.reports.render.markdown import markdown
-from parking_exp.reports.render.page import page
 from parking_exp.reports.sections import SECTIONS, Figure, Section
-from parking_exp.reports.tables.model import Table, cell_columns, rate, spread
 
 
 def timeouts(report, cells):

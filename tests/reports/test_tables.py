@@ -8,15 +8,15 @@ from typing import NamedTuple
 
 import pandas as pd
 import pytest
+from parking_exp.reports.render.files import write_tables
+from parking_exp.reports.render.markdown import markdown
+from parking_exp.reports.tables.model import Column, Entry, Table
+from parking_exp.reports.tables.writers import latex
 from support import report_factory
 
 from parking_exp.reports import formats
-from parking_exp.reports.render.files import write_tables
-from parking_exp.reports.render.markdown import markdown
 from parking_exp.reports.report_data import Interval, Share
 from parking_exp.reports.sections import provenance_tables, report_tables
-from parking_exp.reports.tables.model import Column, Entry, Table
-from parking_exp.reports.tables.writers import latex
 
 EXAMPLES = [
     report_factory.report,

@@ -4,7 +4,7 @@ import numpy as np
 import pandas as pd
 
 from parking_exp.reports import formats
-from parking_exp.reports.tables.model import Table
+from parking_exp.reports.tables.table import Table
 
 MARKDOWN_ROWS = 100
 """A longer table is cut: `tables/*.csv` hold everything."""
@@ -16,8 +16,8 @@ def markdown(table: Table) -> str:
     """Return a table for GitHub's Markdown under its caption; the first rows of a long one."""
     escape, rows = formats.markdown, table.entries(MARKDOWN_ROWS)
     lines = [
-        [escape(column.title) for column in table.headings],
-        ["---:" if column.numeric else ":---" for column in table.headings],
+        [escape(column.title) for column in table.columns],
+        ["---:" if column.numeric else ":---" for column in table.columns],
         *([escape(entry.text) or "–" for entry in row] for row in rows),  # noqa: RUF001
     ]
     total = max(table.total, len(table.rows))
@@ -31,7 +31,7 @@ def latex(table: Table) -> str:
     cut = f" The first {LATEX_ROWS} of {len(table.rows)} rows." if len(rows) < len(table.rows) else ""
     frame = pd.DataFrame(
         [[formats.latex(entry.text) or "--" for entry in row] for row in rows],
-        columns=[formats.latex(column.title) for column in table.headings],
+        columns=[formats.latex(column.title) for column in table.columns],
     )
     return str(
         frame.style.hide(axis="index").to_latex(
@@ -40,7 +40,7 @@ def latex(table: Table) -> str:
             position_float="centering",
             caption=formats.latex(table.caption + cut),
             label=f"tab:{table.name}",
-            column_format="".join("r" if column.numeric else "l" for column in table.headings),
+            column_format="".join("r" if column.numeric else "l" for column in table.columns),
         )
     )
 
@@ -50,12 +50,7 @@ def csv(table: Table) -> str:
 
     A text that a spreadsheet would run as a formula gets an apostrophe before it; `report.json` has it as it is.
     """
-    columns = {}
-    for key, get in table.csv.items():
-        column = pd.Series([get(row) for row in table.rows])
-        if pd.api.types.is_float_dtype(column):
-            column = column.where(np.isfinite(column))
-        elif not pd.api.types.is_numeric_dtype(column):
-            column = column.map(formats.csv)
-        columns[formats.csv(key)] = column
-    return str(pd.DataFrame(columns).to_csv(index=False, lineterminator="\n", float_format="%.10g"))
+    frame = pd.DataFrame(list(table.rows)).rename(columns=formats.csv).replace([np.inf, -np.inf], np.nan)
+    texts = frame.select_dtypes(exclude="number").columns
+    frame[texts] = frame[texts].map(formats.csv)
+    return str(frame.to_csv(index=False, lineterminator="\n", float_format="%.10g"))

@@ -1,6 +1,6 @@
 """Evaluation curves and final episodes of each run, as arrays: a thousand look-ups in frames are slow."""
 
-from collections.abc import Iterator
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,7 +16,7 @@ class EvaluationCurve:
     Attributes:
         step: env steps.
         success, crash: rates.
-        cpu_s: CPU seconds of the run until then; what the last one says includes how the run ended.
+        cpu_s: CPU seconds of the run until then; the last one includes how the run ended.
         real_share: of the transitions that the buffer sampled.
     """
 
@@ -27,10 +27,7 @@ class EvaluationCurve:
     real_share: np.ndarray
 
     def watched(self, hold: int) -> tuple[float, float]:
-        """Return env step and CPU second of the last evaluation from which `hold` in a row could be seen; 0 without.
-
-        That leaves out the last row, whose CPU seconds include how the run ended.
-        """
+        """Return env step and CPU second of the last evaluation from which `hold` in a row could be seen; 0 without."""
         if len(self.step) < hold:
             return 0.0, 0.0
         return float(self.step[-hold]), float(self.cpu_s[-hold])
@@ -54,23 +51,18 @@ class RunEvaluations:
     @staticmethod
     def of(results: Results) -> "RunEvaluations":
         """Split the frames of some results."""
-        rated = results.curves.loc[results.curves["success_rate"].notna(), "run_id"]
+        rated = results.curves.loc[results.curves["success_rate"].notna(), "run_id"].unique()
         curves = results.curves[results.curves["run_id"].isin(rated)]
-        names = ("step", "success_rate", "crash_rate", "cpu_s", "real_share")
+        columns = [curves[name] for name in ("step", "success_rate", "crash_rate", "cpu_s", "real_share")]
         episodes = results.episodes[results.episodes["phase"] == "final"]
-        outcome = episodes["outcome"].cat.codes
+        ended = [episodes["scene"], episodes["outcome"].cat.codes]
         return RunEvaluations(
-            {
-                run: EvaluationCurve(*parts)
-                for run, parts in _split(curves["run_id"], *(curves[name] for name in names))
-            },
-            {run: FinalEpisodes(*parts) for run, parts in _split(episodes["run_id"], episodes["scene"], outcome)},
+            {run: EvaluationCurve(*arrays) for run, arrays in _by_run(curves["run_id"], columns)},
+            {run: FinalEpisodes(*arrays) for run, arrays in _by_run(episodes["run_id"], ended)},
         )
 
 
-def _split(run_ids: pd.Series, *columns: "pd.Series | np.ndarray") -> Iterator[tuple[str, list[np.ndarray]]]:
-    """Yield each run with its part of the columns; rows of a run stand together."""
-    ids, arrays = run_ids.to_numpy(), [np.asarray(column) for column in columns]
-    starts: list[int] = np.flatnonzero(np.r_[True, ids[1:] != ids[:-1]]).tolist() if len(ids) else []
-    for start, end in zip(starts, [*starts, len(ids)][1:], strict=True):
-        yield str(ids[start]), [array[start:end] for array in arrays]
+def _by_run(run_ids: pd.Series, columns: Iterable[pd.Series]) -> Iterable[tuple[str, list[np.ndarray]]]:
+    arrays = [column.to_numpy() for column in columns]
+    for run, rows in run_ids.groupby(run_ids, sort=False, observed=True).indices.items():
+        yield str(run), [array[rows] for array in arrays]

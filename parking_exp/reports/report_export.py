@@ -8,19 +8,23 @@ from typing import Any
 from pydantic import BaseModel, TypeAdapter, ValidationError
 
 from parking_exp.errors import ResultsError
-from parking_exp.reports.curves import RunEvaluations
 from parking_exp.reports.lot_map import sampled_rows
 from parking_exp.reports.report_data import ReportData
+from parking_exp.reports.run_evaluations import RunEvaluations
 from parking_exp.reports.sources import ReportSource
 from parking_exp.reports.tuning_data import Tuning
 from parking_exp.results.export import REPORT, read_export, without_paths, write_export
 from parking_exp.results.frames import Results
 from parking_exp.runs.state import RunState
 
-IN_TABLES = ("seeds", "curve", "slots", "failures", "paths")
-"""Entries of a `Cell` that are left out of report.json: they are computed from the tables again."""
-ARRAYS = ("time", "reached", "low", "high", "censored")
-"""Entries of a `Survival` that are, too."""
+IN_FRAMES = {
+    "cells": ("seeds", "curve", "slots", "failures", "paths"),
+    "survival": ("time", "reached", "low", "high", "censored"),
+    "pairs": ("note",),
+    "unfinished": ("run_dir",),
+}
+"""What report.json leaves out of each cell, survival curve, pair and unfinished run: the frames have it, or a warning,
+or it is a place on the machine."""
 DIGITS = 6
 
 
@@ -42,33 +46,35 @@ class _ReportEntries(BaseModel):
     untracked: list[_Untracked]
 
 
-def write(material: ReportSource, report: ReportData, folder: Path, command: str, *, only_cells: bool) -> None:
+def write_report_export(
+    source: ReportSource, report: ReportData, folder: Path, command: str, *, only_cells: bool
+) -> None:
     """Write the export of a report.
 
     Args:
-        material: what the report was made of.
+        source: what the report was made of.
         report: what it says.
         folder: see `results.export.write_export`.
         command: how to make the report from the export.
         only_cells: whether it has the runs of the report's cells alone, and not all of the experiments.
     """
-    results = _of_cells(material.results, report) if only_cells else material.results
+    results = _of_cells(source.results, report) if only_cells else source.results
     final = RunEvaluations.of(results).final
-    trajectories, problems = {}, list(material.unsynced)
+    trajectories, problems = {}, list(source.unsynced)
     for cell in report.shown_cells:
         rows, unread = sampled_rows([(seed.seed, seed.run_id) for seed in cell.seeds], results, final)
         trajectories.update(rows)
         problems += unread
-    untracked = [] if only_cells else material.untracked
+    untracked = [] if only_cells else source.untracked
     about = {
-        "experiments": list(material.experiments),
+        "experiments": list(source.experiments),
         "untracked": [{name: getattr(state, name) for name in _Untracked.model_fields} for state in untracked],
         "report": {**_summary(report), "command": command},
     }
     write_export(results, folder, trajectories, _plain(about), problems)
 
 
-def read(folder: str) -> ReportSource:
+def read_report_export(folder: str) -> ReportSource:
     """Return what the export of a report has.
 
     Raises:
@@ -77,43 +83,33 @@ def read(folder: str) -> ReportSource:
     results = read_export(folder)
     try:
         described = _ReportEntries.model_validate(results.about)
-        tuning = results.about["report"].get("tuning")
-        search = None if tuning is None else TypeAdapter(Tuning).validate_python(tuning)
+        tuning = TypeAdapter(Tuning | None).validate_python(results.about["report"].get("tuning"))
     except (ValidationError, KeyError, AttributeError) as error:
         raise ResultsError(f"{Path(folder) / REPORT} can't be read: it is no description of a report") from error
-    untracked = [RunState(run_dir="", step=0, total_timesteps=None, **one.model_dump()) for one in described.untracked]
-    return ReportSource(results, described.experiments, untracked, tuning=search)
+    untracked = [RunState(run_dir="", step=0, total_timesteps=None, **run.model_dump()) for run in described.untracked]
+    return ReportSource(results, described.experiments, untracked, tuning=tuning)
 
 
 def _of_cells(results: Results, report: ReportData) -> Results:
     """Return the results of the report's cells alone."""
     cells = {(cell.experiment, cell.name) for cell in report.cells}
-    runs = results.runs
-    kept = [pair in cells for pair in zip(runs["experiment"], runs["cell"], strict=True)]
-    ids = set(runs.loc[kept, "run_id"])
-    return replace(
-        results,
-        runs=runs[kept].reset_index(drop=True),
-        curves=results.curves[results.curves["run_id"].isin(ids)],
-        episodes=results.episodes[results.episodes["run_id"].isin(ids)],
-    )
+    kept = [pair in cells for pair in zip(results.runs["experiment"], results.runs["cell"], strict=True)]
+    runs = results.runs[kept].reset_index(drop=True)
+    curves, episodes = (frame[frame["run_id"].isin(runs["run_id"])] for frame in (results.curves, results.episodes))
+    return replace(results, runs=runs, curves=curves, episodes=episodes)
 
 
 def _summary(report: ReportData) -> dict[str, Any]:
-    """Return what a report says, without what the tables of its export have, and without when and where it was made."""
-    found = report.plain()
-    for cell in found["cells"]:
-        for name in IN_TABLES:
-            del cell[name]
-        for survival in filter(None, (cell["survival"], cell["survival_cpu"])):
-            for name in ARRAYS:
-                del survival[name]
-    for pair in found["pairs"]:
-        del pair["note"]  # the warnings have it
-    for run in found["provenance"]["unfinished"]:
-        del run["run_dir"]
-    del found["made"], found["provenance"]["uri"], found["provenance"]["common"]
-    return found
+    """Return what a report says, without what the frames of its export have, and without when and where it was made."""
+    summary = report.plain()
+    clocks = [cell[name] for cell in summary["cells"] for name in ("survival", "survival_cpu") if cell[name]]
+    items = {"survival": clocks, "unfinished": summary["provenance"]["unfinished"], **summary}
+    for kind, names in IN_FRAMES.items():
+        for item in items[kind]:
+            for name in names:
+                del item[name]
+    del summary["made"], summary["provenance"]["uri"], summary["provenance"]["common"]
+    return summary
 
 
 def _plain(value: Any) -> Any:
