@@ -19,9 +19,9 @@ from parking_exp.reports.figures.study_figures import (
 )
 from parking_exp.reports.methods import methods
 from parking_exp.reports.report_data import ReportData
-from parking_exp.reports.tables import report_tables, trial_tables
+from parking_exp.reports.search_report import retest_table, search_text, trial_table
+from parking_exp.reports.tables import report_tables
 from parking_exp.reports.tables.table import Table
-from parking_exp.reports.tuning_findings import retest_text, search_text
 
 if TYPE_CHECKING:
     from parking_exp.reports.figures.figure_files import Picture
@@ -107,8 +107,7 @@ SECTIONS = (
     Section(
         "retest",
         "The best on fresh seeds",
-        text=retest_text,
-        tables=[trial_tables.retest],
+        tables=[retest_table],
     ),
     Section(
         "tuning",
@@ -121,7 +120,7 @@ SECTIONS = (
             Figure("slices_{}", "Value against each parameter", draw_slices),
             Figure("trial_coordinates", "Trials across their parameters", draw_trial_coordinates),
         ],
-        tables=[trial_tables.trials],
+        tables=[trial_table],
     ),
     Section(
         "results",

@@ -17,8 +17,8 @@ from support.store_factory import Look, make_store
 from parking_exp.cli.report import report_overrides
 from parking_exp.reports import export, lot_map
 from parking_exp.reports.sources import ReportSource
-from parking_exp.reports.tuning import with_tuning
-from parking_exp.reports.tuning_data import Tuning
+from parking_exp.reports.search_report import with_tuning
+from parking_exp.reports.search_report import Tuning
 from parking_exp.reports.untracked import find_untracked
 from parking_exp.results import load, read_export
 from parking_exp.runs.files import write_json

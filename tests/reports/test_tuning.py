@@ -26,8 +26,8 @@ from parking_exp.reports.render.files import write_tables
 from parking_exp.reports.render.markdown import markdown
 from parking_exp.reports.render.page import page
 from parking_exp.reports.sections import SECTIONS
-from parking_exp.reports.tuning import tuning_of, with_search
-from parking_exp.reports.tuning_data import Tuning
+from parking_exp.reports.search_report import tuning_of, with_search
+from parking_exp.reports.search_report import Tuning
 from parking_exp.reports.tuning_findings import claims, retest_text, search_text
 from parking_exp.reports.untracked import find_untracked
 from parking_exp.results.frames import load
