@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 from pydantic import ValidationError
 
 from parking_exp.config.schema import NAME
-from parking_exp.errors import ParkingError, plural
+from parking_exp.errors import ParkingError, ResultsError, plural
 from parking_exp.reports import formats
 from parking_exp.reports.report_data import Interval, ReportData
 from parking_exp.reports.tables.table import (
@@ -76,7 +76,7 @@ def with_search(report: ReportData, output_dir: Path, storage: str | None = None
     try:
         stored = study_in(folder, storage)
         return with_tuning(report, tuning_of(folder, stored)) if stored else report
-    except (ParkingError, ValidationError) as error:
+    except ParkingError as error:
         warning = f"The search of {folder.name} is left out: {str(error).splitlines()[0].rstrip('.')}."
         return replace(report, warnings=[*report.warnings, warning])
 
@@ -100,8 +100,12 @@ def tuning_of(folder: Path, stored: "StoredSearch") -> Tuning:
     """Return the search in an experiment's folder as reports show it.
 
     Raises:
-        ValidationError: the file of the retrained trials is damaged.
+        ResultsError: the file of the retrained trials is damaged.
     """
+    try:
+        retested = read_retest(folder)
+    except ValidationError as error:
+        raise ResultsError(f"{folder.name}/retest.json can't be read") from error
     search = stored.search
     distributions: dict[str, Any] = {}
     for trial in stored.study.get_trials(deepcopy=False):
@@ -115,7 +119,7 @@ def tuning_of(folder: Path, stored: "StoredSearch") -> Tuning:
         n_seeds=len(search.tuning_seeds),
         parameters={name: _described(distribution) for name, distribution in distributions.items()},
         trials=stored.trials,
-        retested=read_retest(folder),
+        retested=retested,
     )
 
 

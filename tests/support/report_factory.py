@@ -13,7 +13,6 @@ from parking_exp.reports.report_data import (
     Curve,
     Factor,
     FailedRun,
-    Importance,
     Interaction,
     Interval,
     Level,
@@ -23,11 +22,10 @@ from parking_exp.reports.report_data import (
     Provenance,
     ReportData,
     Seed,
-    Share,
     SlotRate,
     Survival,
 )
-from parking_exp.statistics import wilson_interval
+from parking_exp.statistics import ParameterImportance, Proportion, wilson_interval
 
 BUDGET = 40_000
 STEPS = range(2_000, BUDGET + 1, 2_000)
@@ -83,7 +81,7 @@ def with_failed_cell():
         made.cells[2],
         counts={"done": 0, "running": 0, "failed": 10, "pending": 0},
         **dict.fromkeys(("success", "crash", "timeout", "parked", "episode_steps", "cpu_s", "area"), nothing),
-        reaching_90=Share(0, 0, None, None),
+        reaching_90=Proportion(0, 0, None, None),
         seeds=(),
         curve=None,
         survival=None,
@@ -164,10 +162,10 @@ def search(n_cells=30):
         Factor("buffer", "buffer", ["her_final", "her_future"], numeric=False),
     ]
     importance = [
-        Importance("algorithm.learning_rate", 0.71, 0.001, -0.42),
-        Importance("algorithm.gamma", 0.06, 0.3, 0.12),
-        Importance("algorithm.batch_size", 0.02, 0.71, 0.08),
-        Importance("buffer", 0.01, 0.9, None),
+        ParameterImportance("algorithm.learning_rate", 0.71, 0.001, -0.42),
+        ParameterImportance("algorithm.gamma", 0.06, 0.3, 0.12),
+        ParameterImportance("algorithm.batch_size", 0.02, 0.71, 0.08),
+        ParameterImportance("buffer", 0.01, 0.9, None),
     ]
     made = _report(cells, factors, "search", baseline="c0")
     return replace(made, importance=importance, exploratory=True)
@@ -450,7 +448,7 @@ def _mean(values):
 
 
 def _share(k, n):
-    return Share(k, n, *wilson_interval(k, n)) if n else Share(0, 0, None, None)
+    return Proportion(k, n, *wilson_interval(k, n)) if n else Proportion(0, 0, None, None)
 
 
 def _short(value):
