@@ -306,7 +306,7 @@ def _row(cells: list[str]) -> str:
 
 def _draw(name: str, report: ReportData) -> None:
     """Draw the figures of a table; the files have the digest of the export that they were drawn from."""
-    from parking_exp.reports.figures.export import draw
+    from parking_exp.reports.figures.figure_files import draw
     from parking_exp.reports.sections import SECTIONS
 
     pictures = _pictures(name)

@@ -14,7 +14,7 @@ from parking_exp.envs.outcomes import Outcome
 from parking_exp.statistics import ParameterImportance, Proportion
 
 if TYPE_CHECKING:
-    from parking_exp.reports.tuning_data import Tuning
+    from parking_exp.reports.search_report import Tuning
 
 Verdict = Literal["a", "b", "same", "unknown"]
 Design = Literal["single", "list", "factorial", "search"]

@@ -11,8 +11,8 @@ from parking_exp.errors import ResultsError
 from parking_exp.reports.lot_map import sampled_rows
 from parking_exp.reports.report_data import ReportData
 from parking_exp.reports.run_evaluations import RunEvaluations
+from parking_exp.reports.search_report import Tuning
 from parking_exp.reports.sources import ReportSource
-from parking_exp.reports.tuning_data import Tuning
 from parking_exp.results.export import REPORT, read_export, without_paths, write_export
 from parking_exp.results.frames import Results
 from parking_exp.runs.state import RunState

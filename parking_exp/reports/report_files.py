@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from parking_exp.reports.figures.export import draw
-from parking_exp.reports.figures.style import cell_style
+from parking_exp.reports.figures.figure_files import draw
+from parking_exp.reports.figures.figure_style import cell_style
 from parking_exp.reports.render.html_page import page
 from parking_exp.reports.render.markdown_report import markdown
 from parking_exp.reports.report_data import ReportData

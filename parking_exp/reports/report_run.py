@@ -65,7 +65,7 @@ def _source(request: ReportRequest, show: Callable[[str], None]) -> "ReportSourc
 
 def _content(request: ReportRequest, source: "ReportSource") -> "ReportData":
     from parking_exp.reports.report_builder import build_report
-    from parking_exp.reports.tuning import with_search, with_tuning
+    from parking_exp.reports.search_report import with_search, with_tuning
 
     data = build_report(
         source.results,

@@ -4,19 +4,27 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from parking_exp.reports.figures import cells, factors, lot, pairs, search, studies
-from parking_exp.reports.figures.canvas import Canvas
+from parking_exp.reports.figures.cell_figures import draw_final_success, draw_learning_curves, draw_time_to_90
+from parking_exp.reports.figures.factor_figures import draw_importance, draw_interactions, draw_main_effects
+from parking_exp.reports.figures.figure_style import Drawing
+from parking_exp.reports.figures.lot_figures import draw_scene_map, draw_trajectories
+from parking_exp.reports.figures.pair_figures import draw_pairs
+from parking_exp.reports.figures.study_figures import (
+    draw_cell_coordinates,
+    draw_history,
+    draw_parameter_importance,
+    draw_pareto_front,
+    draw_slices,
+    draw_trial_coordinates,
+)
 from parking_exp.reports.methods import methods
 from parking_exp.reports.report_data import ReportData
-from parking_exp.reports.tables import report_tables, trial_tables
+from parking_exp.reports.search_report import retest_table, search_text, trial_table
+from parking_exp.reports.tables import report_tables
 from parking_exp.reports.tables.table import Table
-from parking_exp.reports.tuning_findings import retest_text, search_text
 
 if TYPE_CHECKING:
-    from parking_exp.reports.figures.export import Picture
-
-Drawn = tuple[Canvas, str]
-"""A figure and its caption."""
+    from parking_exp.reports.figures.figure_files import Picture
 
 
 @dataclass(frozen=True)
@@ -26,12 +34,12 @@ class Figure:
     Attributes:
         name: stem of its files; `{}` in it becomes the number of each, where `draw` gives several.
         title: a few words.
-        draw: data -> the figure and its caption, a list of them, or None without data for it.
+        draw: data -> figures and their captions, none without data.
     """
 
     name: str
     title: str
-    draw: Callable[[ReportData], Drawn | Sequence[Drawn] | None]
+    draw: Callable[[ReportData], Iterable[Drawing]]
 
 
 @dataclass(frozen=True)
@@ -99,73 +107,72 @@ SECTIONS = (
     Section(
         "retest",
         "The best on fresh seeds",
-        text=retest_text,
-        tables=[trial_tables.retest],
+        tables=[retest_table],
     ),
     Section(
         "tuning",
         "The search",
         text=search_text,
         figures=[
-            Figure("optimisation_history", "Optimisation history", studies.history),
-            Figure("pareto_front", "Pareto front", studies.pareto_front),
-            Figure("parameter_importance", "Importance of parameters", studies.importance),
-            Figure("slices_{}", "Value against each parameter", studies.slices),
-            Figure("trial_coordinates", "Trials across their parameters", studies.trial_coordinates),
+            Figure("optimisation_history", "Optimisation history", draw_history),
+            Figure("pareto_front", "Pareto front", draw_pareto_front),
+            Figure("parameter_importance", "Importance of parameters", draw_parameter_importance),
+            Figure("slices_{}", "Value against each parameter", draw_slices),
+            Figure("trial_coordinates", "Trials across their parameters", draw_trial_coordinates),
         ],
-        tables=[trial_tables.trials],
+        tables=[trial_table],
     ),
     Section(
         "results",
         "Which is better",
-        figures=[Figure("final_success", "Final success, every seed", cells.final_success)],
+        figures=[Figure("final_success", "Final success, every seed", draw_final_success)],
         tables=[report_tables.headline],
     ),
     Section(
         "curves",
         "Learning curves",
-        figures=[Figure("learning_curves", "Learning curves", cells.learning_curves)],
+        figures=[Figure("learning_curves", "Learning curves", draw_learning_curves)],
         tables=[report_tables.curves],
     ),
     Section(
         "time",
         "Time to 90 %",
-        figures=[Figure("time_to_90", "Time to 90 %", cells.time_to_90)],
+        figures=[Figure("time_to_90", "Time to 90 %", draw_time_to_90)],
         tables=[report_tables.times, report_tables.survival],
     ),
     Section(
         "pairs",
         "Pair by pair",
         text=lambda report: [report.family] if report.pairs else [],
-        figures=[Figure("pairwise", "Differences between cells", pairs.pairwise)],
+        figures=[Figure("pairwise", "Differences between cells", draw_pairs)],
         tables=[report_tables.pairs],
     ),
     Section(
         "factors",
         "What each factor does",
         figures=[
-            Figure("main_effects", "Main effects", factors.main_effects),
-            Figure("interaction_{}", "Interaction", factors.interactions),
+            Figure("main_effects", "Main effects", draw_main_effects),
+            Figure("interaction_{}", "Interaction", draw_interactions),
         ],
         tables=[report_tables.effects, report_tables.interactions],
     ),
     Section(
         "scenes",
         "Where episodes fail",
-        figures=[Figure("scene_map", "Where on the lot episodes fail", lot.scene_map)],
+        figures=[Figure("scene_map", "Where on the lot episodes fail", draw_scene_map)],
         tables=[report_tables.slots],
     ),
     Section(
         "trajectories",
         "Seen from above",
-        figures=[Figure("trajectories", "Sampled episodes from above", lot.trajectories)],
+        figures=[Figure("trajectories", "Sampled episodes from above", draw_trajectories)],
     ),
     Section(
         "search",
         "Hyperparameters",
         figures=[
-            Figure("parallel_coordinates", "What was tried", studies.cell_coordinates),
-            Figure("importance", "Which hyperparameters matter", search.importance),
+            Figure("parallel_coordinates", "What was tried", draw_cell_coordinates),
+            Figure("importance", "Which hyperparameters matter", draw_importance),
         ],
         tables=[report_tables.importance],
     ),

@@ -10,7 +10,7 @@ from parking_exp.runs.state import RunState
 
 if TYPE_CHECKING:
     from parking_exp.reports.report_request import ReportRequest
-    from parking_exp.reports.tuning_data import Tuning
+    from parking_exp.reports.search_report import Tuning
     from parking_exp.results.frames import Results
 
 

@@ -17,9 +17,8 @@ from parking_exp.reports import lot_map
 from parking_exp.reports.report_builder import build_report
 from parking_exp.reports.report_export import read_report_export, write_report_export
 from parking_exp.reports.run_evaluations import RunEvaluations
+from parking_exp.reports.search_report import Tuning, with_tuning
 from parking_exp.reports.sources import ReportSource
-from parking_exp.reports.tuning import with_tuning
-from parking_exp.reports.tuning_data import Tuning
 from parking_exp.reports.untracked import find_untracked
 from parking_exp.results import load, read_export
 from parking_exp.runs.files import write_json

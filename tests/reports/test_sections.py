@@ -4,8 +4,8 @@ import csv
 
 from support import report_factory
 
-from parking_exp.reports.figures.canvas import Canvas
-from parking_exp.reports.figures.export import draw
+from parking_exp.reports.figures.figure_files import draw
+from parking_exp.reports.figures.figure_style import new_figure
 from parking_exp.reports.render.html_page import page
 from parking_exp.reports.render.markdown_report import markdown
 from parking_exp.reports.report_files import write_tables
@@ -22,10 +22,9 @@ def timeouts(report):
 
 def timeout_bars(report):
     """Draw a bar for each cell."""
-    canvas = Canvas(3.3, 1.5)
-    axes = canvas.axes(0.5, 0.4, 2.6, 1.0)
-    axes.bar(range(len(report.cells)), [100 * cell.timeout.value for cell in report.cells])
-    return canvas, "Timeouts of each cell, in % of the episodes."
+    figure = new_figure(1.5)
+    figure.subplots().bar(range(len(report.cells)), [100 * cell.timeout.value for cell in report.cells])
+    yield figure, "Timeouts of each cell, in % of the episodes."
 
 
 SLOW = Section(

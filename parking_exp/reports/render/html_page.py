@@ -2,7 +2,6 @@
 
 import base64
 import hashlib
-import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -18,7 +17,7 @@ from parking_exp.reports.sections import SectionContent
 from parking_exp.reports.tables.table import Table
 
 if TYPE_CHECKING:
-    from parking_exp.reports.figures.style import CellStyle
+    from parking_exp.reports.figures.figure_style import CellStyle
 
 TEMPLATES = Path(__file__).parent / "templates"
 MAX_ROWS = 3000
@@ -43,7 +42,7 @@ def page(
 
     Args:
         report: whose summary to say; everything in it is escaped.
-        contents: of its sections; the SVG of pictures goes in as it is.
+        contents: of its sections; pictures are embedded as images, in which nothing is executed.
         styles: of the cells in the figures, by id; drawn beside their names.
     """
     environment = Environment(
@@ -53,7 +52,7 @@ def page(
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.filters |= {"number": formats.number, "width": _width}
+    environment.filters |= {"number": formats.number, "base64": lambda data: base64.b64encode(data).decode()}
     style, script = (TEMPLATES.joinpath(name).read_text(encoding="utf-8") for name in ("page.css", "page.js"))
     stages: Counter[str] = Counter()
     for cell in report.cells:
@@ -82,9 +81,3 @@ def _shortened(table: Table, shown: Sequence[str]) -> tuple[Table, str]:
         return table, ""
     note = f" Only the cells that the figures show: the whole table is in tables/{table.stem}.csv."
     return table.only(shown), note
-
-
-def _width(svg: str) -> int:
-    """Return the width below which a picture's letters are too small: that of its points on a screen [px]."""
-    match = re.search(r'viewBox="\S+ \S+ ([\d.]+)', svg)
-    return round(float(match[1]) * 96 / 72) if match else 0
