@@ -30,7 +30,7 @@ from parking_exp.reports.selection import Group, choose, group, one_cell, relabe
 from parking_exp.reports.summaries import real_share, shared_horizons, summarise
 from parking_exp.reports.untracked import with_untracked
 from parking_exp.results.frames import Results
-from parking_exp.runs.state import RunState
+from parking_exp.runs.run_state import RunState
 
 MOST_PROBLEMS = 5
 SHOWN_WHOLE, SHOWN = 16, 12  # cells in pictures: all of up to 16, else the 12 best

@@ -13,9 +13,9 @@ from parking_exp.reports.lot_map import sampled_rows
 from parking_exp.reports.report_data import ReportData
 from parking_exp.reports.sources import ReportSource
 from parking_exp.reports.tuning_data import Tuning
-from parking_exp.results.export import REPORT, read_export, without_paths, write_export
+from parking_exp.results.frame_export import REPORT, read_export, without_paths, write_export
 from parking_exp.results.frames import Results
-from parking_exp.runs.state import RunState
+from parking_exp.runs.run_state import RunState
 
 IN_TABLES = ("seeds", "curve", "slots", "failures", "paths")
 """Entries of a `Cell` that are left out of report.json: they are computed from the tables again."""
@@ -48,7 +48,7 @@ def write(material: ReportSource, report: ReportData, folder: Path, command: str
     Args:
         material: what the report was made of.
         report: what it says.
-        folder: see `results.export.write_export`.
+        folder: see `write_export`.
         command: how to make the report from the export.
         only_cells: whether it has the runs of the report's cells alone, and not all of the experiments.
     """

@@ -31,7 +31,7 @@ from parking_exp.reports.tuning_data import Tuning
 from parking_exp.reports.tuning_findings import claims, retest_text, search_text
 from parking_exp.reports.untracked import find_untracked
 from parking_exp.results.frames import load
-from parking_exp.runs.files import write_json
+from parking_exp.runs.atomic_files import write_json
 from parking_exp.statistics import mean_interval
 from parking_exp.tuning.study import storage_of
 from parking_exp.tuning.trials import rows

@@ -12,7 +12,7 @@ from parking_exp.reports.render.page import page
 from parking_exp.reports.report_data import ReportData
 from parking_exp.reports.sections import SECTIONS, Section, report_tables
 from parking_exp.reports.tables.writers import csv, latex
-from parking_exp.runs.files import write_atomically
+from parking_exp.runs.atomic_files import write_atomically
 
 PARTS = ("figures", "tables")
 MADE = ".made-"  # what a report has put into a folder: only that is its to delete
