@@ -28,9 +28,7 @@ from parking_exp.reports.report_data import (
 )
 from parking_exp.reports.selection import Group, choose, group, one_cell, relabelled
 from parking_exp.reports.summaries import real_share, shared_horizons, summarise
-from parking_exp.reports.untracked import with_untracked
 from parking_exp.results.frames import Results
-from parking_exp.runs.run_state import RunState
 
 MOST_PROBLEMS = 5
 SHOWN_WHOLE, SHOWN = 16, 12  # cells in pictures: all of up to 16, else the 12 best
@@ -55,23 +53,19 @@ class Question:
     command: str = ""
 
 
-def build(
-    results: Results, question: Question, untracked: Sequence[RunState] = (), unsynced: Sequence[str] = ()
-) -> ReportData:
+def build(results: Results, question: Question, unsynced: Sequence[str] = ()) -> ReportData:
     """Return everything that a report says.
 
     Args:
         results: of the experiments.
         question: which of them.
-        untracked: runs in the output directory that the store does not have, see `untracked.find_untracked`.
         unsynced: a sentence for each thing that kept the store from being brought up to date.
 
     Raises:
         ConfigError: a cell or baseline that there is not.
         RunNotFoundError: none of the runs is done, and `quick` is not asked for.
     """
-    runs, others = with_untracked(results.runs, untracked)
-    chosen = _choose(runs, question)
+    chosen = _choose(results.runs, question)
     groups, factors, baseline = chosen.groups, chosen.factors, chosen.baseline
     evaluations = RunEvaluations.of(results)
     horizons = shared_horizons(groups, evaluations)
@@ -81,9 +75,7 @@ def build(
     kind = design(factors, [one.settings for one in groups])
     parts = _factor_parts(kind, cells, groups, factors, evaluations)
     family = compare_pairs(cells, baseline)
-    if question.cells:
-        others = []
-    origin = provenance(groups, chosen.left_out, results.uri, others)
+    origin = provenance(groups, chosen.left_out, results.uri)
     return ReportData(
         title=" and ".join(question.experiments),
         experiments=list(question.experiments),
@@ -108,7 +100,7 @@ def build(
         ),
         warnings=_warnings(groups, cells, origin, family, [*unsynced, *results.problems, *problems]),
         missing=warnings.together(
-            warnings.missing(cells, others), warnings.without_runs(question.experiments, results.runs["experiment"])
+            warnings.missing(cells), warnings.without_runs(question.experiments, results.runs["experiment"])
         ),
         provenance=origin,
         notes=_notes(results, chosen, cells, shown, crossed=bool(parts.effects)),

@@ -1,7 +1,7 @@
 """Exports of reports: a folder of small files that the whole report can be made from again, without the store."""
 
-from collections.abc import Mapping
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -11,11 +11,9 @@ from parking_exp.errors import ResultsError
 from parking_exp.reports.curves import RunEvaluations
 from parking_exp.reports.lot_map import sampled_rows
 from parking_exp.reports.report_data import ReportData
-from parking_exp.reports.sources import ReportSource
 from parking_exp.reports.tuning_data import Tuning
 from parking_exp.results.frame_export import REPORT, read_export, without_paths, write_export
 from parking_exp.results.frames import Results
-from parking_exp.runs.run_state import RunState
 
 IN_TABLES = ("seeds", "curve", "slots", "failures", "paths")
 """Entries of a `Cell` that are left out of report.json: they are computed from the tables again."""
@@ -24,22 +22,27 @@ ARRAYS = ("time", "reached", "low", "high", "censored")
 DIGITS = 6
 
 
-class _Untracked(BaseModel):
-    """A run that the store did not have."""
+@dataclass(frozen=True)
+class ReportSource:
+    """What a report is made of.
 
-    experiment: str
-    cell: str
-    label: str
-    seed: int
-    stage: str
-    reason: str | None
+    Attributes:
+        results: of its experiments.
+        experiments: their names.
+        unsynced: a sentence for each thing that kept the store from being brought up to date.
+        tuning: the search that an export has.
+    """
+
+    results: Results
+    experiments: list[str]
+    unsynced: Sequence[str] = ()
+    tuning: Tuning | None = None
 
 
 class _ReportEntries(BaseModel):
     """What `report.json` has to have for a report."""
 
     experiments: list[str]
-    untracked: list[_Untracked]
 
 
 def write(material: ReportSource, report: ReportData, folder: Path, command: str, *, only_cells: bool) -> None:
@@ -59,10 +62,8 @@ def write(material: ReportSource, report: ReportData, folder: Path, command: str
         rows, unread = sampled_rows([(seed.seed, seed.run_id) for seed in cell.seeds], results, final)
         trajectories.update(rows)
         problems += unread
-    untracked = [] if only_cells else material.untracked
     about = {
         "experiments": list(material.experiments),
-        "untracked": [{name: getattr(state, name) for name in _Untracked.model_fields} for state in untracked],
         "report": {**_summary(report), "command": command},
     }
     write_export(results, folder, trajectories, _plain(about), problems)
@@ -81,8 +82,7 @@ def read(folder: str) -> ReportSource:
         search = None if tuning is None else TypeAdapter(Tuning).validate_python(tuning)
     except (ValidationError, KeyError, AttributeError) as error:
         raise ResultsError(f"{Path(folder) / REPORT} can't be read: it is no description of a report") from error
-    untracked = [RunState(run_dir="", step=0, total_timesteps=None, **one.model_dump()) for one in described.untracked]
-    return ReportSource(results, described.experiments, untracked, tuning=search)
+    return ReportSource(results, described.experiments, tuning=search)
 
 
 def _of_cells(results: Results, report: ReportData) -> Results:

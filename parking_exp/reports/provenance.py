@@ -8,17 +8,16 @@ import pandas as pd
 from parking_exp.config.cell_labels import can_matter, differing
 from parking_exp.reports.report_data import FailedRun, Provenance
 from parking_exp.reports.selection import Group
-from parking_exp.reports.untracked import REASONS
 
 VERSION = "version."
 SHORT_COMMIT = 10
+REASONS = {"running": "under way", "interrupted": "interrupted or not begun; rerun the sweep"}
 
 
 def provenance(
     groups: Sequence[Group],
     left_out: Sequence[str],
     uri: str,
-    untracked: Sequence[FailedRun],
 ) -> Provenance:
     """Return what exactly was run.
 
@@ -26,7 +25,6 @@ def provenance(
         groups: the cells of the report.
         left_out: labels of the other cells of the experiments.
         uri: of the store, without passwords.
-        untracked: runs of other cells that the store does not have.
     """
     runs = pd.concat([group.runs for group in groups])
     versions = {
@@ -44,7 +42,7 @@ def provenance(
         machines=_counts(runs["cpu"]),
         difference=difference,
         common={key: value for key, value in common.items() if can_matter(key)},
-        unfinished=[*(run for group in groups for run in _unfinished(group)), *untracked],
+        unfinished=[run for group in groups for run in _unfinished(group)],
         uri=uri,
         left_out=list(left_out),
         first=started.min().isoformat(timespec="seconds") if len(started) else None,

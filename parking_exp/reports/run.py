@@ -12,16 +12,18 @@ from omegaconf import DictConfig
 from pydantic import Field
 
 from parking_exp.config.compose import composed
-from parking_exp.config.paths import directory_path, refuse_links
+from parking_exp.config.paths import default_uri, directory_path, refuse_links
 from parking_exp.config.schema import ConfigModel, StoreConfig
 from parking_exp.config.validate import parse
 from parking_exp.errors import ConfigError, did_you_mean, plural
+from parking_exp.runs.directory import RunDirectory
+from parking_exp.runs.lookup import find_runs
 from parking_exp.terminal import say
 from parking_exp.tuning.schema import Storage
 
 if TYPE_CHECKING:
+    from parking_exp.reports.export import ReportSource
     from parking_exp.reports.report_data import ReportData
-    from parking_exp.reports.sources import ReportSource
 
 Format = Literal["svg", "pdf", "png"]
 ALIKE = 0.8  # from how similar on a word is a misspelt key
@@ -148,14 +150,35 @@ def report(config: DictConfig) -> Path:
 
 
 def _material(request: ReportRequest, show: Callable[[str], None]) -> "ReportSource":
-    if request.source is None:
-        from parking_exp.reports.sources import from_store
-
-        return from_store(request, show)
     from parking_exp.reports import export
 
+    if request.source is None:
+        return _from_store(request, show)
     show("reading the export")
     return export.read(request.source)
+
+
+def _from_store(request: ReportRequest, show: Callable[[str], None]) -> "ReportSource":
+    """Return what the store has of the experiments that are asked for, after it got what it lacks.
+
+    Raises:
+        ConfigError: it has several, and none is named.
+        ResultsError: it can't be read, or has none of them.
+    """
+    from parking_exp.reports.export import ReportSource
+    from parking_exp.results.frames import load
+    from parking_exp.tracking.mirror import mirror_problem
+
+    show("sending to the store what it lacks")
+    names = request.experiments or [""]
+    directories = [RunDirectory(path) for name in names for path in find_runs(request.output_path, name or None)]
+    problem = mirror_problem(directories, request.tracking.uri or default_uri(request.output_path))
+    show("reading the store")
+    results = load(request.experiments, uri=request.tracking.uri, output_dir=request.output_path)
+    having = list(dict.fromkeys(results.runs["experiment"]))
+    if request.experiments is None and len(having) > 1:
+        raise ConfigError(f"experiment: the store has several; name one or more of {', '.join(having)}")
+    return ReportSource(results, request.experiments or having, [f"{problem}."] if problem else [])
 
 
 @contextmanager
@@ -187,7 +210,7 @@ def _build(request: ReportRequest, material: "ReportSource") -> "ReportData":
         quick=request.report.quick,
         command=_command(request, material.experiments),
     )
-    data = build(material.results, question, material.untracked, material.unsynced)
+    data = build(material.results, question, material.unsynced)
     if request.source is None:
         return with_search(data, request.output_path, request.storage)
     return with_tuning(data, material.tuning) if material.tuning else data

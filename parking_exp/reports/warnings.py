@@ -5,7 +5,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 
 from parking_exp.errors import plural, quoted_label
 from parking_exp.reports.formats import setting
-from parking_exp.reports.report_data import Cell, FailedRun, Pair, Provenance
+from parking_exp.reports.report_data import Cell, Pair, Provenance
 from parking_exp.reports.selection import Group
 
 ENOUGH_SEEDS = 10
@@ -55,18 +55,11 @@ def narrow_pairs(cells: Sequence[Cell], pairs: Sequence[Pair]) -> Iterator[str]:
     yield from _grouped(found)
 
 
-def missing(cells: Sequence[Cell], unheard: Sequence[FailedRun]) -> Iterator[str]:
-    """Yield which runs have no result. Those that a search has pruned are over, and do not count.
-
-    Args:
-        cells: of the report.
-        unheard: runs that the store has not heard of.
-    """
+def missing(cells: Sequence[Cell]) -> Iterator[str]:
+    """Yield which runs have no result. Those that a search has pruned are over, and do not count."""
     total: Counter[str] = Counter()
     for cell in cells:
         total.update(cell.counts)
-    lost = sum(run.status == "done" for run in unheard)
-    total.update(run.status for run in unheard if run.status != "done")
     waiting = {"running": "under way", "failed": "failed", "pending": "cut off or not begun"}
     found = [f"{total[stage]} {words}" for stage, words in waiting.items() if total[stage]]
     if found:
@@ -75,9 +68,6 @@ def missing(cells: Sequence[Cell], unheard: Sequence[FailedRun]) -> Iterator[str
         yield f"{total['done']} of {plural(everything, 'run')} {are} done: {', '.join(found)}."
     if empty := [cell.label for cell in cells if not cell.counts["done"]]:
         yield f"No run is done of {named(empty)}."
-    if lost:
-        some = f"{plural(lost, 'more run')} {'is' if lost == 1 else 'are'} done here"
-        yield f"{some}, but not in the store; `python scripts/status.py sync=true` sends what is missing."
 
 
 def same_runs(groups: Sequence[Group]) -> Iterator[str]:

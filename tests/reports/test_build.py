@@ -5,7 +5,6 @@ import re
 import shutil
 import sqlite3
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -19,19 +18,17 @@ from parking_exp.errors import ConfigError, RunNotFoundError
 from parking_exp.reports.build import Question, build
 from parking_exp.reports.curves import RunEvaluations
 from parking_exp.reports.selection import choose, group, one_cell
-from parking_exp.reports.untracked import find_untracked
 from parking_exp.results.frames import load
 from parking_exp.statistics import steps_to
 
 ENDS = {"sac": [0.8, 1.0, 0.8, 1.0, 1.0], "td3": [0.4, 0.2, 0.4, 0.6, 0.4]}
-made = partial(make_store, bulk=True)
+made = make_store
 ALGORITHMS = {name: [f"algorithm={name}"] for name in ENDS}
 
 
 def content(output_dir, experiment="one", **changes):
     results = load(experiment, output_dir=output_dir)
-    untracked = find_untracked(results.runs, output_dir, [experiment])
-    return build(results, Question(experiments=[experiment], **changes), untracked)
+    return build(results, Question(experiments=[experiment], **changes))
 
 
 @pytest.fixture(scope="module")
@@ -272,10 +269,13 @@ def test_where_nothing_is_done_quick_still_shows_what_there_is(output_dir):
 
 def test_runs_that_are_planned_here_and_not_begun_are_missing(output_dir):
     from parking_exp.runs.directory import RunDirectory
+    from parking_exp.tracking.mirror import mirror_problem
 
     runs = make_store(output_dir, "one", {"sac": []}, [0])
     config = runs["sac", 0].config().model_copy(update={"seed": 7})
-    RunDirectory(config.run_dir).freeze(config, "sac", None)
+    directory = RunDirectory(config.run_dir)
+    directory.freeze(config, "sac", None)
+    assert mirror_problem([directory], directory.tracking_uri) is None
     assert content(output_dir).missing == ["1 of 2 runs are done: 1 cut off or not begun."]
 
 
@@ -558,17 +558,6 @@ def test_infinite_values_of_a_config_are_words(two):
         Question(["one"]),
     )
     assert found.provenance.difference["env.x"] == ["inf", 1.0]
-
-
-def test_runs_that_are_done_here_and_not_in_the_store_are_missing(output_dir):
-    runs = make_store(output_dir, "one", {"sac": []}, range(2))
-    results = load("one", output_dir=output_dir)
-    gone = results.runs["run_id"] == runs["sac", 1].run_id
-    left = results.runs[~gone]
-    found = build(replace(results, runs=left), Question(["one"]), find_untracked(left, output_dir, ["one"]))
-    assert found.missing == [
-        "1 more run is done here, but not in the store; `python scripts/status.py sync=true` sends what is missing."
-    ]
 
 
 def test_the_same_config_in_two_experiments_is_said_to_be_the_same_runs(output_dir):

@@ -29,7 +29,6 @@ from parking_exp.reports.sections import SECTIONS
 from parking_exp.reports.tuning import tuning_of, with_search
 from parking_exp.reports.tuning_data import Tuning
 from parking_exp.reports.tuning_findings import claims, retest_text, search_text
-from parking_exp.reports.untracked import find_untracked
 from parking_exp.results.frames import load
 from parking_exp.runs.atomic_files import write_json
 from parking_exp.statistics import mean_interval
@@ -327,12 +326,10 @@ def test_pruned_runs_are_neither_missing_nor_unfinished_and_cells_of_them_alone_
         return Look(success=0.8)
 
     cells = {name: [f"algorithm={name}"] for name in ("sac", "td3", "ddpg")}
-    make_store(output_dir, "one", cells, range(2), look, bulk=True)
-    make_store(
-        output_dir, "one", {"far": compose("algorithm.gamma=0.5")}, [0], lambda *_: Look(status="pruned"), bulk=True
-    )
+    make_store(output_dir, "one", cells, range(2), look)
+    make_store(output_dir, "one", {"far": compose("algorithm.gamma=0.5")}, [0], lambda *_: Look(status="pruned"))
     results = load("one", output_dir=output_dir)
-    found = build(results, Question(experiments=["one"]), find_untracked(results.runs, output_dir, ["one"]))
+    found = build(results, Question(experiments=["one"]))
     assert {cell.label: cell.counts for cell in found.cells} == {
         "sac": {"done": 2, "running": 0, "failed": 0, "pending": 0},
         "ddpg": {"done": 1, "running": 0, "failed": 0, "pending": 0, "pruned": 1},
@@ -344,9 +341,7 @@ def test_pruned_runs_are_neither_missing_nor_unfinished_and_cells_of_them_alone_
 
 def test_runs_that_are_missing_are_counted_without_the_pruned_ones(output_dir):
     states = ("done", "pruned", "failed")
-    make_store(
-        output_dir, "one", {"sac": []}, range(3), lambda _, seed: Look(status=states[seed], error="no way"), bulk=True
-    )
+    make_store(output_dir, "one", {"sac": []}, range(3), lambda _, seed: Look(status=states[seed], error="no way"))
     results = load("one", output_dir=output_dir)
     found = build(results, Question(experiments=["one"]))
     assert found.missing == ["1 of 2 runs are done: 1 failed."]
