@@ -54,8 +54,12 @@ def main_effects(cells: Sequence[Cell], factors: Sequence[Factor]) -> list[MainE
 def _main_effect(key: str, frame: pd.DataFrame, keys: Sequence[str], effects: statistics.MainEffects) -> MainEffect:
     means = [level for level in effects.levels if level.factor == key]
     levels = [
-        Level(one.level, Interval.of(one.mean, one.low, one.high, one.seeds, one.method, bounds=(0, 1)), one.cells)
-        for one in means
+        Level(
+            mean.level,
+            Interval.of(mean.mean, mean.low, mean.high, mean.seeds, mean.method, bounds=(0, 1)),
+            mean.cells,
+        )
+        for mean in means
     ]
     if len(means) < 2:  # no run of the other levels is done yet
         return MainEffect(key, levels, effects.complete)
@@ -95,7 +99,7 @@ def importance(cells: Sequence[Cell], factors: Sequence[Factor]) -> list[statist
         return []
     frame = pd.DataFrame(rows)
     usable = [factor.key for factor in factors if not (factor.numeric and frame[factor.key].isna().any())]
-    return sorted(statistics.importance(frame, usable, RESPONSE), key=lambda one: -one.share)
+    return sorted(statistics.importance(frame, usable, RESPONSE), key=lambda importance: -importance.share)
 
 
 def _interaction(
@@ -106,8 +110,8 @@ def _interaction(
         return None
     table = statistics.interaction(frame, row.key, column.key, RESPONSE)
     entries: dict[tuple[Setting, Setting], Sequence[float | int | None]] = {
-        (one.row, one.column): (finite(one.mean), finite(one.low), finite(one.high), one.n, finite(one.residual))
-        for one in table.cells
+        (cell.row, cell.column): (finite(cell.mean), finite(cell.low), finite(cell.high), cell.n, finite(cell.residual))
+        for cell in table.cells
     }
     rows, columns = list(table.rows), list(table.columns)
     for control in cells:

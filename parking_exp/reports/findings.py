@@ -65,12 +65,13 @@ def about_factors(
 
 def _importance(importance: Sequence[ParameterImportance], names: Mapping[str, str]) -> Iterator[str]:
     """Yield which hyperparameters matter; p is corrected (Bonferroni) for how many were looked at."""
-    shown = [one for one in importance if one.p * len(importance) < SIGNIFICANT]
-    for one in shown:
-        way = "" if not one.direction else ", larger is better" if one.direction > 0 else ", smaller is better"
+    shown = [parameter for parameter in importance if parameter.p * len(importance) < SIGNIFICANT]
+    for parameter in shown:
+        direction = parameter.direction
+        way = "" if not direction else ", larger is better" if direction > 0 else ", smaller is better"
         yield (
-            f"{names[one.factor]} alone explains {100 * one.share:.0f} % of the variance of success between cells "
-            f"({p_value(one.p)}{way})."
+            f"{names[parameter.factor]} alone explains {100 * parameter.share:.0f} % of the variance of success "
+            f"between cells ({p_value(parameter.p)}{way})."
         )
     if not shown:
         yield "No hyperparameter can be shown to matter by itself."

@@ -106,9 +106,9 @@ def _summary(report: ReportData) -> dict[str, Any]:
 def _plain(value: Any) -> Any:
     """Return what JSON has, numbers rounded to 6 significant digits and absolute paths cut to their last part."""
     if isinstance(value, Mapping):
-        return {str(key): _plain(one) for key, one in value.items()}
+        return {str(key): _plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
-        return [_plain(one) for one in value]
+        return [_plain(item) for item in value]
     if isinstance(value, float):
         return float(f"{value:.{DIGITS}g}")
     return without_paths(value) if isinstance(value, str) else value

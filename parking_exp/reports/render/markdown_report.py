@@ -13,12 +13,12 @@ escape = formats.markdown
 
 def badges(report: ReportData) -> list[tuple[str, str]]:
     """Return what qualifies the whole report: a word, and why."""
-    found = [
+    candidates = [
         (report.quick, "preliminary", "made while runs may still have been under way"),
         (report.exploratory, "exploratory", "fewer than 10 seeds in some cell"),
         (report.warnings, plural(len(report.warnings), "warning"), "about what makes numbers hard to compare"),
     ]
-    return [(name, reason) for applies, name, reason in found if applies]
+    return [(name, reason) for applies, name, reason in candidates if applies]
 
 
 def markdown(report: ReportData, contents: Sequence[SectionContent], ending: str | None) -> str:

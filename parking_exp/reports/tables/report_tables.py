@@ -242,7 +242,7 @@ def importance(report: ReportData) -> Iterator[Table]:
 
     yield Table(
         "importance",
-        [record(one) for one in report.importance],
+        [record(parameter) for parameter in report.importance],
         [
             column("Hyperparameter", "factor", words, numeric=False),
             Column("Variance explained alone (%)", share),
