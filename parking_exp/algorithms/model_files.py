@@ -26,7 +26,7 @@ from stable_baselines3.common.vec_env import VecEnv
 
 from parking_exp.algorithms.fast.base import FastTraining
 from parking_exp.errors import DamagedModelError, ModelError
-from parking_exp.runs.files import replacing
+from parking_exp.runs.atomic_files import replacing
 
 VARIABLES = "pytorch_variables"
 # Entries of the pickled part that a HER buffer wants an env for: without them `SAC.load(path)` is enough.

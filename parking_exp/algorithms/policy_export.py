@@ -24,7 +24,7 @@ from parking_exp.algorithms.model_files import class_path
 from parking_exp.algorithms.policy_files import load_policy, save_policy
 from parking_exp.envs.interface import Observation, Policy
 from parking_exp.errors import ModelError
-from parking_exp.runs.files import replacing
+from parking_exp.runs.atomic_files import replacing
 
 TOLERANCE = 1e-4  # between a file's actions and the model's; torch's own differ by 6e-6 between two batch sizes
 OPSET = 17  # of ONNX: what onnxruntime reads since 1.13

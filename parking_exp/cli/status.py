@@ -19,7 +19,7 @@ from parking_exp.config.validate import parse
 from parking_exp.errors import ConfigError, ParkingError, RunNotFoundError, UnsyncedError, plural, suggestion
 from parking_exp.runs.directory import RunDirectory
 from parking_exp.runs.lookup import find_runs
-from parking_exp.runs.state import RunState, as_plain, labelled, read_state
+from parking_exp.runs.run_state import RunState, as_plain, labelled, read_state
 from parking_exp.runs.state_tables import cell_table, damaged_lines, failure_lines, running_lines, stopped_lines
 from parking_exp.terminal import console, say
 from parking_exp.tracking.sync_all import sync_all

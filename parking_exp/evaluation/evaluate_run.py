@@ -27,8 +27,8 @@ from parking_exp.config.schema import (
 from parking_exp.config.validate import parse
 from parking_exp.errors import ConfigError, plural
 from parking_exp.evaluation.agents import Agent, ModelName, find_agent, is_pretrained
+from parking_exp.runs.atomic_files import write_json
 from parking_exp.runs.directory import RunDirectory
-from parking_exp.runs.files import write_json
 from parking_exp.terminal import Screen, say
 
 EPISODES = 100
@@ -184,7 +184,7 @@ def _store(request: EvaluationRequest, directory: RunDirectory, output_dir: Path
             f"tracking.uri={tracked_in} sends the results there"
         )
         return
-    from parking_exp.tracking.sync import try_sync
+    from parking_exp.tracking.mirror import try_sync
     from parking_exp.tracking.tracker import later
 
     if problem := try_sync(directory, uri):

@@ -16,7 +16,7 @@ from parking_exp.envs.highway import make_env
 from parking_exp.envs.interface import Policy
 from parking_exp.envs.outcomes import outcome
 from parking_exp.evaluation.evaluate import rollout
-from parking_exp.runs.files import replacing
+from parking_exp.runs.atomic_files import replacing
 
 HOLD_S = 1.0  # how long the end of an episode stays in sight
 MOST_S = 20.0  # of an episode: a timeout lasts 100 s, and is mostly a car that stands

@@ -17,7 +17,7 @@ from parking_exp.reports.run_evaluations import RunEvaluations
 from parking_exp.reports.run_origin import provenance
 from parking_exp.reports.untracked import with_untracked
 from parking_exp.results.frames import Results
-from parking_exp.runs.state import RunState
+from parking_exp.runs.run_state import RunState
 
 MOST_PROBLEMS = 5
 SHOWN_WHOLE, SHOWN = 16, 12  # cells in figures: all of up to 16, else the 12 best

@@ -13,9 +13,9 @@ from parking_exp.reports.report_data import ReportData
 from parking_exp.reports.run_evaluations import RunEvaluations
 from parking_exp.reports.search_report import Tuning
 from parking_exp.reports.sources import ReportSource
-from parking_exp.results.export import REPORT, read_export, without_paths, write_export
+from parking_exp.results.frame_export import REPORT, read_export, without_paths, write_export
 from parking_exp.results.frames import Results
-from parking_exp.runs.state import RunState
+from parking_exp.runs.run_state import RunState
 
 IN_FRAMES = {
     "cells": ("seeds", "curve", "slots", "failures", "paths"),
@@ -54,7 +54,7 @@ def write_report_export(
     Args:
         source: what the report was made of.
         report: what it says.
-        folder: see `results.export.write_export`.
+        folder: see `write_export`.
         command: how to make the report from the export.
         only_cells: whether it has the runs of the report's cells alone, and not all of the experiments.
     """

@@ -13,7 +13,7 @@ from parking_exp.reports.render.markdown_report import markdown
 from parking_exp.reports.report_data import ReportData
 from parking_exp.reports.sections import SectionContent, section_contents
 from parking_exp.reports.tables.table_writers import csv, latex
-from parking_exp.runs.files import write_atomically
+from parking_exp.runs.atomic_files import write_atomically
 
 
 def write_report(report: ReportData, folder: Path, formats: Sequence[str]) -> None:

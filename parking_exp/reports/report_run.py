@@ -31,7 +31,7 @@ def report(config: DictConfig) -> Path:
     request = validate_report(config)
     exported = directory_path(request.export) if request.export else None
     if exported:
-        from parking_exp.results.export import refuse_foreign
+        from parking_exp.results.frame_export import refuse_foreign
 
         refuse_foreign(exported)
     with console(stderr=True).status("") as progress:

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from parking_exp.config.paths import absolute, database, default_uri, is_same_store
 from parking_exp.errors import ConfigError, ResultsError, plural
-from parking_exp.runs.state import RunState
+from parking_exp.runs.run_state import RunState
 
 if TYPE_CHECKING:
     from parking_exp.reports.report_request import ReportRequest
@@ -60,7 +60,7 @@ def _sync(request: "ReportRequest") -> list[str]:
     """
     from parking_exp.reports.untracked import run_paths
     from parking_exp.runs.directory import RunDirectory
-    from parking_exp.tracking.sync import recorded_in_step
+    from parking_exp.tracking.mirror import recorded_in_step
     from parking_exp.tracking.sync_all import sync_all
     from parking_exp.tracking.tracker import later
 
@@ -93,7 +93,7 @@ def _load(request: "ReportRequest") -> "Results":
     """
     from parking_exp.reports.untracked import run_paths
     from parking_exp.results.frames import load
-    from parking_exp.runs.state import read_state
+    from parking_exp.runs.run_state import read_state
     from parking_exp.runs.state_tables import name
 
     try:

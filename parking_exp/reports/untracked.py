@@ -12,7 +12,7 @@ import pandas as pd
 from parking_exp.config.schema import NAME
 from parking_exp.reports.report_data import FailedRun
 from parking_exp.runs.lookup import find_runs
-from parking_exp.runs.state import RunState, read_state
+from parking_exp.runs.run_state import RunState, read_state
 
 REASONS = {
     "running": "under way",

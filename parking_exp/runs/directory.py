@@ -23,9 +23,9 @@ from parking_exp.config.credentials import strip_password
 from parking_exp.config.paths import absolute, directory_path, refuse_links, relative
 from parking_exp.config.schema import RunConfig
 from parking_exp.errors import OutputDirectoryError, RunLockedError
-from parking_exp.runs.files import read_object, write_json
+from parking_exp.runs.atomic_files import read_object, write_json
 from parking_exp.runs.locks import hold, is_held
-from parking_exp.runs.provenance import typed_command
+from parking_exp.runs.run_provenance import typed_command
 from parking_exp.runs.status_schema import Status, StatusEntries, read_entries
 from parking_exp.runs.stored_config import CONFIG_FILE, OUTPUT_DIR, read_config, write_config
 

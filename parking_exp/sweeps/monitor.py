@@ -16,7 +16,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 
 from parking_exp.runs.directory import STATUS_FILE
-from parking_exp.runs.state import RunState, counts, read_state
+from parking_exp.runs.run_state import RunState, counts, read_state
 from parking_exp.runs.state_tables import duration, name, under_way
 from parking_exp.terminal import console as make_console
 

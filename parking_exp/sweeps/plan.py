@@ -18,7 +18,7 @@ from parking_exp.errors import ConfigError, plural
 from parking_exp.resources import cores
 from parking_exp.runs.directory import RunDirectory
 from parking_exp.runs.lookup import find_runs
-from parking_exp.runs.state import RunState, by_cell, counts, read_state
+from parking_exp.runs.run_state import RunState, by_cell, counts, read_state
 from parking_exp.runs.state_tables import cell_table, damaged_lines, duration
 from parking_exp.sweeps.hydra_launcher import Launch
 

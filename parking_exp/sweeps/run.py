@@ -13,7 +13,7 @@ from pathlib import Path
 from parking_exp.config.paths import store_uri
 from parking_exp.errors import FailedRunError, OutputDirectoryError, plural
 from parking_exp.runs.directory import RunDirectory
-from parking_exp.runs.state import RunState, Stage, counts, read_state
+from parking_exp.runs.run_state import RunState, Stage, counts, read_state
 from parking_exp.runs.state_tables import cell_table, failure_lines, stopped_lines
 from parking_exp.sweeps.hydra_launcher import Launch
 from parking_exp.sweeps.monitor import Monitor

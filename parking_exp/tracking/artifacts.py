@@ -4,8 +4,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from parking_exp.runs.atomic_files import fingerprint, read_object
 from parking_exp.runs.directory import RunDirectory
-from parking_exp.runs.files import fingerprint, read_object
 from parking_exp.tracking.store import Store
 
 if TYPE_CHECKING:

@@ -6,8 +6,8 @@ from parking_exp.config.paths import absolute, database, is_same_store
 from parking_exp.errors import plural
 from parking_exp.runs.directory import RunDirectory
 from parking_exp.tracking.failures import is_store_failure, reason
+from parking_exp.tracking.mirror import present_status, recorded_in_step, try_sync
 from parking_exp.tracking.store import Store
-from parking_exp.tracking.sync import present_status, recorded_in_step, try_sync
 from parking_exp.tracking.tracker import later
 
 

@@ -7,10 +7,10 @@ from pathlib import Path
 
 from parking_exp.config.paths import default_uri, store_uri
 from parking_exp.config.schema import RunConfig
+from parking_exp.runs.atomic_files import write_json
 from parking_exp.runs.directory import RunDirectory
-from parking_exp.runs.files import write_json
-from parking_exp.runs.provenance import PROVENANCE_FILE, provenance, read_provenance
-from parking_exp.tracking.sync import try_sync
+from parking_exp.runs.run_provenance import PROVENANCE_FILE, provenance, read_provenance
+from parking_exp.tracking.mirror import try_sync
 
 # Between attempts at a store that fails: so that no more than a twentieth of a training's time goes there.
 SHORTEST_PAUSE_S, PAUSE_TO_ATTEMPT = 30.0, 20.0

@@ -24,7 +24,7 @@ from parking_exp.algorithms.model_files import check_saved, load_weights
 from parking_exp.algorithms.policy_average import PolicyAverage
 from parking_exp.buffers import HerBuffer
 from parking_exp.errors import DamagedFileError, DamagedModelError, ModelError
-from parking_exp.runs.files import fsync, read_json, sha256, write_json
+from parking_exp.runs.atomic_files import fsync, read_json, sha256, write_json
 from parking_exp.runs.metric_logs import copy_logs
 from parking_exp.training import rollout_state, serialization
 

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 from rich.console import Console, Group, RenderableType
 
 from parking_exp.errors import ParkingError
-from parking_exp.runs.state import read_state
+from parking_exp.runs.run_state import read_state
 from parking_exp.runs.state_tables import name, under_way
 from parking_exp.sweeps.monitor import LiveView
 from parking_exp.tuning.search import Search

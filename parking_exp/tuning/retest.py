@@ -19,8 +19,8 @@ from parking_exp.config.run_key import result_part
 from parking_exp.config.schema import RunConfig
 from parking_exp.config.validate import validate
 from parking_exp.errors import FailedRunError, plural
+from parking_exp.runs.atomic_files import read_object, write_atomically, write_json
 from parking_exp.runs.directory import RunDirectory
-from parking_exp.runs.files import read_object, write_atomically, write_json
 from parking_exp.statistics.intervals import mean_interval
 from parking_exp.sweeps.hydra_launcher import Launch
 from parking_exp.sweeps.plan import plan

@@ -12,7 +12,7 @@ from parking_exp.config.schema import RunConfig
 from parking_exp.errors import ConfigError, OutputDirectoryError, ParkingError, StoreError
 from parking_exp.runs.directory import RunDirectory
 from parking_exp.runs.metric_logs import read_metrics
-from parking_exp.runs.state import read_state
+from parking_exp.runs.run_state import read_state
 from parking_exp.sweeps.local import Train
 from parking_exp.sweeps.supervisor import Stop, WorkerResult, stop_of_job, supervise
 from parking_exp.terminal import say

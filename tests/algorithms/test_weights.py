@@ -17,7 +17,7 @@ from parking_exp.algorithms.model_files import load_weights, read_weights, save_
 from parking_exp.cli.command import fail
 from parking_exp.envs.training_envs import make_training_envs
 from parking_exp.errors import DamagedModelError, ModelError
-from parking_exp.runs.files import replacing
+from parking_exp.runs.atomic_files import replacing
 from parking_exp.training import checkpoints
 from parking_exp.training.checkpoints import Progress
 

@@ -21,7 +21,7 @@ from parking_exp.reports.search_report import Tuning, with_tuning
 from parking_exp.reports.sources import ReportSource
 from parking_exp.reports.untracked import find_untracked
 from parking_exp.results import load, read_export
-from parking_exp.runs.files import write_json
+from parking_exp.runs.atomic_files import write_json
 from parking_exp.tuning.trials import TrialRow
 
 CELLS = {

@@ -28,7 +28,7 @@ from parking_exp.reports.search_report import Tuning, search_text, tuning_of, wi
 from parking_exp.reports.sections import SECTIONS, section_contents
 from parking_exp.reports.untracked import find_untracked
 from parking_exp.results.frames import load
-from parking_exp.runs.files import write_json
+from parking_exp.runs.atomic_files import write_json
 from parking_exp.statistics import mean_interval
 from parking_exp.tuning.search import StoredSearch
 from parking_exp.tuning.study import storage_of

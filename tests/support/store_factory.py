@@ -29,12 +29,12 @@ from parking_exp.config.schema import RunConfig
 from parking_exp.envs.geometry import SLOT_POSITIONS
 from parking_exp.evaluation.evaluate import summarise
 from parking_exp.evaluation.metrics import EPISODE_COLUMNS
+from parking_exp.runs.atomic_files import sha256, write_json
 from parking_exp.runs.directory import RunDirectory, RunResult
-from parking_exp.runs.files import sha256, write_json
 from parking_exp.runs.metric_logs import append_episodes, copy_logs
-from parking_exp.runs.provenance import provenance
+from parking_exp.runs.run_provenance import provenance
+from parking_exp.tracking.mirror import LONGEST_PARAM, MLFLOW_STATUS, SYNCED_FILE, flatten, sync
 from parking_exp.tracking.store import Store
-from parking_exp.tracking.sync import LONGEST_PARAM, MLFLOW_STATUS, SYNCED_FILE, flatten, sync
 
 STARTED_MS = 1_700_000_000_000
 WALL_S = 600.0

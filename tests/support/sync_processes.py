@@ -11,16 +11,16 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 from parking_exp.config.paths import default_uri
+from parking_exp.runs.atomic_files import sha256, write_json
 from parking_exp.runs.directory import RunDirectory
-from parking_exp.runs.files import sha256, write_json
 from parking_exp.runs.lookup import find_runs
 from parking_exp.runs.metric_logs import MetricsLog, copy_logs
 from parking_exp.tracking.client import ENVIRONMENT
-from parking_exp.tracking.sync import sync as sync_to
+from parking_exp.tracking.mirror import sync as sync_to
 from parking_exp.tracking.sync_all import sync_all
 
 KEYS = ("eval/success_rate", "rollout/ep_rew_mean", "train/loss")
-WATCHED = ("parking_exp/tracking/client.py", "parking_exp/tracking/store.py", "parking_exp/tracking/sync.py", "parking_exp/tracking/artifacts.py", "parking_exp/runs/files.py",
+WATCHED = ("parking_exp/tracking/client.py", "parking_exp/tracking/store.py", "parking_exp/tracking/mirror.py", "parking_exp/tracking/artifacts.py", "parking_exp/runs/atomic_files.py",
            "parking_exp/runs/directory.py", "mlflow/tracking/client.py", "mlflow/store/tracking/sqlalchemy_store.py",
            "mlflow/store/artifact/local_artifact_repo.py")  # fmt: skip
 

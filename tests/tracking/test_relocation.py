@@ -18,11 +18,11 @@ from parking_exp.config.paths import absolute, default_uri, directory_path, is_s
 from parking_exp.errors import ConfigError, ParkingError, StoreError, UntrustedError
 from parking_exp.evaluation.evaluate_run import evaluate_run
 from parking_exp.results.frames import load
+from parking_exp.runs.atomic_files import read_json, write_json
 from parking_exp.runs.directory import RunDirectory, RunResult
-from parking_exp.runs.files import read_json, write_json
 from parking_exp.runs.lookup import find_runs
+from parking_exp.tracking.mirror import sync
 from parking_exp.tracking.reader import Reader
-from parking_exp.tracking.sync import sync
 from parking_exp.tracking.sync_all import sync_all
 from parking_exp.training.run import train
 

@@ -25,7 +25,7 @@ from parking_exp.envs.highway import make_env
 from parking_exp.errors import FailedRunError, InterruptedRunError
 from parking_exp.evaluation.evaluate import evaluate
 from parking_exp.evaluation.video import record
-from parking_exp.runs.files import read_json
+from parking_exp.runs.atomic_files import read_json
 from parking_exp.training import checkpoints, finish, loop, rollout_state, serialization
 from parking_exp.training.callbacks import RolloutCallback
 from parking_exp.training.loop import TrainingLoop

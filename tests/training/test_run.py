@@ -49,9 +49,9 @@ from parking_exp.errors import (
 from parking_exp.evaluation.evaluate import evaluate
 from parking_exp.evaluation.evaluate_run import evaluate_run
 from parking_exp.evaluation.metrics import EPISODE_COLUMNS
+from parking_exp.runs.atomic_files import read_json, sha256
 from parking_exp.runs.directory import RunDirectory
-from parking_exp.runs.files import read_json, sha256
-from parking_exp.tracking.sync import flatten
+from parking_exp.tracking.mirror import flatten
 from parking_exp.training import checkpoints, loop
 from parking_exp.training.finish import certified_scenes
 from parking_exp.training.run import train

@@ -14,8 +14,8 @@ from support.runs import ROOT, run_script, script, store
 from support.searches import QUICK
 from support.sweep_processes import FAILING, statuses, wait_until, workers
 
-from parking_exp.runs.files import read_json
-from parking_exp.runs.state import read_state
+from parking_exp.runs.atomic_files import read_json
+from parking_exp.runs.run_state import read_state
 from parking_exp.tuning.search import Search, study_in
 from parking_exp.tuning.trials import rows
 

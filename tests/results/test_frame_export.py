@@ -16,7 +16,7 @@ from support.store_factory import Look, compose, make_store
 
 from parking_exp.errors import ConfigError, ResultsError
 from parking_exp.results import load, read_export, write_export
-from parking_exp.results.export import FILES, LOCAL_COLUMNS, without_paths
+from parking_exp.results.frame_export import FILES, LOCAL_COLUMNS, without_paths
 
 HER = {"four": ["buffer.n_sampled_goal=4"], "none": ["buffer=replay"]}
 HOSTILE = 'a,b "c"\nd\re <script>'

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from parking_exp import __version__
 from parking_exp.config.credentials import strip_password
-from parking_exp.runs.files import read_object
+from parking_exp.runs.atomic_files import read_object
 
 PROVENANCE_FILE = "provenance.json"
 TAGS = {"git_commit", "git_dirty", "cpu"}  # and version.PACKAGE

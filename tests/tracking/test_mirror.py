@@ -28,16 +28,16 @@ from support.runs import (
 from support.sync_processes import KEYS, grow, sync
 
 from parking_exp.config.paths import default_uri
+from parking_exp.runs.atomic_files import write_json
 from parking_exp.runs.directory import RunDirectory, RunResult
-from parking_exp.runs.files import write_json
 from parking_exp.runs.lookup import find_runs
 from parking_exp.runs.metric_logs import restore_logs
-from parking_exp.runs.provenance import provenance
+from parking_exp.runs.run_provenance import provenance
 from parking_exp.tracking import artifacts as sent_files
-from parking_exp.tracking import sync as syncing
+from parking_exp.tracking import mirror as syncing
 from parking_exp.tracking.client import connect
 from parking_exp.tracking.failures import is_store_failure, reason
-from parking_exp.tracking.sync import flatten, try_sync
+from parking_exp.tracking.mirror import flatten, try_sync
 from parking_exp.tracking.sync_all import in_step as in_step_with
 from parking_exp.tracking.sync_all import known_statuses, sync_all
 from parking_exp.tracking.tracker import open_tracker
@@ -326,7 +326,7 @@ def test_an_error_of_ours_is_not_called_the_stores_and_stops_nothing(output_dir,
     path = directory.path / "sync_traceback.txt"
     assert problem.startswith("an error of parking_exp: ")
     assert problem.endswith(f"; its traceback is in {path}; please report it")
-    assert "tracking/sync.py" in path.read_text()
+    assert "tracking/mirror.py" in path.read_text()
     assert path.read_text().startswith("Traceback (most recent call last)")
     assert len(said) == 1
     monkeypatch.undo()

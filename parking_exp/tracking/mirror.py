@@ -24,10 +24,10 @@ from filelock import FileLock
 from parking_exp.config.cell_labels import settings_of
 from parking_exp.config.paths import absolute, database, relative, relative_path
 from parking_exp.config.schema import RunConfig
+from parking_exp.runs.atomic_files import fingerprint, read_object, write_json
 from parking_exp.runs.directory import RunDirectory, Status
-from parking_exp.runs.files import fingerprint, read_object, write_json
 from parking_exp.runs.metric_logs import has_whole_logs, read_metrics
-from parking_exp.runs.provenance import PROVENANCE_FILE, read_provenance
+from parking_exp.runs.run_provenance import PROVENANCE_FILE, read_provenance
 from parking_exp.tracking import artifacts
 from parking_exp.tracking.failures import is_store_failure, reason
 from parking_exp.tracking.store import Store

@@ -24,7 +24,7 @@ from parking_exp.evaluation.metrics import DTYPES
 from parking_exp.results.dtypes import TEXT, column, flags, typed
 from parking_exp.results.frames import CONFIGURED, COST, CURVE_COLUMNS, FINAL, RUN_COLUMNS, STATUSES, Results
 from parking_exp.results.recordings import EPISODES, NULLABLE, TRAJECTORIES
-from parking_exp.runs.files import replacing, write_atomically
+from parking_exp.runs.atomic_files import replacing, write_atomically
 
 REPORT = "report.json"
 FILES = ("runs.csv.gz", "curves.csv.gz", "outcomes.csv.gz", "trajectories.csv.gz", REPORT)

@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any, Literal
 
 from parking_exp.config.cell_labels import label_cells, settings_of
+from parking_exp.runs.atomic_files import fingerprint, read_plain_yaml
 from parking_exp.runs.directory import HEARTBEAT_FILE, STATUS_FILE, RunDirectory
-from parking_exp.runs.files import fingerprint, read_plain_yaml
 from parking_exp.runs.status_schema import HeartbeatEntries, StatusEntries, read_entries
 from parking_exp.runs.stored_config import CONFIG_FILE
 
