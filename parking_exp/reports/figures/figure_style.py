@@ -1,5 +1,6 @@
 """The style of figures: matplotlib's settings, the look of each cell, and labels that fit and can be drawn."""
 
+import textwrap
 import unicodedata
 from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager
@@ -21,7 +22,6 @@ Drawing = tuple[Figure, str]
 WIDTH_IN = 6.8  # of every figure: both columns of a paper
 SMALL_PT, TINY_PT = 7.0, 6.0
 INK, GRID = "#1c1e21", "#d5d8dc"
-LABEL_LENGTH = 44  # characters of a cell's label beside its row; leaves more than half of the width to the axes
 
 # Okabe and Ito's palette without black and yellow, and two of Paul Tol's `muted`.
 _COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#882255", "#999933")
@@ -110,18 +110,23 @@ def elided(text: str, length: int) -> str:
     return f"{text[: length // 2]}…{text[len(text) - (length - 1) // 2 :]}"
 
 
-def cell_labels(cells: Sequence[Cell], length: int = LABEL_LENGTH) -> list[str]:
-    """Return a label of at most `length` characters for each cell; ambiguous ones end in the cell's id."""
+def cell_labels(cells: Sequence[Cell], width: int, lines: int = 1) -> list[str]:
+    """Return a label for each cell, wrapped into lines of `width` characters; ambiguous ones end in the cell's id.
+
+    Longer ones than some `lines` of that width are shortened.
+    """
+    length = width * lines
     texts = [elided(cell.label, length) for cell in cells]
-    return [
+    unique = [
         text if text and texts.count(text) == 1 else f"{elided(cell.label, length - len(cell.id) - 3)} ({cell.id})"
         for cell, text in zip(cells, texts, strict=True)
     ]
+    return [textwrap.fill(text, width) if lines > 1 else text for text in unique]
 
 
 def row_axes(texts: Sequence[str]) -> tuple[Figure, Axes]:
     """Return a figure with a labelled row for each text, the first one at the top."""
-    figure = new_figure(0.6 + 0.24 * len(texts))
+    figure = new_figure(0.6 + len(texts) * (0.24 + 0.08 * max(text.count("\n") for text in texts)))
     axes = figure.subplots()
     axes.grid(axis="x")
     axes.spines["left"].set_visible(False)
