@@ -1,7 +1,6 @@
 """The scene map: outcomes by goal slot, where failed episodes ended, sampled trajectories."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
@@ -23,21 +22,6 @@ COLUMNS = ["scene", "step", "x_m", "y_m", "heading_rad"]
 ADDED = ["run_id", "seed", "outcome", "end", "rank", "failed"]
 
 
-@dataclass(frozen=True)
-class LotMap:
-    """Where episodes of a cell went.
-
-    Attributes:
-        paths: some of each outcome.
-        failures: (x_m, y_m, outcome) where crashes and timeouts ended, of MOST_FAILURES at most.
-        problems: a sentence for each recording that can't be read.
-    """
-
-    paths: list[Path]
-    failures: list[tuple[float, float, str]]
-    problems: list[str]
-
-
 def slot_rates(runs: Sequence[FinalEpisodes]) -> list[SlotRate]:
     """Return what happened in the scenes with each goal slot, over the episodes of several runs."""
     if not runs:
@@ -56,8 +40,8 @@ def _goal(scene: int) -> int:
 
 def sample(
     runs: Sequence[tuple[int, str]], results: Results, final: Mapping[str, FinalEpisodes], vehicles_count: int
-) -> LotMap:
-    """Return some trajectories of each outcome, and where crashes and timeouts ended.
+) -> tuple[list[Path], list[tuple[float, float, str]], list[str]]:
+    """Return some trajectories of each outcome, where crashes and timeouts ended [m], and unreadable recordings.
 
     With parked cars, which belong to one episode, it is one trajectory of each outcome.
 
@@ -72,7 +56,7 @@ def sample(
     paths = [_path(episode, vehicles_count) for _, episode in drawn.groupby(["outcome", "rank"], observed=True)]
     ends = rows[rows["failed"].astype(bool)].drop_duplicates(["run_id", "scene"], keep="last")
     failures = zip(ends["x_m"].round(2).tolist(), ends["y_m"].round(2).tolist(), ends["outcome"], strict=True)
-    return LotMap(paths, list(failures), problems)
+    return paths, list(failures), problems
 
 
 def sampled_rows(

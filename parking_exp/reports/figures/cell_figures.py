@@ -8,6 +8,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import EngFormatter
 
+from parking_exp.errors import plural
 from parking_exp.reports.figures.figure_style import (
     SMALL_PT,
     Drawing,
@@ -17,7 +18,6 @@ from parking_exp.reports.figures.figure_style import (
     new_figure,
     percentages,
     row_axes,
-    seeds_text,
 )
 from parking_exp.reports.report_data import Cell, Curve, ReportData, Survival
 
@@ -29,7 +29,7 @@ def _seed_counts(cells: Sequence[Cell]) -> str:
     """Return e.g. `10 seeds per cell` or `3 to 10 seeds per cell`."""
     counts = [len(cell.seeds) for cell in cells]
     low, high = min(counts), max(counts)
-    return f"{seeds_text(high)} per cell" if low == high else f"{low} to {seeds_text(high)} per cell"
+    return f"{plural(high, 'seed')} per cell" if low == high else f"{low} to {plural(high, 'seed')} per cell"
 
 
 def draw_final_success(report: ReportData) -> Iterator[Drawing]:

@@ -5,6 +5,7 @@ import unicodedata
 from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import matplotlib.style
@@ -28,46 +29,12 @@ _COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#
 _MARKERS = ("o", "s", "^", "D", "v", "P", "X")  # one less than colours: no pair repeats in 56 cells
 _LINES: tuple[Any, ...] = ("-", (0, (4, 1.5)), (0, (1.2, 1.2)), (0, (5, 1.2, 1.2, 1.2)))
 
-_SETTINGS = {
-    "font.family": "DejaVu Sans",
-    "font.size": 8.0,
-    "text.parse_math": False,  # labels are anyone's: `$` is no mathematics
-    "text.hinting": "none",  # at small sizes the hinter's letters grow serifs
-    "text.color": INK,
-    "axes.edgecolor": INK,
-    "axes.labelcolor": INK,
-    "axes.labelsize": "medium",
-    "axes.titlesize": "medium",
-    "axes.titlelocation": "left",
-    "axes.linewidth": 0.6,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.axisbelow": True,
-    "grid.color": GRID,
-    "grid.linewidth": 0.5,
-    "legend.frameon": False,
-    "legend.fontsize": SMALL_PT,
-    "lines.linewidth": 1.3,
-    "lines.markersize": 3.5,
-    "xtick.color": INK,
-    "ytick.color": INK,
-    "xtick.labelsize": SMALL_PT,
-    "ytick.labelsize": SMALL_PT,
-    "xtick.major.size": 2.5,
-    "ytick.major.size": 2.5,
-    "xtick.major.width": 0.6,
-    "ytick.major.width": 0.6,
-    "figure.constrained_layout.use": True,
-    "savefig.dpi": 200,
-    "svg.fonttype": "none",
-    "svg.hashsalt": "parking_exp",  # the same drawing gives the same bytes
-    "pdf.fonttype": 42,
-}
+_STYLE = Path(__file__).with_name("report.mplstyle")
 
 
 def report_style() -> AbstractContextManager[None]:
     """Return a context that draws with our settings and matplotlib's defaults, whatever the user's settings are."""
-    return matplotlib.style.context(["default", _SETTINGS])
+    return matplotlib.style.context(["default", _STYLE])
 
 
 def new_figure(height: float) -> Figure:
@@ -179,8 +146,3 @@ def text_colour(background: Any) -> str:
 def percentages(values: Sequence[float | None]) -> np.ndarray:
     """Return shares as percentages, NaN where they are unknown. Shape (n,)."""
     return 100 * np.array([np.nan if value is None else value for value in values], dtype=float)
-
-
-def seeds_text(n: int) -> str:
-    """Return `1 seed` or `n seeds`."""
-    return f"{n} seed" if n == 1 else f"{n} seeds"
