@@ -184,10 +184,9 @@ def _store(request: EvaluationRequest, directory: RunDirectory, output_dir: Path
             f"tracking.uri={tracked_in} sends the results there"
         )
         return
-    from parking_exp.tracking.mirror import try_sync
-    from parking_exp.tracking.tracker import later
+    from parking_exp.tracking.mirror import later, try_mirror
 
-    if problem := try_sync(directory, uri):
+    if problem := try_mirror(directory, uri):
         say(f"not stored     {problem}; {later(directory.output_dir, uri)}")
 
 

@@ -15,9 +15,7 @@ from parking_exp.reports.lot_map import sample
 from parking_exp.reports.report_data import Cell, ReportData
 from parking_exp.reports.run_evaluations import RunEvaluations
 from parking_exp.reports.run_origin import provenance
-from parking_exp.reports.untracked import with_untracked
 from parking_exp.results.frames import Results
-from parking_exp.runs.run_state import RunState
 
 MOST_PROBLEMS = 5
 SHOWN_WHOLE, SHOWN = 16, 12  # cells in figures: all of up to 16, else the 12 best
@@ -31,8 +29,6 @@ def build_report(
     baseline: str | None = None,
     quick: bool = False,
     command: str = "",
-    untracked: Sequence[RunState] = (),
-    unsynced: Sequence[str] = (),
 ) -> ReportData:
     """Return everything that a report says.
 
@@ -43,15 +39,12 @@ def build_report(
         baseline: label of the cell that the others are compared with.
         quick: whether unfinished runs count, as far as they are.
         command: the command line that makes the report.
-        untracked: runs in the output directory that the store does not have.
-        unsynced: a sentence for each thing that kept the store from being brought up to date.
 
     Raises:
         ConfigError: there is no such cell or baseline.
         RunNotFoundError: none of the runs is done, and `quick` is not asked for.
     """
-    runs, others = with_untracked(results.runs, untracked)
-    all_cells = group(runs)
+    all_cells = group(results.runs)
     asked = choose(all_cells, cells) if cells else all_cells
     reference = one_cell(all_cells, baseline, preferred=asked) if baseline else None
     asked = asked if reference is None or reference in asked else [reference, *asked]
@@ -68,7 +61,7 @@ def build_report(
     horizons = shared_horizons(groups, evaluations)
     summaries = [summarise(cell, number, evaluations, horizons, quick) for number, cell in enumerate(groups)]
     shown = _shown(summaries, base)
-    problems = [*unsynced, *results.problems]
+    problems = [*results.problems]
     for number, cell in enumerate(summaries):
         if cell.id in shown:
             summaries[number] = _with_lot_map(cell, groups[number], results, evaluations, problems)
@@ -81,8 +74,7 @@ def build_report(
         effects = factor_effects.main_effects(summaries, factors)
         interactions = factor_effects.interactions(summaries, factors, shares)
     family = compare_pairs(summaries, base)
-    others = [] if cells else others
-    origin = provenance(groups, left_out, results.uri, others)
+    origin = provenance(groups, left_out, results.uri)
     return ReportData(
         title=" and ".join(experiments),
         experiments=list(experiments),
@@ -106,7 +98,7 @@ def build_report(
             findings.about_factors(design, factors, effects, interactions, importance),
         ),
         warnings=_once(warnings.warnings(groups, summaries, family.pairs, origin), _first(problems)),
-        missing=_once(warnings.missing(summaries, others, experiments, results.runs["experiment"])),
+        missing=_once(warnings.missing(summaries, experiments, results.runs["experiment"])),
         provenance=origin,
         notes=[
             *_notes_on_cells(summaries, shown, bool(effects)),

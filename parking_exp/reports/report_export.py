@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from pydantic import BaseModel, TypeAdapter, ValidationError
 
@@ -12,10 +12,8 @@ from parking_exp.reports.lot_map import sampled_rows
 from parking_exp.reports.report_data import ReportData
 from parking_exp.reports.run_evaluations import RunEvaluations
 from parking_exp.reports.search_report import Tuning
-from parking_exp.reports.sources import ReportSource
 from parking_exp.results.frame_export import REPORT, read_export, without_paths, write_export
 from parking_exp.results.frames import Results
-from parking_exp.runs.run_state import RunState
 
 IN_FRAMES = {
     "cells": ("seeds", "curve", "slots", "failures", "paths"),
@@ -28,22 +26,18 @@ or it is a place on the machine."""
 DIGITS = 6
 
 
-class _Untracked(BaseModel):
-    """A run that the store did not have."""
+class ReportSource(NamedTuple):
+    """What a report is made of: results of experiments, their names, and the search that an export has."""
 
-    experiment: str
-    cell: str
-    label: str
-    seed: int
-    stage: str
-    reason: str | None
+    results: Results
+    experiments: list[str]
+    tuning: Tuning | None = None
 
 
 class _ReportEntries(BaseModel):
     """What `report.json` has to have for a report."""
 
     experiments: list[str]
-    untracked: list[_Untracked]
 
 
 def write_report_export(
@@ -60,15 +54,13 @@ def write_report_export(
     """
     results = _of_cells(source.results, report) if only_cells else source.results
     final = RunEvaluations.of(results).final
-    trajectories, problems = {}, list(source.unsynced)
+    trajectories, problems = {}, []
     for cell in report.shown_cells:
         rows, unread = sampled_rows([(seed.seed, seed.run_id) for seed in cell.seeds], results, final)
         trajectories.update(rows)
         problems += unread
-    untracked = [] if only_cells else source.untracked
     about = {
         "experiments": list(source.experiments),
-        "untracked": [{name: getattr(state, name) for name in _Untracked.model_fields} for state in untracked],
         "report": {**_summary(report), "command": command},
     }
     write_export(results, folder, trajectories, _plain(about), problems)
@@ -86,8 +78,7 @@ def read_report_export(folder: str) -> ReportSource:
         tuning = TypeAdapter(Tuning | None).validate_python(results.about["report"].get("tuning"))
     except (ValidationError, KeyError, AttributeError) as error:
         raise ResultsError(f"{Path(folder) / REPORT} can't be read: it is no description of a report") from error
-    untracked = [RunState(run_dir="", step=0, total_timesteps=None, **run.model_dump()) for run in described.untracked]
-    return ReportSource(results, described.experiments, untracked, tuning=tuning)
+    return ReportSource(results, described.experiments, tuning)
 
 
 def _of_cells(results: Results, report: ReportData) -> Results:

@@ -3,20 +3,23 @@
 import re
 import shlex
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from filelock import FileLock
 from omegaconf import DictConfig
 
-from parking_exp.config.paths import directory_path, refuse_links
-from parking_exp.errors import plural
+from parking_exp.config.paths import default_uri, directory_path, refuse_links
+from parking_exp.errors import ConfigError, plural
 from parking_exp.reports.report_request import ReportRequest, validate_report
+from parking_exp.runs.directory import RunDirectory
+from parking_exp.runs.lookup import find_runs
 from parking_exp.terminal import console, say
 
 if TYPE_CHECKING:
     from parking_exp.reports.report_data import ReportData
-    from parking_exp.reports.sources import ReportSource
+    from parking_exp.reports.report_export import ReportSource
 
 
 def report(config: DictConfig) -> Path:
@@ -53,14 +56,29 @@ def report(config: DictConfig) -> Path:
 
 
 def _source(request: ReportRequest, show: Callable[[str], None]) -> "ReportSource":
-    if request.source is None:
-        from parking_exp.reports.sources import from_store
+    """Return what the export has or, after it got what it lacks, the store.
 
-        return from_store(request, show)
-    from parking_exp.reports.report_export import read_report_export
+    Raises:
+        ConfigError: the store has several experiments, and none is named.
+        ResultsError: it can't be read, or has none of them.
+    """
+    from parking_exp.reports.report_export import ReportSource, read_report_export
+    from parking_exp.results.frames import load
+    from parking_exp.tracking.mirror import mirror_problem
 
-    show("reading the export")
-    return read_report_export(request.source)
+    if request.source is not None:
+        show("reading the export")
+        return read_report_export(request.source)
+    show("sending to the store what it lacks")
+    paths = [path for name in request.experiments or [""] for path in find_runs(request.output_path, name or None)]
+    problem = mirror_problem(map(RunDirectory, paths), request.tracking.uri or default_uri(request.output_path))
+    show("reading the store")
+    results = load(request.experiments, uri=request.tracking.uri, output_dir=request.output_path)
+    results = replace(results, problems=(*([f"{problem}."] if problem else []), *results.problems))
+    having = list(dict.fromkeys(results.runs["experiment"]))
+    if request.experiments is None and len(having) > 1:
+        raise ConfigError(f"experiment: the store has several; name one or more of {', '.join(having)}")
+    return ReportSource(results, request.experiments or having)
 
 
 def _content(request: ReportRequest, source: "ReportSource") -> "ReportData":
@@ -74,8 +92,6 @@ def _content(request: ReportRequest, source: "ReportSource") -> "ReportData":
         baseline=request.baseline,
         quick=request.report.quick,
         command=_command(request, source.experiments),
-        untracked=source.untracked,
-        unsynced=source.unsynced,
     )
     if request.source is None:
         return with_search(data, request.output_path, request.storage)

@@ -8,22 +8,19 @@ import pandas as pd
 from parking_exp.config.cell_labels import can_matter, differing
 from parking_exp.reports.cell_selection import CellRuns
 from parking_exp.reports.report_data import FailedRun, Provenance
-from parking_exp.reports.untracked import REASONS
 
 VERSION = "version."
 SHORT_COMMIT = 10
+REASONS = {"running": "under way", "interrupted": "interrupted or not begun; rerun the sweep"}
 
 
-def provenance(
-    cells: Sequence[CellRuns], left_out: Sequence[str], uri: str, untracked: Sequence[FailedRun]
-) -> Provenance:
+def provenance(cells: Sequence[CellRuns], left_out: Sequence[str], uri: str) -> Provenance:
     """Return what exactly was run.
 
     Args:
         cells: those of the report.
         left_out: labels of the experiments' other cells.
         uri: of the store, without passwords.
-        untracked: runs of other cells that the store does not have.
     """
     runs = pd.concat([cell.runs for cell in cells])
     versions = {
@@ -40,7 +37,7 @@ def provenance(
         machines=_counts(runs["cpu"]),
         difference=difference,
         common={key: value for key, value in configs[0].items() if key not in difference and can_matter(key)},
-        unfinished=[*(run for cell in cells for run in _unfinished(cell)), *untracked],
+        unfinished=[run for cell in cells for run in _unfinished(cell)],
         uri=uri,
         left_out=list(left_out),
         first=started.min().isoformat(timespec="seconds") if len(started) else None,

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from parking_exp.errors import plural, quoted_label
 from parking_exp.reports.cell_selection import CellRuns
 from parking_exp.reports.formats import setting
-from parking_exp.reports.report_data import Cell, FailedRun, Pair, Provenance
+from parking_exp.reports.report_data import Cell, Pair, Provenance
 
 ENOUGH_SEEDS = 10
 FEW_NAMES = 4
@@ -62,22 +62,17 @@ def warnings(
     )
 
 
-def missing(
-    cells: Sequence[Cell], untracked: Sequence[FailedRun], experiments: Iterable[str], having: Iterable[str]
-) -> Iterator[str]:
+def missing(cells: Sequence[Cell], experiments: Iterable[str], having: Iterable[str]) -> Iterator[str]:
     """Yield which runs have no result. Those that a search has pruned are over, and do not count.
 
     Args:
         cells: of the report.
-        untracked: runs that the store does not have.
         experiments: those that were asked for.
         having: experiments that have runs.
     """
     total: Counter[str] = Counter()
     for cell in cells:
         total.update(cell.counts)
-    lost = sum(run.status == "done" for run in untracked)
-    total.update(run.status for run in untracked if run.status != "done")
     waiting = {"running": "under way", "failed": "failed", "pending": "cut off or not begun"}
     if found := [f"{total[stage]} {words}" for stage, words in waiting.items() if total[stage]]:
         everything = sum(total.values()) - total["pruned"]
@@ -85,9 +80,6 @@ def missing(
         yield f"{total['done']} of {plural(everything, 'run')} {are} done: {', '.join(found)}."
     if empty := [cell.label for cell in cells if not cell.counts["done"]]:
         yield f"No run is done of {named(empty)}."
-    if lost:
-        some = f"{plural(lost, 'more run')} {'is' if lost == 1 else 'are'} done here"
-        yield f"{some}, but not in the store; `python scripts/status.py sync=true` sends what is missing."
     known = set(having)
     yield from (f"Experiment {name} has no runs." for name in experiments if name not in known)
 

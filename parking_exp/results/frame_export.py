@@ -10,28 +10,38 @@ import gzip
 import json
 import re
 import zlib
-from collections.abc import Callable, Mapping, Sequence
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import pandas as pd
-from pydantic import BaseModel, ValidationError
 
 from parking_exp.config.paths import directory_path
 from parking_exp.errors import ConfigError, ResultsError, did_you_mean
-from parking_exp.evaluation.metrics import DTYPES
-from parking_exp.results.dtypes import TEXT, column, flags, typed
+from parking_exp.results.dtypes import TEXT, column, typed
 from parking_exp.results.frames import CONFIGURED, COST, CURVE_COLUMNS, FINAL, RUN_COLUMNS, STATUSES, Results
-from parking_exp.results.recordings import EPISODES, NULLABLE, TRAJECTORIES
+from parking_exp.results.recordings import EPISODES, REQUIRED, TRAJECTORIES
 from parking_exp.runs.atomic_files import replacing, write_atomically
+from parking_exp.tracking.client import reason
 
 REPORT = "report.json"
 FILES = ("runs.csv.gz", "curves.csv.gz", "outcomes.csv.gz", "trajectories.csv.gz", REPORT)
 LOCAL_COLUMNS = ("run_dir", "artifact_uri", "config.output_dir", "config.tracking.uri")
 """Columns of runs that name a place on the machine; an export has none of them."""
 PATH = re.compile(r"(?<![\w.~:/])(?:(?:sqlite|file):/*)?~?/(?:[^\s/'\",:;)\]]+/)*([^\s/'\",:;)\]]+)/?")
-DAMAGED = (ValueError, TypeError, KeyError, OSError, EOFError, OverflowError, zlib.error)  # what pandas and gzip raise
+RUN_TYPES: dict[str, Any] = {
+    "seed": "int64",
+    "status": pd.CategoricalDtype([*STATUSES]),
+    "steps": "int64",
+    "git_dirty": "boolean",
+    **dict.fromkeys(CONFIGURED.values(), "Int64"),
+    **dict.fromkeys([*FINAL.values(), *COST.values()], "float64"),
+}
+"""Types of the columns of `runs.csv.gz` that are not text."""
+CURVE_TYPES = {**dict.fromkeys(CURVE_COLUMNS, "float64"), "step": "int64"}
+DAMAGED = (ValueError, TypeError, KeyError, OSError, EOFError, OverflowError, RecursionError, zlib.error)
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,14 +64,7 @@ class Export(Results):
         """
         self._refuse_unknown(run_id)
         rows = self.recordings[self.recordings["run_id"] == run_id]
-        return rows[list(TRAJECTORIES)].reset_index(drop=True)
-
-
-class _ExportEntries(BaseModel):
-    """What `report.json` must have."""
-
-    problems: list[str]
-    ignored: int
+        return rows[list(TRAJECTORIES)].astype(TRAJECTORIES).reset_index(drop=True)
 
 
 def write_export(
@@ -120,28 +123,21 @@ def read_export(folder: str | Path) -> Export:
         ResultsError: it is not there, not whole, or damaged.
     """
     uri, folder = str(folder), directory_path(folder)
-    if folder.is_file():
-        raise ResultsError(f"{folder} is a file; name the folder of an export")
-    if not folder.is_dir():
-        there = [path.name for path in folder.parent.iterdir() if path.is_dir()] if folder.parent.is_dir() else []
-        make_one = "; `python scripts/report.py experiment=NAME export=FOLDER` makes one"
-        raise ResultsError(f"{folder}: there is no such folder{did_you_mean(folder.name, there) or make_one}")
     if absent := [name for name in FILES if not (folder / name).is_file()]:
-        raise ResultsError(f"{folder} is not a whole export: it has no {absent[0]}")
-
-    def read(name: str, parse: Callable[[Path], Any]) -> Any:
-        try:
-            return parse(folder / name)
-        except DAMAGED as error:
-            what = f"it has no column {error}" if isinstance(error, KeyError) else str(error).partition("\n")[0]
-            raise ResultsError(f"{folder / name} can't be read: {what}") from error
-
-    about, described = read(REPORT, _read_report)
-    runs = read("runs.csv.gz", _read_runs)
-    curves = read("curves.csv.gz", lambda path: _read_curves(path, runs["run_id"]))
-    episodes = read("outcomes.csv.gz", lambda path: _read_episodes(path, runs))
-    recordings = read("trajectories.csv.gz", lambda path: _read_recordings(path, runs["run_id"]))
-    return Export(runs, curves, episodes, uri, tuple(described.problems), described.ignored, None, recordings, about)
+        near = [path.name for path in folder.parent.iterdir() if path.is_dir()] if folder.parent.is_dir() else []
+        hint = "" if folder.is_dir() else did_you_mean(folder.name, near)
+        raise ResultsError(f"{folder} is not a whole export: it has no {absent[0]}{hint}")
+    try:
+        about = json.loads((folder / REPORT).read_text(encoding="utf-8"))
+        problems, ignored = tuple(map(str, about["problems"])), int(about["ignored"])
+        runs = _read_runs(folder / "runs.csv.gz")
+        curves = _read_table(folder / "curves.csv.gz", runs, CURVE_TYPES)
+        recordings = _read_table(folder / "trajectories.csv.gz", runs, TRAJECTORIES)
+        episodes = _read_episodes(folder / "outcomes.csv.gz", runs)
+    except DAMAGED as error:
+        raise ResultsError(f"{folder} can't be read: {reason(error)}") from error
+    curves = curves.sort_values(["run_id", "step"], ignore_index=True)
+    return Export(runs, curves, episodes, uri, problems, ignored, None, recordings, about)
 
 
 def refuse_foreign(folder: Path) -> None:
@@ -174,77 +170,33 @@ def _as_param(value: Any) -> str:
     return "None" if pd.isna(value) else str(value)
 
 
-def _read_report(path: Path) -> tuple[dict[str, Any], _ExportEntries]:
-    """Return the content of `report.json`, and what of it is needed here."""
-    try:
-        about = json.loads(path.read_text(encoding="utf-8"))
-        return about, _ExportEntries.model_validate(about)
-    except (ValidationError, RecursionError) as error:
-        raise ValueError("it is no description of an export") from error
-
-
 def _read_runs(path: Path) -> pd.DataFrame:
-    found = pd.read_csv(path, dtype=str, keep_default_na=False, na_values=[""])
-    found = found.reindex(columns=[*found.columns, "run_dir", "artifact_uri"])
-    names = [str(name) for name in found]
-    versions, keys = (sorted(name for name in names if name.startswith(what)) for what in ("version.", "config."))
-    runs = pd.DataFrame({name: _run_column(name, found[name]) for name in (*RUN_COLUMNS, *versions, *keys)})
-    if runs.empty or not runs["run_id"].is_unique:
-        raise ValueError("it has no runs, or one of them twice")
-    return runs
+    types = defaultdict(lambda: TEXT, RUN_TYPES)
+    runs = pd.read_csv(path, dtype=types, keep_default_na=False, na_values=[""])
+    for name in ("started", "ended"):
+        runs[name] = pd.to_datetime(runs[name], format="ISO8601", utc=True).dt.as_unit("ms")
+    names = sorted(map(str, runs))
+    config = [name for name in names if name.startswith("config.")]
+    versions = [name for name in names if name.startswith("version.")]
+    for name in config:
+        runs[name] = column([typed(value) for value in runs[name].astype(object).where(runs[name].notna(), None)])
+    local = {name: pd.Series(dtype=TEXT) for name in ("run_dir", "artifact_uri")}
+    return runs.assign(**local)[[*RUN_COLUMNS, *versions, *config]]
 
 
-def _run_column(name: str, words: pd.Series) -> Any:
-    known = [None if pd.isna(word) else word for word in words]
-    if name.startswith("config."):
-        return column([typed(word) for word in known])
-    if name in CONFIGURED.values():
-        return pd.to_numeric(words).astype("Int64")
-    if name in ("seed", "steps"):
-        return pd.to_numeric(words).astype("Int64").astype("int64")  # refuses fractions and gaps
-    if name in (*FINAL.values(), *COST.values()):
-        return words.astype("float64")
-    if name in ("started", "ended"):
-        return pd.to_datetime(words, format="ISO8601", utc=True).dt.as_unit("ms")
-    if name == "git_dirty":
-        return flags(word and word.lower() for word in known)
-    if name == "status" and not words.isin(STATUSES).all():
-        raise ValueError("it has a status that there is not")
-    return pd.Categorical(known, STATUSES) if name == "status" else pd.Series(known, dtype=object).astype(TEXT)
-
-
-def _read_curves(path: Path, run_ids: pd.Series) -> pd.DataFrame:
-    types: dict[str, Any] = dict.fromkeys(CURVE_COLUMNS, "float64") | {"run_id": TEXT, "step": "int64"}
-    curves = pd.read_csv(path, dtype=types, float_precision="round_trip")[list(CURVE_COLUMNS)]
-    _refuse_other_runs(curves["run_id"], run_ids)
-    return curves.sort_values(["run_id", "step"], ignore_index=True)
+def _read_table(path: Path, runs: pd.DataFrame, types: Mapping[str, Any]) -> pd.DataFrame:
+    """Return the rows of a table that belong to runs of the export; a column that it lacks is missing."""
+    table = pd.read_csv(path, dtype={**types, "run_id": TEXT}, float_precision="round_trip")
+    table = table.reindex(columns=[*dict.fromkeys(["run_id", *types])])
+    return table[table["run_id"].isin(runs["run_id"])].reset_index(drop=True)
 
 
 def _read_episodes(path: Path, runs: pd.DataFrame) -> pd.DataFrame:
     """Return the final episodes; what the export does not have of them is missing."""
     table = pd.read_csv(path, dtype=str).astype({"scene": "int64"})
-    _refuse_other_runs(table.columns[1:], runs["run_id"])
     long = table.melt("scene", var_name="run_id", value_name="outcome").dropna(ignore_index=True)
-    if not long["outcome"].isin(EPISODES["outcome"].categories).all():
-        raise ValueError("it has an outcome that there is not")
-    ids = pd.CategoricalDtype(pd.Index(runs["run_id"].to_list(), dtype="str"))
     steps = long["run_id"].map(runs.set_index("run_id")["steps"])
-    frame = long.assign(run_id=long["run_id"].astype(ids), step=steps, phase="final").sort_values(["run_id", "scene"])
-    types = EPISODES | {name: NULLABLE.get(dtype, dtype) for name, dtype in DTYPES.items()}
-    return frame.reindex(columns=["run_id", *EPISODES]).astype(types).reset_index(drop=True)
-
-
-def _read_recordings(path: Path, run_ids: pd.Series) -> pd.DataFrame:
-    rows = pd.read_csv(path, dtype={"run_id": TEXT, **TRAJECTORIES}).assign(speed_mps=float("nan"))
-    _refuse_other_runs(rows["run_id"], run_ids)
-    return rows[["run_id", *TRAJECTORIES]].astype(TRAJECTORIES)
-
-
-def _refuse_other_runs(found: Any, run_ids: pd.Series) -> None:
-    """Refuse a table with rows of runs that are not in the export.
-
-    Raises:
-        ValueError: it has some.
-    """
-    if not pd.Index(found).isin(run_ids).all():
-        raise ValueError("it has rows of runs that are not in runs.csv.gz")
+    ids = pd.CategoricalDtype(pd.Index(runs["run_id"].to_list(), dtype="str"))
+    frame = long.assign(step=steps, phase="final").astype({"run_id": ids}).dropna(subset="run_id")
+    frame = frame.astype(REQUIRED).sort_values(["run_id", "scene"], ignore_index=True)
+    return frame.reindex(columns=["run_id", *EPISODES])

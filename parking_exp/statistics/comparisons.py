@@ -1,6 +1,7 @@
 """Comparison of two cells: Welch's test, probability of improvement, Holm's correction. Seeds are not paired."""
 
 import math
+import warnings
 from dataclasses import dataclass
 
 import numpy as np
@@ -62,7 +63,9 @@ def welch(a: ArrayLike, b: ArrayLike, confidence: float = 0.95) -> Difference:
         if first[0] == second[0]:
             return Difference(0.0, nan, nan, 1.0, nan, m, n, PERMUTATION)
         return Difference(difference, nan, nan, 2 / math.comb(m + n, m), nan, m, n, PERMUTATION)
-    test = stats.ttest_ind(first, second, equal_var=False)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)  # of one side without scatter
+        test = stats.ttest_ind(first, second, equal_var=False)
     low, high = map(float, test.confidence_interval(confidence))
     return Difference(difference, low, high, float(test.pvalue), float(test.df), m, n, WELCH)
 

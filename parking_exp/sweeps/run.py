@@ -19,7 +19,7 @@ from parking_exp.sweeps.hydra_launcher import Launch
 from parking_exp.sweeps.monitor import Monitor
 from parking_exp.sweeps.plan import PlannedRun, describe
 from parking_exp.terminal import console, say
-from parking_exp.tracking.sync_all import sync_problem
+from parking_exp.tracking.mirror import mirror_problem
 
 WAIT_POLL_S = 1.0
 SWEEP_LOCK = ".sweeping"  # in an experiment's folder, held by every sweep of it: shared, so that they see each other
@@ -106,9 +106,9 @@ def _launch_all(due: list[Path], launch: Launch, monitor: Monitor) -> None:
 
 def _sync(runs: Sequence[PlannedRun], monitor: Monitor) -> None:
     """Send what workers could not, because they were killed or their store was down."""
-    uris = list({store_uri(run.config) for run in runs if run.config.tracking.mlflow})
-    if problem := sync_problem([RunDirectory(run.path) for run in runs], uris):
-        monitor.say(problem)
+    for uri in {store_uri(run.config) for run in runs if run.config.tracking.mlflow}:
+        if problem := mirror_problem([RunDirectory(run.path) for run in runs], uri):
+            monitor.say(problem)
 
 
 def _wait(elsewhere: list[Path]) -> tuple[list[Path], list[Path]]:

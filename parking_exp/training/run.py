@@ -25,7 +25,8 @@ from parking_exp.runs.directory import RunDirectory, RunResult
 from parking_exp.runs.metric_logs import restore_logs
 from parking_exp.runs.run_provenance import typed_command
 from parking_exp.terminal import say
-from parking_exp.tracking.tracker import Tracker, later, open_tracker
+from parking_exp.tracking.mirror import later
+from parking_exp.tracking.tracker import Tracker, open_tracker
 from parking_exp.training import checkpoints
 from parking_exp.training.checkpoints import Progress
 from parking_exp.training.finish import finish

@@ -14,7 +14,7 @@ from parking_exp.runs.lookup import find_runs
 from parking_exp.sweeps.hydra_launcher import Launch, train_run
 from parking_exp.sweeps.plan import duration_estimate
 from parking_exp.terminal import console
-from parking_exp.tracking.sync_all import sync_problem
+from parking_exp.tracking.mirror import mirror_problem
 from parking_exp.tuning.monitor import TrialMonitor
 from parking_exp.tuning.retest import retest, write_winner
 from parking_exp.tuning.search import Search, study_in
@@ -143,7 +143,7 @@ def _sync(search: Search, monitor: TrialMonitor) -> None:
     if not search.base.tracking.mlflow:
         return
     directories = [RunDirectory(path) for path in find_runs(search.base.output_path, search.base.experiment_name)]
-    if problem := sync_problem(directories, [store_uri(search.base)]):
+    if problem := mirror_problem(directories, store_uri(search.base)):
         monitor.say(problem)
 
 

@@ -54,7 +54,7 @@ folder = Path(sys.argv[1])
 env = compose("env.duration=2").env
 episodes = evaluate(lambda seen: np.zeros((len(seen["observation"]), 2)), env, [3, 8])
 append_episodes(folder / "episodes.csv", episodes, "eval", 0)
-make_store(folder, "one", {"sac": [], "td3": ["algorithm=td3"]}, range(2), bulk=True)
+make_store(folder, "one", {"sac": [], "td3": ["algorithm=td3"]}, range(2))
 results = load("one", output_dir=folder)
 report = build_report(results, ["one"])
 write_tables(section_contents(report), report.shown, folder)

@@ -26,7 +26,6 @@ from parking_exp.reports.report_builder import build_report
 from parking_exp.reports.report_files import write_tables
 from parking_exp.reports.search_report import Tuning, search_text, tuning_of, with_search, with_tuning
 from parking_exp.reports.sections import SECTIONS, section_contents
-from parking_exp.reports.untracked import find_untracked
 from parking_exp.results.frames import load
 from parking_exp.runs.atomic_files import write_json
 from parking_exp.statistics import mean_interval
@@ -282,12 +281,10 @@ def test_pruned_runs_are_neither_missing_nor_unfinished_and_cells_of_them_alone_
         return Look(success=0.8)
 
     cells = {name: [f"algorithm={name}"] for name in ("sac", "td3", "ddpg")}
-    make_store(output_dir, "one", cells, range(2), look, bulk=True)
-    make_store(
-        output_dir, "one", {"far": compose("algorithm.gamma=0.5")}, [0], lambda *_: Look(status="pruned"), bulk=True
-    )
+    make_store(output_dir, "one", cells, range(2), look)
+    make_store(output_dir, "one", {"far": compose("algorithm.gamma=0.5")}, [0], lambda *_: Look(status="pruned"))
     results = load("one", output_dir=output_dir)
-    found = build_report(results, ["one"], untracked=find_untracked(results.runs, output_dir, ["one"]))
+    found = build_report(results, ["one"])
     assert {cell.label: cell.counts for cell in found.cells} == {
         "sac": {"done": 2, "running": 0, "failed": 0, "pending": 0},
         "ddpg": {"done": 1, "running": 0, "failed": 0, "pending": 0, "pruned": 1},
@@ -299,9 +296,7 @@ def test_pruned_runs_are_neither_missing_nor_unfinished_and_cells_of_them_alone_
 
 def test_runs_that_are_missing_are_counted_without_the_pruned_ones(output_dir):
     states = ("done", "pruned", "failed")
-    make_store(
-        output_dir, "one", {"sac": []}, range(3), lambda _, seed: Look(status=states[seed], error="no way"), bulk=True
-    )
+    make_store(output_dir, "one", {"sac": []}, range(3), lambda _, seed: Look(status=states[seed], error="no way"))
     results = load("one", output_dir=output_dir)
     found = build_report(results, ["one"])
     assert found.missing == ["1 of 2 runs are done: 1 failed."]

