@@ -86,7 +86,7 @@ def _sampled(
         except ResultsError as error:
             problems.append(str(error))
             continue
-        if run_id in final:
+        if run_id in final and len(rows):
             outcome = pd.Series(np.array(OUTCOMES)[final[run_id].outcome], final[run_id].scene)
             tables.append(rows.assign(run_id=run_id, seed=seed, outcome=rows["scene"].map(outcome)))
     if not tables:
