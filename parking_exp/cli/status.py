@@ -23,8 +23,8 @@ from parking_exp.runs.state import RunState, as_plain, labelled, read_state
 from parking_exp.runs.state_tables import cell_table, damaged_lines, failure_lines, running_lines, stopped_lines
 from parking_exp.terminal import console, say
 from parking_exp.tracking.sync_all import sync_all
-from parking_exp.tuning.schema import Storage
 from parking_exp.tuning.search import SEARCH_FILE, StoredSearch, study_in
+from parking_exp.tuning.search_config import Storage
 from parking_exp.tuning.tables import progress_lines, trial_table
 from parking_exp.tuning.trials import counts
 

@@ -11,8 +11,8 @@ def main() -> None:
 def tune(overrides: list[str], extra_config_dir: str | None) -> None:
     """Run the search that the overrides stand for."""
     from parking_exp.sweeps.hydra_launcher import Launch
-    from parking_exp.tuning.run import do_job
-    from parking_exp.tuning.run import tune as run_search
+    from parking_exp.tuning.run_search import do_job
+    from parking_exp.tuning.run_search import tune as run_search
     from parking_exp.tuning.search import Search
 
     search = Search(overrides, extra_config_dir)

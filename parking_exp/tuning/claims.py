@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from filelock import FileLock, Timeout
 
-from parking_exp.tuning.schema import SearchConfig
+from parking_exp.tuning.search_config import SearchConfig
 from parking_exp.tuning.space import applies, in_order, parameter, suggest, to_value
 from parking_exp.tuning.study import CHANGES, ENQUEUED, OpenStudy, claiming, trial_lock_path
 

@@ -7,7 +7,7 @@ from parking_exp.config.schema import RunConfig
 from parking_exp.runs.directory import RunDirectory
 from parking_exp.runs.metric_logs import read_metrics
 from parking_exp.statistics.curves import normalised_area
-from parking_exp.tuning.schema import Objective
+from parking_exp.tuning.search_config import Objective
 
 
 @dataclass(frozen=True)

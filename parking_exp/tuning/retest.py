@@ -24,10 +24,10 @@ from parking_exp.runs.files import read_object, write_atomically, write_json
 from parking_exp.statistics.intervals import mean_interval
 from parking_exp.sweeps.hydra_launcher import Launch
 from parking_exp.sweeps.plan import plan
-from parking_exp.sweeps.run import sweep
+from parking_exp.sweeps.sweep import sweep
 from parking_exp.tuning.objectives import read_curve, run_value
-from parking_exp.tuning.schema import Objective, SearchConfig
 from parking_exp.tuning.search import Search
+from parking_exp.tuning.search_config import Objective, SearchConfig
 from parking_exp.tuning.trials import TrialRow, ranked
 
 RETEST_FILE = "retest.json"

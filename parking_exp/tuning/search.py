@@ -17,7 +17,7 @@ from parking_exp.config.schema import RunConfig
 from parking_exp.config.validate import check, parse, validate
 from parking_exp.errors import ConfigError, OutputDirectoryError, suggestion
 from parking_exp.runs.files import read_object, write_json
-from parking_exp.tuning.schema import TUNING_KEYS, SearchConfig, TuneRequest
+from parking_exp.tuning.search_config import TUNING_KEYS, SearchConfig, TuneRequest
 from parking_exp.tuning.space import base_value, in_order
 from parking_exp.tuning.study import OpenStudy, load_study, open_study, storage_of
 from parking_exp.tuning.trials import TrialRow, rows

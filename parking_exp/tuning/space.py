@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from omegaconf import DictConfig, OmegaConf
 
-from parking_exp.tuning.schema import Dimension, SearchConfig
+from parking_exp.tuning.search_config import Dimension, SearchConfig
 
 if TYPE_CHECKING:
     from optuna import Trial

@@ -19,7 +19,7 @@ from parking_exp.config.credentials import strip_password, with_password
 from parking_exp.config.paths import refuse_links
 from parking_exp.config.schema import RunConfig
 from parking_exp.errors import ConfigError, ParkingError, StoreError
-from parking_exp.tuning.schema import SearchConfig
+from parking_exp.tuning.search_config import SearchConfig
 from parking_exp.tuning.space import applies, in_order, parameter, to_parameter
 
 if TYPE_CHECKING:

@@ -6,7 +6,7 @@ from rich.table import Table
 
 from parking_exp.errors import plural
 from parking_exp.runs.state_tables import duration
-from parking_exp.tuning.schema import Dimension, SearchConfig
+from parking_exp.tuning.search_config import Dimension, SearchConfig
 from parking_exp.tuning.trials import TrialRow, counts, ranked
 
 SHOWN = 15

@@ -1,7 +1,7 @@
 """Make searches, and train their trials without training."""
 
 from parking_exp.config.validate import check
-from parking_exp.tuning.schema import SearchConfig
+from parking_exp.tuning.search_config import SearchConfig
 from support.runs import make_config
 
 SETTINGS = {

@@ -9,7 +9,7 @@ from support.searches import settings
 from parking_exp.sweeps.hydra_launcher import Launch
 from parking_exp.tuning import retest
 from parking_exp.tuning.retest import RetestedTrial, tuned_config, write_winner
-from parking_exp.tuning.run import tune
+from parking_exp.tuning.run_search import tune
 from parking_exp.tuning.search import Search
 from parking_exp.tuning.trials import TrialRow
 

@@ -8,7 +8,7 @@ from support.searches import settings
 
 from parking_exp.config.validate import check
 from parking_exp.errors import ConfigError
-from parking_exp.tuning.schema import Dimension, SearchConfig
+from parking_exp.tuning.search_config import Dimension, SearchConfig
 from parking_exp.tuning.space import applies, in_order, parameter, suggest, to_parameter, to_value
 
 

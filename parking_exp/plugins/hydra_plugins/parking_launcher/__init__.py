@@ -61,7 +61,7 @@ class LocalLauncher(_RunLauncher):
     def search(self, folder: Path, n_trials: int, storage: str | None, n_workers: int) -> Sequence[Any]:
         """Have so many workers train the first trials of a search."""
         from parking_exp.sweeps.local import launch_workers
-        from parking_exp.tuning.worker import work
+        from parking_exp.tuning.trial_worker import work
 
         launch_workers(lambda train: work(folder, n_trials, train, storage), n_workers)
         return [None] * n_workers
@@ -85,7 +85,7 @@ class SlurmLauncher(_RunLauncher):
 
     def search(self, folder: Path, n_trials: int, storage: str | None, n_workers: int) -> Sequence[Any]:
         """Have so many workers train the first trials of a search."""
-        from parking_exp.tuning.worker import work_job
+        from parking_exp.tuning.trial_worker import work_job
 
         job = partial(work_job, n_trials=n_trials, storage=storage)
         return self._launch(job, [folder] * n_workers, folder.parent)

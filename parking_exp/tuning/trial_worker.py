@@ -18,8 +18,8 @@ from parking_exp.sweeps.supervisor import Stop, WorkerResult, stop_of_job, super
 from parking_exp.terminal import say
 from parking_exp.tuning.claims import Claim, claim
 from parking_exp.tuning.objectives import RunCurve, evaluations, partial_value, read_curve, run_value, updates_at
-from parking_exp.tuning.schema import SearchConfig
 from parking_exp.tuning.search import Search
+from parking_exp.tuning.search_config import SearchConfig
 from parking_exp.tuning.study import CPU_S, REASON, RUNS, SEED_VALUES, STEPS
 
 if TYPE_CHECKING:

@@ -19,8 +19,8 @@ from parking_exp.tuning.monitor import TrialMonitor
 from parking_exp.tuning.retest import retest, write_winner
 from parking_exp.tuning.search import Search, study_in
 from parking_exp.tuning.tables import progress_lines, space_table, trial_table
+from parking_exp.tuning.trial_worker import work_job
 from parking_exp.tuning.trials import TrialRow, counts, rows
-from parking_exp.tuning.worker import work_job
 
 if TYPE_CHECKING:
     from omegaconf import DictConfig

@@ -6,7 +6,7 @@ from support.searches import QUICK
 from parking_exp.runs.directory import RunDirectory
 from parking_exp.sweeps import slurm
 from parking_exp.sweeps.hydra_launcher import Launch
-from parking_exp.tuning import worker
+from parking_exp.tuning import trial_worker as worker
 from parking_exp.tuning.search import Search, study_in
 from parking_exp.tuning.trials import rows
 
