@@ -1,33 +1,29 @@
-"""Work on a search: claim trials one after the other, train each on its seeds, prune, and tell the study."""
+"""Work on a search: claim trials one after the other, train each on its seeds, prune, and record the result."""
 
 import errno
 import os
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from statistics import mean
 from typing import TYPE_CHECKING, Any, Literal
 
 from parking_exp.config.schema import RunConfig
-from parking_exp.errors import ConfigError, OutputDirectoryError, ParkingError, StoreError
+from parking_exp.errors import ConfigError, OutputDirectoryError, StoreError
 from parking_exp.runs.directory import RunDirectory
 from parking_exp.runs.metric_logs import read_metrics
 from parking_exp.runs.state import read_state
 from parking_exp.sweeps.local import Train
 from parking_exp.sweeps.supervisor import Stop, WorkerResult, stop_of_job, supervise
-from parking_exp.terminal import say
-from parking_exp.tuning.claims import Claim, claim
-from parking_exp.tuning.objectives import RunCurve, evaluations, partial_value, read_curve, run_value, updates_at
+from parking_exp.tuning.objectives import read_curve, updates_at, values_so_far
 from parking_exp.tuning.search import Search
-from parking_exp.tuning.search_config import SearchConfig
-from parking_exp.tuning.study import CPU_S, REASON, RUNS, SEED_VALUES, STEPS
+from parking_exp.tuning.study import CHANGES, CPU_S, REASON, RUNS, SEED_VALUES, STEPS, claim
 
 if TYPE_CHECKING:
-    from optuna import Study
-    from optuna.pruners import BasePruner
+    from optuna import Study, Trial
 
 ATTEMPTS = 3  # at a run whose process is killed
-LOOK_S, ELSEWHERE_POLL_S = 0.5, 1.0
+POLL_S = 0.5
 Outcome = Literal["done", "pruned", "failed", "stopped"]
 
 
@@ -46,174 +42,145 @@ def work_job(folder: str, n_trials: int, storage: str | None = None) -> None:
 
 
 def work(folder: Path, n_trials: int, train: Train, storage: str | None = None) -> None:
-    """Train the first `n_trials` trials until none is left, or `train` says that all is stopped.
+    """Train the first `n_trials` trials until none is left, or until `train` returns that it was stopped.
 
-    The study is the journal in the folder, or lies in `storage`.
+    The study is the journal in the folder, or is in `storage`.
 
     Raises:
         StoreError: the study can't be read or written.
     """
+    from optuna.exceptions import OptunaError
+    from optuna.pruners import MedianPruner, NopPruner
+    from sqlalchemy.exc import SQLAlchemyError
+
     search = Search.load(folder, storage)
-    opened = search.open()
-    study = opened.study
-    settings = search.request.search
-    study.pruner = make_pruner(settings, evaluations(search.base))
+    opened, settings = search.open(), search.request.search
+    opened.study.pruner = MedianPruner(n_startup_trials=5) if settings.pruner else NopPruner()
     try:
         while (claimed := claim(opened, settings, n_trials)) is not None:
+            trial, lock = claimed
             try:
-                if _Trial(search, study, claimed, train).run() == "stopped":
+                if _TrialTraining(search, opened.study, trial, train).run() == "stopped":
                     return
             finally:
-                claimed.release()
-    except (ParkingError, OSError):
-        raise
-    except Exception as error:  # a database may fail in any way
-        raise StoreError(
-            f"the study {study.study_name} can't be written ({type(error).__name__}: {str(error).splitlines()[0]}); "
-            "runs are kept; rerun the same command to resume"
-        ) from error
+                lock.release()
+    except (OptunaError, SQLAlchemyError) as error:
+        raise StoreError(f"the study {folder.name} can't be written: {str(error).splitlines()[0]}") from error
 
 
-def make_pruner(search: SearchConfig, evaluations_a_run: int) -> "BasePruner":
-    """Return the pruner of a search; its steps are evaluations, counted through all seeds."""
-    from optuna import pruners
-
-    match search.pruner:
-        case "median":
-            return pruners.MedianPruner(n_startup_trials=5)
-        case "hyperband":
-            # The first rung is after take-off, and before a whole run has been spent on a trial.
-            first_rung = max(1, evaluations_a_run // 3)
-            whole = evaluations_a_run * len(search.tuning_seeds)
-            return pruners.HyperbandPruner(min_resource=first_rung, max_resource=whole)
-    return pruners.NopPruner()
-
-
-class _Trial:
+class _TrialTraining:
     """A claimed trial, trained on one seed after the other and pruned on the way."""
 
-    def __init__(self, search: Search, study: "Study", claimed: Claim, train: Train) -> None:
+    def __init__(self, search: Search, study: "Study", trial: "Trial", train: Train) -> None:
         self.search, self.settings = search, search.request.search
-        self.study, self.claimed, self.train = study, claimed, train
+        self.study, self.trial, self.train = study, trial, train
+        self.reported = set(study.get_trials(deepcopy=False)[trial.number].intermediate_values)
         self.areas: list[float] = []  # under the curves of its finished runs
-        self.values: list[list[float]] = []  # of the objectives, of its finished runs
-        self._reported = set(study.get_trials(deepcopy=False)[claimed.number].intermediate_values)
-        self._problem: str | None = None  # why its progress can't be reported
 
     def run(self) -> Outcome:
-        """Train the runs that are not done, and tell the study the result."""
+        """Train the runs that are not done, and record the result in the study."""
         try:
-            config = self.search.config(self.claimed.changes)
-        except ConfigError as error:  # values that do not go together
-            return self._over("failed", reason=str(error).replace("\n", "; "))
-        seeds = self.settings.tuning_seeds
-        runs = [config.model_copy(update={"seed": seed}) for seed in seeds]
-        before = sum(read_state(run.run_dir).started is not None for run in runs)  # begun by an earlier process
-        for number, run in enumerate(runs):
-            begun = runs[: max(number + 1, before)]
-            self._record(RUNS, [str(one.run_dir.relative_to(one.output_path)) for one in begun])
-            outcome = self._run(run, number)
+            config = self.search.config(self.trial.user_attrs[CHANGES])
+        except ConfigError as error:  # values that can't be combined
+            return self._end("failed", [], reason=str(error).replace("\n", "; "))
+        runs = [config.model_copy(update={"seed": seed}) for seed in self.settings.tuning_seeds]
+        values = []
+        for number, run in enumerate(runs, 1):
+            self._record(RUNS, [str(begun.run_dir.relative_to(begun.output_path)) for begun in runs[:number]])
+            was_done = read_state(run.run_dir).stage == "done"
+            outcome = self._train_run(run, lambda run=run: self._is_worse(run))  # type: ignore[misc]
             if outcome == "stopped":
                 return outcome
             if outcome == "failed":
-                return self._over(outcome, begun, f"seed {run.seed}: {read_state(run.run_dir).reason or 'it failed'}")
-            # Only after its newest run: earlier ones were judged before the next one began.
-            if outcome == "pruned" or (self._judge_finished(run, number) and number + 1 == len(begun) < len(runs)):
-                return self._over("pruned", begun)
-        self._record(SEED_VALUES, self.values)
-        return self._over("done", runs)
+                reason = f"seed {run.seed}: {read_state(run.run_dir).reason or 'it failed'}"
+                return self._end("failed", runs[:number], reason)
+            # A run of an earlier process was judged before the next one began.
+            if outcome == "pruned" or (self._is_worse(run) and number < len(runs) and not was_done):
+                return self._end("pruned", runs[:number])
+            curve = read_curve(RunDirectory(run.run_dir))
+            self.areas.append(curve.value("success_auc"))
+            values.append([curve.value(objective) for objective in self.settings.objective])
+        self._record(SEED_VALUES, values)
+        return self._end("done", runs, values=[mean(column) for column in zip(*values, strict=True)])
 
     def _record(self, name: str, value: Any) -> None:
-        self.claimed.trial.set_user_attr(name, value)
+        self.trial.set_user_attr(name, value)
 
-    def _over(self, outcome: Outcome, runs: Sequence[RunConfig] = (), reason: str | None = None) -> Outcome:
-        """Record what the trial took and why it failed, and tell the study that it is over."""
+    def _end(
+        self,
+        outcome: Outcome,
+        runs: Sequence[RunConfig],
+        reason: str | None = None,
+        values: Sequence[float] | None = None,
+    ) -> Outcome:
+        """Record what the trial took and how it ended."""
         from optuna.trial import TrialState
 
-        states = [read_state(run.run_dir) for run in runs]
-        self._record(CPU_S, sum(_cpu_s(state.run_dir) for state in states))
-        self._record(STEPS, sum(state.step for state in states))
+        self._record(CPU_S, sum(_cpu_s(run) for run in runs))
+        self._record(STEPS, sum(read_state(run.run_dir).step for run in runs))
         if reason is not None:
             self._record(REASON, reason)
-        if outcome == "done":
-            self.study.tell(self.claimed.trial, [mean(column) for column in zip(*self.values, strict=True)])
-        else:
-            self.study.tell(self.claimed.trial, state=TrialState.PRUNED if outcome == "pruned" else TrialState.FAIL)
+        states = {"done": TrialState.COMPLETE, "pruned": TrialState.PRUNED, "failed": TrialState.FAIL}
+        self.study.tell(self.trial, values, states[outcome])
         return outcome
 
-    def _run(self, config: RunConfig, number: int) -> Outcome:
-        """Train the run of the `number`-th seed, unless that is over."""
-        directory, looked, prune = RunDirectory(config.run_dir), time.monotonic(), False
+    def _train_run(self, config: RunConfig, is_worse: Callable[[], bool]) -> Outcome:
+        """Train a run until it is over."""
+        directory, looked, pruned = RunDirectory(config.run_dir), time.monotonic(), False
 
         def stop() -> bool:
-            nonlocal looked, prune
-            if not prune and time.monotonic() - looked > LOOK_S:
-                looked = time.monotonic()
-                prune = self._judge_running(directory, config, number)
-            return prune
+            nonlocal looked, pruned
+            if not pruned and time.monotonic() - looked > POLL_S:
+                looked, pruned = time.monotonic(), is_worse()
+            return pruned
 
         attempts = 0
         while True:
             state = read_state(directory.path)
             if state.stage == "done":
                 return "done"
-            if state.stage == "pruned" and self.claimed.number > 0:  # trial 0 finishes runs that another trial shares
+            if state.stage == "pruned" and self.trial.number > 0:  # trial 0 finishes runs that another trial shares
                 return "pruned"
             if state.stage == "failed":
-                on_full_disk = os.strerror(errno.ENOSPC) in (state.reason or "")
-                if on_full_disk and attempts:  # no fault of the trial's: it stays open
-                    raise OutputDirectoryError(f"trial {self.claimed.number}: {state.reason}; {state.run_dir}")
-                if attempts == ATTEMPTS or not (state.killed or on_full_disk):
+                disk_full = os.strerror(errno.ENOSPC) in (state.reason or "")
+                if disk_full and attempts:  # the trial stays open
+                    raise OutputDirectoryError(f"trial {self.trial.number}: {state.reason}; {state.run_dir}")
+                if attempts == ATTEMPTS or not (state.killed or disk_full):
                     return "failed"
-            attempts += 1
-            entries = {"search": self.search.folder.name, "trial": self.claimed.number}
-            directory.freeze(config, f"trial {self.claimed.number}", state.started, entries=entries)
+            entries = {"search": self.search.folder.name, "trial": self.trial.number}
+            directory.freeze(config, f"trial {self.trial.number}", state.started, entries=entries)
             result = self.train(directory.path, stop)
-            if result == "elsewhere":  # another trial has the same config
-                time.sleep(ELSEWHERE_POLL_S)
-                attempts -= 1
-            elif result == "stopped" and prune:
+            if result == "stopped" and pruned:
                 directory.update(status="pruned")
             elif result in (None, "stopped"):
                 return "stopped"
+            elif result == "elsewhere":  # another trial has the same config
+                time.sleep(POLL_S)
+            else:
+                attempts += 1
 
-    def _judge_running(self, directory: RunDirectory, config: RunConfig, number: int) -> bool:
-        """Report the evaluations so far, and return whether to prune; a failing storage prunes nothing."""
-        try:
-            return self.settings.pruner is not None and self._judge(config, number, read_curve(directory))
-        except Exception as error:  # a database may fail in any way
-            if self._problem is None:
-                say(f"trial {self.claimed.number}: can't report progress ({error}); training continues", stderr=True)
-            self._problem = str(error)
+    def _is_worse(self, config: RunConfig) -> bool:
+        """Report the evaluations of the current run so far, and return whether to prune the trial."""
+        if self.settings.pruner is None:
             return False
-
-    def _judge_finished(self, config: RunConfig, number: int) -> bool:
-        """Add a finished run to the trial, and return whether to prune the trial after it."""
-        curve = read_curve(RunDirectory(config.run_dir))
-        pruned = self.settings.pruner is not None and self._judge(config, number, curve)
-        self.areas.append(curve.area)
-        self.values.append([run_value(name, curve) for name in self.settings.objective])
-        return pruned
-
-    def _judge(self, config: RunConfig, number: int, curve: RunCurve) -> bool:
-        """Report the evaluations of a run, and return whether to prune its trial."""
-        first = number * evaluations(config)
-        for position in range(len(curve.steps)):
-            so_far = RunCurve(curve.steps[: position + 1], curve.success[: position + 1], {})
-            share = min(1.0, curve.steps[position] / config.total_timesteps)
-            value = partial_value(self.areas, so_far, share)
-            self._report(first + position, value)
-        if not curve.steps or (number == 0 and updates_at(config, curve.steps[-1]) < self.settings.grace_updates):
+        curve, n_finished = read_curve(RunDirectory(config.run_dir)), len(self.areas)
+        for number, value in enumerate(values_so_far(self.areas, curve, config.total_timesteps)):
+            step = n_finished * _evaluations(config) + number  # evaluations are counted through all seeds
+            if step not in self.reported:
+                self.trial.report(value, step)
+                self.reported.add(step)
+        if not curve.steps or (not n_finished and updates_at(config, curve.steps[-1]) < self.settings.grace_updates):
             return False
-        return self.claimed.number > 0 and self.claimed.trial.should_prune()
-
-    def _report(self, step: int, value: float) -> None:
-        if step not in self._reported:
-            self.claimed.trial.report(value, step)
-            self._reported.add(step)
+        return self.trial.number > 0 and self.trial.should_prune()
 
 
-def _cpu_s(run_dir: str) -> float:
+def _evaluations(config: RunConfig) -> int:
+    """Return how many evaluations a run has at most, the final one included."""
+    every = config.evaluation.every_n_steps
+    return config.total_timesteps // every + 2 if every else 1
+
+
+def _cpu_s(config: RunConfig) -> float:
     """Return the CPU seconds of a run up to its last evaluation."""
-    recorded = [record["metrics"].get("time/cpu_s") for record in read_metrics(Path(run_dir) / "metrics.jsonl")]
-    return float(next((cpu_s for cpu_s in reversed(recorded) if cpu_s is not None), 0.0))
+    times = [record["metrics"].get("time/cpu_s") for record in read_metrics(config.run_dir / "metrics.jsonl")]
+    return float(next((cpu_s for cpu_s in reversed(times) if cpu_s is not None), 0.0))
