@@ -14,7 +14,7 @@ from parking_exp.sweeps.supervisor import Stop, WorkerResources, WorkerResult, s
 from parking_exp.terminal import say
 from parking_exp.training.signals import stop_on_signal
 
-Train = Callable[[Path, Stop | None], WorkerResult | None]
+Train = Callable[[Path, Stop], WorkerResult | None]
 """Trains the run of a directory with a worker's resources; returns None if the pool was stopped before it began."""
 
 
@@ -35,7 +35,7 @@ def launch(paths: Sequence[Path], n_jobs: int | None = None) -> dict[Path, Worke
 
     def work(train: Train) -> None:
         while (path := waiting.get()) is not None:
-            train(path, None)
+            train(path, lambda: False)
 
     return launch_workers(work, n_workers)
 
@@ -55,11 +55,11 @@ def launch_workers(work: Callable[[Train], None], n_workers: int) -> dict[Path, 
     """
     stop, results, devices = threading.Event(), dict[Path, WorkerResult](), cuda_devices()
 
-    def train(worker: WorkerResources, path: Path, stop_run: Stop | None) -> WorkerResult | None:
+    def train(worker: WorkerResources, path: Path, stop_run: Stop) -> WorkerResult | None:
         if stop.is_set():
             return None
         try:
-            results[path] = supervise(path, worker, lambda: stop.is_set() or (stop_run is not None and stop_run()))
+            results[path] = supervise(path, worker, lambda: stop.is_set() or stop_run())
         except Exception as error:  # e.g. its directory can't be written; the other runs go on
             say(f"error: {path}: {type(error).__name__}: {error}", stderr=True)
             results[path] = "failed"

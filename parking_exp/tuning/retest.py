@@ -1,5 +1,6 @@
 """Retrain trial 0 and the best trials on fresh seeds, and write the winner as an experiment file."""
 
+import itertools
 import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
@@ -51,17 +52,15 @@ def retest(search: Search, trials: Sequence[TrialRow], launch: Launch) -> list[R
     Raises:
         FailedRunError: some of the runs failed.
     """
-    settings, retested = search.request.search, []
+    request, settings, retested = search.request, search.request.search, []
     chosen = chosen_trials(trials, settings.n_retest)
     configs = {trial.number: search.config(trial.changes) for trial in chosen}
-    retried = search.composed.cell.retry is not None
     planned: list[PlannedRun] = []
-    for seed in settings.test_seeds:
-        for trial in chosen:
-            config = configs[trial.number].model_copy(update={"seed": seed})
-            entries = {"search": search.folder.name, "trial": trial.number}
-            path = config.run_dir
-            planned.append(PlannedRun(config, path, trial.label, read_state(path), retried, entries))
+    for seed, trial in itertools.product(settings.test_seeds, chosen):
+        config = configs[trial.number].model_copy(update={"seed": seed})
+        entries = {"search": search.folder.name, "trial": trial.number}
+        state = read_state(config.run_dir)
+        planned.append(PlannedRun(config, config.run_dir, trial.label, state, request.retry is not None, entries))
     if not planned:
         return []
     sweep(planned, launch)
@@ -110,7 +109,7 @@ def write_winner(search: Search, retested: Sequence[RetestedTrial], out: Console
     out.print(table)
     config = result_part(search.config(winner.changes).plain())
     del config["seed"]
-    options = search.composed_with(winner.changes).options
+    options = search.compose(winner.changes).options
     experiment = {
         "defaults": [{f"override /{group}": options[group]} for group in GROUPS],
         "experiment_name": f"tuned_{name}",

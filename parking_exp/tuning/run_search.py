@@ -11,23 +11,21 @@ from parking_exp.config.paths import store_uri
 from parking_exp.errors import ConfigError, FailedRunError, plural
 from parking_exp.runs.directory import RunDirectory
 from parking_exp.runs.lookup import find_runs
-from parking_exp.sweeps.hydra_launcher import Launch, train_run
+from parking_exp.sweeps.hydra_launcher import Launch
 from parking_exp.sweeps.monitor import Monitor
 from parking_exp.terminal import console
 from parking_exp.tracking.sync_all import sync_problem
 from parking_exp.tuning.retest import retest, write_winner
 from parking_exp.tuning.search import Search, study_in
-from parking_exp.tuning.trial_worker import work_job
 from parking_exp.tuning.trials import TrialRow, counts, progress_lines, rows, trial_table
 
 if TYPE_CHECKING:
-    from omegaconf import DictConfig
     from optuna import Study
 
 POLL_S = 1.0
 
 
-def tune(search: Search, launch: Launch, *, dry_run: bool = False) -> None:
+def tune(search: Search, launch: Launch) -> None:
     """Train the remaining trials of a search, retrain the best on fresh seeds, and write the winner.
 
     Raises:
@@ -42,7 +40,7 @@ def tune(search: Search, launch: Launch, *, dry_run: bool = False) -> None:
     objectives, n_trials = request.search.objective, request.n_trials
     if (n_workers := request.n_workers or launch.n_jobs) is None:
         raise ConfigError(f"hydra/launcher={launch.name}: set the number of parallel trials, n_workers=N")
-    if dry_run:
+    if request.dry_run:
         stored = study_in(search.folder, request.storage)
         _describe(search, stored.trials[:n_trials] if stored else [], n_workers, out)
         return
@@ -115,11 +113,3 @@ def _train(search: Search, study: "Study", launch: Launch, n_workers: int) -> li
             if base.tracking.mlflow and (unsent := sync_problem(directories, [store_uri(base)])):
                 monitor.say(unsent)
     return trials
-
-
-def do_job(config: "DictConfig") -> object:
-    """Work on the search of a folder, or train the run of a directory; Hydra's task function."""
-    if not config.get("study"):
-        return train_run(config)
-    work_job(str(config.study), config.n_trials, config.get("storage"))
-    return None

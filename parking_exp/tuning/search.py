@@ -2,12 +2,12 @@
 
 import threading
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import OmegaConf
 
 from parking_exp.config.compose import Composed, composed_runs
 from parking_exp.config.credentials import strip_password
@@ -17,8 +17,8 @@ from parking_exp.config.schema import RunConfig
 from parking_exp.config.validate import check, parse, validate
 from parking_exp.errors import ConfigError, OutputDirectoryError
 from parking_exp.runs.files import read_object, write_json
-from parking_exp.tuning.search_config import TUNING_KEYS, SearchConfig, TuneRequest
-from parking_exp.tuning.study import OpenStudy, load_study, open_study, storage_of
+from parking_exp.tuning.search_config import SearchConfig, TuneRequest
+from parking_exp.tuning.study import OpenStudy, open_study, storage_errors, storage_of
 from parking_exp.tuning.trials import TrialRow, rows
 
 if TYPE_CHECKING:
@@ -38,7 +38,12 @@ class Search:
     overrides: Sequence[str]
     extra_config_dir: str | None = None
 
-    def _compose(self, changes: Mapping[str, Any]) -> Composed:
+    def compose(self, changes: Mapping[str, Any]) -> Composed:
+        """Return the config of a trial as Hydra composes it, with the keys of scripts/tune.py.
+
+        Raises:
+            ConfigError: it does not compose, has no such key, or the overrides are a sweep.
+        """
         lines = [f"{key}={_in_override(value)}" for key, value in changes.items()]
         with _COMPOSING:
             runs = composed_runs("tune", [*self.overrides, *lines], self.extra_config_dir)
@@ -47,33 +52,16 @@ class Search:
         return runs[0]
 
     @cached_property
-    def composed(self) -> Composed:
-        """The config that trials change, with the keys of scripts/tune.py.
-
-        Raises:
-            ConfigError: it does not compose, or the overrides are a sweep.
-        """
-        return self._compose({})
-
-    @cached_property
     def request(self) -> TuneRequest:
-        """The keys of scripts/tune.py, checked.
-
-        Raises:
-            ConfigError: with a sentence for each thing that is wrong.
-        """
-        cell = self.composed.cell
+        """The keys of scripts/tune.py, checked."""
+        cell = self.compose({}).cell
         if "search" not in cell:
             raise ConfigError("search is missing; write search=NAME, e.g. search=smoke")
-        return parse(TuneRequest, {key: cell[key] for key in TUNING_KEYS})
+        return parse(TuneRequest, {key: cell[key] for key in TuneRequest.model_fields})
 
     @cached_property
     def base(self) -> RunConfig:
-        """The config that trials change, checked.
-
-        Raises:
-            ConfigError: it can't run.
-        """
+        """The config that trials change, checked."""
         assert self.request
         return self.config({})
 
@@ -82,28 +70,18 @@ class Search:
         """The experiment's folder, with the study."""
         return self.base.output_path / self.base.experiment_name
 
-    def composed_with(self, changes: Mapping[str, Any]) -> Composed:
-        """Return the config of a trial, composed by Hydra, without the keys of scripts/tune.py.
-
-        Raises:
-            ConfigError: it does not compose, or has no such key.
-        """
-        composed = self._compose(changes) if changes else self.composed
-        OmegaConf.resolve(resolved := composed.cell.copy())
-        return replace(composed, cell=DictConfig({key: resolved[key] for key in resolved if key not in TUNING_KEYS}))
-
     def config(self, changes: Mapping[str, Any]) -> RunConfig:
         """Return the checked config of a trial.
 
         Raises:
             ConfigError: it can't run.
         """
-        return validate(self.composed_with(changes).cell)
+        plain = cast(dict[str, Any], OmegaConf.to_container(self.compose(changes).cell, resolve=True))
+        return validate({key: value for key, value in plain.items() if key not in TuneRequest.model_fields})
 
     def values(self, changes: Mapping[str, Any]) -> dict[str, Any]:
         """Return the value of each key of the space in the config of a trial."""
-        composed = self.composed_with(changes)
-        space = self.request.search.space
+        composed, space = self.compose(changes), self.request.search.space
         return {key: composed.options.get(key) or OmegaConf.select(composed.cell, key.lstrip("+")) for key in space}
 
     def check(self) -> None:
@@ -136,12 +114,7 @@ class Search:
         return []
 
     def open(self) -> OpenStudy:
-        """Return the study; create it, and its folder, if there is none yet.
-
-        Raises:
-            OutputDirectoryError: the folder can't be made.
-            ConfigError, StoreError: see `study.open_study`.
-        """
+        """Return the study; create it, and its folder, if there is none yet."""
         try:
             self.folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
@@ -158,7 +131,7 @@ class Search:
             "extra_config_dir": extra and str(Path(extra).absolute()),
             "storage": self.request.storage,
             "n_trials": self.request.n_trials,
-            "search": self.request.search.model_dump(by_alias=True, exclude_none=True),
+            "search": self.request.search.model_dump(by_alias=True),
         }
         write_json(self.folder / SEARCH_FILE, stored)
 
@@ -217,9 +190,14 @@ def study_in(folder: Path, storage: str | None = None) -> StoredSearch | None:
     place = strip_password(place) if isinstance(place, str) and place else None
     if place not in (None, storage):
         raise ConfigError(f"the study is in {place}; pass storage={place} to read it")
-    study = load_study(folder.name, storage_of(folder, place))
-    if study is None:
-        return None
+    import optuna
+
+    storage = storage_of(folder, place)
+    with storage_errors(folder.name):
+        try:
+            study = optuna.load_study(study_name=folder.name, storage=storage)
+        except KeyError:  # it was never begun
+            return None
     if len(study.directions) != len(settings.objective):
         raise ConfigError(f"{folder / SEARCH_FILE} and the study differ in their number of objectives")
     n_trials = n_trials if isinstance(n_trials, int) else 0

@@ -6,15 +6,13 @@ from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
 from parking_exp.config.credentials import keep_password
 from parking_exp.config.paths import absolute
-from parking_exp.config.schema import ConfigModel, Count, Name, Positive
+from parking_exp.config.schema import ConfigModel, Count, Name, Positive, SweepOptions
 from parking_exp.tuning.space import Dimension, Value
 
 Objective = Literal["success_auc", "final_success", "final_parked"]
 Sampler = Literal["tpe", "random"]
 Pruner = Literal["median"]
 Seeds = Annotated[list[Annotated[int, Field(ge=0, lt=2**32)]], Field(min_length=1)]
-TUNING_KEYS = frozenset({"search", "n_trials", "n_workers", "storage"})
-"""Keys of `conf/tune.yaml` beside those of a run."""
 Storage = Annotated[str, AfterValidator(lambda uri: absolute(keep_password(uri)))]
 """URI of Optuna's storage without the password, which `with_password` adds where the storage is opened."""
 
@@ -49,8 +47,8 @@ class SearchConfig(ConfigModel):
         return self
 
 
-class TuneRequest(ConfigModel):
-    """The keys of scripts/tune.py beside those of a run."""
+class TuneRequest(SweepOptions):
+    """The keys of `conf/tune.yaml` beside those of a run."""
 
     search: SearchConfig
     n_trials: Positive

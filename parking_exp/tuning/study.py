@@ -11,7 +11,7 @@ import os
 import warnings
 import zlib
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
@@ -164,19 +164,6 @@ def _enqueue(study: "Study", search: SearchConfig, changes: Mapping[str, Any], v
         user_attrs={CHANGES: changes},
     )
     study.add_trial(trial)
-
-
-def load_study(name: str, storage: Any) -> "Study | None":
-    """Return the study of a search for reading, or None if there is none.
-
-    Raises:
-        StoreError: the storage fails.
-    """
-    import optuna
-
-    with storage_errors(name), suppress(KeyError):
-        return optuna.load_study(study_name=name, storage=storage)
-    return None
 
 
 def trial_lock_path(folder: Path, number: int) -> Path:

@@ -13,6 +13,7 @@ from parking_exp.errors import ConfigError, OutputDirectoryError, StoreError
 from parking_exp.runs.directory import RunDirectory
 from parking_exp.runs.metric_logs import read_metrics
 from parking_exp.runs.state import read_state
+from parking_exp.sweeps.hydra_launcher import train_run
 from parking_exp.sweeps.local import Train
 from parking_exp.sweeps.supervisor import Stop, WorkerResult, stop_of_job, supervise
 from parking_exp.tuning.objectives import read_curve, updates_at, values_so_far
@@ -20,6 +21,7 @@ from parking_exp.tuning.search import Search
 from parking_exp.tuning.study import CHANGES, CPU_S, REASON, RUNS, SEED_VALUES, STEPS, claim
 
 if TYPE_CHECKING:
+    from omegaconf import DictConfig
     from optuna import Study, Trial
 
 ATTEMPTS = 3  # at a run whose process is killed
@@ -27,18 +29,21 @@ POLL_S = 0.5
 Outcome = Literal["done", "pruned", "failed", "stopped"]
 
 
-def work_job(folder: str, n_trials: int, storage: str | None = None) -> None:
-    """Work on the search of a folder as a job of another launcher; see `work`.
+def do_job(config: "DictConfig") -> WorkerResult | None:
+    """Train the run of a directory, or work on the search of a folder; Hydra's task function.
 
     Raises:
         KeyboardInterrupt: a signal to the job stopped it; what was under way is saved.
     """
+    if not config.get("study"):
+        return train_run(config)
     with stop_of_job() as asked:
 
-        def train(path: Path, stop: Stop | None) -> WorkerResult | None:
-            return None if asked() else supervise(path, stop=lambda: asked() or (stop is not None and stop()))
+        def train(path: Path, stop: Stop) -> WorkerResult | None:
+            return None if asked() else supervise(path, stop=lambda: asked() or stop())
 
-        work(Path(folder), n_trials, train, storage)
+        work(Path(config.study), config.n_trials, train, config.get("storage"))
+    return None
 
 
 def work(folder: Path, n_trials: int, train: Train, storage: str | None = None) -> None:

@@ -42,7 +42,7 @@ def test_of_trials_with_the_same_runs_the_first_is_trained_again():
 def test_a_dry_run_promises_no_more_re_runs_than_there_are_trials(tmp_path, capsys):
     options = ["search=smoke", f"output_dir={tmp_path}", "search.test_seeds=[1,2,3]", "search.n_retest=4"]
     for n_trials, runs in ((2, 6), (20, 15)):
-        tune(Search([*options, f"n_trials={n_trials}"]), Launch([]), dry_run=True)
+        tune(Search([*options, f"n_trials={n_trials}", "dry_run=true"]), Launch([]))
         assert f"at the end {runs} runs on fresh seeds" in " ".join(capsys.readouterr().out.split())
     assert list(tmp_path.iterdir()) == []
 
