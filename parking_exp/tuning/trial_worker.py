@@ -3,10 +3,10 @@
 import errno
 import os
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from statistics import mean
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Literal
 
 from parking_exp.config.schema import RunConfig
 from parking_exp.errors import ConfigError, OutputDirectoryError, StoreError
@@ -91,9 +91,11 @@ class _TrialTraining:
         runs = [config.model_copy(update={"seed": seed}) for seed in self.settings.tuning_seeds]
         values = []
         for number, run in enumerate(runs, 1):
-            self._record(RUNS, [str(begun.run_dir.relative_to(begun.output_path)) for begun in runs[:number]])
+            self.trial.set_user_attr(
+                RUNS, [str(begun.run_dir.relative_to(begun.output_path)) for begun in runs[:number]]
+            )
             was_done = read_state(run.run_dir).stage == "done"
-            outcome = self._train_run(run, lambda run=run: self._is_worse(run))  # type: ignore[misc]
+            outcome = self._train_run(run)
             if outcome == "stopped":
                 return outcome
             if outcome == "failed":
@@ -105,11 +107,8 @@ class _TrialTraining:
             curve = read_curve(RunDirectory(run.run_dir))
             self.areas.append(curve.value("success_auc"))
             values.append([curve.value(objective) for objective in self.settings.objective])
-        self._record(SEED_VALUES, values)
+        self.trial.set_user_attr(SEED_VALUES, values)
         return self._end("done", runs, values=[mean(column) for column in zip(*values, strict=True)])
-
-    def _record(self, name: str, value: Any) -> None:
-        self.trial.set_user_attr(name, value)
 
     def _end(
         self,
@@ -121,22 +120,22 @@ class _TrialTraining:
         """Record what the trial took and how it ended."""
         from optuna.trial import TrialState
 
-        self._record(CPU_S, sum(_cpu_s(run) for run in runs))
-        self._record(STEPS, sum(read_state(run.run_dir).step for run in runs))
+        self.trial.set_user_attr(CPU_S, sum(_cpu_s(run) for run in runs))
+        self.trial.set_user_attr(STEPS, sum(read_state(run.run_dir).step for run in runs))
         if reason is not None:
-            self._record(REASON, reason)
+            self.trial.set_user_attr(REASON, reason)
         states = {"done": TrialState.COMPLETE, "pruned": TrialState.PRUNED, "failed": TrialState.FAIL}
         self.study.tell(self.trial, values, states[outcome])
         return outcome
 
-    def _train_run(self, config: RunConfig, is_worse: Callable[[], bool]) -> Outcome:
-        """Train a run until it is over."""
+    def _train_run(self, config: RunConfig) -> Outcome:
+        """Train a run until it is over, or until its trial is to be pruned."""
         directory, looked, pruned = RunDirectory(config.run_dir), time.monotonic(), False
 
         def stop() -> bool:
             nonlocal looked, pruned
             if not pruned and time.monotonic() - looked > POLL_S:
-                looked, pruned = time.monotonic(), is_worse()
+                looked, pruned = time.monotonic(), self._is_worse(config)
             return pruned
 
         attempts = 0
@@ -146,7 +145,7 @@ class _TrialTraining:
                 return "done"
             if state.stage == "pruned" and self.trial.number > 0:  # trial 0 finishes runs that another trial shares
                 return "pruned"
-            if state.stage == "failed":
+            if state.stage == "failed" or attempts == ATTEMPTS:
                 disk_full = os.strerror(errno.ENOSPC) in (state.reason or "")
                 if disk_full and attempts:  # the trial stays open
                     raise OutputDirectoryError(f"trial {self.trial.number}: {state.reason}; {state.run_dir}")

@@ -16,12 +16,11 @@ from parking_exp.errors import FailedRunError
 from parking_exp.sweeps import slurm as slurm_launcher
 
 RAY = Path(sys.executable).with_name("ray")
-LOCAL = ("hydra/launcher=local",)
 BASIC = ("hydra/launcher=basic",)
 SLURM = ("hydra/launcher=slurm", "hydra.launcher.executor=local", "hydra.launcher.n_jobs=2")
 SLURM_CLUSTER = ("hydra/launcher=slurm", "hydra.launcher.parameters.mem_gb=1", "hydra.launcher.n_jobs=2")
 RAY_CLUSTER = ("hydra/launcher=ray",)
-LAUNCHERS = [LOCAL, BASIC, SLURM, SLURM_CLUSTER, RAY_CLUSTER]
+LAUNCHERS = [BASIC, SLURM, SLURM_CLUSTER, RAY_CLUSTER]  # test_sweep.py is about the local one
 
 
 def ray(*arguments):
@@ -78,28 +77,7 @@ def test_every_run_is_trained_a_failure_is_told_and_nothing_is_done_twice(tmp_pa
     assert trained(tmp_path) == [1, 1, 1]
 
 
-@pytest.mark.slow
-def test_on_ray_a_run_is_killed_a_node_stops_and_typed_again_the_sweep_is_completed(tmp_path, cluster):
-    """The node's run is taken up by the other node, or else by the sweep that is typed again."""
-    process = begin(tmp_path, "seeds=4", *SLOW, *RAY_CLUSTER)
-    wait_until(
-        lambda: stages(tmp_path).count("running") == 2 and len(list(tmp_path.glob("*/*/*/checkpoints/step=*"))) > 1
-    )
-    first, second = (status["pid"] for status in statuses(tmp_path).values() if status["status"] == "running")
-    os.kill(first, signal.SIGKILL)
-    (raylet,) = [one for one in psutil.Process(second).parents() if one.name() == "raylet"]
-    raylet.kill()
-    out, errors = process.communicate(timeout=300)
-    assert process.returncode == 2, errors
-    assert "killed by SIGKILL (out of memory?)" in out
-    ray("start", f"--address={cluster}", "--num-cpus=1")
-    done = sweep(tmp_path, "seeds=4", *SLOW, *RAY_CLUSTER, timeout=300)
-    assert done.returncode == 0, done.stderr
-    assert stages(tmp_path) == ["done"] * 4
-    assert sum(trained(tmp_path)) >= 6  # two of them in two pieces
-
-
-@pytest.mark.parametrize("launcher", [LOCAL, BASIC, SLURM, SLURM_CLUSTER], indirect=True, ids=":".join)
+@pytest.mark.parametrize("launcher", [BASIC, SLURM, SLURM_CLUSTER], indirect=True, ids=":".join)
 @pytest.mark.slow
 def test_a_sweep_that_is_killed_goes_on_when_typed_again(tmp_path, launcher):
     process = begin(tmp_path, "seeds=3", *SLOW, *launcher)
