@@ -8,6 +8,7 @@ from pathlib import Path
 from statistics import mean
 from typing import TYPE_CHECKING, Literal
 
+from parking_exp.config.credentials import strip_password
 from parking_exp.config.schema import RunConfig
 from parking_exp.errors import ConfigError, OutputDirectoryError, StoreError
 from parking_exp.runs.directory import RunDirectory
@@ -70,7 +71,10 @@ def work(folder: Path, n_trials: int, train: Train, storage: str | None = None) 
             finally:
                 lock.release()
     except (OptunaError, SQLAlchemyError) as error:
-        raise StoreError(f"the study {folder.name} can't be written: {str(error).splitlines()[0]}") from error
+        line = strip_password(str(error).splitlines()[0])
+        raise StoreError(
+            f"the study {folder.name} can't be written: {line}; rerun the same command to resume"
+        ) from error
 
 
 class _TrialTraining:
@@ -89,11 +93,9 @@ class _TrialTraining:
         except ConfigError as error:  # values that can't be combined
             return self._end("failed", [], reason=str(error).replace("\n", "; "))
         runs = [config.model_copy(update={"seed": seed}) for seed in self.settings.tuning_seeds]
-        values = []
+        folders, values = [str(run.run_dir.relative_to(run.output_path)) for run in runs], []
         for number, run in enumerate(runs, 1):
-            self.trial.set_user_attr(
-                RUNS, [str(begun.run_dir.relative_to(begun.output_path)) for begun in runs[:number]]
-            )
+            self.trial.set_user_attr(RUNS, folders[:number])
             was_done = read_state(run.run_dir).stage == "done"
             outcome = self._train_run(run)
             if outcome == "stopped":
