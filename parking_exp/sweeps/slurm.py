@@ -144,7 +144,7 @@ def _sigint_blocked() -> Iterator[None]:
 def _result(job: Any) -> Any:
     """Return what a job returned, or the error that it ended with."""
     if not _has_result(job):
-        return FailedRunError(f"it was stopped; rerun the same command (log: {job.paths.stderr})")
+        return FailedRunError(f"stopped by Slurm or a signal; rerun the same command (log: {job.paths.stderr})")
     try:
         return job.result()
     except Exception as error:  # what the job raised; a result that can't be unpickled may raise anything

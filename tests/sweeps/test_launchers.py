@@ -179,7 +179,7 @@ def test_arrays_wait_for_each_other_only_where_n_jobs_is_set(tmp_path, fake, mon
     fake("squeue", "true")
     results = slurm_launcher.launch(str.upper, ["a", "b", "c"], "slurm", n_jobs, tmp_path / "submitit", {"mem_gb": 1})
     assert calls(tmp_path) == order.split()
-    assert [str(result).partition(";")[0] for result in results] == ["it was stopped"] * 3
+    assert [str(result).partition(";")[0] for result in results] == ["stopped by Slurm or a signal"] * 3
 
 
 def test_an_array_that_slurm_refuses_cancels_those_before_it(tmp_path, fake, monkeypatch):
