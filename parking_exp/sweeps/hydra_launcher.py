@@ -1,8 +1,7 @@
 """Set up the Hydra launcher of a command line, and have it train run directories."""
 
 from collections.abc import Callable, Sequence
-from pathlib import Path
-from typing import Any, cast, get_args
+from typing import Any, cast
 
 from hydra.core.global_hydra import GlobalHydra
 from hydra.core.plugins import Plugins
@@ -12,7 +11,7 @@ from hydra.types import HydraContext, RunMode
 from omegaconf import DictConfig
 
 from parking_exp.config.compose import hydra_ready
-from parking_exp.config.overrides import hydra_overrides, in_quotes
+from parking_exp.config.overrides import hydra_overrides
 from parking_exp.errors import ConfigError, ParkingError, plural
 from parking_exp.resources import cores
 from parking_exp.sweeps.supervisor import WorkerResult, supervise_job
@@ -58,21 +57,6 @@ class Launch:
         if self.name == "basic":
             return 1
         return self.config.get("n_jobs") or (len(cores()) if self.name == "local" else None)
-
-    def __call__(self, paths: Sequence[Path]) -> tuple[dict[Path, WorkerResult], str | None]:
-        """Train the runs of these directories.
-
-        Returns:
-            How each run ended, where the launcher returns that, and what broke in the launcher itself, or None.
-
-        Raises:
-            ConfigError: a package is missing.
-            InterruptedRunError: a signal stopped it.
-        """
-        returns, problem = self.jobs([[f"run={in_quotes(str(path))}"] for path in paths])
-        # Not strict: a launcher that broke has returned nothing.
-        values = dict(zip(paths, returns, strict=False))
-        return {path: value for path, value in values.items() if value in get_args(WorkerResult)}, problem
 
     def jobs(self, overrides: Sequence[Sequence[str]]) -> tuple[list[Any], str | None]:
         """Run jobs, each with its own overrides.

@@ -8,6 +8,7 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
+from parking_exp.config.overrides import in_quotes
 from parking_exp.config.paths import store_uri
 from parking_exp.errors import FailedRunError, plural
 from parking_exp.runs.directory import RunDirectory
@@ -55,7 +56,8 @@ def _launch_all(due: list[Path], launch: Launch, monitor: Monitor) -> None:
     while due:
         free = [path for path in due if read_state(path).stage != "running"]
         if free:
-            results, problem = launch(free)
+            values, problem = launch.jobs([[f"run={in_quotes(str(path))}"] for path in free])
+            results = dict(zip(free, values, strict=False))  # a launcher that broke returns nothing
             if problem:
                 monitor.say(f"error: {problem}")
             due = [path for path in due if path not in free or results.get(path) == "elsewhere"]

@@ -38,11 +38,8 @@ def test_values_of_a_trial_may_be_texts_nulls_and_schedules():
             "end_fraction": 1.0,
         },
         "buffer.goal_selection_strategy": "final",
-        "policy_ema_half_life": None,
+        "algorithm.policy_ema_half_life": None,
     }
-    with pytest.raises(ConfigError, match="policy_ema_half_life"):
-        Search(SMOKE).config(changes)
-    changes["algorithm.policy_ema_half_life"] = changes.pop("policy_ema_half_life")
     values = Search(SMOKE).config(changes).plain()
     assert values["algorithm"]["learning_rate"] == changes["algorithm.learning_rate"]
     assert values["buffer"]["goal_selection_strategy"] == "final"
