@@ -120,9 +120,10 @@ def _with_lot_map(
     """Return a cell with trajectories; what is wrong with recordings is appended to `problems`."""
     vehicles = runs.config.get("env.vehicles_count")
     parked = vehicles if type(vehicles) is int and 0 < vehicles < N_SLOTS else 0
-    lot_map = sample([(seed.seed, seed.run_id) for seed in cell.seeds], results, evaluations.final, parked)
-    problems += lot_map.problems
-    return replace(cell, paths=lot_map.paths, failures=lot_map.failures)
+    finished = [(seed.seed, seed.run_id) for seed in cell.seeds]
+    paths, failures, unreadable = sample(finished, results, evaluations.final, parked)
+    problems += unreadable
+    return replace(cell, paths=paths, failures=failures)
 
 
 def _shown(cells: Sequence[Cell], baseline: str | None) -> list[str]:

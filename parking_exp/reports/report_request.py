@@ -13,7 +13,7 @@ from parking_exp.config.paths import directory_path
 from parking_exp.config.schema import ConfigModel, StoreConfig
 from parking_exp.config.validate import parse
 from parking_exp.errors import ConfigError, did_you_mean
-from parking_exp.tuning.schema import Storage
+from parking_exp.tuning.search_config import Storage
 
 SIMILAR = 0.8  # similarity from which on a key is a misspelt one
 

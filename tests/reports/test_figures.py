@@ -313,3 +313,5 @@ def test_long_labels_are_shortened_in_the_middle_and_stay_different():
         4, 1, labels=["same " + "x" * 300 + end for end in ("one", "two", "two")] + [" \n"]
     ).cells
     assert cell_labels(cells, 15) == ["same xx…xxxxone", "same …xtwo (c1)", "same …xtwo (c2)", " (c3)"]
+    wrapped = report_factory.report(2, 1, labels=["her_future, n_sampled_goal=1", "replay"]).cells
+    assert cell_labels(wrapped, 18, lines=2) == ["her_future,\nn_sampled_goal=1", "replay"]

@@ -110,7 +110,7 @@ def test_other_cells_and_another_baseline_can_be_asked_for(source, folder, chang
     assert from_export.claims == from_store.claims
 
 
-def test_of_many_failures_the_same_ones_are_drawn_from_the_rest(source, tmp_path, monkeypatch):
+def test_of_many_episodes_some_are_drawn_at_random_and_the_same_ones_from_the_export(source, tmp_path, monkeypatch):
     monkeypatch.setattr(lot_map, "MOST_FAILURES", 7)
     monkeypatch.setattr(lot_map, "PATHS_AN_OUTCOME", 2)
     results = source.results
@@ -121,10 +121,16 @@ def test_of_many_failures_the_same_ones_are_drawn_from_the_rest(source, tmp_path
     for _, cell in runs.groupby("cell"):
         pairs = list(zip(cell["seed"].tolist(), cell["run_id"].tolist(), strict=True))
         for vehicles in (0, 3):
-            ours, theirs = (lot_map.sample(pairs, one, final, vehicles) for one in (results, kept))
-            assert len(ours.failures) == 7
-            assert len(ours.paths) == (3 if vehicles else 6)
-            assert (theirs.paths, theirs.failures) == (ours.paths, ours.failures)
+            ours, theirs = (lot_map.sample(pairs, frames, final, vehicles) for frames in (results, kept))
+            paths, drawn, _ = ours
+            assert (len(paths), len(drawn)) == (3 if vehicles else 6, 7)
+            assert theirs[:2] == (paths, drawn)
+        with monkeypatch.context() as patch:
+            patch.setattr(lot_map, "MOST_FAILURES", 500)
+            _, everything, _ = lot_map.sample(pairs, results, final, 0)
+        rest = iter(everything)
+        assert all(failure in rest for failure in drawn)  # in the same order
+        assert drawn != everything[:7]  # not the first ones
 
 
 def test_long_ways_have_every_fifth_place_and_the_last_and_their_length(source):
@@ -133,21 +139,6 @@ def test_long_ways_have_every_fifth_place_and_the_last_and_their_length(source):
     for path in paths:
         assert len(path.x_m) == -(-path.steps // 5) + 1
         assert path.x_m[0] == 0
-    run_id = source.results.runs.query("`config.buffer.name` == 'her_future'")["run_id"].iloc[0]
-    short = lot_map._thinned(source.results.trajectories(run_id).query("step <= 100"))
-    assert short.groupby("scene").size().unique().tolist() == [101]
-
-
-def test_failures_of_a_cell_are_drawn_at_random_and_not_the_first(source, monkeypatch):
-    monkeypatch.setattr(lot_map, "MOST_FAILURES", 5)
-    few = made_of(source).cells[0].failures
-    monkeypatch.setattr(lot_map, "MOST_FAILURES", 500)
-    everything = made_of(source).cells[0].failures
-    rest = iter(everything)
-    assert len(everything) == 56  # of two runs: the recording of the third is damaged
-    assert len(few) == 5
-    assert all(one in rest for one in few)  # in the same order
-    assert max(everything.index(one) for one in few) > 28
 
 
 def test_the_summary_has_what_tables_have_not_and_is_small(source, folder):
@@ -185,9 +176,7 @@ def test_an_export_of_some_cells_has_no_others(source, tmp_path):
 def test_the_search_of_an_export_is_the_one_that_was_written(source, tmp_path):
     kind = {"name": "FloatDistribution", "attributes": {"low": 0.9, "high": 0.99, "log": False, "step": None}}
     trial = TrialRow(0, "done", {}, {"algorithm.gamma": 0.9}, [0.5], [[0.25], [0.75]], ["one/cell/seed=0"], 100)
-    search = Tuning(
-        "one", "tpe", None, 2, ["success_auc"], 2, {"algorithm.gamma": kind}, [trial], retested=[], notes=["none"]
-    )
+    search = Tuning("one", "tpe", None, 2, ["success_auc"], 2, {"algorithm.gamma": kind}, [trial], retested=[])
     data = with_tuning(made_of(source), search)
     write_report_export(source, data, tmp_path / "one", "", only_cells=False)
     found = read_report_export(str(tmp_path / "one"))

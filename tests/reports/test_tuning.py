@@ -106,7 +106,7 @@ def begun(folder):
 
 def report(*experiments, tuning=None):
     """A report on these experiments, with a search."""
-    plain = replace(report_factory.report(2, 2), experiments=list(experiments))
+    plain = replace(report_factory.report(2, 2), experiments=list(experiments), warnings=[])
     return with_tuning(plain, tuning) if tuning else plain
 
 

@@ -5,8 +5,10 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 from matplotlib.ticker import EngFormatter
 
+from parking_exp.errors import plural
 from parking_exp.reports.figures.figure_style import (
     SMALL_PT,
     Drawing,
@@ -16,7 +18,6 @@ from parking_exp.reports.figures.figure_style import (
     new_figure,
     percentages,
     row_axes,
-    seeds_text,
 )
 from parking_exp.reports.report_data import Cell, Curve, ReportData, Survival
 
@@ -28,7 +29,7 @@ def _seed_counts(cells: Sequence[Cell]) -> str:
     """Return e.g. `10 seeds per cell` or `3 to 10 seeds per cell`."""
     counts = [len(cell.seeds) for cell in cells]
     low, high = min(counts), max(counts)
-    return f"{seeds_text(high)} per cell" if low == high else f"{low} to {seeds_text(high)} per cell"
+    return f"{plural(high, 'seed')} per cell" if low == high else f"{low} to {plural(high, 'seed')} per cell"
 
 
 def draw_final_success(report: ReportData) -> Iterator[Drawing]:
@@ -36,7 +37,7 @@ def draw_final_success(report: ReportData) -> Iterator[Drawing]:
     cells = report.shown_cells
     if not any(seed.success is not None for cell in cells for seed in cell.seeds):
         return
-    figure, axes = row_axes(cell_labels(cells))
+    figure, axes = row_axes(cell_labels(cells, 36, lines=2))
     axes.set_xlabel("final success (% of scenes)")
     line_90(axes, vertical=True)
     for row, cell in enumerate(cells):
@@ -71,7 +72,7 @@ def draw_learning_curves(report: ReportData) -> Iterator[Drawing]:
     if not curves:
         return
     cells, with_seeds = [cell for cell, _ in curves], len(curves) <= _MOST_SEED_LINES
-    figure = new_figure(max(3.6, 0.3 + 0.16 * len(cells)))
+    figure = _figure_with_legend(3.6, cells)
     success, crash = figure.subplots(2, sharex=True, height_ratios=(2, 1))
     for cell, curve in curves:
         _curve(success, crash, cell, curve, with_seeds=with_seeds)
@@ -82,7 +83,6 @@ def draw_learning_curves(report: ReportData) -> Iterator[Drawing]:
     crash.xaxis.set_major_formatter(EngFormatter(sep=""))
     for axes in (success, crash):
         axes.grid(axis="y")
-    _legend(figure, success, cells)
     lines = "thin lines: seeds; " if with_seeds else ""
     yield (
         figure,
@@ -105,13 +105,17 @@ def _curve(success: Axes, crash: Axes, cell: Cell, curve: Curve, *, with_seeds: 
         axes.plot(step, rate, alpha=0.4, **line)
         every = (int(cell.id[1:]) % max(1, len(step) // 7), max(1, len(step) // 7))
         whole = np.where(complete, rate, np.nan)
-        axes.plot(step, whole, marker=style.marker, markevery=every, label=cell.id, **line)
+        axes.plot(step, whole, marker=style.marker, markevery=every, **line)
 
 
-def _legend(figure: Figure, axes: Axes, cells: Sequence[Cell]) -> None:
-    """Show the line, marker and label of each cell at the right of a figure."""
-    lines = dict(zip(*reversed(axes.get_legend_handles_labels()), strict=True))
-    figure.legend([lines[cell.id] for cell in cells], cell_labels(cells, 32), loc="outside right upper")
+def _figure_with_legend(height: float, cells: Sequence[Cell]) -> Figure:
+    """Return a figure, at least as high as its legend of the lines and markers of cells at the right."""
+    labels = cell_labels(cells, 32, lines=2)
+    figure = new_figure(max(height, 0.4 + sum(0.14 + 0.12 * label.count("\n") for label in labels)))
+    styles = [cell_style(cell.id) for cell in cells]
+    lines = [Line2D([], [], color=look.colour, linestyle=look.line, marker=look.marker) for look in styles]
+    figure.legend(lines, labels, loc="outside right upper")
+    return figure
 
 
 def draw_time_to_90(report: ReportData) -> Iterator[Drawing]:
@@ -127,13 +131,12 @@ def draw_time_to_90(report: ReportData) -> Iterator[Drawing]:
     if not panels:
         return
     cells = [cell for cell, _ in panels[0]]
-    figure = new_figure(max(2.2, 0.3 + 0.16 * len(cells)))
+    figure = _figure_with_legend(2.2, cells)
     row = figure.subplots(1, len(panels), sharey=True, squeeze=False)[0]
     for axes, pairs in zip(row, panels, strict=True):
         _survival_panel(axes, pairs)
     row[0].set(ylim=(-3, 103), ylabel="seeds at 90 % (%)")
     row[0].xaxis.set_major_formatter(EngFormatter(sep=""))
-    _legend(figure, row[0], cells)
     yield (
         figure,
         "Share of seeds whose success has reached 90 % in three evaluations in a row (Kaplan–Meier estimate; "  # noqa: RUF001
@@ -161,7 +164,6 @@ def _survival_panel(axes: Axes, pairs: Sequence[tuple[Cell, Survival]]) -> None:
             linestyle=style.line,
             marker=style.marker,
             markevery=slice(1, -1),
-            label=cell.id,
         )
         reached = share[np.searchsorted(time[:-1], survival.censored, side="right") - 1]
         axes.plot(survival.censored, reached, linestyle="", marker="+", markersize=6, color=style.colour)

@@ -5,6 +5,7 @@ from collections.abc import Iterator
 import numpy as np
 from matplotlib.axes import Axes
 
+from parking_exp.errors import plural
 from parking_exp.reports import formats
 from parking_exp.reports.figures.figure_style import (
     INK,
@@ -16,7 +17,6 @@ from parking_exp.reports.figures.figure_style import (
     new_figure,
     percentages,
     row_axes,
-    seeds_text,
 )
 from parking_exp.reports.report_data import Factor, Interaction, MainEffect, ReportData, Setting
 
@@ -102,7 +102,7 @@ def _heat_map(table: Interaction, names: dict[str, str], scale: tuple[float, flo
     bar.set_label("success (%)")
     given = f" for {table.given}" if table.given else ""
     real = " Last in each: measured share of real transitions in batches." if shares else ""
-    each = f"{seeds_text(counts.pop())} each" if len(counts) == 1 else "seeds as written"
+    each = f"{plural(counts.pop(), 'seed')} each" if len(counts) == 1 else "seeds as written"
     return (
         figure,
         f"Mean final success by {row_name} and {column_name}{given}, in %, with 95 % intervals; {each}.{real}",

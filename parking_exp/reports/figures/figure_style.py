@@ -1,9 +1,11 @@
 """The style of figures: matplotlib's settings, the look of each cell, and labels that fit and can be drawn."""
 
+import textwrap
 import unicodedata
 from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import matplotlib.style
@@ -21,53 +23,18 @@ Drawing = tuple[Figure, str]
 WIDTH_IN = 6.8  # of every figure: both columns of a paper
 SMALL_PT, TINY_PT = 7.0, 6.0
 INK, GRID = "#1c1e21", "#d5d8dc"
-LABEL_LENGTH = 44  # characters of a cell's label beside its row; leaves more than half of the width to the axes
 
 # Okabe and Ito's palette without black and yellow, and two of Paul Tol's `muted`.
 _COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#882255", "#999933")
 _MARKERS = ("o", "s", "^", "D", "v", "P", "X")  # one less than colours: no pair repeats in 56 cells
 _LINES: tuple[Any, ...] = ("-", (0, (4, 1.5)), (0, (1.2, 1.2)), (0, (5, 1.2, 1.2, 1.2)))
 
-_SETTINGS = {
-    "font.family": "DejaVu Sans",
-    "font.size": 8.0,
-    "text.parse_math": False,  # labels are anyone's: `$` is no mathematics
-    "text.hinting": "none",  # at small sizes the hinter's letters grow serifs
-    "text.color": INK,
-    "axes.edgecolor": INK,
-    "axes.labelcolor": INK,
-    "axes.labelsize": "medium",
-    "axes.titlesize": "medium",
-    "axes.titlelocation": "left",
-    "axes.linewidth": 0.6,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.axisbelow": True,
-    "grid.color": GRID,
-    "grid.linewidth": 0.5,
-    "legend.frameon": False,
-    "legend.fontsize": SMALL_PT,
-    "lines.linewidth": 1.3,
-    "lines.markersize": 3.5,
-    "xtick.color": INK,
-    "ytick.color": INK,
-    "xtick.labelsize": SMALL_PT,
-    "ytick.labelsize": SMALL_PT,
-    "xtick.major.size": 2.5,
-    "ytick.major.size": 2.5,
-    "xtick.major.width": 0.6,
-    "ytick.major.width": 0.6,
-    "figure.constrained_layout.use": True,
-    "savefig.dpi": 200,
-    "svg.fonttype": "none",
-    "svg.hashsalt": "parking_exp",  # the same drawing gives the same bytes
-    "pdf.fonttype": 42,
-}
+_STYLE = Path(__file__).with_name("report.mplstyle")
 
 
 def report_style() -> AbstractContextManager[None]:
     """Return a context that draws with our settings and matplotlib's defaults, whatever the user's settings are."""
-    return matplotlib.style.context(["default", _SETTINGS])
+    return matplotlib.style.context(["default", _STYLE])
 
 
 def new_figure(height: float) -> Figure:
@@ -110,18 +77,23 @@ def elided(text: str, length: int) -> str:
     return f"{text[: length // 2]}…{text[len(text) - (length - 1) // 2 :]}"
 
 
-def cell_labels(cells: Sequence[Cell], length: int = LABEL_LENGTH) -> list[str]:
-    """Return a label of at most `length` characters for each cell; ambiguous ones end in the cell's id."""
+def cell_labels(cells: Sequence[Cell], width: int, lines: int = 1) -> list[str]:
+    """Return a label for each cell, wrapped into lines of `width` characters; ambiguous ones end in the cell's id.
+
+    Longer ones than some `lines` of that width are shortened.
+    """
+    length = width * lines
     texts = [elided(cell.label, length) for cell in cells]
-    return [
+    unique = [
         text if text and texts.count(text) == 1 else f"{elided(cell.label, length - len(cell.id) - 3)} ({cell.id})"
         for cell, text in zip(cells, texts, strict=True)
     ]
+    return [textwrap.fill(text, width) if lines > 1 else text for text in unique]
 
 
 def row_axes(texts: Sequence[str]) -> tuple[Figure, Axes]:
     """Return a figure with a labelled row for each text, the first one at the top."""
-    figure = new_figure(0.6 + 0.24 * len(texts))
+    figure = new_figure(0.6 + len(texts) * (0.24 + 0.08 * max(text.count("\n") for text in texts)))
     axes = figure.subplots()
     axes.grid(axis="x")
     axes.spines["left"].set_visible(False)
@@ -174,8 +146,3 @@ def text_colour(background: Any) -> str:
 def percentages(values: Sequence[float | None]) -> np.ndarray:
     """Return shares as percentages, NaN where they are unknown. Shape (n,)."""
     return 100 * np.array([np.nan if value is None else value for value in values], dtype=float)
-
-
-def seeds_text(n: int) -> str:
-    """Return `1 seed` or `n seeds`."""
-    return f"{n} seed" if n == 1 else f"{n} seeds"

@@ -77,9 +77,9 @@ def draw_scene_map(report: ReportData) -> Iterator[Drawing]:
         return
     n = len(failed)
     columns = min(n, 2 if n <= 4 else 3 if n <= 12 else 4)
-    figure, lots = _lots(n, columns, head=0.22)
+    labels = cell_labels([cell for cell, _ in failed], 84 // columns, lines=2)
+    figure, lots = _lots(n, columns, head=0.22 + 0.13 * max(label.count("\n") for label in labels))
     highest = max(10.0, 5 * np.ceil(max(np.nanmax(rates) for _, rates in failed) / 5))
-    labels = cell_labels([cell for cell, _ in failed], 84 // columns)
     for axes, (cell, rates), label in zip(lots, failed, labels, strict=True):
         slots = _shapes(axes, _SLOTS, array=rates, cmap="Purples", clim=(0, highest), edgecolors=GRID, linewidths=0.4)
         axes.set_title(label)
@@ -121,7 +121,7 @@ def draw_trajectories(report: ReportData) -> Iterator[Drawing]:
     rows = lots.reshape(-1, 3)
     for axes, outcome in zip(rows[0], OUTCOMES, strict=True):
         axes.set_title(f"{outcome}\n", loc="center")  # above the label of the first row
-    for row, cell, label in zip(rows, cells, cell_labels(cells), strict=True):
+    for row, cell, label in zip(rows, cells, cell_labels(cells, 80), strict=True):
         row[0].set_title(label)
         for axes, outcome in zip(row, OUTCOMES, strict=True):
             paths = [path for path in cell.paths if path.outcome == outcome and len(path.x_m)]

@@ -73,7 +73,7 @@ def _from_reference(report: ReportData, pairs: Pairs) -> Iterator[Drawing]:
     rows = [(cell, pairs[cell.id, reference.id]) for cell in report.shown_cells if (cell.id, reference.id) in pairs]
     if not rows:
         return
-    figure, axes = row_axes(cell_labels([cell for cell, _ in rows]))
+    figure, axes = row_axes(cell_labels([cell for cell, _ in rows], 36, lines=2))
     name = "the baseline" if report.baseline else "the highest mean"
     axes.axvline(0, color=INK, linewidth=0.8)
     axes.set_xlabel(f"difference from {name} (points)")
