@@ -281,10 +281,9 @@ def test_a_report_sends_what_the_store_lacks_and_reads_it_there(output_dir):
     assert load("one", output_dir=output_dir).runs["status"].tolist() == ["done", "failed", "interrupted"]
     (cell,) = stored(output_dir)["cells"]
     assert cell["counts"] == {"done": 1, "running": 0, "failed": 1, "pending": 1}
-    assert [(run["seed"], run["status"], run["reason"]) for run in stored(output_dir)["provenance"]["unfinished"]] == [
-        (1, "failed", "it was killed"),
-        (2, "interrupted", "interrupted; rerun the sweep to resume it"),
-    ]
+    failed, interrupted = stored(output_dir)["provenance"]["unfinished"]
+    assert (failed["seed"], failed["status"], failed["reason"]) == (1, "failed", "it was killed")
+    assert (interrupted["seed"], interrupted["status"]) == (2, "interrupted")
 
 
 @pytest.mark.slow
@@ -296,13 +295,12 @@ def test_a_store_that_was_lost_is_made_again_for_a_report(output_dir):
     assert stored(output_dir)["cells"][0]["counts"]["done"] == 2
 
 
-def test_a_store_that_is_typed_is_left_as_it_is_and_older_states_are_said(output_dir, tmp_path):
+def test_a_store_of_another_uri_gets_what_its_runs_lack(output_dir, tmp_path):
     uri = f"sqlite:///{output_dir}/mlflow.db"
     runs = make_store(tmp_path, "one", {"sac": []}, range(2), uri=uri)
     runs["sac", 1].update(status="failed", error="it was killed")
-    done = report(tmp_path, "experiment=one", "report=quick", f"tracking.uri={uri}")
-    assert load("one", uri=uri).runs["status"].tolist() == ["done", "done"]
-    assert f"The store has an older state of 1 run in {tmp_path}; `python scripts/status.py sync=true" in done.stderr
+    report(tmp_path, "experiment=one", "report=quick", f"tracking.uri={uri}")
+    assert load("one", uri=uri).runs["status"].tolist() == ["done", "failed"]
 
 
 def test_a_run_that_cannot_be_sent_is_said_and_the_others_are_reported(output_dir):
@@ -310,4 +308,4 @@ def test_a_run_that_cannot_be_sent_is_said_and_the_others_are_reported(output_di
     runs["sac", 1].update(status="failed", error="it was killed")
     (runs["sac", 1].path / "config.yaml").write_text("no config")
     done = report(output_dir, "experiment=one", "report=quick")
-    assert f"The store has not got all of 1 run, e.g. {runs['sac', 1].path}: " in done.stderr
+    assert str(runs["sac", 1].path) in done.stderr
