@@ -238,7 +238,7 @@ def plain_look(label, seed):
         (["from=ex", "experiment=one"], "experiment: from=ex is all that the report is made of; leave one of them out"),
         (["from=ex", "tracking.uri=sqlite:///x.db"], "tracking.uri: from=ex is all that the report is made of; leave one of them out"),
         (["from=ex", "export=other"], "export: from=ex is all that the report is made of; leave one of them out"),
-        (["from=2024"], "2024: there is no such folder; `python scripts/report.py experiment=NAME export=FOLDER` makes one"),
+        (["from=2024"], "2024 is not a whole export: it has no runs.csv.gz"),
         (["frm=ex"], "frm: there is no such key; did you mean 'from'?"),
         (["exprot=ex"], "exprot: there is no such key; did you mean 'export'?"),
         (["experiment=one", "export=full"], "export={here}/full: it holds other files, e.g. notes.txt; name a folder of its own"),
