@@ -19,7 +19,7 @@ from parking_exp.errors import ConfigError, did_you_mean, plural
 from parking_exp.runs.directory import RunDirectory
 from parking_exp.runs.lookup import find_runs
 from parking_exp.terminal import say
-from parking_exp.tuning.schema import Storage
+from parking_exp.tuning.search_config import Storage
 
 if TYPE_CHECKING:
     from parking_exp.reports.export import ReportSource
