@@ -6,7 +6,7 @@ import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 import yaml
 
@@ -52,39 +52,25 @@ def read_json(path: Path) -> Any:
 
 
 def read_plain_yaml(path: Path) -> Any:
-    """Read a YAML file of dicts with text as keys, lists, texts, numbers, booleans and nulls: what JSON has.
+    """Read a YAML file that holds what JSON has: dicts, lists, texts, numbers, booleans and nulls.
 
     Raises:
         OSError: it can't be read.
-        ValueError: it holds anything else, such as a tag, a tuple, a date or an alias.
+        ValueError: it holds anything else, such as a tag, a date or an alias.
     """
     try:
-        found = yaml.load(path.read_text(encoding="utf-8"), _PlainLoader)
-        json.dumps(found, allow_nan=True)
+        return json.loads(json.dumps(yaml.load(path.read_text(encoding="utf-8"), _LoaderWithoutAliases)))
     except (yaml.YAMLError, RecursionError, LookupError, AttributeError, TypeError) as error:
         raise ValueError(str(error).splitlines()[0] or type(error).__name__) from error
-    return found
 
 
-class _PlainLoader(yaml.SafeLoader):
-    """Constructs what JSON has, and nothing else."""
-
-    yaml_constructors: ClassVar = {
-        tag: construct
-        for tag, construct in yaml.SafeLoader.yaml_constructors.items()
-        if tag is None or tag.rpartition(":")[2] in {"null", "bool", "int", "float", "str", "seq", "map"}
-    }
+class _LoaderWithoutAliases(yaml.SafeLoader):
+    """Refuses aliases, by which a small file becomes a huge value."""
 
     def compose_node(self, parent: Any, index: Any) -> Any:
         if self.check_event(yaml.AliasEvent):
             raise yaml.YAMLError("it has an alias")
         return super().compose_node(parent, index)
-
-    def construct_mapping(self, node: Any, deep: bool = False) -> dict[Any, Any]:
-        found = super().construct_mapping(node, deep=True)
-        if not all(isinstance(key, str) for key in found):
-            raise yaml.YAMLError("it has a key that is no text")
-        return found
 
 
 def read_object(path: Path) -> dict[str, Any]:

@@ -2,7 +2,7 @@
 
     outputs/<experiment_name>/<cell>/seed=<n>/
         config.yaml  status.json  result.json  metrics.jsonl  episodes.csv  monitor.csv  progress.csv
-        provenance.json  synced.json  checkpoints/  models/  evaluations/  tensorboard/  video.mp4  curves.png  log.txt
+        provenance.json  checkpoints/  models/  evaluations/  tensorboard/  video.mp4  curves.png  log.txt
 
 The run directory is the truth; MLflow is its index. Two locks keep processes apart: `.claim` is held by the process
 that is responsible for the run (its supervisor, or the one that trains it without any), `.lock` by the one that trains.
@@ -104,11 +104,17 @@ class RunDirectory:
         """Whether a process, be it this one, is responsible for the run now, or works on it."""
         return any(is_held(self.path / name) for name in (SUPERVISOR_LOCK, TRAINING_LOCK))
 
-    def update(self, **values: Any) -> None:
+    def update(self, durable: bool = True, /, **values: Any) -> None:
         """Change entries of status.json; None removes one."""
+        if uri := values.get("tracking_uri"):
+            values["tracking_uri"] = relative(uri, self.output_dir)
         if values.get("status") in ENDS:
             (self.path / RESERVE).unlink(missing_ok=True)
-        self._update(values, durable=True)
+        # A training, its supervisor, a mirror and an evaluation may change different entries at once.
+        with FileLock(self.path / ".status.lock"):
+            changed = {**self.read_status(), **values}
+            kept = {key: value for key, value in changed.items() if value is not None}
+            write_json(self.path / STATUS_FILE, kept, durable=durable)
 
     def result(self) -> RunResult | None:
         """Return the stored result of a finished run, else None, also where it is damaged."""
@@ -180,7 +186,7 @@ class RunDirectory:
             known = {"label": label, "total_timesteps": config.total_timesteps, "command": typed_command()}
             uri = store_uri(config) if config.tracking.mlflow else None
             fresh = {"status": "pending", "error": None, "killed": None, "tracking_uri": uri}
-            self._update({**fresh, **known, **(entries or {})}, durable=False)
+            self.update(False, **fresh, **known, **(entries or {}))
 
     def heartbeat(self, **values: Any) -> None:
         """Write down how far the run is, for processes that watch it."""
@@ -230,15 +236,6 @@ class RunDirectory:
         with hold(self.path / name, patience_s):
             self.check_links()
             yield
-
-    def _update(self, values: dict[str, Any], durable: bool) -> None:
-        # A training, its supervisor, a sync and an evaluation may change different entries at once.
-        if uri := values.get("tracking_uri"):
-            values["tracking_uri"] = relative(uri, self.output_dir)
-        with FileLock(self.path / ".status.lock"):
-            changed = {**self.read_status(), **values}
-            kept = {key: value for key, value in changed.items() if value is not None}
-            write_json(self.path / STATUS_FILE, kept, durable=durable)
 
     def _write_config(self, config: RunConfig, durable: bool) -> None:
         try:

@@ -32,10 +32,10 @@ def find_run(name: str, output_dir: Path, having: str, others: Sequence[str] = (
     files = sorted(output_dir.glob(f"*/*/*/{STATUS_FILE}"))
     usable = [file for file in files if (file.parent / having).exists()]
     usable.sort(key=lambda file: (file.parent / having).stat().st_mtime)  # a sync or an evaluation changes status.json
-    if name == "latest" and files:
-        if not usable:
-            raise RunNotFoundError(f"run=latest: of {plural(len(files), 'run')} in {output_dir}, none has {having} yet")
+    if name == "latest" and usable:
         return RunDirectory(usable[-1].parent.absolute())
+    if name == "latest" and files:
+        raise RunNotFoundError(f"run=latest: of {plural(len(files), 'run')} in {output_dir}, none has {having} yet")
     ids = {run_id: file.parent for file in files if (run_id := RunDirectory(file.parent).run_id)}
     if name in ids:
         return RunDirectory(ids[name].absolute())
@@ -45,12 +45,11 @@ def find_run(name: str, output_dir: Path, having: str, others: Sequence[str] = (
         raise RunNotFoundError(f"run={name} is no run directory{hint}")
     latest = ["latest"] if usable else []
     hint = did_you_mean(name, [*latest, *others, *ids, *(str(file.parent) for file in files)])
-    ways = [f"write run={other}" for other in others[:1]]
-    if not files and not hint:
+    ways = [f"write run=latest for {usable[-1].parent}"] if usable else []
+    ways += [f"write run={other}" for other in others[:1]]
+    if not files:
         ways = ["train one first", "set output_dir", *ways]
-        raise RunNotFoundError(f"run={name}: there are no runs in {output_dir}; {', or '.join(ways)}")
-    ways = [*(f"write run=latest for {file.parent}" for file in usable[-1:]), *ways]
+    hint = hint or (f"; {', or '.join(ways)}" if ways else "")
     raise RunNotFoundError(
-        f"run={name} is neither a run directory nor the MLflow run id of a run in {output_dir}"
-        + (hint or (f"; {', or '.join(ways)}" if ways else ""))
+        f"run={name} is neither a run directory nor the MLflow run id of a run in {output_dir}{hint}"
     )

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from parking_exp.errors import DamagedFileError
-from parking_exp.runs.atomic_files import read_object, sha256
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -32,17 +31,6 @@ def restore_logs(run_dir: Path, checkpoint: Path | None) -> None:
         (run_dir / name).unlink(missing_ok=True)
         if checkpoint is not None and (checkpoint / name).exists():
             shutil.copyfile(checkpoint / name, run_dir / name)
-
-
-def has_whole_logs(checkpoint: Path) -> bool:
-    """Whether the logs of a checkpoint still have the hashes of its manifest."""
-    digests = read_object(checkpoint / "manifest.json")
-    copies = [checkpoint / name for name in APPENDED if name in digests]
-    return bool(copies) and all(_has_hash(copy, digests[copy.name]) for copy in copies)
-
-
-def _has_hash(path: Path, digest: str) -> bool:
-    return path.exists() and sha256(path) == digest
 
 
 def read_metrics(path: Path) -> Iterator[dict[str, Any]]:

@@ -1,8 +1,8 @@
 """The resolved config in a run directory: written with paths relative to it, read back as data."""
 
-from collections.abc import Iterator
+import json
+import re
 from pathlib import Path
-from typing import Any
 
 import yaml
 
@@ -44,9 +44,8 @@ def read_config(directory: Path, output_dir: Path) -> RunConfig:
         raise ConfigError(f"{path} can't be read: {str(error).splitlines()[0]}") from error
     if not isinstance(stored, dict):
         raise ConfigError(f"{path} can't be read: it is no config, but a {type(stored).__name__}")
-    for key, value in _texts(stored):
-        if "${" in value:
-            raise ConfigError(f"{key}={value} in {path} is an interpolation; stored configs have values only")
+    if found := re.search(r'[^"]*\$\{[^"]*', json.dumps(stored)):
+        raise ConfigError(f"{path} has the interpolation {found[0]}; stored configs have values only")
     try:
         config = check(RunConfig, stored)
     except ConfigError as error:
@@ -54,14 +53,3 @@ def read_config(directory: Path, output_dir: Path) -> RunConfig:
     uri = config.tracking.uri and absolute(config.tracking.uri, output_dir)
     tracking = config.tracking.model_copy(update={"uri": uri})
     return config.model_copy(update={"output_dir": str(output_dir), "tracking": tracking})
-
-
-def _texts(node: Any, key: str = "") -> Iterator[tuple[str, str]]:
-    """Yield every text in nested dicts and lists, keys included, with its dotted key."""
-    if isinstance(node, str):
-        yield key, node
-    children = node.items() if isinstance(node, dict) else enumerate(node) if isinstance(node, list) else ()
-    for name, value in children:
-        path = f"{key}.{name}" if key else str(name)
-        yield path, str(name)
-        yield from _texts(value, path)

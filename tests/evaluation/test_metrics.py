@@ -48,7 +48,7 @@ from parking_exp.reports.report_files import write_tables
 from parking_exp.reports.sections import section_contents
 from parking_exp.results import load
 from parking_exp.runs.metric_logs import append_episodes
-from parking_exp.tracking.reader import Reader
+from parking_exp.tracking.store import Store
 
 folder = Path(sys.argv[1])
 env = compose("env.duration=2").env
@@ -58,13 +58,13 @@ make_store(folder, "one", {"sac": [], "td3": ["algorithm=td3"]}, range(2))
 results = load("one", output_dir=folder)
 report = build_report(results, ["one"])
 write_tables(section_contents(report), report.shown, folder)
-(experiment,) = [one for name, one in Reader(results.uri).experiments().items() if name == "one"]
+(experiment,) = [one for name, one in Store(results.uri, None).experiments().items() if name == "one"]
 print(json.dumps({
     "csv": (folder / "episodes.csv").read_text().splitlines()[0],
     "side": float(episodes["side_m"].min()),
     "summary": sorted(summarise(episodes)),
     "words": describe(episodes).splitlines()[-1],
-    "store": sorted(Reader(results.uri).runs([experiment])[0].metrics),
+    "store": sorted(Store(results.uri, None).runs([experiment])[0].data.metrics),
     "runs": float(results.runs["side_m"].max()),
     "curves": str(results.curves["side_m_mean"].dtype),
     "episodes": str(results.episodes["side_m"].dtype),

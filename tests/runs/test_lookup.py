@@ -41,17 +41,13 @@ def test_latest_is_the_run_whose_model_was_written_last_also_after_another_was_s
     assert find_run("latest", output_dir, having="models/final.zip").path == runs[1]
 
 
-def test_a_name_that_nothing_has_gets_a_sentence_with_what_there_is(output_dir):
-    nothing = f"run=nothing is neither a run directory nor the MLflow run id of a run in {output_dir}; "
+def test_a_name_that_nothing_has_is_refused_with_what_there_is(output_dir):
     latest = output_dir / "mine" / "cell" / "seed=0"
     assert find_run("latest", output_dir, having="models/final.zip").path == latest
-    assert refusal("nothing", output_dir) == f"{nothing}write run=latest for {latest}, or write run=pretrained"
-    with pytest.raises(RunNotFoundError, match=rf"{nothing}write run=latest for {latest}$"):
-        find_run("nothing", output_dir, having="models/final.zip")
+    assert all(words in refusal("nothing", output_dir) for words in (f"run=latest for {latest}", "run=pretrained"))
     (latest / "models" / "final.zip").unlink()
-    assert refusal("nothing", output_dir) == f"{nothing}write run=pretrained"
-    with pytest.raises(RunNotFoundError, match=rf"a run in {output_dir}$"):
-        find_run("nothing", output_dir, having="models/final.zip")
+    assert "latest" not in refusal("nothing", output_dir)
+    assert "2 runs" in refusal("latest", output_dir)
 
 
 @pytest.mark.parametrize(
@@ -64,23 +60,14 @@ def test_a_name_that_nothing_has_gets_a_sentence_with_what_there_is(output_dir):
     ],
 )
 def test_the_name_of_an_agent_or_of_the_latest_run_is_suggested(name, meant, output_dir):
-    assert refusal(name, output_dir) == (
-        f"run={name} is neither a run directory nor the MLflow run id of a run in {output_dir}; did you mean {meant!r}?"
-    )
+    assert refusal(name, output_dir).endswith(f"did you mean {meant!r}?")
 
 
 def test_a_folder_that_is_no_run_directory_is_told_with_one_inside(output_dir):
     for folder in (output_dir, output_dir / "mine", output_dir / "mine" / "cell"):
-        assert refusal(str(folder), output_dir) == (
-            f"run={folder} is no run directory; one in it is {output_dir}/mine/cell/seed=0"
-        )
-    empty = output_dir / "empty"
-    empty.mkdir()
-    assert refusal(str(empty), output_dir) == f"run={empty} is no run directory"
+        assert f"{output_dir}/mine/cell/seed=0" in refusal(str(folder), output_dir)
 
 
 @pytest.mark.parametrize("name", ["latest", "nothing"])
 def test_without_any_run_training_and_the_pretrained_agent_are_suggested(name, tmp_path):
-    assert refusal(name, tmp_path) == (
-        f"run={name}: there are no runs in {tmp_path}; train one first, or set output_dir, or write run=pretrained"
-    )
+    assert all(words in refusal(name, tmp_path) for words in ("train one first", "run=pretrained"))

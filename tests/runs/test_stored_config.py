@@ -23,7 +23,7 @@ def test_a_stored_config_is_read_back_as_it_was(directory, tmp_path):
     ("old", "new", "named"),
     [
         ("n_envs:", "number_of_envs:", "number_of_envs"),
-        ("name: sac", "name: ${seed}", "algorithm.name"),
+        ("name: sac", "name: ${seed}", "${seed}"),
         ("n_envs: ", "n_envs: !!python/name:os.getcwd ", "config.yaml"),
         ("n_envs: ", "n_envs: [", "config.yaml"),
     ],
