@@ -2,6 +2,7 @@
 
 import json
 import re
+import sqlite3
 import subprocess
 import sys
 from pathlib import Path
@@ -143,11 +144,11 @@ def test_a_label_with_commas_and_equal_signs_is_a_baseline(output_dir):
 
 def test_hostile_names_are_text_everywhere(output_dir):
     hostile = "<script>window.pwned=1</script>"
-    make_store(
-        output_dir, "one", {"a": []}, range(2),
-        lambda label, seed: Look(tags={"cpu": hostile, "mlflow.runName": hostile, "cell": f"x{hostile}-{label}"},
-                                 params={"algorithm.name": "\x1b[2J\x9b31m\u202e\nerror: x"}),
-    )  # fmt: skip
+    tags = {"cpu": hostile, "mlflow.runName": hostile, "cell": f"x{hostile}-a"}
+    make_store(output_dir, "one", {"a": []}, range(2), lambda *_: Look(tags=tags))
+    with sqlite3.connect(output_dir / "mlflow.db") as database:
+        name = "\x1b[2J\x9b31m\u202e\nerror: x"
+        database.execute("update params set value = ? where key = 'algorithm.name'", (name,))
     done = report(output_dir, "experiment=one")
     assert all(line.isprintable() for line in (done.stdout + done.stderr).split("\n"))
     assert done.stdout.startswith(r"“\x1b[2J\x9b31m\u202e\nerror: x, her_future” succeeds in 80.0 % [")
