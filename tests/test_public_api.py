@@ -96,5 +96,5 @@ def test_a_composed_config_is_checked_and_of_one_run():
     assert (config.experiment_name, config.seed) == ("smoke", 3)
     with pytest.raises(ConfigError, match="stand for 2 runs"):
         compose("seed=1,2")
-    with pytest.raises(ConfigError, match=r"n_envs=0 is out of range"):
+    with pytest.raises(ConfigError, match=r"^n_envs=0: "):
         compose("n_envs=0")

@@ -62,11 +62,7 @@ def retest(search: Search, trials: Sequence[TrialRow], launch: Launch) -> list[R
     if not chosen:
         return []
     cells = {trial.number: search.composed_with(trial.changes).cell for trial in chosen}
-    runs = [
-        Composed(cells[trial.number], seed, trial.label, rank)
-        for rank, seed in enumerate(settings.test_seeds)
-        for trial in chosen
-    ]
+    runs = [Composed(cells[trial.number], seed, trial.label) for seed in settings.test_seeds for trial in chosen]
     numbers = {id(cell): number for number, cell in cells.items()}
 
     def entries(run: Composed) -> dict[str, Any]:

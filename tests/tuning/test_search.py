@@ -8,8 +8,7 @@ from support.runs import make_config, options
 
 from parking_exp.config.compose import compose
 from parking_exp.config.credentials import with_password
-from parking_exp.config.experiment_files import with_absolute_path
-from parking_exp.config.overrides import in_quotes
+from parking_exp.config.overrides import in_quotes, with_absolute_path
 from parking_exp.errors import ConfigError, OutputDirectoryError
 from parking_exp.tuning.search import Search, study_in
 
@@ -148,7 +147,7 @@ def test_every_search_that_comes_with_the_package_can_be():
         ([*SMOKE, "seeds=3"], "search.tuning_seeds are those of its trials"),
         ([*SMOKE, "buffer=her_future,her_final"], "a search takes one value for each key"),
         ([*SMOKE, "algorithm.gamma=0.9"], "algorithm.gamma is both"),
-        ([*SMOKE, "n_trials=0"], "n_trials=0 is out of range"),
+        ([*SMOKE, "n_trials=0"], "n_trials=0: "),
     ],
 )
 def test_what_is_typed_wrong_gets_a_sentence(overrides, words):
