@@ -198,7 +198,7 @@ def test_status_tells_every_cell_in_a_table_and_as_json(tmp_path):
     [
         ((), "error: there are no runs in "),
         (("experiment=mini",), "error: experiment=mini: it has no runs in "),
-        (("experment=mine",), "error: experment: there is no such key; did you mean 'experiment'?"),
+        (("experment=mine",), "error: experment: there is no such key; did you mean 'experiment_name'?"),
     ],
 )
 def test_status_refuses_in_a_sentence(tmp_path, arguments, message):
