@@ -7,7 +7,7 @@ import pytest
 from support.runs import run_script
 from support.sweep_processes import FAILING, QUICK
 
-from parking_exp.resources import cores, cuda_devices, shares, total_memory
+from parking_exp.resources import cores, cuda_devices, shares
 from parking_exp.sweeps.supervisor import WorkerResources
 
 
@@ -39,14 +39,6 @@ def test_resources_of_a_worker_set_threads_and_devices():
 def test_visible_devices_are_those_that_are_shared_out(monkeypatch, visible, expected):
     monkeypatch.setenv("CUDA_VISIBLE_DEVICES", visible)
     assert cuda_devices() == expected
-
-
-def test_all_memory_is_bounded_by_the_control_group(tmp_path):
-    whole = total_memory(tmp_path)
-    (tmp_path / "memory.max").write_text("max\n")
-    assert total_memory(tmp_path) == whole > 1e8
-    (tmp_path / "memory.max").write_text("3000\n")
-    assert total_memory(tmp_path) == 3000
 
 
 def told(tmp_path, *arguments):

@@ -8,9 +8,12 @@ import inspect
 from collections.abc import Iterator, Mapping, Set
 from importlib import import_module
 from types import NoneType
-from typing import Any, get_args
+from typing import Annotated, Any, get_args
+
+from pydantic import AfterValidator, ConfigDict, Field, create_model
 
 from parking_exp.config.limits import limits_of
+from parking_exp.config.messages import problems_of
 from parking_exp.config.schema import AlgorithmConfig, RunConfig, ThirdParty
 from parking_exp.errors import suggestion
 
@@ -33,6 +36,16 @@ POLICY = "MultiInputPolicy"
 HYDRA_KEYS = {"_target_", "_partial_", "_convert_", "_recursive_", "_args_"}
 # May be null although the library's annotation has no None: the run computes them.
 NULLABLE = {"train_freq", "gradient_steps"}
+
+
+def _refuse_null(value: Any) -> Any:
+    if value is None:
+        raise ValueError("a value is needed")
+    return value
+
+
+NotNull = Annotated[Any, AfterValidator(_refuse_null)]
+
 # Arguments that the run sets, by the key of the call, and the key that they come from.
 SET_BY_RUN: dict[str, dict[str, str | None]] = {
     "algorithm": {
@@ -172,39 +185,38 @@ def _check_call(
 ) -> Iterator[str]:
     """Check the arguments of a call; a `partial` one gets more. `siblings` are the valid keys that are no arguments."""
     parameters, is_open = _parameters(call)
-    set_by_run, name = SET_BY_RUN.get(key, {}), getattr(call, "__name__", str(call))
-    for argument, value in given.items():
-        if argument in set_by_run:
-            source = set_by_run[argument]
-            yield f"{key}.{argument} is set by the run itself" + (f"; use {source}" if source else "")
-        elif argument in parameters:
-            yield from _check_value(f"{key}.{argument}", value, name, parameters[argument])
-        elif not is_open:
-            hint = suggestion(argument, (parameters.keys() - set_by_run.keys()) | siblings)
-            yield f"{key}.{argument}: {name} has no such argument{hint}"
-    if not partial:
-        for argument, parameter in parameters.items():
-            if parameter.default is parameter.empty and argument not in {*given, *set_by_run}:
-                yield f"{key}.{argument} is missing; {name} needs it"
+    set_by_run, plain = SET_BY_RUN.get(key, {}), {}
+    for name, value in given.items():
+        base = CLASS_ARGUMENTS.get(name)
+        if name in set_by_run:
+            yield f"{key}.{name} is set by the run itself" + (f"; use {set_by_run[name]}" if set_by_run[name] else "")
+        elif isinstance(value, Mapping) and "_target_" in value:
+            is_partial = base is not None or bool(value.get("_partial_")) or "_args_" in value
+            yield from _check_target(f"{key}.{name}", value, base, partial=is_partial)
+        elif isinstance(value, str) and base is not None:
+            yield from _check_target(f"{key}.{name}", value, base, partial=True)
+        else:
+            plain[name] = value
+    known = {name: p for name, p in parameters.items() if name not in (set_by_run.keys() | given.keys() - plain.keys())}
+    limits = limits_of(getattr(call, "__name__", ""))
+    fields: dict[str, Any] = {}  # under names that pydantic takes
+    for name, p in known.items():
+        default = ... if p.default is p.empty and not partial else None
+        fields[f"argument_{len(fields)}"] = (_type_of(p, limits), Field(default, alias=name))
+    config = ConfigDict(extra="allow" if is_open else "forbid", strict=True)
+    yield from problems_of(create_model("Arguments", __config__=config, **fields), plain, key, known.keys() | siblings)
 
 
-def _check_value(key: str, value: Any, name: str, parameter: inspect.Parameter) -> Iterator[str]:
-    """Check a value's type where the annotation is simple; numbers with a known range have been checked already."""
-    annotation, base = parameter.annotation, CLASS_ARGUMENTS.get(parameter.name)
+def _type_of(parameter: inspect.Parameter, limits: Mapping[str, Any]) -> Any:
+    """Return the type that an argument must have, as far as its annotation is simple or its range is known."""
+    annotation = parameter.annotation
     types = set(get_args(annotation)) or {annotation}
-    if isinstance(value, Mapping) and "_target_" in value:
-        partial = base is not None or bool(value.get("_partial_")) or "_args_" in value
-        yield from _check_target(key, value, base, partial=partial)
-    elif isinstance(value, str) and base is not None:
-        yield from _check_target(key, value, base, partial=True)
-    elif value is None and parameter.name not in NULLABLE and not _takes_none(annotation):
-        yield f"{key}=null: {name} needs a value"
-    elif (
-        parameter.name not in limits_of(name)
-        and types <= {int, float, bool, str, NoneType}
-        and type(value) not in (types | {int} if float in types else types)
-    ):
-        yield f"{key}={value!r} has the wrong type; {name} takes {inspect.formatannotation(annotation)}"
+    nullable = parameter.name in NULLABLE or annotation in (parameter.empty, Any) or NoneType in types
+    if parameter.name in limits:
+        return limits[parameter.name] | None if nullable else limits[parameter.name]
+    if types <= {int, float, bool, str, NoneType}:
+        return annotation
+    return Any if nullable else NotNull
 
 
 def _parameters(call: Any) -> tuple[dict[str, inspect.Parameter], bool]:
@@ -215,7 +227,3 @@ def _parameters(call: Any) -> tuple[dict[str, inspect.Parameter], bool]:
         return {}, True
     named = {name: p for name, p in parameters.items() if p.kind not in (p.VAR_POSITIONAL, p.VAR_KEYWORD)}
     return named, any(p.kind is p.VAR_KEYWORD for p in parameters.values())
-
-
-def _takes_none(annotation: Any) -> bool:
-    return annotation in (inspect.Parameter.empty, Any) or NoneType in get_args(annotation)

@@ -1,15 +1,13 @@
 """Ranges of well-known third-party arguments, which their signatures do not state.
 
-They hold for any class, and are checked without importing it.
+They hold for any class.
 """
 
-from collections.abc import Iterator, Mapping
 from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
 from parking_exp.config.her_options import RELABEL_OPTIONS, GoalStrategy
-from parking_exp.config.messages import problems_of
 from parking_exp.config.schema import Count, NonNegative, Positive, PositiveFloat, Share
 
 Decay = Annotated[float, Field(ge=0, lt=1)]
@@ -52,13 +50,3 @@ CLASS_LIMITS: dict[str, dict[str, Any]] = {
 def limits_of(target: str) -> dict[str, Any]:
     """Return the types and ranges of arguments of a class."""
     return CLASS_LIMITS.get(target.rpartition(".")[2], LIMITS)
-
-
-def check_limits(key: str, arguments: Mapping[str, Any], target: str) -> Iterator[str]:
-    """Yield what is out of range in the arguments of a class, nested ones included."""
-    limits = limits_of(target)
-    for name, value in arguments.items():
-        if isinstance(value, Mapping) and ("_target_" in value or name not in limits):
-            yield from check_limits(f"{key}.{name}", value, str(value.get("_target_")))
-        elif value is not None and name in limits:
-            yield from problems_of(limits[name], value, f"{key}.{name}")

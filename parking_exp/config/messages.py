@@ -2,10 +2,10 @@
 
 import itertools
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any, get_args
 
-from pydantic import BaseModel, TypeAdapter, ValidationError
+from pydantic import BaseModel, ValidationError
 
 from parking_exp.errors import ConfigError, suggestion
 
@@ -22,32 +22,33 @@ def refuse(problems: Iterable[str]) -> None:
         raise ConfigError("\n".join(first))
 
 
-def problems_of(valid: Any, value: object, key: str) -> list[str]:
-    """Return what is wrong with the value of a key, given the type that it must have: one sentence, or none."""
+def problems_of(model: type[BaseModel], values: Mapping[str, Any], key: str, choices: Iterable[str]) -> Iterator[str]:
+    """Yield what is wrong with the values in a section, given its model and its keys."""
     try:
-        TypeAdapter(valid).validate_python(value, strict=True)
+        model.model_validate(values)
     except ValidationError as error:
-        items = error.errors()
-        if len(items) == 1:
-            return [sentence(items[0], prefix=key)]
-        return [f"{key}={value!r}: {' or '.join(_lower(item['msg']) for item in items)}"]  # of a union
-    return []
+        for (name,), group in itertools.groupby(error.errors(), lambda item: item["loc"][:1]):
+            items = list(group)
+            if len(items) > 1:  # of a union
+                yield f"{key}.{name}={values[str(name)]!r}: {' or '.join(_lower(item['msg']) for item in items)}"
+            else:
+                yield sentence(items[0], choices, f"{key}.")
 
 
-def sentence(error: Any, model: type[BaseModel] | None = None, prefix: str = "") -> str:
-    """Say what pydantic complains about: an item of `ValidationError.errors()`, of a section or of the key `prefix`."""
+def sentence(error: Any, choices: Iterable[str], prefix: str = "") -> str:
+    """Say what pydantic complains about: an item of `ValidationError.errors()`, of a section with some keys."""
     parts, value = [str(part) for part in error["loc"]], error["input"]
-    key = ".".join([*([prefix] if prefix else []), *parts])
+    key = prefix + ".".join(parts)
     match error["type"]:
         case "extra_forbidden":
-            return f"{key}: there is no such key{suggestion(parts[-1], _keys(model, parts[:-1]))}"
+            return f"{key}: there is no such key{suggestion(parts[-1], choices)}"
         case "missing":
             return f"{key} is missing"
         case "model_type":
             return f"{key}={value!r} is not a group of keys"
         case "literal_error":
-            choices = re.findall(r"'([^']*)'", error["ctx"]["expected"])
-            return f"{key}={value} is not a valid choice{suggestion(str(value), choices)}"
+            options = re.findall(r"'([^']*)'", error["ctx"]["expected"])
+            return f"{key}={value} is not a valid choice{suggestion(str(value), options)}"
     return f"{key}={value!r}: {_lower(error['msg'])}"
 
 
@@ -56,11 +57,11 @@ def _lower(message: str) -> str:
     return message[0].lower() + message[1:]
 
 
-def _keys(model: type[BaseModel] | None, path: list[str]) -> list[str]:
+def keys_at(model: type[BaseModel], path: Sequence[int | str]) -> list[str]:
     """Return the keys of the section at a path."""
     for part in path:
-        if model is not None and part in model.model_fields:  # otherwise the name of a section in a mapping of them
-            annotation = model.model_fields[part].annotation
+        if part in model.model_fields:  # otherwise the name of a section in a mapping of them
+            annotation = model.model_fields[str(part)].annotation
             types = [t for t in (annotation, *get_args(annotation)) if isinstance(t, type)]
             model = next((t for t in types if issubclass(t, BaseModel)), model)
-    return [field.alias or name for name, field in model.model_fields.items()] if model else []
+    return [field.alias or name for name, field in model.model_fields.items()]

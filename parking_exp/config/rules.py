@@ -7,7 +7,6 @@ from itertools import pairwise
 from parking_exp.config.allowlist import ALLOWED
 from parking_exp.config.constructor_arguments import UnknownTarget, find
 from parking_exp.config.her_options import HER_OPTIONS
-from parking_exp.config.limits import check_limits
 from parking_exp.config.schema import DEFAULT_FEATURES, DEFAULT_SCALES, TRAINING_SCENES_START, EnvConfig, RunConfig
 from parking_exp.resources import total_memory
 
@@ -16,14 +15,11 @@ HER_CLASSES = ("HerBuffer", "HerReplayBuffer")
 TRANSITION_BYTES, SCENE_BYTES, WEIGHT_BYTES = 113, 1000, 4
 
 
-def check_rules(run: RunConfig) -> list[str]:
-    """Return what is wrong with the ranges of well-known arguments, else with rules between keys."""
-    limits = [
-        *check_limits("algorithm", run.algorithm.arguments, run.algorithm.target),
-        *check_limits("buffer", run.buffer.arguments, run.buffer.target),
-    ]
-    checks = (_check_memory, _check_buffer, _check_algorithm, _check_evaluation, _check_tracking)
-    return limits or [*check_env(run.env), *(problem for check in checks for problem in check(run))]
+def check_rules(run: RunConfig) -> Iterator[str]:
+    """Yield what is wrong with rules between keys."""
+    yield from check_env(run.env)
+    for check in (_check_memory, _check_buffer, _check_algorithm, _check_evaluation, _check_tracking):
+        yield from check(run)
 
 
 def check_env(env: EnvConfig) -> Iterator[str]:

@@ -14,7 +14,7 @@ from pydantic import BaseModel, ValidationError
 
 from parking_exp.config.constructor_arguments import check_arguments
 from parking_exp.config.credentials import keep_password
-from parking_exp.config.messages import MOST_ERRORS, refuse, sentence
+from parking_exp.config.messages import MOST_ERRORS, keys_at, refuse, sentence
 from parking_exp.config.rules import check_rules
 from parking_exp.config.schema import RunConfig, SweepOptions
 from parking_exp.errors import ConfigError
@@ -80,7 +80,7 @@ def check(model: type[Model], plain: Mapping[str, Any]) -> Model:
         try:
             return model.model_validate(plain)
         except ValidationError as error:
-            problems = [sentence(item, model) for item in error.errors()]
+            problems = [sentence(item, keys_at(model, item["loc"][:-1])) for item in error.errors()]
     raise ConfigError("\n".join(problems[:MOST_ERRORS]))
 
 

@@ -29,7 +29,7 @@ for name, argument in json.loads(sys.argv[1]):
 print(json.dumps(done), file=sys.stderr)
 """
 LIGHT = [
-    ("train", "--help"), ("train", "sead=1"), ("train", "algorithm.gamma=2"),
+    ("train", "--help"), ("train", "sead=1"), ("train", "n_envs=0"),
     ("evaluate", "--help"), ("evaluate", "episodes=0"), ("evaluate", "run=nowhere"),
     ("export", "--help"), ("export", "format=onx"), ("export", "run=nowhere"),
 ]  # fmt: skip
