@@ -57,7 +57,7 @@ def points(
         cells |= dict.fromkeys(itertools.product(*lines))
     if not cells:
         narrowed = " ".join(f"{key}={','.join(axes[key])}" for key in axes if key in listed)
-        raise ConfigError(f"{narrowed}: experiment {experiment} has no such cell")
+        raise ConfigError(f"{narrowed}: experiment={experiment} has no such cell")
     return list(cells)
 
 

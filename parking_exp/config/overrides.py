@@ -74,6 +74,8 @@ def axes_of(lines: Iterable[str]) -> dict[str, list[str]]:
             values = list(override.sweep_string_iterator())
         else:
             raise ConfigError(f"{override.input_line}: a sweep needs values, not a range of them")
+        if not values:
+            raise ConfigError(f"{override.input_line}: no option matches")
         axes[override.get_key_element()] = values
     if "seed" in axes and axes.get("seeds", ["null"]) != ["null"]:
         raise ConfigError("seed and seeds are both given; seeds=[...] names several")

@@ -75,6 +75,7 @@ def test_the_tutorial_is_the_usual_recipe():
         ("experiment_name='a", "experiment_name='a"),
         ("algorithm=sac,", "algorithm=sac,"),
         ("seed=choice()", "seed=choice()"),
+        ("env=glob(x*)", "env=glob(x*)"),
         ("seed=interval(0,1)", "seed=interval(0,1)"),
         (f"n_envs={'9' * 5000}", "n_envs"),
         ("experiment=nowhere.yaml", "nowhere.yaml"),
