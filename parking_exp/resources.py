@@ -44,5 +44,5 @@ def cuda_devices() -> list[str]:
     visible = os.environ.get("CUDA_VISIBLE_DEVICES")
     if visible is not None:
         return [name.strip() for name in visible.split(",") if name.strip() not in {"", "-1"}]
-    found = Path("/proc/driver/nvidia/gpus")
-    return [str(number) for number, _ in enumerate(found.iterdir())] if found.is_dir() else []
+    gpus = Path("/proc/driver/nvidia/gpus")
+    return [str(number) for number, _ in enumerate(gpus.iterdir())] if gpus.is_dir() else []

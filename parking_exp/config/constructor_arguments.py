@@ -138,7 +138,7 @@ def _check_policy(algorithm: AlgorithmConfig, algorithm_class: type) -> Iterator
     policy = policy_class(algorithm_class)
     if not isinstance(given, Mapping):
         yield f"{key}={given!r} is not a group of keys"
-    elif "net_arch" in given and not isinstance(given["net_arch"], Mapping):  # one says what algorithm.net_arch cannot
+    elif "net_arch" in given and not isinstance(given["net_arch"], Mapping):  # a mapping sets actor and critic apart
         yield f"{key}.net_arch takes the place of algorithm.net_arch; use algorithm.net_arch"
     elif algorithm.features != "raw" and (own := [name for name in given if name.startswith("features_extractor")]):
         yield f"{key}.{own[0]} takes the place of algorithm.features; set algorithm.features=raw"
