@@ -11,7 +11,7 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 
-from parking_exp.algorithms.policy_average import ACTOR
+from parking_exp.algorithms.policy_ema import ACTOR
 from parking_exp.errors import DamagedModelError, ModelError
 from parking_exp.runs.files import replacing
 

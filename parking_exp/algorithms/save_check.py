@@ -2,7 +2,7 @@
 
 from hydra.utils import get_object
 
-from parking_exp.algorithms.build import build_model
+from parking_exp.algorithms.build_model import build_model
 from parking_exp.algorithms.model_files import PROVEN, class_path, saving_problem
 from parking_exp.config.schema import RunConfig
 from parking_exp.envs.training_envs import make_training_envs

@@ -49,7 +49,7 @@ class Agent:
         """
         from stable_baselines3.common.vec_env import DummyVecEnv
 
-        from parking_exp.algorithms.build import build_model
+        from parking_exp.algorithms.build_model import build_model
         from parking_exp.algorithms.model_files import load_weights
         from parking_exp.algorithms.policy_files import load_policy
         from parking_exp.algorithms.save_check import check_saving

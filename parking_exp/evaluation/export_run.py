@@ -74,7 +74,7 @@ def export_run(config: DictConfig) -> Path:
     if agent.directory is not None:
         say(f"run directory  {agent.directory.path}")
 
-    from parking_exp.algorithms.build import greedy_policy
+    from parking_exp.algorithms.build_model import greedy_policy
     from parking_exp.algorithms.policy_export import TOLERANCE, export_policy
 
     model = agent.model(agent.config.env)

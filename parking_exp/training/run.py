@@ -14,7 +14,7 @@ from typing import Any
 import torch
 from omegaconf import DictConfig
 
-from parking_exp.algorithms.build import torch_settings
+from parking_exp.algorithms.build_model import torch_settings
 from parking_exp.algorithms.save_check import check_saving
 from parking_exp.config.schema import RunConfig
 from parking_exp.config.validate import validate

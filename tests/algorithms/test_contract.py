@@ -13,7 +13,7 @@ from support.model_state import model_state
 from support.runs import make_config, options
 from support.sweep_processes import statuses, sweep
 
-from parking_exp.algorithms.build import build_model
+from parking_exp.algorithms.build_model import build_model
 from parking_exp.algorithms.features import EgoFrameExtractor
 from parking_exp.algorithms.model_files import PROVEN, class_path, load_weights
 from parking_exp.algorithms.save_check import check_saving

@@ -14,7 +14,7 @@ from support.marks import slow_but
 from support.runs import make_config
 
 from parking_exp.algorithms import fast
-from parking_exp.algorithms.build import build_model, torch_settings
+from parking_exp.algorithms.build_model import build_model, torch_settings
 from parking_exp.algorithms.fast.minibatches import sample_minibatches
 from parking_exp.algorithms.fast.supported import is_supported
 from parking_exp.envs.training_envs import make_training_envs

@@ -12,7 +12,7 @@ from stable_baselines3.common.logger import Logger
 from support.run_equality import leaves, parameters
 from support.runs import make_config
 
-from parking_exp.algorithms.build import build_model
+from parking_exp.algorithms.build_model import build_model
 from parking_exp.algorithms.model_files import load_weights, read_weights, save_model
 from parking_exp.cli.command import fail
 from parking_exp.envs.training_envs import make_training_envs

@@ -22,7 +22,7 @@ from support.marks import slow_but
 from support.runs import USER_CONF, make_config
 from support.user_buffers import NextSecondHer
 
-from parking_exp.algorithms.build import build_model
+from parking_exp.algorithms.build_model import build_model
 from parking_exp.buffers import HerBuffer
 from parking_exp.buffers.her import NO_GOALS
 from parking_exp.buffers.strategies import STRATEGIES

@@ -9,7 +9,7 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 from support.runs import USER_CONF, make_config, options
 
-from parking_exp.algorithms.build import build_model
+from parking_exp.algorithms.build_model import build_model
 from parking_exp.config.compose import composed
 from parking_exp.config.schema import TRAINING_SCENES_START
 from parking_exp.config.validate import validate

@@ -9,7 +9,7 @@ import torch
 from safetensors.torch import save
 from support.runs import make_config
 
-from parking_exp.algorithms.build import build_model, greedy_policy
+from parking_exp.algorithms.build_model import build_model, greedy_policy
 from parking_exp.algorithms.policy_files import load_policy, save_policy
 from parking_exp.config.compose import composed
 from parking_exp.envs.training_envs import make_training_envs

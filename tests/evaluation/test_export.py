@@ -16,7 +16,7 @@ from support.marks import slow_but
 from support.runs import ROOT, make_config, type_here
 
 from parking_exp.algorithms import policy_export
-from parking_exp.algorithms.build import build_model, greedy_policy
+from parking_exp.algorithms.build_model import build_model, greedy_policy
 from parking_exp.algorithms.policy_export import check_actions, export_policy
 from parking_exp.envs.training_envs import make_training_envs
 from parking_exp.errors import ModelError

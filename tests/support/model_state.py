@@ -3,7 +3,7 @@
 import numpy as np
 import torch
 
-from parking_exp.algorithms.build import greedy_policy
+from parking_exp.algorithms.build_model import greedy_policy
 from parking_exp.algorithms.model_files import reachable
 
 BATCH = 32

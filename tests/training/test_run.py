@@ -33,7 +33,7 @@ from support.runs import (
 from support.sweep_processes import FAILING
 
 from parking_exp import __version__
-from parking_exp.algorithms.build import build_model, greedy_policy
+from parking_exp.algorithms.build_model import build_model, greedy_policy
 from parking_exp.algorithms.model_files import load_weights
 from parking_exp.config.compose import composed
 from parking_exp.envs.reward import GoalReward

@@ -23,7 +23,7 @@ from parking_exp.envs.reward import GoalReward
 from parking_exp.envs.scenes import Scenes
 from parking_exp.envs.simulator.collisions import Collisions, extent
 from parking_exp.envs.simulator.dynamics import Range, advance, limited_acceleration, scale, slip_angle
-from parking_exp.envs.simulator.state import State
+from parking_exp.envs.simulator.scene_state import SceneState
 from parking_exp.errors import ConfigError
 
 # highway-env's own ranges, where the config has none: of ContinuousAction and of Vehicle.
@@ -49,7 +49,7 @@ class Simulator:
         ConfigError: an option is not covered.
     """
 
-    state: State
+    state: SceneState
 
     def __init__(self, config: EnvConfig, scenes: Scenes) -> None:
         if config.uncovered:
@@ -85,7 +85,7 @@ class Simulator:
     def start(self, scenes: Scenes, rows: np.ndarray | None = None) -> None:
         """Start anew, all scenes or the given rows."""
         if rows is None:
-            self.state = State.at_start(scenes)
+            self.state = SceneState.at_start(scenes)
         else:
             self.state.restart(rows, scenes)
 
@@ -143,7 +143,7 @@ class Simulator:
 
     def set_state(self, state: dict[str, np.ndarray]) -> None:
         """Restore a state; what follows is identical."""
-        self.state = State(**{name: np.array(array) for name, array in state.items()})
+        self.state = SceneState(**{name: np.array(array) for name, array in state.items()})
 
     def compute_reward(self, achieved_goal: np.ndarray, desired_goal: np.ndarray, info: object = None) -> np.ndarray:
         """Return the reward of goals, collisions apart: shape (...) for goals of shape (..., 6)."""
@@ -202,7 +202,7 @@ class Simulator:
         near[close] |= (offset[..., 0] ** 2 + offset[..., 1] ** 2 < reach[close, None] ** 2).any(axis=1)
         return near
 
-    def _drive_by_frames(self, state: State, acceleration: np.ndarray, steering: np.ndarray) -> None:
+    def _drive_by_frames(self, state: SceneState, acceleration: np.ndarray, steering: np.ndarray) -> None:
         """Integrate a step frame by frame, in place, with speed limits, collisions and their consequences."""
         low, high = self.speed_range
         fastest = np.abs(state.speed) + np.abs(acceleration) * (self.frames * self.dt)

@@ -12,7 +12,7 @@ COLUMNS = ("position", "direction")
 
 
 @dataclass
-class State:
+class SceneState:
     """Everything that the future of n scenes depends on, besides the actions. Scenes are rows, or columns of `COLUMNS`.
 
     Attributes:

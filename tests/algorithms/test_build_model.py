@@ -12,7 +12,7 @@ from stable_baselines3.common.vec_env import DummyVecEnv
 from support.reach import Reach
 from support.runs import make_config, options
 
-from parking_exp.algorithms.build import build_model
+from parking_exp.algorithms.build_model import build_model
 from parking_exp.buffers import HerBuffer
 from parking_exp.envs.training_envs import make_training_envs
 from parking_exp.errors import ConfigError
@@ -120,7 +120,7 @@ def test_a_model_is_made_saved_and_trained_without_torchs_compiler():
 import sys, tempfile
 from pathlib import Path
 from support.runs import make_config
-from parking_exp.algorithms.build import build_model
+from parking_exp.algorithms.build_model import build_model
 from parking_exp.envs.training_envs import make_training_envs
 config = make_config("experiment=smoke")
 model = build_model(config, make_training_envs(config.env, 2), seed=0).learn(100)

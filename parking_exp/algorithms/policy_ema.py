@@ -13,7 +13,7 @@ from parking_exp.errors import ConfigError, DamagedModelError
 ACTOR = "actor."  # prefix of the names of the actor's weights in a policy
 
 
-class PolicyAverage:
+class PolicyEMA:
     """Exponential moving average of the weights of a model's actor over its gradient updates.
 
     It begins with the weights after the first round of updates. Statistics of batch normalisation are weights, too.
