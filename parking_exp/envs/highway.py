@@ -9,6 +9,7 @@ import numpy as np
 from parking_exp.config.schema import ENV_ID, EnvConfig
 from parking_exp.envs.interface import Observation, Step
 from parking_exp.envs.outcomes import Pose, relative_pose
+from parking_exp.envs.reward import GoalReward
 
 
 class SparseReward(gym.Wrapper, gym.utils.RecordConstructorArgs):
@@ -46,6 +47,7 @@ def make_env(config: EnvConfig, *, render_mode: str | None = None) -> gym.Env:
     gym.register_envs(highway_env)
     # Gymnasium's checker tests every space at every step and costs time; our tests run it instead.
     env = gym.make(ENV_ID, config=config.highway_options(), render_mode=render_mode, disable_env_checker=True)
+    env.unwrapped.goal_reward = GoalReward.of(config)
     return SparseReward(env) if config.reward == "sparse" else env
 
 

@@ -63,11 +63,3 @@ def set_state(envs: VecEnv, state: dict[str, Any]) -> None:
     simulated._reset_seeds()  # what waits for a first reset that has been long since
     for index, one in enumerate(state["envs"]):
         simulated.env_method("set_state", one, indices=[index])
-
-
-def is_parking(envs: VecEnv) -> bool:
-    """Whether envs are parking-v0, ours or highway-env's, and not of another kind."""
-    if isinstance(envs.unwrapped, ParkingVecEnv):
-        return True
-    (spec,) = envs.get_attr("spec", 0)
-    return spec is not None and spec.id == ENV_ID

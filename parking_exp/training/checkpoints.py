@@ -20,7 +20,7 @@ from stable_baselines3.common.buffers import ReplayBuffer
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 
 from parking_exp.algorithms.fast.base import FastTraining
-from parking_exp.algorithms.model_files import check_saved, load_weights
+from parking_exp.algorithms.model_files import load_weights
 from parking_exp.algorithms.policy_ema import PolicyEMA
 from parking_exp.buffers import HerBuffer
 from parking_exp.errors import DamagedFileError, DamagedModelError, ModelError
@@ -76,10 +76,8 @@ def save(
         average: of the policy; a second model has it.
 
     Raises:
-        ModelError: the model has weights that its file would not hold; earlier checkpoints are untouched.
-        OSError: the disk is full; likewise.
+        OSError: the disk is full; earlier checkpoints are untouched.
     """
-    check_saved(model)
     target = directory / f"step={progress.step:010d}"
     with _new_directory(target) as folder:
         model.save(folder / MODEL)

@@ -14,7 +14,7 @@ from support.marks import slow_but
 from support.runs import make_config
 
 from parking_exp.algorithms import fast
-from parking_exp.algorithms.build_model import build_model, torch_settings
+from parking_exp.algorithms.build_model import build_model
 from parking_exp.algorithms.fast.minibatches import sample_minibatches
 from parking_exp.algorithms.fast.supported import is_supported
 from parking_exp.envs.training_envs import make_training_envs
@@ -159,13 +159,6 @@ def rounds_to_bfloat16():
     """Whether float32 products are made in bfloat16 on this machine, with the precision that is set."""
     one = torch.ones(256, 256) + 2**-10  # 1 in bfloat16
     return (one @ one)[0, 0].item() < 256.25
-
-
-def test_a_runs_threads_and_precision_hold_while_it_runs():
-    before = torch.get_num_threads(), torch.get_float32_matmul_precision()
-    with torch_settings(make_config("torch_threads=2", "precision=medium")):
-        assert (torch.get_num_threads(), torch.get_float32_matmul_precision()) == (2, "medium")
-    assert (torch.get_num_threads(), torch.get_float32_matmul_precision()) == before
 
 
 @pytest.mark.parametrize("name", ALGORITHMS)

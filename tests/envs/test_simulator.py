@@ -11,6 +11,7 @@ from parking_exp.envs.highway import HighwayBatch, make_env
 from parking_exp.envs.scene_batches import start_scenes
 from parking_exp.envs.scenes import Scenes, start_slot
 from parking_exp.envs.simulator import Simulator
+from parking_exp.envs.vec_env import ParkingVecEnv
 from parking_exp.errors import ConfigError
 
 # Every scalar option of the env group that the physics, the observation or the reward depends on.
@@ -137,7 +138,7 @@ def test_reward_of_a_batch_of_goals_is_highway_envs():
     achieved, desired = rng.normal(size=(2, 100, 6))
     for option in ("parking", "parking_sparse"):
         config = env_config(f"env={option}")
-        ours = Simulator(config, Scenes.from_seeds([0])).compute_reward(achieved, desired)
+        ours = ParkingVecEnv(config, 1).compute_reward(achieved, desired)
         np.testing.assert_allclose(ours, make_env(config).unwrapped.compute_reward(achieved, desired, {})
                                    if option == "parking" else make_env(config).compute_reward(achieved, desired, {}),
                                    rtol=0, atol=1e-12)  # fmt: skip

@@ -145,10 +145,6 @@ class Simulator:
         """Restore a state; what follows is identical."""
         self.state = SceneState(**{name: np.array(array) for name, array in state.items()})
 
-    def compute_reward(self, achieved_goal: np.ndarray, desired_goal: np.ndarray, info: object = None) -> np.ndarray:
-        """Return the reward of goals, collisions apart: shape (...) for goals of shape (..., 6)."""
-        return self.reward(achieved_goal, desired_goal)[0]
-
     def _controls(self, actions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         if self.clip:
             actions = np.minimum(np.maximum(actions, -1), 1)
