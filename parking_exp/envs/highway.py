@@ -30,9 +30,7 @@ class SparseReward(gym.Wrapper, gym.utils.RecordConstructorArgs):
 
     def compute_reward(self, achieved_goal: np.ndarray, desired_goal: np.ndarray, info: object) -> np.ndarray:
         """Return 0 where the goal is reached and -1 elsewhere; goals of shape (6,) or (batch, 6)."""
-        base = self.unwrapped
-        dense = base.compute_reward(achieved_goal, desired_goal, info)
-        return np.where(dense > -base.config["success_goal_reward"], 0.0, -1.0)
+        return self.unwrapped.goal_reward(achieved_goal, desired_goal)[0]
 
 
 def make_env(config: EnvConfig, *, render_mode: str | None = None) -> gym.Env:
@@ -61,7 +59,6 @@ class HighwayBatch:
 
     def __init__(self, config: EnvConfig, scenes: Sequence[int]) -> None:
         self.envs = [make_env(config) for _ in scenes]
-        self._all = list(self.envs)
         self._observations = [env.reset(seed=int(scene))[0] for env, scene in zip(self.envs, scenes, strict=True)]
 
     def __len__(self) -> int:
@@ -93,8 +90,3 @@ class HighwayBatch:
         """Return x [m], y [m], heading [rad] and signed speed [m/s] of all cars, shape (n, 4)."""
         cars = [env.unwrapped.vehicle for env in self.envs]
         return np.array([[*car.position, car.heading, car.speed] for car in cars])
-
-    def close(self) -> None:
-        """Close the envs."""
-        for env in self._all:
-            env.close()

@@ -22,7 +22,7 @@ from parking_exp.envs.outcomes import Pose, relative_pose
 from parking_exp.envs.reward import GoalReward
 from parking_exp.envs.scenes import Scenes
 from parking_exp.envs.simulator.collisions import Collisions, extent
-from parking_exp.envs.simulator.dynamics import Range, advance, limited_acceleration, scale, slip_angle
+from parking_exp.envs.simulator.dynamics import Range, advance, limited_acceleration, slip_angle
 from parking_exp.envs.simulator.scene_state import SceneState
 from parking_exp.errors import ConfigError
 
@@ -87,7 +87,7 @@ class Simulator:
         if rows is None:
             self.state = SceneState.at_start(scenes)
         else:
-            self.state.restart(rows, scenes)
+            self.state.put(rows, SceneState.at_start(scenes))
 
     def keep(self, rows: np.ndarray) -> None:
         """Go on with some of the scenes only, by index or mask."""
@@ -102,16 +102,12 @@ class Simulator:
 
         Args:
             actions: shape (n, 1 or 2), in [-1, 1]: acceleration, then steering, those that the config leaves.
-
-        Raises:
-            ValueError: the actions have another shape.
         """
         state = self.state
         actions = np.asarray(actions)
         if actions.dtype.kind != "f":
             actions = actions.astype(np.float64)
-        if actions.shape != (len(self), self.action_size):
-            raise ValueError(f"actions have the shape {actions.shape}, not {(len(self), self.action_size)}")
+        assert actions.shape == (len(self), self.action_size), f"actions have the shape {actions.shape}"
         acceleration, steering = self._controls(actions)
         before = state.position, state.heading, state.speed
         rows = self._drive(acceleration, steering)
@@ -134,12 +130,9 @@ class Simulator:
         """Return x [m], y [m], heading [rad] and signed speed [m/s] of all cars, shape (n, 4)."""
         return np.column_stack([*self.state.position, self.state.heading, self.state.speed])
 
-    def close(self) -> None:
-        """Nothing to close."""
-
     def get_state(self) -> dict[str, np.ndarray]:
         """Return a copy of the state as plain arrays, to be saved and given to `set_state`."""
-        return {name: array.copy() for name, array in self.state.arrays()}
+        return {name: array.copy() for name, array in vars(self.state).items()}
 
     def set_state(self, state: dict[str, np.ndarray]) -> None:
         """Restore a state; what follows is identical."""
@@ -148,7 +141,12 @@ class Simulator:
     def _controls(self, actions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         if self.clip:
             actions = np.minimum(np.maximum(actions, -1), 1)
-        controls = scale(actions, self._low, self._span)
+        # From [-1, 1] to the ranges, in the precision of the actions, as highway-env does.
+        scaled = actions - -1
+        scaled *= self._span.astype(actions.dtype)
+        scaled /= 2
+        scaled += self._low.astype(actions.dtype)
+        controls = scaled.T.astype(np.float64)
         if self.action_size == 2:
             return controls[0], controls[1]
         none = np.zeros(len(actions))
