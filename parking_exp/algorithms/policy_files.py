@@ -45,7 +45,9 @@ def load_policy(path: Path, model: OffPolicyAlgorithm) -> None:
     for part, name in _classes(model).items():
         if metadata.get(part, name) != name:
             raise ModelError(f"{path} has the weights of another policy: its {part} is {metadata[part]}, not {name}")
-    formats, expected = ({name: (w.dtype, w.shape) for name, w in one.items()} for one in (weights, actor))
+    formats, expected = (
+        {name: (tensor.dtype, tensor.shape) for name, tensor in tensors.items()} for tensors in (weights, actor)
+    )
     if different := [name for name in expected | formats if formats.get(name) != expected.get(name)]:
         raise ModelError(f"{path} does not fit this {type(model).__name__}: {different[0]} differs")
     for name, weight in actor.items():

@@ -1,6 +1,7 @@
 """parking-v0 simulated by highway-env itself."""
 
 from collections.abc import Sequence
+from itertools import compress
 from typing import Any
 
 import gymnasium as gym
@@ -66,7 +67,9 @@ class HighwayBatch:
 
     def observe(self) -> Observation:
         """Return the observation of all scenes."""
-        return {key: np.stack([one[key] for one in self._observations]) for key in self._observations[0]}
+        return {
+            key: np.stack([observation[key] for observation in self._observations]) for key in self._observations[0]
+        }
 
     def step(self, actions: np.ndarray) -> Step:
         """Step all scenes; actions have the shape (n, actions)."""
@@ -77,9 +80,9 @@ class HighwayBatch:
         return Step(self.observe(), *(np.array(column) for column in (*columns, crashed, is_success)))
 
     def keep(self, rows: np.ndarray) -> None:
-        """Go on with some of the scenes only, by mask."""
-        self.envs = [env for env, kept in zip(self.envs, rows, strict=True) if kept]
-        self._observations = [one for one, kept in zip(self._observations, rows, strict=True) if kept]
+        """Keep only some of the scenes, by mask."""
+        self.envs = list(compress(self.envs, rows))
+        self._observations = list(compress(self._observations, rows))
 
     def pose(self, row: int) -> Pose:
         """Return the pose of a car relative to its goal."""

@@ -189,14 +189,14 @@ class Collisions:
     def _corners(self, state: SceneState, scene: np.ndarray, obstacle: np.ndarray) -> np.ndarray:
         """Return the corners of obstacles, shape (n, 4, 2)."""
         wall = obstacle - self.count
-        found: np.ndarray = WALL_CORNERS.take(np.maximum(wall, 0), axis=0)
+        obstacle_corners: np.ndarray = WALL_CORNERS.take(np.maximum(wall, 0), axis=0)
         if self.count:
             cars = wall < 0
             which = scene[cars], obstacle[cars]
             heading = state.parked_heading[which]
             direction = np.stack([np.cos(heading), np.sin(heading)], axis=-1)
-            found[cars] = corners(state.parked[which], direction, CAR_LENGTH_M, CAR_WIDTH_M)
-        return found
+            obstacle_corners[cars] = corners(state.parked[which], direction, CAR_LENGTH_M, CAR_WIDTH_M)
+        return obstacle_corners
 
     def _near_cars(self, state: SceneState) -> tuple[np.ndarray, np.ndarray]:
         """Return scenes and numbers of the obstacles that the cars may touch, parked cars first."""

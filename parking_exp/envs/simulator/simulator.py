@@ -90,7 +90,7 @@ class Simulator:
             self.state.put(rows, SceneState.at_start(scenes))
 
     def keep(self, rows: np.ndarray) -> None:
-        """Go on with some of the scenes only, by index or mask."""
+        """Keep only some of the scenes, by index or mask."""
         self.state = self.state.take(np.arange(len(self))[rows])
 
     def observe(self, rows: np.ndarray | slice = slice(None)) -> dict[str, np.ndarray]:
