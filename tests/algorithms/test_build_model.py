@@ -1,5 +1,9 @@
 """Configs become models."""
 
+import subprocess
+import sys
+from pathlib import Path
+
 import numpy as np
 import pytest
 import torch
@@ -121,3 +125,22 @@ def test_noise_of_many_envs_is_what_stable_baselines3_draws_one_by_one(actions):
     ours, theirs = draws
     assert (ours.shape, ours.dtype) == ((4, 5, actions), theirs.dtype)
     np.testing.assert_array_equal(ours, theirs)
+
+
+@pytest.mark.slow
+def test_a_model_is_made_saved_and_trained_without_torchs_compiler():
+    """Importing it takes a second, and every run would pay for it."""
+    code = """
+import sys, tempfile
+from pathlib import Path
+from support.runs import make_config
+from parking_exp.algorithms.build_model import build_model
+from parking_exp.envs.training_envs import make_training_envs
+config = make_config("experiment=smoke")
+model = build_model(config, make_training_envs(config.env, 2), seed=0).learn(100)
+model.save(Path(tempfile.mkdtemp()) / "model.zip")
+print(model._n_updates > 0, "torch._dynamo" in sys.modules)
+"""
+    tests = Path(__file__).parents[1]
+    done = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True, cwd=tests)
+    assert done.stdout == "True False\n"
