@@ -237,7 +237,7 @@ def test_minibatches_sampled_together_have_each_their_share_of_virtual_goals():
     )
     model.learning_starts = 4000
     model.learn(4000)
-    real = {tuple(goal) for goal in np.float32(model.replay_buffer.storage.goals).tolist()}
+    real = {tuple(goal) for goal in np.float32(model.replay_buffer.episodes.table["goal"]).tolist()}
     model.actor.extract_features = lambda observation, extractor: observation["desired_goal"].float()
     virtual = []
     for minibatch in sample_minibatches(model, 8, 64):
