@@ -49,13 +49,11 @@ class Agent:
         """
         from stable_baselines3.common.vec_env import DummyVecEnv
 
-        from parking_exp.algorithms.build import build_model
+        from parking_exp.algorithms.build_model import build_model
         from parking_exp.algorithms.model_files import load_weights
         from parking_exp.algorithms.policy_files import load_policy
-        from parking_exp.algorithms.save_check import check_saving
         from parking_exp.envs.highway import make_env
 
-        check_saving(self.config)
         model = build_model(self.config, DummyVecEnv([lambda: make_env(env)]), seed=0, for_training=False)
         if self.directory is None:
             load_policy(self.weights, model)

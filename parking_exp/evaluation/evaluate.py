@@ -11,9 +11,9 @@ import numpy as np
 import pandas as pd
 
 from parking_exp.config.schema import EnvConfig, Simulation
-from parking_exp.envs.interface import Observation, Policy, SceneBatch
+from parking_exp.envs.interface import Observation, Policy
 from parking_exp.envs.outcomes import outcome
-from parking_exp.envs.scene_batches import start_scenes
+from parking_exp.envs.scene_batches import SceneBatch, start_scenes
 from parking_exp.evaluation.metrics import EPISODE_COLUMNS, METRICS, RANKING, Episode
 from parking_exp.evaluation.trajectories import Recorder
 
@@ -48,11 +48,8 @@ def evaluate(
     for first in range(0, len(scenes), SIDE_BY_SIDE):
         chunk = scenes[first : first + SIDE_BY_SIDE]
         batch = start_scenes(env, chunk, simulator)
-        try:
-            for row in _episodes(policy, batch, np.asarray(chunk), on_step, recorder, finished=first):
-                rows.append(row)
-        finally:
-            batch.close()
+        for row in _episodes(policy, batch, np.asarray(chunk), on_step, recorder, finished=first):
+            rows.append(row)
     order = {scene: number for number, scene in enumerate(scenes)}
     rows.sort(key=lambda row: order[row["scene"]])
     return pd.DataFrame(rows, columns=EPISODE_COLUMNS)

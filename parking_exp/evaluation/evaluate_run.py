@@ -115,7 +115,7 @@ def evaluate_run(config: DictConfig) -> Path:
 
 def _evaluate(request: EvaluationRequest, agent: Agent, env: EnvConfig, folder: Path) -> None:
     """Load the model, evaluate it, write the results into a folder, and print them."""
-    from parking_exp.algorithms.build import greedy_policy, torch_settings
+    from parking_exp.algorithms.build_model import greedy_policy, torch_settings
     from parking_exp.evaluation.description import describe, intervals
     from parking_exp.evaluation.evaluate import evaluate, summarise
     from parking_exp.evaluation.video import record

@@ -74,7 +74,7 @@ def export_run(config: DictConfig) -> Path:
     if agent.directory is not None:
         say(f"run directory  {agent.directory.path}")
 
-    from parking_exp.algorithms.build import greedy_policy
+    from parking_exp.algorithms.build_model import greedy_policy
     from parking_exp.algorithms.policy_export import TOLERANCE, export_policy
 
     model = agent.model(agent.config.env)
@@ -114,7 +114,6 @@ def observations_of(policy: "Policy", env: EnvConfig, number: int) -> "Observati
             going_on = ~(step.terminated | step.truncated)
             batch.keep(going_on)
             observation = {name: value[going_on] for name, value in step.observation.items()}
-        batch.close()
         first += N_SCENES
     drawn = np.linspace(0, count - 1, number).astype(int)
     return {name: np.concatenate([one[name] for one in seen])[drawn] for name in seen[0]}

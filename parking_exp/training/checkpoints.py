@@ -20,8 +20,8 @@ from stable_baselines3.common.buffers import ReplayBuffer
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 
 from parking_exp.algorithms.fast.base import FastTraining
-from parking_exp.algorithms.model_files import check_saved, load_weights
-from parking_exp.algorithms.policy_average import PolicyAverage
+from parking_exp.algorithms.model_files import load_weights
+from parking_exp.algorithms.policy_ema import PolicyEMA
 from parking_exp.buffers import HerBuffer
 from parking_exp.errors import DamagedFileError, DamagedModelError, ModelError
 from parking_exp.runs.files import fsync, read_json, sha256, write_json
@@ -63,7 +63,7 @@ def save(
     progress: Progress,
     best: Path,
     keep_last: int,
-    average: PolicyAverage | None = None,
+    average: PolicyEMA | None = None,
 ) -> Path:
     """Write a checkpoint, then delete all but the last `keep_last`.
 
@@ -76,10 +76,8 @@ def save(
         average: of the policy; a second model has it.
 
     Raises:
-        ModelError: the model has weights that its file would not hold; earlier checkpoints are untouched.
-        OSError: the disk is full; likewise.
+        OSError: the disk is full; earlier checkpoints are untouched.
     """
-    check_saved(model)
     target = directory / f"step={progress.step:010d}"
     with _new_directory(target) as folder:
         model.save(folder / MODEL)
@@ -144,9 +142,7 @@ def read_progress(folder: Path) -> Progress:
         raise DamagedFileError(f"{folder / STATE} has no progress of a run; delete {folder}") from error
 
 
-def restore(
-    folder: Path, model: OffPolicyAlgorithm, best: Path, average: PolicyAverage | None = None
-) -> dict[str, Any]:
+def restore(folder: Path, model: OffPolicyAlgorithm, best: Path, average: PolicyEMA | None = None) -> dict[str, Any]:
     """Bring a freshly built model, the average of its policy and the best model's file to a checkpoint's state.
 
     Returns:

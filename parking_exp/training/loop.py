@@ -8,9 +8,9 @@ from typing import Any
 
 import pandas as pd
 
-from parking_exp.algorithms.build import build_model, greedy_policy
+from parking_exp.algorithms.build_model import build_model, greedy_policy
 from parking_exp.algorithms.model_files import save_model
-from parking_exp.algorithms.policy_average import PolicyAverage
+from parking_exp.algorithms.policy_ema import PolicyEMA
 from parking_exp.buffers import HerBuffer
 from parking_exp.config.schema import RunConfig, Simulation
 from parking_exp.envs.training_envs import make_training_envs
@@ -59,7 +59,7 @@ class TrainingLoop:
         self.env = make_training_envs(config.env, config.n_envs, path / "monitor.csv", progress.wall_s)
         self.model = build_model(config, self.env, seeds.policy)
         self.policy = greedy_policy(self.model)
-        self.average = PolicyAverage(self.model, config.algorithm.policy_ema_half_life)
+        self.average = PolicyEMA(self.model, config.algorithm.policy_ema_half_life)
         self.env.seed(seeds.training_scenes)  # after the model, which seeds the envs with its own seed
         self._rollout_state: dict[str, Any] | None = None
         if checkpoint is None:

@@ -14,8 +14,7 @@ from typing import Any
 import torch
 from omegaconf import DictConfig
 
-from parking_exp.algorithms.build import torch_settings
-from parking_exp.algorithms.save_check import check_saving
+from parking_exp.algorithms.build_model import torch_settings
 from parking_exp.config.schema import RunConfig
 from parking_exp.config.validate import validate
 from parking_exp.errors import ConfigError, FailedRunError, InterruptedRunError
@@ -49,10 +48,9 @@ def train(config: DictConfig | Mapping[str, Any] | RunConfig, *, supervised: boo
     """
     config = validate(config)
     directory = RunDirectory(config.run_dir)
-    if directory.result() is None:
-        if config.device.startswith("cuda") and int(config.device[5:] or 0) >= torch.cuda.device_count():
-            raise ConfigError(f"device={config.device}: torch finds no such device; the closest valid choice is auto")
-        check_saving(config)
+    lacks_device = config.device.startswith("cuda") and int(config.device[5:] or 0) >= torch.cuda.device_count()
+    if lacks_device and directory.result() is None:
+        raise ConfigError(f"device={config.device}: torch finds no such device; the closest valid choice is auto")
     with nullcontext() if supervised else directory.supervisor_lock(), directory.training_lock():
         if (result := directory.result()) is not None:
             say("already done; to train it afresh, change the seed or delete its directory")

@@ -48,7 +48,7 @@ class Buffers:
         """Return the bytes of a full buffer's arrays for each transition."""
         buffer = self._filled(HerBuffer, self._capacity, self._capacity)
         assert isinstance(buffer, HerBuffer)
-        return _exactly(buffer.nbytes / self._capacity)
+        return _exactly(sum(array.nbytes for array in buffer.get_state().values()) / self._capacity)
 
     def file(self) -> dict[str, Any]:
         """Return the bytes that Stable-Baselines3's way of saving writes for each transition, half filled."""

@@ -17,8 +17,8 @@ from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 
 from benchmarks.timing import rounded, spread
 from benchmarks.training import run_config, tutorial_model
-from parking_exp.algorithms.build import build_model, greedy_policy, torch_settings
-from parking_exp.algorithms.policy_average import PolicyAverage
+from parking_exp.algorithms.build_model import build_model, greedy_policy, torch_settings
+from parking_exp.algorithms.policy_ema import PolicyEMA
 from parking_exp.config.run_key import short_hash
 from parking_exp.config.schema import EnvConfig, RunConfig
 from parking_exp.envs.training_envs import make_training_envs
@@ -48,7 +48,7 @@ class _Evaluations(BaseCallback):
         steps, rates, cpu_s: of each evaluation: env steps, success rate, CPU time of training until then.
     """
 
-    def __init__(self, env: EnvConfig, every: int, average: PolicyAverage) -> None:
+    def __init__(self, env: EnvConfig, every: int, average: PolicyEMA) -> None:
         super().__init__()
         self.env, self.every, self.next, self.average = env, every, every, average
         self.steps: list[int] = []
@@ -103,7 +103,7 @@ def peer_costs(path: Path, seeds: int, every: int = PEER_EVERY, most: int = PEER
 def _cost_s(model: OffPolicyAlgorithm, config: RunConfig, every: int, most: int) -> dict[str, Any]:
     """Train a model until 95 % are held, and return what that cost with all that was seen on the way."""
     model.set_logger(Logger(None, []))
-    found = _Evaluations(config.env, every, PolicyAverage(model, config.algorithm.policy_ema_half_life))
+    found = _Evaluations(config.env, every, PolicyEMA(model, config.algorithm.policy_ema_half_life))
     model.learn(most, found, log_interval=10**9)
     cost = found.cost_s()
     curve = {"steps": found.steps, "success": found.rates, "cpu_s": [rounded(one) for one in found.cpu_s]}

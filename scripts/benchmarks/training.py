@@ -15,7 +15,7 @@ from stable_baselines3.common.monitor import Monitor
 
 from benchmarks.timing import interleave, rounded, spread
 from benchmarks.updates import theirs
-from parking_exp.algorithms.build import build_model, torch_settings
+from parking_exp.algorithms.build_model import build_model, torch_settings
 from parking_exp.config.compose import composed
 from parking_exp.config.paths import store_uri
 from parking_exp.config.schema import RunConfig

@@ -5,7 +5,7 @@ import pytest
 import torch
 from support.runs import make_config
 
-from parking_exp.algorithms.build import build_model
+from parking_exp.algorithms.build_model import build_model
 from parking_exp.envs.training_envs import make_training_envs
 from parking_exp.errors import ConfigError
 

@@ -9,7 +9,7 @@ import torch
 from stable_baselines3.common.logger import Logger
 from support.runs import make_config
 
-from parking_exp.algorithms.build import build_model
+from parking_exp.algorithms.build_model import build_model
 from parking_exp.envs.training_envs import make_training_envs
 from parking_exp.errors import DamagedFileError
 from parking_exp.runs.metric_logs import APPENDED, copy_logs, read_metrics, restore_logs

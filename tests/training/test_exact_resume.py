@@ -19,7 +19,7 @@ from support.simulator_equality import KINDS as POLICIES
 from support.simulator_equality import actions_of, different_scenes, record, repeat
 from support.sweep_processes import workers
 
-from parking_exp.algorithms.build import build_model, greedy_policy
+from parking_exp.algorithms.build_model import build_model, greedy_policy
 from parking_exp.envs.training_envs import make_training_envs
 from parking_exp.runs.directory import RunDirectory
 from parking_exp.runs.lookup import find_runs

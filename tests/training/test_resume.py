@@ -17,7 +17,7 @@ from support.marks import slow_but
 from support.run_equality import differences, exact
 from support.runs import make_config, only_run, script, wait_for
 
-from parking_exp.algorithms.build import build_model, greedy_policy
+from parking_exp.algorithms.build_model import build_model, greedy_policy
 from parking_exp.algorithms.fast.base import FastTraining
 from parking_exp.envs import training_envs
 from parking_exp.envs.action_replay import ReplayActions

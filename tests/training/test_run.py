@@ -33,7 +33,7 @@ from support.runs import (
 from support.sweep_processes import FAILING
 
 from parking_exp import __version__
-from parking_exp.algorithms.build import build_model, greedy_policy
+from parking_exp.algorithms.build_model import build_model, greedy_policy
 from parking_exp.algorithms.model_files import load_weights
 from parking_exp.config.compose import composed
 from parking_exp.envs.reward import GoalReward
@@ -365,8 +365,8 @@ def test_evaluate_refuses_a_damaged_model_in_a_sentence(finished):
 @pytest.mark.parametrize(
     ("key", "value", "problem"),
     [
-        ("algorithm.net_arch", [8, 8], "policy.actor.latent_pi.0.weight"),
-        ("algorithm.ent_coef", 0.5, "it lacks ent_coef_tensor"),
+        ("algorithm.net_arch", [8, 8], "actor.latent_pi.0.weight"),
+        ("algorithm.ent_coef", 0.5, "ent_coef_tensor"),
     ],
 )
 def test_evaluate_refuses_a_model_that_is_not_its_configs(finished, key, value, problem):
