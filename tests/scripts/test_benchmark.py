@@ -7,7 +7,7 @@ from support.runs import run_script
 
 
 def benchmark(folder, *figures):
-    done = run_script("benchmark", "--quick", f"only=[{','.join(figures)}]", f"output_dir={folder}")
+    done = run_script("benchmark", "--quick", f"only=[{','.join(figures)}]", f"output_dir={folder}", timeout=600)
     assert done.returncode == 0, done.stderr
     return json.loads((folder / "benchmark.json").read_text()), done.stdout
 
