@@ -19,7 +19,7 @@ PLACES = $(patsubst %,--default-index='%',$(call pip_setting,INDEX_URL,index-url
 	$(if $(filter 1 true yes on,$(call pip_setting,NO_INDEX,no-index)),--no-index) --index-strategy=unsafe-best-match
 # Where Python may not write bytecode, each process would compile torch and all else anew: what runs and reports import
 # is compiled once. All that is installed would take three times as long.
-IMPORTED = parking_exp.training.run, parking_exp.tracking.store, parking_exp.reports.run, parking_exp.tuning.study, \
+IMPORTED = parking_exp.training.train_run, parking_exp.tracking.store, parking_exp.reports.run, parking_exp.tuning.study, \
 	mlflow.store.tracking.sqlalchemy_store, mlflow.store.artifact.local_artifact_repo, matplotlib.backends.backend_agg, highway_env
 COMPILE = $(if $(PYTHONDONTWRITEBYTECODE),env -u PYTHONDONTWRITEBYTECODE $(BIN)/python -c 'import $(IMPORTED)')
 INSTALL = $(UV) pip install --python $(BIN)/python --constraint constraints.txt --build-constraint constraints.txt $(PLACES)

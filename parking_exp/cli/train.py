@@ -37,7 +37,7 @@ def train(overrides: list[str], extra_config_dir: str | None) -> None:
 def train_run(config: DictConfig) -> None:
     """Train one run in this process."""
     gc.disable()  # importing torch without it takes .8 s less
-    from parking_exp.training.run import train as train_here
+    from parking_exp.training.train_run import train as train_here
 
     gc.freeze()
     gc.enable()

@@ -2,7 +2,7 @@
 
 import pandas as pd
 
-from parking_exp.evaluation.evaluate import summarise
+from parking_exp.evaluation.evaluate_policy import summarise
 from parking_exp.evaluation.metrics import METRICS
 from parking_exp.statistics import wilson_interval
 

@@ -118,7 +118,7 @@ def _evaluate(request: EvaluationRequest, agent: Agent, env: EnvConfig, folder: 
     """Load the model, evaluate it, write the results into a folder, and print them."""
     from parking_exp.algorithms.build import greedy_policy, torch_settings
     from parking_exp.evaluation.description import describe, intervals
-    from parking_exp.evaluation.evaluate import evaluate, summarise
+    from parking_exp.evaluation.evaluate_policy import evaluate, summarise
     from parking_exp.evaluation.video import record
 
     policy = greedy_policy(agent.model(env))

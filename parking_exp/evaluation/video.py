@@ -15,7 +15,7 @@ from parking_exp.config.schema import EnvConfig
 from parking_exp.envs.highway import make_env
 from parking_exp.envs.interface import Policy
 from parking_exp.envs.outcomes import outcome
-from parking_exp.evaluation.evaluate import rollout
+from parking_exp.evaluation.evaluate_policy import rollout
 from parking_exp.runs.files import replacing
 
 HOLD_S = 1.0  # how long the end of an episode stays in sight

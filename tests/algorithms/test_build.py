@@ -125,7 +125,7 @@ from parking_exp.envs.training_envs import make_training_envs
 config = make_config("experiment=smoke")
 model = build_model(config, make_training_envs(config.env, 2), seed=0).learn(100)
 model.save(Path(tempfile.mkdtemp()) / "model.zip")
-import parking_exp.training.run
+import parking_exp.training.train_run
 print(model._n_updates > 0, sorted({"torch._dynamo", "scipy.stats"} & set(sys.modules)))
 """
     done = subprocess.run(

@@ -22,7 +22,7 @@ from parking_exp.envs.training_envs import make_training_envs
 from parking_exp.errors import ConfigError, FailedRunError, ModelError
 from parking_exp.evaluation.evaluate_run import evaluate_run
 from parking_exp.training import checkpoints, rollout_state
-from parking_exp.training.run import train
+from parking_exp.training.train_run import train
 
 SMOKE = ("experiment=smoke", "algorithm.learning_starts=40", "tracking.mlflow=false")
 USER = "algorithm._target_=support.user_algorithms"

@@ -16,7 +16,7 @@ from parking_exp.envs.training_envs import make_training_envs
 from parking_exp.errors import DamagedModelError, ModelError, RunNotFoundError, UntrustedError
 from parking_exp.evaluation import agents
 from parking_exp.evaluation.agents import PRETRAINED_DIR, find_agent, load_model, pretrained_names
-from parking_exp.evaluation.evaluate import evaluate, summarise
+from parking_exp.evaluation.evaluate_policy import evaluate, summarise
 from parking_exp.evaluation.evaluate_run import validate_request
 
 TINY = ("algorithm.net_arch=[8]", "n_envs=1", "algorithm.learning_starts=1000", "updates_per_step=1")

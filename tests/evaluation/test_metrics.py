@@ -41,7 +41,7 @@ exec(compile(source, path, "exec"), metrics.__dict__)
 
 import numpy as np
 from support.store_factory import compose, make_store
-from parking_exp.evaluation.evaluate import evaluate, summarise
+from parking_exp.evaluation.evaluate_policy import evaluate, summarise
 from parking_exp.evaluation.description import describe
 from parking_exp.reports.build import Question, build
 from parking_exp.reports.render.files import write_tables

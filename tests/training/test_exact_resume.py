@@ -23,7 +23,7 @@ from parking_exp.algorithms.build import build_model, greedy_policy
 from parking_exp.envs.training_envs import make_training_envs
 from parking_exp.runs.directory import RunDirectory
 from parking_exp.runs.lookup import find_runs
-from parking_exp.training.run import train
+from parking_exp.training.train_run import train
 
 pytestmark = pytest.mark.slow
 

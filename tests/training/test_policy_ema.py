@@ -16,7 +16,7 @@ from parking_exp.envs.training_envs import make_training_envs
 from parking_exp.errors import ConfigError, DamagedModelError
 from parking_exp.training import checkpoints
 from parking_exp.training.checkpoints import Progress
-from parking_exp.training.run import train
+from parking_exp.training.train_run import train
 
 SMOKE = ("experiment=smoke", "algorithm=td3", "algorithm.policy_ema_half_life=20", "evaluation.video_episodes=0")
 

@@ -23,13 +23,13 @@ from parking_exp.envs import training_envs
 from parking_exp.envs.action_replay import ReplayActions
 from parking_exp.envs.highway import make_env
 from parking_exp.errors import FailedRunError, InterruptedRunError
-from parking_exp.evaluation.evaluate import evaluate
+from parking_exp.evaluation.evaluate_policy import evaluate
 from parking_exp.evaluation.video import record
 from parking_exp.runs.files import read_json
 from parking_exp.training import checkpoints, finish, loop, rollout_state, serialization
 from parking_exp.training.callbacks import RolloutCallback
 from parking_exp.training.loop import TrainingLoop
-from parking_exp.training.run import train
+from parking_exp.training.train_run import train
 
 SMOKE = ("experiment=smoke", "total_timesteps=160", "evaluation.every_n_steps=60", "checkpoint.every_n_steps=50",
          "evaluation.n_scenes=1", "evaluation.final_n_scenes=2", "evaluation.video_episodes=0", "env.duration=2",

@@ -46,7 +46,7 @@ from parking_exp.errors import (
     RunLockedError,
     RunNotFoundError,
 )
-from parking_exp.evaluation.evaluate import evaluate
+from parking_exp.evaluation.evaluate_policy import evaluate
 from parking_exp.evaluation.evaluate_run import evaluate_run
 from parking_exp.evaluation.metrics import EPISODE_COLUMNS
 from parking_exp.runs.directory import RunDirectory
@@ -54,7 +54,7 @@ from parking_exp.runs.files import read_json, sha256
 from parking_exp.tracking.sync import flatten
 from parking_exp.training import checkpoints, loop
 from parking_exp.training.finish import certified_scenes
-from parking_exp.training.run import train
+from parking_exp.training.train_run import train
 
 EVALUATED = [
     "success_rate", "crash_rate", "timeout_rate", "parked_rate", "return_mean", "steps_mean", "distance_m_mean",
