@@ -60,7 +60,7 @@ def launch_workers(work: Callable[[Train], None], n_workers: int) -> dict[Path, 
         InterruptedRunError: a signal stopped it.
     """
     pool = _Pool(n_workers)
-    with stop_on_signal("checkpoints", pool.stop.set, _leave) as request:
+    with stop_on_signal(pool.stop.set, _leave) as request:
         pool.run(work)
     if request.signal_number is not None:
         words = "stopped; what was under way is saved; rerun the same command to resume"

