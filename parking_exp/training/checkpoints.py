@@ -42,15 +42,14 @@ class Progress:
     """Progress of a run, besides its model and buffer.
 
     Attributes:
-        step: env steps so far.
-        evaluated, saved: env steps at the last evaluation and checkpoint.
+        step: env steps at the last checkpoint.
+        evaluated: env steps at the last evaluation.
         best: rank of the best evaluation so far (`evaluation.rank`).
         cpu_s, wall_s: time spent so far, earlier processes included.
     """
 
     step: int = 0
     evaluated: int = 0
-    saved: int = 0
     best: list[float] | None = None
     cpu_s: float = 0.0
     wall_s: float = 0.0

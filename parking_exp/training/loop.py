@@ -36,21 +36,13 @@ class TrainingLoop:
     """The training of one run in one process, from its start or from a checkpoint."""
 
     def __init__(
-        self,
-        *,
-        config: RunConfig,
-        directory: RunDirectory,
-        tracker: Tracker,
-        progress: Progress,
-        checkpoint: Path | None,
-        stop: StopRequest,
-        bar: TrainingProgress,
+        self, config: RunConfig, directory: RunDirectory, tracker: Tracker, checkpoint: Path | None, stop: StopRequest
     ) -> None:
-        self.config, self.directory, self.tracker = config, directory, tracker
-        self.progress, self.stop, self.bar = progress, stop, bar
+        self.config, self.directory, self.tracker, self.stop = config, directory, tracker, stop
+        self.progress = progress = checkpoints.read_progress(checkpoint) if checkpoint else Progress()
+        path = directory.path
         self._cpu_start = time.process_time() - progress.cpu_s
         self._wall_start = time.monotonic() - progress.wall_s
-        path = directory.path
         directory.models.mkdir(exist_ok=True)
         self.metrics = MetricsLog(path / "metrics.jsonl")
         seeds = derive_seeds(config.seed)
@@ -64,8 +56,17 @@ class TrainingLoop:
             self._best.unlink(missing_ok=True)  # of an attempt that was killed before its first checkpoint
         else:
             self._rollout_state = checkpoints.restore(checkpoint, self.model, self._best, self.average)
-            bar.say(f"resuming at step {progress.step}")
         self.model.set_logger(make_logger(config.tracking, path, self.metrics, progress.step))
+        shown = config.tracking.progress_bar
+        self.bar = TrainingProgress(config.total_timesteps, progress.step, shown, heartbeat=directory.heartbeat)
+        self.bar.say(f"{config.cell}, seed {config.seed}: {config.total_timesteps} env steps, in {path}")
+        if checkpoint is not None:
+            self.bar.say(f"resuming at step {progress.step}")
+
+    def close(self) -> None:
+        """Remove the progress bar and close the envs."""
+        self.bar.close()
+        self.env.close()
 
     def learn(self) -> None:
         """Train up to `total_timesteps`, with evaluations and checkpoints on the way."""
@@ -105,9 +106,9 @@ class TrainingLoop:
     def save_checkpoint(self) -> None:
         """Save the whole state, then send what is known so far to the store."""
         step = self.model.num_timesteps
-        if step == self.progress.saved:
+        if step == self.progress.step:
             return
-        self.progress.step = self.progress.saved = step
+        self.progress.step = step
         self.progress.cpu_s, self.progress.wall_s = self.times()
         keep_last = self.config.checkpoint.keep_last
         checkpoints.save(self.directory.checkpoints, self.model, self.progress, self._best, keep_last, self.average)
@@ -170,7 +171,7 @@ class RolloutCallback(BaseCallback):
         loop.stop_if_asked()
         if _is_due(step, progress.evaluated, config.evaluation.every_n_steps):
             loop.evaluate()
-        if _is_due(step, progress.saved, config.checkpoint.every_n_steps):
+        if _is_due(step, progress.step, config.checkpoint.every_n_steps):
             loop.save_checkpoint()
         if (now := time.monotonic()) >= self._next_update:
             self._next_update = now + 1 / BAR_UPDATES_PER_S

@@ -8,6 +8,7 @@ import time
 import traceback
 from collections.abc import Mapping
 from contextlib import closing, nullcontext
+from functools import partial
 from typing import Any
 
 import torch
@@ -26,10 +27,8 @@ from parking_exp.runs.provenance import typed_command
 from parking_exp.terminal import say
 from parking_exp.tracking.tracker import Tracker, later, open_tracker
 from parking_exp.training import checkpoints
-from parking_exp.training.checkpoints import Progress
 from parking_exp.training.finish import finish
 from parking_exp.training.loop import TrainingLoop
-from parking_exp.training.progress import TrainingProgress
 from parking_exp.training.signals import StopRequest, interrupt, stop_on_signal
 
 
@@ -73,26 +72,9 @@ def _train(config: RunConfig, directory: RunDirectory, stop: StopRequest) -> Run
     tracker = Tracker()
     try:
         checkpoint = checkpoints.latest(directory.checkpoints)
-        progress = checkpoints.read_progress(checkpoint) if checkpoint else Progress()
         restore_logs(directory.path, checkpoint)
-        bar = TrainingProgress(
-            config.total_timesteps,
-            progress.step,
-            enabled=config.tracking.progress_bar,
-            heartbeat=directory.heartbeat,
-        )
-        with closing(bar):
-            bar.say(f"{config.cell}, seed {config.seed}: {config.total_timesteps} env steps, in {directory.path}")
-            tracker = open_tracker(config, directory, bar.say)
-            loop = TrainingLoop(
-                config=config,
-                directory=directory,
-                tracker=tracker,
-                progress=progress,
-                checkpoint=checkpoint,
-                stop=stop,
-                bar=bar,
-            )
+        tracker = open_tracker(config, directory, partial(say, stderr=True))
+        with closing(TrainingLoop(config, directory, tracker, checkpoint, stop)) as loop:
             try:
                 loop.learn()
                 with loop.average.applied():
