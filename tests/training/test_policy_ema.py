@@ -1,11 +1,8 @@
-"""Averaged policies: what they are, what is evaluated and saved, and that they survive a resume and a rebuild."""
-
-import shutil
+"""Moving averages of the actor: what they are, what is evaluated and saved; test_resume.py resumes them."""
 
 import pytest
 import torch
 from stable_baselines3.common.logger import Logger
-from support.run_equality import differences
 from support.runs import make_config, only_run
 
 from parking_exp.algorithms.build import build_model
@@ -107,19 +104,6 @@ def test_an_average_that_had_not_begun_begins_with_the_first_update(tmp_path):
         set_actor(model, 8.0, updates=4)
         with average.applied():
             assert values(model) == {8.0}
-
-
-def test_a_resumed_run_has_the_same_average(averaged, tmp_path):
-    stopped = make_config(*SMOKE, f"output_dir={tmp_path}")
-    train(stopped)
-    directory = only_run(tmp_path)
-    # As if it had been killed after its last checkpoint but one.
-    shutil.rmtree(checkpoints.latest(directory.checkpoints))
-    for name in ("result.json", "models/final.zip"):
-        (directory.path / name).unlink()
-    directory.update(status="running")
-    train(stopped)
-    assert differences(averaged.path, directory.path) == []
 
 
 def test_a_policy_without_an_actor_has_no_average():

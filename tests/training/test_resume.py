@@ -36,11 +36,15 @@ OTHERS_BUFFER = ("~buffer.relabel_collision", "~buffer.relabel_terminated", "~bu
 HIGHWAY = "env.simulator=highway_env"
 KINDS = {
     "sac": (),
-    "sac with gSDE": ("algorithm.use_sde=true", "algorithm.train_freq=4", "tracking.log_interval=1"),
+    "sac with gSDE": (
+        "algorithm.use_sde=true", "algorithm.sde_sample_freq=4", "algorithm.train_freq=4", "tracking.log_interval=1",
+    ),
     "sac, by episodes, in one highway_env, replay": (
         HIGHWAY, "n_envs=1", "algorithm.train_freq=[1,episode]", "buffer=replay",
     ),
-    "td3, random goals, a full buffer": ("algorithm=td3", "buffer=her_random", "buffer.buffer_size=100"),
+    "td3, EMA, random goals, a full buffer": (
+        "algorithm=td3", "algorithm.policy_ema_half_life=20", "buffer=her_random", "buffer.buffer_size=100",
+    ),
     "td3 with Ornstein-Uhlenbeck noise, in highway_envs": (
         HIGHWAY, "algorithm=td3", "buffer=her_episode",
         "algorithm.action_noise._target_=stable_baselines3.common.noise.OrnsteinUhlenbeckActionNoise",
@@ -125,7 +129,7 @@ def uninterrupted(tmp_path_factory):
     return run(tmp_path_factory.mktemp("uninterrupted"))
 
 
-@pytest.mark.parametrize("kind", slow_but(["sac"], KINDS))
+@pytest.mark.parametrize("kind", slow_but(["sac", "td3, EMA, random goals, a full buffer"], KINDS))
 def test_a_run_that_was_cut_off_twice_is_the_one_that_was_not(tmp_path, kind):
     """Between checkpoints, in the middle of episodes; before the first update and later."""
     whole = run(tmp_path / "whole", *KINDS[kind])
@@ -263,7 +267,7 @@ def comparable(tree):
     return plain, {name: exact(array) for name, array in arrays.items()}
 
 
-RESTORED = ["sac, by episodes, in one highway_env, replay", "td3, random goals, a full buffer", "tqc", "crossq"]
+RESTORED = ["sac, by episodes, in one highway_env, replay", "td3, EMA, random goals, a full buffer", "tqc", "crossq"]
 
 
 @pytest.mark.parametrize("kind", slow_but(RESTORED, KINDS))
