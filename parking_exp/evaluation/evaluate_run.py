@@ -139,14 +139,15 @@ def _store(request: EvaluationRequest, directory: RunDirectory) -> None:
     from parking_exp.tracking.sync import try_sync
     from parking_exp.tracking.tracker import later
 
-    uri, tracked_in = request.tracking.uri, directory.tracking_uri
-    if uri is None:
-        uri = default_uri(directory_path(request.output_dir))
-        if tracked_in is None:
-            return
-        if not is_same_store(tracked_in, uri):
-            say(f"not stored     the run is tracked in {tracked_in}; tracking.uri={tracked_in} sends the results there")
-            return
+    tracked_in, output_dir = directory.tracking_uri, directory_path(request.output_dir)
+    uri = request.tracking.uri or default_uri(output_dir)
+    if request.tracking.uri is None and (tracked_in is None or not is_same_store(tracked_in, uri)):
+        if tracked_in is not None:
+            say(
+                f"not stored     the run is tracked in {tracked_in}, not in the store of output_dir={output_dir}; "
+                f"tracking.uri={tracked_in} sends the results there"
+            )
+        return
     if problem := try_sync(directory, uri):
         say(f"not stored     {problem}; {later(directory.output_dir, uri)}")
 

@@ -44,7 +44,7 @@ def stop_on_signal(
         request.signal_number = number
         at_first()
         # Not print: the signal may have come in the middle of one.
-        os.write(2, b"\nsaving a checkpoint; interrupt again to exit at once\n")
+        os.write(2, b"\nsaving a checkpoint before leaving; interrupt again to leave at once\n")
 
     before = {number: signal.signal(number, handle) for number in (signal.SIGINT, signal.SIGTERM)}
     try:

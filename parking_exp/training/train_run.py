@@ -36,7 +36,9 @@ def train(config: DictConfig | Mapping[str, Any] | RunConfig, *, supervised: boo
     """Train, evaluate and track one run, or finish what is left of it.
 
     A run that is done returns its stored result. One that was interrupted resumes from its latest whole checkpoint.
-    `supervised`: another process holds the run's supervisor lock, and has started this one for it.
+    Args:
+        config: of the run.
+        supervised: whether a process that holds the run's supervisor lock has started this one.
 
     Raises:
         ConfigError: the config cannot run; nothing was made on disk.

@@ -251,7 +251,7 @@ def test_with_the_changed_lines_of_the_docs_an_agent_parks_in_the_env_of_its_con
     example = example.replace(
         "    successes +=", '    print(f"{abs(env.unwrapped.vehicle.speed):.1f} m/s")\n    successes +='
     )
-    *speeds, found = drive(example, "pretrained/parked", tmp_path).splitlines()
-    assert found == "10 of 10 reached the slot"
+    *speeds, result = drive(example, "pretrained/parked", tmp_path).splitlines()
+    assert result == "10 of 10 reached the slot"
     assert len(speeds) == 10
     assert max(speeds) <= "0.4 m/s"  # in parking-v0 as it is episodes end at 3 m/s and more

@@ -288,7 +288,7 @@ def test_rollout_state_is_restored_as_it_was_saved(kind):
     disturb()
     rollout_state.set_state(other, serialization.join(json.loads(json.dumps(plain)), arrays))
     assert comparable(rollout_state.get_state(other)) == comparable(saved)
-    assert other.logger.name_to_excluded["train/loss"] == ("tensorboard",)
+    assert list(other.logger.name_to_excluded["train/loss"]) == ["tensorboard"]
     assert draws(other) == expected
 
 
