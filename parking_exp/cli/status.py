@@ -23,10 +23,9 @@ from parking_exp.runs.state import RunState, as_plain, labelled, read_state
 from parking_exp.runs.state_tables import cell_table, damaged_lines, failure_lines, running_lines, stopped_lines
 from parking_exp.terminal import console, say
 from parking_exp.tracking.sync_all import sync_all
-from parking_exp.tuning.schema import Storage
 from parking_exp.tuning.search import SEARCH_FILE, StoredSearch, study_in
-from parking_exp.tuning.tables import progress_lines, trial_table
-from parking_exp.tuning.trials import counts
+from parking_exp.tuning.search_config import Storage
+from parking_exp.tuning.trials import counts, progress_lines, trial_table
 
 WATCH_S = 2.0
 FLAGS = {"--json": "json=true", "--watch": "watch=true", "--sync": "sync=true"}
@@ -153,8 +152,8 @@ def _search_picture(name: str, found: StoredSearch | ParkingError) -> Iterator[R
         return
     yield ""
     yield f"search {name}"
-    yield trial_table(found.trials, found.search)
-    yield from progress_lines(found.trials, found.search, found.n_trials)
+    yield trial_table(found.trials, found.search.objective)
+    yield from progress_lines(found.trials, found.search.objective, found.n_trials)
 
 
 def _searches_plain(request: StatusRequest) -> list[dict[str, Any]]:

@@ -19,7 +19,7 @@ def train(overrides: list[str], extra_config_dir: str | None) -> None:
     """Train what the overrides stand for: a single run here, several as a sweep."""
     from parking_exp.sweeps.hydra_launcher import Launch
     from parking_exp.sweeps.plan import plan
-    from parking_exp.sweeps.run import sweep
+    from parking_exp.sweeps.sweep import sweep
 
     runs = composed_runs("config", overrides, extra_config_dir)
     first = runs[0].cell  # keys of a sweep are the same in all

@@ -11,10 +11,8 @@ def main() -> None:
 def tune(overrides: list[str], extra_config_dir: str | None) -> None:
     """Run the search that the overrides stand for."""
     from parking_exp.sweeps.hydra_launcher import Launch
-    from parking_exp.tuning.run import do_job
-    from parking_exp.tuning.run import tune as run_search
+    from parking_exp.tuning.run_search import tune as run_search
     from parking_exp.tuning.search import Search
+    from parking_exp.tuning.trial_worker import do_job
 
-    search = Search(overrides, extra_config_dir)
-    dry_run = bool(search.composed.cell.dry_run)
-    run_search(search, Launch(overrides, extra_config_dir, do_job), dry_run=dry_run)
+    run_search(Search(overrides, extra_config_dir), Launch(overrides, extra_config_dir, do_job))

@@ -17,7 +17,7 @@ from parking_exp.config.schema import ConfigModel, StoreConfig
 from parking_exp.config.validate import parse
 from parking_exp.errors import ConfigError, did_you_mean, plural
 from parking_exp.terminal import say
-from parking_exp.tuning.schema import Storage
+from parking_exp.tuning.search_config import Storage
 
 if TYPE_CHECKING:
     from parking_exp.reports.report_data import ReportData

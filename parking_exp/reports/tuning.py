@@ -20,8 +20,8 @@ from parking_exp.reports.tuning_data import Retested, Tuning
 from parking_exp.reports.tuning_findings import claims
 from parking_exp.statistics import mean_interval, welch
 from parking_exp.tuning.retest import RetestedTrial, read_retest
-from parking_exp.tuning.schema import SearchConfig
 from parking_exp.tuning.search import SEARCH_FILE, study_in
+from parking_exp.tuning.search_config import SearchConfig
 from parking_exp.tuning.study import storage_errors
 from parking_exp.tuning.trials import TrialRow, plain_choice
 

@@ -1,8 +1,7 @@
 """Supervise a run: start its worker process, wait for it, and record how it ended.
 
-Every launcher trains its runs like this. Where the worker dies, hangs or ends without a result, its supervisor marks
-the run as failed, with the reason. Where the supervisor dies, its worker dies with it, and the run was cut off. All
-results are in the run directory; nothing is returned or pickled.
+All launchers train runs like this. If the worker dies, hangs or ends without a result, its supervisor marks the run as
+failed, with the reason. If the supervisor dies, its worker dies with it. All results are in the run directory.
 """
 
 import os
@@ -44,14 +43,14 @@ class WorkerResources:
 
     def environment(self) -> dict[str, str]:
         """Return the environment variables that set threads and devices."""
-        found = dict.fromkeys(THREAD_VARIABLES, str(len(self.cores))) if self.cores else {}
+        variables = dict.fromkeys(THREAD_VARIABLES, str(len(self.cores))) if self.cores else {}
         if self.devices is not None:
-            found["CUDA_VISIBLE_DEVICES"] = ",".join(self.devices)
-        return found
+            variables["CUDA_VISIBLE_DEVICES"] = ",".join(self.devices)
+        return variables
 
 
 def supervise(path: Path, resources: WorkerResources | None = None, stop: Stop | None = None) -> WorkerResult:
-    """Train one run in a fresh process, and see to it that its directory says how that went.
+    """Train one run in a fresh process, and record in its directory how it ended.
 
     Args:
         path: the run directory, with its frozen config.
@@ -88,27 +87,28 @@ def _run(directory: RunDirectory, resources: WorkerResources, stop: Stop) -> Wor
         process = _start(directory.path, resources, log)
         try:
             directory.update(pid=process.pid)
-            late, stopped = _wait(process, config.timeout_s, stop)
+            cause = _wait(process, config.timeout_s, stop)
         finally:
             if process.poll() is None:  # an error here: no worker is left without a supervisor
                 _kill(process)
-    past = f"ran past timeout_s={config.timeout_s:g}" if late else None
-    return _result(directory, process.returncode, past, stopped)
+    return _result(directory, process.returncode, cause, config.timeout_s)
 
 
-def _wait(process: subprocess.Popen[bytes], timeout_s: float | None, stop: Stop) -> tuple[bool, bool]:
-    """Wait for a worker, and end it if it is to stop or takes too long; return whether it was late, and stopped."""
-    begin, asked, late, stopped = time.monotonic(), None, False, False
+def _wait(process: subprocess.Popen[bytes], timeout_s: float | None, stop: Stop) -> Literal["late", "stopped"] | None:
+    """Wait for a worker, and end it if it takes too long or is to stop; return which of these it was."""
+    cause: Literal["late", "stopped"] | None = None
+    begin, end = time.monotonic(), 0.0
     while process.poll() is None:
         time.sleep(POLL_S)
-        late = late or (timeout_s is not None and time.monotonic() - begin > timeout_s)
-        stopped = stopped or stop()
-        if asked is None and (late or stopped):
-            asked = time.monotonic()
-            process.terminate()
-        if asked is not None and time.monotonic() - asked > GRACE_S:
+        now = time.monotonic()
+        if cause is None:
+            cause = "late" if timeout_s is not None and now - begin > timeout_s else "stopped" if stop() else None
+            if cause is not None:
+                process.terminate()
+                end = now + GRACE_S
+        elif now > end:
             _kill(process)
-    return late, stopped
+    return cause
 
 
 def _kill(process: subprocess.Popen[bytes]) -> None:
@@ -118,33 +118,27 @@ def _kill(process: subprocess.Popen[bytes]) -> None:
     process.wait()
 
 
-def _result(directory: RunDirectory, code: int, late: str | None, stopped: bool) -> WorkerResult:
+def _result(directory: RunDirectory, code: int, cause: str | None, timeout_s: float | None) -> WorkerResult:
     """Return how a run ended, from its worker's exit status and its status.json, and record it there."""
-    status = directory.status
+    status, killed = directory.status, False
     if status == "done":
         return "done"
     if code == LOCKED_EXIT:
         return "elsewhere"
-    if late is None and status == "failed":
+    if cause == "late":
+        reason = f"ran past timeout_s={timeout_s:g}"
+    elif status == "failed":
         return "failed"
-    if late is None and (stopped or status == "interrupted"):
+    elif cause == "stopped" or status == "interrupted":
         directory.update(status="interrupted")
         return "stopped"
-    if late is not None:
-        reason = late
     elif code < 0:
-        reason = f"killed by {_signal_name(-code)}{' (out of memory?)' if -code == signal.SIGKILL else ''}"
+        reason = f"killed by {signal.Signals(-code).name}{' (out of memory?)' if -code == signal.SIGKILL else ''}"
+        killed = -code in KILLS
     else:
         reason = f"its process ended with status {code} and without a result; see {directory.path / LOG_FILE}"
-    directory.update(status="failed", error=reason, killed=(late is None and -code in KILLS) or None)
+    directory.update(status="failed", error=reason, killed=killed or None)
     return "failed"
-
-
-def _signal_name(number: int) -> str:
-    try:
-        return signal.Signals(number).name
-    except ValueError:  # a real-time signal
-        return f"signal {number}"
 
 
 def _start(path: Path, resources: WorkerResources, log: IO[bytes]) -> subprocess.Popen[bytes]:

@@ -7,7 +7,7 @@ from parking_exp.config.schema import RunConfig
 from parking_exp.runs.directory import RunDirectory
 from parking_exp.runs.metric_logs import read_metrics
 from parking_exp.statistics.curves import normalised_area
-from parking_exp.tuning.schema import Objective
+from parking_exp.tuning.search_config import Objective
 
 
 @dataclass(frozen=True)
@@ -24,10 +24,11 @@ class RunCurve:
     success: Sequence[float]
     final: Mapping[str, float]
 
-    @property
-    def area(self) -> float:
-        """Normalised area under the curve."""
-        return normalised_area(self.steps, self.success)
+    def value(self, objective: Objective) -> float:
+        """Return an objective of the finished run; `success_auc` also of an unfinished one."""
+        if objective == "success_auc":
+            return normalised_area(self.steps, self.success)
+        return self.final[{"final_success": "final/success_rate", "final_parked": "final/parked_rate"}[objective]]
 
 
 def read_curve(directory: RunDirectory) -> RunCurve:
@@ -36,49 +37,39 @@ def read_curve(directory: RunDirectory) -> RunCurve:
     Raises:
         DamagedFileError: its log is damaged.
     """
-    found: dict[int, float] = {}
+    rates: dict[int, float] = {}
     for record in read_metrics(directory.path / "metrics.jsonl"):
         if (rate := record["metrics"].get("eval/success_rate")) is not None:
-            found[record["step"]] = rate
+            rates[record["step"]] = rate
     result = directory.result()
     if result is not None and "final/success_rate" in result.metrics:
-        found[result.steps] = result.metrics["final/success_rate"]
-    steps = sorted(found)
-    return RunCurve(steps, [found[step] for step in steps], result.metrics if result else {})
+        rates[result.steps] = result.metrics["final/success_rate"]
+    steps = sorted(rates)
+    return RunCurve(steps, [rates[step] for step in steps], result.metrics if result else {})
 
 
-def evaluations(config: RunConfig) -> int:
-    """Return how many evaluations a run has at most, the final one included."""
-    every = config.evaluation.every_n_steps
-    return config.total_timesteps // every + 2 if every else 1
+def values_so_far(finished: Sequence[float], curve: RunCurve, total_timesteps: int) -> list[float]:
+    """Return the mean area of a trial's runs at each evaluation of its current run, which pruning compares.
+
+    The current run's area is weighted by the fraction of the run that is over.
+
+    Args:
+        finished: areas of the trial's finished runs.
+        curve: of the current run.
+        total_timesteps: of the current run.
+    """
+    values = []
+    for position, step in enumerate(curve.steps, 1):
+        weight = min(1.0, step / total_timesteps)
+        area = normalised_area(curve.steps[:position], curve.success[:position])
+        values.append((sum(finished) + weight * area) / (len(finished) + weight) if finished or weight else area)
+    return values
 
 
 def updates_at(config: RunConfig, step: int) -> float:
     """Return how many gradient updates a run has made at an env step."""
-    starts = config.algorithm.arguments.get("learning_starts", 0)
+    steps = max(0.0, step - config.algorithm.arguments.get("learning_starts", 0))
     train_freq, gradient_steps = config.update_rounds()
     if isinstance(train_freq, tuple) or gradient_steps < 0:  # by episodes, with as many updates as steps
-        return max(0.0, step - starts)
-    return max(0.0, step - starts) * gradient_steps / (train_freq * config.n_envs)
-
-
-def run_value(objective: Objective, curve: RunCurve) -> float:
-    """Return an objective of one finished run."""
-    match objective:
-        case "success_auc":
-            return curve.area
-        case "final_success":
-            return curve.final["final/success_rate"]
-        case "final_parked":
-            return curve.final["final/parked_rate"]
-
-
-def partial_value(finished: Sequence[float], curve: RunCurve, share: float) -> float:
-    """Return the mean area so far, which pruning compares.
-
-    Args:
-        finished: areas of the trial's finished runs.
-        curve: of the current run, with at least one evaluation.
-        share: fraction of the current run that is over, which weights its area.
-    """
-    return (sum(finished) + share * curve.area) / (len(finished) + share)
+        return steps
+    return steps * gradient_steps / (train_freq * config.n_envs)

@@ -1,90 +1,77 @@
-"""The space of a search: its dimensions as Optuna's distributions, and the values of trials."""
+"""The space of a search: the range or choices of each key, in the config and in Optuna."""
 
 import json
-import math
-from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any, Self
 
-from omegaconf import DictConfig, OmegaConf
+from pydantic import Field, model_validator
 
-from parking_exp.tuning.schema import Dimension, SearchConfig
+from parking_exp.config.schema import ConfigModel
 
 if TYPE_CHECKING:
-    from optuna import Trial
+    from optuna.trial import BaseTrial
 
-DIGITS = 6  # of sampled numbers: configs stay readable
-
-
-def parameter(key: str, dimension: Dimension) -> str:
-    """Return the name under which Optuna knows a dimension: its key, or `1 - KEY`."""
-    return f"1 - {key}" if dimension.one_minus_log else key
+DIGITS = 6  # of sampled numbers, so that configs stay readable
+Value = bool | int | float | str | None | list[Any] | dict[str, Any]
+Range = Annotated[list[float], Field(min_length=2, max_length=2)]
 
 
-def suggest(trial: "Trial", name: str, dimension: Dimension) -> Any:
-    """Return a trial's parameter for a dimension, sampled if it has none; choices are JSON texts."""
-    low, high = dimension.bounds
-    if dimension.choices is not None:
-        return trial.suggest_categorical(name, [json.dumps(choice) for choice in dimension.choices])
-    if dimension.whole:
-        return trial.suggest_int(name, int(low), int(high))
-    if dimension.one_minus_log:
-        return trial.suggest_float(name, _rounded(1 - high), _rounded(1 - low), log=True)
-    return trial.suggest_float(name, low, high, log=dimension.log is not None)
+class Dimension(ConfigModel):
+    """The range or choices of one key, in one of four forms.
 
-
-def to_parameter(dimension: Dimension, value: Any) -> Any:
-    """Return a config's value as Optuna's parameter, or None if it is outside the dimension."""
-    if dimension.choices is not None:
-        same = (c for c in dimension.choices if c == value and isinstance(c, bool) == isinstance(value, bool))
-        return next(map(json.dumps, same), None)
-    if isinstance(value, bool) or not isinstance(value, int | float) or (dimension.whole and value != int(value)):
-        return None
-    low, high = dimension.bounds
-    if not low <= value <= high:
-        return None
-    if dimension.one_minus_log:
-        return _rounded(1 - value)
-    return int(value) if dimension.whole else float(value)
-
-
-def to_value(dimension: Dimension, parameter: Any) -> Any:
-    """Return Optuna's parameter as a config's value."""
-    if dimension.choices is not None:
-        return json.loads(parameter)
-    if dimension.whole:
-        return int(parameter)
-    return _rounded(1 - parameter if dimension.one_minus_log else parameter)
-
-
-def applies(dimension: Dimension, chosen: Mapping[str, Any]) -> bool:
-    """Return whether a dimension is sampled with these values of other keys."""
-    return all(chosen.get(key) in values for key, values in dimension.when.items())
-
-
-def in_order(search: SearchConfig) -> list[tuple[str, Dimension]]:
-    """Return the dimensions, each after those that its `when` names; groups first, since they define other keys.
-
-    Raises:
-        ValueError: their conditions are circular.
+    Attributes:
+        log: lowest and highest value, on a log scale.
+        uniform: lowest and highest value.
+        whole: lowest and highest integer; `int` in YAML.
+        choices: values, or options of a group.
     """
-    waiting = sorted(search.space.items(), key=lambda item: "." in item[0])
-    found: dict[str, Dimension] = {}
-    while waiting:
-        ready = [item for item in waiting if item[1].when.keys() <= found.keys()]
-        if not ready:
-            raise ValueError(f"search.space.{waiting[0][0]}.when: it depends on itself through other conditions")
-        found |= dict(ready)
-        waiting = [item for item in waiting if item[0] not in found]
-    return list(found.items())
 
+    log: Range | None = None
+    uniform: Range | None = None
+    whole: Annotated[list[int], Field(min_length=2, max_length=2)] | None = Field(default=None, alias="int")
+    choices: Annotated[list[Value], Field(min_length=1)] | None = None
 
-def base_value(base: DictConfig, groups: Mapping[str, str], key: str) -> Any:
-    """Return the value of a key, or the chosen option of a group, in the base config."""
-    if key in groups:
-        return groups[key]
-    node = OmegaConf.select(base, key.lstrip("+"))
-    return OmegaConf.to_container(node, resolve=True) if OmegaConf.is_config(node) else node
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        forms = [form for form in (self.log, self.uniform, self.whole, self.choices) if form is not None]
+        if len(forms) != 1:
+            raise ValueError("takes one of log, uniform, int and choices")
+        if self.choices is None and self.ends[0] >= self.ends[1]:
+            raise ValueError(f"{self.ends} is empty; write [lowest, highest]")
+        if self.log and self.log[0] <= 0:
+            raise ValueError(f"is on a log scale, and {self.log[0]} is not above 0")
+        return self
 
+    @property
+    def ends(self) -> list[Any]:
+        """Values to validate: both ends of a range, or every choice."""
+        return self.choices or self.log or self.uniform or self.whole or []
 
-def _rounded(value: float) -> float:
-    return float(f"{value:.{DIGITS}g}") if math.isfinite(value) else value
+    def __str__(self) -> str:
+        """Describe the dimension as the YAML does: `log [0.001, 0.01]`."""
+        ((form, ends),) = self.model_dump(by_alias=True, exclude_none=True).items()
+        return f"{form} {ends}"
+
+    def suggest(self, trial: "BaseTrial", key: str) -> Any:
+        """Return a trial's parameter, sampled if it has none; choices are JSON texts, since Optuna takes no lists."""
+        if self.choices is not None:
+            return trial.suggest_categorical(key, [json.dumps(choice) for choice in self.choices])
+        low, high = self.ends
+        if self.whole is not None:
+            return trial.suggest_int(key, low, high)
+        return trial.suggest_float(key, low, high, log=self.log is not None)
+
+    def to_parameter(self, value: Any) -> Any:
+        """Return a config's value as Optuna's parameter, or None if it is outside the dimension."""
+        if self.choices is not None:
+            same = (c for c in self.choices if c == value and isinstance(c, bool) == isinstance(value, bool))
+            return next(map(json.dumps, same), None)
+        if isinstance(value, bool) or not isinstance(value, int | float) or (self.whole and value != int(value)):
+            return None
+        low, high = self.ends
+        return value if low <= value <= high else None
+
+    def to_value(self, parameter: Any) -> Any:
+        """Return Optuna's parameter as a config's value."""
+        if self.choices is not None:
+            return json.loads(parameter)
+        return parameter if self.whole else float(f"{parameter:.{DIGITS}g}")

@@ -1,37 +1,39 @@
-"""The study of a search: Optuna's record of its trials.
+"""The study of a search: Optuna's record of its trials, and which process works on which trial.
 
 The study is a journal file in the experiment's folder, or is in the database of `storage`. Trials are numbered from 0;
-those from 0 to n_trials - 1 are trained.
+those from 0 to n_trials - 1 are trained. A process holds a lock file while it works on a trial. The system releases it
+when the process dies, so that the next process to look resumes the trial. (Optuna's own heartbeat is for
+`study.optimize` on databases only.)
 """
 
 import json
 import os
-import time
+import warnings
+import zlib
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
-from filelock import FileLock, Timeout
+from filelock import FileLock
 
 from parking_exp.config.credentials import strip_password, with_password
 from parking_exp.config.paths import refuse_links
 from parking_exp.config.schema import RunConfig
 from parking_exp.errors import ConfigError, ParkingError, StoreError
-from parking_exp.tuning.schema import SearchConfig
-from parking_exp.tuning.space import applies, in_order, parameter, to_parameter
+from parking_exp.runs.locks import is_held
+from parking_exp.tuning.search_config import SearchConfig
 
 if TYPE_CHECKING:
     from optuna import Study, Trial
+    from optuna.samplers import BaseSampler
 
 STUDY_FILE, CLAIM_LOCK, TRIALS_FOLDER = "study.journal", ".claiming", ".trials"
 Values = Callable[[Mapping[str, Any]], Mapping[str, Any]]
 DEFINITION = "definition"  # attribute of a study
 # Attributes of a trial.
-CHANGES, ENQUEUED, RUNS, REASON = "changes", "enqueued", "runs", "reason"
-SEED_VALUES, STEPS, CPU_S = "values_by_seed", "env_steps", "cpu_s"
-CLAIM_PATIENCE_S = 120.0
+CHANGES, RUNS, REASON, SEED_VALUES, STEPS, CPU_S = "changes", "runs", "reason", "values_by_seed", "env_steps", "cpu_s"
 
 
 @dataclass(frozen=True)
@@ -41,18 +43,6 @@ class OpenStudy:
     study: "Study"
     storage: Any
     folder: Path
-
-    def trial(self, number: int) -> "Trial":
-        """Return a running trial, begun by this process or another one."""
-        import optuna
-
-        study_id = self.storage.get_study_id_from_name(self.study.study_name)
-        return optuna.Trial(self.study, self.storage.get_trial_id_from_study_id_trial_number(study_id, number))
-
-
-def trial_lock_path(folder: Path, number: int) -> Path:
-    """Return the lock file of a trial, held by the process that works on it."""
-    return folder / TRIALS_FOLDER / f"{number:05d}.lock"
 
 
 class _JournalLock:
@@ -76,40 +66,46 @@ class _JournalLock:
         self._lock.release()
 
 
+@contextmanager
+def storage_errors(name: str) -> Iterator[None]:
+    """Raise errors of a study's storage, which may be of any database driver, as one sentence.
+
+    Raises:
+        StoreError: the storage fails, or its content is damaged.
+    """
+    try:
+        yield
+    except ParkingError:
+        raise
+    except Exception as error:
+        line = strip_password((str(error).splitlines() or [type(error).__name__])[0])
+        raise StoreError(f"the study {name} can't be used: {line}") from error
+
+
 def storage_of(folder: Path, uri: str | None) -> Any:
     """Return the storage of a study: the database at a URI, or without one the journal in the search's folder.
 
     Raises:
-        StoreError: it can't be reached.
+        StoreError: it can't be opened.
         UntrustedError: a file of the search is a symbolic link that leads out of its folder.
     """
     import optuna
-    from optuna.storages.journal import JournalFileBackend
-    from sqlalchemy.exc import DBAPIError
+    from optuna.storages.journal import JournalFileBackend, JournalStorage
 
     optuna.logging.set_verbosity(optuna.logging.ERROR)
     path = folder / STUDY_FILE
-    # The folders of cells may be on another disk.
-    refuse_links((one for names in (".*", "study.*", f"{TRIALS_FOLDER}/*") for one in folder.glob(names)), folder)
-    try:
-        if uri is None:
-            folder.mkdir(parents=True, exist_ok=True)
-            path.touch()
-            backend = JournalFileBackend(str(path), lock_obj=cast(Any, _JournalLock(path)))
-            return optuna.storages.JournalStorage(backend)
-        for wait_s in (1, 1, None):  # of two processes that create the same tables at once, one fails
-            try:
-                return optuna.storages.get_storage(with_password(uri))
-            except DBAPIError:
-                if wait_s is None:
-                    raise
-                time.sleep(wait_s)
-    except Exception as error:  # any driver of a database may be behind it
-        raise StoreError(f"storage={uri or path}: the study can't be opened: {_first_line(error)}") from error
+    # Not all files of the folder: those of cells may be on another disk.
+    refuse_links((file for names in (".*", "study.*", f"{TRIALS_FOLDER}/*") for file in folder.glob(names)), folder)
+    with storage_errors(folder.name):
+        if uri is not None:
+            return optuna.storages.get_storage(with_password(uri))
+        folder.mkdir(parents=True, exist_ok=True)
+        path.touch()
+        return JournalStorage(JournalFileBackend(str(path), lock_obj=cast(Any, _JournalLock(path))))
 
 
 def open_study(folder: Path, search: SearchConfig, base: RunConfig, values: Values, storage: Any) -> OpenStudy:
-    """Return the study of a search; create it with trial 0 and the enqueued configs if there is none.
+    """Return the study of a search; create it, with trial 0 and the enqueued configs, if there is none.
 
     Args:
         folder: of the experiment.
@@ -125,107 +121,98 @@ def open_study(folder: Path, search: SearchConfig, base: RunConfig, values: Valu
     import optuna
 
     name = folder.name
-    with claiming(folder), storage_errors(name):
+    with FileLock(folder / CLAIM_LOCK), storage_errors(name):
         study = optuna.create_study(
             storage=storage, study_name=name, directions=["maximize"] * len(search.objective), load_if_exists=True
         )
         definition = _definition(search, base)
-        if (known := study.user_attrs.get(DEFINITION)) is None:
+        known = study.user_attrs.get(DEFINITION)
+        if known is None:
             study.set_user_attr(DEFINITION, definition)
         elif known != definition:
-            raise ConfigError(_other_definition(name, known, definition))
-        _enqueue(study, search, values)
-        return OpenStudy(study, storage, folder)
-
-
-def load_study(name: str, storage: Any) -> "Study | None":
-    """Return the study of a search for reading, or None if there is none.
-
-    Raises:
-        StoreError: the storage fails.
-    """
-    import optuna
-
-    with storage_errors(name), suppress(KeyError):
-        return optuna.load_study(study_name=name, storage=storage)
-    return None
-
-
-@contextmanager
-def storage_errors(name: str) -> Iterator[None]:
-    """Raise errors of a storage as one sentence.
-
-    Raises:
-        ConfigError: the study can't be used.
-        StoreError: the storage fails.
-    """
-    try:
-        yield
-    except ParkingError:
-        raise
-    except ValueError as error:  # a damaged journal, or other directions
-        raise ConfigError(f"study {name} can't be used: {error}; start another with experiment_name=OTHER") from error
-    except Exception as error:
-        raise StoreError(f"the storage of study {name} fails: {_first_line(error)}; try again later") from error
-
-
-def _first_line(error: Exception) -> str:
-    return strip_password((str(error).splitlines() or [type(error).__name__])[0])
+            differing = [key for key in {**known, **definition} if known.get(key) != definition.get(key)]
+            raise ConfigError(
+                f"the study {name} was made with another {', '.join(differing)}; restore that to resume it, or start "
+                "another study with experiment_name=OTHER"
+            )
+        for changes in [{}, *search.enqueue][len(study.get_trials(deepcopy=False)) :]:
+            _enqueue(study, search, changes, values(changes))
+    return OpenStudy(study, storage, folder)
 
 
 def _definition(search: SearchConfig, base: RunConfig) -> dict[str, Any]:
     """Return what must not change for trials to be comparable: objective, seeds, space and base config."""
-    plain = json.loads(json.dumps(search.model_dump(by_alias=True, exclude_defaults=True)))
-    found = {f"search.{key}": plain[key] for key in ("objective", "tuning_seeds", "enqueue")}
-    found |= {f"search.space.{key}": value for key, value in plain["space"].items()}
-    return found | {"config": base.model_copy(update={"seed": 0}).run_key}
+    plain = json.loads(search.model_dump_json(by_alias=True, exclude_none=True))
+    definition = {f"search.{key}": plain[key] for key in ("objective", "tuning_seeds", "enqueue")}
+    definition |= {f"search.space.{key}": value for key, value in plain["space"].items()}
+    return definition | {"base config": base.model_copy(update={"seed": 0}).run_key}
 
 
-def _other_definition(name: str, known: Mapping[str, Any], asked: Mapping[str, Any]) -> str:
-    differing = [
-        f"{key} was {json.dumps(known.get(key))} and is {json.dumps(asked.get(key))}"
-        if key != "config"
-        else "other keys of the base config differ"
-        for key in {**known, **asked}
-        if known.get(key) != asked.get(key)
-    ]
-    return (
-        f"the study {name} was made for another search: {'; '.join(differing)}; restore that to resume it, or start "
-        "another with experiment_name=OTHER"
+def _enqueue(study: "Study", search: SearchConfig, changes: Mapping[str, Any], values: Mapping[str, Any]) -> None:
+    """Add a trial that waits, with the parameters that are inside the space, so that samplers know them."""
+    from optuna.trial import FixedTrial, TrialState, create_trial
+
+    parameters = {key: dimension.to_parameter(values[key]) for key, dimension in search.space.items()}
+    parameters = {key: parameter for key, parameter in parameters.items() if parameter is not None}
+    fixed = FixedTrial(parameters)
+    for key in parameters:
+        search.space[key].suggest(fixed, key)
+    trial = create_trial(
+        state=TrialState.WAITING,
+        params=fixed.params,
+        distributions=fixed.distributions,
+        user_attrs={CHANGES: changes},
     )
+    study.add_trial(trial)
 
 
-@contextmanager
-def claiming(folder: Path) -> Iterator[None]:
-    """Be the only process that begins or resumes a trial.
+def trial_lock_path(folder: Path, number: int) -> Path:
+    """Return the lock file of a trial, held by the process that works on it."""
+    return folder / TRIALS_FOLDER / f"{number:05d}.lock"
 
-    Raises:
-        StoreError: another process holds the lock for minutes.
+
+def claim(opened: OpenStudy, search: SearchConfig, n_trials: int) -> "tuple[Trial, FileLock] | None":
+    """Resume an abandoned trial or begin the next one.
+
+    Returns:
+        The trial, with its changes as a user attribute, and the lock to release afterwards; None if no trial is left.
     """
-    try:
-        with FileLock(folder / CLAIM_LOCK, timeout=CLAIM_PATIENCE_S):
-            yield
-    except Timeout as error:
-        raise StoreError(
-            f"{folder / CLAIM_LOCK} has been held for {CLAIM_PATIENCE_S:.0f} s by another process"
-        ) from error
+    import optuna
+
+    study, folder = opened.study, opened.folder
+    with FileLock(folder / CLAIM_LOCK):
+        free = {t.number for t in study.get_trials(deepcopy=False) if not is_held(trial_lock_path(folder, t.number))}
+        trials = study.get_trials(deepcopy=False)[:n_trials]  # after the locks: a trial may just have ended
+        abandoned = [t.number for t in trials if t.state.name == "RUNNING" and t.number in free]
+        waiting = [t.number for t in trials if t.state.name == "WAITING"]
+        number = next(iter([*abandoned, *waiting]), len(trials))
+        if number == n_trials:
+            return None
+        study.sampler = make_sampler(search, zlib.crc32(f"{study.study_name} {number}".encode()))
+        if abandoned:
+            study_id = opened.storage.get_study_id_from_name(study.study_name)
+            trial = optuna.Trial(study, opened.storage.get_trial_id_from_study_id_trial_number(study_id, number))
+        else:
+            trial = study.ask()
+        if CHANGES not in trial.user_attrs:
+            space = search.space.items()
+            changes = {key: dimension.to_value(dimension.suggest(trial, key)) for key, dimension in space}
+            trial.set_user_attr(CHANGES, changes)
+        path = trial_lock_path(folder, trial.number)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        lock = FileLock(path, thread_local=False)
+        lock.acquire()
+    return trial, lock
 
 
-def _enqueue(study: "Study", search: SearchConfig, values: Values) -> None:
-    """Enqueue the unchanged config and `search.enqueue` as the first trials, where they are missing."""
-    first: list[dict[str, Any]] = [{}, *search.enqueue]
-    for changes in first[len(study.get_trials(deepcopy=False)) :]:
-        known = known_parameters(search, values(changes))
-        study.enqueue_trial(known, user_attrs={ENQUEUED: sorted(known), CHANGES: changes})
+def make_sampler(search: SearchConfig, seed: int) -> "BaseSampler":
+    """Return the sampler of a search; each trial has a seed of its own, so that a restart repeats none."""
+    from optuna import samplers
+    from optuna.exceptions import ExperimentalWarning
 
-
-def known_parameters(search: SearchConfig, values: Mapping[str, Any]) -> dict[str, Any]:
-    """Return Optuna's parameters for the values of a config that are inside the space."""
-    known: dict[str, Any] = {}
-    chosen: dict[str, Any] = {}
-    for key, dimension in in_order(search):
-        value = to_parameter(dimension, values.get(key))
-        if value is not None and applies(dimension, chosen):
-            known[parameter(key, dimension)] = value
-            chosen[key] = values[key]
-    return known
+    if search.sampler == "random":
+        return samplers.RandomSampler(seed=seed)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ExperimentalWarning)
+        # `group`: enqueued trials may lack parameters.
+        return samplers.TPESampler(multivariate=True, group=True, constant_liar=True, seed=seed)

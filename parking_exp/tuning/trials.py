@@ -1,14 +1,15 @@
 """The trials of a search as tables show them: state, parameters, values, and resources used."""
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from pydantic import FiniteFloat, TypeAdapter, ValidationError
+from rich.table import Table
 
-from parking_exp.errors import ConfigError
+from parking_exp.errors import ConfigError, plural
 from parking_exp.runs.locks import is_held
 from parking_exp.tuning.study import CHANGES, CPU_S, REASON, RUNS, SEED_VALUES, STEPS, storage_errors, trial_lock_path
 
@@ -18,6 +19,7 @@ if TYPE_CHECKING:
 
 TrialState = Literal["done", "pruned", "failed", "running", "pending"]
 STATES: tuple[TrialState, ...] = ("done", "pruned", "failed", "running", "pending")
+SHOWN = 15
 
 
 @dataclass(frozen=True)
@@ -34,7 +36,6 @@ class TrialRow:
         runs: run directories, relative to the output directory.
         env_steps, cpu_s: total of its runs; None if unknown.
         reason: why it failed.
-        seconds: wall-clock duration; None before its end.
     """
 
     number: int
@@ -47,7 +48,6 @@ class TrialRow:
     env_steps: int | None = None
     cpu_s: FiniteFloat | None = None
     reason: str | None = None
-    seconds: float | None = None
 
     @property
     def label(self) -> str:
@@ -55,7 +55,7 @@ class TrialRow:
         changed = [
             f"{key.rpartition('.')[2]}={value}" if "." in key else str(value) for key, value in self.changes.items()
         ]
-        return f"trial {self.number}: {', '.join(changed) or 'as it stands'}"
+        return f"trial {self.number}: {', '.join(changed) or 'unchanged'}"
 
 
 ROW = TypeAdapter(TrialRow)
@@ -69,36 +69,34 @@ def rows(study: "Study", folder: Path, n_trials: int) -> list[TrialRow]:
         StoreError: its storage fails.
     """
     with storage_errors(study.study_name):
-        found, n_objectives = study.get_trials(deepcopy=False)[:n_trials], len(study.directions)
-    return [_row(frozen, folder, n_objectives) for frozen in found]
+        trials, n_objectives = study.get_trials(deepcopy=False)[:n_trials], len(study.directions)
+    return [_row(frozen, folder, n_objectives) for frozen in trials]
 
 
 def _row(frozen: "FrozenTrial", folder: Path, n_objectives: int) -> TrialRow:
-    try:
-        return ROW.validate_python(_entries(frozen, folder, n_objectives))
-    except ValueError as error:
-        what = error.errors()[0]["loc"][0] if isinstance(error, ValidationError) else "parameters"
-        raise ConfigError(f"the study is damaged: trial {frozen.number} has no valid {what}") from error
-
-
-def _entries(frozen: "FrozenTrial", folder: Path, n_objectives: int) -> dict[str, Any]:
     states = {"COMPLETE": "done", "PRUNED": "pruned", "FAIL": "failed", "WAITING": "pending"}
+    held = frozen.state.name == "RUNNING" and is_held(trial_lock_path(folder, frozen.number))
+    # Optuna takes the last intermediate value of a pruned trial for its value.
+    values = (frozen.values or []) if frozen.state.name == "COMPLETE" else []
     attributes = frozen.user_attrs
-    values = list(frozen.values or []) if frozen.state.name == "COMPLETE" else []
-    return {
-        "number": frozen.number,
-        "state": states.get(frozen.state.name)
-        or ("running" if is_held(trial_lock_path(folder, frozen.number)) else "pending"),
-        "changes": attributes.get(CHANGES, {}),
-        "parameters": {name: plain_choice(value) for name, value in frozen.params.items()},
-        "values": values if len(values) in (0, n_objectives) else None,
-        "by_seed": attributes.get(SEED_VALUES, []),
-        "runs": attributes.get(RUNS, []),
-        "env_steps": attributes.get(STEPS),
-        "cpu_s": attributes.get(CPU_S),
-        "reason": attributes.get(REASON),
-        "seconds": frozen.duration.total_seconds() if frozen.duration else None,
-    }
+    try:
+        return ROW.validate_python(
+            {
+                "number": frozen.number,
+                "state": states.get(frozen.state.name, "running" if held else "pending"),
+                "changes": attributes.get(CHANGES, {}),
+                "parameters": {name: plain_choice(value) for name, value in frozen.params.items()},
+                "values": values if len(values) in (0, n_objectives) else None,
+                "by_seed": attributes.get(SEED_VALUES, []),
+                "runs": attributes.get(RUNS, []),
+                "env_steps": attributes.get(STEPS),
+                "cpu_s": attributes.get(CPU_S),
+                "reason": attributes.get(REASON),
+            }
+        )
+    except ValueError as error:
+        entry = error.errors()[0]["loc"][0] if isinstance(error, ValidationError) else "parameters"
+        raise ConfigError(f"the study is damaged: trial {frozen.number} has no valid {entry}") from error
 
 
 def plain_choice(value: Any) -> float | str:
@@ -118,3 +116,23 @@ def counts(trials: Sequence[TrialRow]) -> dict[TrialState, int]:
     """Return how many trials are in each state."""
     states = [trial.state for trial in trials]
     return {state: states.count(state) for state in STATES}
+
+
+def trial_table(trials: Sequence[TrialRow], objectives: Sequence[str]) -> Table:
+    """Return the best trials, then running and failed ones: state, value and changes."""
+    table = Table("trial", "state", *objectives, "changes", box=None, pad_edge=False)
+    best, others = ranked(trials), [trial for trial in trials if trial.state in ("running", "failed")]
+    for trial in [*best[: max(1, SHOWN - len(others))], *others[:SHOWN]]:
+        values = [f"{value:.1%}" for value in trial.values] or [""] * len(objectives)
+        table.add_row(str(trial.number), trial.state, *values, trial.reason or trial.label.partition(": ")[2])
+    return table
+
+
+def progress_lines(trials: Sequence[TrialRow], objectives: Sequence[str], n_trials: int) -> Iterator[str]:
+    """Yield how many trials are in each state, and the best so far."""
+    found = counts(trials)
+    found["pending"] += n_trials - len(trials)
+    yield f"{plural(n_trials, 'trial')}: {', '.join(f'{number} {state}' for state, number in found.items() if number)}"
+    for best in ranked(trials)[:1]:
+        values = ", ".join(f"{name} {value:.1%}" for name, value in zip(objectives, best.values, strict=True))
+        yield f"best so far: {best.label} ({values})"

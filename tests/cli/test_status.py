@@ -292,7 +292,7 @@ def test_a_search_whose_storage_fails_is_told_in_a_sentence(tmp_path, monkeypatc
     monkeypatch.setattr(optuna.Study, "get_trials", fail)
     (config,) = composed("status", [f"output_dir={tmp_path}", f"json={as_json}"])
     show(config)
-    shown, words = capsys.readouterr().out, "the storage of study mine fails: it is gone; try again later"
+    shown, words = capsys.readouterr().out, "the study mine can't be used: it is gone"
     if as_json:
         assert json.loads(shown)["searches"] == [{"experiment": "mine", "error": words}]
     else:

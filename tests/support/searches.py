@@ -1,12 +1,15 @@
-"""Make searches, and train their trials without training."""
+"""Settings of searches, and the config that their trials change."""
+
+import yaml
 
 from parking_exp.config.validate import check
-from parking_exp.tuning.schema import SearchConfig
+from parking_exp.tuning.search import Search
+from parking_exp.tuning.search_config import SearchConfig
 from support.runs import make_config
 
 SETTINGS = {
     "name": "test",
-    "space": {"algorithm.gamma": {"one_minus_log": [0.9, 0.99]}},
+    "space": {"algorithm.gamma": {"uniform": [0.9, 0.99]}},
     "objective": "success_auc",
     "sampler": "tpe",
     "pruner": None,
@@ -30,3 +33,13 @@ def settings(**changes):
 def base(tmp_path):
     """The config that trials change."""
     return make_config("experiment=smoke", "experiment_name=test", f"output_dir={tmp_path}")
+
+
+def user_search(folder, overrides=(), **changes):
+    """The search `mine` in a directory of the user's own."""
+    (folder / "search").mkdir(parents=True)
+    defaults = ["shared/defaults@search", "_self_", {"override /experiment": "smoke"}]
+    search = {"name": "mine", "space": {"algorithm.gamma": {"uniform": [0.9, 0.99]}}, **changes}
+    text = yaml.safe_dump({"defaults": defaults, "search": search})
+    (folder / "search" / "mine.yaml").write_text(f"# @package _global_\n{text}")
+    return Search(["search=mine", *overrides], str(folder))

@@ -43,7 +43,7 @@ KINDS = {
         "env.simulator=highway_env", "n_envs=1", "algorithm.train_freq=[1,episode]", "algorithm.use_sde=true",
     ),
     "td3, EMA, Ornstein-Uhlenbeck noise, a full buffer": (
-        "algorithm=td3", "algorithm.policy_ema_half_life=30", "buffer.buffer_size=200", "n_envs=4",
+        "algorithm=td3", "algorithm.policy_ema_half_life=30", "buffer.buffer_size=200", "n_envs=4", "algorithm.learning_starts=48",
         "algorithm.action_noise._target_=stable_baselines3.common.noise.OrnsteinUhlenbeckActionNoise",
     ),
 }  # fmt: skip

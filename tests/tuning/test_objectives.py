@@ -3,7 +3,7 @@
 import pytest
 from support.runs import make_config
 
-from parking_exp.tuning.objectives import RunCurve, partial_value, run_value, updates_at
+from parking_exp.tuning.objectives import RunCurve, updates_at, values_so_far
 
 CURVE = RunCurve(
     [1000, 2000, 3000, 4000, 5000],
@@ -26,11 +26,12 @@ def test_updates_follow_from_steps():
     [("success_auc", (0.25 + 0.73 + 0.955 + 0.975) / 4), ("final_success", 0.97), ("final_parked", 0.1)],
 )
 def test_each_objective_of_a_run(objective, value):
-    assert run_value(objective, CURVE) == pytest.approx(value)
+    assert CURVE.value(objective) == pytest.approx(value)
 
 
-def test_pruning_compares_the_mean_area_so_far():
+def test_pruning_compares_the_mean_area_so_far_weighted_by_what_is_over_of_the_run():
     half = RunCurve([1000, 2000], [0.0, 0.5], {})
-    assert partial_value([0.75], half, share=1.0) == 0.5
-    assert partial_value([0.75], half, share=0.25) == 0.65
-    assert partial_value([], half, share=0.25) == 0.25
+    assert values_so_far([], half, 2000) == [0.0, 0.25]
+    assert values_so_far([0.75], half, 2000) == [0.75 / 1.5, (0.75 + 0.25) / 2]
+    assert values_so_far([0.75], half, 8000) == [0.75 / 1.125, (0.75 + 0.25 / 4) / 1.25]
+    assert values_so_far([], RunCurve([0], [0.5], {}), 8000) == [0.5]

@@ -37,7 +37,7 @@ def trials(report: ReportData, cells: Sequence[Cell]) -> Iterator[Table]:
             column("Env steps", whole, "env_steps"),
             column("CPU (s)", number, "cpu_s"),
             *([column("Why it failed", _optional, "reason", numeric=False)] if reasons else values("reason")),
-            *values("label", "seconds"),
+            *values("label"),
         ],
         tuning.trials,
         f"Trials: means over {tuning.n_seeds} tuning seeds (%), parameters, and what they took.",

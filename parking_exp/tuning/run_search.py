@@ -1,0 +1,115 @@
+"""Run a search: print its plan, train its trials, retrain the best on fresh seeds, write the winner."""
+
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from rich.console import Console
+
+from parking_exp.config.overrides import in_quotes
+from parking_exp.config.paths import store_uri
+from parking_exp.errors import ConfigError, FailedRunError, plural
+from parking_exp.runs.directory import RunDirectory
+from parking_exp.runs.lookup import find_runs
+from parking_exp.sweeps.hydra_launcher import Launch
+from parking_exp.sweeps.monitor import Monitor
+from parking_exp.terminal import console
+from parking_exp.tracking.sync_all import sync_problem
+from parking_exp.tuning.retest import retest, write_winner
+from parking_exp.tuning.search import Search, study_in
+from parking_exp.tuning.trials import TrialRow, counts, progress_lines, rows, trial_table
+
+if TYPE_CHECKING:
+    from optuna import Study
+
+POLL_S = 1.0
+
+
+def tune(search: Search, launch: Launch) -> None:
+    """Train the remaining trials of a search, retrain the best on fresh seeds, and write the winner.
+
+    Raises:
+        ConfigError: the space, the study or the launcher does not fit.
+        OutputDirectoryError: the experiment's folder can't be made.
+        StoreError: the storage of the study fails.
+        FailedRunError: not all trials are over, or re-runs failed.
+        InterruptedRunError: a signal stopped it.
+    """
+    search.check()
+    out, request = console(), search.request
+    objectives, n_trials = request.search.objective, request.n_trials
+    if (n_workers := request.n_workers or launch.n_jobs) is None:
+        raise ConfigError(f"hydra/launcher={launch.name}: set the number of parallel trials, n_workers=N")
+    if request.dry_run:
+        stored = study_in(search.folder, request.storage)
+        _describe(search, stored.trials[:n_trials] if stored else [], n_workers, out)
+        return
+    study = search.open().study
+    trials = rows(study, search.folder, n_trials)
+    _describe(search, trials, n_workers, out)
+    search.save()
+    if _n_left(trials, n_trials):
+        trials = _train(search, study, launch, n_workers)
+    out.print(trial_table(trials, objectives), *progress_lines(trials, objectives, n_trials), sep="\n")
+    if left := _n_left(trials, n_trials):
+        raise FailedRunError(f"{plural(left, 'trial')} not over; rerun the same command to resume")
+    if not counts(trials)["done"]:
+        reason = next((trial.reason for trial in trials if trial.reason), "all were pruned")
+        raise FailedRunError(f"no trial is done; the first reason: {reason}")
+    write_winner(search, retest(search, trials, launch), out)
+
+
+def _n_left(trials: list[TrialRow], n_trials: int) -> int:
+    """Return how many trials are not over."""
+    found = counts(trials)
+    return n_trials - found["done"] - found["pruned"] - found["failed"]
+
+
+def _describe(search: Search, trials: list[TrialRow], n_workers: int, out: Console) -> None:
+    """Print the space, the budget and the progress."""
+    request, settings = search.request, search.request.search
+    for key, dimension in settings.space.items():
+        out.print(f"{key}: {dimension}")
+    pruner = f"{settings.pruner} after {settings.grace_updates:,} updates" if settings.pruner else "none"
+    out.print(f"objective {' and '.join(settings.objective)}; sampler {settings.sampler}, pruner {pruner}")
+    left = _n_left(trials, request.n_trials)
+    retested = min(settings.n_retest + 1, request.n_trials) if settings.n_retest else 0
+    out.print(
+        f"{plural(request.n_trials, 'trial')} x {plural(len(settings.tuning_seeds), 'seed')} x "
+        f"{search.base.total_timesteps:,} env steps at most, {plural(n_workers, 'trial')} at a time; at the end "
+        f"{plural(retested * len(settings.test_seeds), 'run')} on fresh seeds: {request.n_trials - left} trials over, "
+        f"{left} to do"
+    )
+
+
+def _train(search: Search, study: "Study", launch: Launch, n_workers: int) -> list[TrialRow]:
+    """Launch workers while trials are left, wait for trials of other processes, and sync the store in the end."""
+    request, base = search.request, search.base
+    job = [f"study={in_quotes(str(search.folder))}", f"n_trials={request.n_trials}"]
+    if request.storage:
+        job.append(f"storage={in_quotes(request.storage)}")
+    names = {f"seed={seed}" for seed in request.search.tuning_seeds}
+
+    def runs() -> list[Path]:
+        return [path for path in find_runs(base.output_path, base.experiment_name) if path.name in names]
+
+    with Monitor(runs, request.n_trials * len(names)) as monitor:
+        try:
+            trials, problem = rows(study, search.folder, request.n_trials), None
+            while (left := _n_left(trials, request.n_trials)) and problem is None:
+                free = left - counts(trials)["running"]
+                if free > 0:
+                    _, problem = launch.jobs([job] * min(n_workers, free))
+                    if problem:
+                        monitor.say(f"error: {problem}")
+                else:
+                    time.sleep(POLL_S)
+                before, trials = trials, rows(study, search.folder, request.n_trials)
+                if free > 0 and before == trials:  # the launcher did nothing
+                    break
+        finally:
+            # What was not sent, because a run was pruned or killed, or its store was down.
+            directories = [RunDirectory(path) for path in runs()]
+            if base.tracking.mlflow and (unsent := sync_problem(directories, [store_uri(base)])):
+                monitor.say(unsent)
+    return trials

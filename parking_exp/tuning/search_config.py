@@ -1,0 +1,56 @@
+"""The schema of a search: its space, objective, sampler, pruner and seeds."""
+
+from typing import Annotated, Any, Literal, Self
+
+from pydantic import AfterValidator, BeforeValidator, Field, model_validator
+
+from parking_exp.config.credentials import keep_password
+from parking_exp.config.paths import absolute
+from parking_exp.config.schema import ConfigModel, Count, Name, Positive, SweepOptions
+from parking_exp.tuning.space import Dimension, Value
+
+Objective = Literal["success_auc", "final_success", "final_parked"]
+Sampler = Literal["tpe", "random"]
+Pruner = Literal["median"]
+Seeds = Annotated[list[Annotated[int, Field(ge=0, lt=2**32)]], Field(min_length=1)]
+Storage = Annotated[str, AfterValidator(lambda uri: absolute(keep_password(uri)))]
+"""URI of Optuna's storage without the password, which `with_password` adds where the storage is opened."""
+
+
+def _as_list(value: Any) -> Any:
+    return value if isinstance(value, list) else [value]
+
+
+class SearchConfig(ConfigModel):
+    """The `search` group; values and comments are in `conf/search/shared/defaults.yaml`."""
+
+    name: Name
+    space: Annotated[dict[str, Dimension], Field(min_length=1)]
+    objective: Annotated[list[Objective], Field(min_length=1), BeforeValidator(_as_list)]
+    sampler: Sampler
+    pruner: Pruner | None
+    grace_updates: Count
+    tuning_seeds: Seeds
+    test_seeds: Seeds
+    n_retest: Count
+    enqueue: list[dict[str, Value]]
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        seeds = [*self.tuning_seeds, *self.test_seeds]
+        if twice := [seed for seed in seeds if seeds.count(seed) > 1]:
+            raise ValueError(f"seed {twice[0]} occurs twice in tuning_seeds and test_seeds; all have to differ")
+        if "seed" in self.space or "seeds" in self.space:
+            raise ValueError("space has seeds; every trial is trained on tuning_seeds")
+        if self.pruner and len(self.objective) > 1:
+            raise ValueError(f"pruner={self.pruner} takes one objective, not {len(self.objective)}; write null")
+        return self
+
+
+class TuneRequest(SweepOptions):
+    """The keys of `conf/tune.yaml` beside those of a run."""
+
+    search: SearchConfig
+    n_trials: Positive
+    n_workers: Positive | None
+    storage: Storage | None
