@@ -31,7 +31,7 @@ def train(overrides: list[str], extra_config_dir: str | None) -> None:
         gc.enable()
         sweep(planned, Launch(overrides, extra_config_dir), dry_run=options.dry_run)
     else:
-        from parking_exp.training.run import train as train_run
+        from parking_exp.training.train_run import train as train_run
 
         gc.freeze()
         gc.enable()

@@ -11,7 +11,7 @@ from parking_exp.envs.highway import make_env
 from parking_exp.envs.interface import Policy
 from parking_exp.envs.scenes import Scenes
 from parking_exp.envs.simulator import Simulator
-from parking_exp.evaluation.evaluate import evaluate
+from parking_exp.evaluation.evaluate_policy import evaluate
 
 PEER = "highway-env"
 

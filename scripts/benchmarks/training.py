@@ -25,11 +25,8 @@ from parking_exp.envs.interface import Policy
 from parking_exp.envs.training_envs import make_training_envs
 from parking_exp.runs.directory import RunDirectory
 from parking_exp.tracking.tracker import open_tracker
-from parking_exp.training.callbacks import RolloutCallback
-from parking_exp.training.checkpoints import Progress
 from parking_exp.training.finish import finish
-from parking_exp.training.loop import TrainingLoop
-from parking_exp.training.progress import TrainingProgress
+from parking_exp.training.loop import RolloutCallback, TrainingLoop
 from parking_exp.training.signals import StopRequest
 
 
@@ -121,7 +118,7 @@ def overhead(rounds: int, steps: int, slice_steps: int, *changes: str) -> tuple[
         evaluation_s = statistics.median(_seconds(loop.evaluate) for _ in range(rounds))
         checkpoint_s = statistics.median(_checkpoint_seconds(loop) for _ in range(rounds))
         policy = loop.policy
-        with loop.evaluated_policy():
+        with loop.average.applied():
             end_s = _seconds(lambda: finish(loop))
         loop.directory.update(status="done")
         loop.tracker.close()
@@ -156,21 +153,12 @@ def _tracked_loop(config: RunConfig) -> tuple[TrainingLoop, float]:
     start = time.perf_counter()
     directory.create(config)
     directory.update(status="running")
-    tracker = open_tracker(config, directory)
-    loop = TrainingLoop(
-        config=config,
-        directory=directory,
-        tracker=tracker,
-        progress=Progress(),
-        checkpoint=None,
-        stop=StopRequest(),
-        bar=TrainingProgress(config.total_timesteps, 0, False),
-    )
+    loop = TrainingLoop(config, directory, open_tracker(config, directory), None, StopRequest())
     return loop, time.perf_counter() - start
 
 
 def _checkpoint_seconds(loop: TrainingLoop) -> float:
-    loop.progress.saved = -1  # as if training had continued
+    loop.progress.step = -1  # as if training had gone on
     return _seconds(loop.save_checkpoint)
 
 

@@ -24,7 +24,7 @@ from parking_exp.runs.lookup import find_runs
 from parking_exp.tracking.reader import Reader
 from parking_exp.tracking.sync import sync
 from parking_exp.tracking.sync_all import sync_all
-from parking_exp.training.run import train
+from parking_exp.training.train_run import train
 
 EVALUATE = ("episodes=1", "simulator=vectorized", "name=again")
 

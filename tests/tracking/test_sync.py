@@ -42,7 +42,7 @@ from parking_exp.tracking.sync_all import in_step as in_step_with
 from parking_exp.tracking.sync_all import known_statuses, sync_all
 from parking_exp.tracking.tracker import open_tracker
 from parking_exp.training import checkpoints
-from parking_exp.training.run import train
+from parking_exp.training.train_run import train
 
 
 def later(output_dir, uri=""):
