@@ -17,9 +17,15 @@ from parking_exp.algorithms.features import EgoFrameExtractor, FineEgoFrameExtra
 from parking_exp.algorithms.mirrored_policies import MIRRORED
 from parking_exp.algorithms.noise import VectorizedNormalNoise
 from parking_exp.buffers import HerBuffer
-from parking_exp.config.constructor_arguments import POLICY, ignored_features, not_mirrored, policy_class, takes
+from parking_exp.config.constructor_arguments import (
+    CLASS_ARGUMENTS,
+    POLICY,
+    ignored_features,
+    not_mirrored,
+    policy_class,
+    takes,
+)
 from parking_exp.config.schema import RunConfig
-from parking_exp.config.targets import CLASS_ARGUMENTS
 from parking_exp.envs.interface import Policy
 from parking_exp.envs.reward import GoalReward
 from parking_exp.envs.training_envs import is_parking

@@ -9,6 +9,7 @@ from typing import Annotated
 from omegaconf import DictConfig
 from pydantic import Field
 
+from parking_exp.config.messages import refuse
 from parking_exp.config.paths import default_uri, directory_path, is_same_store
 from parking_exp.config.rules import check_env
 from parking_exp.config.run_key import short_hash
@@ -84,8 +85,7 @@ def validate_request(config: DictConfig) -> EvaluationRequest:
         # One key says what simulates: request.simulator.
         env = _simulated(request.env, request.simulator)
         request = request.model_copy(update={"env": env})
-        if problems := check_env(env):
-            raise ConfigError("\n".join(problems))
+        refuse(check_env(env))
     return request
 
 
@@ -102,8 +102,7 @@ def evaluate_run(config: DictConfig) -> Path:
     output_dir = directory_path(request.output_dir)
     agent = find_agent(request.run, output_dir, request.model, trust=request.trust)
     env = request.env or _simulated(agent.config.env, request.simulator)
-    if problems := check_env(env):
-        raise ConfigError("\n".join(problems))
+    refuse(check_env(env))
     folder = agent.folder / "evaluations" / (request.name or _folder_name(request, agent.config, env))
     if agent.directory is not None:
         say(f"run directory  {agent.directory.path}")

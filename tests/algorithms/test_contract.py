@@ -90,8 +90,7 @@ def test_restored_from_a_checkpoint_its_next_updates_are_the_same(trained, tmp_p
 
 @pytest.mark.parametrize("algorithm", [*options("algorithm"), "a user's with an extra network"])
 def test_an_argument_that_it_does_not_take_is_refused_by_name(algorithm):
-    target = configured(algorithm).algorithm.target
-    with pytest.raises(ConfigError, match=rf"^algorithm.no_such: {target} has no such argument"):
+    with pytest.raises(ConfigError, match=r"^algorithm\.no_such: "):
         make_config(*SMOKE, *ALGORITHMS[algorithm], "+algorithm.no_such=1")
 
 

@@ -241,7 +241,7 @@ SLURM = ("hydra/launcher=slurm", "hydra.launcher.executor=local")
     [
         (["retry=all"], "retry=all"),
         (["dry_run=maybe"], "dry_run='maybe'"),
-        (["timeout_s=0"], "timeout_s=0 is out of range"),
+        (["timeout_s=0"], "timeout_s=0"),
         (["hydra/launcher=locl"], "did you mean 'local'?"),
         (["hydra/launcher=ray_a"], "did you mean 'ray'?"),
         (["hydra.launcher.n_job=2"], "hydra.launcher.n_job"),

@@ -52,8 +52,8 @@ class Simulator:
     state: State
 
     def __init__(self, config: EnvConfig, scenes: Scenes) -> None:
-        if config.uncovered:
-            raise ConfigError(f"env.{config.uncovered[0]} is not simulated; use env.simulator=highway_env")
+        if config.action.dynamical:
+            raise ConfigError("env.action.dynamical is not simulated; use env.simulator=highway_env")
         action = config.action
         acceleration = _range(action.acceleration_range, ACCELERATION_RANGE_MPS2) if action.longitudinal else None
         steering = _range(action.steering_range, STEERING_RANGE_RAD) if action.lateral else None
