@@ -42,7 +42,7 @@ from omegaconf.errors import OmegaConfBaseException
 from rich.console import Console
 
 from parking_exp.resources import cores
-from parking_exp.runs.files import read_json, write_json
+from parking_exp.runs.atomic_files import read_json, write_json
 
 VERSIONS = ("parking-exp", "torch", "stable-baselines3", "highway-env", "numpy", "sbx-rl", "jax")
 

@@ -23,7 +23,7 @@ sys.path.insert(0, str(ROOT))
 
 from parking_exp import statistics
 from parking_exp.reports import formats
-from parking_exp.reports.build import Question, build
+from parking_exp.reports.report_builder import build_report
 from parking_exp.reports.report_data import Cell, Pair, ReportData, Setting
 from parking_exp.results import Results, read_export
 from parking_exp.terminal import say
@@ -70,7 +70,9 @@ class Experiment:
 
     def only(self, *cells: str, baseline: str | None = None) -> "Experiment":
         """Return the experiment with some of its cells, selected as by `scripts/report.py`."""
-        return Experiment(self.results, build(self.results, Question(self.report.experiments, cells, baseline)))
+        return Experiment(
+            self.results, build_report(self.results, self.report.experiments, cells=cells, baseline=baseline)
+        )
 
     def cell(self, label: str) -> Cell:
         """Return the cell with a label."""
@@ -233,7 +235,8 @@ def main(arguments: list[str]) -> int:
 
 def _experiment(folder: Path) -> Experiment:
     results = read_export(folder)
-    return Experiment(results, build(results, Question(list(results.runs["experiment"].unique()))))
+    names = list(dict.fromkeys(results.runs["experiment"]))
+    return Experiment(results, build_report(results, names))
 
 
 def _readme(experiments: dict[str, Experiment]) -> str:
@@ -287,7 +290,7 @@ def _row(cells: list[str]) -> str:
 
 def _draw(name: str, report: ReportData) -> None:
     """Draw the figures of an experiment as docs/images/results_NAME.png, results_NAME_FIGURE.png, ..."""
-    from parking_exp.reports.figures.export import draw
+    from parking_exp.reports.figures.figure_files import draw
     from parking_exp.reports.sections import SECTIONS
 
     first, *others = FIGURES.get(name, ("final_success",))

@@ -14,7 +14,7 @@ from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from stable_baselines3.common.save_util import recursive_getattr
 
 from parking_exp.errors import DamagedModelError, ModelError
-from parking_exp.runs.files import replacing
+from parking_exp.runs.atomic_files import replacing
 
 VARIABLES = "pytorch_variables"
 # Entries of the pickled part that a HER buffer wants an env for: without them `SAC.load(path)` is enough.

@@ -13,7 +13,7 @@ from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 
 from parking_exp.algorithms.policy_ema import ACTOR
 from parking_exp.errors import DamagedModelError, ModelError
-from parking_exp.runs.files import replacing
+from parking_exp.runs.atomic_files import replacing
 
 
 def save_policy(model: OffPolicyAlgorithm, path: Path) -> None:

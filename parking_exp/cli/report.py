@@ -7,7 +7,8 @@ from parking_exp.cli.command import run_command
 from parking_exp.config.compose import composed
 from parking_exp.config.overrides import in_quotes
 from parking_exp.errors import ConfigError
-from parking_exp.reports.run import report, validate_report
+from parking_exp.reports.report_request import validate_report
+from parking_exp.reports.report_run import report
 
 KEYS = {"experiment_name", "from", "export", "cells", "baseline", "output_dir", "name", "storage", "tracking", "report"}
 

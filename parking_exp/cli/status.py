@@ -13,16 +13,16 @@ from rich.console import Group, RenderableType
 from rich.live import Live
 
 from parking_exp.cli.command import for_each, run_command
-from parking_exp.config.paths import default_uri, directory_path
+from parking_exp.config.paths import absolute, default_uri, directory_path, is_same_store
 from parking_exp.config.schema import ConfigModel, Name, StoreConfig
 from parking_exp.config.validate import parse
 from parking_exp.errors import ConfigError, ParkingError, RunNotFoundError, UnsyncedError, plural, suggestion
 from parking_exp.runs.directory import RunDirectory
 from parking_exp.runs.lookup import find_runs
-from parking_exp.runs.state import RunState, as_plain, labelled, read_state
+from parking_exp.runs.run_state import RunState, as_plain, labelled, read_state
 from parking_exp.runs.state_tables import cell_table, damaged_lines, failure_lines, running_lines, stopped_lines
 from parking_exp.terminal import console, say
-from parking_exp.tracking.sync_all import sync_all
+from parking_exp.tracking.mirror import mirror_missing
 from parking_exp.tuning.search import SEARCH_FILE, StoredSearch, study_in
 from parking_exp.tuning.search_config import Storage
 from parking_exp.tuning.trials import counts, progress_lines, trial_table
@@ -111,9 +111,12 @@ def _sync(request: StatusRequest) -> None:
         UnsyncedError: one of them still fails.
     """
     directories = [RunDirectory(path) for path in find_runs(request.output_path, request.experiment_name)]
-    uris = [default_uri(request.output_path), *filter(None, [request.tracking.uri])]
+    uris = {default_uri(request.output_path), *filter(None, [request.tracking.uri])}
+    for uri in {directory.tracking_uri for directory in directories}:
+        if uri and not any(is_same_store(uri, absolute(named)) for named in uris):
+            say(f"left out: runs that are tracked in {uri}; tracking.uri={uri} sends them there", stderr=True)
     n_failed = 0
-    for directory, problem in sync_all(directories, uris):
+    for directory, problem in (pair for uri in uris for pair in mirror_missing(directories, uri)):
         say(f"{directory.path}: {problem or 'the store has everything'}", stderr=True)
         n_failed += problem is not None
     if n_failed:

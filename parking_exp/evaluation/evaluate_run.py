@@ -21,8 +21,8 @@ from parking_exp.config.schema import (
 from parking_exp.config.validate import parse
 from parking_exp.errors import ConfigError, plural
 from parking_exp.evaluation.agents import Agent, AgentRequest, is_pretrained
+from parking_exp.runs.atomic_files import write_json
 from parking_exp.runs.directory import RunDirectory
-from parking_exp.runs.files import write_json
 from parking_exp.terminal import Screen, say
 
 EPISODES, PRETRAINED_EPISODES = 100, 20  # by default; the cards of pretrained agents have the rates of 500
@@ -137,8 +137,7 @@ def _store(request: EvaluationRequest, directory: RunDirectory) -> None:
 
     A run directory may be somebody else's: nothing is sent to the store that it names.
     """
-    from parking_exp.tracking.sync import try_sync
-    from parking_exp.tracking.tracker import later
+    from parking_exp.tracking.mirror import later, try_mirror
 
     tracked_in, output_dir = directory.tracking_uri, directory_path(request.output_dir)
     uri = request.tracking.uri or default_uri(output_dir)
@@ -149,7 +148,7 @@ def _store(request: EvaluationRequest, directory: RunDirectory) -> None:
                 f"tracking.uri={tracked_in} sends the results there"
             )
         return
-    if problem := try_sync(directory, uri):
+    if problem := try_mirror(directory, uri):
         say(f"not stored     {problem}; {later(directory.output_dir, uri)}")
 
 

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from parking_exp.runs.files import replacing
+from parking_exp.runs.atomic_files import replacing
 
 TRAJECTORIES_FILE = "trajectories.npz"
 CAR_COLUMNS = ("x_m", "y_m", "heading_rad", "speed_mps")

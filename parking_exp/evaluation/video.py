@@ -14,7 +14,7 @@ from parking_exp.config.schema import EnvConfig
 from parking_exp.envs.highway import make_env
 from parking_exp.envs.interface import Policy
 from parking_exp.envs.outcomes import outcome
-from parking_exp.runs.files import replacing
+from parking_exp.runs.atomic_files import replacing
 
 LAST_FRAME_S = 1.0  # how long the end of an episode is shown
 LONGEST_EPISODE_S = 20.0  # a timeout lasts 100 s, and shows mostly a car that does not move

@@ -1,62 +1,46 @@
-"""The findings of a report, in sentences. `warnings` has what stands in the way of them."""
+"""The findings of a report, in sentences. `warnings` has what limits them."""
 
-from collections.abc import Iterator, Mapping, Sequence
-from typing import NamedTuple
+from collections.abc import Callable, Iterator, Mapping, Sequence
 
 from parking_exp.errors import plural, quoted_label
-from parking_exp.reports.comparisons import SIGNIFICANT, Family
+from parking_exp.reports.cell_pairs import SIGNIFICANT, Family
 from parking_exp.reports.formats import p_value, points_interval, rate_interval, setting
-from parking_exp.reports.report_data import (
-    Cell,
-    Design,
-    Factor,
-    Importance,
-    Interaction,
-    Interval,
-    MainEffect,
-    Pair,
-)
+from parking_exp.reports.report_data import Cell, Design, Factor, Interaction, Interval, MainEffect, Pair
 from parking_exp.reports.warnings import FEW_NAMES, named
+from parking_exp.statistics import ParameterImportance
 
-VERDICTS = {"better": "is better than", "worse": "is worse than", "same": "can't be told apart from"}
-
-
-class Gap(NamedTuple):
-    """The difference of one cell from another, and its p value."""
-
-    label: str
-    points: Interval
-    p: float | None
-
-    def __str__(self) -> str:
-        """Write `td3 (+26.1 points [+16.9, +35.4], Holm's p < 0.001)`."""
-        p = f"Holm's {p_value(self.p)}" if self.p is not None else ""
-        return f"{quoted_label(self.label)} ({', '.join(filter(None, (points_interval(self.points), p)))})"
+VERDICTS = {"a": "is better than", "b": "is worse than", "same": "can't be told apart from"}
 
 
 def claims(cells: Sequence[Cell], family: Family) -> Iterator[str]:
     """Yield the findings on cells, the most important first: which is better, by how much, how sure, the cost."""
-    having = sorted((cell for cell in cells if cell.success.value is not None), key=_rank)
-    if not having:
+    rated = sorted(
+        (cell for cell in cells if cell.success.value is not None),
+        key=lambda cell: (-(cell.success.value or 0.0), cell.crash.value or 0.0),
+    )
+    if not rated:
         if any(cell.counts["done"] for cell in cells):
             yield "No finished run has a final success rate."
         return
-    best = having[0]
+    best, rate = rated[0], rate_interval(rated[0].success)
     seeds = f"mean of {best.success.n} seeds" if best.success.n > 1 else "one seed"
-    if len(having) == 1:
-        yield f"{quoted_label(best.label)} succeeds in {rate_interval(best.success)} of the scenes, {seeds}."
+    first = [cell.label for cell in rated if cell.success.value == best.success.value]
+    if len(rated) == 1:
+        yield f"{quoted_label(best.label)} succeeds in {rate} of the scenes, {seeds}."
+    elif len(first) > 1:
+        yield f"{named(first)} have the same final success, the highest: {rate}."
     else:
-        first = [cell.label for cell in having if cell.success.value == best.success.value]
-        if len(first) > 1:
-            yield f"{named(first)} have the same final success, the highest: {rate_interval(best.success)}."
-        else:
-            rate = rate_interval(best.success)
-            yield f"{quoted_label(best.label)} has the highest final success: {rate} of the scenes, {seeds}."
-        reference = next((cell for cell in having if cell.id == family.reference), best)
-        yield from _against(reference, having, family.pairs)
-    yield from _reaching(having)
-    yield from _crashes(having)
-    yield from _cost(having)
+        yield f"{quoted_label(best.label)} has the highest final success: {rate} of the scenes, {seeds}."
+    if len(rated) > 1:
+        reference = next((cell for cell in rated if cell.id == family.reference), best)
+        yield from _against(reference, {cell.id: cell.label for cell in rated}, family.pairs)
+    if shares := [f"{quoted_label(cell.label)} {_at_90(cell)}" for cell in rated if cell.reaching_90.n > 1]:
+        yield f"Seeds that end at 90 % or above: {_first(shares)}."
+    yield from _range("Crashes end {} of the episodes.", rated, lambda cell: cell.crash, rate_interval)
+    yield from _range("A run took {} CPU-seconds on average.", rated, lambda cell: cell.cpu_s, _rounded)
+    times = [f"{quoted_label(cell.label)} {_median(cell)}" for cell in rated if cell.survival and cell.survival.n > 1]
+    if times:
+        yield f"Median time to hold 90 %: {_first(times)}."
 
 
 def about_factors(
@@ -64,44 +48,40 @@ def about_factors(
     factors: Sequence[Factor],
     effects: Sequence[MainEffect],
     interactions: Sequence[Interaction],
-    importance: Sequence[Importance],
+    importance: Sequence[ParameterImportance],
 ) -> Iterator[str]:
     """Yield the findings on single factors."""
     names = {factor.key: factor.name for factor in factors}
     if any(not effect.complete for effect in effects):
         yield "Not all combinations of the factors are there: their levels are means of different cells."
     for effect in effects:
-        if effect.complete:
-            yield from _effect(effect, names[effect.factor], len(effects) > 1)
+        if effect.complete and effect.largest is not None:
+            yield from _effect(effect, effect.largest, names[effect.factor], len(effects) > 1)
     for table in interactions:
         yield from _interaction(table, names[table.row], names[table.column])
-    if design == "search":
+    if design == "search" and importance:
         yield from _importance(importance, names)
 
 
-def _importance(importance: Sequence[Importance], names: Mapping[str, str]) -> Iterator[str]:
+def _importance(importance: Sequence[ParameterImportance], names: Mapping[str, str]) -> Iterator[str]:
     """Yield which hyperparameters matter; p is corrected (Bonferroni) for how many were looked at."""
-    shown = [one for one in importance if one.p is not None and one.p * len(importance) < SIGNIFICANT]
+    shown = [one for one in importance if one.p * len(importance) < SIGNIFICANT]
     for one in shown:
         way = "" if not one.direction else ", larger is better" if one.direction > 0 else ", smaller is better"
         yield (
             f"{names[one.factor]} alone explains {100 * one.share:.0f} % of the variance of success between cells "
             f"({p_value(one.p)}{way})."
         )
-    if importance and not shown:
+    if not shown:
         yield "No hyperparameter can be shown to matter by itself."
-    if importance:
-        yield "The best of a search was chosen by its result: run it on other seeds before its rate is believed."
+    yield "The best of a search was chosen by its result: run it on other seeds before its rate is believed."
 
 
-def _effect(effect: MainEffect, name: str, several: bool) -> Iterator[str]:
-    known = [level for level in effect.levels if level.effect.value is not None]
-    if len(known) < 2 or effect.largest is None:
-        return
-    high = max(known, key=lambda level: level.effect.value or 0.0)
-    low = min(known, key=lambda level: level.effect.value or 0.0)
-    p = f", {p_value(effect.p)}" if effect.p is not None else ""
-    gap, over = f"{points_interval(effect.largest)}{p}", ", on average over the other factors" if several else ""
+def _effect(effect: MainEffect, largest: Interval, name: str, several: bool) -> Iterator[str]:
+    high = max(effect.levels, key=lambda level: level.effect.value or 0.0)
+    low = min(effect.levels, key=lambda level: level.effect.value or 0.0)
+    gap = ", ".join(filter(None, (points_interval(largest), p_value(effect.p))))
+    over = ", on average over the other factors" if several else ""
     if effect.p is not None and effect.p < SIGNIFICANT:
         yield (
             f"{name}: {setting(high.level)} ({rate_interval(high.effect)}) is better than {setting(low.level)} "
@@ -132,33 +112,25 @@ def _interaction(table: Interaction, row: str, column: str) -> Iterator[str]:
         )
 
 
-def _rank(cell: Cell) -> tuple[float, float]:
-    return -(cell.success.value or 0.0), cell.crash.value or 0.0
-
-
-def _against(reference: Cell, having: Sequence[Cell], pairs: Sequence[Pair]) -> Iterator[str]:
-    """Compare one cell with all others."""
-    labels = {cell.id: cell.label for cell in having}
-    verdicts: dict[str, list[Gap]] = {word: [] for word in (*VERDICTS, "unknown")}
-    for pair in pairs:
-        if reference.id in (pair.a, pair.b):
-            ours = pair if pair.a == reference.id else pair.turned()
-            verdict = {"a": "better", "b": "worse"}.get(ours.verdict, ours.verdict)
-            verdicts[verdict].append(Gap(labels[ours.b], ours.difference, ours.p_holm))
+def _against(reference: Cell, labels: Mapping[str, str], pairs: Sequence[Pair]) -> Iterator[str]:
+    """Compare one cell with all others: the smallest difference first."""
+    own = [pair if pair.a == reference.id else pair.turned() for pair in pairs if reference.id in (pair.a, pair.b)]
+    own.sort(key=lambda pair: abs(pair.difference.value or 0.0))
+    name = quoted_label(reference.label)
     for verdict, words in VERDICTS.items():
-        if found := sorted(verdicts[verdict], key=lambda gap: abs(gap.points.value or 0.0)):
-            yield f"{quoted_label(reference.label)} {words} {_gaps(found)}."
-    if found := verdicts["unknown"]:
-        names = named([gap.label for gap in found])
-        name = quoted_label(reference.label)
-        yield f"Whether {name} differs from {names} can't be told: that takes two finished seeds of each."
+        if gaps := [_gap(labels[pair.b], pair) for pair in own if pair.verdict == verdict]:
+            many = len(gaps) > FEW_NAMES
+            others = f"{len(gaps)} others, from {gaps[0]} to {gaps[-1]}" if many else "; ".join(gaps)
+            yield f"{name} {words} {others}."
+    unknown = {pair.b for pair in own if pair.verdict == "unknown"}
+    if names := [label for cell, label in labels.items() if cell in unknown]:
+        yield f"Whether {name} differs from {named(names)} can't be told: that takes two finished seeds of each."
 
 
-def _gaps(found: Sequence[Gap]) -> str:
-    """List all differences, or say how many there are and name the smallest and the largest."""
-    if len(found) <= FEW_NAMES:
-        return "; ".join(map(str, found))
-    return f"{len(found)} others, from {found[0]} to {found[-1]}"
+def _gap(label: str, pair: Pair) -> str:
+    """Write `td3 (+26.1 points [+16.9, +35.4], Holm's p < 0.001)`."""
+    p = f", Holm's {p_value(pair.p_holm)}" if pair.p_holm is not None else ""
+    return f"{quoted_label(label)} ({points_interval(pair.difference)}{p})"
 
 
 def _first(parts: Sequence[str]) -> str:
@@ -166,41 +138,25 @@ def _first(parts: Sequence[str]) -> str:
     return "; ".join(parts[:FEW_NAMES]) + more
 
 
-def _reaching(having: Sequence[Cell]) -> Iterator[str]:
-    known = [cell for cell in having if cell.reaching_90.n > 1]
+def _at_90(cell: Cell) -> str:
+    share = cell.reaching_90
+    interval = "" if share.low is None or share.high is None else f" [{100 * share.low:.0f}, {100 * share.high:.0f} %]"
+    return f"{share.k} of {share.n}{interval}"
+
+
+def _range(
+    sentence: str, cells: Sequence[Cell], of: Callable[[Cell], Interval], write: Callable[[Interval], str]
+) -> Iterator[str]:
+    """Yield a sentence on the lowest and the highest mean, where any is known."""
+    known = sorted((cell for cell in cells if of(cell).value is not None), key=lambda cell: of(cell).value or 0.0)
     if known:
-        parts = [
-            f"{quoted_label(cell.label)} {cell.reaching_90.k} of {cell.reaching_90.n}" + _wilson(cell) for cell in known
-        ]
-        yield f"Seeds that end at 90 % or above: {_first(parts)}."
+        low, high = (write(of(cell)) for cell in (known[0], known[-1]))
+        both = f"{low} ({quoted_label(known[0].label)}) to {high} ({quoted_label(known[-1].label)})"
+        yield sentence.format(both if low != high else low)
 
 
-def _wilson(cell: Cell) -> str:
-    low, high = cell.reaching_90.low, cell.reaching_90.high
-    return "" if low is None or high is None else f" [{100 * low:.0f}, {100 * high:.0f} %]"
-
-
-def _crashes(having: Sequence[Cell]) -> Iterator[str]:
-    known = sorted((cell for cell in having if cell.crash.value is not None), key=lambda c: c.crash.value or 0.0)
-    if known:
-        least, most = known[0], known[-1]
-        if least.crash.value == most.crash.value:
-            yield f"Crashes end {rate_interval(most.crash)} of the episodes."
-        else:
-            low, high = (f"{rate_interval(cell.crash)} ({quoted_label(cell.label)})" for cell in (least, most))
-            yield f"Crashes end {low} to {high} of the episodes."
-
-
-def _cost(having: Sequence[Cell]) -> Iterator[str]:
-    known = sorted((cell for cell in having if cell.cpu_s.value is not None), key=lambda c: c.cpu_s.value or 0.0)
-    if known:
-        least, most = known[0], known[-1]
-        low, high = (f"{cell.cpu_s.value:,.0f}" for cell in (least, most))
-        some = f"{low} ({quoted_label(least.label)}) to {high} ({quoted_label(most.label)})" if low != high else low
-        yield f"A run took {some} CPU-seconds on average."
-    times = [f"{quoted_label(cell.label)} {_median(cell)}" for cell in having if cell.survival and cell.survival.n > 1]
-    if times:
-        yield f"Median time to hold 90 %: {_first(times)}."
+def _rounded(interval: Interval) -> str:
+    return f"{interval.value:,.0f}"
 
 
 def _median(cell: Cell) -> str:

@@ -1,28 +1,17 @@
-"""Number formatting, and escaping for Markdown, LaTeX and CSV."""
+"""Number formatting, and escaping for Markdown, LaTeX and CSV. What is not known is an empty text."""
 
-import math
 import re
-from numbers import Real
 from typing import Any
 
 from parking_exp.config.cell_labels import setting
-from parking_exp.reports.report_data import Interval, Share
+from parking_exp.reports.report_data import Interval, finite
+from parking_exp.statistics import Proportion
 
 CONTROL = re.compile(r"[\x00-\x1f\x7f-\x9f\u2028\u2029]+")
 
 
-def finite(value: object) -> float | None:
-    """Return a number that is finite, else None: what JSON and readers can take."""
-    return float(value) if isinstance(value, Real) and math.isfinite(value) else None
-
-
-def within(bound: float, low: float, high: float) -> float | None:
-    """Return the end of an interval, cut to what its number can be; None where there is none."""
-    return None if (value := finite(bound)) is None else min(max(value, low), high)
-
-
 def percent(share: float | None, *, signed: bool = False) -> str:
-    """Write 0.944 as `94.4`; what is not known as nothing."""
+    """Write 0.944 as `94.4`."""
     if (share := finite(share)) is None:
         return ""
     return f"{100 * share + 0.0:{'+' if signed else ''}.1f}".replace("-", "−" if signed else "-")  # noqa: RUF001
@@ -34,21 +23,34 @@ def number(value: float | None, digits: int = 0) -> str:
 
 
 def probability(p: float | None) -> str:
-    """Write a p value: three digits, and nothing smaller."""
+    """Write a p value for a table: three digits, and nothing smaller."""
     if (p := finite(p)) is None:
         return ""
     return "<0.001" if p < 0.001 else f"{p:.3f}"
 
 
-def percent_interval(interval: Interval | Share, *, signed: bool = False) -> str:
+def p_value(p: float | None) -> str:
+    """Write a p value for a sentence: `p = 0.012`."""
+    if (p := finite(p)) is None:
+        return ""
+    return "p < 0.001" if p < 0.001 else f"p = {p:.3f}" if p < 0.1 else f"p = {p:.2f}"
+
+
+def percent_interval(interval: Interval, *, signed: bool = False) -> str:
     """Write `94.4 [91.2, 97.1]`, or the number alone where it has no interval."""
-    value = rate(interval)
-    return _with_interval(*(percent(part, signed=signed) for part in (value, interval.low, interval.high)))
+    value, low, high = (percent(part, signed=signed) for part in (interval.value, interval.low, interval.high))
+    return value + brackets(low, high) if value else ""
 
 
-def number_interval(interval: Interval, digits: int = 0) -> str:
+def number_interval(interval: Interval) -> str:
     """Write `24,000 [21,500, 26,100]`, or the number alone where it has no interval."""
-    return _with_interval(*(number(part, digits) for part in (interval.value, interval.low, interval.high)))
+    value, low, high = (number(part) for part in (interval.value, interval.low, interval.high))
+    return value + brackets(low, high) if value else ""
+
+
+def share_interval(share: Proportion) -> str:
+    """Write `9/10 [59.6, 98.2]`: of ten, nine, with the interval of their share in per cent."""
+    return f"{share.k}/{share.n}" + brackets(percent(share.low), percent(share.high)) if share.n else ""
 
 
 def rate_text(value: float | None) -> str:
@@ -58,7 +60,7 @@ def rate_text(value: float | None) -> str:
 
 def rate_interval(interval: Interval) -> str:
     """Write `94.4 % [91.2, 97.1]`, or the number alone where it has no interval."""
-    return rate_text(interval.value) + _brackets(percent(interval.low), percent(interval.high))
+    return rate_text(interval.value) + brackets(percent(interval.low), percent(interval.high))
 
 
 def points(difference: float | None) -> str:
@@ -69,26 +71,17 @@ def points(difference: float | None) -> str:
 
 def points_interval(interval: Interval) -> str:
     """Write `+9.1 points [+4.0, +14.2]`, or the number alone."""
-    return f"{points(interval.value)} points{_brackets(points(interval.low), points(interval.high))}"
-
-
-def p_value(p: float | None) -> str:
-    """Write `p = 0.012`; what is not known as nothing."""
-    if (p := finite(p)) is None:
-        return ""
-    return "p < 0.001" if p < 0.001 else f"p = {p:.3f}" if p < 0.1 else f"p = {p:.2f}"
-
-
-def rate(share: Interval | Share) -> float | None:
-    """Return an interval's value, a share's k / n."""
-    if isinstance(share, Interval):
-        return finite(share.value)
-    return share.k / share.n if share.n else None
+    return f"{points(interval.value)} points{brackets(points(interval.low), points(interval.high))}"
 
 
 def level(value: Any) -> str:
     """Write a factor's level; a control that has no such key has none."""
     return "none" if value is None else setting(value)
+
+
+def brackets(low: str, high: str) -> str:
+    """Write the ends of an interval as ` [91.2, 97.1]`, nothing where one is missing."""
+    return f" [{low}, {high}]" if low and high else ""
 
 
 def one_line(text: str) -> str:
@@ -127,11 +120,3 @@ def markdown(text: str) -> str:
 def csv(value: Any) -> Any:
     """Keep spreadsheets from running a text as a formula: an apostrophe before `=`, `+`, `-`, `@`, tab and return."""
     return f"'{value}" if isinstance(value, str) and value.startswith(("=", "+", "-", "@", "\t", "\r")) else value
-
-
-def _with_interval(value: str, low: str, high: str) -> str:
-    return value + _brackets(low, high) if value else value
-
-
-def _brackets(low: str, high: str) -> str:
-    return f" [{low}, {high}]" if low and high else ""

@@ -34,12 +34,8 @@ def methods(report: ReportData) -> Iterator[str]:
         "Success is highway-env's: close to the goal slot, at any speed. Parked is stricter: all corners inside the "
         "slot's lines, heading within 10°, slower than 0.5 m/s. Crash and timeout are the other ways to end."
     )
-    used = {
-        interval.method
-        for cell in report.cells
-        for interval in vars(cell).values()
-        if isinstance(interval, Interval) and interval.n
-    }
+    intervals = [value for cell in report.cells for value in vars(cell).values() if isinstance(value, Interval)]
+    used = {interval.method for interval in intervals if interval.n}
     yield from (sentence for method, sentence in INTERVALS.items() if method in used)
     yield (
         "CPU-seconds of a run count everything, its final evaluation and certification included; "
@@ -74,3 +70,4 @@ def methods(report: ReportData) -> Iterator[str]:
             "Importance is the share of the variance between cells that a quadratic in the ranks of one parameter, or "
             "its groups, explains alone, adjusted for chance; p by permutation."
         )
+    yield REFERENCES

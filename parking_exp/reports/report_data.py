@@ -1,22 +1,29 @@
-"""Dataclasses of a report's content; `build` fills them, renderers read them.
+"""Dataclasses of a report's content, which `report.json` holds as it is; `report_builder` makes them.
 
-Rates are shares in 0 ... 1, differences are differences of shares. What is not known is None. Every field can go into
-`report.json` as it is.
+Rates are shares in 0 ... 1, and None where they are not known.
 """
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
+from numbers import Real
 from typing import TYPE_CHECKING, Any, Literal, cast
 
 from parking_exp.config.cell_labels import Factor, Setting
 from parking_exp.envs.outcomes import Outcome
+from parking_exp.statistics import ParameterImportance, Proportion
 
 if TYPE_CHECKING:
-    from parking_exp.reports.tuning_data import Tuning
+    from parking_exp.reports.search_report import Tuning
 
 Verdict = Literal["a", "b", "same", "unknown"]
 Design = Literal["single", "list", "factorial", "search"]
-"""How cells differ: one cell; a few without a plan; crossed factors; many points drawn from ranges."""
+"""How cells differ: one cell; a list without a plan; crossed factors; many points drawn from ranges."""
+
+
+def finite(value: object) -> float | None:
+    """Return a finite number as a float, None for anything else."""
+    return float(value) if isinstance(value, Real) and math.isfinite(value) else None
 
 
 @dataclass(frozen=True)
@@ -36,15 +43,14 @@ class Interval:
     n: int = 0
     method: str = "none"
 
-
-@dataclass(frozen=True)
-class Share:
-    """k of n, with Wilson's interval."""
-
-    k: int
-    n: int
-    low: float | None
-    high: float | None
+    @classmethod
+    def of(
+        cls, value: float, low: float, high: float, n: int, method: str, bounds: tuple[float, float] | None = None
+    ) -> "Interval":
+        """Return an interval whose ends are cut to `bounds`; NaN and infinity become None."""
+        least, most = bounds or (-math.inf, math.inf)
+        start, end = (None if finite(bound) is None else min(max(bound, least), most) for bound in (low, high))
+        return cls(finite(value), start, end, n, method)
 
 
 @dataclass(frozen=True)
@@ -52,10 +58,7 @@ class Seed:
     """One finished run.
 
     Attributes:
-        seed: its seed.
-        run_id, run_dir: where it is.
-        success, crash, timeout, parked: final rates over the evaluation scenes.
-        n_scenes: how many those were.
+        success, crash, timeout, parked: final rates over the `n_scenes` evaluation scenes.
         low, high: Wilson interval of `success`.
         episode_steps: mean length of its final episodes [policy steps].
         cpu_s: CPU seconds of the whole run.
@@ -87,14 +90,14 @@ class Seed:
 
 @dataclass(frozen=True)
 class Curve:
-    """Evaluations during training, over a cell's seeds.
+    """Evaluations during training, over a cell's seeds; shape (n,) each, n different steps.
 
     Attributes:
-        step: env steps of the evaluations, shape (n,).
-        mean, low, high: success and its interval, shape (n,); intervals may hold None.
-        n: seeds at each step, shape (n,): runs of different lengths end at different ones.
-        crash: mean crash rate, shape (n,).
-        seeds: (seed, steps, rates) of each run, unfinished ones included where they are asked for.
+        step: env steps.
+        mean, low, high: success and its interval.
+        n: seeds at each step: runs of different lengths end at different ones.
+        crash: mean crash rate.
+        seeds: (seed, steps, rates) of each run, unfinished ones included in a quick report.
     """
 
     step: Sequence[int]
@@ -115,8 +118,7 @@ class Survival:
         time: where the share changes, starting at 0; shape (n,).
         reached, low, high: share of seeds that have reached it by then, and its interval, shape (n,).
         censored: times at which the observation of a seed that has not reached it ended.
-        n: seeds.
-        k: seeds that have reached it.
+        n, k: seeds, and how many of them have reached it.
         median: None where fewer than half have.
         restricted_mean: mean time up to `horizon`.
         horizon: shortest observation of all cells, so that restricted means can be compared.
@@ -137,13 +139,7 @@ class Survival:
 
 @dataclass(frozen=True)
 class SlotRate:
-    """What happened in the scenes with one goal slot.
-
-    Attributes:
-        slot: 0 ... 27, as in `geometry.SLOT_POSITIONS`.
-        n: episodes, all seeds together (they say where, not how sure).
-        success, crash, timeout: shares of them; None without episodes.
-    """
+    """Shares of outcomes in the `n` episodes of all seeds whose goal is one slot, 0 ... 27."""
 
     slot: int
     n: int
@@ -157,7 +153,6 @@ class Path:
     """One episode seen from above.
 
     Attributes:
-        seed, scene, outcome: which episode.
         slot: its goal.
         x_m, y_m, heading_rad: pose of the car at the start and after each step, of a long one after every fifth step
             and the last.
@@ -181,11 +176,11 @@ class Cell:
     """One cell of the comparison.
 
     Attributes:
-        id: unique and harmless: `c0`, `c1`, ... in the order of the report; also what its colour follows from.
-        label: what sets it apart from the others, e.g. `her_final, n_sampled_goal=8`. From the store: hostile.
+        id: `c0`, `c1`, ... in the order of the report; also what its colour follows from.
+        label: what sets it apart from the others, e.g. `her_final, n_sampled_goal=8`; may hold any text.
         experiment, name: as in the store; `name` is the folder of its runs.
         settings: the value of each factor.
-        counts: how many runs are done, running, failed, pending; pruned, where a search has pruned some.
+        counts: how many runs are done, running, failed, pending; and pruned, if a search has pruned some.
         total_timesteps: env steps of a run.
         success, crash, timeout, parked, episode_steps, cpu_s, area: means over seeds.
         reaching_90: seeds whose final success is at least 90 %.
@@ -194,7 +189,7 @@ class Cell:
         slots: the scene map; empty without episodes.
         failures: (x_m, y_m, outcome) where crashes and timeouts ended, of runs that keep trajectories.
         paths: sampled trajectories.
-        note: a sentence about an interval that is known to be too narrow or missing; None if all is well.
+        note: a sentence about an interval that is too narrow or missing; None if all is well.
         further: means of other metrics that reports have, by name.
     """
 
@@ -212,7 +207,7 @@ class Cell:
     episode_steps: Interval
     cpu_s: Interval
     area: Interval
-    reaching_90: Share
+    reaching_90: Proportion
     seeds: Sequence[Seed] = ()
     curve: Curve | None = None
     survival: Survival | None = None
@@ -230,13 +225,13 @@ class Pair:
 
     Attributes:
         a, b: ids of the cells.
-        difference: mean of a less mean of b, with Welch's interval.
+        difference: mean of a minus mean of b, with Welch's interval.
         p: of Welch's test; None where it can't be made.
         p_holm: corrected for all pairs of the report's family.
         improvement: probability that a seed of a is better than one of b, ties counted half, with its interval.
         log_rank_p, log_rank_p_holm: of the times to 90 %; None where none was reached.
-        verdict: `a` or `b` is better (p_holm below 0.05), `same`: they can't be told apart, `unknown`: too few seeds.
-        note: a sentence about an interval that is known to be too narrow; None if all is well.
+        verdict: `a` or `b` is better (p_holm below 0.05), `same`: not significant, `unknown`: too few seeds.
+        note: a sentence about an interval that is too narrow; None if all is well.
     """
 
     a: str
@@ -252,15 +247,15 @@ class Pair:
 
     def turned(self) -> "Pair":
         """Return the same pair the other way round."""
-        old, better = self.difference, self.improvement
-        low, high = (None if bound is None else -bound for bound in (old.high, old.low))
-        difference = replace(old, value=None if old.value is None else 0.0 - old.value, low=low, high=high)
-        low, high, value = (None if bound is None else 1 - bound for bound in (better.high, better.low, better.value))
-        improvement = replace(better, value=value, low=low, high=high)
-        verdict = {"a": "b", "b": "a", "same": "same", "unknown": "unknown"}[self.verdict]
-        return replace(
-            self, a=self.b, b=self.a, difference=difference, improvement=improvement, verdict=cast(Verdict, verdict)
-        )
+
+        def mirrored(interval: Interval, total: float) -> Interval:
+            ends = (interval.value, interval.high, interval.low)
+            value, low, high = (None if end is None else total - end for end in ends)
+            return replace(interval, value=value, low=low, high=high)
+
+        verdict = cast(Verdict, {"a": "b", "b": "a"}.get(self.verdict, self.verdict))
+        difference, improvement = mirrored(self.difference, 0.0), mirrored(self.improvement, 1.0)
+        return replace(self, a=self.b, b=self.a, difference=difference, improvement=improvement, verdict=verdict)
 
 
 @dataclass(frozen=True)
@@ -280,7 +275,7 @@ class MainEffect:
         factor: its key.
         levels: the mean of each.
         complete: whether all combinations are there; else levels are averaged over different cells.
-        largest: the highest mean less the lowest.
+        largest: the highest mean minus the lowest.
         p: of that difference, corrected (Bonferroni) for the choice among all pairs of levels.
     """
 
@@ -293,20 +288,17 @@ class MainEffect:
 
 @dataclass(frozen=True)
 class Interaction:
-    """Two factors crossed.
+    """Two factors crossed; grids have the shape (rows, columns), and None without runs.
 
     Attributes:
         row, column: keys of the factors.
-        given: setting of a third factor that this table is for, e.g. `env=parking_sparse`; None for all.
+        given: settings of the other factors that this table is for, e.g. `env=parking_sparse`; None for all.
         rows, columns: their levels.
-        mean: success; shape (rows, columns); None without runs.
-        low, high: its interval.
+        mean, low, high: success and its interval.
         n: seeds.
         residual: what the two main effects do not explain.
-        real_share: measured share of real transitions in batches, shape (rows, columns), where a factor is
-            n_sampled_goal; None where it is not known.
-        p: of the F test of interaction, whether both effects just add up, with Holm's correction for the tables;
-            None where seeds do not scatter or nothing is left to test.
+        real_share: measured share of real transitions in batches, where a factor is n_sampled_goal.
+        p: of the F test of interaction, with Holm's correction for the tables; None where it can't be made.
     """
 
     row: str
@@ -321,23 +313,6 @@ class Interaction:
     residual: Sequence[Sequence[float | None]]
     real_share: Sequence[Sequence[float | None]] | None = None
     p: float | None = None
-
-
-@dataclass(frozen=True)
-class Importance:
-    """How much of the variance of success a hyperparameter explains alone.
-
-    Attributes:
-        factor: its key.
-        share: in 0 ... 1.
-        p: of a permutation test.
-        direction: Spearman's rank correlation; None where it is no number.
-    """
-
-    factor: str
-    share: float
-    p: float | None
-    direction: float | None
 
 
 @dataclass(frozen=True)
@@ -359,11 +334,11 @@ class Provenance:
         versions: package -> version -> number of runs.
         commits: commit (with `+` where files differed from it) -> number of runs.
         machines: CPU -> number of runs.
-        difference: config key -> value in each cell, in the order of the cells; only keys that are not the same in all.
+        difference: config key -> value in each cell, in the order of the cells; only keys that differ.
         common: the rest of the config, dotted key -> value.
-        unfinished: runs that failed, are under way, or were cut off.
+        unfinished: runs that failed, are under way, or were interrupted.
         uri: of the store, without passwords.
-        left_out: labels of cells of the experiments that were not asked for.
+        left_out: labels of the experiments' other cells.
         first, last: when the first run began and the last one ended, as ISO 8601 in UTC.
     """
 
@@ -385,24 +360,22 @@ class ReportData:
 
     Attributes:
         title: names of the experiments.
-        experiments: the same, one by one.
-        made: when, as ISO 8601 in UTC; version of this package.
+        made: when, as ISO 8601 in UTC; `version` of this package.
         quick: whether it was made while a sweep may be under way.
         command: how to make it again.
         design, factors: how cells differ.
         cells: in the order of the sweep.
-        shown: ids of the cells that figures show; all of them, or the first ones by success where there are too many.
+        shown: ids of the cells in figures: all of them, or the first ones by success where there are too many.
         baseline: id of the cell that others are to be compared with.
         reference: id of the cell that all others are compared with: the baseline or, where cells are many, the one with
             the highest mean; None: all pairs.
         family: a sentence: which pairs were compared, and how p was corrected.
-        pairs, effects, interactions, importance: see there; empty where they make no sense.
+        pairs, effects, interactions, importance: empty where they make no sense.
         exploratory: fewer than 10 seeds somewhere.
-        claims: plain sentences, the most important first.
+        claims: findings in sentences, the most important first.
         warnings: sentences about what makes numbers hard to compare, e.g. mixed versions.
         missing: sentences about what is not there (yet).
-        provenance: what exactly was run.
-        tuning: the hyperparameter search that the experiment is; None without one.
+        tuning: the experiment's hyperparameter search.
     """
 
     title: str
@@ -420,7 +393,7 @@ class ReportData:
     pairs: Sequence[Pair]
     effects: Sequence[MainEffect]
     interactions: Sequence[Interaction]
-    importance: Sequence[Importance]
+    importance: Sequence[ParameterImportance]
     exploratory: bool
     claims: Sequence[str]
     warnings: Sequence[str]
@@ -436,15 +409,14 @@ class ReportData:
 
     @property
     def shown_cells(self) -> list[Cell]:
-        """The cells that figures show, in their order."""
-        by_id = {cell.id: cell for cell in self.cells}
-        return [by_id[cell_id] for cell_id in self.shown if cell_id in by_id]
+        """The cells that figures show."""
+        return [cell for cell in self.cells if cell.id in self.shown]
 
     def plain(self) -> dict[str, Any]:
         """Return everything as JSON can hold it; further metrics of cells and seeds stand beside the others."""
-        found = asdict(self)
-        for cell in found["cells"]:
+        plain = asdict(self)
+        for cell in plain["cells"]:
             cell.update(cell.pop("further"))
             for seed in cell["seeds"]:
                 seed.update(seed.pop("further"))
-        return found
+        return plain

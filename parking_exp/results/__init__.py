@@ -65,7 +65,7 @@ Left out are evaluation episodes during training, what `Results.episodes` has be
 that names a place on the machine. Other numbers are rounded to 6 significant digits.
 """
 
-from parking_exp.results.export import read_export, write_export
+from parking_exp.results.frame_export import read_export, write_export
 from parking_exp.results.frames import Results, load
 
 __all__ = ["Results", "load", "read_export", "write_export"]

@@ -3,6 +3,7 @@
 import json
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -12,14 +13,14 @@ import numpy as np
 import pandas as pd
 
 from parking_exp.config.credentials import keep_password
-from parking_exp.config.paths import default_uri, directory_path
-from parking_exp.errors import ResultsError, plural, suggestion
+from parking_exp.config.paths import absolute, database, default_uri, directory_path
+from parking_exp.errors import ParkingError, ResultsError, plural, suggestion
 from parking_exp.evaluation.metrics import METRICS
 from parking_exp.evaluation.trajectories import TRAJECTORIES_FILE
-from parking_exp.results.dtypes import TEXT, column, flags, integers, text, times, typed
+from parking_exp.results.dtypes import TEXT, column, integers, text, times, typed
 from parking_exp.results.recordings import EPISODES, read_episodes, read_trajectories
-from parking_exp.tracking.failures import is_store_failure, reason
-from parking_exp.tracking.reader import Reader
+from parking_exp.tracking.client import reason
+from parking_exp.tracking.store import Store
 
 if TYPE_CHECKING:
     from mlflow.entities import Run
@@ -58,7 +59,7 @@ class Results:
         uri: the store.
         problems: a sentence for each thing that is missing or broken; the frames have the rest.
         ignored: how many runs were left out, as they are none of this package's.
-        artifacts_in: the folder that artifacts have to lie in; None: anywhere.
+        artifacts_in: the output directory that the store is part of; None: artifacts may lie anywhere.
     """
 
     runs: pd.DataFrame
@@ -74,8 +75,8 @@ class Results:
         return f"<Results of {self.uri}: rows of {sizes}; {len(self.problems)} problems>"
 
     @cached_property
-    def _reader(self) -> Reader:
-        return Reader(self.uri, self.artifacts_in)
+    def _store(self) -> Store:
+        return Store(self.uri, self.artifacts_in)
 
     def trajectories(self, run_id: str) -> pd.DataFrame:
         """Return the car's trajectories in final episodes of a run: one row per step, the start (step 0) included.
@@ -87,12 +88,8 @@ class Results:
         """
         self._refuse_unknown(run_id)
         places = self.runs.loc[self.runs["run_id"] == run_id, "artifact_uri"]
-        try:
-            return read_trajectories(self._reader.artifact(run_id, places.iloc[0], TRAJECTORIES_FILE))
-        except Exception as error:
-            if not isinstance(error, ValueError) and not is_store_failure(error):  # a damaged file is a ValueError
-                raise
-            raise ResultsError(f"run {run_id}: {TRAJECTORIES_FILE} can't be read: {reason(error)}") from error
+        with _refused(f"run {run_id}: {TRAJECTORIES_FILE} can't be read"):
+            return read_trajectories(self._store.artifact(run_id, places.iloc[0], TRAJECTORIES_FILE))
 
     def _refuse_unknown(self, run_id: str) -> None:
         if run_id not in set(self.runs["run_id"]):
@@ -113,34 +110,56 @@ def load(
     Raises:
         ResultsError: there is no such store, it can't be read, there is no such experiment, or it has no runs.
     """
-    here = directory_path(output_dir)
-    reader = Reader(keep_password(uri)) if uri else Reader(default_uri(here), artifacts_in=here)
-    ids = _chosen(reader, experiments)
-    found = reader.runs(list(ids.values()))
+    here = None if uri else directory_path(output_dir)
+    uri = absolute(keep_password(uri) if uri else default_uri(directory_path(output_dir)))
+    if (path := database(uri)) is not None and not path.is_file():
+        raise ResultsError(f"there is no store {path}; train something first, or name another output_dir or store")
+    with _refused(f"the store {uri} can't be read"):
+        store = Store(uri, here)
+        ids = _chosen(store, experiments)
+        found = store.runs(list(ids.values()))
     kept = [run for run in found if _is_ours(run)]
     if not kept:
-        asked = reader.uri if experiments is None else f"experiment={','.join(ids)}"
+        asked = uri if experiments is None else f"experiment={','.join(ids)}"
         raise ResultsError(f"{asked}: it has no runs of parking_exp{f', but {len(found)} by others' if found else ''}")
-    runs = _runs(kept, {experiment_id: name for name, experiment_id in ids.items()}, reader.run_dir)
-    logs, missing = _contents(reader, runs, "metrics.jsonl")
+    runs = _runs(kept, {experiment_id: name for name, experiment_id in ids.items()}, store.run_dir)
+    logs, log_problems = _contents(store, runs, "metrics.jsonl")
     points, damaged = _points(logs)
     runs["steps"] = runs["run_id"].map(points.groupby("run_id")["step"].max()).fillna(0).astype("int64")
-    episodes, problems = _episodes(reader, runs[runs["status"] != "running"], runs["run_id"].to_list())
-    said = (*_twice(runs), *_sentences(runs, {**missing, **damaged}), *problems)
-    return Results(runs, _curves(points), episodes, reader.uri, said, len(found) - len(kept), None if uri else here)
+    over = runs[runs["status"] != "running"]
+    tables, table_problems = _contents(store, over, "episodes.csv")
+    episodes, unread = read_episodes(tables, runs["run_id"].to_list())
+    table_problems |= {run_id: f"episodes.csv can't be read: {what}" for run_id, what in unread.items()}
+    problems = (*_twice(runs), *_sentences(runs, log_problems | damaged), *_sentences(runs, table_problems))
+    return Results(runs, _curves(points), episodes, uri, problems, len(found) - len(kept), here)
 
 
-def _chosen(reader: Reader, experiments: str | Iterable[str] | None) -> dict[str, str]:
+@contextmanager
+def _refused(what: str) -> Iterator[None]:
+    """Turn any error of a store or its files into a sentence.
+
+    Raises:
+        ResultsError: what can't be read, and why.
+    """
+    try:
+        yield
+    except ParkingError:
+        raise
+    except Exception as error:
+        raise ResultsError(f"{what}: {reason(error)}") from error
+
+
+def _chosen(store: Store, experiments: str | Iterable[str] | None) -> dict[str, str]:
     """Return the ids of the experiments that are meant, by name."""
-    there = reader.experiments()
+    known = store.experiments()
     if experiments is None:
-        return there
-    asked = [experiments] if isinstance(experiments, str) else list(experiments)
-    for name in asked:
-        if name not in there:
-            hint = suggestion(name, set(there) - {"Default"})
-            raise ResultsError(f"experiment={name}: {reader.uri} has none of that name{hint}")
-    return {name: there[name] for name in asked}
+        return known
+    names = [experiments] if isinstance(experiments, str) else list(experiments)
+    for name in names:
+        if name not in known:
+            hint = suggestion(name, set(known) - {"Default"})
+            raise ResultsError(f"experiment={name}: {store.uri} has none of that name{hint}")
+    return {name: known[name] for name in names}
 
 
 def _is_ours(run: "Run") -> bool:
@@ -148,11 +167,9 @@ def _is_ours(run: "Run") -> bool:
     return all(name in tags for name in OURS) and tags["status"] in STATUSES and bool(SEED.fullmatch(tags["seed"]))
 
 
-def _runs(
-    found: Sequence["Run"], names: Mapping[str, str], located: Callable[[str | None], str | None]
-) -> pd.DataFrame:
-    tags, params, metrics = ([getattr(run.data, what) for run in found] for what in ("tags", "params", "metrics"))
+def _runs(found: Sequence["Run"], names: Mapping[str, str], run_dir: Callable[["Run"], Path | None]) -> pd.DataFrame:
     infos = [run.info for run in found]
+    tags, params, metrics = ([getattr(run.data, what) for run in found] for what in ("tags", "params", "metrics"))
     done = np.array([tag["status"] == "done" for tag in tags])
 
     def numbers(key: str) -> np.ndarray:
@@ -178,10 +195,10 @@ def _runs(
         **{name: numbers(key) for key, name in COST.items()},
         "started": times(info.start_time for info in infos),
         "ended": times(info.end_time for info in infos),
-        "run_dir": text(located(tag.get("run_dir")) for tag in tags),
+        "run_dir": text(str(place) if (place := run_dir(run)) else None for run in found),
         "artifact_uri": text(info.artifact_uri for info in infos),
         "git_commit": tagged("git_commit"),
-        "git_dirty": flags(tag.get("git_dirty") for tag in tags),
+        "git_dirty": tagged("git_dirty").map({"true": True, "false": False}).astype("boolean"),
         "cpu": tagged("cpu"),
         **{name: tagged(name) for name in versions},
         **{f"config.{key}": column([typed(param.get(key)) for param in params]) for key in keys},
@@ -189,11 +206,11 @@ def _runs(
     return pd.DataFrame(columns).sort_values(["experiment", "cell", "seed", "started"], ignore_index=True)
 
 
-def _contents(reader: Reader, runs: pd.DataFrame, name: str) -> tuple[dict[str, bytes], dict[str, str]]:
+def _contents(store: Store, runs: pd.DataFrame, name: str) -> tuple[dict[str, bytes], dict[str, str]]:
     """Return an artifact of each run that has it, and what is wrong with the others', by run id."""
     contents, problems = {}, {}
     places = list(zip(runs["run_id"], runs["artifact_uri"], strict=True))
-    for (run_id, _), status, content in zip(places, runs["status"], reader.artifacts(places, name), strict=True):
+    for (run_id, _), status, content in zip(places, runs["status"], store.artifacts(places, name), strict=True):
         if isinstance(content, Exception):
             problems[run_id] = f"{name} can't be read: {reason(content)}"
         elif content is not None:
@@ -229,14 +246,6 @@ def _curves(points: pd.DataFrame) -> pd.DataFrame:
     return wide.merge(evaluated, on=["run_id", "step"]).sort_values(["run_id", "step"], ignore_index=True)
 
 
-def _episodes(reader: Reader, over: pd.DataFrame, run_ids: Sequence[str]) -> tuple[pd.DataFrame, Iterable[str]]:
-    """Return the episodes of runs that are over, and what is wrong with some runs' tables."""
-    texts, problems = _contents(reader, over, "episodes.csv")
-    episodes, broken = read_episodes(texts, run_ids)
-    problems |= {run_id: f"episodes.csv can't be read: {what}" for run_id, what in broken.items()}
-    return episodes, _sentences(over, problems)
-
-
 def _sentences(runs: pd.DataFrame, problems: Mapping[str, str]) -> Iterator[str]:
     for run_id, cell, seed in zip(runs["run_id"], runs["cell"], runs["seed"], strict=True):
         if run_id in problems:
@@ -244,8 +253,8 @@ def _sentences(runs: pd.DataFrame, problems: Mapping[str, str]) -> Iterator[str]
 
 
 def _twice(runs: pd.DataFrame) -> Iterator[str]:
-    """Say which runs are there more than once, e.g. from two output directories that share a store."""
-    found = runs.groupby(["experiment", "cell", "seed"], sort=False)["run_id"].agg(list)
-    for key, run_ids in found[found.map(len) > 1].items():
+    """Yield a sentence for each run that is there more than once, e.g. from two output directories with one store."""
+    ids = runs.groupby(["experiment", "cell", "seed"], sort=False)["run_id"].agg(list)
+    for key, run_ids in ids[ids.map(len) > 1].items():
         experiment, cell, seed = cast(tuple[str, str, int], key)
         yield f"{experiment}, {cell}, seed {seed}: {len(run_ids)} runs have it"

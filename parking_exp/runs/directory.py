@@ -20,12 +20,12 @@ from filelock import FileLock
 from pydantic import TypeAdapter, ValidationError
 
 from parking_exp.config.credentials import strip_password
-from parking_exp.config.paths import absolute, directory_path, refuse_links, relative
+from parking_exp.config.paths import absolute, directory_path, refuse_links, relative, store_uri
 from parking_exp.config.schema import RunConfig
 from parking_exp.errors import OutputDirectoryError, RunLockedError
-from parking_exp.runs.files import read_object, write_json
+from parking_exp.runs.atomic_files import read_object, write_json
 from parking_exp.runs.locks import hold, is_held
-from parking_exp.runs.provenance import typed_command
+from parking_exp.runs.run_provenance import typed_command
 from parking_exp.runs.status_schema import Status, StatusEntries, read_entries
 from parking_exp.runs.stored_config import CONFIG_FILE, OUTPUT_DIR, read_config, write_config
 
@@ -106,8 +106,6 @@ class RunDirectory:
 
     def update(self, **values: Any) -> None:
         """Change entries of status.json; None removes one."""
-        if uri := values.get("tracking_uri"):
-            values["tracking_uri"] = relative(uri, self.output_dir)
         if values.get("status") in ENDS:
             (self.path / RESERVE).unlink(missing_ok=True)
         self._update(values, durable=True)
@@ -180,7 +178,8 @@ class RunDirectory:
                 return
             self._write_config(config, durable=False)
             known = {"label": label, "total_timesteps": config.total_timesteps, "command": typed_command()}
-            fresh = {"status": "pending", "error": None, "killed": None}
+            uri = store_uri(config) if config.tracking.mlflow else None
+            fresh = {"status": "pending", "error": None, "killed": None, "tracking_uri": uri}
             self._update({**fresh, **known, **(entries or {})}, durable=False)
 
     def heartbeat(self, **values: Any) -> None:
@@ -234,6 +233,8 @@ class RunDirectory:
 
     def _update(self, values: dict[str, Any], durable: bool) -> None:
         # A training, its supervisor, a sync and an evaluation may change different entries at once.
+        if uri := values.get("tracking_uri"):
+            values["tracking_uri"] = relative(uri, self.output_dir)
         with FileLock(self.path / ".status.lock"):
             changed = {**self.read_status(), **values}
             kept = {key: value for key, value in changed.items() if value is not None}

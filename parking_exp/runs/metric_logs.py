@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from parking_exp.errors import DamagedFileError
-from parking_exp.runs.files import read_object, sha256
+from parking_exp.runs.atomic_files import read_object, sha256
 
 if TYPE_CHECKING:
     import pandas as pd

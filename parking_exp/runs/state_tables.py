@@ -5,7 +5,7 @@ from collections.abc import Iterator, Sequence
 from rich.table import Table
 
 from parking_exp.errors import quoted_label
-from parking_exp.runs.state import STAGES, RunState, by_cell, counts
+from parking_exp.runs.run_state import STAGES, RunState, by_cell, counts
 
 
 def cell_table(states: Sequence[RunState], labels: Sequence[str] | None = None) -> Table:

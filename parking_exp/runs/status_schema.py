@@ -5,7 +5,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from parking_exp.runs.files import read_json
+from parking_exp.runs.atomic_files import read_json
 
 Status = Literal["pending", "running", "done", "failed", "interrupted", "pruned"]
 """What status.json says. `running` may be out of date: the process may be gone (`read_state` looks)."""

@@ -10,7 +10,7 @@ from parking_exp.config.paths import absolute, relative
 from parking_exp.config.schema import RunConfig
 from parking_exp.config.validate import check
 from parking_exp.errors import ConfigError
-from parking_exp.runs.files import read_plain_yaml, write_atomically
+from parking_exp.runs.atomic_files import read_plain_yaml, write_atomically
 
 CONFIG_FILE = "config.yaml"
 OUTPUT_DIR = "../../.."  # from a run directory

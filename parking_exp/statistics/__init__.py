@@ -1,8 +1,7 @@
 """Statistics of runs: intervals, comparisons, effects, survival. Pure functions without I/O.
 
-Every training imports this package, and scipy.stats takes 0.5 s and more to import, so that only `log_rank` imports it,
-when called. That is why Wilson's and Welch's intervals and Kaplan and Meier's estimate are computed here. scipy's
-differ in the last bit, and take 20 (Welch) to 400 (Wilson) times as long; tests compare with them.
+Every training imports this package, and scipy.stats takes half a second to import: functions that need it import it
+when they are called. Wilson's interval, which a training needs, is computed here; a test compares it with scipy's.
 """
 
 from parking_exp.statistics.comparisons import Difference, Improvement, holm, probability_of_improvement, welch

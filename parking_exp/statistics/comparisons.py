@@ -1,13 +1,14 @@
 """Comparison of two cells: Welch's test, probability of improvement, Holm's correction. Seeds are not paired."""
 
 import math
+import warnings
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.special import ndtri, stdtr, stdtrit
+from scipy.special import ndtri
 
-from parking_exp.statistics.checks import confident, finite
+from parking_exp.statistics.checks import finite
 
 WELCH = "Welch"
 PERMUTATION = "permutation, no scatter"
@@ -45,37 +46,28 @@ def welch(a: ArrayLike, b: ArrayLike, confidence: float = 0.95) -> Difference:
     """Return the difference of two means over seeds, shapes (n_a,) and (n_b,), by Welch's test (Welch 1947).
 
     With fewer than two seeds on a side, interval and p are NaN. Where neither side scatters, Welch is undefined: the
-    interval is NaN; p is 1 for equal values and else that of the exact permutation test, 2 / binom(n_a + n_b, n_a)
-    (two orders of the seeds out of all separate them like this): 10 against 10 seeds give 0.00001, 2 against 2 only
-    0.33.
+    interval is NaN; p is 1 for equal values and else that of the exact permutation test, 2 / binom(n_a + n_b, n_a):
+    10 against 10 seeds give 0.00001, 2 against 2 only 0.33.
 
     Raises:
         ValueError: a side is empty or holds NaN.
     """
+    from scipy import stats  # half a second that only reports pay
+
     first, second = finite(a, "a difference of means"), finite(b, "a difference of means")
-    m, n = len(first), len(second)
+    m, n, nan = len(first), len(second), math.nan
     difference = float(first.mean() - second.mean())
-    nan = math.nan
     if min(m, n) < 2:
         return Difference(difference, nan, nan, nan, nan, m, n, NONE)
     if np.ptp(first) == 0 and np.ptp(second) == 0:
-        same = first[0] == second[0]
-        p = 1.0 if same else 2 / math.comb(m + n, m)
-        return Difference(0.0 if same else difference, nan, nan, p, nan, m, n, PERMUTATION)
-    half, df, error = welch_half(first.var(ddof=1) / m, second.var(ddof=1) / n, m, n, confident(confidence))
-    p = 2 * float(stdtr(df, -abs(difference) / error))
-    return Difference(difference, difference - float(half), difference + float(half), p, float(df), m, n, WELCH)
-
-
-def welch_half(
-    square_a: ArrayLike, square_b: ArrayLike, m: int, n: int, confidence: float
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return half the width of Welch's interval, its degrees of freedom and the error, from the squared errors of the
-    means."""
-    first, second = np.asarray(square_a), np.asarray(square_b)
-    df = (first + second) ** 2 / (first**2 / (m - 1) + second**2 / (n - 1))
-    error = np.sqrt(first + second)
-    return stdtrit(df, 0.5 + confidence / 2) * error, df, error
+        if first[0] == second[0]:
+            return Difference(0.0, nan, nan, 1.0, nan, m, n, PERMUTATION)
+        return Difference(difference, nan, nan, 2 / math.comb(m + n, m), nan, m, n, PERMUTATION)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)  # of one side without scatter
+        test = stats.ttest_ind(first, second, equal_var=False)
+    low, high = map(float, test.confidence_interval(confidence))
+    return Difference(difference, low, high, float(test.pvalue), float(test.df), m, n, WELCH)
 
 
 def probability_of_improvement(a: ArrayLike, b: ArrayLike, confidence: float = 0.95) -> Improvement:
@@ -91,7 +83,7 @@ def probability_of_improvement(a: ArrayLike, b: ArrayLike, confidence: float = 0
     first, second = finite(a, "a probability of improvement"), finite(b, "a probability of improvement")
     m, n = len(first), len(second)
     theta = (1 + np.sign(first[:, None] - second[None])).mean() / 2
-    low, high = newcombe(theta, m, n, confident(confidence))
+    low, high = newcombe(theta, m, n, confidence)
     return Improvement(float(theta), float(low), float(high), m, n, NEWCOMBE)
 
 
@@ -116,20 +108,18 @@ def newcombe(theta: ArrayLike, m: int, n: int, confidence: float) -> tuple[np.nd
 
 
 def holm(p_values: ArrayLike) -> np.ndarray:
-    """Return Holm's adjusted p-values, same order and shape (n,) (Holm 1979). NaN stays NaN and is no part of the
-    family.
+    """Return Holm's adjusted p-values, same order and shape (n,) (Holm 1979).
+
+    NaN stays NaN and is no part of the family.
 
     Raises:
         ValueError: a p-value lies outside 0 ... 1.
     """
     p = np.asarray(p_values, dtype=float)
-    if p.ndim != 1:
-        raise ValueError(f"a family of p-values is a flat array, not one of shape {p.shape}")
     known = np.flatnonzero(~np.isnan(p))
     if ((p[known] < 0) | (p[known] > 1)).any():
         raise ValueError("p-values lie between 0 and 1")
     order = known[np.argsort(p[known], kind="stable")]
     adjusted = np.full(p.shape, np.nan)
-    steps = np.arange(len(order), 0, -1)
-    adjusted[order] = np.minimum(np.maximum.accumulate(p[order] * steps), 1)
+    adjusted[order] = np.minimum(np.maximum.accumulate(p[order] * np.arange(len(order), 0, -1)), 1)
     return adjusted

@@ -14,22 +14,15 @@ def normalised_area(steps: ArrayLike, values: ArrayLike, horizon: float | None =
     there, interpolated; a curve that ended sooner is not prolonged. A single evaluation is its own area.
 
     Raises:
-        ValueError: nothing is left up to `horizon`, the shapes differ, or steps do not rise.
+        ValueError: nothing is left up to `horizon`, or the shapes differ.
     """
     at, value = finite(steps, "an area under a curve"), np.asarray(values, dtype=float)
     if value.shape != at.shape:
         raise ValueError(f"{len(at)} steps and values of shape {value.shape} do not belong together")
-    if (np.diff(at) <= 0).any():
-        raise ValueError("the steps of a curve must rise")
-    known = ~np.isnan(value)
-    at, value = at[known], value[known]
+    at, value = at[~np.isnan(value)], value[~np.isnan(value)]
     if not len(at) or (horizon is not None and at[0] > horizon):
         raise ValueError("an area needs at least one evaluation that is a number, up to the horizon")
-    finite(value, "an area under a curve")
     if horizon is not None and at[-1] > horizon:
-        end = np.interp(horizon, at, value)
-        before = at < horizon
+        end, before = np.interp(horizon, at, value), at < horizon
         at, value = np.append(at[before], horizon), np.append(value[before], end)
-    if len(at) == 1:
-        return float(value[0])
-    return float(np.trapezoid(value, at) / (at[-1] - at[0]))
+    return float(np.trapezoid(value, at) / (at[-1] - at[0])) if len(at) > 1 else float(value[0])

@@ -1,16 +1,14 @@
-"""Main effects, contrasts and interactions of crossed factors."""
+"""Main effects, contrasts and interactions of crossed factors. Frames have one row per seed."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from itertools import product
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy.special import fdtrc, stdtr, stdtrit
 
-from parking_exp.statistics.checks import confident
 from parking_exp.statistics.comparisons import Difference
 from parking_exp.statistics.intervals import NONE, mean_interval
 
@@ -18,6 +16,8 @@ if TYPE_CHECKING:  # a training imports this package and needs no frames of ours
     from collections.abc import Mapping, Sequence
 
     import pandas as pd
+
+    Cells = Mapping[tuple[Any, ...], np.ndarray]  # levels of the factors -> responses
 
 CELLS = "cells' own variances"
 POOLED = "pooled variance"
@@ -48,7 +48,7 @@ class MainEffects:
 
 @dataclass(frozen=True)
 class InteractionCell:
-    """One combination; where it is missing, `n` is 0 and the numbers are NaN."""
+    """One combination of two levels: its mean, and what is left of it beside the sum of two effects."""
 
     row: Any
     column: Any
@@ -62,8 +62,10 @@ class InteractionCell:
 
 @dataclass(frozen=True)
 class InteractionTable:
-    """All combinations, row by row; `complete` says whether none is missing, and `p` how well a sum of two effects
-    explains them all: NaN where seeds do not scatter or nothing is left to explain.
+    """The combinations that there are, row by row.
+
+    `complete` says whether none is missing, and `p` how well a sum of two effects explains them all: NaN where seeds do
+    not scatter or nothing is left to explain.
     """
 
     rows: tuple[Any, ...]
@@ -74,29 +76,42 @@ class InteractionTable:
 
 
 def main_effects(frame: pd.DataFrame, factors: Sequence[str], response: str, confidence: float = 0.95) -> MainEffects:
-    """Return the mean of cell means for every level of every factor: cells weigh the same, however many seeds they
-    have.
+    """Return the mean of cell means for every level of every factor: cells weigh the same, whatever their seeds.
 
-    `frame` has one row per seed. The interval is that of a linear contrast of independent means with their own
-    variances (Welch 1947; Satterthwaite 1946 for the degrees of freedom); where a cell of the level has a single
-    seed, the pooled variance of all cells stands in for all; where nothing scatters, there is none. It is not cut at
-    0 or 1. In an incomplete design the levels are averaged over different cells: `complete` is False and differences
-    may be due to those.
+    The interval is that of a linear contrast of independent means with their own variances (Welch 1947; Satterthwaite
+    1946 for the degrees of freedom); where a cell of the level has a single seed, the pooled variance of all cells
+    stands in for all; where nothing scatters, there is none. It is not cut at 0 or 1. In an incomplete design the
+    levels are averaged over different cells: `complete` is False and differences may be due to those.
+    """
+    cells = _cells(frame, factors, response)
+    levels = []
+    for place, factor in enumerate(factors):
+        for level in _levels(cells, place):
+            own = [values for key, values in cells.items() if key[place] == level]
+            mean = _contrast(own, [], cells, confidence)
+            n = sum(map(len, own))
+            levels.append(LevelMean(factor, level, mean.difference, mean.low, mean.high, len(own), n, mean.method))
+    complete = len(cells) == math.prod(len(_levels(cells, place)) for place in range(len(factors)))
+    return MainEffects(tuple(levels), float(np.mean([values.mean() for values in cells.values()])), complete)
+
+
+def contrast(
+    frame: pd.DataFrame, factors: Sequence[str], response: str, levels: tuple[str, Any, Any], confidence: float = 0.95
+) -> Difference:
+    """Return how far two levels of a factor are apart: the difference of the means that `main_effects` gives.
+
+    `levels` is (factor, level, other level). Interval and p are as described there, NaN without scatter.
 
     Raises:
-        ValueError: a column is missing, there are no rows or factors, or the response or a factor holds NaN.
+        ValueError: there is no such level.
     """
-    _check(frame, factors, response)
-    confident(confidence)
-    groups = dict(_cells(frame, factors, response))
-    variance, df = _pooled(list(groups.values()))
-    levels = []
-    for i, factor in enumerate(factors):
-        for level in _levels(frame[factor]):
-            cells = [values for key, values in groups.items() if key[i] == level]
-            levels.append(_level(factor, level, cells, variance, df, confidence))
-    complete = len(groups) == math.prod(frame[factor].nunique() for factor in factors)
-    return MainEffects(tuple(levels), float(np.mean([values.mean() for values in groups.values()])), complete)
+    cells = _cells(frame, factors, response)
+    factor, *two = levels
+    place = list(factors).index(factor)
+    side, other = ([values for key, values in cells.items() if key[place] == level] for level in two)
+    if not (side and other):
+        raise ValueError(f"{factor} has no level {two[1] if side else two[0]!r}")
+    return _contrast(side, other, cells, confidence)
 
 
 def interaction(
@@ -105,88 +120,50 @@ def interaction(
     column_factor: str,
     response: str,
     confidence: float = 0.95,
-    seed: int = 0,
     bounds: tuple[float, float] | None = (0.0, 1.0),
 ) -> InteractionTable:
     """Return the mean of every combination of two factors, by `mean_interval`, and what is left of it beside their sum.
 
-    `frame` has one row per seed; factors that are not named are averaged over its rows. The residual is cell mean -
-    row mean - column mean + grand mean, every cell weighing the same; in an incomplete design, what is left of the
-    additive fit by least squares, which is the same where none is missing.
+    Other factors are averaged over. The residual is cell mean - row mean - column mean + grand mean, every cell
+    weighing the same; in an incomplete design, what is left of the additive fit by least squares.
 
     Raises:
-        ValueError: as `main_effects`, or a response lies outside `bounds`.
+        ValueError: a response lies outside `bounds`.
     """
-    _check(frame, (row_factor, column_factor), response)
-    groups = dict(_cells(frame, (row_factor, column_factor), response))
-    rows, columns = _levels(frame[row_factor]), _levels(frame[column_factor])
-    keys = list(groups)
-    means = np.array([values.mean() for values in groups.values()])
-    design = np.array([[row == r for r in rows] + [column == c for c in columns] for row, column in keys], dtype=float)
-    residuals = dict(zip(keys, means - design @ np.linalg.lstsq(design, means, rcond=None)[0], strict=True))
-    cells = []
-    for row, column in product(rows, columns):
-        if (row, column) not in groups:
-            nan = math.nan
-            cells.append(InteractionCell(row, column, nan, nan, nan, 0, NONE, nan))
-            continue
-        estimate = mean_interval(groups[row, column], confidence, seed, bounds)
-        cells.append(
-            InteractionCell(
-                row,
-                column,
-                estimate.mean,
-                estimate.low,
-                estimate.high,
-                estimate.n,
-                estimate.method,
-                float(residuals[row, column]),
-            )
-        )
-    p = _interaction_p(groups, design)
-    return InteractionTable(tuple(rows), tuple(columns), tuple(cells), len(groups) == len(cells), p)
+    cells = _cells(frame, (row_factor, column_factor), response)
+    rows, columns = _levels(cells, 0), _levels(cells, 1)
+    means = np.array([values.mean() for values in cells.values()])
+    design = np.array([[row == r for r in rows] + [column == c for c in columns] for row, column in cells], dtype=float)
+    residuals = dict(zip(cells, means - design @ np.linalg.lstsq(design, means, rcond=None)[0], strict=True))
+    found = []
+    for row, column in sorted(cells, key=lambda key: (rows.index(key[0]), columns.index(key[1]))):
+        mean = mean_interval(cells[row, column], confidence, bounds=bounds)
+        residual = float(residuals[row, column])
+        found.append(InteractionCell(row, column, mean.mean, mean.low, mean.high, mean.n, mean.method, residual))
+    complete = len(found) == len(rows) * len(columns)
+    return InteractionTable(tuple(rows), tuple(columns), tuple(found), complete, _interaction_p(cells, design))
 
 
-def contrast(
-    frame: pd.DataFrame, factors: Sequence[str], response: str, levels: tuple[str, Any, Any], confidence: float = 0.95
-) -> Difference:
-    """Return how far two levels of a factor are apart: the difference of the means that `main_effects` gives.
-
-    `levels` is (factor, one, other). Interval and p are those of a linear contrast of independent means with their own
-    variances (Welch 1947); where a cell has a single seed, of the pooled variance of all cells. NaN without scatter.
-
-    Raises:
-        ValueError: as `main_effects`, or there is no such level.
-    """
-    _check(frame, factors, response)
-    groups = _cells(frame, factors, response)
-    place = list(factors).index(levels[0])
-    sides = [[values for key, values in groups if key[place] == level] for level in levels[1:]]
-    if not all(sides):
-        raise ValueError(f"{levels[0]} has no level {levels[1] if not sides[0] else levels[2]!r}")
-    (one, variance, spread), (other, variance_b, spread_b) = (_mean_of_means(side) for side in sides)
-    total, df = variance + variance_b, 0.0
-    if not math.isnan(total):
-        df = total**2 / (spread + spread_b) if spread + spread_b > 0 else 0.0
+def _contrast(side: Sequence[np.ndarray], other: Sequence[np.ndarray], cells: Cells, confidence: float) -> Difference:
+    """Return the mean of cell means of one side minus that of the other, which may be empty."""
+    weights = np.array([1 / len(side) for _ in side] + [-1 / len(other) for _ in other])
+    both = [*side, *other]
+    sizes = np.array([len(values) for values in both])
+    difference = float(weights @ [values.mean() for values in both])
+    n_side, n_other = sum(map(len, side)), sum(map(len, other))
+    if sizes.min() > 1:
+        squares, method = weights**2 * [_variance(values) for values in both] / sizes, CELLS
+        spread = float((squares**2 / (sizes - 1)).sum())
+        df = float(squares.sum()) ** 2 / spread if spread > 0 else 0.0
     else:
-        pooled, df = _pooled([values for _, values in groups])
-        total = sum(pooled * sum(1 / len(values) for values in side) / len(side) ** 2 for side in sides)
-    n_one, n_other = (sum(map(len, side)) for side in sides)
-    if not (df > 0 and total > 0):
-        return Difference(one - other, math.nan, math.nan, math.nan, math.nan, n_one, n_other, NONE)
-    error = math.sqrt(total)
-    half = float(stdtrit(df, 0.5 + confident(confidence) / 2)) * error
-    p = 2 * float(stdtr(df, -abs(one - other) / error))
-    return Difference(one - other, one - other - half, one - other + half, p, df, n_one, n_other, CELLS)
-
-
-def _mean_of_means(cells: Sequence[np.ndarray]) -> tuple[float, float, float]:
-    """Return the mean of cell means, its variance, and what the degrees of freedom follow from; NaN with one seed."""
-    mean = float(np.mean([values.mean() for values in cells]))
-    if min(map(len, cells)) < 2:
-        return mean, math.nan, math.nan
-    squares = np.array([_variance(values) / len(values) for values in cells]) / len(cells) ** 2
-    return mean, float(squares.sum()), float((squares**2 / (np.array([*map(len, cells)]) - 1)).sum())
+        pooled, df = _pooled(cells)
+        squares, method = weights**2 * pooled / sizes, POOLED
+    if not (df > 0 and squares.sum() > 0):
+        return Difference(difference, math.nan, math.nan, math.nan, math.nan, n_side, n_other, NONE)
+    error = math.sqrt(squares.sum())
+    half = float(stdtrit(df, 0.5 + confidence / 2)) * error
+    p = 2 * float(stdtr(df, -abs(difference) / error))
+    return Difference(difference, difference - half, difference + half, p, df, n_side, n_other, method)
 
 
 def _variance(values: np.ndarray) -> float:
@@ -194,25 +171,27 @@ def _variance(values: np.ndarray) -> float:
     return float(values.var(ddof=1)) if np.ptp(values) > 0 else 0.0
 
 
-def _pooled(cells: Sequence[np.ndarray]) -> tuple[float, float]:
+def _pooled(cells: Cells) -> tuple[float, float]:
     """Return the pooled variance of all cells with two seeds or more, and its degrees of freedom; NaN and 0 without."""
-    several = [values for values in cells if len(values) > 1]
+    several = [values for values in cells.values() if len(values) > 1]
     df = float(sum(len(values) - 1 for values in several))
     return (sum(_variance(values) * (len(values) - 1) for values in several) / df if df else math.nan), df
 
 
-def _interaction_p(groups: Mapping[tuple[Any, ...], np.ndarray], design: np.ndarray) -> float:
-    """Return the p of the ANOVA-type test of interaction (Brunner, Dette and Munk 1997): cell means against the sum of
-    two effects, with cells' own variances; where a cell has a single seed, with the pooled one.
+def _interaction_p(cells: Cells, design: np.ndarray) -> float:
+    """Return the p of the ANOVA-type test of interaction (Brunner, Dette and Munk 1997).
+
+    Cell means are tested against the sum of two effects, with cells' own variances; where a cell has a single seed,
+    with the pooled one.
     """
-    cells, sizes = list(groups.values()), np.array([len(values) for values in groups.values()])
-    means = np.array([values.mean() for values in cells])
+    sizes = np.array([len(values) for values in cells.values()])
+    means = np.array([values.mean() for values in cells.values()])
     beside = np.eye(len(cells)) - design @ np.linalg.pinv(design)  # projects means on what the sum leaves of them
     if np.trace(beside) < 0.5:  # a whole number but for rounding: its degrees of freedom
         return math.nan
     single, weights = sizes.min() < 2, beside.diagonal()
     pooled, left = _pooled(cells)
-    variances = (pooled if single else np.array([_variance(values) for values in cells])) / sizes
+    variances = (pooled if single else np.array([_variance(values) for values in cells.values()])) / sizes
     expected = float(weights @ variances)
     if not expected > 0:
         return math.nan
@@ -222,54 +201,18 @@ def _interaction_p(groups: Mapping[tuple[Any, ...], np.ndarray], design: np.ndar
     return float(fdtrc(df, left, means @ beside @ means / expected))
 
 
-def _level(
-    factor: str, level: Any, cells: list[np.ndarray], pooled: float, pooled_df: float, confidence: float
-) -> LevelMean:
-    mean, total, spread = _mean_of_means(cells)
-    low, high, method, df, name = math.nan, math.nan, NONE, 0.0, CELLS
-    if not math.isnan(total):
-        df = total**2 / spread if spread > 0 else 0.0
-    else:
-        total, df, name = pooled * sum(1 / len(values) for values in cells) / len(cells) ** 2, pooled_df, POOLED
-    if df > 0 and total > 0:
-        half = float(stdtrit(df, 0.5 + confidence / 2)) * math.sqrt(total)
-        low, high, method = mean - half, mean + half, name
-    return LevelMean(factor, level, mean, low, high, len(cells), sum(map(len, cells)), method)
-
-
-def _check(frame: pd.DataFrame, factors: Sequence[str], response: str) -> None:
-    if not factors:
-        raise ValueError("effects need at least one factor")
-    missing = [name for name in (*factors, response) if name not in frame.columns]
-    if missing:
-        raise ValueError(f"the frame has no column {', '.join(map(repr, missing))}")
-    if frame.empty:
-        raise ValueError("effects need at least one row")
-    for name in (*factors, response):
-        if frame[name].isna().any():
-            raise ValueError(f"column {name!r} holds NaN; drop or fill those rows first")
-    if not np.isfinite(frame[response].to_numpy(dtype=float)).all():
-        raise ValueError(f"column {response!r} holds infinity")
-
-
-def _cells(frame: pd.DataFrame, factors: Sequence[str], response: str) -> list[tuple[tuple[Any, ...], np.ndarray]]:
-    """Return the levels and responses of every cell that is there."""
-    keys = zip(*([_plain(value) for value in frame[factor]] for factor in factors), strict=True)
+def _cells(frame: pd.DataFrame, factors: Sequence[str], response: str) -> dict[tuple[Any, ...], np.ndarray]:
+    """Return the responses of every combination of levels that is there."""
     cells: dict[tuple[Any, ...], list[float]] = {}
-    for key, value in zip(keys, frame[response].to_numpy(dtype=float), strict=True):
-        cells.setdefault(key, []).append(float(value))
-    return [(key, np.array(values)) for key, values in cells.items()]
+    for *key, value in zip(*(frame[name].tolist() for name in (*factors, response)), strict=True):
+        cells.setdefault(tuple(key), []).append(value)
+    return {key: np.array(values, dtype=float) for key, values in cells.items()}
 
 
-def _levels(column: pd.Series) -> list[Any]:
-    """Return the levels in order, numbers by size; those that can't be compared by their names."""
-    levels = list(dict.fromkeys(_plain(value) for value in column))
+def _levels(cells: Cells, place: int) -> list[Any]:
+    """Return the levels of a factor in order, numbers by size; those that can't be compared by their names."""
+    levels = list(dict.fromkeys(key[place] for key in cells))
     try:
         return sorted(levels)
     except TypeError:
         return sorted(levels, key=str)
-
-
-def _plain(value: Any) -> Any:
-    """Return a scalar of numpy as Python's own, which JSON takes."""
-    return value.item() if isinstance(value, np.generic) else value

@@ -17,15 +17,19 @@ FEWEST_ROWS = 5
 
 @dataclass(frozen=True)
 class ParameterImportance:
-    """What one parameter explains alone; `spearman` and `direction` (-1, 0, 1) are None where it is no number or
-    constant."""
+    """What one parameter explains alone.
 
-    parameter: str
+    Attributes:
+        factor: its name.
+        share: of the variance, in 0 ... 1.
+        p: of a permutation test.
+        direction: Spearman's rank correlation; None where it is no number or constant.
+    """
+
+    factor: str
     share: float
     p: float
-    spearman: float | None
-    direction: int | None
-    kind: str
+    direction: float | None
 
 
 def importance(
@@ -40,57 +44,35 @@ def importance(
     it looked as well as what it found. A parameter, or a response, that never changes explains 0 with p 1.
 
     Raises:
-        ValueError: fewer than 5 rows, a missing column, or NaN in the response or in a number.
+        ValueError: fewer than 5 rows, or NaN in the response.
     """
-    missing = [name for name in (*parameters, response) if name not in frame.columns]
-    if missing:
-        raise ValueError(f"the frame has no column {', '.join(map(repr, missing))}")
-    if len(frame) < FEWEST_ROWS:
-        raise ValueError(f"importance needs at least {FEWEST_ROWS} runs, not {len(frame)}")
+    if len(frame) < FEWEST_ROWS or frame[response].isna().any():
+        raise ValueError(f"importance needs at least {FEWEST_ROWS} runs, all with a response")
     y = frame[response].to_numpy(dtype=float)
-    if not np.isfinite(y).all():
-        raise ValueError(f"column {response!r} holds NaN or infinity; drop those runs first")
     centred = y - y.mean()
-    rng = np.random.default_rng(seed)
-    shuffled = rng.permuted(np.tile(centred, (permutations, 1)), axis=1)
-    return [_importance(frame[name], centred, shuffled) for name in parameters]
+    shuffled = np.random.default_rng(seed).permuted(np.tile(centred, (permutations, 1)), axis=1)
+    return [_importance(frame[name], frame[response], centred, shuffled) for name in parameters]
 
 
-def _importance(column: pd.Series, centred: np.ndarray, shuffled: np.ndarray) -> ParameterImportance:
-    name, total, n = str(column.name), float(centred @ centred), len(centred)
-    numeric = column.dtype.kind in "iuf"
-    kind = "number" if numeric else "category"
-    if numeric and not np.isfinite(column.to_numpy(dtype=float)).all():
-        raise ValueError(f"column {name!r} holds NaN or infinity; drop those runs first")
+def _importance(
+    column: pd.Series, response: pd.Series, centred: np.ndarray, shuffled: np.ndarray
+) -> ParameterImportance:
+    name, total, n, direction = str(column.name), float(centred @ centred), len(centred), None
     if column.nunique(dropna=False) < 2 or total <= 1e-24 * n:
-        return ParameterImportance(name, 0.0, 1.0, None, None, kind)
-    spearman, direction = None, None
-    if numeric:
-        ranks = column.rank().to_numpy(dtype=float)
-        ranks = (ranks - ranks.mean()) / ranks.std()
-        design = np.stack([ranks, ranks**2], axis=1)
-        spearman = float(np.corrcoef(ranks, _ranks(centred))[0, 1])
-        direction = 0 if abs(spearman) < 1e-12 else int(np.sign(spearman))
+        return ParameterImportance(name, 0.0, 1.0, None)
+    if column.dtype.kind in "iuf":
+        ranks = column.rank()
+        direction = float(ranks.corr(response.rank()))
+        standard = ((ranks - ranks.mean()) / ranks.std()).to_numpy(dtype=float)
+        design = np.stack([standard, standard**2], axis=1)
     else:
         codes = column.astype("category").cat.codes.to_numpy()
         design = (codes[:, None] == np.unique(codes)).astype(float)
-    basis, rank = _basis(design)
+    left, sizes, _ = np.linalg.svd(design - design.mean(axis=0), full_matrices=False)
+    basis = left[:, sizes > 1e-9 * sizes.max()]  # orthonormal, of the centred columns
     explained = float(((centred @ basis) ** 2).sum()) / total
     by_chance = ((shuffled @ basis) ** 2).sum(axis=1) / total
     p = (1 + int(np.count_nonzero(by_chance >= explained - 1e-9))) / (1 + len(shuffled))
-    left = n - 1 - rank
-    share = max(0.0, 1 - (1 - explained) * (n - 1) / left) if left > 0 else 0.0
-    return ParameterImportance(name, min(share, 1.0), p, spearman, direction, kind)
-
-
-def _basis(design: np.ndarray) -> tuple[np.ndarray, int]:
-    """Return an orthonormal basis of the centred columns, shape (n, rank)."""
-    left, sizes, _ = np.linalg.svd(design - design.mean(axis=0), full_matrices=False)
-    rank = int(np.count_nonzero(sizes > 1e-9 * sizes.max()))
-    return left[:, :rank], rank
-
-
-def _ranks(values: np.ndarray) -> np.ndarray:
-    """Return ranks from 1, ties in the middle."""
-    _, inverse, counts = np.unique(values, return_inverse=True, return_counts=True)
-    return (np.cumsum(counts) - (counts - 1) / 2)[inverse]
+    degrees = n - 1 - basis.shape[1]
+    share = 1 - (1 - explained) * (n - 1) / degrees if degrees > 0 else 0.0
+    return ParameterImportance(name, min(max(share, 0.0), 1.0), p, direction)

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import stdtrit
 
-from parking_exp.statistics.checks import confident, finite
+from parking_exp.statistics.checks import finite
 
 NONE = "none"
 T = "t"
@@ -57,10 +57,10 @@ def mean_interval(
     from there, and none without scatter.
 
     Raises:
-        ValueError: no values, NaN, values outside `bounds`, or a confidence outside 0 ... 1.
+        ValueError: no values, NaN, or values outside `bounds`.
     """
     array = finite(values, "a mean over seeds")
-    low, high, methods = interval_rows(array[None], confident(confidence), seed, bounds, resamples)
+    low, high, methods = interval_rows(array[None], confidence, seed, bounds, resamples)
     return Estimate(float(array.mean()), float(low[0]), float(high[0]), len(array), methods[0])
 
 
@@ -77,12 +77,9 @@ def mean_band(
     ended sooner): a point counts the seeds that it has, and a point without any has n = 0 and NaN.
 
     Raises:
-        ValueError: `values` is not two-dimensional, holds infinity, or lies outside `bounds`.
+        ValueError: values lie outside `bounds`.
     """
     table = np.asarray(values, dtype=float)
-    if table.ndim != 2:
-        raise ValueError(f"a band takes values of shape (seeds, points), not {table.shape}")
-    confident(confidence)
     columns, counts = table.T, np.count_nonzero(~np.isnan(table), axis=0)
     band = [Estimate(np.nan, np.nan, np.nan, 0, NONE)] * len(columns)
     for count in np.unique(counts[counts > 0]):
@@ -105,8 +102,6 @@ def interval_rows(
             raise ValueError(f"values lie outside their bounds, {bounds[0]:g} ... {bounds[1]:g}")
         low, high, methods = _bounded(np.clip(scaled, 0, 1), confidence, seed, resamples)
         return bounds[0] + low * (bounds[1] - bounds[0]), bounds[0] + high * (bounds[1] - bounds[0]), methods
-    if not np.isfinite(rows).all():
-        raise ValueError("a mean over seeds takes finite values")
     n = rows.shape[1]
     scatter = np.ptp(rows, axis=1) > 0
     low, high = np.full(len(rows), np.nan), np.full(len(rows), np.nan)
@@ -119,11 +114,8 @@ def interval_rows(
         if n >= FEWEST_UNBOUNDED:
             lower, upper = studentised(live, confidence, seed, resamples)
             tame = (lower > -BEYOND / 2) & (upper < BEYOND / 2)
-            below, above, method = (
-                np.where(tame, upper * error, below),
-                np.where(tame, -lower * error, above),
-                BOOTSTRAP,
-            )
+            below, above = np.where(tame, upper * error, below), np.where(tame, -lower * error, above)
+            method = BOOTSTRAP
         low[scatter], high[scatter] = mean - below, mean + above
         methods = [method if scatters else NONE for scatters in scatter]
     return low, high, methods

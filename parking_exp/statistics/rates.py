@@ -12,12 +12,12 @@ from parking_exp.statistics.checks import finite
 
 @dataclass(frozen=True)
 class Proportion:
-    """`k` of `n`, with an interval of the share."""
+    """`k` of `n`, with an interval of the share; None without data."""
 
     k: int
     n: int
-    low: float
-    high: float
+    low: float | None
+    high: float | None
 
 
 def wilson_interval(successes: int, trials: int, confidence: float = 0.95) -> tuple[float, float]:

@@ -15,7 +15,7 @@ from rich.live import Live
 from rich.table import Table
 
 from parking_exp.runs.directory import STATUS_FILE
-from parking_exp.runs.state import RunState, read_state
+from parking_exp.runs.run_state import RunState, read_state
 from parking_exp.runs.state_tables import duration, name, under_way
 from parking_exp.terminal import console as make_console
 

@@ -12,7 +12,7 @@ from parking_exp.config.compose import Composed
 from parking_exp.config.schema import RunConfig
 from parking_exp.config.validate import validate_all
 from parking_exp.errors import plural
-from parking_exp.runs.state import RunState, by_cell, counts, read_state
+from parking_exp.runs.run_state import RunState, by_cell, counts, read_state
 from parking_exp.runs.state_tables import cell_table, damaged_lines, duration
 from parking_exp.sweeps.hydra_launcher import Launch
 

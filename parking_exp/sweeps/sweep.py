@@ -12,13 +12,13 @@ from parking_exp.config.overrides import in_quotes
 from parking_exp.config.paths import store_uri
 from parking_exp.errors import FailedRunError, plural
 from parking_exp.runs.directory import RunDirectory
-from parking_exp.runs.state import RunState, Stage, counts, read_state
+from parking_exp.runs.run_state import RunState, Stage, counts, read_state
 from parking_exp.runs.state_tables import cell_table, failure_lines, stopped_lines
 from parking_exp.sweeps.hydra_launcher import Launch
 from parking_exp.sweeps.monitor import Monitor
 from parking_exp.sweeps.plan import PlannedRun, describe
 from parking_exp.terminal import console
-from parking_exp.tracking.sync_all import sync_problem
+from parking_exp.tracking.mirror import mirror_problem
 
 POLL_S = 1.0
 
@@ -68,9 +68,9 @@ def _launch_all(due: list[Path], launch: Launch, monitor: Monitor) -> None:
 
 def _sync(runs: Sequence[PlannedRun], monitor: Monitor) -> None:
     """Send to the store what workers could not, because they were killed or the store was down."""
-    uris = list({store_uri(run.config) for run in runs if run.config.tracking.mlflow})
-    if problem := sync_problem([RunDirectory(run.path) for run in runs], uris):
-        monitor.say(problem)
+    for uri in {store_uri(run.config) for run in runs if run.config.tracking.mlflow}:
+        if problem := mirror_problem([RunDirectory(run.path) for run in runs], uri):
+            monitor.say(problem)
 
 
 def _check_all_done(states: Sequence[RunState]) -> None:

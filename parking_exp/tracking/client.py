@@ -1,10 +1,9 @@
-"""Connect to an MLflow store: without hanging, initialised once, with a lock that its writers share.
+"""Connect to an MLflow store: without hanging, and with a lock that the writers of an embedded store share.
 
-The embedded store is a sqlite database. It takes one writer at a time and tells a second one that waits too long
-"database is locked" (MLflow has it wait for 20 s, whatever the URL says), so that our writers queue for a lock file
-beside the database. Its journal stays sqlite's own rollback journal: a write-ahead log would let readers pass while a
-row is written, which takes milliseconds, but needs memory that is shared between processes, which network file systems
-do not have. Readers (`mlflow ui`) need no lock of ours.
+The embedded store is a sqlite database. It takes one writer at a time, and MLflow has a second one wait for 20 s before
+it fails with "database is locked", so our writers queue for a lock file beside the database. Its journal stays sqlite's
+own rollback journal: a write-ahead log needs memory shared between processes, which network file systems lack.
+Readers (`mlflow ui`) need no lock of ours.
 """
 
 import logging
@@ -16,15 +15,16 @@ from typing import TYPE_CHECKING, Any
 
 from filelock import FileLock
 
-from parking_exp.config.credentials import with_password
+from parking_exp.config.credentials import strip_password, with_password
 from parking_exp.config.paths import SQLITE, database
-from parking_exp.errors import StoreError
+from parking_exp.errors import ParkingError
 from parking_exp.tracking.relocation import relocate
 
 if TYPE_CHECKING:
     from mlflow import MlflowClient
 
 WAIT_S = 120  # for other writers
+LONGEST_REASON = 200
 ENVIRONMENT = {
     "MLFLOW_DISABLE_TELEMETRY": "true",  # nothing leaves the machine
     "GIT_PYTHON_REFRESH": "quiet",
@@ -49,28 +49,29 @@ def import_mlflow() -> None:
 
 
 def connect(uri: str) -> "MlflowClient":
-    """Return a client of a store that has answered; a store that is new is initialised.
+    """Return a client of a store that has answered; an embedded store is made if it is not there.
 
     Raises:
-        Exception: whatever MLflow, SQLAlchemy or the disk say; `failures.reason` makes a sentence of it.
+        Exception: whatever MLflow, SQLAlchemy or the disk raise; `reason` makes a sentence of it.
     """
     import_mlflow()
-    from mlflow import MlflowClient
-
     for name in ("alembic", "mlflow"):
         logging.getLogger(name).setLevel(logging.WARNING)
     logging.getLogger("mlflow.store").setLevel(logging.CRITICAL)  # it prints the traceback of what it raises
-    if path := database(uri):
+    path = database(uri)
+    if path is not None:
         path.parent.mkdir(parents=True, exist_ok=True)
-    # Processes that open a fresh sqlite store at once collide in its migrations: one does it, the others wait.
-    with write_lock(uri):
-        if path is not None and os.access(path.parent, os.W_OK) and (not path.exists() or _is_half_made(path)):
+    with write_lock(uri):  # processes that make the same store at once collide in MLflow's migrations
+        may_write = path is not None and os.access(path.parent, os.W_OK)
+        if path is not None and may_write and not path.exists():
             _make_database(path.resolve())
-        uri = with_password(uri)
-        if not uri.startswith(("http", "databricks")):
-            _open_database(uri)
-        client = MlflowClient(uri)
-        client.search_experiments(max_results=1)
+        try:
+            client = _open(uri)
+        except Exception:
+            if path is None or not may_write or not _is_half_made(path):
+                raise
+            _make_database(path.resolve())
+            client = _open(uri)
         if path is not None and os.access(path, os.W_OK):
             relocate(path)
     return client
@@ -84,14 +85,26 @@ def write_lock(uri: str) -> AbstractContextManager[Any]:
     return FileLock(path.with_name(f".{path.name}.lock"), timeout=WAIT_S, poll_interval=0.01)
 
 
+def reason(error: BaseException) -> str:
+    """Return why a store failed in one line, without passwords: what the system or sqlite said, if either did."""
+    if isinstance(error, ParkingError):
+        return strip_password(str(error))
+    causes = [error]
+    while (cause := causes[-1].__cause__ or causes[-1].__context__) and cause not in causes:
+        causes.append(cause)
+    known = [cause for cause in causes if isinstance(cause, OSError | sqlite3.Error)]
+    cause = known[-1] if known else error
+    words = getattr(cause, "strerror", None) or str(cause) or type(cause).__name__
+    if isinstance(cause, OSError) and cause.filename:
+        words += f": {cause.filename}"
+    words = strip_password(" ".join(words.split()))
+    return words if len(words) <= LONGEST_REASON else f"{words[:LONGEST_REASON]}..."
+
+
 def _make_database(path: Path) -> None:
     """Make an empty store: MLflow's migrations are not atomic in sqlite, so the whole file is renamed into place."""
     from mlflow import MlflowClient
 
-    if {"'", '"'} <= set(str(Path.cwd())):  # MLflow writes it into SQL as Python's repr of it
-        raise StoreError(
-            "MLflow can't make a store in a working directory with both ' and \" in its path; change to another"
-        )
     new = path.with_name(f".{path.name}.new")
     _delete_database(new)  # a process that was killed may have left one
     try:
@@ -108,32 +121,33 @@ def _delete_database(path: Path) -> None:
 
 
 def _is_half_made(path: Path) -> bool:
-    """Return whether making a store was interrupted: its migrations did not reach their head, and it holds nothing.
+    """Return whether a database that can't be opened is a store that holds nothing: MLflow was interrupted making it.
 
     MLflow can't complete such a database.
     """
     with closing(sqlite3.connect(path)) as connection:
         tables = {name for (name,) in connection.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
-        if not tables:
-            return True
         for table in tables - {"alembic_version", "workspaces"}:
             user_made = "WHERE experiment_id != 0" if table == "experiments" else ""
             if connection.execute(f'SELECT 1 FROM "{table}" {user_made} LIMIT 1').fetchone():
                 return False
-        versions = connection.execute("SELECT * FROM alembic_version") if "alembic_version" in tables else []
-        return "experiments" in tables and [version for (version,) in versions] != [_newest_version()]
+        return not tables or "experiments" in tables
 
 
-def _newest_version() -> str | None:
-    """Return the revision at the head of MLflow's migrations."""
-    import mlflow
-    from alembic.script import ScriptDirectory
+def _open(uri: str) -> "MlflowClient":
+    """Return a client of a store that has answered."""
+    from mlflow import MlflowClient
 
-    return ScriptDirectory(str(Path(mlflow.__file__).parent / "store" / "db_migrations")).get_current_head()
+    uri = with_password(uri)
+    if not uri.startswith(("http", "databricks")):
+        _open_database(uri)
+    client = MlflowClient(uri)
+    client.search_experiments(max_results=1)
+    return client
 
 
 def _open_database(uri: str) -> None:
-    """Raise now where a database can't be opened: MLflow itself tries for two minutes before it says so."""
+    """Raise now where a database can't be opened: MLflow itself tries for two minutes before it raises."""
     from sqlalchemy import create_engine, inspect
 
     engine = create_engine(uri)

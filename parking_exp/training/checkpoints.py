@@ -23,7 +23,7 @@ from parking_exp.algorithms.fast.base import FastTraining
 from parking_exp.algorithms.model_files import load_weights
 from parking_exp.algorithms.policy_ema import PolicyEMA
 from parking_exp.buffers import HerBuffer
-from parking_exp.runs.files import fsync, read_json, read_object, sha256, write_json
+from parking_exp.runs.atomic_files import fsync, read_json, read_object, sha256, write_json
 from parking_exp.runs.metric_logs import copy_logs
 from parking_exp.training import rollout_state, serialization
 

@@ -19,12 +19,13 @@ from parking_exp.config.schema import RunConfig
 from parking_exp.config.validate import validate
 from parking_exp.errors import ConfigError, FailedRunError, InterruptedRunError
 from parking_exp.evaluation.description import describe
+from parking_exp.runs.atomic_files import write_atomically
 from parking_exp.runs.directory import RunDirectory, RunResult
-from parking_exp.runs.files import write_atomically
 from parking_exp.runs.metric_logs import restore_logs
-from parking_exp.runs.provenance import typed_command
+from parking_exp.runs.run_provenance import typed_command
 from parking_exp.terminal import say
-from parking_exp.tracking.tracker import Tracker, later, open_tracker
+from parking_exp.tracking.mirror import later
+from parking_exp.tracking.tracker import Tracker, open_tracker
 from parking_exp.training import checkpoints
 from parking_exp.training.finish import finish
 from parking_exp.training.loop import TrainingLoop

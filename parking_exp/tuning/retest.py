@@ -15,9 +15,9 @@ from rich.table import Table
 
 from parking_exp.config.run_key import result_part
 from parking_exp.errors import plural
+from parking_exp.runs.atomic_files import read_object, write_atomically, write_json
 from parking_exp.runs.directory import RunDirectory
-from parking_exp.runs.files import read_object, write_atomically, write_json
-from parking_exp.runs.state import read_state
+from parking_exp.runs.run_state import read_state
 from parking_exp.sweeps.hydra_launcher import Launch
 from parking_exp.sweeps.plan import PlannedRun
 from parking_exp.sweeps.sweep import sweep

@@ -15,7 +15,7 @@ from parking_exp.config.overrides import in_quotes, with_absolute_path
 from parking_exp.config.schema import RunConfig
 from parking_exp.config.validate import check, parse, validate
 from parking_exp.errors import ConfigError, OutputDirectoryError
-from parking_exp.runs.files import read_object, write_json
+from parking_exp.runs.atomic_files import read_object, write_json
 from parking_exp.tuning.search_config import SearchConfig, TuneRequest
 from parking_exp.tuning.study import OpenStudy, open_study, storage_errors, storage_of
 from parking_exp.tuning.trials import TrialRow, rows

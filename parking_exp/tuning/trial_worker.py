@@ -13,7 +13,7 @@ from parking_exp.config.schema import RunConfig
 from parking_exp.errors import ConfigError, OutputDirectoryError, StoreError
 from parking_exp.runs.directory import RunDirectory
 from parking_exp.runs.metric_logs import read_metrics
-from parking_exp.runs.state import read_state
+from parking_exp.runs.run_state import read_state
 from parking_exp.sweeps.hydra_launcher import train_run
 from parking_exp.sweeps.local import Train
 from parking_exp.sweeps.supervisor import Stop, WorkerResult, stop_of_job, supervise

@@ -23,8 +23,8 @@ from parking_exp.config.run_key import short_hash
 from parking_exp.config.schema import EnvConfig, RunConfig
 from parking_exp.envs.training_envs import make_training_envs
 from parking_exp.evaluation.evaluate_policy import evaluate, summarise
-from parking_exp.runs.files import read_object, write_json
-from parking_exp.runs.provenance import provenance
+from parking_exp.runs.atomic_files import read_object, write_json
+from parking_exp.runs.run_provenance import provenance
 from parking_exp.statistics.survival import steps_to
 from parking_exp.training.seeding import derive_seeds
 

@@ -10,8 +10,8 @@ from typing import Any
 
 from benchmarks.timing import spread
 from parking_exp.config.compose import composed_runs
+from parking_exp.runs.atomic_files import write_json
 from parking_exp.runs.directory import STATUS_FILE, RunDirectory
-from parking_exp.runs.files import write_json
 from parking_exp.sweeps.local import launch
 from parking_exp.sweeps.plan import plan
 

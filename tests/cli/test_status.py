@@ -12,10 +12,10 @@ from support.sweep_processes import SLOW, begin, statuses, wait_until
 
 from parking_exp.cli.status import show
 from parking_exp.config.compose import composed
+from parking_exp.runs.atomic_files import read_json, write_json
 from parking_exp.runs.directory import RunDirectory
-from parking_exp.runs.files import read_json, write_json
 from parking_exp.runs.lookup import find_runs
-from parking_exp.runs.state import labelled, read_state
+from parking_exp.runs.run_state import labelled, read_state
 from parking_exp.runs.state_tables import duration
 from parking_exp.tuning.study import storage_of
 

@@ -31,7 +31,6 @@ def made(output_dir):
         ALGORITHMS,
         range(3),
         lambda label, seed: Look(success=0.8 if label == "sac" else 0.2),
-        bulk=True,
     )
     return output_dir
 
@@ -115,7 +114,7 @@ def test_a_quick_report_shows_what_there_is_and_says_what_is_missing(output_dir)
     def look(label, seed):
         return Look(status="done" if (label, seed) == ("sac", 0) else "interrupted")
 
-    make_store(output_dir, "one", ALGORITHMS, range(2), look, bulk=True)
+    make_store(output_dir, "one", ALGORITHMS, range(2), look)
     done = report(output_dir, "experiment=one", "report=quick")
     assert "1 of 4 runs are done: 3 cut off or not begun." in done.stdout
     assert "No run is done of td3." in done.stdout
@@ -128,7 +127,7 @@ def test_a_quick_report_shows_what_there_is_and_says_what_is_missing(output_dir)
 
 @pytest.mark.slow
 def test_several_experiments_make_one_report(made):
-    make_store(made, "two", {"sac": []}, range(2), bulk=True)
+    make_store(made, "two", {"sac": []}, range(2))
     report(made, "experiment=one,two")
     stored = json.loads((made / "reports" / "one+two" / "report.json").read_text())
     assert [cell["label"] for cell in stored["cells"]] == ["one, sac", "one, td3", "two, sac"]
@@ -142,7 +141,7 @@ def test_any_store_can_be_reported_on(made, tmp_path):
 
 def test_a_label_with_commas_and_equal_signs_is_a_baseline(output_dir):
     cells = {f"{s}{n}": [f"buffer=her_{s}", f"buffer.n_sampled_goal={n}"] for s in ("future", "final") for n in (1, 4)}
-    make_store(output_dir, "one", cells, range(2), bulk=True)
+    make_store(output_dir, "one", cells, range(2))
     report(output_dir, "experiment=one", "baseline=her_future, n_sampled_goal=1", "report=quick")
     stored = json.loads((output_dir / "reports" / "one" / "report.json").read_text())
     labels = {cell["id"]: cell["label"] for cell in stored["cells"]}
@@ -157,7 +156,7 @@ def test_hostile_names_are_text_everywhere(output_dir):
     make_store(
         output_dir, "one", {"a": []}, range(2),
         lambda label, seed: Look(tags={"cpu": hostile, "mlflow.runName": hostile, "cell": f"x{hostile}-{label}"},
-                                 params={"algorithm.name": "\x1b[2J\x9b31m\u202e\nerror: x"}), bulk=True,
+                                 params={"algorithm.name": "\x1b[2J\x9b31m\u202e\nerror: x"}),
     )  # fmt: skip
     done = report(output_dir, "experiment=one")
     assert all(line.isprintable() for line in (done.stdout + done.stderr).split("\n"))
@@ -172,7 +171,7 @@ def test_hostile_names_are_text_everywhere(output_dir):
 @pytest.mark.slow
 def test_non_ascii_names_stay_what_they_are(output_dir):
     tags = {"cell": "größe-学習-λ", "cpu": "Prozessor für ∑"}
-    make_store(output_dir, "one", {"a": []}, range(2), lambda *_: Look(tags=tags), bulk=True)
+    make_store(output_dir, "one", {"a": []}, range(2), lambda *_: Look(tags=tags))
     report(output_dir, "experiment=one")
     assert "Prozessor für ∑" in (output_dir / "reports" / "one" / "index.html").read_text(encoding="utf-8")
 
@@ -269,7 +268,7 @@ def test_experiments_that_were_renamed_in_the_store_stay_in_their_folder(made, n
 @pytest.mark.slow
 def test_without_a_name_it_is_the_only_experiment_or_a_sentence(made):
     assert report(made, "report=quick").stdout
-    make_store(made, "two", {"sac": []}, [0], bulk=True)
+    make_store(made, "two", {"sac": []}, [0])
     said = report(made, code=2).stderr
     assert said == "error: experiment: the store has several; name one or more of one, two\n"
 

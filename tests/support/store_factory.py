@@ -4,17 +4,16 @@
                       seeds=range(3), look=lambda label, seed: Look(success=0.9 if label == "four" else 0.5))
     runs["four", 0].run_id
 
-Configs are really composed, run directories have the files that a training leaves, and the store gets them by `sync`.
-With `bulk` the rows are inserted into MLflow's tables instead, which takes a hundredth of the time; a test holds
-that both give the same frames. `python tests/support/store_factory.py OUTPUT_DIR [RUNS]` makes a store for benchmarks.
+Configs are really composed, run directories have the files that a training leaves, and the store gets them by `mirror`.
+`python tests/support/store_factory.py OUTPUT_DIR [RUNS]` makes a store for benchmarks.
 """
 
 import json
 import math
 import sys
 import time
-import uuid
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
@@ -29,12 +28,12 @@ from parking_exp.config.schema import RunConfig
 from parking_exp.envs.geometry import SLOT_POSITIONS
 from parking_exp.evaluation.evaluate_policy import summarise
 from parking_exp.evaluation.metrics import EPISODE_COLUMNS
+from parking_exp.runs.atomic_files import sha256, write_json
 from parking_exp.runs.directory import RunDirectory, RunResult
-from parking_exp.runs.files import sha256, write_json
 from parking_exp.runs.metric_logs import append_episodes, copy_logs
-from parking_exp.runs.provenance import provenance
+from parking_exp.runs.run_provenance import provenance
+from parking_exp.tracking.mirror import mirror
 from parking_exp.tracking.store import Store
-from parking_exp.tracking.sync import LONGEST_PARAM, MLFLOW_STATUS, SYNCED_FILE, flatten, sync
 
 STARTED_MS = 1_700_000_000_000
 WALL_S = 600.0
@@ -93,18 +92,16 @@ def make_store(
     seeds: Iterable[int] = range(2),
     look: Callable[[str, int], Look] = lambda label, seed: Look(),
     *,
-    bulk: bool = False,
     uri: str | None = None,
 ) -> dict[tuple[str, int], RunDirectory]:
     """Make the runs of an experiment, and the store that has them.
 
     Args:
-        output_dir: where run directories go; with `bulk`, only artifacts are made.
+        output_dir: where run directories go.
         experiment: name.
         cells: overrides of each, or its config; `experiment=smoke` is what they start from.
         seeds: of each cell.
         look: of a run, from its cell's label and seed.
-        bulk: write MLflow's tables directly.
         uri: of the store; None: `mlflow.db` in the output directory.
 
     Returns:
@@ -120,12 +117,11 @@ def make_store(
             runs[label, seed] = RunDirectory(config.run_dir)
             looks[label, seed], configs[label, seed] = look(label, seed), config
     where = uri or default_uri(Path(output_dir).absolute())
-    if bulk:
-        _insert(where, runs, looks, configs)
-    else:
-        for key, directory in runs.items():
-            _write(directory, configs[key], looks[key], key[0], where)
-            _send(directory, looks[key], where)
+    for key, directory in runs.items():
+        _write(directory, configs[key], looks[key], key[0], where)
+    store = Store(where, Path(output_dir).absolute())
+    for key, directory in runs.items():
+        _send(directory, looks[key], store)
     return runs
 
 
@@ -271,16 +267,10 @@ def _write_artifacts(path: Path, episodes: pd.DataFrame, final: pd.DataFrame, lo
         (path / name).unlink(missing_ok=True)
 
 
-def _send(directory: RunDirectory, look: Look, uri: str) -> None:
+def _send(directory: RunDirectory, look: Look, store: Store) -> None:
     """Send a run directory to the store, then give it there what a training would not."""
-    if look.status == "running":
-        with directory.training_lock():
-            sync(directory, uri)
-    else:
-        sync(directory, uri)
-    if not (look.params or look.tags):
-        return
-    store = Store(uri, directory.output_dir)
+    with directory.training_lock() if look.status == "running" else nullcontext():
+        mirror(directory, store)
     assert directory.run_id is not None
     for key, value in look.tags.items():
         if value is None:
@@ -289,106 +279,6 @@ def _send(directory: RunDirectory, look: Look, uri: str) -> None:
             store.client.set_tag(directory.run_id, key, value)
     for key, value in look.params.items():
         store.client.log_param(directory.run_id, key, value)
-
-
-def _insert(
-    uri: str,
-    runs: Mapping[tuple[str, int], RunDirectory],
-    looks: Mapping[tuple[str, int], Look],
-    configs: Mapping[tuple[str, int], RunConfig],
-) -> None:
-    """Write what `sync` would send into MLflow's tables, and artifacts into their places."""
-    from mlflow.store.tracking.dbmodels import models
-    from sqlalchemy import create_engine, insert
-
-    store = Store(uri, next(iter(runs.values())).output_dir)
-    names = {"runs": models.SqlRun, "params": models.SqlParam, "tags": models.SqlTag, "metrics": models.SqlMetric}
-    tables: dict[Any, list[dict[str, Any]]] = {model: [] for model in (*names.values(), models.SqlLatestMetric)}
-    experiment_id, location = "", ""
-    for key, directory in runs.items():
-        config, look = configs[key], looks[key]
-        if not location:
-            experiment_id = store._experiment(config)
-            location = store.client.get_experiment(experiment_id).artifact_location
-        run_id = uuid.uuid4().hex
-        artifact_uri = f"{location}/{run_id}/artifacts"
-        lines, episodes, final = _content(config, look)
-        place = Path(artifact_uri.removeprefix("file://"))
-        place.mkdir(parents=True)
-        if lines:
-            (place / "metrics.jsonl").write_text("".join(json.dumps(line) + "\n" for line in lines))
-        if look.status != "running":
-            _write_artifacts(place, episodes, final, look)
-        directory.path.mkdir(parents=True, exist_ok=True)
-        write_json(
-            directory.path / "status.json",
-            {"status": look.status, "run_id": run_id, "tracking_uri": uri},
-        )
-        _record_as_synced(directory, look, run_id, uri)
-        place_in_store = {"run_uuid": run_id, "artifact_uri": artifact_uri, "experiment_id": int(experiment_id)}
-        for name, rows in _rows(place_in_store, directory, config, look, lines).items():
-            tables[names[name]] += rows
-            if name == "metrics":
-                tables[models.SqlLatestMetric] += {point["key"]: point for point in rows}.values()
-    engine = create_engine(uri)
-    with engine.begin() as connection:
-        for model, rows in tables.items():
-            if rows:
-                connection.execute(insert(model.__table__), rows)
-    engine.dispose()
-
-
-def _record_as_synced(directory: RunDirectory, look: Look, run_id: str, uri: str) -> None:
-    """Write what `sync` leaves in a run directory, so that nothing tries to send it."""
-    status = "interrupted" if look.status == "running" else look.status  # no process holds it
-    sent = {"uri": uri, "run_id": run_id, "status": status, "error": "", "note": None, "files": {}}
-    write_json(directory.path / SYNCED_FILE, sent)
-
-
-def _rows(
-    place: Mapping[str, Any], directory: RunDirectory, config: RunConfig, look: Look, lines: Sequence[Mapping[str, Any]]
-) -> dict[str, list[dict[str, Any]]]:
-    """Return a run's rows of MLflow's tables."""
-    run, name = {"run_uuid": place["run_uuid"]}, f"{config.cell}-seed={config.seed}"
-    tags = {
-        "experiment": config.experiment_name,
-        "cell": config.cell,
-        "seed": str(config.seed),
-        "run_key": config.run_key,
-        "run_dir": str(directory.path.absolute()),
-        "error": " ".join((look.error or "").split()),
-        "status": look.status,
-        "mlflow.runName": name,
-        **_provenance(),
-        **look.tags,
-    }
-    about = {
-        "name": look.tags.get("mlflow.runName", name),
-        "status": MLFLOW_STATUS[look.status],
-        "start_time": look.started_ms,
-        "end_time": None if look.status == "running" else look.started_ms + 1000 * int(WALL_S),
-        "source_type": "UNKNOWN",
-        "lifecycle_stage": "active",
-        **dict.fromkeys(("source_name", "entry_point_name", "user_id", "source_version"), ""),
-    }
-    params = {**flatten(config.plain()), **look.params}
-    points = [(key, value, line) for line in lines for key, value in line["metrics"].items()]
-    return {
-        "runs": [{**place, **about}],
-        "tags": [{**run, "key": key, "value": value} for key, value in tags.items() if value is not None],
-        "params": [{**run, "key": key, "value": value[:LONGEST_PARAM]} for key, value in params.items()],
-        "metrics": [
-            {
-                **run,
-                "key": key,
-                "value": 0.0 if math.isnan(value) else value,
-                "is_nan": math.isnan(value),
-                "step": line["step"],
-                "timestamp": line["time_ms"],
-            }
-            for key, value, line in points
-        ],
-    }
 
 
 def benchmark_store(output_dir: Path, n_runs: int = 1000, n_cells: int = 100) -> None:
@@ -402,7 +292,7 @@ def benchmark_store(output_dir: Path, n_runs: int = 1000, n_cells: int = 100) ->
     }
     looks = {(label, seed): Look(success=min(1.0, 0.5 + k / n_cells / 2), rows=20)
              for k, label in enumerate(cells) for seed in range(n_runs // n_cells)}  # fmt: skip
-    make_store(output_dir, "bench", cells, range(n_runs // n_cells), lambda *key: looks[key], bulk=True)
+    make_store(output_dir, "bench", cells, range(n_runs // n_cells), lambda *key: looks[key])
 
 
 if __name__ == "__main__":

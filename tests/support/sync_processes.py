@@ -11,23 +11,23 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 from parking_exp.config.paths import default_uri
+from parking_exp.runs.atomic_files import sha256, write_json
 from parking_exp.runs.directory import RunDirectory
-from parking_exp.runs.files import sha256, write_json
 from parking_exp.runs.lookup import find_runs
 from parking_exp.runs.metric_logs import MetricsLog, copy_logs
 from parking_exp.tracking.client import ENVIRONMENT
-from parking_exp.tracking.sync import sync as sync_to
-from parking_exp.tracking.sync_all import sync_all
+from parking_exp.tracking.mirror import mirror, mirror_missing
+from parking_exp.tracking.store import Store
 
 KEYS = ("eval/success_rate", "rollout/ep_rew_mean", "train/loss")
-WATCHED = ("parking_exp/tracking/client.py", "parking_exp/tracking/store.py", "parking_exp/tracking/sync.py", "parking_exp/tracking/artifacts.py", "parking_exp/runs/files.py",
+WATCHED = ("parking_exp/tracking/client.py", "parking_exp/tracking/store.py", "parking_exp/tracking/mirror.py", "parking_exp/runs/atomic_files.py",
            "parking_exp/runs/directory.py", "mlflow/tracking/client.py", "mlflow/store/tracking/sqlalchemy_store.py",
            "mlflow/store/artifact/local_artifact_repo.py")  # fmt: skip
 
 
 def sync(directory):
     """Sync with the store that the run was tracked in."""
-    sync_to(directory, directory.tracking_uri)
+    mirror(directory, Store(directory.tracking_uri, directory.output_dir))
 
 
 def grow(directory, rows, checkpoint=True):
@@ -121,4 +121,4 @@ if __name__ == "__main__":
         print(endings)
     if command == "scan":
         found = [RunDirectory(path) for path in find_runs(Path(paths[0]))]
-        print(len(list(sync_all(found, [default_uri(Path(paths[0]))]))))
+        print(len(list(mirror_missing(found, default_uri(Path(paths[0]))))))

@@ -14,7 +14,7 @@ from support.sweep_processes import QUICK, SLOW, begin, stages, statuses, sweep,
 
 from parking_exp.config.compose import composed_runs
 from parking_exp.runs.directory import RunDirectory
-from parking_exp.runs.state import read_state
+from parking_exp.runs.run_state import read_state
 from parking_exp.sweeps.local import launch
 from parking_exp.sweeps.monitor import Monitor
 from parking_exp.sweeps.plan import plan

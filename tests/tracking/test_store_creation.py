@@ -11,7 +11,6 @@ from contextlib import closing
 import pytest
 
 from parking_exp.config.paths import default_uri
-from parking_exp.errors import StoreError
 from parking_exp.tracking.client import connect
 
 OURS = "from parking_exp.tracking.client import connect; connect({uri!r})"
@@ -95,13 +94,3 @@ def test_the_database_of_another_program_is_not_replaced(tmp_path):
     connect(f"sqlite:///{database}")
     with closing(sqlite3.connect(database)) as connection:
         assert connection.execute("SELECT name FROM studies").fetchall() == [("mine",)]
-
-
-def test_a_working_directory_that_mlflow_can_not_quote_gets_a_sentence(tmp_path, monkeypatch):
-    folder = tmp_path / 'it\'s "mine"'
-    folder.mkdir()
-    monkeypatch.chdir(folder)
-    with pytest.raises(StoreError, match=r"^MLflow can't make a store in a working directory with both ' and \" in"):
-        connect(default_uri(folder))
-    monkeypatch.chdir(tmp_path)
-    assert connect(default_uri(folder)).search_experiments()[0].name == "Default"

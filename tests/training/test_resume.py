@@ -24,7 +24,7 @@ from parking_exp.envs.highway import make_env
 from parking_exp.errors import FailedRunError, InterruptedRunError
 from parking_exp.evaluation.evaluate_policy import evaluate
 from parking_exp.evaluation.video import record
-from parking_exp.runs.files import read_json
+from parking_exp.runs.atomic_files import read_json
 from parking_exp.training import checkpoints, finish, loop, rollout_state, serialization
 from parking_exp.training.loop import RolloutCallback, TrainingLoop
 from parking_exp.training.train_run import train

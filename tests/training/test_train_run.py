@@ -13,6 +13,7 @@ import pandas as pd
 import pytest
 import stable_baselines3
 import torch
+from parking_exp.tracking.mirror import flatten
 from stable_baselines3.common.results_plotter import load_results
 from support.runs import (
     artifacts,
@@ -37,9 +38,8 @@ from parking_exp.envs.training_envs import make_training_envs
 from parking_exp.errors import ConfigError, FailedRunError, RunLockedError
 from parking_exp.evaluation.evaluate_policy import evaluate
 from parking_exp.evaluation.metrics import EPISODE_COLUMNS, METRICS
+from parking_exp.runs.atomic_files import read_json, sha256
 from parking_exp.runs.directory import RunDirectory
-from parking_exp.runs.files import read_json, sha256
-from parking_exp.tracking.sync import flatten
 from parking_exp.training import checkpoints
 from parking_exp.training.finish import certified_scenes
 from parking_exp.training.train_run import train

@@ -12,8 +12,8 @@ from support.runs import run_script, script, store
 from support.searches import QUICK
 from support.sweep_processes import FAILING, statuses, wait_until, workers
 
-from parking_exp.runs.files import read_json
-from parking_exp.runs.state import read_state
+from parking_exp.runs.atomic_files import read_json
+from parking_exp.runs.run_state import read_state
 from parking_exp.tuning.search import study_in
 
 TWO = "n_workers=2"

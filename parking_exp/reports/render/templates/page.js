@@ -1,5 +1,5 @@
 "use strict";
-// Sorting, filtering, values under the pointer, theme: the page is complete without them. No library: this is 5 KB.
+// Sorting, filtering, theme: the page is complete without them. No library.
 const root = document.documentElement;
 
 const remembered = {
@@ -76,31 +76,6 @@ function addFilter(block) {
   block.prepend(label);
 }
 
-function addTips() {
-  const tip = document.createElement("div");
-  tip.id = "tip";
-  tip.setAttribute("role", "status");
-  tip.hidden = true;
-  document.body.append(tip);
-  const hide = () => { tip.hidden = true; };
-  const show = (event) => {
-    const target = event.target instanceof Element ? event.target.closest("[data-tip]") : null;
-    if (!target) return hide();
-    tip.textContent = target.getAttribute("data-tip");
-    tip.hidden = false;
-    const { offsetWidth: width, offsetHeight: height } = tip;
-    const left = Math.min(Math.max(event.clientX + 14, 6), root.clientWidth - width - 6);
-    const above = event.clientY - height - 12;
-    tip.style.left = `${Math.max(left, 6)}px`;
-    tip.style.top = `${above > 6 ? above : event.clientY + 18}px`;
-  };
-  document.addEventListener("pointermove", show);
-  document.addEventListener("click", show); // a tap
-  document.addEventListener("pointerleave", hide);
-  document.addEventListener("scroll", hide, true);
-  document.addEventListener("keydown", (event) => { if (event.key === "Escape") hide(); });
-}
-
 function openForPrint() {
   let opened = [];
   addEventListener("beforeprint", () => {
@@ -120,7 +95,6 @@ document.addEventListener("DOMContentLoaded", () => {
   addToggle();
   document.querySelectorAll(".table table").forEach(addSorting);
   document.querySelectorAll('.table[data-filter]:not([data-filter=""])').forEach(addFilter);
-  addTips();
   openForPrint();
   openTarget();
 });

@@ -1,0 +1,204 @@
+"""Group runs into labelled cells, and select some of them by label, pattern or config."""
+
+import math
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from fnmatch import fnmatchcase
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from parking_exp.config.cell_labels import (
+    GROUPS,
+    Config,
+    Factor,
+    Setting,
+    can_matter,
+    cell_labels,
+    find_factors,
+    label_cells,
+    setting,
+)
+from parking_exp.errors import ConfigError, suggestion
+
+CONFIG = "config."
+REPORT_KEYS = ("experiment", "baseline", "cells", "name", "output_dir", "tracking.uri", "report")
+
+
+@dataclass(frozen=True, eq=False)
+class CellRuns:
+    """The runs of one cell.
+
+    Attributes:
+        experiment, name: as in the store.
+        label: what sets it apart from the others of the report.
+        settings: value of each factor.
+        config: dotted key -> value.
+        runs: rows of `Results.runs`, by seed; of two runs with the same seed, the one that is done, or is newer.
+        repeated: how many runs were left out for another one with the same seed.
+    """
+
+    experiment: str
+    name: str
+    label: str
+    settings: dict[str, Setting]
+    config: Config
+    runs: pd.DataFrame
+    repeated: int
+
+    @cached_property
+    def done(self) -> pd.DataFrame:
+        """The finished runs."""
+        return self.runs[self.runs["status"] == "done"]
+
+
+def group(runs: pd.DataFrame) -> list[CellRuns]:
+    """Return the cells of some runs, in the order of their factors' levels.
+
+    Levels that are numbers are in the order of these, others in the order in which they were begun.
+    """
+    keys = [str(column) for column in runs if str(column).startswith(CONFIG)]
+    begun = runs.sort_values("started", kind="stable", ignore_index=True)
+    narrow = begun.drop(columns=keys)  # a third of the time of selecting rows of all columns
+    values = dict(zip(keys, begun[keys].astype(object).to_numpy().T, strict=True))
+    cells = []
+    for (experiment, name), table in narrow.groupby(["experiment", "cell"], sort=False):
+        once = _one_a_seed(table)
+        config = _config(values, table.index[0])
+        cells.append(CellRuns(str(experiment), str(name), "", {}, config, once, len(table) - len(once)))
+    if len(cells) == 1:
+        (label,) = label_cells([cells[0].config], [cells[0].name])
+        return [replace(cells[0], label=label)]
+    labelled, factors = relabelled(cells)
+    levels = {factor.key: list(factor.levels) for factor in factors}
+
+    def place(cell: CellRuns) -> list[int]:
+        return [
+            len(known) if (level := cell.settings[key]) is None else known.index(level) for key, known in levels.items()
+        ]
+
+    return sorted(labelled, key=place)
+
+
+def relabelled(cells: Sequence[CellRuns]) -> tuple[list[CellRuns], list[Factor]]:
+    """Return cells with labels that say only what sets these apart, and the factors."""
+    factors, settings = find_factors([cell.config for cell in cells], [cell.experiment for cell in cells])
+    if len(cells) == 1:
+        return [replace(cells[0], settings=settings[0])], factors
+    labels = cell_labels(factors, settings, [cell.name for cell in cells])
+    return [
+        replace(cell, label=label, settings=values) for cell, label, values in zip(cells, labels, settings, strict=True)
+    ], factors
+
+
+def choose(cells: Sequence[CellRuns], asked: Sequence[str], key: str = "cells") -> list[CellRuns]:
+    """Return the cells that were asked for.
+
+    Args:
+        cells: all cells.
+        asked: labels, names or patterns of them (`her_*`), any of which may fit; and `KEY=VALUE,VALUE`, all of which
+            have to: a group, a config key or the end of one, and the values it may have.
+        key: of the command line, for errors.
+
+    Raises:
+        ConfigError: one of them fits nothing.
+    """
+    patterns = [text for text in asked if "=" not in text or _named(cells, text)]
+    chosen = list(cells)
+    if patterns:
+        fitting = [cell for pattern in patterns for cell in _matching(cells, pattern, key)]
+        chosen = [cell for cell in cells if cell in fitting]
+    for condition in asked:
+        if condition not in patterns:
+            chosen = _narrowed(chosen, cells, condition)
+    if not chosen:
+        raise ConfigError(f"{key}: no cell fits all of {', '.join(asked)}")
+    return chosen
+
+
+def one_cell(cells: Sequence[CellRuns], asked: str, preferred: Sequence[CellRuns] = ()) -> CellRuns:
+    """Return the one cell that fits a label, a name or a pattern; where several do, the one that is preferred.
+
+    Raises:
+        ConfigError: none does, or several do.
+    """
+    fitting = _named(cells, asked) or choose(cells, [asked], "baseline")
+    if len(fitting) > 1:
+        fitting = [cell for cell in fitting if cell in preferred] or fitting
+    if len(fitting) > 1:
+        few = ", ".join(repr(cell.label) for cell in fitting[:5])
+        raise ConfigError(f"baseline={asked}: {len(fitting)} cells fit, e.g. {few}; name one")
+    return fitting[0]
+
+
+def _named(cells: Sequence[CellRuns], name: str) -> list[CellRuns]:
+    return [cell for cell in cells if name in (cell.label, cell.name)]
+
+
+def _matching(cells: Sequence[CellRuns], pattern: str, key: str) -> list[CellRuns]:
+    if named := _named(cells, pattern):
+        return named
+    names = [(cell, (cell.label, cell.name, *cell.label.split(", "))) for cell in cells]
+    if fitting := [cell for cell, words in names if any(fnmatchcase(word, pattern) for word in words)]:
+        return fitting
+    raise ConfigError(f"{key}: no cell is called {pattern!r}{suggestion(pattern, [cell.label for cell in cells])}")
+
+
+def _narrowed(chosen: Sequence[CellRuns], cells: Sequence[CellRuns], condition: str) -> list[CellRuns]:
+    """Return the chosen cells whose config fits `KEY=VALUE,VALUE`."""
+    asked_key, _, text = condition.partition("=")
+    keys = dict.fromkeys(key for cell in cells for key in cell.config if can_matter(key))
+    exact = f"{asked_key}.name" if asked_key in GROUPS else asked_key
+    fitting = [key for key in keys if key == exact] or [key for key in keys if key.endswith(f".{asked_key}")]
+    if len(fitting) != 1:
+        hint = suggestion(asked_key, {*GROUPS, *REPORT_KEYS, *keys})
+        raise ConfigError(f"{asked_key}: neither a key of this command nor of these runs' configs{hint}")
+    key = fitting[0]
+    values = {setting(cell.config[key]) for cell in cells if key in cell.config}
+    wanted: set[str] = set()
+    for value in [text] if _same(values, text) else _listed(text):
+        if not (same := _same(values, value)):
+            raise ConfigError(f"{asked_key}={value}: no run has that{suggestion(value, values)}")
+        wanted |= same
+    return [cell for cell in chosen if key in cell.config and setting(cell.config[key]) in wanted]
+
+
+def _same(values: set[str], text: str) -> set[str]:
+    """Return the values that a text means: `2e-3` is 0.002, and spaces in lists do not count."""
+    bare, number = text.replace(" ", ""), _number(text)
+    return {value for value in values if value.replace(" ", "") == bare or None is not number == _number(value)}
+
+
+def _number(text: str) -> float | None:
+    try:
+        return float(text)
+    except ValueError:
+        return None
+
+
+def _listed(text: str) -> list[str]:
+    """Split values at commas, except inside brackets; brackets around all of them are the list's own."""
+    inner = text[1:-1] if text.startswith("[") and text.endswith("]") else text
+    return [value.strip() for value in re.split(r",(?![^\[]*\])", inner)]
+
+
+def _config(columns: Mapping[str, np.ndarray], row: int) -> dict[str, Setting]:
+    """Return the config of a run. Frames do not distinguish a key that is null from one that is not there."""
+    values = {key.removeprefix(CONFIG): column[row] for key, column in columns.items()}
+    return {key: _plain(value) for key, value in values.items() if not pd.isna(value)}
+
+
+def _plain(value: Any) -> Setting:
+    plain = value.item() if isinstance(value, np.generic) else value
+    return str(plain) if isinstance(plain, float) and math.isinf(plain) else plain  # JSON has no infinity
+
+
+def _one_a_seed(table: pd.DataFrame) -> pd.DataFrame:
+    done = (table["status"] == "done").rename("done")
+    order = pd.concat([table[["seed", "started"]], done], axis=1).sort_values(
+        ["seed", "done", "started"], kind="stable"
+    )
+    return table.loc[order.drop_duplicates("seed", keep="last").index]

@@ -1,0 +1,204 @@
+"""Summary of a cell over its seeds: means, learning curve, times to 90 %, scene map."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import fields
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from parking_exp.evaluation.metrics import METRICS, Metric
+from parking_exp.reports.cell_selection import CellRuns
+from parking_exp.reports.lot_map import slot_rates
+from parking_exp.reports.report_data import Cell, Curve, Interval, Seed, Survival, finite
+from parking_exp.reports.run_evaluations import EvaluationCurve, RunEvaluations
+from parking_exp.statistics import (
+    Proportion,
+    coverage_note,
+    kaplan_meier,
+    mean_band,
+    mean_interval,
+    normalised_area,
+    restricted_mean,
+    share_reaching,
+    steps_to,
+    wilson_interval,
+)
+
+GOOD = 0.9
+HOLD = 3
+STAGES = {"interrupted": "pending"}
+REPORTED: dict[str, Metric] = {
+    metric.name if metric.is_rate else metric.run_column: metric for metric in METRICS if metric.in_reports
+}
+"""Metrics of reports by their names in `Cell` and `Seed`."""
+FURTHER = [name for name in REPORTED if name not in {field.name for field in fields(Seed)}]
+"""Those without a field of their own."""
+RUN_COLUMNS = ["run_id", "run_dir", "seed", "n_scenes", "cpu_s", *(metric.run_column for metric in REPORTED.values())]
+
+
+def summarise(
+    cell: CellRuns,
+    number: int,
+    evaluations: RunEvaluations,
+    horizons: tuple[float | None, float | None],
+    unfinished: bool,
+) -> Cell:
+    """Return a cell's numbers.
+
+    Args:
+        cell: its runs.
+        number: of the cell in the report.
+        evaluations: curves and final episodes of the runs.
+        horizons: up to which env step, and CPU second, times to 90 % are averaged; see `shared_horizons`.
+        unfinished: whether learning curves show runs that are not done, too.
+    """
+    runs: list[dict[str, Any]] = cell.done[RUN_COLUMNS].to_dict("records")  # type: ignore[assignment]
+    seeds = [_seed(run, evaluations) for run in runs]
+    success = _known(seed.success for seed in seeds)
+    means = {
+        name: _mean([finite(run[metric.run_column]) for run in runs], (0.0, 1.0) if metric.is_rate else None)
+        for name, metric in REPORTED.items()
+    }
+    return Cell(
+        id=f"c{number}",
+        label=cell.label,
+        experiment=cell.experiment,
+        name=cell.name,
+        settings=cell.settings,
+        counts=_counts(cell.runs["status"]),
+        total_timesteps=_whole(cell.config.get("total_timesteps")),
+        cpu_s=_mean([seed.cpu_s for seed in seeds]),
+        area=_mean([seed.area for seed in seeds], (0.0, 1.0)),
+        reaching_90=share_reaching(success, GOOD) if success else Proportion(0, 0, None, None),
+        seeds=seeds,
+        curve=_curve(cell.runs if unfinished else cell.done, evaluations),
+        survival=_survival("env steps", [(seed.steps_to_90, seed.reached_90) for seed in seeds], horizons[0]),
+        survival_cpu=_survival("CPU-seconds", [(seed.cpu_s_to_90, seed.reached_90) for seed in seeds], horizons[1]),
+        slots=slot_rates([evaluations.final[seed.run_id] for seed in seeds if seed.run_id in evaluations.final]),
+        note=coverage_note(success) if success else None,
+        **_fields(means),
+    )
+
+
+def shared_horizons(cells: Sequence[CellRuns], evaluations: RunEvaluations) -> tuple[float | None, float | None]:
+    """Return the env step and the CPU second up to which every finished run was watched."""
+    curves = [evaluations.curves[run] for cell in cells for run in cell.done["run_id"] if run in evaluations.curves]
+    ends = [curve.watched(HOLD) for curve in curves]
+    cpu_s = [seconds for _, seconds in ends if np.isfinite(seconds)]
+    return min((step for step, _ in ends), default=None), min(cpu_s, default=None)
+
+
+def real_share(cell: CellRuns, evaluations: RunEvaluations) -> float | None:
+    """Return the mean share of real transitions in a cell's batches, as the buffer measured it."""
+    curves = [evaluations.curves[run].real_share for run in cell.done["run_id"] if run in evaluations.curves]
+    last = [float(known[-1]) for curve in curves if len(known := curve[~np.isnan(curve)])]
+    return float(np.mean(last)) if last else None
+
+
+def _fields(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the fields of a seed or a cell that hold these metrics."""
+    own = {name: value for name, value in values.items() if name not in FURTHER}
+    return {**own, "further": {name: values[name] for name in FURTHER}}
+
+
+def _seed(run: dict[str, Any], evaluations: RunEvaluations) -> Seed:
+    metrics = {name: finite(run[metric.run_column]) for name, metric in REPORTED.items()}
+    episodes, curve = evaluations.final.get(run["run_id"]), evaluations.curves.get(run["run_id"])
+    n_scenes = len(episodes.scene) if episodes is not None else _whole(run["n_scenes"])
+    success, low, high = metrics["success"], None, None
+    if success is not None and n_scenes:
+        low, high = wilson_interval(round(success * n_scenes), n_scenes)
+    steps, reached, cpu_s, area = _evaluation_curve(curve) if curve is not None else (None, False, None, None)
+    return Seed(
+        seed=int(run["seed"]),
+        run_id=run["run_id"],
+        run_dir=run["run_dir"] if isinstance(run["run_dir"], str) else None,
+        n_scenes=n_scenes,
+        low=low,
+        high=high,
+        cpu_s=finite(run["cpu_s"]),
+        steps_to_90=steps,
+        reached_90=reached,
+        cpu_s_to_90=cpu_s,
+        area=area,
+        **_fields(metrics),
+    )
+
+
+def _evaluation_curve(curve: EvaluationCurve) -> tuple[float, bool, float | None, float | None]:
+    """Return time to 90 % in env steps, whether it was reached, the same in CPU seconds, and the area."""
+    time, reached = steps_to(curve.step, curve.success, GOOD, HOLD)
+    cpu_s = curve.cpu_s[np.searchsorted(curve.step, time)] if reached else curve.watched(HOLD)[1]
+    area = normalised_area(curve.step, curve.success) if np.count_nonzero(~np.isnan(curve.success)) > 1 else None
+    return time, reached, finite(cpu_s), area
+
+
+def _curve(runs: pd.DataFrame, evaluations: RunEvaluations) -> Curve | None:
+    """Return the learning curve over all runs that have one."""
+    pairs = zip(runs["run_id"], runs["seed"], strict=True)
+    curves = {int(seed): evaluations.curves[run] for run, seed in pairs if run in evaluations.curves}
+    if not curves:
+        return None
+    steps = np.unique(np.concatenate([curve.step for curve in curves.values()]))
+    success, crash = np.full((2, len(curves), len(steps)), np.nan)
+    for row, curve in enumerate(curves.values()):
+        at = np.searchsorted(steps, curve.step)
+        success[row, at], crash[row, at] = curve.success, curve.crash
+    band = mean_band(success)
+    return Curve(
+        step=steps.tolist(),
+        mean=[finite(point.mean) for point in band],
+        low=[finite(point.low) for point in band],
+        high=[finite(point.high) for point in band],
+        n=[point.n for point in band],
+        crash=[float(known.mean()) if len(known := rates[~np.isnan(rates)]) else None for rates in crash.T],
+        seeds=[(seed, curve.step.tolist(), [finite(rate) for rate in curve.success]) for seed, curve in curves.items()],
+    )
+
+
+def _survival(unit: str, times: Sequence[tuple[float | None, bool]], horizon: float | None) -> Survival | None:
+    known = [(time, reached) for time, reached in times if time is not None]
+    if not known:
+        return None
+    at, observed = np.array([time for time, _ in known]), np.array([reached for _, reached in known])
+    estimate = kaplan_meier(at, observed)
+    start = [0.0] if estimate.times[0] > 0 else []  # where no seed has reached anything
+    mean = Interval(None)
+    if horizon:
+        area = restricted_mean(at, observed, horizon)
+        mean = Interval.of(area.mean, area.low, area.high, area.n, area.method)
+    return Survival(
+        unit=unit,
+        time=[*start, *estimate.times],
+        reached=[*start, *estimate.reached],
+        low=[*start, *map(finite, estimate.low)],
+        high=[*start, *map(finite, estimate.high)],
+        censored=sorted(time for time, reached in known if not reached),
+        n=len(known),
+        k=int(observed.sum()),
+        median=estimate.median,
+        restricted_mean=mean,
+        horizon=horizon,
+    )
+
+
+def _mean(values: Sequence[float | None], bounds: tuple[float, float] | None = None) -> Interval:
+    if not (known := _known(values)):
+        return Interval(None)
+    mean = mean_interval(known, bounds=bounds)
+    return Interval.of(mean.mean, mean.low, mean.high, mean.n, mean.method)
+
+
+def _known(values: Iterable[float | None]) -> list[float]:
+    return [value for value in values if value is not None]
+
+
+def _counts(status: pd.Series) -> dict[str, int]:
+    stages = [STAGES.get(stage, stage) for stage in status]
+    pruned = ["pruned"] if "pruned" in stages else []
+    return {stage: stages.count(stage) for stage in ("done", "running", "failed", "pending", *pruned)}
+
+
+def _whole(value: Any) -> int | None:
+    return None if (number := finite(value)) is None else int(number)

@@ -1,0 +1,172 @@
+"""Figures of cells and their seeds: final success, learning curves, time to 90 %."""
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.ticker import EngFormatter
+
+from parking_exp.errors import plural
+from parking_exp.reports.figures.figure_style import (
+    SMALL_PT,
+    Drawing,
+    cell_labels,
+    cell_style,
+    line_90,
+    new_figure,
+    percentages,
+    row_axes,
+)
+from parking_exp.reports.report_data import Cell, Curve, ReportData, Survival
+
+_GOLDEN = 0.6180339887498949  # its multiples, modulo 1, are spread evenly
+_MOST_SEED_LINES = 4  # cells; with more, lines of seeds hide the means
+
+
+def _seed_counts(cells: Sequence[Cell]) -> str:
+    """Return e.g. `10 seeds per cell` or `3 to 10 seeds per cell`."""
+    counts = [len(cell.seeds) for cell in cells]
+    low, high = min(counts), max(counts)
+    return f"{plural(high, 'seed')} per cell" if low == high else f"{low} to {plural(high, 'seed')} per cell"
+
+
+def draw_final_success(report: ReportData) -> Iterator[Drawing]:
+    """Draw every seed as a point, and each cell's mean with its interval."""
+    cells = report.shown_cells
+    if not any(seed.success is not None for cell in cells for seed in cell.seeds):
+        return
+    figure, axes = row_axes(cell_labels(cells, 36, lines=2))
+    axes.set_xlabel("final success (% of scenes)")
+    line_90(axes, vertical=True)
+    for row, cell in enumerate(cells):
+        _seeds_and_mean(axes, row, cell)
+    left, right = axes.dataLim.intervalx
+    axes.set_xlim(left - 0.03 * (right - left) - 1, 101)
+    yield (
+        figure,
+        f"Final success over the evaluation scenes. Points: seeds ({_seed_counts(cells)}), spread vertically so that "
+        "they do not overlap; bar: mean with its 95 % interval, where there is one, cut at 0 and 100 %. Dashed: 90 %.",
+    )
+
+
+def _seeds_and_mean(axes: Axes, row: int, cell: Cell) -> None:
+    """Draw the seeds of a cell in the upper half of its row, and its mean in the lower half."""
+    style = cell_style(cell.id)
+    rates = [100 * seed.success for seed in cell.seeds if seed.success is not None]
+    if not rates:
+        in_row = axes.get_yaxis_transform()
+        axes.text(0.01, row, "no finished seeds", transform=in_row, va="center", style="italic", fontsize=SMALL_PT)
+        return
+    heights = [row - 0.32 + 0.36 * (k * _GOLDEN % 1) for k in range(len(rates))]
+    axes.plot(rates, heights, alpha=0.6, markersize=3.2, **style.points)
+    mean, low, high = percentages([cell.success.value, cell.success.low, cell.success.high])
+    axes.plot(np.clip([low, high], 0, 100), [row + 0.24] * 2, color=style.colour, marker="|", markersize=5)
+    axes.plot(mean, row + 0.24, markersize=4.2, **style.points)
+
+
+def draw_learning_curves(report: ReportData) -> Iterator[Drawing]:
+    """Draw mean success with its interval, and mean crash rate, against env steps."""
+    curves = [(cell, cell.curve) for cell in report.shown_cells if cell.curve is not None and len(cell.curve.step)]
+    if not curves:
+        return
+    cells, with_seeds = [cell for cell, _ in curves], len(curves) <= _MOST_SEED_LINES
+    figure = _figure_with_legend(3.6, cells)
+    success, crash = figure.subplots(2, sharex=True, height_ratios=(2, 1))
+    for cell, curve in curves:
+        _curve(success, crash, cell, curve, with_seeds=with_seeds)
+    line_90(success)
+    success.set(ylim=(-2, 103), ylabel="success (%)")
+    crash.set(ylim=(0, max(10, crash.get_ylim()[1])), ylabel="crash (%)", xlabel="env steps")
+    crash.set_xlim(left=0)
+    crash.xaxis.set_major_formatter(EngFormatter(sep=""))
+    for axes in (success, crash):
+        axes.grid(axis="y")
+    lines = "thin lines: seeds; " if with_seeds else ""
+    yield (
+        figure,
+        f"Evaluations during training. Above: mean success over seeds ({_seed_counts(cells)}) with the band of its "
+        f"95 % interval; {lines}dashed: 90 %. Below: mean crash rate. Pale where runs of some seeds have ended.",
+    )
+
+
+def _curve(success: Axes, crash: Axes, cell: Cell, curve: Curve, *, with_seeds: bool) -> None:
+    style = cell_style(cell.id)
+    step, n = np.asarray(curve.step), np.asarray(curve.n)
+    if with_seeds:
+        for _, seed_step, rates in curve.seeds:
+            success.plot(seed_step, percentages(rates), color=style.colour, linewidth=0.5, alpha=0.3)
+    low, high = (np.clip(percentages(bound), 0, 100) for bound in (curve.low, curve.high))
+    success.fill_between(step, low, high, color=style.colour, alpha=0.13, linewidth=0)
+    complete = np.arange(len(step)) <= np.flatnonzero(n == n.max())[-1]
+    for axes, rates in ((success, curve.mean), (crash, curve.crash)):
+        rate, line = percentages(rates), {"color": style.colour, "linestyle": style.line}
+        axes.plot(step, rate, alpha=0.4, **line)
+        every = (int(cell.id[1:]) % max(1, len(step) // 7), max(1, len(step) // 7))
+        whole = np.where(complete, rate, np.nan)
+        axes.plot(step, whole, marker=style.marker, markevery=every, **line)
+
+
+def _figure_with_legend(height: float, cells: Sequence[Cell]) -> Figure:
+    """Return a figure, at least as high as its legend of the lines and markers of cells at the right."""
+    labels = cell_labels(cells, 32, lines=2)
+    figure = new_figure(max(height, 0.4 + sum(0.14 + 0.12 * label.count("\n") for label in labels)))
+    styles = [cell_style(cell.id) for cell in cells]
+    lines = [Line2D([], [], color=look.colour, linestyle=look.line, marker=look.marker) for look in styles]
+    figure.legend(lines, labels, loc="outside right upper")
+    return figure
+
+
+def draw_time_to_90(report: ReportData) -> Iterator[Drawing]:
+    """Draw the share of seeds that have reached 90 %, by env steps and by CPU-seconds."""
+    panels = [
+        [(cell, survival) for cell, survival in pairs if survival is not None and survival.n]
+        for pairs in (
+            [(cell, cell.survival) for cell in report.shown_cells],
+            [(cell, cell.survival_cpu) for cell in report.shown_cells],
+        )
+    ]
+    panels = [pairs for pairs in panels if pairs]
+    if not panels:
+        return
+    cells = [cell for cell, _ in panels[0]]
+    figure = _figure_with_legend(2.2, cells)
+    row = figure.subplots(1, len(panels), sharey=True, squeeze=False)[0]
+    for axes, pairs in zip(row, panels, strict=True):
+        _survival_panel(axes, pairs)
+    row[0].set(ylim=(-3, 103), ylabel="seeds at 90 % (%)")
+    row[0].xaxis.set_major_formatter(EngFormatter(sep=""))
+    yield (
+        figure,
+        "Share of seeds whose success has reached 90 % in three evaluations in a row (Kaplan–Meier estimate; "  # noqa: RUF001
+        f"{_seed_counts(cells)}). Crosses (+): seeds not there when their observation ended. Bands: 95 % intervals, "
+        "left out where no seed got there, whose lines are drawn a little apart.",
+    )
+
+
+def _survival_panel(axes: Axes, pairs: Sequence[tuple[Cell, Survival]]) -> None:
+    flat = [cell.id for cell, survival in pairs if not survival.k]
+    for cell, survival in pairs:
+        style = cell_style(cell.id)
+        lift = 1.2 * flat.index(cell.id) if cell.id in flat else 0.0  # lines at 0 would hide one another
+        time = np.array([*survival.time, max([*survival.time, *survival.censored])], dtype=float)
+        share, low, high = (
+            percentages([*values, values[-1]]) + lift for values in (survival.reached, survival.low, survival.high)
+        )
+        if survival.k:
+            axes.fill_between(time, low, high, step="post", color=style.colour, alpha=0.07, linewidth=0)
+        axes.plot(
+            time,
+            share,
+            drawstyle="steps-post",
+            color=style.colour,
+            linestyle=style.line,
+            marker=style.marker,
+            markevery=slice(1, -1),
+        )
+        reached = share[np.searchsorted(time[:-1], survival.censored, side="right") - 1]
+        axes.plot(survival.censored, reached, linestyle="", marker="+", markersize=6, color=style.colour)
+    axes.set(xlabel=pairs[0][1].unit)
+    axes.set_xlim(left=0)
+    axes.grid(axis="y")

@@ -1,0 +1,130 @@
+"""Figures of factors: levels of one, two of them crossed, and how much each hyperparameter explains."""
+
+from collections.abc import Iterator
+
+import numpy as np
+from matplotlib.axes import Axes
+
+from parking_exp.errors import plural
+from parking_exp.reports import formats
+from parking_exp.reports.figures.figure_style import (
+    INK,
+    SMALL_PT,
+    Drawing,
+    clean,
+    elided,
+    heat_map,
+    new_figure,
+    percentages,
+    row_axes,
+)
+from parking_exp.reports.report_data import Factor, Interaction, MainEffect, ReportData, Setting
+
+_MOST_BARS = 16
+
+
+def _level(level: Setting, length: int = 20) -> str:
+    return elided(formats.level(level), length)
+
+
+def draw_main_effects(report: ReportData) -> Iterator[Drawing]:
+    """Draw each factor's levels, averaged over the other factors."""
+    factors = {factor.key: factor for factor in report.factors}
+    effects = [e for e in report.effects if e.factor in factors and any(v.effect.value is not None for v in e.levels)]
+    if not effects:
+        return
+    columns = min(4, len(effects))
+    rows = -(-len(effects) // columns)
+    figure = new_figure(2.3 * rows)
+    panels = figure.subplots(rows, columns, sharey=True, squeeze=False)
+    for axes in panels.flat[len(effects) :]:
+        axes.remove()
+    for axes, effect in zip(panels.flat, effects, strict=False):
+        _effect_panel(axes, factors[effect.factor], effect, characters=100 // columns)
+    for axes in panels[:, 0]:
+        axes.set_ylabel("success (%)")
+    partial = "" if all(e.complete for e in effects) else " *: not all combinations have been run."
+    yield (
+        figure,
+        "Mean final success by level of each factor, averaged over the levels of the other factors, with 95 % "
+        f"intervals where there are any.{partial}",
+    )
+
+
+def _effect_panel(axes: Axes, factor: Factor, effect: MainEffect, characters: int) -> None:
+    """Draw one factor; levels stand side by side, with upright labels where `characters` are too few for all."""
+    place = np.arange(len(effect.levels))
+    mean, low, high = (
+        percentages([getattr(v.effect, name) for v in effect.levels]) for name in ("value", "low", "high")
+    )
+    axes.vlines(place, low, high, color=INK, linewidth=1.4)
+    axes.plot(place, mean, color=INK, linestyle="-" if factor.numeric else "", linewidth=0.7, marker="o", markersize=4)
+    texts = [_level(v.level) for v in effect.levels]
+    upright = sum(len(text) + 2 for text in texts) > characters
+    axes.set_xticks(place, texts, rotation=90 if upright else 0)
+    axes.set_xlim(-0.5, len(texts) - 0.5)
+    axes.set_xlabel(elided(factor.name, characters) + ("" if effect.complete else " *"))
+    axes.grid(axis="y")
+
+
+def draw_interactions(report: ReportData) -> Iterator[Drawing]:
+    """Draw two factors crossed, one figure per table, all on the same scale."""
+    means = np.concatenate([[], *(percentages(row) for table in report.interactions for row in table.mean)])
+    if np.isnan(means).all():
+        return
+    low, high = 5 * np.floor(np.nanmin(means) / 5), 5 * np.ceil(np.nanmax(means) / 5)
+    scale = (float(min(low, max(0.0, high - 10))), float(max(10.0, high)))
+    names = {factor.key: clean(factor.name) for factor in report.factors}
+    for table in report.interactions:
+        if any(mean is not None for row in table.mean for mean in row):
+            yield _heat_map(table, names, scale)
+
+
+def _heat_map(table: Interaction, names: dict[str, str], scale: tuple[float, float]) -> Drawing:
+    mean = np.array([percentages(row) for row in table.mean])
+    counts = set(np.asarray(table.n)[np.isfinite(mean)].tolist())
+    row_name, column_name = names.get(table.row, clean(table.row)), names.get(table.column, clean(table.column))
+    shares = any(share is not None for row in table.real_share or [] for share in row)
+    texts = {}
+    for (row, column), value in np.ndenumerate(mean):
+        if np.isfinite(value):
+            low, high = percentages([table.low[row][column], table.high[row][column]])
+            share = table.real_share[row][column] if table.real_share else None
+            lines = [f"{value:.1f}", f"[{low:.0f}, {high:.0f}]" if np.isfinite([low, high]).all() else ""]
+            lines += [f"n={table.n[row][column]}" if len(counts) > 1 else ""]
+            lines += [f"{100 * share:.0f} % real" if share is not None else ""]
+            texts[row, column] = "\n".join(filter(None, lines))
+    figure = new_figure(0.8 + 0.14 * len(table.rows) * (1 + max(text.count("\n") for text in texts.values())))
+    axes, bar = heat_map(figure, mean, texts, ("cividis", *scale))
+    axes.set_xticks(range(len(table.columns)), [_level(level, 90 // len(table.columns)) for level in table.columns])
+    axes.set_yticks(range(len(table.rows)), [_level(level) for level in table.rows])
+    axes.set(xlabel=column_name, ylabel=row_name, title=clean(table.given or ""))
+    bar.set_label("success (%)")
+    given = f" for {table.given}" if table.given else ""
+    real = " Last in each: measured share of real transitions in batches." if shares else ""
+    each = f"{plural(counts.pop(), 'seed')} each" if len(counts) == 1 else "seeds as written"
+    return (
+        figure,
+        f"Mean final success by {row_name} and {column_name}{given}, in %, with 95 % intervals; {each}.{real}",
+    )
+
+
+def draw_importance(report: ReportData) -> Iterator[Drawing]:
+    """Draw how much of the variance of success each hyperparameter explains alone."""
+    names = {factor.key: factor.name for factor in report.factors}
+    items = sorted(report.importance, key=lambda item: -item.share)[:_MOST_BARS]
+    if not items:
+        return
+    figure, axes = row_axes([elided(names.get(item.factor, item.factor), 32) for item in items])
+    bars = axes.barh(range(len(items)), [100 * item.share for item in items], height=0.62, color="#0072B2")
+    arrows = {1.0: "↑", -1.0: "↓"}
+    texts = [f"{formats.p_value(item.p)} {arrows.get(np.sign(item.direction or 0), '')}" for item in items]
+    axes.bar_label(bars, texts, padding=4, fontsize=SMALL_PT)
+    axes.margins(x=0.15)
+    axes.set_xlim(left=0)
+    axes.set_xlabel("variance of success explained alone (%)")
+    yield (
+        figure,
+        "Share of the variance of final success over the cells of the search that each hyperparameter explains "
+        "alone, with p of a permutation test; ↑: larger values do better, ↓: worse.",
+    )

@@ -1,0 +1,159 @@
+"""Figures of Optuna studies by `optuna.visualization.matplotlib`: of a search, and of a sweep over many values."""
+
+import json
+import warnings
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+import matplotlib
+import numpy as np
+from matplotlib.ticker import LogLocator, NullLocator
+
+from parking_exp.errors import ResultsError
+from parking_exp.reports import formats
+from parking_exp.reports.figures.figure_style import WIDTH_IN, Drawing, clean, report_style
+from parking_exp.reports.report_data import Cell, Factor, ReportData
+from parking_exp.reports.search_report import Tuning
+
+MOST_AXES = 8  # of parallel coordinates
+MOST_SLICES = 4  # in one figure
+FEWEST_TRIALS = 20  # for importances: PED-ANOVA looks at the best tenth
+
+
+def study_of(tuning: Tuning, objectives: slice = slice(1)) -> Any:
+    """Return an in-memory study of the finished trials of a report, which may be from an export.
+
+    Args:
+        tuning: the search.
+        objectives: those that the study has, by default the first one.
+
+    Raises:
+        ResultsError: the trials do not fit the parameters.
+    """
+    from optuna.distributions import json_to_distribution
+
+    try:
+        kinds = {name: json_to_distribution(json.dumps(kind)) for name, kind in tuning.parameters.items()}
+        return _study(kinds, [(trial.parameters, trial.values[objectives]) for trial in tuning.trials if trial.values])
+    except (ValueError, KeyError, TypeError) as error:
+        raise ResultsError(f"the search of {tuning.experiment} can't be drawn: {error}") from error
+
+
+def _study(distributions: Mapping[str, Any], trials: Sequence[tuple[Mapping[str, Any], Sequence[float]]]) -> Any:
+    """Return a study of trials, given by their parameters and values, in which every objective is maximised."""
+    import optuna
+
+    optuna.logging.set_verbosity(optuna.logging.ERROR)
+    study = optuna.create_study(directions=["maximize"] * len(trials[0][1]))
+    for parameters, values in trials:
+        used = {name: distributions[name] for name in parameters}
+        study.add_trial(optuna.trial.create_trial(values=[*values], params={**parameters}, distributions=used))
+    return study
+
+
+def _plot(name: str, study: Any, height: float = 3.0, **arguments: Any) -> Any:
+    """Return the figure that a function of `optuna.visualization.matplotlib` draws of a study."""
+    import optuna.visualization.matplotlib
+    from matplotlib import pyplot
+    from optuna.exceptions import ExperimentalWarning
+
+    matplotlib.use("agg")
+    with report_style(), warnings.catch_warnings():  # Optuna sets a style of its own
+        warnings.simplefilter("ignore", ExperimentalWarning)
+        figure = np.ravel(getattr(optuna.visualization.matplotlib, name)(study, **arguments))[0].figure
+    pyplot.close(figure)
+    figure.set(size_inches=(WIDTH_IN, height), facecolor="white")
+    figure.suptitle("")
+    for axes in figure.axes:
+        axes.set_title("")
+        for axis in (axes.xaxis, axes.yaxis):
+            if axis.get_scale() == "log":  # without mathematical labels, which would make names mathematics, too
+                axis.set_major_locator(LogLocator(subs=(1, 3)))
+                axis.set_major_formatter("{x:g}")
+                axis.set_minor_locator(NullLocator())
+    return figure
+
+
+def _varied(tuning: Tuning) -> list[str]:
+    """Return the parameters of which the finished trials of a search have several values."""
+    done = [trial.parameters for trial in tuning.trials if trial.values]
+    names = dict.fromkeys(name for parameters in done for name in parameters)
+    return [name for name in names if len({parameters[name] for parameters in done if name in parameters}) > 1]
+
+
+def draw_history(report: ReportData) -> Iterator[Drawing]:
+    """Draw the value of each trial and the best so far."""
+    if (tuning := report.tuning) and _varied(tuning):
+        objective = tuning.objectives[0]
+        figure = _plot("plot_optimization_history", study_of(tuning), target_name=objective)
+        yield figure, f"{objective} of each trial that is done, and the best so far."
+
+
+def draw_pareto_front(report: ReportData) -> Iterator[Drawing]:
+    """Draw the trials of a search for two or three objectives, and their Pareto front."""
+    if (tuning := report.tuning) and _varied(tuning) and len(tuning.objectives) in (2, 3):
+        figure = _plot("plot_pareto_front", study_of(tuning, slice(None)), target_names=[*tuning.objectives])
+        yield figure, f"Pareto front of {' and '.join(tuning.objectives)}."
+
+
+def draw_parameter_importance(report: ReportData) -> Iterator[Drawing]:
+    """Draw the importance of parameters, if enough trials differ in their values."""
+    if (tuning := report.tuning) and _varied(tuning):
+        values = [trial.values[0] for trial in tuning.trials if trial.values]
+        if len(values) >= FEWEST_TRIALS and len(set(values)) > 1:
+            objective, height = tuning.objectives[0], 1.0 + 0.3 * len(tuning.parameters)
+            figure = _plot("plot_param_importances", study_of(tuning), height, target_name=objective)
+            yield figure, f"Importance of each parameter for the best tenth of trials by {objective} (PED-ANOVA)."
+
+
+def draw_slices(report: ReportData) -> Iterator[Drawing]:
+    """Draw each objective against each parameter, some parameters to a figure."""
+    if (tuning := report.tuning) is None or not (names := _varied(tuning)):
+        return
+    for place, objective in enumerate(tuning.objectives):
+        study = study_of(tuning, slice(place, place + 1))
+        for begin in range(0, len(names), MOST_SLICES):
+            chosen = names[begin : begin + MOST_SLICES]
+            figure = _plot("plot_slice", study, params=chosen, target_name=objective)
+            yield figure, f"{objective} against {', '.join(chosen)}; darker trials are later ones."
+
+
+def draw_trial_coordinates(report: ReportData) -> Iterator[Drawing]:
+    """Draw each trial as a line across its values and parameters."""
+    if (tuning := report.tuning) and (names := _varied(tuning)):
+        yield _coordinates("trial", study_of(tuning), names, tuning.objectives[0])
+
+
+def draw_cell_coordinates(report: ReportData) -> Iterator[Drawing]:
+    """Draw each cell of a sweep over many hyperparameters as a line, the most important ones first."""
+    order = {item.factor: rank for rank, item in enumerate(report.importance)}
+    factors = sorted(report.factors, key=lambda factor: order.get(factor.key, len(order)))
+    trials = [
+        ({clean(factor.name): value for factor in factors if (value := _level(factor, cell)) is not None}, [success])
+        for cell in report.cells
+        if (success := cell.success.value) is not None
+    ]
+    if report.design == "search" and report.tuning is None and trials:
+        distributions = {clean(factor.name): _distribution(factor) for factor in factors}
+        yield _coordinates("cell", _study(distributions, trials), [*distributions], "success")
+
+
+def _level(factor: Factor, cell: Cell) -> Any:
+    """Return a cell's level of a factor, None where it has none, as `buffer=replay` has no `n_sampled_goal`."""
+    level = cell.settings.get(factor.key)
+    return level if factor.numeric or level is None else clean(formats.level(level))
+
+
+def _distribution(factor: Factor) -> Any:
+    from optuna.distributions import CategoricalDistribution, FloatDistribution
+
+    levels: Sequence[Any] = factor.levels
+    if not factor.numeric:
+        return CategoricalDistribution([clean(formats.level(level)) for level in levels])
+    return FloatDistribution(min(levels), max(levels), log=factor.log and min(levels) > 0)
+
+
+def _coordinates(noun: str, study: Any, names: Sequence[str], objective: str) -> Drawing:
+    left_out = f" {len(names) - MOST_AXES} parameters are left out." if len(names) > MOST_AXES else ""
+    figure = _plot("plot_parallel_coordinate", study, params=[*names[:MOST_AXES]], target_name=objective)
+    return figure, f"Each {noun} as a line from its value across its parameters.{left_out}"

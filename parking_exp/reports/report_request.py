@@ -1,0 +1,91 @@
+"""The config of `scripts/report.py`, checked before anything is read."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated, Literal
+
+from omegaconf import DictConfig, OmegaConf
+from pydantic import Field
+
+from parking_exp.config.cell_labels import settings_of
+from parking_exp.config.compose import composed
+from parking_exp.config.paths import directory_path
+from parking_exp.config.schema import ConfigModel, StoreConfig
+from parking_exp.config.validate import parse
+from parking_exp.errors import ConfigError, did_you_mean
+from parking_exp.tuning.search_config import Storage
+
+SIMILAR = 0.8  # similarity from which on a key is a misspelt one
+
+
+class ReportOptions(ConfigModel):
+    """The `report` group."""
+
+    quick: bool
+    formats: list[Literal["svg", "pdf", "png"]]
+
+
+class ReportRequest(ConfigModel):
+    """The config of scripts/report.py."""
+
+    experiment_name: str | list[str] | None
+    source: Annotated[str, Field(min_length=1)] | None = Field(alias="from")
+    export: Annotated[str, Field(min_length=1)] | None
+    cells: str | list[str] | None
+    baseline: str | None
+    output_dir: str
+    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._+-]*$", max_length=200)] | None
+    storage: Storage | None
+    tracking: StoreConfig
+    report: ReportOptions
+
+    @property
+    def output_path(self) -> Path:
+        """Absolute output directory."""
+        return directory_path(self.output_dir)
+
+    @property
+    def experiments(self) -> list[str] | None:
+        """Names of experiments, None for all."""
+        return [self.experiment_name] if isinstance(self.experiment_name, str) else self.experiment_name
+
+    @property
+    def cells_asked(self) -> list[str]:
+        """Labels, patterns and conditions."""
+        return [self.cells] if isinstance(self.cells, str) else self.cells or []
+
+
+def validate_report(config: DictConfig) -> ReportRequest:
+    """Check a composed config and return it typed.
+
+    Raises:
+        ConfigError: with a sentence for each thing that is wrong.
+    """
+    request = parse(ReportRequest, config)
+    of_stores = {
+        "experiment": request.experiments,
+        "tracking.uri": request.tracking.uri,
+        "export": request.export,
+        "storage": request.storage,
+    }
+    if request.source and (beside := [key for key, value in of_stores.items() if value]):
+        raise ConfigError(f"{beside[0]}: cannot be combined with from={request.source}; leave one of them out")
+    if keys := [text.partition("=")[0] for text in request.cells_asked if "=" in text]:
+        _refuse_misspelt(keys)
+    return request
+
+
+def _refuse_misspelt(keys: Sequence[str]) -> None:
+    """Refuse what is nearly a key of this command or of a run's config. A run's own class may have any arguments.
+
+    Raises:
+        ConfigError: a key that is misspelt, with the closest one.
+    """
+    run = settings_of(OmegaConf.to_container(composed("config", [])[0]))  # type: ignore[arg-type]
+    known = {"experiment", *(field.alias or name for name, field in ReportRequest.model_fields.items())}
+    for path in (key.split(".") for key in run):
+        known |= {".".join(path[first:last]) for first in range(len(path)) for last in range(first + 1, len(path) + 1)}
+    for key in keys:
+        own = key.startswith(("algorithm.", "buffer."))
+        if key not in known and not own and (hint := did_you_mean(key, known, cutoff=SIMILAR)):
+            raise ConfigError(f"{key}: there is no such key{hint}")

@@ -1,0 +1,235 @@
+"""The hyperparameter search of a report: read from its experiment's folder, and said in sentences and tables.
+
+Nothing here imports Optuna unless an experiment has a search.
+"""
+
+import json
+import re
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from pydantic import ValidationError
+
+from parking_exp.config.schema import NAME
+from parking_exp.errors import ParkingError, ResultsError, plural
+from parking_exp.reports import formats
+from parking_exp.reports.report_data import Interval, ReportData
+from parking_exp.reports.tables.table import (
+    Entry,
+    Table,
+    column,
+    interval_column,
+    number,
+    percent,
+    record,
+    setting,
+    spread,
+    words,
+)
+from parking_exp.statistics import mean_interval, welch
+from parking_exp.tuning.retest import RetestedTrial, read_retest
+from parking_exp.tuning.search import SEARCH_FILE, study_in
+from parking_exp.tuning.trials import TrialRow, plain_choice
+
+if TYPE_CHECKING:
+    from parking_exp.tuning.search import StoredSearch
+
+
+@dataclass(frozen=True)
+class Tuning:
+    """The hyperparameter search of an experiment.
+
+    Attributes:
+        experiment: its name.
+        sampler, pruner: of the search.
+        n_trials: number of trials requested.
+        objectives: names; all are maximised.
+        n_seeds: number of tuning seeds of each trial.
+        parameters: name -> Optuna's distribution, as `optuna.distributions.distribution_to_json` describes it.
+        trials: those that have begun or are enqueued, by number.
+        retested: trials that were trained again on fresh seeds, best first.
+    """
+
+    experiment: str
+    sampler: str
+    pruner: str | None
+    n_trials: int
+    objectives: Sequence[str]
+    n_seeds: int
+    parameters: Mapping[str, Mapping[str, Any]]
+    trials: Sequence[TrialRow]
+    retested: Sequence[RetestedTrial] = ()
+
+
+def with_search(report: ReportData, output_dir: Path, storage: str | None = None) -> ReportData:
+    """Return a report with the search of its experiment, or a warning where that cannot be read.
+
+    Of several searches it is the first one.
+    """
+    named = [output_dir / name for name in report.experiments if re.fullmatch(NAME, name)]
+    folder = next((folder for folder in named if (folder / SEARCH_FILE).exists()), None)
+    if folder is None:
+        return report
+    try:
+        stored = study_in(folder, storage)
+        return with_tuning(report, tuning_of(folder, stored)) if stored else report
+    except ParkingError as error:
+        warning = f"The search of {folder.name} is left out: {str(error).splitlines()[0].rstrip('.')}."
+        return replace(report, warnings=[*report.warnings, warning])
+
+
+def with_tuning(report: ReportData, tuning: Tuning) -> ReportData:
+    """Return a report with a search, what its retrained trials say, and a warning about comparing its cells."""
+    claims, fair = [*report.claims], "none was retrained on fresh seeds"
+    if tuning.retested:
+        best, fair = tuning.retested[0], "compare the trials retrained on fresh seeds"
+        claim = (
+            f"On {plural(len(best.test), 'fresh seed')}, “{best.label}” is the best of "
+            f"{plural(len(tuning.retested), 'retrained trial')}: {tuning.objectives[0]} "
+            f"{formats.rate_interval(_mean(best.test))}; tuning minus test {formats.points_interval(_loss(best))}."
+        )
+        claims.insert(0, claim)
+    warning = f"Cells of a search include runs on the tuning seeds that trials were selected by; {fair}."
+    return replace(report, tuning=tuning, claims=claims, warnings=[*report.warnings, warning])
+
+
+def tuning_of(folder: Path, stored: "StoredSearch") -> Tuning:
+    """Return the search in an experiment's folder as reports show it.
+
+    Raises:
+        ResultsError: the file of the retrained trials is damaged.
+    """
+    try:
+        retested = read_retest(folder)
+    except ValidationError as error:
+        raise ResultsError(f"{folder.name}/retest.json can't be read") from error
+    search = stored.search
+    distributions: dict[str, Any] = {}
+    for trial in stored.study.get_trials(deepcopy=False):
+        distributions |= trial.distributions
+    return Tuning(
+        experiment=folder.name,
+        sampler=search.sampler,
+        pruner=search.pruner,
+        n_trials=stored.n_trials,
+        objectives=search.objective,
+        n_seeds=len(search.tuning_seeds),
+        parameters={name: _described(distribution) for name, distribution in distributions.items()},
+        trials=stored.trials,
+        retested=retested,
+    )
+
+
+def _described(distribution: Any) -> Mapping[str, Any]:
+    """Return a distribution as JSON, with readable choices."""
+    from optuna.distributions import distribution_to_json
+
+    description: dict[str, Any] = json.loads(distribution_to_json(distribution))
+    if choices := description["attributes"].get("choices"):
+        description["attributes"]["choices"] = list(dict.fromkeys(map(plain_choice, choices)))
+    return description
+
+
+def _mean(rates: Sequence[float]) -> Interval:
+    estimate = mean_interval(rates, bounds=(0.0, 1.0))
+    return Interval.of(estimate.mean, estimate.low, estimate.high, estimate.n, estimate.method)
+
+
+def _loss(trial: RetestedTrial) -> Interval:
+    """Return the mean on tuning seeds minus that on fresh seeds, with Welch's interval."""
+    test = welch(trial.tuning, trial.test)
+    return Interval.of(test.difference, test.low, test.high, min(test.n_a, test.n_b), test.method, bounds=(-1.0, 1.0))
+
+
+def search_text(report: ReportData) -> Iterator[str]:
+    """Yield the paragraph about a search: its trials, and the best of them."""
+    tuning = report.tuning
+    if tuning is None:
+        return
+    states = Counter(trial.state for trial in tuning.trials)
+    states["pending"] += tuning.n_trials - len(tuning.trials)
+    counts = ", ".join(f"{number} {state}" for state, number in states.items() if number)
+    text = (
+        f"{plural(tuning.n_trials, 'trial')} (sampler {tuning.sampler}, pruner {tuning.pruner or 'none'}): {counts}. "
+        f"Objective: {' and '.join(tuning.objectives)}, mean over {plural(tuning.n_seeds, 'tuning seed')}."
+    )
+    done = [trial for trial in tuning.trials if trial.values]
+    if done and len(tuning.objectives) == 1:
+        best = max(done, key=lambda trial: trial.values[0])
+        text += f" The best is “{best.label}” with {formats.rate_text(best.values[0])}."
+    yield text
+
+
+def trial_table(report: ReportData) -> Iterator[Table]:
+    """Yield the table of a search's trials."""
+    tuning = report.tuning
+    if tuning is None:
+        return
+    rows = [
+        {
+            **dict.fromkeys([*tuning.objectives, *tuning.parameters]),
+            **dict(zip(tuning.objectives, trial.values, strict=False)),  # no values: it is not done
+            **trial.parameters,
+            **record(trial),
+            "label": trial.label,
+        }
+        for trial in tuning.trials
+    ]
+    is_number = {name: kind.get("name") != "CategoricalDistribution" for name, kind in tuning.parameters.items()}
+    yield Table(
+        "trials",
+        rows,
+        [
+            column("Trial", "number", number, numeric=False),
+            column("State", "state", words, numeric=False),
+            *(column(name, name, percent) for name in tuning.objectives),
+            *(column(name, name, _parameter, numeric=is_number[name]) for name in tuning.parameters),
+            column("Env steps", "env_steps", number),
+            column("CPU (s)", "cpu_s", number),
+            *([column("Why it failed", "reason", words, numeric=False)] if any(row["reason"] for row in rows) else []),
+        ],
+        f"Trials: means over {tuning.n_seeds} tuning seeds (%), parameters, and what they took.",
+        latex=True,
+        noun="trials",
+    )
+
+
+def _parameter(value: Any) -> Entry:
+    """Write a parameter, which conditions may have kept out of a trial."""
+    return Entry("") if value is None else Entry(f"{value:.3g}", value) if isinstance(value, float) else setting(value)
+
+
+def retest_table(report: ReportData) -> Iterator[Table]:
+    """Yield the table of the trials that were trained again on fresh seeds."""
+    tuning = report.tuning
+    if tuning is None or not tuning.retested:
+        return
+    rows = [
+        {
+            "number": trial.number,
+            "label": trial.label,
+            "n_tuning": len(trial.tuning),
+            "n_test": len(trial.test),
+            **spread("tuning", _mean(trial.tuning)),
+            **spread("test", _mean(trial.test)),
+            **spread("difference", _loss(trial)),
+        }
+        for trial in tuning.retested
+    ]
+    yield Table(
+        "retest",
+        rows,
+        [
+            column("Trial", "label", words, numeric=False),
+            interval_column("Tuning seeds", "tuning"),
+            interval_column("Fresh seeds", "test"),
+            interval_column("Tuning minus test", "difference", formats.points_interval),
+        ],
+        f"The best trials and trial 0, the unchanged config, trained again on seeds that no trial was selected by: "
+        f"{tuning.objectives[0]} (%), with 95 % intervals. Values on tuning seeds are optimistic for the best of many.",
+        latex=True,
+        noun="trials",
+    )

@@ -1,0 +1,368 @@
+"""The tables of a report. Each function yields what it has; columns of rows are those of `tables/*.csv`."""
+
+from collections.abc import Callable, Iterator
+from functools import partial
+from operator import itemgetter
+
+from parking_exp.reports import formats
+from parking_exp.reports.cell_summaries import FURTHER, REPORTED
+from parking_exp.reports.report_data import Interaction, Interval, ReportData
+from parking_exp.reports.tables.table import (
+    PERCENT,
+    Column,
+    Entry,
+    Row,
+    Table,
+    cell_column,
+    cell_record,
+    column,
+    interval_column,
+    number,
+    p_value,
+    percent,
+    record,
+    setting,
+    words,
+)
+from parking_exp.statistics import Proportion
+
+RATES = ("success", "parked", "crash", "timeout")
+VERDICTS = {"same": "can't be told apart", "unknown": "too few seeds to tell"}
+
+
+def headline(report: ReportData) -> Iterator[Table]:
+    """Yield the table of what each cell reached and what it cost."""
+    timed = any(cell.survival for cell in report.cells)
+    median = "; median of the env steps until 90 % were held for three evaluations" if timed else ""
+    yield Table(
+        "headline",
+        _cell_rows(report),
+        [
+            cell_column(),
+            Column("Seeds", _finished),
+            *(interval_column(REPORTED[name].heading, name, bar=name == "success") for name in RATES),
+            Column("Seeds ≥ 90 %", _reaching_90),
+            *([_median("Steps to hold 90 %", "survival")] if timed else []),
+            column(REPORTED["episode_steps"].heading, "episode_steps", partial(number, digits=1)),
+            column("Env steps", "total_timesteps", number),
+            column("CPU (s)", "cpu_s", number),
+            *(_further_column(name) for name in FURTHER),
+        ],
+        f"Final evaluation: means over seeds, {PERCENT}; how many seeds ended at 90 % or above, with Wilson's interval "
+        f"of their share{median}.",
+        latex=True,
+        folded=False,
+    )
+
+
+def times(report: ReportData) -> Iterator[Table]:
+    """Yield the table of how long each cell took to hold 90 %, and of the area under its curve."""
+    rows = [row for row in _cell_rows(report) if "survival_n" in row]
+    columns = [cell_column(), Column("Reached", lambda row: Entry(f"{row['survival_k']}/{row['survival_n']}"))]
+    for unit, clock in (("steps", "survival"), ("CPU-s", "survival_cpu")):
+        horizon = next((row[f"{clock}_horizon"] for row in rows if row.get(f"{clock}_horizon")), None)
+        mean = f"Mean up to {formats.number(horizon)} ({unit})"
+        columns.append(_median(f"Median ({unit})", clock))
+        columns.append(interval_column(mean, f"{clock}_restricted_mean", formats.number_interval))
+    yield Table(
+        "times",
+        rows,
+        [*columns, interval_column("Area (%)", "area")],
+        "Time until three evaluations in a row have 90 %, with the mean up to a time that all seeds were watched; area "
+        f"under the learning curve in % of the highest possible; means {PERCENT}.",
+        csv=False,
+    )
+
+
+def seeds(report: ReportData) -> Iterator[Table]:
+    """Yield the table of the finished runs."""
+
+    def reached(row: Row) -> Entry:
+        steps = formats.number(row["steps_to_90"])
+        return Entry(f"> {steps}" if steps and not row["reached_90"] else steps, row["steps_to_90"])
+
+    yield Table(
+        "seeds",
+        [
+            {
+                **cell_record(cell),
+                **record(seed, without=("low", "high")),
+                "success_low": seed.low,
+                "success_high": seed.high,
+            }
+            for cell in report.cells
+            for seed in cell.seeds
+        ],
+        [
+            cell_column(),
+            column("Seed", "seed", words),
+            interval_column(REPORTED["success"].heading, "success", bar=True),
+            *(column(REPORTED[name].heading, name, percent) for name in RATES[1:]),
+            column("Scenes", "n_scenes", number),
+            Column("Steps to 90 %", reached),
+            column("CPU (s)", "cpu_s", number),
+            column("Run", "run_id", words, numeric=False),
+        ],
+        "Finished runs: final rates over the evaluation scenes, with Wilson's 95 % interval in brackets.",
+        folded=True,
+        noun="finished runs",
+    )
+
+
+def curves(report: ReportData) -> Iterator[Table]:
+    """Yield the CSV of the learning curves."""
+    keys = ("step", "n", "success", "success_low", "success_high", "crash")
+    rows = [
+        {**cell_record(cell), **dict(zip(keys, point, strict=True))}
+        for cell in report.cells
+        if (curve := cell.curve)
+        for point in zip(curve.step, curve.n, curve.mean, curve.low, curve.high, curve.crash, strict=True)
+    ]
+    yield Table("curves", rows)
+
+
+def survival(report: ReportData) -> Iterator[Table]:
+    """Yield the CSV of the times to 90 %: steps of the estimate, and censored seeds."""
+    keys = ("time", "reached", "reached_low", "reached_high", "censored")
+    rows = []
+    for cell in report.cells:
+        for clock in filter(None, (cell.survival, cell.survival_cpu)):
+            points = [
+                *zip(clock.time, clock.reached, clock.low, clock.high, [False] * len(clock.time), strict=True),
+                *((time, None, None, None, True) for time in clock.censored),
+            ]
+            which = {**cell_record(cell), "unit": clock.unit}
+            rows += [{**which, **dict(zip(keys, point, strict=True))} for point in points]
+    yield Table("survival", rows)
+
+
+def slots(report: ReportData) -> Iterator[Table]:
+    """Yield the CSV of outcomes by goal slot."""
+    yield Table("slots", [{**cell_record(cell), **record(slot)} for cell in report.cells for slot in cell.slots])
+
+
+def pairs(report: ReportData) -> Iterator[Table]:
+    """Yield the table of the pairs of cells that were compared."""
+    labels = {cell.id: cell.label for cell in report.cells}
+    rows = [{"a_label": labels[pair.a], "b_label": labels[pair.b], **record(pair)} for pair in report.pairs]
+
+    def verdict(row: Row) -> Entry:
+        better = {"a": row["a_label"], "b": row["b_label"]}.get(row["verdict"])
+        return words(VERDICTS[row["verdict"]] if better is None else f"{better} is better")
+
+    yield Table(
+        "pairs",
+        rows,
+        [
+            cell_column("A", "a", "a_label"),
+            cell_column("B", "b", "b_label"),
+            interval_column("A − B (points)", "difference", partial(formats.percent_interval, signed=True)),  # noqa: RUF001
+            column("p (Holm)", "p_holm", p_value),
+            interval_column("A better than B (%)", "improvement"),
+            column("p, time to 90 % (Holm)", "log_rank_p_holm", p_value),
+            Column("In words", verdict, numeric=False),
+        ],
+        "Pairs of cells: difference of mean final success in percentage points, with 95 % interval; probability that a "
+        "seed of A is better than one of B.",
+        latex=True,
+    )
+
+
+def effects(report: ReportData) -> Iterator[Table]:
+    """Yield the table of each factor's levels."""
+    yield Table(
+        "effects",
+        [{**record(effect), **record(level)} for effect in report.effects for level in effect.levels],
+        [
+            column("Factor", "factor", words, numeric=False),
+            column("Level", "level", setting, numeric=False),
+            interval_column("Success (%)", "effect", bar=True),
+            column("Cells", "cells", number),
+        ],
+        f"Main effects: mean final success at each level over the levels of the other factors, {PERCENT}.",
+        latex=True,
+    )
+
+
+def interactions(report: ReportData) -> Iterator[Table]:
+    """Yield one table for each two crossed factors, and one with all of them for CSV."""
+    grids = ("mean", "low", "high", "residual", "n", "real_share")
+    rows = []
+    for position, crossed in enumerate(report.interactions, start=1):
+        yield _crossed(crossed, "interactions" if position == 1 else f"interactions-{position}")
+        factors = {"row_factor": crossed.row, "column_factor": crossed.column, "given": crossed.given}
+        known = [name for name in grids if getattr(crossed, name)]
+        rows += [
+            {**factors, "row": row, "column": column, "p": crossed.p}
+            | {name: getattr(crossed, name)[i][j] for name in known}
+            for i, row in enumerate(crossed.rows)
+            for j, column in enumerate(crossed.columns)
+        ]
+    yield Table("interactions", rows)
+
+
+def _crossed(crossed: Interaction, name: str) -> Table:
+    places = range(len(crossed.columns))
+
+    def entry(j: int) -> Callable[[Row], Entry]:
+        return lambda row: row["entries"][j]
+
+    rows: list[Row] = []
+    for i, level in enumerate(crossed.rows):
+        means = [Interval(crossed.mean[i][j], crossed.low[i][j], crossed.high[i][j]) for j in places]
+        rates = [Entry(formats.percent_interval(mean), mean.value) for mean in means]
+        rows.append({"level": setting(level), "entries": rates})
+    for level, shares in zip(crossed.rows, crossed.real_share or [()] * len(crossed.rows), strict=True):
+        if shares:
+            title = Entry(f"{formats.level(level)}: real transitions (%)")
+            rows.append({"level": title, "entries": [percent(share) for share in shares]})
+    given = f" for {crossed.given}" if crossed.given else ""
+    return Table(
+        name,
+        rows,
+        [
+            Column(crossed.row, itemgetter("level"), numeric=False),
+            *(Column(formats.level(crossed.columns[j]), entry(j)) for j in places),
+        ],
+        f"Mean final success (%) by {crossed.row} (rows) and {crossed.column} (columns){given}, {PERCENT}.",
+        file="interactions",
+        csv=False,
+        latex=True,
+    )
+
+
+def importance(report: ReportData) -> Iterator[Table]:
+    """Yield the table of the hyperparameters of a search."""
+
+    def share(row: Row) -> Entry:
+        return Entry(formats.percent(row["share"]), row["share"], bar=(None, row["share"], None))
+
+    def signed(direction: float | None) -> Entry:
+        return Entry("" if direction is None else f"{direction:+.2f}", direction)
+
+    yield Table(
+        "importance",
+        [record(one) for one in report.importance],
+        [
+            column("Hyperparameter", "factor", words, numeric=False),
+            Column("Variance explained alone (%)", share),
+            column("Rank correlation", "direction", signed),
+            column("p (permutations)", "p", p_value),
+        ],
+        "Hyperparameters: share of the variance of final success that each explains alone.",
+        latex=True,
+    )
+
+
+def config(report: ReportData) -> Iterator[Table]:
+    """Yield the settings that differ between cells: people read the longer of cells and keys downwards."""
+    difference = report.provenance.difference
+    if not difference:
+        return
+    values = zip(*difference.values(), strict=True)
+    rows = [
+        {**cell_record(cell), **dict(zip(difference, row, strict=True))}
+        for cell, row in zip(report.cells, values, strict=True)
+    ]
+    caption = "Settings that are not the same in all cells."
+    if len(rows) > len(difference):
+        columns = [column(key, key, setting, numeric=False) for key in difference]
+        yield Table("config", rows, [cell_column(), *columns], caption, latex=True)
+        return
+    yield Table("config", rows)
+    columns = [column(cell.label, cell.id, setting, numeric=False) for cell in report.cells]
+    turned = [
+        {"key": key, **{cell.id: value for cell, value in zip(report.cells, line, strict=True)}}
+        for key, line in difference.items()
+    ]
+    key = column("Setting", "key", words, numeric=False)
+    yield Table("config", turned, [key, *columns], caption, csv=False, latex=True)
+
+
+def versions(report: ReportData) -> Iterator[Table]:
+    """Yield the table of versions, commits and machines."""
+    origin = report.provenance
+    rows: list[Row] = [
+        {"kind": "package", "name": package, "version": version, "runs": runs}
+        for package, counts in origin.versions.items()
+        for version, runs in counts.items()
+    ]
+    for kind, counts in (("commit", origin.commits), ("machine", origin.machines)):
+        rows += [{"kind": kind, "name": name, "version": None, "runs": runs} for name, runs in counts.items()]
+    yield Table(
+        "versions",
+        rows,
+        [
+            Column("What", lambda row: words(row["name"] if row["version"] else row["kind"]), numeric=False),
+            Column("Version", lambda row: words(row["version"] or row["name"]), numeric=False),
+            column("Runs", "runs", number),
+        ],
+        "Versions, commits and machines.",
+    )
+
+
+def unfinished(report: ReportData) -> Iterator[Table]:
+    """Yield the table of the runs without a result, and why."""
+    yield Table(
+        "unfinished",
+        [record(run) for run in report.provenance.unfinished],
+        [
+            column("Cell", "label", words, numeric=False),
+            column("Seed", "seed", words),
+            column("Status", "status", words, numeric=False),
+            column("Reason", "reason", words, numeric=False),
+        ],
+        "Runs without a result, and why.",
+        file="failed",
+    )
+
+
+def common(report: ReportData) -> Iterator[Table]:
+    """Yield the table of the settings that are the same in all cells."""
+    yield Table(
+        "common",
+        [{"key": key, "value": value} for key, value in report.provenance.common.items()],
+        [column("Setting", "key", words, numeric=False), column("Value", "value", setting, numeric=False)],
+        "Settings that are the same in all cells.",
+        csv=False,
+        folded=True,
+        noun="settings that all cells share",
+    )
+
+
+def _cell_rows(report: ReportData) -> list[Row]:
+    stages = dict.fromkeys(stage for cell in report.cells for stage in cell.counts)
+    return [
+        {
+            **cell_record(cell),
+            "seeds": len(cell.seeds),
+            **{f"runs_{stage}": cell.counts.get(stage) for stage in stages},
+            **record(cell, without=("id", "label")),
+        }
+        for cell in report.cells
+    ]
+
+
+def _further_column(name: str) -> Column:
+    if REPORTED[name].is_rate:
+        return interval_column(REPORTED[name].heading, name)
+    return column(REPORTED[name].heading, name, partial(number, digits=2))
+
+
+def _finished(row: Row) -> Entry:
+    done, asked = row["seeds"], sum(count or 0 for key, count in row.items() if key.startswith("runs_"))
+    return Entry(str(done) if done == asked else f"{done} of {asked}", done)
+
+
+def _reaching_90(row: Row) -> Entry:
+    share = Proportion(*(row[f"reaching_90_{name}"] for name in ("k", "n", "low", "high")))
+    return Entry(formats.share_interval(share), share.k / share.n if share.n else None)
+
+
+def _median(title: str, clock: str) -> Column:
+    def entry(row: Row) -> Entry:
+        median = row.get(f"{clock}_median")
+        unknown = "fewer than half" if f"{clock}_n" in row else ""
+        return Entry(unknown if median is None else formats.number(median), median)
+
+    return Column(title, entry)

@@ -1,0 +1,165 @@
+"""The model of a table, which the page, Markdown, LaTeX and CSV are written from."""
+
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass, is_dataclass, replace
+from typing import Any, NamedTuple
+
+from parking_exp.reports import formats
+from parking_exp.reports.report_data import Cell, Interval, finite
+
+PERCENT = "with 95 % intervals over seeds in brackets"
+MOST_OPEN_ROWS = 30
+
+Row = Mapping[str, Any]
+"""Heading in CSV -> value."""
+
+
+class Entry(NamedTuple):
+    """What people read in one place of a table.
+
+    Attributes:
+        text: what is read; empty where nothing is known.
+        value: what it is sorted by; None comes last.
+        bar: (low, value, high) in 0 ... 1 for a small drawing; low and high may be None.
+        cell: id of the cell that it names.
+    """
+
+    text: str
+    value: float | str | None = None
+    bar: tuple[float | None, float, float | None] | None = None
+    cell: str | None = None
+
+
+class Column(NamedTuple):
+    """A column that people read: its heading, what it says of a row, and whether that is a number."""
+
+    title: str
+    entry: Callable[[Row], Entry]
+    numeric: bool = True
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table of a report.
+
+    Attributes:
+        name: unique among the tables that people read; for anchors.
+        rows: all that is known. `cell`, or `a` and `b`, are the ids of the cells that a row is about.
+        columns: what people read; none: the table is for CSV alone.
+        caption: one sentence: what it shows.
+        file: stem of its files; empty: `name`.
+        csv, latex: whether it is written as such.
+        folded: whether the page folds it away; None: if it is long.
+        noun: what its rows are.
+        total: how many rows there are, if these are some of them.
+    """
+
+    name: str
+    rows: Sequence[Row]
+    columns: Sequence[Column] = ()
+    caption: str = ""
+    file: str = ""
+    csv: bool = True
+    latex: bool = False
+    folded: bool | None = None
+    noun: str = "rows"
+    total: int = 0
+
+    @property
+    def stem(self) -> str:
+        """Stem of its files."""
+        return self.file or self.name
+
+    @property
+    def readable(self) -> bool:
+        """Whether there is something to read."""
+        return bool(self.rows and self.columns)
+
+    @property
+    def is_folded(self) -> bool:
+        """Whether the page folds it away."""
+        return len(self.rows) > MOST_OPEN_ROWS if self.folded is None else self.folded
+
+    def entries(self, most: int | None = None) -> list[list[Entry]]:
+        """Return what people read, row by row, or so many of the first rows."""
+        return [[column.entry(row) for column in self.columns] for row in self.rows[:most]]
+
+    def only(self, cells: Collection[str]) -> "Table":
+        """Return the rows that are about these cells alone, or about none."""
+        keys = ("cell", "a", "b")
+        rows = [row for row in self.rows if all(row[key] in cells for key in keys if key in row)]
+        return replace(self, rows=rows, total=max(self.total, len(self.rows)))
+
+
+def record(item: Any, prefix: str = "", *, without: Collection[str] = ()) -> dict[str, Any]:
+    """Return the fields of a dataclass as columns of a row, lists left out.
+
+    An interval becomes NAME, NAME_low and NAME_high; another dataclass one column for each field, NAME_FIELD.
+    """
+    row: dict[str, Any] = {}
+    for name, value in {**vars(item), **vars(item).get("further", {})}.items():
+        if isinstance(value, Interval):
+            row |= spread(prefix + name, value)
+        elif is_dataclass(value):
+            row |= record(value, f"{prefix}{name}_")
+        elif name not in without and isinstance(value, str | int | float | None):
+            row[prefix + name] = value
+    return row
+
+
+def spread(name: str, interval: Interval) -> dict[str, float | None]:
+    """Return an interval as columns of a row: NAME, NAME_low and NAME_high."""
+    return {name: interval.value, f"{name}_low": interval.low, f"{name}_high": interval.high}
+
+
+def cell_record(cell: Cell) -> dict[str, str]:
+    """Return the columns of a row that say which cell it is about."""
+    return {"cell": cell.id, "label": cell.label}
+
+
+def column(title: str, key: str, write: Callable[[Any], Entry], *, numeric: bool = True) -> Column:
+    """Return a column of one value of each row, written by e.g. `percent`."""
+    return Column(title, lambda row: write(row.get(key)), numeric)
+
+
+def cell_column(title: str = "Cell", cell: str = "cell", label: str = "label") -> Column:
+    """Return the column of the labels of cells."""
+    return Column(title, lambda row: Entry(row[label], row[label], cell=row[cell]), numeric=False)
+
+
+def interval_column(
+    title: str, key: str, write: Callable[[Interval], str] = formats.percent_interval, *, bar: bool = False
+) -> Column:
+    """Return a column of a number with its interval, by default a rate in per cent, which the page can also draw."""
+
+    def entry(row: Row) -> Entry:
+        value, low, high = (finite(row.get(name)) for name in (key, f"{key}_low", f"{key}_high"))
+        drawn = (low, value, high) if bar and value is not None else None
+        return Entry(write(Interval(value, low, high)), value, drawn)
+
+    return Column(title, entry)
+
+
+def words(value: Any) -> Entry:
+    """Write a name or a few words."""
+    return Entry("" if value is None else str(value), value)
+
+
+def setting(value: Any) -> Entry:
+    """Write a config value."""
+    return Entry(formats.setting(value), value if isinstance(value, float | int) else formats.setting(value))
+
+
+def number(value: float | None, digits: int = 0) -> Entry:
+    """Write a number."""
+    return Entry(formats.number(value, digits), finite(value))
+
+
+def percent(share: float | None) -> Entry:
+    """Write a share in per cent."""
+    return Entry(formats.percent(share), finite(share))
+
+
+def p_value(p: float | None) -> Entry:
+    """Write a p value."""
+    return Entry(formats.probability(p), finite(p))

@@ -1,0 +1,202 @@
+"""Exports of results: their frames as small gzipped CSV files, which are analysed again without the store.
+
+    write_export(load("her_ablation"), "docs/results/her_ablation")
+    results = read_export("docs/results/her_ablation")  # the frames of `parking_exp.results`, as `load` gives them
+
+`help(parking_exp.results)` has its files and their columns.
+"""
+
+import gzip
+import json
+import re
+import zlib
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+from parking_exp.config.paths import directory_path
+from parking_exp.errors import ConfigError, ResultsError, did_you_mean
+from parking_exp.results.dtypes import TEXT, column, typed
+from parking_exp.results.frames import CONFIGURED, COST, CURVE_COLUMNS, FINAL, RUN_COLUMNS, STATUSES, Results
+from parking_exp.results.recordings import EPISODES, REQUIRED, TRAJECTORIES
+from parking_exp.runs.atomic_files import replacing, write_atomically
+from parking_exp.tracking.client import reason
+
+REPORT = "report.json"
+FILES = ("runs.csv.gz", "curves.csv.gz", "outcomes.csv.gz", "trajectories.csv.gz", REPORT)
+LOCAL_COLUMNS = ("run_dir", "artifact_uri", "config.output_dir", "config.tracking.uri")
+"""Columns of runs that name a place on the machine; an export has none of them."""
+PATH = re.compile(r"(?<![\w.~:/])(?:(?:sqlite|file):/*)?~?/(?:[^\s/'\",:;)\]]+/)*([^\s/'\",:;)\]]+)/?")
+RUN_TYPES: dict[str, Any] = {
+    "seed": "int64",
+    "status": pd.CategoricalDtype([*STATUSES]),
+    "steps": "int64",
+    "git_dirty": "boolean",
+    **dict.fromkeys(CONFIGURED.values(), "Int64"),
+    **dict.fromkeys([*FINAL.values(), *COST.values()], "float64"),
+}
+"""Types of the columns of `runs.csv.gz` that are not text."""
+CURVE_TYPES = {**dict.fromkeys(CURVE_COLUMNS, "float64"), "step": "int64"}
+DAMAGED = (ValueError, TypeError, KeyError, OSError, EOFError, OverflowError, RecursionError, zlib.error)
+
+
+@dataclass(frozen=True, eq=False)
+class Export(Results):
+    """Results that were read from an export; `uri` is its folder, as it was passed.
+
+    Attributes:
+        recordings: rows of `trajectories`, with their run_id.
+        about: content of `report.json`.
+    """
+
+    recordings: pd.DataFrame = field(default_factory=pd.DataFrame)
+    about: Mapping[str, Any] = field(default_factory=dict)
+
+    def trajectories(self, run_id: str) -> pd.DataFrame:
+        """Return the trajectories of a run that the export has; `speed_mps` is missing.
+
+        Raises:
+            ResultsError: there is no such run.
+        """
+        self._refuse_unknown(run_id)
+        rows = self.recordings[self.recordings["run_id"] == run_id]
+        return rows[list(TRAJECTORIES)].astype(TRAJECTORIES).reset_index(drop=True)
+
+
+def write_export(
+    results: Results,
+    folder: str | Path,
+    trajectories: Mapping[str, pd.DataFrame] | None = None,
+    about: Mapping[str, Any] | None = None,
+    problems: Sequence[str] = (),
+) -> Path:
+    """Write an export of results, in place of an earlier one, and return its folder.
+
+    The same results give the same bytes. An export that is interrupted has no `report.json` and can't be read.
+
+    Args:
+        results: to be exported.
+        folder: made if it is not there.
+        trajectories: rows of `Results.trajectories` to be kept, by run id.
+        about: further entries of `report.json`.
+        problems: sentences to be kept besides those of the results.
+
+    Raises:
+        ConfigError: the folder holds other files.
+    """
+    folder = directory_path(folder)
+    refuse_foreign(folder)
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / REPORT).unlink(missing_ok=True)
+    final = results.episodes[results.episodes["phase"] == "final"]
+    recordings = [rows.assign(run_id=run_id) for run_id, rows in sorted((trajectories or {}).items())]
+    tables = {
+        "runs.csv.gz": _exported_runs(results.runs),
+        "curves.csv.gz": results.curves,
+        # One column per run: equal columns compress to almost nothing.
+        "outcomes.csv.gz": final.astype({"run_id": str}).pivot(index="scene", columns="run_id", values="outcome"),
+        "trajectories.csv.gz": pd.concat([pd.DataFrame(columns=["run_id", *TRAJECTORIES]), *recordings]).astype(
+            TRAJECTORIES
+        ),
+    }
+    tables["outcomes.csv.gz"] = tables["outcomes.csv.gz"].reset_index()
+    tables["trajectories.csv.gz"] = tables["trajectories.csv.gz"].drop(columns="speed_mps")
+    for name, table in tables.items():
+        text = table.to_csv(index=False, float_format="%.2f" if name == "trajectories.csv.gz" else "%.6g")
+        with replacing(folder / name) as temporary:  # writes through no link
+            temporary.write_bytes(gzip.compress(text.encode(), mtime=1))  # the same content gives the same bytes
+    said = [without_paths(one) for one in dict.fromkeys([*problems, *results.problems])]
+    described = {"problems": said, "ignored": results.ignored, **(about or {})}
+    text = json.dumps(described, ensure_ascii=False, allow_nan=False, indent=1)
+    write_atomically(folder / REPORT, text + "\n")
+    return folder
+
+
+def read_export(folder: str | Path) -> Export:
+    """Read an export.
+
+    Raises:
+        ResultsError: it is not there, not whole, or damaged.
+    """
+    uri, folder = str(folder), directory_path(folder)
+    if absent := [name for name in FILES if not (folder / name).is_file()]:
+        near = [path.name for path in folder.parent.iterdir() if path.is_dir()] if folder.parent.is_dir() else []
+        hint = "" if folder.is_dir() else did_you_mean(folder.name, near)
+        raise ResultsError(f"{folder} is not a whole export: it has no {absent[0]}{hint}")
+    try:
+        about = json.loads((folder / REPORT).read_text(encoding="utf-8"))
+        problems, ignored = tuple(map(str, about["problems"])), int(about["ignored"])
+        runs = _read_runs(folder / "runs.csv.gz")
+        curves = _read_table(folder / "curves.csv.gz", runs, CURVE_TYPES)
+        recordings = _read_table(folder / "trajectories.csv.gz", runs, TRAJECTORIES)
+        episodes = _read_episodes(folder / "outcomes.csv.gz", runs)
+    except DAMAGED as error:
+        raise ResultsError(f"{folder} can't be read: {reason(error)}") from error
+    curves = curves.sort_values(["run_id", "step"], ignore_index=True)
+    return Export(runs, curves, episodes, uri, problems, ignored, None, recordings, about)
+
+
+def refuse_foreign(folder: Path) -> None:
+    """Refuse to put an export where other files are.
+
+    Raises:
+        ConfigError: there are some.
+    """
+    if folder.exists() and not folder.is_dir():
+        raise ConfigError(f"export={folder}: a file is in the way")
+    others = sorted(path.name for path in folder.iterdir() if path.name not in FILES) if folder.exists() else []
+    if others:
+        raise ConfigError(f"export={folder}: it holds other files, e.g. {others[0]}; name a folder of its own")
+
+
+def without_paths(words: str) -> str:
+    """Return a text in which absolute paths are only their last part."""
+    return PATH.sub(r"\1", words)
+
+
+def _exported_runs(runs: pd.DataFrame) -> pd.DataFrame:
+    """Return runs without columns that name a place; the config is written as MLflow has parameters."""
+    kept = runs.drop(columns=[name for name in LOCAL_COLUMNS if name in runs])
+    config = {str(name): kept[name].astype(object).map(_as_param) for name in kept if str(name).startswith("config.")}
+    texts = kept.assign(**config).select_dtypes(["object", "string"])
+    return kept.assign(**{str(name): texts[name].map(without_paths, na_action="ignore") for name in texts})
+
+
+def _as_param(value: Any) -> str:
+    return "None" if pd.isna(value) else str(value)
+
+
+def _read_runs(path: Path) -> pd.DataFrame:
+    types = defaultdict(lambda: TEXT, RUN_TYPES)
+    runs = pd.read_csv(path, dtype=types, keep_default_na=False, na_values=[""])
+    for name in ("started", "ended"):
+        runs[name] = pd.to_datetime(runs[name], format="ISO8601", utc=True).dt.as_unit("ms")
+    names = sorted(map(str, runs))
+    config = [name for name in names if name.startswith("config.")]
+    versions = [name for name in names if name.startswith("version.")]
+    for name in config:
+        runs[name] = column([typed(value) for value in runs[name].astype(object).where(runs[name].notna(), None)])
+    local = {name: pd.Series(dtype=TEXT) for name in ("run_dir", "artifact_uri")}
+    return runs.assign(**local)[[*RUN_COLUMNS, *versions, *config]]
+
+
+def _read_table(path: Path, runs: pd.DataFrame, types: Mapping[str, Any]) -> pd.DataFrame:
+    """Return the rows of a table that belong to runs of the export; a column that it lacks is missing."""
+    table = pd.read_csv(path, dtype={**types, "run_id": TEXT}, float_precision="round_trip")
+    table = table.reindex(columns=[*dict.fromkeys(["run_id", *types])])
+    return table[table["run_id"].isin(runs["run_id"])].reset_index(drop=True)
+
+
+def _read_episodes(path: Path, runs: pd.DataFrame) -> pd.DataFrame:
+    """Return the final episodes; what the export does not have of them is missing."""
+    table = pd.read_csv(path, dtype=str).astype({"scene": "int64"})
+    long = table.melt("scene", var_name="run_id", value_name="outcome").dropna(ignore_index=True)
+    steps = long["run_id"].map(runs.set_index("run_id")["steps"])
+    ids = pd.CategoricalDtype(pd.Index(runs["run_id"].to_list(), dtype="str"))
+    frame = long.assign(step=steps, phase="final").astype({"run_id": ids}).dropna(subset="run_id")
+    frame = frame.astype(REQUIRED).sort_values(["run_id", "scene"], ignore_index=True)
+    return frame.reindex(columns=["run_id", *EPISODES])

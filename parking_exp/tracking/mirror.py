@@ -1,0 +1,274 @@
+"""Mirror run directories to an MLflow store; the directory is the truth, and the store its index.
+
+`mirror` needs nothing but a run directory, in any state that a kill can leave it in, and sends what the store lacks:
+after each checkpoint, at the end, and later for a run whose store was down or that was killed. The store itself says
+what it has: the tag `mirrored` of a run, a digest of the directory's files that is written last. A store that was lost
+or replaced, or an older copy of one, is filled again in the same way.
+
+Metrics are sent as soon as they are final: up to the last checkpoint, and all of them when the run is done. An
+interrupted run resumes from that checkpoint and logs everything after it again.
+"""
+
+import json
+import shlex
+import shutil
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import suppress
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from filelock import FileLock
+
+from parking_exp.config.cell_labels import settings_of
+from parking_exp.config.paths import absolute, database, default_uri, is_same_store, relative_path
+from parking_exp.config.run_key import short_hash
+from parking_exp.config.schema import RunConfig
+from parking_exp.errors import plural
+from parking_exp.runs.atomic_files import fingerprint, read_object
+from parking_exp.runs.directory import RunDirectory, Status
+from parking_exp.runs.metric_logs import read_metrics
+from parking_exp.runs.run_provenance import PROVENANCE_FILE, read_provenance
+from parking_exp.tracking.client import reason
+from parking_exp.tracking.store import Store
+from parking_exp.tracking.tags import NOTE, run_note
+
+if TYPE_CHECKING:
+    from mlflow.entities import Metric, Run
+
+DIGEST, STARTED = "mirrored", "started_ms"  # tags
+WAIT_S = 120  # for another process that mirrors the same run
+# MLflow cuts or refuses longer values; the whole config is an artifact besides.
+LONGEST_PARAM, LONGEST_ERROR = 6000, 500
+MLFLOW_STATUS = {"running": "RUNNING", "done": "FINISHED", "failed": "FAILED"}  # others: KILLED
+AT_THE_END = (
+    "episodes.csv",
+    "trajectories.npz",
+    "curves.png",
+    "video.mp4",
+    "monitor.csv",
+    "progress.csv",
+    "traceback.txt",
+    "models/best.zip",
+    "models/final.zip",
+)
+# As in checkpoints.py, which imports torch: a command that only mirrors can do without.
+MODEL, BUFFER, MANIFEST = "model.zip", "replay_buffer.npz", "manifest.json"
+
+
+def mirror(directory: RunDirectory, store: Store) -> None:
+    """Make a store agree with a run directory. Done again, it changes nothing.
+
+    Raises:
+        ConfigError: the run's config can't be read.
+        DamagedFileError: the log of metrics can't be read.
+        UntrustedError: a symbolic link leads out of the run directory.
+        StoreError: the store can't take the run as it is.
+        Exception: the store can't be reached, or does not take it all.
+    """
+    config = directory.config()
+    directory.check_links()
+    with FileLock(directory.path / ".sync.lock", timeout=WAIT_S):
+        status, digest, files = _status(directory), _digest(directory), _files(directory)
+        tags = _tags(directory, config, store, status)
+        experiment_id = store.experiment_id(config)
+        run = _find(directory, store, experiment_id, tags)
+        if run is None:
+            start_ms = int(tags[STARTED]) if STARTED in tags else None
+            run = store.create_run(experiment_id, f"{config.cell}-seed={config.seed}", start_ms, tags)
+        if directory.run_id != run.info.run_id or directory.tracking_uri != store.uri:
+            directory.update(run_id=run.info.run_id, tracking_uri=store.uri)
+        if run.data.tags.get(DIGEST) == digest:
+            return
+        note = run_note(directory, config)
+        if run.data.tags.get(NOTE, note).partition(":")[0] == note.partition(":")[0]:  # else a user has written another
+            tags[NOTE] = note
+        params = {key: value[:LONGEST_PARAM] for key, value in flatten(config.plain()).items()}
+        store.log(run, params, tags, list(_new_metrics(run, files.get("metrics.jsonl"))))
+        for name, file in files.items():
+            store.put_artifact(run, name, file.read_bytes() if file.name != MANIFEST else _buffer_record(file))
+        _delete_stale(store, run, directory)
+        store.set_status(run, MLFLOW_STATUS.get(status, "KILLED"), None if status == "running" else _end_ms(directory))
+        store.log(run, {}, {DIGEST: digest})
+
+
+def try_mirror(directory: RunDirectory, uri: str, store: Store | None = None) -> str | None:
+    """Mirror as far as the store allows, and return what is in the way, or None.
+
+    Nothing that fails here stops a training, since the run directory has everything. The reason is noted in status.json
+    as `unsynced` until a later attempt succeeds.
+    """
+    problem = None
+    try:
+        mirror(directory, store or Store(absolute(uri), directory.output_dir))
+    except Exception as error:
+        problem = reason(error)
+    with suppress(OSError):  # on a full disk
+        if directory.unsynced != problem:
+            directory.update(unsynced=problem)
+    return problem
+
+
+def mirror_missing(directories: Iterable[RunDirectory], uri: str) -> Iterator[tuple[RunDirectory, str | None]]:
+    """Mirror every run that is tracked in a store and that the store lacks, or has an older state of.
+
+    The store is asked once which these are. Runs that a process is working on are left to it. What a run directory
+    names as its store is no reason to connect there: it may come from elsewhere.
+
+    Yields:
+        Each run that the store lacked, and what kept it from being sent now, or None.
+    """
+    uri = absolute(uri)
+    tracked = [one for one in directories if (own := one.tracking_uri) and is_same_store(own, uri)]
+    idle = [directory for directory in tracked if not directory.under_way]
+    if not idle:
+        return
+    try:
+        store = Store(uri, idle[0].output_dir)
+        ids = store.experiments()
+        names = {directory.path.parents[1].name for directory in idle}
+        runs = store.runs([ids[name] for name in names if name in ids], deleted=True)
+    except Exception as error:
+        yield from ((directory, reason(error)) for directory in idle)
+        return
+    known = {(place.resolve(), run.data.tags.get(DIGEST)) for run in runs if (place := store.run_dir(run))}
+    for directory in idle:
+        if (directory.path.resolve(), _digest(directory)) not in known:
+            yield directory, try_mirror(directory, uri, store)
+
+
+def mirror_problem(directories: Iterable[RunDirectory], uri: str) -> str | None:
+    """Mirror what a store lacks of some runs; return a sentence if it still lacks some, with the command to run."""
+    problems = [(directory, problem) for directory, problem in mirror_missing(directories, uri) if problem]
+    if not problems:
+        return None
+    directory, problem = problems[0]
+    lacking = f"the store has not got all of {plural(len(problems), 'run')}, e.g. {directory.path}"
+    return f"{lacking}: {problem}; {later(directory.output_dir, uri)}"
+
+
+def later(output_dir: Path, uri: str | None) -> str:
+    """Return the command that sends what a store lacks; `uri` is the store, None for the embedded one."""
+    words = ["python", "scripts/status.py", "sync=true"]
+    if output_dir != Path("outputs").absolute():
+        words.append(f"output_dir={output_dir}")
+    if uri is not None and uri != default_uri(output_dir):
+        words.append(f"tracking.uri={uri}")
+    return f"`{shlex.join(words)}` sends what is missing"
+
+
+def flatten(config: Mapping[str, Any]) -> dict[str, str]:
+    """Return nested mappings as one level with dotted keys; lists stay whole."""
+    return {key: str(value) for key, value in settings_of(config).items()}
+
+
+def _status(directory: RunDirectory) -> Status:
+    """Return a run's status for the store, where one that was killed or is pending is `interrupted`."""
+    status = directory.status
+    return "interrupted" if status == "pending" or (status == "running" and not directory.under_way) else status
+
+
+def _digest(directory: RunDirectory) -> str:
+    """Return a hash that changes when the store is to have something else of a run; nothing is parsed for it."""
+    entries = directory.read_status()
+    state = [_status(directory), *(entries.get(name) for name in ("error", "command", "search", "trial"))]
+    about = [file for name in (PROVENANCE_FILE, "result.json") if (file := directory.path / name).exists()]
+    files = [*about, *_files(directory).values()]
+    return short_hash([state, *([str(file.relative_to(directory.path)), *fingerprint(file)] for file in files)])
+
+
+def _files(directory: RunDirectory) -> dict[str, Path]:
+    """Return the files for the store, by their names there; those that grow with the run come at its end."""
+    path, status = directory.path, _status(directory)
+    files = {"config.yaml": path / "config.yaml"}
+    if checkpoints := sorted(directory.checkpoints.glob("step=*")):
+        newest = checkpoints[-1]
+        files["metrics.jsonl"] = newest / "metrics.jsonl"  # what is final of it
+        files[f"checkpoints/{newest.name}/{MODEL}"] = newest / MODEL
+        files[f"checkpoints/{newest.name}/replay_buffer.json"] = newest / MANIFEST
+    if status == "done":
+        files["metrics.jsonl"] = path / "metrics.jsonl"
+    if status != "running":
+        files |= {name: path / name for name in AT_THE_END}
+    evaluations = sorted((path / "evaluations").glob("*/[!.]*"))
+    files |= {f"evaluations/{file.parent.name}/{file.name}": file for file in evaluations}
+    return {name: file for name, file in files.items() if file.exists()}
+
+
+def _tags(directory: RunDirectory, config: RunConfig, store: Store, status: Status) -> dict[str, str]:
+    path, entries = database(store.uri), directory.read_status()
+    started_ms, provenance = read_provenance(directory.path / PROVENANCE_FILE)
+    error = " ".join(str(entries.get("error", "")).split()) if status == "failed" else ""
+    return {
+        **provenance,
+        **({STARTED: str(started_ms)} if started_ms is not None else {}),
+        **{name: str(entries[name]) for name in ("search", "trial") if name in entries},
+        "experiment": config.experiment_name,
+        "cell": config.cell,
+        "seed": str(config.seed),
+        "run_key": config.run_key,
+        "run_dir": relative_path(directory.path, path.parent) if path else str(directory.path.absolute()),
+        "status": status,
+        "error": error if len(error) <= LONGEST_ERROR else f"{error[: LONGEST_ERROR - 3]}...",
+    }
+
+
+def _find(directory: RunDirectory, store: Store, experiment_id: str, tags: Mapping[str, str]) -> "Run | None":
+    """Return the store's run of a directory. One of an earlier training in the same place is deleted.
+
+    The id in status.json is not enough: it may have been copied, or written by anybody. A run of another directory is
+    taken only if that is gone, so that this one is where it was moved to.
+    """
+    for run in store.runs([experiment_id], f"tags.run_key = '{tags['run_key']}'"):
+        place = store.run_dir(run)
+        if place is None:
+            continue
+        if place.resolve() != directory.path.resolve():
+            if run.info.run_id == directory.run_id and not place.is_dir():
+                return run
+        elif STARTED in tags and run.data.tags.get(STARTED, tags[STARTED]) != tags[STARTED]:
+            store.delete_run(run)
+        else:
+            return run
+    return None
+
+
+def _new_metrics(run: "Run", log: Path | None) -> "Iterator[Metric]":
+    """Yield the points of a log of metrics that come after those that the store has."""
+    from mlflow.entities import Metric
+
+    latest = {metric.key: metric.step for metric in run.data.to_proto().metrics}
+    for record in read_metrics(log) if log else ():
+        for key, value in record["metrics"].items():
+            if record["step"] > latest.get(key, -1):
+                yield Metric(key, value, record["time_ms"], record["step"])
+
+
+def _buffer_record(manifest: Path) -> bytes:
+    """Return path, hash and size of a checkpoint's replay buffer, which stays in the run directory, as JSON."""
+    buffer = manifest.with_name(BUFFER)
+    size = buffer.stat().st_size if buffer.exists() else None
+    path = str(buffer.relative_to(manifest.parents[2]))  # in the run directory, wherever that may be moved
+    return json.dumps({"path": path, "sha256": read_object(manifest).get(BUFFER), "bytes": size}, indent=2).encode()
+
+
+def _delete_stale(store: Store, run: "Run", directory: RunDirectory) -> None:
+    """Delete the store's models of old checkpoints, and the traceback of a failure that was overcome.
+
+    Where artifacts are not files of this machine they stay: MLflow's client has no means to delete them.
+    """
+    folder = store.artifact_path(run.info.artifact_uri, "checkpoints")
+    kept = [checkpoint.name for checkpoint in directory.checkpoints.glob("step=*")]
+    if folder is None:
+        return
+    for old in folder.glob("*") if kept else ():  # a user who has deleted all checkpoints made room here
+        if old.name not in kept:
+            shutil.rmtree(old, ignore_errors=True)
+    if not (directory.path / "traceback.txt").exists():
+        (folder.parent / "traceback.txt").unlink(missing_ok=True)
+
+
+def _end_ms(directory: RunDirectory) -> int:
+    """Return when the run last wrote something: it may have ended long before it is mirrored."""
+    names = ("config.yaml", "metrics.jsonl", "traceback.txt", "result.json")
+    times = [file.stat().st_mtime_ns for name in names if (file := directory.path / name).exists()]
+    return max(times) // 1_000_000

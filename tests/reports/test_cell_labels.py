@@ -1,0 +1,175 @@
+"""Tests of factors, levels and cell labels, read from the configs of cells."""
+
+from itertools import product
+
+import pandas as pd
+import pytest
+
+from parking_exp.config.cell_labels import cell_labels, differing, find_factors, setting
+from parking_exp.config.compose import composed_runs
+from parking_exp.reports.cell_selection import group
+from parking_exp.reports.factor_effects import design
+from parking_exp.results.dtypes import column, typed
+from parking_exp.sweeps.plan import plan
+from parking_exp.tracking.mirror import flatten
+
+
+def cell(env="parking", algorithm="sac", buffer="her_future", **others):
+    """A config as flat keys; keys of `others` have `__` for dots."""
+    base = {
+        "env.name": env,
+        "algorithm.name": algorithm,
+        "algorithm._target_": f"module.{algorithm.upper()}",
+        "algorithm.gamma": 0.95,
+        "buffer.name": buffer,
+        "total_timesteps": 20000,
+        "seed": 0,
+        "tracking.uri": None,
+    }
+    if buffer != "replay":
+        base |= {"buffer.goal_selection_strategy": buffer.removeprefix("her_"), "buffer.n_sampled_goal": 4}
+    return base | {key.replace("__", "."): value for key, value in others.items()}
+
+
+def described(configs, experiments=None):
+    factors, settings = find_factors(configs, experiments or ["one"] * len(configs))
+    names = [f"{number}-{number}" for number in range(len(configs))]
+    return [factor.key for factor in factors], cell_labels(factors, settings, names), design(factors, settings)
+
+
+def test_what_follows_from_a_groups_option_is_no_factor_of_its_own():
+    keys, labels, kind = described([cell(algorithm="sac"), cell(algorithm="td3"), cell(algorithm="ddpg")])
+    assert keys == ["algorithm"]
+    assert labels == ["sac", "td3", "ddpg"]
+    assert kind == "list"
+
+
+def test_a_her_ablation_is_a_crossing_and_its_control_stands_outside():
+    crossed = [
+        cell(buffer=f"her_{strategy}", buffer__n_sampled_goal=n)
+        for strategy, n in product(["future", "final", "random"], [1, 4, 8])
+    ]
+    factors, settings = find_factors([*crossed, cell(buffer="replay")], ["her"] * 10)
+    assert [(factor.key, factor.name, factor.log) for factor in factors] == [
+        ("buffer", "buffer", False),
+        ("buffer.n_sampled_goal", "n_sampled_goal", True),
+    ]
+    assert factors[1].levels == [1, 4, 8]
+    assert settings[-1] == {"buffer": "replay", "buffer.n_sampled_goal": None}
+    labels = cell_labels(factors, settings, ["name-key"] * 10)
+    assert labels[-1] == "replay"
+    assert labels[2] == "her_future, n_sampled_goal=8"
+    assert design(factors, settings) == "factorial"
+
+
+def test_keys_that_always_change_together_count_once():
+    small, full = {"evaluation__n_scenes": 20}, {"total_timesteps": 60000, "evaluation__n_scenes": 50}
+    keys, labels, _ = described(
+        [cell(**small), cell(**full), cell("parking_sparse", **small), cell("parking_sparse", **full)]
+    )
+    assert keys == ["env", "total_timesteps"]
+    assert labels[3] == "parking_sparse, total_timesteps=60000"
+
+
+def test_in_a_search_every_cell_has_values_of_its_own_and_all_of_them_are_factors():
+    configs = [
+        cell(
+            algorithm__gamma=0.9 + number / 100,
+            algorithm__learning_rate=10.0 ** -(1 + number / 3),
+            buffer__n_sampled_goal=n,
+        )
+        for number, n in enumerate([1, 2, 4, 8, 1, 2, 4, 8, 1])
+    ]
+    keys, _, kind = described(configs)
+    assert set(keys) == {"algorithm.gamma", "algorithm.learning_rate", "buffer.n_sampled_goal"}
+    assert kind == "search"
+
+
+def test_seed_store_and_checkpoints_set_nothing_apart():
+    ours = cell() | {
+        "seed": 3,
+        "tracking.uri": "http://there",
+        "checkpoint.keep_last": 1,
+        "evaluation.video_episodes": 3,
+    }
+    assert differing([cell(), ours]) == []
+
+
+def test_null_is_a_level_where_the_same_option_has_a_value_elsewhere():
+    keys, labels, _ = described([cell(env__training_duration=20.0), cell()])
+    assert keys == ["env.training_duration"]
+    assert labels == ["training_duration=20", "training_duration=null"]
+
+
+def test_experiments_come_first_and_take_what_follows_from_them():
+    keys, labels, _ = described([cell(), cell(algorithm__gamma=0.8), cell(n_envs=8)], ["one", "one", "two"])
+    assert keys == ["experiment", "algorithm.gamma"]
+    assert labels == ["one, gamma=0.95", "one, gamma=0.8", "two, gamma=0.95"]
+
+
+def test_names_that_end_alike_are_told_apart():
+    factors, _ = find_factors(
+        [
+            cell(env__duration=1, algorithm__duration=1),
+            cell(env__duration=2, algorithm__duration=1),
+            cell(env__duration=1, algorithm__duration=2),
+        ],
+        ["one"] * 3,
+    )
+    assert {factor.name for factor in factors} == {"env.duration", "algorithm.duration"}
+
+
+def test_labels_that_are_the_same_get_the_key_of_their_cell():
+    factors, _ = find_factors([cell(), cell(algorithm="td3")], ["one"] * 2)
+    settings = [{"algorithm": name} for name in ("sac", "td3", "sac")]
+    names = ["parking-sac-her-aa", "b-bb", "parking-sac-her-cc"]
+    assert cell_labels(factors, settings, names) == ["sac (aa)", "td3", "sac (cc)"]
+
+
+@pytest.mark.parametrize(
+    ("overrides", "expected"),
+    [
+        (["updates_per_step=1e-2,1e-1"], {"updates_per_step=0.01", "updates_per_step=0.1"}),
+        (["precision=highest,medium", "seeds=2"], {"precision=highest", "precision=medium"}),
+        (
+            ["n_envs=16", "env.training_duration=20,null", "buffer=her_final,replay", "algorithm.net_arch=[64,64],[8]"],
+            None,
+        ),
+        (["++algorithm.policy_kwargs={},{n_critics:3}", "algorithm.gamma=0.9,0.95"], None),
+        (["experiment=her_relabelling", "algorithm.learning_rate=1e-5,3e-3", "seeds=1"], None),
+    ],
+)
+def test_plans_and_reports_label_the_same_cells_alike(overrides, expected, tmp_path):
+    runs = plan(composed_runs("config", [*overrides, f"output_dir={tmp_path}"]))
+    params = [flatten(run.config.plain()) for run in runs]
+    found = group(
+        pd.DataFrame(
+            {
+                "experiment": "parking",
+                "cell": [run.config.cell for run in runs],
+                "seed": [run.config.seed for run in runs],
+                "status": "done",
+                "started": range(len(runs)),
+                **{
+                    f"config.{key}": column([typed(one.get(key)) for one in params])
+                    for key in {*params[0], *params[-1]}
+                },
+            }
+        )
+    )
+    planned = {run.config.cell: run.label for run in runs}
+    assert planned == {one.name: one.label for one in found}
+    assert expected is None or set(planned.values()) == expected
+
+
+@pytest.mark.parametrize(
+    ("value", "text"), [(True, "true"), (0.0003, "0.0003"), (4, "4"), (None, "null"), ("x", "x"), (1e-5, "1e-05")]
+)
+def test_values_are_shown_as_in_yaml(value, text):
+    assert setting(value) == text
+
+
+def test_one_numeric_factor_is_worth_a_curve_and_a_few_words_are_a_list():
+    assert described([cell(buffer__n_sampled_goal=n) for n in (1, 2, 4)])[2] == "factorial"
+    assert described([cell(buffer__n_sampled_goal=n) for n in (1, 2)])[2] == "list"
+    assert described([cell()])[2] == "single"

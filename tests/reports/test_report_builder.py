@@ -1,0 +1,402 @@
+"""The content of a report, built from frames."""
+
+import json
+import math
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import scipy.stats
+from support.result_frames import ALGORITHMS, REPLAY, Run, results, together
+
+from parking_exp.errors import ConfigError, RunNotFoundError
+from parking_exp.reports.cell_selection import choose, group, one_cell
+from parking_exp.reports.report_builder import build_report
+from parking_exp.reports.run_evaluations import RunEvaluations
+from parking_exp.statistics import steps_to
+
+ENDS = {"sac": [0.8, 1.0, 0.8, 1.0, 1.0], "td3": [0.4, 0.2, 0.4, 0.6, 0.4]}
+GOALS = {str(n): {"buffer.n_sampled_goal": n} for n in (1, 2, 4)}
+
+
+def crossed(strategies=("future", "final"), goals=(1, 4)):
+    return {
+        f"{name}{n}": {"buffer.name": f"her_{name}", "buffer.n_sampled_goal": n} for name in strategies for n in goals
+    }
+
+
+def content(configs, seeds=range(3), look=lambda label, seed: Run(), **options):
+    return build_report(results(configs, seeds, look), ["one"], **options)
+
+
+@pytest.fixture(scope="module")
+def two():
+    """Two algorithms with five seeds each."""
+    return content(ALGORITHMS, range(5), lambda label, seed: Run(success=ENDS[label][seed]))
+
+
+def test_the_headline_is_the_mean_over_seeds_of_the_final_rate(two):
+    sac, td3 = two.cells
+    assert (sac.label, td3.label) == ("sac", "td3")
+    assert (sac.success.value, td3.success.value) == (pytest.approx(0.92), pytest.approx(0.4))
+    assert [seed.success for seed in sac.seeds] == ENDS["sac"]
+    assert sac.timeout.value == pytest.approx(0.08)
+    assert (sac.reaching_90.k, sac.reaching_90.n) == (3, 5)
+    assert (sac.success.n, sac.counts["done"], sac.seeds[0].n_scenes) == (5, 5, 5)
+    assert sac.success.low < 0.92 < sac.success.high
+    assert (sac.seeds[0].low, sac.seeds[0].high) == pytest.approx((0.3755, 0.9638), abs=1e-4)  # Wilson's, 4 of 5
+    assert sum(slot.n for slot in sac.slots) == 25
+    assert sum(slot.n * slot.timeout for slot in sac.slots) == pytest.approx(2)
+
+
+def test_pairs_are_welchs_test_with_holms_correction_and_a_verdict(two):
+    (pair,) = two.pairs
+    test = scipy.stats.ttest_ind(ENDS["sac"], ENDS["td3"], equal_var=False)
+    assert pair.difference.value == pytest.approx(0.52)
+    assert (pair.p, pair.p_holm) == (pytest.approx(test.pvalue), pytest.approx(test.pvalue))  # a family of one
+    assert (pair.improvement.value, pair.verdict) == (1.0, "a")
+
+
+def test_claims_say_which_is_better_by_how_much_and_how_sure(two):
+    assert two.claims[0].startswith("sac has the highest final success: 92.0 % [")
+    assert two.claims[1].startswith("sac is better than td3 (+52.0 points [+33.")
+    assert "p < 0.001" in two.claims[1]
+    assert "Seeds that end at 90 % or above: sac 3 of 5 [23, 88 %]; td3 0 of 5 [0, 43 %]." in two.claims
+
+
+def test_with_a_baseline_the_family_is_all_others_against_it():
+    def look(label, seed):
+        return Run(success=int(label) / 5 + (0.2 if seed else 0))
+
+    report = content(GOALS, look=look, baseline="n_sampled_goal=2")
+    labels = {cell.id: cell.label for cell in report.cells}
+    assert {(labels[pair.a], labels[pair.b]) for pair in report.pairs} == {
+        ("n_sampled_goal=1", "n_sampled_goal=2"),
+        ("n_sampled_goal=4", "n_sampled_goal=2"),
+    }
+    p = sorted(pair.p for pair in report.pairs)
+    assert sorted(pair.p_holm for pair in report.pairs) == pytest.approx([min(2 * p[0], 1), max(2 * p[0], p[1])])
+    assert len(content(GOALS, look=look).pairs) == 3
+
+
+def test_cells_that_do_not_differ_significantly_are_not_ranked():
+    ends = {"sac": [0.8, 1.0, 0.6], "td3": [0.8, 0.8, 0.6]}
+    report = content(ALGORITHMS, look=lambda label, seed: Run(success=ends[label][seed]))
+    assert report.pairs[0].verdict == "same"
+    assert "td3 (+6.7 points [" in report.claims[1]
+    assert not any("is better than" in claim for claim in report.claims)
+    tied = content(ALGORITHMS, range(2), lambda label, seed: Run(success=1.0 - 0.2 * seed))
+    assert tied.claims[0].startswith("sac and td3 have the same final success, the highest: 90.0 %")
+
+
+def test_fewer_than_ten_seeds_are_exploratory():
+    assert not content({"sac": {}}, range(10)).exploratory
+    report = content({"sac": {}}, range(9))
+    assert report.exploratory
+    assert "Exploratory: the cell has fewer than 10 finished seeds (the fewest: 9)." in report.warnings
+
+
+@pytest.mark.parametrize(
+    ("config", "parts"),
+    [
+        ({"total_timesteps": 800}, ("Budgets", "400 and 800")),
+        ({"evaluation.final_n_scenes": 8}, ("Scene sets", "5 and 8")),
+        ({"evaluation.first_scene": 100}, ("Scene sets", "0 and 100")),
+        ({"evaluation.n_scenes": 4}, ("Scene sets", "3 and 4")),
+        ({"evaluation.every_n_steps": 200}, ("Evaluations", "100 and 200")),
+        ({"env.name": "parking_sparse"}, ("Tasks", "parking and parking_sparse")),
+    ],
+)
+def test_mixed_conditions_are_warned_of(config, parts):
+    mixed = [line for line in content({"plain": {}, "other": config}, range(2)).warnings if "mixed" in line]
+    assert len(mixed) == 1
+    assert all(part in mixed[0] for part in parts)
+
+
+def test_mixed_versions_commits_and_machines_are_warned_of():
+    other = {"version.highway-env": "1.11.0", "cpu": "other", "git_commit": "b" * 40}
+    report = content({"sac": {}}, range(2), lambda _, seed: Run(columns=other if seed else {}))
+    mixed = [line.split()[0] for line in report.warnings if "mixed" in line]
+    assert mixed == ["Versions", "Commits", "Machines"]
+    assert report.provenance.versions["highway-env"] == {"1.12.1": 1, "1.11.0": 1}
+
+
+def test_nothing_is_warned_of_where_nothing_is_wrong():
+    ends = np.random.default_rng(0).choice([0.4, 0.6, 0.8], 10)
+    assert content({"sac": {}}, range(10), lambda _, seed: Run(success=ends[seed])).warnings == []
+
+
+def test_one_run_has_no_interval_over_seeds():
+    report = content({"sac": {}}, [0])
+    (cell,) = report.cells
+    assert (cell.success.value, cell.success.low, cell.success.high, cell.success.method) == (0.8, None, None, "none")
+    assert (report.design, report.pairs, cell.label) == ("single", [], "sac, her_future")
+    assert report.claims[0].startswith("“sac, her_future” succeeds in 80.0 %")
+
+
+def test_seeds_that_are_all_perfect_leave_room_below():
+    report = content(ALGORITHMS, look=lambda *_: Run(success=1.0))
+    for cell in report.cells:
+        assert (cell.success.value, cell.success.high) == (1.0, 1.0)
+        assert cell.success.low == pytest.approx(0.025 ** (1 / 3))  # Markov's bound
+    assert (report.pairs[0].verdict, report.pairs[0].improvement.value) == ("same", 0.5)
+
+
+def test_a_cell_with_only_failed_runs_has_no_numbers_and_its_reasons():
+    def look(label, seed):
+        return Run(status="failed", error="ValueError: no way") if label == "td3" else Run()
+
+    report = content(ALGORITHMS, range(2), look)
+    failed = report.cells[1]
+    assert failed.success.value is None
+    assert failed.counts == {"done": 0, "running": 0, "failed": 2, "pending": 0}
+    assert [(run.label, run.seed, run.status, run.reason) for run in report.provenance.unfinished] == [
+        ("td3", 0, "failed", "ValueError: no way"),
+        ("td3", 1, "failed", "ValueError: no way"),
+    ]
+    assert report.missing == ["2 of 4 runs are done: 2 failed.", "No run is done of td3."]
+    assert report.pairs == []
+
+
+def test_a_run_without_a_final_rate_is_left_out_with_a_warning():
+    nan = {"success_rate": np.nan}
+    report = content({"sac": {}}, look=lambda _, seed: Run(success=0.6, columns=nan if seed == 1 else {}))
+    assert (report.cells[0].success.value, report.cells[0].success.n) == (pytest.approx(0.6), 2)
+    assert any("without a final success rate" in line for line in report.warnings)
+    assert json.loads(json.dumps(report.plain(), allow_nan=False))["cells"][0]["success"]["n"] == 2
+
+
+def test_a_label_with_commas_reads_as_one_name_in_sentences():
+    report = content(crossed(), look=lambda label, _: Run(success=0.8 if label == "future1" else 0.4))
+    names = {f"her_{kind}, n_sampled_goal={n}" for kind in ("future", "final") for n in (1, 4)}
+    assert {cell.label for cell in report.cells} == names
+    for sentence in (*report.claims, *report.warnings, *report.missing, *report.notes):
+        assert not any(name in re.sub("“[^”]*”", "", sentence) for name in names), sentence
+    assert any(names <= set(re.findall("“([^”]*)”", sentence)) for sentence in report.claims)
+
+
+def test_runs_of_different_lengths_have_curves_as_far_as_they_go():
+    looks = {"short": Run(), "long": Run(curve=[0.8] * 8)}
+    report = content({"short": {}, "long": {"total_timesteps": 800}}, range(2), lambda label, _: looks[label])
+    short, long = report.cells
+    assert (short.curve.step[-1], long.curve.step[-1]) == (400, 800)
+    assert short.survival.horizon == long.survival.horizon == 200  # three evaluations from 200 on end at 400
+
+
+def test_time_to_90_percent_is_censored_where_it_was_not_held():
+    curves = {0: [1 / 3, 1.0, 1.0, 1.0], 1: [0.0, 1.0, 1 / 3, 1.0]}
+    (cell,) = content({"sac": {}}, [0, 1], lambda _, seed: Run(curve=curves[seed])).cells
+    assert [(seed.steps_to_90, seed.reached_90) for seed in cell.seeds] == [(200, True), (200, False)]
+    assert cell.survival.censored == [200]
+    assert (cell.survival.k, cell.survival.n, cell.survival.median) == (1, 2, 200)
+    assert cell.seeds[0].area == pytest.approx((2 / 3 + 1 + 1) / 3)
+
+
+def test_an_evaluation_without_a_rate_does_not_count_as_holding():
+    frames = results({"sac": {}}, [0], lambda *_: Run(curve=[0.95, math.nan, 0.95, 0.95]))
+    curve = RunEvaluations.of(frames).curves["one-sac-0"]
+    assert steps_to(curve.step, curve.success) == (200, False)
+    assert curve.watched(3) == (200, 150.0)
+
+
+def test_unfinished_runs_are_missing_and_quick_shows_their_curves():
+    looks = [Run(), Run(status="interrupted", curve=(0, 0.5)), Run(status="interrupted", curve=(0, 0.5))]
+    looks[1:] = [replace(look, config={}) for look in looks[1:]]
+    report = content({"sac": {}}, range(3), lambda _, seed: looks[seed])
+    assert report.missing == ["1 of 3 runs are done: 2 cut off or not begun."]
+    assert [seed for seed, _, _ in report.cells[0].curve.seeds] == [0]
+    quick = content({"sac": {}}, range(3), lambda _, seed: looks[seed], quick=True)
+    assert [seed for seed, _, _ in quick.cells[0].curve.seeds] == [0, 1, 2]
+    assert quick.cells[0].curve.n == [1, 3, 1, 3]
+
+
+def test_where_nothing_is_done_only_a_quick_report_is_made():
+    with pytest.raises(RunNotFoundError, match="2 runs, none is done; report=quick"):
+        content({"sac": {}}, range(2), lambda *_: Run(status="interrupted"))
+    report = content({"sac": {}}, range(2), lambda *_: Run(status="interrupted"), quick=True)
+    assert (report.cells[0].success.value, report.claims) == (None, [])
+    assert report.cells[0].curve is not None
+
+
+def test_a_her_ablation_has_effects_interactions_and_the_real_share():
+    rates = {"future1": 0.4, "future4": 0.8, "final1": 0.2, "final4": 0.6, "replay": 0.2}
+
+    def look(label, seed):
+        share = {"replay": math.nan, "final4": 0.6}.get(label, 0.3)
+        return Run(success=rates[label], real_share=share)
+
+    report = content({**crossed(), "replay": REPLAY}, range(2), look)
+    assert report.design == "factorial"
+    levels = [{level.level: round(level.effect.value, 6) for level in effect.levels} for effect in report.effects]
+    assert levels == [{"her_future": 0.6, "her_final": 0.4}, {1: 0.3, 4: 0.7}]
+    (table,) = report.interactions
+    assert (table.row, table.column, table.given) == ("buffer", "buffer.n_sampled_goal", None)
+    assert (table.rows, table.columns) == (["her_final", "her_future", "replay"], [1, 4, None])
+    assert any("Not part of the main effects" in note and "replay" in note for note in report.notes)
+    assert table.real_share == [[0.3, 0.6, None], [0.3, 0.3, None], [None, None, 1.0]]
+    assert table.mean[0][1] == pytest.approx(0.6)
+    assert table.mean[2] == [None, None, pytest.approx(0.2)]
+    assert max(abs(r) for row in table.residual for r in row if r is not None) == pytest.approx(0, abs=1e-9)
+
+
+def test_a_search_says_what_each_hyperparameter_explains():
+    rng = np.random.default_rng(1)
+    draws = [(float(10 ** -rng.uniform(2, 4)), float(rng.uniform(0.8, 0.99))) for _ in range(12)]
+    cells = {str(i): {"algorithm.learning_rate": lr, "algorithm.gamma": gamma} for i, (lr, gamma) in enumerate(draws)}
+    order = np.argsort([lr for lr, _ in draws]).argsort()
+    report = content(cells, [0], lambda label, seed: Run(success=order[int(label)] // 2 / 5))
+    assert report.design == "search"
+    first, second = report.importance
+    assert first.factor == "algorithm.learning_rate"
+    assert first.share > 0.9
+    assert first.direction > 0.9
+    assert second.share < 0.6
+    assert any(claim.startswith("learning_rate alone explains 9") for claim in report.claims)
+
+
+def test_hundreds_of_cells_are_compared_with_the_best_and_the_best_are_shown():
+    cells = {str(i): {"algorithm.gamma": 0.5 + i / 700} for i in range(300)}
+    report = content(cells, [0], lambda label, seed: Run(success=int(label) % 6 / 5))
+    assert (len(report.cells), len(report.shown), len(report.pairs)) == (300, 12, 299)
+    assert all(report.cell(shown).success.value == 1.0 for shown in report.shown)
+    assert "chosen by its result" in report.family
+
+
+def test_cells_are_chosen_by_label_pattern_and_config():
+    groups = group(results(crossed(), [0]).runs)
+
+    def labels(*asked):
+        return {cell.label for cell in choose(groups, asked)}
+
+    final, future = ({f"her_{name}, n_sampled_goal={n}" for n in (1, 4)} for name in ("final", "future"))
+    four = {label for label in final | future if label.endswith("=4")}
+    assert labels("her_final, n_sampled_goal=4") == final & four
+    assert labels("her_fu*") == future
+    assert labels("her_final", "buffer.n_sampled_goal=4") == final & four
+    assert labels("buffer=her_final") == final
+    assert labels("buffer=her_final,her_future", "n_sampled_goal=4.0") == four
+    report = content(crossed(), [0], cells=["her_final"])
+    assert [cell.label for cell in report.cells] == ["n_sampled_goal=1", "n_sampled_goal=4"]
+    assert set(report.provenance.left_out) == future
+
+
+def test_conditions_take_lists_and_other_ways_to_write_a_number():
+    both = {"algorithm.net_arch": "[16, 16]", "algorithm.gamma": 0.002}
+    groups = group(results({"a": both, "b": {**both, "buffer.name": "her_final"}, "c": {}}, [0]).runs)
+    assert len(choose(groups, ["gamma=2e-3"])) == 2
+    assert len(choose(groups, ["her_final", "gamma=0.002"])) == 1
+    assert len(choose(groups, ["algorithm.net_arch=[16,16]"])) == 2
+    with pytest.raises(ConfigError, match=r"^seed: neither a key"):
+        choose(groups, ["seed=0"])
+
+
+@pytest.mark.parametrize(
+    ("asked", "parts"),
+    [("her_finale", "'her_finale'"), ("bufer=her_final", "bufer: .*'buffer'"), ("buffer=her_past", "buffer=her_past")],
+)
+def test_a_cell_that_does_not_exist_is_named(asked, parts):
+    groups = group(results({"a": {"buffer.name": "her_final"}, "b": {}}, [0]).runs)
+    with pytest.raises(ConfigError, match=parts):
+        choose(groups, [asked])
+    with pytest.raises(ConfigError):
+        one_cell(groups, asked)
+    with pytest.raises(ConfigError, match=r"baseline=her_\*: 2 cells fit"):
+        one_cell(groups, "her_*")
+
+
+def test_of_baselines_that_fit_the_one_among_the_chosen_cells_is_meant():
+    sparse = {"env.name": "parking_sparse"}
+    cells = {"her": {}, "replay": REPLAY, "sparse-her": sparse, "sparse-replay": {**sparse, **REPLAY}}
+    with pytest.raises(ConfigError, match=r"baseline=replay: 2 cells fit"):
+        content(cells, baseline="replay")
+    report = content(cells, cells=["env=parking_sparse"], baseline="replay")
+    assert report.cell(report.baseline).name == "parking_sparse-sparse-replay"
+    for chosen in (["env=parking,parking_sparse"], ["her_future*"]):
+        with pytest.raises(ConfigError, match="2 cells fit"):
+            content(cells, cells=chosen, baseline="replay")
+
+
+def test_a_baseline_without_a_finished_run_is_refused_and_a_quick_report_compares_without():
+    def look(label, seed):
+        return Run(status="failed", error="x") if label == "td3" else Run()
+
+    cells = {**ALGORITHMS, "ddpg": {"algorithm.name": "ddpg"}}
+    with pytest.raises(RunNotFoundError, match="baseline=td3"):
+        content(cells, look=look, baseline="td3")
+    report = content(cells, look=look, baseline="td3", quick=True)
+    assert (report.reference, len(report.pairs)) == (None, 1)
+
+
+def test_of_two_runs_with_the_same_seed_the_one_that_is_done_counts():
+    def look(_, seed):
+        return Run(success=0.2 if seed else 0.8, status="failed" if seed else "done", columns={"seed": 0})
+
+    report = content({"sac": {}}, [0, 1], look)
+    assert [seed.success for seed in report.cells[0].seeds] == [0.8]
+    assert any("has the same seed" in line for line in report.warnings)
+
+
+def test_a_crossing_without_effects_claims_none():
+    rng = np.random.default_rng(5)
+    rates = {(label, seed): rng.choice([0.4, 0.6, 0.8]) for label in crossed() for seed in range(4)}
+    claims = content(crossed(), range(4), lambda label, seed: Run(success=rates[label, seed])).claims
+    assert sum(claim.startswith(("buffer: levels", "n_sampled_goal: levels")) for claim in claims) == 2
+    assert any("add up, as far as can be told (F test, p = " in claim for claim in claims)
+    assert not any("is better than" in claim for claim in claims)
+
+
+def test_levels_of_an_incomplete_crossing_are_not_compared():
+    cells = crossed(goals=(1, 2, 4))
+    del cells["final4"], cells["future1"]
+    report = content(cells, look=lambda label, seed: Run(success=0.2 * (seed + ("future" in label))))
+    assert [effect.complete for effect in report.effects] == [False, False]
+    assert not any(claim.startswith(("buffer: ", "n_sampled_goal: ")) for claim in report.claims)
+
+
+def test_a_factor_of_which_one_level_is_done_has_no_difference_yet():
+    def look(label, seed):
+        return Run(status="done" if label == "1" else "interrupted")
+
+    report = content(GOALS, range(2), look, quick=True)
+    (effect,) = report.effects
+    assert ([level.level for level in effect.levels], effect.largest, effect.p) == ([1], None, None)
+    assert not any(claim.startswith("n_sampled_goal: ") for claim in report.claims)
+
+
+def test_levels_that_tie_are_not_said_to_differ_and_one_factor_has_no_others():
+    report = content(GOALS, look=lambda label, seed: Run(success=0.8 if label == "4" else 0.4 + 0.2 * (seed == 0)))
+    (claim,) = (claim for claim in report.claims if claim.startswith("n_sampled_goal: "))
+    assert "other factors" not in claim
+    assert not any(claim.startswith("n_sampled_goal: ") for claim in content(GOALS).claims)
+
+
+def test_differences_end_where_rates_do():
+    report = content(GOALS, range(2), lambda label, seed: Run(success=(0.2, 1.0)[seed] if label == "1" else 0.2 * seed))
+    (effect,) = report.effects
+    spans = [effect.largest, *(pair.difference for pair in report.pairs)]
+    assert all(-1 <= span.low <= span.value <= span.high <= 1 for span in spans)
+    assert (effect.largest.low, effect.largest.high) == (-1, 1)
+
+
+def test_several_experiments_are_told_apart_and_the_same_config_is_warned_of():
+    parts = [results(ALGORITHMS, [0], experiment=name) for name in ("one", "two")]
+    report = build_report(together(*parts), ["one", "two", "three"])
+    assert [cell.label for cell in report.cells] == ["one, sac", "one, td3", "two, sac", "two, td3"]
+    assert sum("have the same config" in line for line in report.warnings) == 2
+    assert "Experiment three has no runs." in report.missing
+    some = build_report(together(*parts), ["one", "two"], cells=["one"])
+    assert [cell.experiment for cell in some.cells] == ["one", "one"]
+    assert sorted(some.provenance.left_out) == ["two, sac", "two, td3"]
+
+
+def test_infinite_values_of_a_config_are_words():
+    report = content({"a": {"env.x": math.inf}, "b": {"env.x": 1.0}}, [0])
+    assert report.provenance.difference["env.x"] == ["inf", 1.0]
+
+
+def test_problems_of_results_are_warnings_and_the_first_few_are_named():
+    frames = replace(results({"sac": {}}), problems=tuple(f"problem {n}" for n in range(7)))
+    report = build_report(frames, ["one"])
+    assert [line for line in report.warnings if line.startswith("problem")] == [f"problem {n}" for n in range(5)]
+    assert report.warnings[-1].endswith("besides: 2.")

@@ -1,0 +1,215 @@
+"""An export has what a report needs of a store's frames, in small files that name no machine."""
+
+import errno
+import gzip
+import json
+import re
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from support.runs import in_memory, read_text
+from support.store_factory import Look, make_store
+
+from parking_exp.errors import ConfigError, ResultsError
+from parking_exp.results import load, read_export, write_export
+from parking_exp.results.frame_export import FILES, LOCAL_COLUMNS, without_paths
+
+HER = {"four": ["buffer.n_sampled_goal=4"], "none": ["buffer=replay"]}
+HOSTILE = 'a,b "c"\nd\re <script>'
+LOOKS = {
+    ("four", 0): Look(success=0.8, crash=0.2, parked=0.4, curve=(0.0, 1 / 3, 1.0), cpu_s=1234.56789),
+    ("four", 1): Look(status="failed", error="no file /home/some.one/data/x.zip: (see sqlite:////tmp/r/mlflow.db)"),
+    ("none", 0): Look(success=1.0, crash=0.0, tags={"cpu": "Zürich 学習", "git_dirty": None}, nan=["eval/return_mean"]),
+    ("none", 1): Look(status="running"),
+}
+PARAMS = {
+    "four": {"x.list": "[1, 2]", "x.mixed": "word", "x.whole": "3", "x.flag": "True", "x.text": HOSTILE, "x.path": "/home/me/own"},
+    "none": {"x.list": "[1, 2]", "x.mixed": "0.5", "x.null": "None", "x.number": "0.1234567891", "x.huge": "9" * 30, "x.empty": ""},
+}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def stored(empty):
+    """Results of two cells with a done and another run each."""
+    with in_memory() as folder:
+        shutil.copy(empty / "mlflow.db", folder)
+        looks = {key: replace(look, params=PARAMS[key[0]]) for key, look in LOOKS.items()}
+        make_store(Path(folder), "her", HER, range(2), lambda *key: looks[key])
+        yield load("her", output_dir=folder)
+
+
+@pytest.fixture
+def written(stored, tmp_path):
+    """The folder of their export."""
+    return write_export(stored, tmp_path / "docs" / "her")
+
+
+def edit(path, old, new):
+    text = read_text(path)
+    assert old in text
+    content = text.replace(old, new, 1).encode()
+    path.write_bytes(gzip.compress(content) if path.suffix == ".gz" else content)
+
+
+def test_runs_come_back_with_their_types_and_without_places(stored, written):
+    runs = read_export(written).runs
+    places = [name for name in LOCAL_COLUMNS if name in stored.runs]
+    assert places == list(LOCAL_COLUMNS)
+    assert runs[["run_dir", "artifact_uri"]].isna().all(axis=None)
+    assert not {"config.output_dir", "config.tracking.uri"} & {*runs}
+    texts = ["error", "config.x.path", "config.x.empty"]  # paths are cut, and an empty text is missing
+    pd.testing.assert_frame_equal(
+        runs.drop(columns=["run_dir", "artifact_uri", *texts]), stored.runs.drop(columns=[*places, *texts]), rtol=1e-5
+    )
+    assert runs["config.x.whole"].tolist() == [3, 3, None, None]
+    assert runs["config.x.flag"].tolist() == [True, True, None, None]
+    assert runs["config.x.text"][0] == HOSTILE
+    assert runs["config.x.number"].max() == 0.1234567891
+    assert runs["config.x.huge"][2] == int("9" * 30)
+    assert runs["cpu_s"][0] == 1234.57
+
+
+def test_curves_come_back_rounded_to_six_digits(stored, written):
+    curves = read_export(written).curves
+    pd.testing.assert_frame_equal(curves, stored.curves, rtol=1e-5)
+    run = curves[curves["run_id"] == stored.runs["run_id"][0]]
+    assert run["success_rate"].tolist() == [0.0, 0.333333, 1.0]
+    assert run["cpu_s"].tolist() == [410.494, 824.074, 1234.57]
+
+
+def test_final_episodes_come_back_with_their_outcomes_alone(stored, written):
+    episodes = read_export(written).episodes
+    final = stored.episodes[stored.episodes["phase"] == "final"].reset_index(drop=True)
+    kept = ["run_id", "phase", "step", "scene", "outcome"]
+    pd.testing.assert_frame_equal(episodes[kept], final[kept])
+    assert list(episodes) == list(final)
+    assert episodes[["parked", "steps", "return"]].isna().all(axis=None)
+
+
+@pytest.mark.parametrize("steps", [[0, 1, 2], [0, 5, 10, 12], [40]])
+def test_trajectories_come_back_in_centimetres_without_speeds(stored, tmp_path, steps):
+    run_id = stored.runs["run_id"][0]
+    x = np.array([0, 1.001, 0.5, 0.534])[: len(steps)]
+    trajectory = pd.DataFrame({"scene": 3, "step": steps, "x_m": x, "y_m": -x, "heading_rad": x / 10, "speed_mps": 1.0})
+    folder = write_export(stored, tmp_path / "one", {run_id: trajectory})
+    found = read_export(folder).trajectories(run_id)
+    assert found["step"].tolist() == steps
+    assert found["x_m"].tolist() == pytest.approx(x.round(2).tolist(), abs=1e-6)
+    assert found["y_m"].tolist() == pytest.approx((-x).round(2).tolist(), abs=1e-6)
+    assert found["heading_rad"].tolist() == pytest.approx((x / 10).round(2).tolist(), abs=1e-6)
+    assert found["speed_mps"].isna().all()
+    assert found.dtypes.to_dict() == stored.trajectories(run_id).dtypes.to_dict()
+    assert read_export(folder).trajectories(stored.runs["run_id"][1]).empty
+
+
+def test_problems_and_runs_of_others_are_kept_and_the_folder_is_the_source(stored, tmp_path):
+    told = replace(stored, problems=("a: /tmp/x/y.csv is missing", "b"), ignored=3)
+    found = read_export(write_export(told, tmp_path / "one", problems=["b", "c"]))
+    assert found.problems == ("b", "c", "a: y.csv is missing")
+    assert found.ignored == 3
+    assert found.uri == str(tmp_path / "one")
+
+
+def test_the_same_results_give_the_same_bytes_and_replace_an_earlier_export(stored, written):
+    before = {path.name: path.read_bytes() for path in written.iterdir()}
+    assert set(before) == set(FILES)
+    write_export(replace(stored, ignored=1), written)
+    assert json.loads((written / "report.json").read_text())["ignored"] == 1
+    write_export(stored, written)
+    assert {path.name: path.read_bytes() for path in written.iterdir()} == before
+    assert [path.name for path in written.parent.iterdir()] == ["her"]
+
+
+def test_no_file_of_an_export_names_a_place_on_the_machine(stored, written):
+    text = "".join(read_text(path) for path in written.iterdir())
+    assert not re.search(r"/(home|tmp|dev|root|work)\b|sqlite:|file:", text)
+    assert read_export(written).runs["error"][1] == "no file x.zip: (see mlflow.db)"
+    assert read_export(written).runs["config.x.path"][0] == "own"
+
+
+@pytest.mark.parametrize(
+    ("said", "left"),
+    [
+        ("cpu 5 km/h, a/b and 1 / 2", "cpu 5 km/h, a/b and 1 / 2"), ("e.g. /tmp/one: no", "e.g. one: no"), ("~/x/y", "y"),
+        ("file:///tmp/a/b.txt'", "b.txt'"), ("http://host:5000/x", "http://host:5000/x"), ("['/a/b', '/c']", "['b', 'c']"),
+    ],
+)  # fmt: skip
+def test_paths_are_cut_to_their_last_part(said, left):
+    assert without_paths(said) == left
+
+
+def test_a_folder_with_other_files_is_refused_and_left_alone(stored, tmp_path):
+    (tmp_path / "notes.txt").write_text("mine")
+    with pytest.raises(ConfigError, match=r"it holds other files, e\.g\. notes\.txt; name a folder of its own"):
+        write_export(stored, tmp_path)
+    assert [path.name for path in tmp_path.iterdir()] == ["notes.txt"]
+    with pytest.raises(ConfigError, match="a file is in the way"):
+        write_export(stored, tmp_path / "notes.txt")
+
+
+def test_an_export_that_was_interrupted_is_not_whole(stored, written, monkeypatch):
+    def full(*arguments, **keywords):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    with monkeypatch.context() as patched, pytest.raises(OSError, match="No space left"):
+        patched.setattr(pd.DataFrame, "to_csv", full)
+        write_export(stored, written)
+    with pytest.raises(ResultsError, match=r"is not a whole export: it has no report\.json"):
+        read_export(written)
+
+
+def test_an_export_does_not_write_through_links(stored, written, tmp_path):
+    other = tmp_path / "other.csv"
+    other.write_text("mine")
+    (written / "runs.csv.gz").unlink()
+    (written / "runs.csv.gz").symlink_to(other)
+    write_export(stored, written)
+    assert other.read_text() == "mine"
+    assert len(read_export(written).runs) == 4
+
+
+def test_for_a_folder_that_is_not_there_the_closest_is_suggested(written):
+    with pytest.raises(ResultsError, match=r"hers is not a whole export.*did you mean 'her'\?"):
+        read_export(written.with_name("hers"))
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_a_file_that_is_missing_is_named(written, name):
+    (written / name).unlink()
+    with pytest.raises(ResultsError, match=f"is not a whole export: it has no {re.escape(name)}"):
+        read_export(written)
+
+
+@pytest.mark.parametrize(
+    ("name", "old", "new"),
+    [
+        ("report.json", '"ignored"', '"ignore"'), ("report.json", "{", "["), ("runs.csv.gz", "run_id,", "run,"),
+        ("runs.csv.gz", ",200,", ",200.5,"), ("runs.csv.gz", "2023-11-14 ", "2023-99-14 "),
+        ("curves.csv.gz", ",0.333333", ",a"), ("outcomes.csv.gz", "scene", "scenes"),
+    ],
+)  # fmt: skip
+def test_a_damaged_export_is_a_sentence_that_names_it(written, name, old, new):
+    edit(written / name, old, new)
+    with pytest.raises(ResultsError, match="can't be read") as error:
+        read_export(written)
+    assert str(written) in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+def test_rows_of_runs_that_an_export_does_not_have_are_left_out(written):
+    edit(written / "curves.csv.gz", "\n", "\nx")
+    edit(written / "outcomes.csv.gz", "scene,", "scene,x")
+    found = read_export(written)
+    assert set(found.curves["run_id"]) | set(found.episodes["run_id"]) <= set(found.runs["run_id"])
+
+
+@pytest.mark.parametrize("content", [b"\xff\xfe", None])
+def test_a_table_that_was_cut_off_is_damaged(written, content):
+    path = written / "curves.csv.gz"
+    path.write_bytes(content or path.read_bytes()[:-30])
+    with pytest.raises(ResultsError, match="can't be read"):
+        read_export(written)

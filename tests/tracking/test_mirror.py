@@ -1,0 +1,472 @@
+"""The store agrees with the run directories: under load, after kills, and after it was down, lost or behind."""
+
+import json
+import os
+import shutil
+import sqlite3
+import subprocess
+import sys
+import time
+from contextlib import closing
+from functools import cache
+
+import pytest
+from support.mlflow_servers import closed_port, mlflow_server, needs_server
+from support.runs import ROOT, artifacts, assert_store_is_whole, history, make_config, only_run, run_script, store
+from support.sync_processes import KEYS, grow, sync
+
+from parking_exp.config.paths import default_uri
+from parking_exp.runs.atomic_files import write_json
+from parking_exp.runs.directory import RunDirectory, RunResult
+from parking_exp.runs.lookup import find_runs
+from parking_exp.runs.metric_logs import restore_logs
+from parking_exp.runs.run_provenance import provenance
+from parking_exp.tracking import mirror as mirroring
+from parking_exp.tracking.client import connect, reason
+from parking_exp.tracking.mirror import flatten, later, mirror_missing, mirror_problem, try_mirror
+from parking_exp.tracking.tracker import open_tracker
+from parking_exp.training import checkpoints
+from parking_exp.training.train_run import train
+
+QUICK = ("experiment=smoke", "evaluation.video_episodes=0", "tracking.tensorboard=false")
+
+
+@cache
+def smoke_config():
+    return make_config("experiment=smoke")
+
+
+def mirror_all(output_dir, uri=None):
+    """Mirror what a store lacks of an output directory; what was in the way of each run."""
+    directories = [RunDirectory(path) for path in find_runs(output_dir)]
+    return [problem for _, problem in mirror_missing(directories, uri or default_uri(output_dir))]
+
+
+@pytest.fixture
+def fresh_dir(output_dir):
+    """An output directory without a store."""
+    (output_dir / "mlflow.db").unlink()
+    return output_dir
+
+
+def written_run(output_dir, seed=0, uri=None, started_ms=1_700_000_000_000):
+    """A run directory as at the start of a training, without one."""
+    smoke = smoke_config()
+    tracking = smoke.tracking.model_copy(update={"uri": uri})
+    config = smoke.model_copy(update={"output_dir": str(output_dir), "seed": seed, "tracking": tracking})
+    directory = RunDirectory(config.run_dir)
+    directory.create(config)
+    write_json(directory.path / "provenance.json", {"started_ms": started_ms, "tags": provenance()})
+    directory.update(status="running", tracking_uri=uri or default_uri(output_dir))
+    return directory
+
+
+def finish(directory):
+    (directory.path / "episodes.csv").write_text("phase,step\n")
+    directory.finish(RunResult(str(directory.path), directory.run_id, 1, {}))
+
+
+def finished_run(output_dir, seed=0, **changes):
+    directory = written_run(output_dir, seed, **changes)
+    grow(directory, rows=20)
+    finish(directory)
+    return directory
+
+
+def local_points(directory, up_to=None):
+    """Every (key, step, value, time) of a run directory, up to a step."""
+    lines = (directory.path / "metrics.jsonl").read_text().splitlines()
+    return sorted(
+        (key, record["step"], value, record["time_ms"])
+        for record in map(json.loads, lines)
+        for key, value in record["metrics"].items()
+        if up_to is None or record["step"] <= up_to
+    )
+
+
+def rows(output_dir, query):
+    with closing(sqlite3.connect(output_dir / "mlflow.db")) as database:
+        return database.execute(query).fetchall()
+
+
+def stored_points(output_dir, run_id):
+    """Every row of the metrics table: a number that was logged twice would be there twice."""
+    return sorted(rows(output_dir, f"SELECT key, step, value, timestamp FROM metrics WHERE run_uuid = '{run_id}'"))
+
+
+def stored_run(directory):
+    return store(directory.output_dir).get_run(directory.run_id)
+
+
+def processes(command, paths, **env):
+    arguments = [sys.executable, str(ROOT / "tests" / "support" / "sync_processes.py"), command, *map(str, paths)]
+    return subprocess.run(
+        arguments, check=False, capture_output=True, text=True, timeout=300, env={**os.environ, **env}
+    )
+
+
+def content(output_dir):
+    """The whole store: each row of the database, and each artifact with its times."""
+    with closing(sqlite3.connect(output_dir / "mlflow.db")) as database:
+        dump = list(database.iterdump())
+    files = sorted((output_dir / "mlflow-artifacts").rglob("*"))
+    return dump, [(path, path.stat().st_mtime_ns, path.stat().st_ino) for path in files]
+
+
+@pytest.mark.slow
+def test_sixteen_processes_write_into_a_fresh_store_at_once_and_each_number_arrives_once(fresh_dir):
+    directories = [written_run(fresh_dir, seed) for seed in range(16)]
+    done = processes("at-once", [directory.path for directory in directories])
+    assert (done.returncode, done.stderr) == (0, "")
+    assert rows(fresh_dir, "SELECT count(*) FROM metrics") == [(16 * 2 * 180 * len(KEYS),)]
+    assert rows(fresh_dir, "SELECT name FROM experiments ORDER BY name") == [("Default",), ("smoke",)]
+    assert rows(fresh_dir, "SELECT status, count(*) FROM runs GROUP BY status") == [("FINISHED", 16)]
+    for directory in directories:
+        assert stored_points(fresh_dir, directory.run_id) == local_points(directory)
+        assert [path.split("/")[1] for path in artifacts(store(fresh_dir), directory.run_id, "checkpoints")] == [
+            "step=0000000180", "step=0000000180", "step=0000000360", "step=0000000360"]  # fmt: skip
+
+
+@pytest.mark.slow
+def test_a_mirror_that_is_killed_anywhere_is_completed_by_the_next_one(output_dir):
+    first, *directories = [written_run(output_dir, seed) for seed in range(11)]
+    for directory in (first, *directories):
+        grow(directory, rows=400)  # more than one batch
+        finish(directory)
+    calls = processes("count", [first.path]).stdout.strip()
+    assert int(calls) > 200
+    killed = processes("kill", [directory.path for directory in directories], CALLS=calls)
+    assert killed.stdout.strip() == str([-9] * 10)
+    assert mirror_all(output_dir) == [None] * 10
+    assert mirror_all(output_dir) == []
+    client = store(output_dir)
+    assert rows(output_dir, "SELECT status, count(*) FROM runs GROUP BY status") == [("FINISHED", 11)]
+    for directory in directories:
+        run = client.get_run(directory.run_id)
+        assert stored_points(output_dir, directory.run_id) == local_points(directory)
+        assert run.data.params == flatten(directory.config().plain())
+        assert run.data.tags["status"] == "done"
+        assert artifacts(client, directory.run_id) == artifacts(client, first.run_id)
+
+
+def test_mirroring_again_changes_nothing(output_dir):
+    directory = finished_run(output_dir)
+    sync(directory)
+    before, status = content(output_dir), directory.read_status()
+    sync(directory)
+    assert mirror_all(output_dir) == []
+    assert content(output_dir) == before
+    assert directory.read_status() == status
+
+
+@pytest.mark.parametrize("kept", [[], [2]])
+def test_a_store_that_was_lost_is_filled_again_also_after_another_run_was_sent_there(output_dir, empty, kept):
+    directories = [finished_run(output_dir, seed) for seed in range(4)]
+    assert mirror_all(output_dir) == [None] * 4
+    shutil.copy(empty / "mlflow.db", output_dir)  # another one in its place
+    for seed in kept:
+        sync(directories[seed])
+    assert mirror_all(output_dir) == [None] * (4 - len(kept))
+    assert mirror_all(output_dir) == []
+    assert rows(output_dir, "SELECT status, count(*) FROM runs GROUP BY status") == [("FINISHED", 4)]
+    for directory in directories:
+        assert stored_points(output_dir, directory.run_id) == local_points(directory)
+
+
+def test_an_older_copy_of_a_store_gets_what_came_since(output_dir, tmp_path):
+    first = written_run(output_dir)
+    grow(first, rows=5)
+    sync(first)
+    shutil.copy(output_dir / "mlflow.db", tmp_path)
+    grow(first, rows=5)
+    finish(first)
+    second = finished_run(output_dir, seed=1)
+    assert mirror_all(output_dir) == [None, None]
+    shutil.copy(tmp_path / "mlflow.db", output_dir)
+    assert mirror_all(output_dir) == [None, None]
+    for directory in (first, second):
+        assert stored_points(output_dir, directory.run_id) == local_points(directory)
+        assert stored_run(directory).info.status == "FINISHED"
+
+
+def test_a_run_that_a_user_has_deleted_in_the_store_stays_deleted(output_dir):
+    directory = finished_run(output_dir)
+    sync(directory)
+    store(output_dir).delete_run(directory.run_id)
+    assert mirror_all(output_dir) == []
+
+
+def test_a_killed_run_sends_nothing_above_its_last_checkpoint_and_all_of_it_after_it_was_resumed(output_dir):
+    directory = written_run(output_dir)
+    grow(directory, rows=20)
+    grow(directory, rows=7, checkpoint=False)
+    assert mirror_all(output_dir) == [None]
+    run, run_id = stored_run(directory), directory.run_id
+    assert stored_points(output_dir, run_id) == local_points(directory, up_to=20)
+    assert (run.info.status, run.data.tags["status"], directory.status) == ("KILLED", "interrupted", "running")
+    assert mirror_all(output_dir) == []
+
+    restore_logs(directory.path, directory.checkpoints / "step=0000000020")
+    time.sleep(0.002)  # the same steps come at another time
+    with directory.training_lock():
+        sync(directory)
+        assert stored_run(directory).info.status == "RUNNING"
+        grow(directory, rows=15)
+        finish(directory)
+        sync(directory)
+    assert directory.run_id == run_id
+    assert stored_points(output_dir, run_id) == local_points(directory)
+    assert (stored_run(directory).info.status, stored_run(directory).data.tags["status"]) == ("FINISHED", "done")
+
+
+@pytest.mark.parametrize(("status", "theirs"), [("failed", "FAILED"), ("interrupted", "KILLED")])
+def test_a_run_that_broke_has_its_traceback_and_error_in_the_store_until_it_is_resumed(output_dir, status, theirs):
+    directory, client = written_run(output_dir), store(output_dir)
+    grow(directory, rows=20)
+    grow(directory, rows=7, checkpoint=False)
+    (directory.path / "traceback.txt").write_text("Traceback")
+    directory.update(status=status, error="ValueError: a loss\n  of NaN " + 500 * "x")
+    sync(directory)
+    assert stored_points(output_dir, directory.run_id) == local_points(directory, up_to=20)
+    run = stored_run(directory)
+    assert (run.info.status, run.data.tags["status"]) == (theirs, status)
+    assert run.data.tags["error"] == ("ValueError: a loss of NaN " + 471 * "x" + "..." if status == "failed" else "")
+    assert "traceback.txt" in artifacts(client, directory.run_id)
+    (directory.path / "traceback.txt").unlink()
+    directory.update(status="running", error=None)
+    with directory.training_lock():
+        sync(directory)
+    assert stored_run(directory).data.tags["error"] == ""
+    assert "traceback.txt" not in artifacts(client, directory.run_id)
+
+
+def test_a_run_that_fails_again_for_another_reason_is_sent_again(output_dir):
+    directory = written_run(output_dir)
+    directory.update(status="failed", error="ValueError: the first")
+    assert mirror_all(output_dir) == [None]
+    directory.update(status="failed", error="killed by SIGKILL", killed=True)
+    assert mirror_all(output_dir) == [None]
+    assert stored_run(directory).data.tags["error"] == "killed by SIGKILL"
+    assert mirror_all(output_dir) == []
+
+
+def test_a_planned_run_is_in_the_store_and_is_the_same_one_when_it_has_begun(output_dir):
+    config = smoke_config().model_copy(update={"output_dir": str(output_dir)})
+    directory = RunDirectory(config.run_dir)
+    directory.freeze(config, "sac", None)
+    assert mirror_all(output_dir) == [None]
+    run_id = directory.run_id
+    assert stored_run(directory).data.tags["status"] == "interrupted"
+    with directory.training_lock():
+        directory.update(status="running")
+        open_tracker(config, directory)
+    assert (directory.run_id, stored_run(directory).data.tags["status"]) == (run_id, "running")
+
+
+@pytest.mark.parametrize("lost", [["metrics.jsonl"], ["metrics.jsonl", "checkpoints", "models", "episodes.csv"]])
+def test_a_finished_run_whose_files_were_deleted_keeps_those_of_the_store(output_dir, lost):
+    directory = finished_run(output_dir)
+    sync(directory)
+    points, names, run_id = (
+        stored_points(output_dir, directory.run_id),
+        artifacts(store(output_dir), directory.run_id),
+        directory.run_id,
+    )
+    for path in (directory.path / name for name in lost):
+        shutil.rmtree(path, ignore_errors=True) if path.is_dir() else path.unlink(missing_ok=True)
+    assert mirror_all(output_dir) == [None]
+    assert directory.run_id == run_id
+    assert stored_points(output_dir, run_id) == points
+    assert artifacts(store(output_dir), run_id) == names
+
+
+def test_a_run_that_is_trained_afresh_in_the_same_place_takes_the_place_of_the_old_one(output_dir):
+    directory = finished_run(output_dir)
+    sync(directory)
+    old = directory.run_id
+    shutil.rmtree(directory.path)
+    directory = written_run(output_dir, started_ms=1_700_000_000_001)
+    grow(directory, rows=10)
+    sync(directory)
+    assert directory.run_id != old
+    assert stored_points(output_dir, directory.run_id) == local_points(directory)
+    assert rows(output_dir, f"SELECT lifecycle_stage FROM runs WHERE run_uuid = '{old}'") == [("deleted",)]
+
+
+def test_what_others_log_to_a_run_is_left_alone(output_dir):
+    directory, client = written_run(output_dir), store(output_dir)
+    grow(directory, rows=5)
+    sync(directory)
+    run_id = directory.run_id
+    client.log_metric(run_id, "my/note", 1.0, step=99)
+    client.set_tag(run_id, "starred", "yes")
+    grow(directory, rows=5)
+    sync(directory)
+    assert directory.run_id == run_id
+    assert history(client, run_id, "my/note") == [(99, 1.0)]
+    assert client.get_run(run_id).data.tags["starred"] == "yes"
+
+
+def test_a_run_that_another_process_works_on_is_left_to_it(output_dir):
+    directory = written_run(output_dir)
+    with directory.training_lock():
+        assert mirror_all(output_dir) == []
+    assert mirror_all(output_dir) == [None]
+
+
+def test_the_store_has_what_mlflows_ui_shows_and_keeps_a_users_own_description(output_dir):
+    directory, client = finished_run(output_dir, started_ms=1234567), store(output_dir)
+    directory.update(command="python scripts/train.py experiment=smoke")
+    trained = {**provenance(), "version.torch": "1.2.3", "cpu": "another machine's"}
+    write_json(directory.path / "provenance.json", {"started_ms": 1234567, "tags": trained})
+    rates = {f"final/{name}_rate": rate for name, rate in {"success": 0.94, "crash": 0.04, "parked": 0.0}.items()}
+    write_json(directory.path / "result.json", {"run_dir": "", "run_id": None, "steps": 60000, "metrics": rates})
+    sync(directory)
+    experiment, run = client.get_experiment_by_name("smoke"), stored_run(directory)
+    assert experiment.tags["mlflow.experimentKind"] == "custom_model_development"
+    view = json.loads(experiment.tags["mlflow.sharedViewState.results"])
+    assert json.loads(view["state"])["selectedColumns"][0] == "metrics.`final/success_rate`"
+    assert trained.items() <= run.data.tags.items()
+    assert run.info.start_time == 1234567
+    note = run.data.tags["mlflow.note.content"]
+    assert all(words in note for words in ("seed 0: success 94.0%", "60,000", "train.py experiment=smoke"))
+    directory.update(command="python scripts/train.py seed=0")
+    sync(directory)
+    assert "train.py seed=0" in stored_run(directory).data.tags["mlflow.note.content"]
+    client.set_tag(directory.run_id, "mlflow.note.content", "my own words")
+    directory.update(command="python scripts/train.py")
+    sync(directory)
+    assert stored_run(directory).data.tags["mlflow.note.content"] == "my own words"
+
+
+def test_a_store_that_has_just_failed_is_left_alone_until_the_end(fresh_dir):
+    blocked = fresh_dir / "blocked"
+    blocked.touch()  # a file where the database's folder is to be
+    uri = f"sqlite:///{blocked / 'mlflow.db'}"
+    directory, messages = written_run(fresh_dir, uri=uri), []
+    tracker = open_tracker(directory.config(), directory, messages.append)
+    problem = f"File exists: {blocked}"
+    assert directory.unsynced == problem
+    assert problem in messages[0]
+    assert later(fresh_dir, uri) in messages[0]
+    blocked.unlink()
+    tracker.sync()
+    assert directory.unsynced == problem
+    tracker.close()
+    assert directory.unsynced is None
+    assert messages[1:] == ["the store has everything now"]
+
+
+def test_any_error_while_mirroring_is_noted_and_stops_nothing(output_dir, monkeypatch):
+    directory = written_run(output_dir)
+    monkeypatch.setattr(mirroring, "flatten", {}.__getitem__)
+    assert "unhashable" in try_mirror(directory, default_uri(output_dir))
+    assert "unhashable" in directory.unsynced
+
+
+def test_a_server_that_is_down_is_asked_once_for_all_runs(fresh_dir):
+    with closed_port() as port:
+        uri = f"http://127.0.0.1:{port}"
+        directories = [written_run(fresh_dir, seed, uri) for seed in range(3)]
+        assert mirror_all(fresh_dir, uri) == ["Connection refused"] * 3
+        assert "3 runs" in mirror_problem(directories, uri)
+    assert [directory.unsynced for directory in directories] == [None] * 3
+
+
+def test_a_store_that_is_no_database_is_refused_at_once(fresh_dir):
+    (fresh_dir / "mlflow.db").write_text("this is not a database, and it is long enough to be looked at " * 20)
+    assert try_mirror(written_run(fresh_dir), default_uri(fresh_dir)) == "file is not a database"
+
+
+def test_reasons_have_no_password_and_are_short():
+    error = ValueError("no server at postgresql://me:secret@db.example:5432/mlflow")
+    assert reason(error) == "no server at postgresql://me@db.example:5432/mlflow"
+    assert len(reason(ValueError("x" * 1000))) < 210
+
+
+def test_names_in_a_checkpoint_are_those_that_training_writes():
+    for name in ("MODEL", "BUFFER", "MANIFEST"):
+        assert getattr(mirroring, name) == getattr(checkpoints, name)
+
+
+@pytest.mark.slow
+def test_a_store_that_fails_in_the_middle_gets_the_rest_later(output_dir, capsys):
+    with closing(sqlite3.connect(output_dir / "mlflow.db")) as database:
+        database.execute(
+            "CREATE TRIGGER full BEFORE INSERT ON metrics WHEN NEW.step > 200 "
+            "BEGIN SELECT RAISE(ABORT, 'database or disk is full'); END"
+        )
+    result = train(make_config(*QUICK, f"output_dir={output_dir}"))
+    directory, (out, err) = only_run(output_dir), capsys.readouterr()
+    assert (directory.status, directory.unsynced) == ("done", "database or disk is full")
+    assert later(output_dir, None) in out
+    assert err.count("database or disk is full") == 1
+    assert max(step for _, step, _, _ in stored_points(output_dir, result.run_id)) == 200
+    with closing(sqlite3.connect(output_dir / "mlflow.db")) as database:
+        database.execute("DROP TRIGGER full")
+    assert mirror_all(output_dir) == [None]
+    assert (directory.unsynced, directory.run_id) == (None, result.run_id)
+    assert_store_is_whole(output_dir, 400)
+
+
+@pytest.mark.slow
+def test_a_run_whose_store_is_down_is_done_and_the_store_gets_all_of_it_later(smoke, tmp_path):
+    """The same run as `smoke`, whose store was healthy."""
+    healthy, _, healthy_dir = smoke
+    blocked = tmp_path / "mlflow.db"
+    blocked.mkdir()  # a folder where the database is to be
+    done = run_script("train", "experiment=smoke", f"output_dir={tmp_path}")
+    assert done.returncode == 0, done.stderr
+    directory, problem = only_run(tmp_path), "unable to open database file"
+    assert (directory.status, directory.unsynced, directory.run_id) == ("done", problem, None)
+    assert done.stderr.count(problem) == 1
+    assert "Traceback" not in done.stderr
+    evaluated = run_script(
+        "evaluate", f"run={directory.path}", f"output_dir={tmp_path}", "episodes=2", "simulator=vectorized", "name=two"
+    )
+    assert evaluated.returncode == 0, evaluated.stderr
+    assert f"not stored     {problem}" in evaluated.stdout
+
+    blocked.rmdir()
+    assert mirror_all(tmp_path) == [None]
+    assert directory.result().run_id == directory.run_id is not None
+    assert_store_is_whole(tmp_path, 400)
+    ours, theirs = stored_run(directory), stored_run(healthy)
+    assert {**ours.data.params, "output_dir": ""} == {**theirs.data.params, "output_dir": ""}
+    own = dict.fromkeys(("run_dir", "mlflow.runName", "mlflow.note.content", "mirrored", "started_ms"), "")
+    assert {**ours.data.tags, **own} == {**theirs.data.tags, **own}
+    assert set(ours.data.metrics) == set(theirs.data.metrics)
+    stored = set(artifacts(store(tmp_path), directory.run_id))
+    known = set(artifacts(store(healthy_dir), healthy.run_id))
+    assert stored >= {path for path in known if not path.startswith(("evaluations/", "checkpoints/"))}
+    assert {"evaluations/two/episodes.csv", "evaluations/two/summary.json"} <= stored
+
+
+@pytest.mark.slow
+def test_a_run_is_trained_without_its_server(tmp_path):
+    with closed_port() as port:
+        uri = f"http://127.0.0.1:{port}"
+        train(make_config(*QUICK, f"output_dir={tmp_path}", "total_timesteps=60", f"tracking.uri={uri}"))
+        directory = only_run(tmp_path)
+        assert (directory.status, directory.unsynced) == ("done", "Connection refused")
+        assert not (tmp_path / "mlflow.db").exists()
+
+
+@needs_server
+def test_a_server_that_comes_up_later_gets_everything_artifacts_too(tmp_path):
+    with closed_port() as port:
+        uri = f"http://127.0.0.1:{port}"
+        directory = written_run(tmp_path, uri=uri)
+        grow(directory, rows=400)
+        finish(directory)
+        assert try_mirror(directory, uri) == "Connection refused"
+    with mlflow_server(port, tmp_path):
+        assert mirror_all(tmp_path, uri) == [None]
+        grow(directory, rows=5)
+        sync(directory)
+        client = connect(uri)
+        stored = [(key, step, value) for key in KEYS for step, value in history(client, directory.run_id, key)]
+        assert sorted(stored) == [point[:3] for point in local_points(directory)]
+        names = [f"checkpoints/step=0000000{step}/{name}" for step in (400, 405)
+                 for name in ("model.zip", "replay_buffer.json")]  # fmt: skip
+        assert artifacts(client, directory.run_id) == [*names, "config.yaml", "episodes.csv", "metrics.jsonl"]
