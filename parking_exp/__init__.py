@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from parking_exp.config.compose import compose
     from parking_exp.evaluation.agents import load_model
     from parking_exp.results import load
-    from parking_exp.training.run import train
+    from parking_exp.training.train_run import train
 
 __version__ = "0.1.0"
 __all__ = ["compose", "load", "load_model", "train"]
@@ -26,33 +26,8 @@ _HOMES = {
     "compose": "parking_exp.config.compose",
     "load": "parking_exp.results",
     "load_model": "parking_exp.evaluation.agents",
-    "train": "parking_exp.training.run",
+    "train": "parking_exp.training.train_run",
 }
-
-# All that a `_target_` or the documentation names. These paths stay: a `_target_` is part of a run's key.
-PUBLIC_PATHS = (
-    "parking_exp.compose",
-    "parking_exp.load",
-    "parking_exp.load_model",
-    "parking_exp.train",
-    "parking_exp.algorithms.DDPG",
-    "parking_exp.algorithms.SAC",
-    "parking_exp.algorithms.TD3",
-    "parking_exp.algorithms.crossq.CrossQ",
-    "parking_exp.algorithms.features.EgoFrameExtractor",
-    "parking_exp.algorithms.features.FineEgoFrameExtractor",
-    "parking_exp.algorithms.policy_files.load_policy",
-    "parking_exp.buffers.HerBuffer",
-    "parking_exp.envs.reward.GoalReward",
-    "parking_exp.envs.scenes.Scenes",
-    "parking_exp.envs.simulator.Simulator",
-    "parking_exp.envs.vec_env.ParkingVecEnv",
-    "parking_exp.results.load",
-    "parking_exp.results.read_export",
-    "parking_exp.statistics",
-    "hydra_plugins.parking_launcher.LocalLauncher",
-    "hydra_plugins.parking_launcher.SlurmLauncher",
-)
 
 
 def __getattr__(name: str) -> Any:

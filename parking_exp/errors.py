@@ -5,7 +5,7 @@ A message is a sentence, and the command line prints it without a traceback.
 
 import difflib
 import errno
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 
 # What the system says of a disk and of rights on it. Any other `OSError` may be a bug, and keeps its traceback.
 DISK_ERRORS = {
@@ -90,11 +90,6 @@ def plural(number: int, noun: str) -> str:
 def quoted_label(label: str) -> str:
     """Return a label as it stands in a sentence: in quotes if it has commas, so that it reads as one name."""
     return f"“{label}”" if "," in label or ";" in label else label
-
-
-def first_few(values: Sequence[str], limit: int = 3) -> str:
-    """Return the first of some values, and how many more there are."""
-    return ", ".join(values[:limit]) + (f" and {len(values) - limit} more" if len(values) > limit else "")
 
 
 def did_you_mean(word: str, choices: Iterable[str], cutoff: float = 0.5) -> str:

@@ -7,7 +7,6 @@ from pathlib import Path
 
 import psutil
 
-CGROUP = Path("/sys/fs/cgroup")
 THREAD_VARIABLES = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMEXPR_NUM_THREADS")
 
 
@@ -35,10 +34,9 @@ def pin(some_cores: Sequence[int]) -> None:
         os.sched_setaffinity(0, some_cores)
 
 
-def total_memory(cgroup: Path = CGROUP) -> int:
-    """Return how many bytes of memory this machine has, or the control group may use."""
-    total, limit = psutil.virtual_memory().total, _read(cgroup / "memory.max")
-    return total if limit is None else min(total, limit)
+def total_memory() -> int:
+    """Return how many bytes of memory this machine has."""
+    return psutil.virtual_memory().total
 
 
 def cuda_devices() -> list[str]:
@@ -46,12 +44,5 @@ def cuda_devices() -> list[str]:
     visible = os.environ.get("CUDA_VISIBLE_DEVICES")
     if visible is not None:
         return [name.strip() for name in visible.split(",") if name.strip() not in {"", "-1"}]
-    found = Path("/proc/driver/nvidia/gpus")
-    return [str(number) for number, _ in enumerate(found.iterdir())] if found.is_dir() else []
-
-
-def _read(path: Path) -> int | None:
-    try:
-        return int(path.read_text())
-    except (OSError, ValueError):  # no control group, or "max"
-        return None
+    gpus = Path("/proc/driver/nvidia/gpus")
+    return [str(number) for number, _ in enumerate(gpus.iterdir())] if gpus.is_dir() else []

@@ -17,7 +17,7 @@ WIDE = 1000  # columns of what is no terminal: lines are not broken there
 def printable(line: str) -> str:
     r"""Return a line with escapes such as `\x1b`, `\n`, `\u202e` for what is not printable or can't be encoded."""
     if not line.isprintable():
-        line = "".join(one if one.isprintable() else one.encode("unicode_escape").decode() for one in line)
+        line = "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in line)
     encoding = sys.stdout.encoding or "utf-8"
     return line.encode(encoding, "backslashreplace").decode(encoding)
 

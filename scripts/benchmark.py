@@ -1,27 +1,27 @@
 #!/usr/bin/env python
-"""Measure speed as ratios against named peers, each side in turn, on one core of an otherwise idle machine.
+"""Measure speed relative to named peers, alternating between both sides, on one core of an otherwise idle machine.
 
 simulator.*            env steps/s against highway-env, random actions, 512 or 8 scenes at once
 evaluation.*           seconds to evaluate a trained policy on 500 scenes
 update.*               updates/s, sampling included, against Stable-Baselines3's train(); 3x256 with precision=medium
 update.*.sbx.ratio     the same with raw features against sbx (JAX) on our replay buffer; n1, n8: updates per round
-run.tutorial.ratio      env steps/s of the tutorial's recipe against plain Stable-Baselines3 + highway-env
-run.to_95.ratio        CPU time of training to 95 % success: that recipe / the default one, medians of three seeds
-run.whole.ratio        CPU time of that recipe to 95 % / CPU time of a whole default run
-run.default.overhead   wall time of the default run / the same training without tracking, checkpoints, evaluation
+run.tutorial.ratio     env steps/s of the tutorial's recipe against plain Stable-Baselines3 + highway-env
+run.to_95.ratio        CPU time of training to 95 % success: the tutorial's recipe / the default, medians of three seeds
+run.whole.ratio        CPU time of the tutorial's recipe to 95 % / CPU time of a whole default run
+run.default.overhead   wall time of the default run / of its training without tracking, checkpoints, evaluation
 her.sample.*           time of a HER minibatch: large buffer / small one; samples/s against Stable-Baselines3
 her.*bytes*            bytes per transition, in memory and in a saved buffer
 sweep.scaling.*        runs per hour with two workers / with one
-sweep.overhead_*       seconds of a run besides training
-sweep.resume_scan_*    seconds to find out how far 1,000 runs are
+sweep.overhead_*       seconds per run besides training
+sweep.resume_scan_*    seconds to read the state of 1,000 runs
 
 Arguments:
   output_dir=outputs   benchmark.json is written there
-  only=[PREFIX,...]    figures to measure; by default all but run.to_95 and run.whole, whose peer trains for two hours,
-                       once on a machine
-  rounds=5             of each figure; both sides do a slice of work in each
-  core=first           core to pin to: a number, first (the first allowed one), or null
-  --quick              check in two or three minutes that everything runs; the figures mean little
+  only=[PREFIX,...]    figures to measure; default: all except run.to_95 and run.whole, whose peer trains for two hours
+                       (once per machine)
+  rounds=5             measurements per figure
+  core=first           core to pin to: a number, first (the first allowed core), or null
+  --quick              check in two to three minutes that everything runs; the figures are not meaningful
 
 update.*.sbx.ratio needs: pip install 'parking-exp[bench]'
 """
@@ -44,7 +44,6 @@ from rich.console import Console
 from parking_exp.resources import cores
 from parking_exp.runs.atomic_files import read_json, write_json
 
-NEEDS = ("highway_env", "stable_baselines3")
 VERSIONS = ("parking-exp", "torch", "stable-baselines3", "highway-env", "numpy", "sbx-rl", "jax")
 
 
@@ -60,13 +59,15 @@ class Settings:
 
 
 def main() -> None:
-    """Measure the figures that are asked for, print a table and write `benchmark.json`."""
-    words = ["quick=true" if word == "--quick" else word for word in sys.argv[1:]]
-    if {"-h", "--help"} & set(words):
+    """Measure the chosen figures, print a table and write `benchmark.json`."""
+    arguments = ["quick=true" if argument == "--quick" else argument for argument in sys.argv[1:]]
+    if {"-h", "--help"} & set(arguments):
         print(__doc__)
         return
     try:
-        settings: Any = OmegaConf.to_object(OmegaConf.merge(OmegaConf.structured(Settings), OmegaConf.from_cli(words)))
+        settings: Any = OmegaConf.to_object(
+            OmegaConf.merge(OmegaConf.structured(Settings), OmegaConf.from_cli(arguments))
+        )
     except OmegaConfBaseException as error:
         sys.exit(f"error: {str(error).splitlines()[0]}")
     all_cores = cores()
@@ -75,24 +76,22 @@ def main() -> None:
             os.sched_setaffinity(0, {min(all_cores) if settings.core == "first" else int(settings.core)})
     except (ValueError, OSError):
         sys.exit(f"error: core={settings.core} is not one of {', '.join(map(str, all_cores))}")
-    from benchmarks import figures  # imports torch, which reads the cores
+    from benchmarks import figures  # imports torch, which reads the available cores
 
     if settings.rounds < 1:
         sys.exit(f"error: rounds={settings.rounds} is less than 1")
     for prefix in settings.only or []:
         if not any(key.startswith(prefix) for key in figures.TARGETS):
-            sys.exit(f"error: only={prefix}: no figure begins with it; --help lists them")
-    wanted = settings.only or [key for key in figures.TARGETS if key not in figures.SLOW]
+            sys.exit(f"error: only={prefix}: no figure starts with this; see --help")
+    prefixes = tuple(settings.only or (key for key in figures.TARGETS if key not in figures.SLOW))
     chosen = {
-        key: measure
-        for key, measure in figures.all_figures(settings, all_cores).items()
-        if any(key.startswith(prefix) for prefix in wanted)
+        key: measure for key, measure in figures.all_figures(settings, all_cores).items() if key.startswith(prefixes)
     }
     results = _measure(chosen)
     path = Path(settings.output_dir) / "benchmark.json"
     path.parent.mkdir(parents=True, exist_ok=True)
     about = {"quick": settings.quick, "core": settings.core, "versions": _versions()}
-    earlier = read_json(path) or {}  # a figure that is not measured this time stays as it was
+    earlier = read_json(path) or {}  # figures that are not measured this time are kept
     write_json(path, {**earlier, **{key: {**entry, "about": about} for key, entry in results.items()}})
     print(*_table(results, figures.TARGETS), f"written to {path}", sep="\n")
 
@@ -102,9 +101,8 @@ def _measure(chosen: dict[str, Callable[[], dict[str, Any]]]) -> dict[str, dict[
     with Console(stderr=True).status("starting") as status:
         for key, measure in chosen.items():
             status.update(key)
-            needs = (*NEEDS, "sbx") if ".sbx." in key else NEEDS
-            absent = [name for name in needs if importlib.util.find_spec(name) is None]
-            results[key] = {"missing": f"{', '.join(absent)} not installed"} if absent else measure()
+            missing = ".sbx." in key and importlib.util.find_spec("sbx") is None
+            results[key] = {"missing": "sbx not installed"} if missing else measure()
     return results
 
 
@@ -124,8 +122,8 @@ def _table(results: dict[str, dict[str, Any]], targets: dict[str, tuple[str, flo
         value = next(entry[name] for name in ("ratio", "wall_s", "bytes", "seconds") if name in entry)
         met = value >= bound if sign == ">=" else value <= bound
         spread = f"{entry['lowest']:.4g} to {entry['highest']:.4g}"
-        words = f"{target:<10}  {entry.get('peer', '')}{'' if met else '   MISSED'}"
-        lines.append(f"{key:<30}{value:>9.4g}  {spread:<19}{words}")
+        remark = f"{target:<10}  {entry.get('peer', '')}{'' if met else '   MISSED'}"
+        lines.append(f"{key:<30}{value:>9.4g}  {spread:<19}{remark}")
     return lines
 
 

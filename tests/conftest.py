@@ -48,10 +48,10 @@ def smoke(tmp_path_factory):
     """
     folder = tmp_path_factory.getbasetemp()
     folder = folder.parent if "PYTEST_XDIST_WORKER" in os.environ else folder
-    output_dir, told = folder / "smoke" / "outputs", folder / "smoke" / "process.json"
+    output_dir, process_file = folder / "smoke" / "outputs", folder / "smoke" / "process.json"
     with FileLock(folder / "smoke.lock"):
-        if not told.exists():
+        if not process_file.exists():
             done = run_script("train", "experiment=smoke", f"output_dir={output_dir}")
             assert done.returncode == 0, done.stderr
-            told.write_text(json.dumps([done.args, done.returncode, done.stdout, done.stderr]))
-    return only_run(output_dir), subprocess.CompletedProcess(*json.loads(told.read_text())), output_dir
+            process_file.write_text(json.dumps([done.args, done.returncode, done.stdout, done.stderr]))
+    return only_run(output_dir), subprocess.CompletedProcess(*json.loads(process_file.read_text())), output_dir

@@ -12,10 +12,34 @@ import pytest
 from support.runs import ROOT
 
 import parking_exp
-from parking_exp import PUBLIC_PATHS, compose
+from parking_exp import compose
 from parking_exp.config.schema import RunConfig
 from parking_exp.errors import ConfigError
 
+# All that a `_target_` or the documentation names. These paths stay: a `_target_` is part of a run's key.
+PUBLIC_PATHS = (
+    "parking_exp.compose",
+    "parking_exp.load",
+    "parking_exp.load_model",
+    "parking_exp.train",
+    "parking_exp.algorithms.DDPG",
+    "parking_exp.algorithms.SAC",
+    "parking_exp.algorithms.TD3",
+    "parking_exp.algorithms.crossq.CrossQ",
+    "parking_exp.algorithms.features.EgoFrameExtractor",
+    "parking_exp.algorithms.features.FineEgoFrameExtractor",
+    "parking_exp.algorithms.policy_files.load_policy",
+    "parking_exp.buffers.HerBuffer",
+    "parking_exp.envs.reward.GoalReward",
+    "parking_exp.envs.scenes.Scenes",
+    "parking_exp.envs.simulator.Simulator",
+    "parking_exp.envs.vec_env.ParkingVecEnv",
+    "parking_exp.results.load",
+    "parking_exp.results.read_export",
+    "parking_exp.statistics",
+    "hydra_plugins.parking_launcher.LocalLauncher",
+    "hydra_plugins.parking_launcher.SlurmLauncher",
+)
 TARGET = re.compile(r"_target_: ((?:parking_exp|hydra_plugins\.parking_launcher)\.[\w.]+)")
 NAMED = re.compile(r"\bparking_exp(?:\.\w+)+")
 IMPORTED = re.compile(r"^from (parking_exp[\w.]*) import ([\w, ]+)", re.MULTILINE)
@@ -96,5 +120,5 @@ def test_a_composed_config_is_checked_and_of_one_run():
     assert (config.experiment_name, config.seed) == ("smoke", 3)
     with pytest.raises(ConfigError, match="stand for 2 runs"):
         compose("seed=1,2")
-    with pytest.raises(ConfigError, match=r"n_envs=0 is out of range"):
+    with pytest.raises(ConfigError, match=r"^n_envs=0: "):
         compose("n_envs=0")

@@ -7,7 +7,7 @@ import pytest
 from support.runs import run_script
 from support.sweep_processes import FAILING, QUICK
 
-from parking_exp.resources import cores, cuda_devices, shares, total_memory
+from parking_exp.resources import cores, cuda_devices, shares
 from parking_exp.sweeps.supervisor import WorkerResources
 
 
@@ -41,32 +41,19 @@ def test_visible_devices_are_those_that_are_shared_out(monkeypatch, visible, exp
     assert cuda_devices() == expected
 
 
-def test_all_memory_is_bounded_by_the_control_group(tmp_path):
-    whole = total_memory(tmp_path)
-    (tmp_path / "memory.max").write_text("max\n")
-    assert total_memory(tmp_path) == whole > 1e8
-    (tmp_path / "memory.max").write_text("3000\n")
-    assert total_memory(tmp_path) == 3000
-
-
-def told(tmp_path, *arguments):
-    """What the two runs of a sweep said of their processes."""
-    environment = {**FAILING, "TELLS": str(tmp_path), "CUDA_VISIBLE_DEVICES": "4,5"}
-    done = run_script(
-        "train", *QUICK, f"output_dir={tmp_path / 'outputs'}", "seeds=2", "algorithm._target_=support.failing_algorithms.Tells",
-        "torch_threads=null", *arguments, env=environment,
-    )  # fmt: skip
-    assert done.returncode == 0, done.stderr
-    return [json.loads(path.read_text()) for path in tmp_path.glob("*.json")]
-
-
 @pytest.mark.slow
 @pytest.mark.skipif(not hasattr(os, "sched_getaffinity") or len(cores()) < 2, reason="needs two cores to pin to")
 def test_workers_side_by_side_have_cores_threads_and_devices_of_their_own(tmp_path):
-    found = sorted(told(tmp_path, "hydra.launcher.n_jobs=2"), key=lambda one: one["cores"])
-    expected = shares(cores(), 2)
-    assert [one["cores"] for one in found] == expected
-    assert [one["devices"] for one in found] == ["4", "5"]
-    for one, mine in zip(found, expected, strict=True):
-        assert set(one["threads"].values()) == {str(len(mine))}
-        assert one["torch"] == len(mine)
+    environment = {**FAILING, "TELLS": str(tmp_path), "CUDA_VISIBLE_DEVICES": "4,5"}
+    done = run_script(
+        "train", *QUICK, f"output_dir={tmp_path / 'outputs'}", "seeds=2", "algorithm._target_=support.failing_algorithms.Tells",
+        "torch_threads=null", "hydra.launcher.n_jobs=2", env=environment,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    workers = sorted(
+        (json.loads(path.read_text()) for path in tmp_path.glob("*.json")), key=lambda worker: worker["cores"]
+    )
+    assert [worker["cores"] for worker in workers] == shares(cores(), 2)
+    assert [worker["devices"] for worker in workers] == ["4", "5"]
+    for worker in workers:
+        assert {*worker["threads"].values(), str(worker["torch"])} == {str(len(worker["cores"]))}

@@ -12,40 +12,46 @@ from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 from stable_baselines3.sac import policies as sac
 from stable_baselines3.td3 import policies as td3
 
-Observations = dict[str, torch.Tensor]
+from parking_exp.algorithms.features import MirroredEgoFrameExtractor
 
 
 class MirroredActor(td3.Actor):
     """TD3's actor, mirrored."""
 
+    features_extractor: MirroredEgoFrameExtractor
+
     def forward(self, obs: Any) -> torch.Tensor:
         """Return actions, shape (batch, actions)."""
-        return _mirror(self, super().forward(obs), obs)
+        return self.features_extractor.mirror(super().forward(obs), obs)
 
 
 class MirroredGaussianActor(sac.Actor):
     """SAC's actor, mirrored."""
 
+    features_extractor: MirroredEgoFrameExtractor
+
     def forward(self, obs: Any, deterministic: bool = False) -> torch.Tensor:
         """Return actions, shape (batch, actions)."""
-        return _mirror(self, super().forward(obs, deterministic), obs)
+        return self.features_extractor.mirror(super().forward(obs, deterministic), obs)
 
     def action_log_prob(self, obs: Any) -> tuple[torch.Tensor, torch.Tensor]:
         """Return sampled actions, shape (batch, actions), and their log probabilities, shape (batch,)."""
         actions, log_prob = super().action_log_prob(obs)
-        return _mirror(self, actions, obs), log_prob
+        return self.features_extractor.mirror(actions, obs), log_prob
 
 
 class MirroredCritic(ContinuousCritic):
     """Q-networks, mirrored."""
 
+    features_extractor: MirroredEgoFrameExtractor
+
     def forward(self, obs: Any, actions: torch.Tensor) -> tuple[torch.Tensor, ...]:
         """Return each network's values, shape (batch, 1)."""
-        return super().forward(obs, _mirror(self, actions, obs))
+        return super().forward(obs, self.features_extractor.mirror(actions, obs))
 
     def q1_forward(self, obs: Any, actions: torch.Tensor) -> torch.Tensor:
         """Return the first network's values, shape (batch, 1)."""
-        return super().q1_forward(obs, _mirror(self, actions, obs))
+        return super().q1_forward(obs, self.features_extractor.mirror(actions, obs))
 
 
 class _MirroredCritics:
@@ -74,7 +80,3 @@ class MirroredSACPolicy(_MirroredCritics, sac.MultiInputPolicy):
 
 MIRRORED: dict[type, type] = {td3.MultiInputPolicy: MirroredTD3Policy, sac.MultiInputPolicy: MirroredSACPolicy}
 """The policy in whose place each stands."""
-
-
-def _mirror(network: Any, actions: torch.Tensor, observations: Observations) -> torch.Tensor:
-    return network.features_extractor.mirror(actions, observations)

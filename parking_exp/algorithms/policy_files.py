@@ -1,7 +1,7 @@
 """Save and load an actor's weights as safetensors: nothing in such a file can be executed.
 
-Two policies can have weights of the same names and shapes, and other actions: the file's metadata name the class of its
-policy and of its features.
+Two policies can have weights of the same names and shapes, and other actions: the file's metadata names the classes of
+its policy and of its features extractor.
 """
 
 from pathlib import Path
@@ -11,7 +11,7 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 
-from parking_exp.algorithms.policy_average import ACTOR
+from parking_exp.algorithms.policy_ema import ACTOR
 from parking_exp.errors import DamagedModelError, ModelError
 from parking_exp.runs.atomic_files import replacing
 
@@ -21,7 +21,7 @@ def save_policy(model: OffPolicyAlgorithm, path: Path) -> None:
 
     Raises:
         ModelError: the model's policy has no actor.
-        OSError: the file can't be written; an earlier one is untouched.
+        OSError: the file cannot be written; an earlier one is untouched.
     """
     weights = {name: weight.contiguous() for name, weight in _actor(model).items()}
     with replacing(path) as temporary:
@@ -32,29 +32,26 @@ def load_policy(path: Path, model: OffPolicyAlgorithm) -> None:
     """Give a model's actor the weights of a file, all of them or none; its critics stay as they are.
 
     Raises:
-        DamagedModelError: the file can't be read.
+        DamagedModelError: the file cannot be read.
         ModelError: it is the actor of another model.
-        OSError: the disk fails.
     """
     try:
         with safe_open(path, framework="pt") as file:
-            said = file.metadata() or {}
-            found = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 (it has no items)
+            metadata = file.metadata() or {}
+            weights = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 (it has no items)
     except SafetensorError as error:
         raise DamagedModelError(f"{path} is damaged ({error})") from error
+    actor = _actor(model)
     for part, name in _classes(model).items():
-        if said.get(part, name) != name:
-            raise ModelError(f"{path} has the weights of another policy: its {part} is {said[part]}, not {name}")
-    ours = _actor(model)
-    for name in ours | found:
-        there, here = (_described(weights.get(name)) for weights in (found, ours))
-        if there != here:
-            raise ModelError(
-                f"{path} does not fit this {type(model).__name__}: {name} is {there} there, and {here} here"
-            )
-    with torch.no_grad():
-        for name, weight in ours.items():
-            weight.copy_(found[name])
+        if metadata.get(part, name) != name:
+            raise ModelError(f"{path} has the weights of another policy: its {part} is {metadata[part]}, not {name}")
+    formats, expected = (
+        {name: (tensor.dtype, tensor.shape) for name, tensor in tensors.items()} for tensors in (weights, actor)
+    )
+    if different := [name for name in expected | formats if formats.get(name) != expected.get(name)]:
+        raise ModelError(f"{path} does not fit this {type(model).__name__}: {different[0]} differs")
+    for name, weight in actor.items():
+        weight.copy_(weights[name])
 
 
 def _actor(model: OffPolicyAlgorithm) -> dict[str, torch.Tensor]:
@@ -64,13 +61,6 @@ def _actor(model: OffPolicyAlgorithm) -> dict[str, torch.Tensor]:
     return weights
 
 
-def _described(weight: torch.Tensor | None) -> str:
-    """Return `64 x 19 of float32`, or `missing`."""
-    if weight is None:
-        return "missing"
-    return f"{' x '.join(map(str, weight.shape))} of {str(weight.dtype).removeprefix('torch.')}"
-
-
 def _classes(model: OffPolicyAlgorithm) -> dict[str, str]:
-    features = getattr(model.policy, "features_extractor_class", type(None))
-    return {"policy": type(model.policy).__name__, "features extractor": features.__name__}
+    features = getattr(model.policy.actor, "features_extractor", None)
+    return {"policy": type(model.policy).__name__, "features extractor": type(features).__name__}

@@ -5,10 +5,12 @@ row is its number modulo the capacity. In each env the whole episodes that are s
 that the interval from `tail` to `head` says which transitions may be drawn.
 """
 
+from collections.abc import Mapping
+
 import numpy as np
 
 NONE = -1
-RECORD = np.dtype([("start", np.int32), ("length", np.int32)])
+ARRAYS = ("tail", "head", "current", "table")
 
 
 class EpisodeIndex:
@@ -21,35 +23,30 @@ class EpisodeIndex:
         steps: rows written since the start.
         tail, head: of each env, the steps between which its whole episodes lie, shape (n_envs,).
         current: record ids of the episodes under way, or NONE between two episodes, shape (n_envs,).
-        table: row in which each episode started and its length, 0 while it is under way.
+        table: records: the `start` row of an episode, its `length`, 0 while it is under way, and its first desired
+            `goal`.
     """
 
-    def __init__(self, capacity: int, n_envs: int) -> None:
+    def __init__(self, capacity: int, n_envs: int, goal_dtype: np.dtype, goal_shape: tuple[int, ...]) -> None:
         self.capacity, self.n_envs = capacity, n_envs
         self.steps = 0
         self.tail, self.head = np.zeros(n_envs, np.int64), np.zeros(n_envs, np.int64)
         self.current = np.full(n_envs, NONE)
-        self.table = np.zeros(0, RECORD)
-        self._unused, self._n_unused = np.zeros(0, np.int32), 0  # a stack, and how much of it counts
+        self.table = np.zeros(0, [("start", np.int32), ("length", np.int32), ("goal", goal_dtype, goal_shape)])
+        self._unused: list[int] = []  # record ids
 
     def __len__(self) -> int:
         """Return the number of stored transitions, of whole episodes or not."""
         return min(self.steps, self.capacity) * self.n_envs
 
-    @property
-    def nbytes(self) -> int:
-        """Bytes of memory."""
-        return self.table.nbytes + self._unused.nbytes
-
-    def start(self, env: int) -> int:
-        """Start an episode with the next row, and return its record id."""
-        if not self._n_unused:
-            self._grow()
-        self._n_unused -= 1
-        record_id = int(self._unused[self._n_unused])
-        self.table[record_id] = (self.steps % self.capacity, 0)
-        self.current[env] = record_id
-        return record_id
+    def start(self, env: int, goal: np.ndarray) -> None:
+        """Start an episode with the next row."""
+        if not self._unused:  # add half as many records again
+            n, more = len(self.table), len(self.table) // 2 + 2 * self.n_envs
+            self.table = np.concatenate([self.table, np.zeros(more, self.table.dtype)])
+            self._unused = list(range(n + more - 1, n - 1, -1))
+        self.current[env] = self._unused.pop()
+        self.table[self.current[env]] = (self.steps % self.capacity, 0, goal)
 
     def overwrite(self, record_ids: np.ndarray) -> None:
         """Forget the transitions that the next row overwrites; `record_ids` are that row's.
@@ -68,8 +65,7 @@ class EpisodeIndex:
                     self.head[env] += 1
                 self.tail[env] += 1 if alone else self.table["length"][record_id]
             if self.tail[env] == oldest + 1 and not alone:
-                self._unused[self._n_unused] = record_id
-                self._n_unused += 1
+                self._unused.append(record_id)
 
     def finish(self, env: int) -> None:
         """End an episode with the last row."""
@@ -86,8 +82,7 @@ class EpisodeIndex:
         ends = np.add.accumulate(self.head - self.tail)
         if not ends[-1]:
             raise RuntimeError(
-                "HER can't sample before the first episode has ended; give a learning_starts of at least "
-                "the longest episode x n_envs"
+                "HER cannot sample before an episode has ended; set learning_starts to the longest episode x n_envs"
             )
         drawn = rng.integers(ends[-1], size=number)
         env = ends.searchsorted(drawn, side="right")
@@ -102,7 +97,7 @@ class EpisodeIndex:
             RuntimeError: nothing is stored.
         """
         if not self.steps:
-            raise RuntimeError("there is nothing to sample yet; give a learning_starts above 0")
+            raise RuntimeError("the replay buffer is empty; set learning_starts above 0")
         return rng.integers(len(self), size=number)
 
     def index(self, step: np.ndarray, env: np.ndarray) -> np.ndarray:
@@ -112,43 +107,13 @@ class EpisodeIndex:
         index += env
         return index
 
-    @property
-    def n_records(self) -> int:
-        """Number of records that must be saved: those after them are unused."""
-        free = np.zeros(len(self.table), bool)
-        free[self._unused[: self._n_unused]] = True
-        taken = np.flatnonzero(~free)
-        return int(taken[-1]) + 1 if len(taken) else 0
-
     def get_state(self) -> dict[str, np.ndarray]:
         """Return everything as arrays."""
-        return {
-            "capacity": np.array(self.capacity),
-            "steps": np.array(self.steps),
-            "tail": self.tail.copy(),
-            "head": self.head.copy(),
-            "current": self.current.copy(),
-            "table": self.table[: self.n_records].copy(),
-            "unused": self._unused[: self._n_unused].copy(),
-        }
+        arrays = {name: getattr(self, name).copy() for name in ARRAYS}
+        return arrays | {"steps": np.array(self.steps), "unused": np.array(self._unused, np.int32)}
 
-    def set_state(self, state: dict[str, np.ndarray]) -> None:
+    def set_state(self, state: Mapping[str, np.ndarray]) -> None:
         """Restore a state of as many rows and envs."""
-        self.steps = int(state["steps"])
-        self.tail, self.head, self.current = state["tail"].copy(), state["head"].copy(), state["current"].copy()
-        # A record is used or unused: together that is how many there are.
-        self._n_unused = len(state["unused"])
-        taken, beyond = len(state["table"]), state["unused"][state["unused"] >= len(state["table"])]
-        self.table = np.zeros(taken + len(beyond), RECORD)
-        self.table[:taken] = state["table"]
-        self._unused = np.zeros(len(self.table), np.int32)
-        self._unused[: self._n_unused] = state["unused"]
-
-    def _grow(self) -> None:
-        """Add half as many records again, to be used from the lowest on."""
-        n = len(self.table)
-        more = n // 2 + 2 * self.n_envs
-        self.table = np.concatenate([self.table, np.zeros(more, RECORD)])
-        self._unused = np.zeros(n + more, np.int32)
-        self._unused[:more] = np.arange(n + more - 1, n - 1, -1)
-        self._n_unused = more
+        for name in ARRAYS:
+            setattr(self, name, state[name].copy())
+        self.steps, self._unused = int(state["steps"]), state["unused"].tolist()

@@ -5,7 +5,6 @@ from collections.abc import Callable
 import numpy as np
 
 from parking_exp.buffers.episode_index import EpisodeIndex
-from parking_exp.config.her_options import GOAL_STRATEGIES
 
 Strategy = Callable[[np.random.Generator, EpisodeIndex, np.ndarray, np.ndarray], np.ndarray]
 
@@ -43,6 +42,6 @@ def random(rng: np.random.Generator, episodes: EpisodeIndex, index: np.ndarray, 
     return episodes.draw_stored(rng, len(index))
 
 
-STRATEGIES: dict[str, Strategy] = {name: globals()[name] for name in GOAL_STRATEGIES}
+STRATEGIES: dict[str, Strategy] = {"future": future, "final": final, "episode": episode, "random": random}
 """Values of `buffer.goal_selection_strategy`. A new one: a name in `config.her_options`, a function of that name here,
 and a file in conf/buffer."""

@@ -1,4 +1,4 @@
-"""Parse a command line, run the command, and turn errors into sentences and exit statuses.
+"""The shell of every command: parse its line, run it, and turn errors into sentences and exit statuses.
 
 The parser takes Hydra's flags, flags of ours, and `key=value` words. Hydra answers `--help`, `--cfg job` and the like.
 Commands import torch and mlflow once our own keys are known to be good.
@@ -31,12 +31,16 @@ from parking_exp.errors import (
 )
 from parking_exp.terminal import LogFormatter, say
 
-# Hydra's flags that show something, and those that change how.
-SHOWING = ("help", "hydra_help", "version", "cfg", "info", "shell_completion")
-OTHERS = ("resolve", "package", "run", "multirun", "config_dir")
-NOT_SUPPORTED = ("config_name", "config_path", "experimental_rerun")
+# Hydra's flags, with their short forms: those that show something, and those that change how.
+SHOWING = {"--help": ["-h"], "--hydra-help": [], "--version": [], "--cfg": ["-c"], "--info": ["-i"]}
+OTHERS = {"--resolve": [], "--package": ["-p"], "--run": ["-r"], "--multirun": ["-m"], "--config-dir": ["-cd"]}
+WITH_VALUE: dict[str, dict[str, str]] = {
+    "--cfg": {},
+    "--info": {"nargs": "?", "const": "all"},
+    "--package": {},
+    "--config-dir": {},
+}
 
-Task = Callable[[DictConfig], object]
 Command = Callable[[list[str], str | None], None]
 """What a command does with its overrides and Hydra's `--config-dir`."""
 
@@ -48,26 +52,26 @@ def run_command(
     flags: Mapping[str, str] | None = None,
     read: Callable[[list[str]], list[str]] = list,
 ) -> None:
-    """Run the command that is typed, or let Hydra show what it is asked for.
+    """Run the command of this process, or let Hydra show what is asked for.
 
     Args:
         config_name: root of the command's config.
         command: what to do.
         flags: `--quick` and such, and the override that each stands for.
-        read: writes the words that are typed as Hydra's overrides.
+        read: writes the words of the command line as Hydra's overrides.
     """
     if logging.lastResort is not None:  # what warnings go through
         logging.lastResort.setFormatter(LogFormatter())
     with errors_as_sentences():
-        arguments = _parse(sys.argv[1:], flags or {})
-        arguments.overrides = [quoted(override) for override in read(arguments.overrides)]
-        if any(getattr(arguments, flag) for flag in SHOWING):
-            _run_hydra(arguments, config_name)
+        given, words = _parse(sys.argv[1:], flags or {})
+        overrides = [quoted(override) for override in read(words)]
+        if given.keys() & SHOWING.keys():
+            _run_hydra(config_name, given, overrides)
         else:
-            command(arguments.overrides, arguments.config_dir)
+            command(overrides, given.get("--config-dir"))
 
 
-def for_each(config_name: str, check: Task, task: Task) -> Command:
+def for_each(config_name: str, check: Callable[[DictConfig], object], task: Callable[[DictConfig], object]) -> Command:
     """Make a command of a task for each config that the overrides stand for; all are checked first."""
 
     def command(overrides: list[str], extra_config_dir: str | None) -> None:
@@ -114,68 +118,47 @@ def fail(error: ParkingError) -> NoReturn:
     sys.exit(128 + error.signal_number if isinstance(error, InterruptedRunError) else 2)
 
 
-def _parser(flags: Mapping[str, str]) -> argparse.ArgumentParser:
-    """Return a parser of Hydra's flags, as `hydra.main` has them, of ours, and of overrides."""
-    parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False, exit_on_error=False)
-    parser.add_argument("overrides", nargs="*")
-    for names in (
-        ("--help", "-h"), ("--hydra-help",), ("--version",), ("--shell-completion", "-sc"), ("--resolve",),
-        ("--run", "-r"), ("--multirun", "-m"),
-    ):  # fmt: skip
-        parser.add_argument(*names, action="store_true")
-    for names in (
-        ("--package", "-p"), ("--config-dir", "-cd"), ("--config-name", "-cn"), ("--config-path", "-cp"),
-        ("--experimental-rerun",),
-    ):  # fmt: skip
-        parser.add_argument(*names)
-    parser.add_argument("--cfg", "-c", choices=["job", "hydra", "all"])
-    infos = ["all", "config", "defaults", "defaults-tree", "plugins", "searchpath"]
-    parser.add_argument("--info", "-i", nargs="?", const="all", choices=infos)
-    for flag, override in flags.items():
-        parser.add_argument(flag, action="append_const", dest="flags", const=override)
-    return parser
-
-
-def _parse(words: list[str], flags: Mapping[str, str]) -> argparse.Namespace:
-    """Parse the words of a command line: Hydra's flags and ours, between the overrides or around them.
+def _parse(words: list[str], flags: Mapping[str, str]) -> tuple[dict[str, str], list[str]]:
+    """Return Hydra's flags with their values, and the overrides, those of our flags last.
 
     Raises:
         ConfigError: there is no such flag, or its value is missing or wrong.
     """
+    parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False, exit_on_error=False)
+    parser.add_argument("overrides", nargs="*")
+    for flag, short in {**SHOWING, **OTHERS}.items():
+        options = WITH_VALUE.get(flag, {"action": "store_const", "const": ""})
+        parser.add_argument(flag, *short, dest=flag, **options)  # type: ignore[arg-type]
+    for flag, override in flags.items():
+        parser.add_argument(flag, action="append_const", dest="flags", const=override, default=[])
     try:
-        arguments, unknown = _parser(flags).parse_known_intermixed_args(words)
+        arguments, unknown = parser.parse_known_intermixed_args(words)
     except argparse.ArgumentError as error:
         raise ConfigError(f"{error.argument_name}: {error.message}") from error
     if unknown:
         flag = next((word for word in unknown if word.startswith("-")), unknown[0]).partition("=")[0]
-        known = [*flags, *(f"--{name.replace('_', '-')}" for name in (*SHOWING, *OTHERS))]
-        hint = did_you_mean(flag, known, cutoff=0.8) or "; write KEY=VALUE, without dashes"
+        hint = did_you_mean(flag, [*flags, *SHOWING, *OTHERS], cutoff=0.8) or "; write KEY=VALUE, without dashes"
         raise ConfigError(f"{flag}: there is no such flag{hint}")
-    if passed := [name for name in NOT_SUPPORTED if getattr(arguments, name)]:
-        instead = "put options of your own into a directory and pass --config-dir=DIRECTORY"
-        instead = "rerun the same command to resume" if passed == ["experimental_rerun"] else instead
-        raise ConfigError(f"--{passed[0].replace('_', '-')} is not supported here; {instead}")
-    if arguments.config_dir and not Path(arguments.config_dir).is_dir():
-        raise ConfigError(f"--config-dir={arguments.config_dir} is not a directory")
-    arguments.overrides += getattr(arguments, "flags", None) or []
-    return arguments
+    given = {name: value for name, value in vars(arguments).items() if name.startswith("-") and value is not None}
+    directory = given.get("--config-dir")
+    if directory is not None and not Path(directory).is_dir():
+        raise ConfigError(f"--config-dir={directory} is not a directory")
+    return given, arguments.overrides + getattr(arguments, "flags", [])
 
 
-def _run_hydra(arguments: argparse.Namespace, config_name: str) -> None:
+def _run_hydra(config_name: str, flags: Mapping[str, str], overrides: list[str]) -> None:
     """Have Hydra show help, a config or the like.
 
     Raises:
         ConfigError: what is to be shown does not compose, or flags do not go together.
     """
-    if arguments.cfg:
-        composed(config_name, arguments.overrides, arguments.config_dir)
-    given = {f"--{name.replace('_', '-')}": getattr(arguments, name) for name in (*SHOWING, *OTHERS)}
-    words = [flag if value is True else f"{flag}={value}" for flag, value in given.items() if value]
+    if "--cfg" in flags:
+        composed(config_name, overrides, flags.get("--config-dir"))
     show = hydra.main(str(config_dir()), config_name, VERSION_BASE)(lambda config: None)
-    shown = io.StringIO()  # Hydra would print a traceback when the pipe that it prints to is closed
+    shown = io.StringIO()
     try:
         with redirect_stdout(shown):
-            sys.argv[1:] = [*words, *arguments.overrides]
+            sys.argv[1:] = [*(f"{flag}={value}" if value else flag for flag, value in flags.items()), *overrides]
             show()
     except ValueError as error:  # flags that do not go together
         raise ConfigError(str(error)) from error

@@ -1,4 +1,4 @@
-"""The status command: show the progress of runs, read from their directories."""
+"""`scripts/status.py` and `parking-status`: show the progress of runs, read from their directories."""
 
 import json
 import time
@@ -77,34 +77,31 @@ def show(config: DictConfig) -> None:
         RunNotFoundError: there are none.
         UnsyncedError: with `sync`, a store still fails.
     """
-    request = validate_status(config)
+    request, out = validate_status(config), console()
     if request.sync:
         _sync(request)
-    states = _look(request)
-    out = console()
     if request.as_json:
-        say(*json.dumps(as_plain(states) | {"searches": _searches_plain(request)}, indent=2).split("\n"))
+        say(*json.dumps(as_plain(_look(request)) | {"searches": _searches_plain(request)}, indent=2).split("\n"))
     elif request.watch and out.is_terminal:
-        with Live(_picture(request, states), console=out, auto_refresh=False) as live:
+        with Live(_picture(request), console=out, auto_refresh=False) as live:
             while True:
                 time.sleep(WATCH_S)
-                live.update(_picture(request, _look(request)), refresh=True)
+                live.update(_picture(request), refresh=True)
     else:
-        out.print(_picture(request, states))
+        out.print(_picture(request))
         while request.watch:
             time.sleep(WATCH_S)
-            out.print(_picture(request, _look(request)))
+            out.print(_picture(request))
 
 
 def _look(request: StatusRequest) -> list[RunState]:
-    found = labelled([read_state(path) for path in find_runs(request.output_path, request.experiment_name)])
-    if not found:
-        if request.experiment_name is None:
-            raise RunNotFoundError(f"there are no runs in {request.output_path}; train one first, or set output_dir")
-        there = {path.parents[1].name for path in find_runs(request.output_path)}
-        hint = suggestion(request.experiment_name, there)
-        raise RunNotFoundError(f"experiment={request.experiment_name}: it has no runs in {request.output_path}{hint}")
-    return found
+    experiment, folder = request.experiment_name, request.output_path
+    if states := labelled([read_state(path) for path in find_runs(folder, experiment)]):
+        return states
+    if experiment is None:
+        raise RunNotFoundError(f"there are no runs in {folder}; train one first, or set output_dir")
+    hint = suggestion(experiment, {path.parents[1].name for path in find_runs(folder)})
+    raise RunNotFoundError(f"experiment={experiment}: it has no runs in {folder}{hint}")
 
 
 def _sync(request: StatusRequest) -> None:
@@ -118,57 +115,50 @@ def _sync(request: StatusRequest) -> None:
     for uri in {directory.tracking_uri for directory in directories}:
         if uri and not any(is_same_store(uri, absolute(named)) for named in uris):
             say(f"left out: runs that are tracked in {uri}; tracking.uri={uri} sends them there", stderr=True)
-    problems: dict[str, list[RunDirectory]] = {}
+    n_failed = 0
     for directory, problem in (pair for uri in uris for pair in mirror_missing(directories, uri)):
-        if problem is None:
-            say(f"{directory.path}: the store has everything", stderr=True)
+        say(f"{directory.path}: {problem or 'the store has everything'}", stderr=True)
+        n_failed += problem is not None
+    if n_failed:
+        raise UnsyncedError(f"the store has not got all of {plural(n_failed, 'run')}; sync=true tries again")
+
+
+def _picture(request: StatusRequest) -> RenderableType:
+    states = _look(request)
+    parts: list[RenderableType] = [cell_table(states)]
+    for lines in (running_lines, stopped_lines, failure_lines, damaged_lines):
+        parts += lines(states)
+    for name, search in _searches(request):
+        if isinstance(search, ParkingError):
+            parts.append(f"search {name}: {search}")
         else:
-            problems.setdefault(problem, []).append(directory)
-    for problem, runs in problems.items():
-        others = f" and {len(runs) - 1} more" if len(runs) > 1 else ""
-        say(f"{runs[0].path}{others}: {problem}", stderr=True)
-    if problems:
-        failed = sum(map(len, problems.values()))
-        raise UnsyncedError(f"the store has not got all of {plural(failed, 'run')}; sync=true tries again")
-
-
-def _picture(request: StatusRequest, states: list[RunState]) -> RenderableType:
-    lines = (running_lines, stopped_lines, failure_lines, damaged_lines)
-    parts: list[RenderableType] = [cell_table(states), *(line for some in lines for line in some(states))]
-    return Group(*parts, *(part for name, found in _searches(request) for part in _search_picture(name, found)))
+            parts += ["", f"search {name}", trial_table(search.trials, search.search.objective)]
+            parts += progress_lines(search.trials, search.search.objective, search.n_trials)
+    return Group(*parts)
 
 
 def _searches(request: StatusRequest) -> Iterator[tuple[str, StoredSearch | ParkingError]]:
     """Yield the name of each experiment that is a search, and the search, or why it can't be read."""
     for file in sorted(request.output_path.glob(f"{request.experiment_name or '*'}/{SEARCH_FILE}")):
         try:
-            if (found := study_in(file.parent, request.storage)) is not None:
-                yield file.parent.name, found
+            if (search := study_in(file.parent, request.storage)) is not None:
+                yield file.parent.name, search
         except ParkingError as error:
             yield file.parent.name, error
-
-
-def _search_picture(name: str, found: StoredSearch | ParkingError) -> Iterator[RenderableType]:
-    """Yield the trials of a search, the best first, and how far it is."""
-    if isinstance(found, ParkingError):
-        yield f"search {name}: {found}"
-        return
-    yield ""
-    yield f"search {name}"
-    yield trial_table(found.trials, found.search.objective)
-    yield from progress_lines(found.trials, found.search.objective, found.n_trials)
 
 
 def _searches_plain(request: StatusRequest) -> list[dict[str, Any]]:
     """Return the searches and their trials as JSON can hold them."""
     plain = list[dict[str, Any]]()
-    for name, found in _searches(request):
-        about: dict[str, Any] = {"experiment": name}
-        if isinstance(found, ParkingError):
-            about["error"] = str(found)
+    for name, search in _searches(request):
+        if isinstance(search, ParkingError):
+            plain.append({"experiment": name, "error": str(search)})
         else:
-            about |= {"n_trials": found.n_trials, "objectives": found.search.objective}
-            about |= dict(counts(found.trials).items())
-            about["trials"] = [asdict(trial) for trial in found.trials]
-        plain.append(about)
+            about: dict[str, Any] = {
+                "experiment": name,
+                "n_trials": search.n_trials,
+                "objectives": search.search.objective,
+            }
+            by_stage = {str(stage): number for stage, number in counts(search.trials).items()}
+            plain.append({**about, **by_stage, "trials": [asdict(trial) for trial in search.trials]})
     return plain

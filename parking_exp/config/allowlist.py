@@ -7,8 +7,8 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
+from parking_exp.config.constructor_arguments import CLASS_ARGUMENTS, class_path
 from parking_exp.config.schema import RunConfig
-from parking_exp.config.targets import CLASS_ARGUMENTS, class_path
 from parking_exp.errors import UntrustedError
 
 # Module -> classes in it, under each name that a config may use. To construct one of them only makes an object.
@@ -51,16 +51,8 @@ def check_trust(config: RunConfig, source: Path) -> None:
     """
     vehicles = ("env.other_vehicles_type", config.env.other_vehicles_type)  # highway-env imports and calls it, too
     for key, target in [*_targets(config.plain()), vehicles]:
-        if not is_trusted(target):
-            raise UntrustedError(
-                f"{key}={target} in {source} is not on the allow-list; evaluating this run would execute it "
-                "(trust=true allows it)"
-            )
-
-
-def is_trusted(target: object) -> bool:
-    """Return whether a `_target_` is on the allow-list."""
-    return isinstance(target, str) and target in ALLOWED
+        if not isinstance(target, str) or target not in ALLOWED:
+            raise UntrustedError(f"{key}={target} in {source} is not on the allow-list (trust=true allows it)")
 
 
 def _targets(node: Any, key: str = "") -> Iterator[tuple[str, Any]]:

@@ -4,7 +4,7 @@ Only resolved configs count, not what was passed. A group's option (`algorithm=t
 those that follow from it alone are no factors of their own. Keys that always change together count once.
 """
 
-from collections.abc import Hashable, Mapping, Sequence
+from collections.abc import Collection, Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -43,20 +43,22 @@ def settings_of(config: Mapping[str, Any], prefix: str = "") -> dict[str, Settin
     """Return a nested config as dotted keys, with lists as text, as stores have it."""
     flat: dict[str, Setting] = {}
     for key, value in config.items():
-        name, plain = f"{prefix}{key}", str(value) if isinstance(value, list | dict) else value
-        flat |= settings_of(value, f"{name}.") if isinstance(value, Mapping) and value else {name: plain}
+        if isinstance(value, Mapping) and value:
+            flat |= settings_of(value, f"{prefix}{key}.")
+        else:
+            flat[f"{prefix}{key}"] = str(value) if isinstance(value, list | dict) else value
     return flat
-
-
-def differing(configs: Sequence[Config]) -> list[str]:
-    """Return the keys that can change a result and are not the same in all configs."""
-    keys = sorted({key for config in configs for key in config})
-    return [key for key in keys if can_matter(key) and len({hashable(config.get(key)) for config in configs}) > 1]
 
 
 def can_matter(key: str) -> bool:
     """Whether a key can change a result, and is no seed."""
     return key != "seed" and changes_results(key)
+
+
+def differing(configs: Sequence[Config]) -> list[str]:
+    """Return the keys that can change a result and are not the same in all configs."""
+    keys = sorted({key for config in configs for key in config if can_matter(key)})
+    return [key for key in keys if len({hashable(config.get(key)) for config in configs}) > 1]
 
 
 def find_factors(
@@ -68,25 +70,22 @@ def find_factors(
         configs: of each cell.
         experiments: that each cell belongs to.
     """
-    columns: dict[str, list[Setting]] = {}
+    varying, columns = differing(configs), dict[str, list[Setting]]()
     if len(set(experiments)) > 1:
         columns[EXPERIMENT] = list(experiments)
-    varying = differing(configs)
     for group in GROUPS:
         if f"{group}.name" in varying:
             columns[group] = [config.get(f"{group}.name") for config in configs]
-    bundles = list(columns)  # names that stand for many keys
+            varying.remove(f"{group}.name")
+    options = list(columns.values())
     # How a run was evaluated is no factor unless there is nothing else. Of keys that change together, one of the run
     # itself stands for those of a group: `n_envs` for the warm-up that it needs.
-    rest = [key for key in varying if key not in {f"{group}.name" for group in GROUPS}]
-    for key in sorted(rest, key=lambda key: (key.startswith("evaluation."), "." in key)):
+    for key in sorted(varying, key=lambda key: (key.startswith("evaluation."), "." in key)):
         values = [config.get(key) for config in configs]
-        if any(_follows(values, columns[bundle]) for bundle in bundles) or _double(values, columns):
-            continue
-        columns[key] = _with_null(key, values, configs)
-    settings = [{key: values[cell] for key, values in columns.items()} for cell in range(len(configs))]
-    names = _names(list(columns))
-    return [_factor(key, names[key], values) for key, values in columns.items()], settings
+        if not any(_follows(values, column) for column in options) and not _doubles(values, columns.values()):
+            columns[key] = _with_null(key, values, configs)
+    factors = [_factor(key, _short_name(key, columns), values) for key, values in columns.items()]
+    return factors, [{key: values[cell] for key, values in columns.items()} for cell in range(len(configs))]
 
 
 def label_cells(configs: Sequence[Config], names: Sequence[str]) -> list[str]:
@@ -109,77 +108,64 @@ def cell_labels(
 
     Labels that would be the same get the key that ends their cell's name.
     """
-    bare = {*GROUPS, EXPERIMENT}
+    prefixes = {factor.key: "" if factor.key in (*GROUPS, EXPERIMENT) else f"{factor.name}=" for factor in factors}
     labels = [
-        ", ".join(
-            setting(value) if factor.key in bare else f"{factor.name}={setting(value)}"
-            for factor in factors
-            if (value := one[factor.key]) is not None
-        )
-        for one in settings
+        ", ".join(prefix + setting(cell[key]) for key, prefix in prefixes.items() if cell[key] is not None)
+        for cell in settings
     ]
     return [
-        text if text and labels.count(text) == 1 else f"{text or name.rpartition('-')[0]} ({name.rpartition('-')[2]})"
-        for text, name in zip(labels, names, strict=True)
+        label
+        if label and labels.count(label) == 1
+        else f"{label or name.rpartition('-')[0]} ({name.rpartition('-')[2]})"
+        for label, name in zip(labels, names, strict=True)
     ]
 
 
 def setting(value: Any) -> str:
     """Write a config value as YAML would."""
-    if value is None:
-        return "null"
-    if isinstance(value, bool):
-        return str(value).lower()
+    if value is None or isinstance(value, bool):
+        return "null" if value is None else str(value).lower()
     return f"{value:.6g}" if isinstance(value, float) else str(value)
-
-
-def _factor(key: str, name: str, values: Sequence[Setting]) -> Factor:
-    levels: list[Any] = list({hashable(value): value for value in values if value is not None}.values())
-    numeric = bool(levels) and all(isinstance(one, int | float) and not isinstance(one, bool) for one in levels)
-    if numeric:
-        levels.sort()
-    log = numeric and levels[0] > 0 and levels[-1] >= 8 * levels[0]
-    return Factor(key, name, levels, numeric, log)
-
-
-def _names(keys: Sequence[str]) -> dict[str, str]:
-    """Return the shortest endings of the keys that are all different."""
-    names = {}
-    for key in keys:
-        parts = key.split(".")
-        endings = [".".join(parts[start:]) for start in range(len(parts) - 1, -1, -1)]
-        taken = [other for other in keys if other != key]
-        names[key] = next((end for end in endings if not any(f".{other}".endswith(f".{end}") for other in taken)), key)
-    return names
-
-
-def _follows(values: Sequence[Setting], bundle: Sequence[Setting]) -> bool:
-    """Whether each option of a bundle comes with one value only."""
-    found: dict[Hashable, set[Hashable]] = {}
-    for option, value in zip(bundle, values, strict=True):
-        found.setdefault(hashable(option), set()).add(hashable(value))
-    return all(len(known) == 1 for known in found.values())
-
-
-def _with_null(key: str, values: Sequence[Setting], configs: Sequence[Config]) -> list[Setting]:
-    """Tell null from not there: where the same option of the group has a value in another cell, it is null."""
-    group = key.partition(".")[0]
-    options = [config.get(f"{group}.name") for config in configs]
-    having = {hashable(option) for option, value in zip(options, values, strict=True) if value is not None}
-    return [
-        "null" if value is None and hashable(option) in having else value
-        for option, value in zip(options, values, strict=True)
-    ]
-
-
-def _double(values: Sequence[Setting], columns: Mapping[str, Sequence[Setting]]) -> bool:
-    """Whether a key changes exactly where another does. In a search all do: every cell has values of its own."""
-    if len(set(map(hashable, values))) == len(values) >= FEW_CELLS:
-        return False
-    return any(_follows(values, known) and _follows(known, values) for known in columns.values())
 
 
 def hashable(value: Setting) -> Hashable:
     """Return a setting as a set can hold it."""
     # 1 and True, 1 and 1.0 are the same to a dict; True is another setting than 1.
     return (isinstance(value, bool), value)
+
+
+def _factor(key: str, name: str, values: Sequence[Setting]) -> Factor:
+    levels: list[Any] = list({hashable(value): value for value in values if value is not None}.values())
+    numeric = bool(levels) and all(isinstance(v, int | float) and not isinstance(v, bool) for v in levels)
+    if numeric:
+        levels.sort()
+    return Factor(key, name, levels, numeric, log=numeric and levels[0] > 0 and levels[-1] >= 8 * levels[0])
+
+
+def _short_name(key: str, keys: Collection[str]) -> str:
+    """Return the shortest ending of a key that no other one has."""
+    parts = key.split(".")
+    endings = (".".join(parts[start:]) for start in reversed(range(len(parts))))
+    return next((e for e in endings if sum(f".{other}".endswith(f".{e}") for other in keys) == 1), key)
+
+
+def _follows(values: Sequence[Setting], column: Sequence[Setting]) -> bool:
+    """Whether each value of a column comes with one value only."""
+    options = list(map(hashable, column))
+    return len(set(zip(options, map(hashable, values), strict=True))) == len(set(options))
+
+
+def _doubles(values: Sequence[Setting], columns: Iterable[Sequence[Setting]]) -> bool:
+    """Whether a key changes exactly where another does. In a search all do: every cell has values of its own."""
+    if len(set(map(hashable, values))) == len(values) >= FEW_CELLS:
+        return False
+    return any(_follows(values, column) and _follows(column, values) for column in columns)
+
+
+def _with_null(key: str, values: Sequence[Setting], configs: Sequence[Config]) -> list[Setting]:
+    """Tell null from not there: where the same option of the group has a value in another cell, it is null."""
+    options = [hashable(config.get(f"{key.partition('.')[0]}.name")) for config in configs]
+    having = {option for option, value in zip(options, values, strict=True) if value is not None}
+    return [
+        "null" if value is None and option in having else value for option, value in zip(options, values, strict=True)
+    ]

@@ -3,11 +3,10 @@
 import copy
 import sys
 import warnings
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field
-from functools import cache, lru_cache
-from operator import attrgetter
+from functools import cache
 from pathlib import Path
 from typing import Any, ClassVar, cast
 
@@ -16,34 +15,21 @@ import yaml
 from hydra import initialize_config_dir
 from hydra.core.config_search_path import ConfigSearchPath
 from hydra.core.global_hydra import GlobalHydra
-from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import OverrideType
 from hydra.core.plugins import Plugins
-from hydra.errors import HydraException, OverrideParseException
+from hydra.errors import HydraException, MissingConfigException, OverrideParseException
 from hydra.plugins.search_path_plugin import SearchPathPlugin
 from omegaconf import DictConfig, ListConfig, OmegaConf, open_dict
-from omegaconf.errors import OmegaConfBaseException
+from omegaconf.errors import ConfigAttributeError, ConfigKeyError, OmegaConfBaseException
 
-from parking_exp.config.experiment_files import experiment_files
-from parking_exp.config.grid import check_blocks, check_number, points, seeds_of
-from parking_exp.config.overrides import (
-    OptionsOf,
-    check_groups,
-    check_keys,
-    expand_groups,
-    first_values,
-    is_group,
-    is_hydras,
-    is_launchers,
-    typed_seeds,
-    typed_values,
-)
+from parking_exp.config.cell_labels import settings_of
+from parking_exp.config.grid import Point, check_blocks, check_number, points, seeds_of
+from parking_exp.config.overrides import axes_of, experiment_option, is_hydras, parse
 from parking_exp.config.schema import RunConfig
 from parking_exp.config.validate import validate
-from parking_exp.errors import ConfigError, ParkingError
+from parking_exp.errors import ConfigError, ParkingError, did_you_mean, suggestion
 
 VERSION_BASE = "1.3"
-MOST_CACHED = 100  # compositions, of some 100 KB each
 
 
 @dataclass(frozen=True)
@@ -54,38 +40,18 @@ class Composed:
         cell: its config as Hydra composed it, shared by all runs of the cell.
         seed: takes the place of the cell's; None: the cell's own.
         label: of its cell; empty: what sets its config apart from those of the other cells.
-        rank: 0 for a cell's first seed, 1 for its second, ...
         options: group -> chosen option.
     """
 
     cell: DictConfig
     seed: int | None = None
     label: str = ""
-    rank: int = 0
     options: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def config(self) -> DictConfig:
         """The config of the run."""
         return self.cell if self.seed is None else cast(DictConfig, OmegaConf.merge(self.cell, {"seed": self.seed}))
-
-
-@dataclass(frozen=True)
-class Composition:
-    """One config as Hydra composed it, apart from Hydra's own node.
-
-    Attributes:
-        config: without the node `hydra`.
-        options: the groups that its defaults lists choose from, and what is chosen.
-        sweep: `hydra.sweeper.params`.
-    """
-
-    config: DictConfig
-    options: dict[str, str]
-    sweep: Mapping[str, object]
-
-
-Compose = Callable[..., Composition]  # of overrides, in Hydra's syntax
 
 
 def compose(*overrides: str) -> RunConfig:
@@ -108,133 +74,79 @@ def composed(config_name: str, overrides: list[str], extra_config_dir: str | Non
 def composed_runs(config_name: str, overrides: list[str], extra_config_dir: str | None = None) -> list[Composed]:
     """Compose every run that a command line stands for: one, or each point of a sweep.
 
-    Names are checked against the config of the chosen options; then each cell is composed once.
-
     Args:
         config_name: file in `conf/`.
-        overrides: as they are typed; those of Hydra itself are not the runs' (`hydra_overrides`).
+        overrides: in Hydra's syntax, and `experiment=PATH.yaml`.
         extra_config_dir: Hydra's `--config-dir`, a directory of the user's own options.
 
     Raises:
         ConfigError: an override names no key or option, or the config does not compose.
     """
-    overrides, folders = experiment_files(overrides)
-    with hydra_ready(extra_config_dir, *folders):
-        loader = GlobalHydra.instance().config_loader()
-        parser = OverridesParser.create(config_loader=loader)
-        options_of = cache(loader.get_group_options)
-        compose_lines = _compose_with(config_name, options_of)
-        parsed = expand_groups(overrides, parser, options_of)
-        groups = compose_lines().options.keys()
-        check_groups(parsed, groups, options_of)
-        ours = [one for one in parsed if not is_launchers(one.key_or_group)]
-        chosen = first_values(one for one in ours if is_group(one, options_of) or is_hydras(one.key_or_group))
-        base = compose_lines(*chosen)
-        check_keys(base.config, parsed, groups, options_of)
-        swept = parser.parse_overrides([f"{key}={value}" for key, value in base.sweep.items()])
-        typed = typed_values([one for one in [*swept, *parsed] if not is_hydras(one.key_or_group)])
-        if "seeds" not in base.config:
-            return [Composed(compose_lines(*point).config) for point in points([], typed, lambda key, point: True)]
-        seeds, experiments = typed_seeds(parsed), typed.pop("experiment", None)
-        typed.pop("seeds", None)
-        named = [{"experiment": [name], **typed} for name in experiments] if experiments else [typed]
-        return [run for one in named for run in _runs(compose_lines, options_of, one, seeds)]
+    with hydra_ready(extra_config_dir):
+        compose_point = _composer(config_name, [line for line in overrides if is_hydras(line)])
+        axes = axes_of(experiment_option(line, config_dir()) for line in overrides if not is_hydras(line))
+        experiments = axes.pop("experiment", None)
+        if experiments is None:
+            return _runs(compose_point, axes)
+        return [run for name in experiments for run in _runs(compose_point, {"experiment": [name], **axes})]
 
 
-def _compose_with(config_name: str, options_of: OptionsOf) -> Compose:
+def _composer(config_name: str, hydra_lines: list[str]) -> Callable[[Point], Composed]:
     """Return a function that composes a config with some overrides.
 
-    Hydra takes more than a tenth of a second for that. So it composes each choice of options once, and values of keys
-    are set in a copy.
+    Hydra takes 0.1 s for that, and a grid may have a thousand cells. So each choice of options is composed once, and
+    the values of keys are set in a copy, which takes 3 ms.
     """
-    parser = OverridesParser.create()
-    # The user's own directories may be large, and are read anew in each call.
-    state: object = object() if UserDirectories.paths else _state_of_tree()
+    groups = GlobalHydra.instance().config_loader().list_groups("")
 
-    def compose_lines(*lines: str) -> Composition:
-        overrides = parser.parse_overrides(list(lines))
-        values = [one for one in overrides if not is_group(one, options_of)]
-        if all(one.type is OverrideType.CHANGE and not is_hydras(one.key_or_group) for one in values):
-            options = tuple(str(one.input_line) for one in overrides if one not in values)
-            composition = copy.deepcopy(_compose_once(config_name, options, state))
-            with suppress(OmegaConfBaseException):  # composed below, where Hydra says which override is wrong
-                for one in values:
-                    OmegaConf.update(composition.config, one.key_or_group, one.value(), merge=True)
-                return composition
-        return _compose(config_name, lines)
+    @cache
+    def compose_with_hydra(*lines: str) -> Composed:
+        try:
+            config = hydra.compose(config_name, [*hydra_lines, *lines], return_hydra_config=True)
+        except ValueError as error:  # a group is set to a number or to null
+            raise ConfigError(f"{' '.join([*hydra_lines, *lines])}: {error}") from error
+        if not isinstance(config.hydra.launcher, DictConfig):
+            raise ConfigError(f"hydra.launcher={config.hydra.launcher} is not a group of keys")
+        options = {str(k): v for k, v in config.hydra.runtime.choices.items() if not str(k).startswith("hydra")}
+        with open_dict(config):
+            del config["hydra"]
+        return Composed(config, options=options)
 
-    return compose_lines
+    def compose_point(lines: Point) -> Composed:
+        chosen = [line for line in lines if line.partition("=")[0] in groups and "={" not in line]
+        changes = parse(line for line in lines if line not in chosen)
+        if any(change.type is not OverrideType.CHANGE or change.package is not None for change in changes):
+            return copy.deepcopy(compose_with_hydra(*lines))
+        run = copy.deepcopy(compose_with_hydra(*chosen))
+        for change in changes:
+            OmegaConf.update(run.cell, change.key_or_group, change.value(), merge=True)
+        return run
 
-
-def _compose(config_name: str, lines: Sequence[str]) -> Composition:
-    config = hydra.compose(config_name, list(lines), return_hydra_config=True)
-    options = {str(k): v for k, v in config.hydra.runtime.choices.items() if not str(k).startswith("hydra")}
-    sweep = _container(config.hydra.sweeper.get("params")) or {}
-    with open_dict(config):
-        del config["hydra"]
-    return Composition(config, options, sweep)
-
-
-@lru_cache(maxsize=MOST_CACHED)
-def _compose_once(config_name: str, lines: Sequence[str], state: object) -> Composition:
-    """Compose, once for each state of the tree's files in a process."""
-    return _compose(config_name, lines)
+    return compose_point
 
 
-def _runs(
-    compose_lines: Compose, options_of: OptionsOf, typed: dict[str, list[str]], seeds: list[int] | None
-) -> list[Composed]:
+def _runs(compose_point: Callable[[Point], Composed], axes: dict[str, list[str]]) -> list[Composed]:
     """Compose every cell of an experiment, and give it its seeds; all get their first before any its second."""
-    base = compose_lines(*(f"{key}={typed[key][0]}" for key in ("experiment", "cells") if key in typed)).config
-    blocks = check_blocks(_container(base.cells))
-    experiment = typed.get("experiment", [""])[0]
+    base = compose_point(tuple(f"{key}={axes[key][0]}" for key in ("experiment", "cells") if key in axes)).cell
+    blocks = check_blocks(_container(base.get("cells")))
     in_blocks = {key for block in blocks for key in block}
-    typed = {bare if (bare := key.lstrip("+")) in in_blocks else key: values for key, values in typed.items()}
-    if seeds is None:
-        seeds = seeds_of(_container(base.seeds))
-    if "seed" in typed or "seed" in in_blocks:
+    axes = {bare if (bare := key.lstrip("+")) in in_blocks else key: values for key, values in axes.items()}
+    own = [yaml.safe_load(value) for value in axes.pop("seeds", [])]
+    seeds = seeds_of((own[0] if len(own) == 1 else own) if own else _container(base.get("seeds")))
+    if "seed" in axes or "seed" in in_blocks:
         seeds = None
-    runs, cells = [], set()
 
-    def has(key: str, point: list[str]) -> bool:
-        return bool(options_of(key)) or _has(compose_lines, key, point)
+    def has(key: str, point: Point) -> bool:
+        section, _, name = key.rpartition(".")
+        node = OmegaConf.select(compose_point(point).cell, section) if section else base
+        return isinstance(node, DictConfig) and name in node
 
-    all_points = points(blocks, typed, has, experiment)
-    check_number(len(all_points) * len(seeds or [None]), f"{len(all_points)} cells x {len(seeds or [None])} seeds")
-    for point in all_points:
-        composition = _cell(compose_lines, has, point)
-        cell = composition.config
-        if (known := OmegaConf.to_yaml(cell)) in cells:  # blocks that differ may be the same once values are typed
-            continue
-        cells.add(known)
-        runs += [Composed(cell, seed, "", rank, composition.options) for rank, seed in enumerate(seeds or [None])]
-    return sorted(runs, key=attrgetter("rank"))
-
-
-def _cell(compose_lines: Compose, has: Callable[[str, list[str]], bool], point: list[str]) -> Composition:
-    """Compose a cell.
-
-    Raises:
-        ConfigError: one of its options lacks one of its keys.
-    """
-    try:
-        return compose_lines(*point)
-    except HydraException as error:
-        for key in (line.partition("=")[0] for line in point):
-            option = next((line for line in point if line.startswith(f"{key.partition('.')[0]}=")), None)
-            if option and not has(key, [option]):
-                raise ConfigError(f"{key}: {option} has no such key; leave out the option or the key") from error
-        raise
-
-
-def _has(compose_lines: Compose, key: str, point: list[str]) -> bool:
-    """Whether the config of a point has a key."""
-    node: Any = compose_lines(*point).config
-    for part in key.split("."):
-        if not isinstance(node, DictConfig) or part not in node:
-            return False
-        node = node[part]
-    return True
+    all_points = points(blocks, axes, has, axes.get("experiment", [""])[0])
+    all_seeds: list[int] | list[None] = seeds or [None]
+    check_number(len(all_points) * len(all_seeds), f"{len(all_points)} cells x {len(all_seeds)} seeds")
+    composed_points = map(compose_point, all_points)
+    cells = {OmegaConf.to_yaml(run.cell): run for run in composed_points}  # blocks may come to the same
+    return [Composed(run.cell, seed, "", run.options) for seed in all_seeds for run in cells.values()]
 
 
 def _container(node: object) -> Any:
@@ -256,15 +168,15 @@ def config_dir() -> Path:
     return inside if inside.is_dir() else package.parent / "conf"
 
 
-class UserDirectories(SearchPathPlugin):
-    """Adds directories of the user's own options to Hydra's search path, behind ours."""
+class UserDirectory(SearchPathPlugin):
+    """Adds a directory of the user's own options to Hydra's search path, behind ours."""
 
-    paths: ClassVar[Sequence[str]] = ()
+    path: ClassVar[str | None] = None
 
     def manipulate_search_path(self, search_path: ConfigSearchPath) -> None:
-        """Append the directories."""
-        for number, path in enumerate(self.paths):
-            search_path.append(f"command-line {number}", path)
+        """Append the directory."""
+        if self.path is not None:
+            search_path.append("command-line", str(Path(self.path).absolute()))
 
 
 @cache
@@ -273,20 +185,20 @@ def _register_plugins() -> None:
     plugins = str(Path(__file__).resolve().parents[1] / "plugins")
     if plugins not in sys.path and Path(plugins).is_dir():
         sys.path.append(plugins)
-    Plugins.instance().register(UserDirectories)
+    Plugins.instance().register(UserDirectory)
 
 
 @contextmanager
-def hydra_ready(extra_config_dir: str | None, *more: str) -> Iterator[None]:
-    """Make Hydra ready to compose from our tree and, with `--config-dir` and experiment files, from the user's.
+def hydra_ready(extra_config_dir: str | None) -> Iterator[None]:
+    """Make Hydra ready to compose from our tree and, with `--config-dir`, from the user's.
 
     Raises:
-        ConfigError: what Hydra or OmegaConf complain about meanwhile, in their first sentence.
+        ConfigError: what Hydra or OmegaConf complain about meanwhile, in one sentence.
     """
     _register_plugins()
     outer = GlobalHydra.instance().hydra  # we may be called within a Hydra app, such as a benchmark or a user's own
     GlobalHydra.instance().clear()
-    UserDirectories.paths = [str(Path(one).absolute()) for one in (extra_config_dir, *more) if one]
+    UserDirectory.path = extra_config_dir
     try:
         with (
             initialize_config_dir(str(config_dir()), "parking_exp", VERSION_BASE),
@@ -295,30 +207,46 @@ def hydra_ready(extra_config_dir: str | None, *more: str) -> Iterator[None]:
             # Our preset `ray` has the name of the launcher's own config, and may well be checked against it.
             warnings.filterwarnings("ignore", message=r"(?s).*validated against ConfigStore schema")
             yield
-    except yaml.YAMLError as error:
-        raise ConfigError(f"a YAML file can't be read: {' '.join(str(error).split())}") from error
-    except (HydraException, OmegaConfBaseException) as error:
+    except (HydraException, OmegaConfBaseException, yaml.YAMLError) as error:
         if isinstance(error.__cause__, ParkingError):  # of ours, and wrapped by Hydra
             raise error.__cause__ from error
-        raise ConfigError(_first_sentence(error)) from error
+        raise ConfigError(_sentence(error)) from error
     finally:
-        UserDirectories.paths = ()
+        UserDirectory.path = None
         GlobalHydra.instance().hydra = outer
 
 
-def _state_of_tree() -> frozenset[tuple[Path, int]]:
-    """Return the files of our tree and when each was changed."""
-    return frozenset((path, path.stat().st_mtime_ns) for path in config_dir().rglob("*.yaml"))
-
-
-def _first_sentence(error: Exception) -> str:
+def _sentence(error: Exception) -> str:
+    """Say what Hydra, OmegaConf or the YAML parser complain about."""
+    if isinstance(error, yaml.YAMLError):
+        return f"a YAML file can't be read: {' '.join(str(error).split())}"
     if isinstance(error, OverrideParseException):
-        quoting = """a list is [1,2], and text with spaces, quotes or brackets stands in quotes: "KEY='a (b)'\""""
-        return f"{error.override}: can't be read; write KEY=VALUE, where {quoting}"
-    merging = "Error merging override "
-    if str(error).startswith(merging):
-        override = str(error).splitlines()[0].removeprefix(merging)
-        return f"{override}: a value of another kind stands there; see it with --cfg job"
-    lines = [line.strip().rstrip(".") for line in str(error).splitlines() if line.strip()]
-    hint = [line for line in lines[1:2] if line.startswith("To append")]
-    return "; ".join([*lines[:1], *hint]) or type(error).__name__
+        return f"{error.override}: can't be parsed; write KEY=VALUE, KEY=[1,2] for a list, \"KEY='a (b)'\" for text"
+    if isinstance(error, MissingConfigException) and error.missing_cfg_file:
+        group, _, option = str(error.missing_cfg_file).rpartition("/")
+        return f"{group}={option}: there is no such option{suggestion(option, error.options or [])}"
+    cause = error if isinstance(error, OmegaConfBaseException) else error.__cause__
+    if isinstance(cause, ConfigKeyError | ConfigAttributeError) and cause.parent_node is not None:
+        return _unknown_key(cause)
+    if isinstance(cause, OmegaConfBaseException) and cause.full_key:
+        return f"{cause.full_key}: {str(cause).splitlines()[0]}"
+    lines = [" ".join(line.split()).rstrip(".") for line in str(error).splitlines() if line.strip()]
+    return "; ".join(lines[:2]) or type(error).__name__
+
+
+def _unknown_key(error: ConfigKeyError | ConfigAttributeError) -> str:
+    """Name a key that a section lacks, and the closest one."""
+    key, name, known = str(error.full_key), str(error.key), _container(error.parent_node)
+    section = key.rpartition(".")[0]
+    if not isinstance(known, dict):
+        return f"{key}: {section or 'the config'} has no keys"
+    sections = (other[: f"{other}.".index(f".{name}.")] for other in settings_of(known) if f".{name}." in f"{other}.")
+    if place := next(sections, None):  # a section was left out
+        return f"{key}: there is no such key; did you mean '{section and section + '.'}{place}.{name}'?"
+    is_open = "_target_" in known or not known or key.startswith("hydra.")
+    hint = (
+        did_you_mean(name, known, cutoff=0.8) or f"; write +{key}=VALUE to add it"
+        if is_open
+        else suggestion(name, known)
+    )
+    return f"{key}: there is no such key" + (f" in {section}={known['name']}" if "name" in known else "") + hint

@@ -5,84 +5,120 @@ are imported for it, and torch with them, so everything that can be checked with
 """
 
 import inspect
-from collections.abc import Mapping, Set
+from collections.abc import Iterator, Mapping, Set
+from importlib import import_module
 from types import NoneType
-from typing import Any, get_args
+from typing import Annotated, Any, get_args
 
-from parking_exp.config.limits import has_limit
+from pydantic import AfterValidator, ConfigDict, Field, create_model
+
+from parking_exp.config.limits import limits_of
+from parking_exp.config.messages import problems_of
 from parking_exp.config.schema import AlgorithmConfig, RunConfig, ThirdParty
-from parking_exp.config.targets import CLASS_ARGUMENTS, UnknownTarget, class_path, find
 from parking_exp.errors import suggestion
 
-# What the classes of the sections derive from, and what that is called.
+# What the classes of the sections derive from.
 BASES = {
-    "algorithm": ("stable_baselines3.common.off_policy_algorithm.OffPolicyAlgorithm", "an off-policy algorithm"),
-    "buffer": ("stable_baselines3.common.buffers.ReplayBuffer", "a replay buffer"),
+    "algorithm": "stable_baselines3.common.off_policy_algorithm.OffPolicyAlgorithm",
+    "buffer": "stable_baselines3.common.buffers.ReplayBuffer",
+}
+# Arguments that are classes, and the base that these must have. In a config they are dotted paths, or `_target_` nodes.
+CLASS_ARGUMENTS = {
+    "activation_fn": "torch.nn.Module",
+    "optimizer_class": "torch.optim.Optimizer",
+    "features_extractor_class": "stable_baselines3.common.torch_layers.BaseFeaturesExtractor",
+}
+DEFAULT_CLASSES = {
+    "optimizer": "torch.optim.Adam",
+    "features_extractor": "stable_baselines3.common.torch_layers.CombinedExtractor",
 }
 POLICY = "MultiInputPolicy"
 HYDRA_KEYS = {"_target_", "_partial_", "_convert_", "_recursive_", "_args_"}
-SIMPLE_TYPES = {int, float, bool, str, NoneType}
 # May be null although the library's annotation has no None: the run computes them.
 NULLABLE = {"train_freq", "gradient_steps"}
 
-# Arguments that the run sets, and the key that they come from.
-SetByRun = Mapping[str, str | None]
-OF_ALGORITHM: SetByRun = {
-    "env": "env",
-    "seed": "seed",
-    "device": "device",
-    "buffer_size": "buffer.buffer_size",
-    "optimize_memory_usage": None,
-    "n_steps": None,
-    "policy": None,
-    "replay_buffer_class": "buffer._target_",
-    "replay_buffer_kwargs": "buffer",
-    "tensorboard_log": "tracking.tensorboard",
-    "verbose": "tracking.stdout",
-    "_init_setup_model": None,
-}
-OF_BUFFER: SetByRun = {
-    "buffer_size": "buffer.buffer_size",
-    "observation_space": "env",
-    "action_space": "env",
-    "env": "env",
-    "n_envs": "n_envs",
-    "device": "device",
-    "optimize_memory_usage": None,
-    "reward": "env",
-}
-OF_POLICY: SetByRun = {
-    "observation_space": "env",
-    "action_space": "env",
-    "lr_schedule": "algorithm.learning_rate",
-    "use_sde": "algorithm.use_sde",
-}
-OF_OPTIMIZER: SetByRun = {"params": "algorithm.net_arch", "lr": "algorithm.learning_rate"}
-OF_EXTRACTOR: SetByRun = {"observation_space": "env"}
+
+def _refuse_null(value: Any) -> Any:
+    if value is None:
+        raise ValueError("a value is needed")
+    return value
 
 
-def check_arguments(run: RunConfig) -> list[str]:
-    """Return what is wrong with the arguments of the algorithm, of its policy and of the buffer."""
-    return [
-        *_check_section("algorithm", run.algorithm, OF_ALGORITHM),
-        *_check_section("buffer", run.buffer, OF_BUFFER),
-    ]
+NotNull = Annotated[Any, AfterValidator(_refuse_null)]
+
+# Arguments that the run sets, by the key of the call, and the key that they come from.
+SET_BY_RUN: dict[str, dict[str, str | None]] = {
+    "algorithm": {
+        **dict.fromkeys(("policy", "n_steps", "optimize_memory_usage", "_init_setup_model")),
+        **{"env": "env", "seed": "seed", "device": "device", "buffer_size": "buffer.buffer_size"},
+        **{"replay_buffer_class": "buffer._target_", "replay_buffer_kwargs": "buffer"},
+        **{"tensorboard_log": "tracking.tensorboard", "verbose": "tracking.stdout"},
+    },
+    "buffer": {
+        **dict.fromkeys(("observation_space", "action_space", "optimize_memory_usage", "reward")),
+        **{"buffer_size": "buffer.buffer_size", "env": "env", "n_envs": "n_envs", "device": "device"},
+    },
+    "algorithm.policy_kwargs": {
+        **dict.fromkeys(("observation_space", "action_space")),
+        **{"lr_schedule": "algorithm.learning_rate", "use_sde": "algorithm.use_sde"},
+    },
+    "algorithm.policy_kwargs.optimizer_kwargs": {"params": "algorithm.net_arch", "lr": "algorithm.learning_rate"},
+    "algorithm.policy_kwargs.features_extractor_kwargs": {"observation_space": "env"},
+}
+
+
+class UnknownTarget(LookupError):
+    """A dotted path that names nothing that can be imported; the message says why."""
+
+
+def find(target: object) -> Any:
+    """Import the class or function at a dotted path.
+
+    Raises:
+        UnknownTarget: there is none, or its module cannot be imported.
+    """
+    if not isinstance(target, str) or "." not in target.strip("."):
+        raise UnknownTarget("is not a dotted path, PACKAGE.MODULE.CLASS")
+    path, _, name = target.rpartition(".")
+    try:
+        module = import_module(path)
+    except Exception as error:  # whatever a module does when it is imported
+        extra = "; pip install 'parking-exp[contrib]'" if path.startswith("sb3_contrib") else ""
+        raise UnknownTarget(
+            f"{path} cannot be imported: {type(error).__name__}: {error}".splitlines()[0] + extra
+        ) from error
+    if not hasattr(module, name):
+        raise UnknownTarget(
+            f"there is no {name!r} in {path}{suggestion(name, [n for n in vars(module) if not n.startswith('_')])}"
+        )
+    return getattr(module, name)
+
+
+def class_path(value: object) -> object:
+    """Return the dotted path that a class argument names: itself, or that of its `_target_`."""
+    return value.get("_target_") if isinstance(value, Mapping) else value
+
+
+def check_arguments(run: RunConfig) -> Iterator[str]:
+    """Yield what is wrong with the arguments of the algorithm, of its policy and of the buffer."""
+    for key, base in BASES.items():
+        section: ThirdParty = getattr(run, key)
+        siblings = type(section).model_fields.keys() - {"target"}
+        node = {"_target_": section.target, **section.arguments}
+        problems = [*_check_target(key, node, base, siblings, partial=False)]
+        yield from problems
+        if not problems and isinstance(section, AlgorithmConfig):
+            yield from _check_policy(section, find(section.target))
 
 
 def ignored_features(algorithm: AlgorithmConfig) -> str:
     """Return the error that an algorithm's policy has no features extractor."""
-    return (
-        f"algorithm.features={algorithm.features}: the policy of {algorithm.target} has no features extractor and "
-        "would ignore it; set algorithm.features=raw"
-    )
+    return f"algorithm.features={algorithm.features}: {algorithm.class_name}'s policy ignores it; use raw"
 
 
 def not_mirrored(algorithm: AlgorithmConfig) -> str:
     """Return the error that an algorithm's policy cannot mirror its steering."""
-    return (
-        f"algorithm.features=ego_mirrored: the policy of {algorithm.target} does not mirror its steering; "
-        "set algorithm.features=ego_fine"
-    )
+    return f"algorithm.features=ego_mirrored: {algorithm.class_name}'s policy mirrors no steering; use ego_fine"
 
 
 def policy_class(algorithm: type) -> type | None:
@@ -96,137 +132,91 @@ def takes(call: Any, name: str) -> bool:
     return is_open or name in parameters
 
 
-def _check_section(key: str, section: ThirdParty, set_by_run: SetByRun) -> list[str]:
-    """Check a section's class and its arguments."""
-    base, words = BASES[key]
-    try:
-        found = find(section.target)
-    except UnknownTarget as error:
-        return [f"{key}._target_={section.target}: {error}"]
-    if not isinstance(found, type) or not issubclass(found, find(base)):
-        return [f"{key}._target_={section.target} is not {words} of Stable-Baselines3"]
-    siblings = set(type(section).model_fields) - {"target"}
-    problems = _check_call(key, found, section.target, section.arguments, set_by_run, siblings)
-    if not problems and isinstance(section, AlgorithmConfig):
-        problems = _check_policy(section, found)
-    return problems
-
-
-def _check_policy(algorithm: AlgorithmConfig, algorithm_class: type) -> list[str]:
+def _check_policy(algorithm: AlgorithmConfig, algorithm_class: type) -> Iterator[str]:
     """Check `policy_kwargs` against the policy's own constructor."""
     key, given = "algorithm.policy_kwargs", algorithm.arguments.get("policy_kwargs") or {}
-    if not isinstance(given, Mapping):
-        return [f"{key}={given!r} is not a group of keys"]
-    # A mapping, of `pi` and `qf`, says what algorithm.net_arch cannot.
-    if "net_arch" in given and not isinstance(given["net_arch"], Mapping):
-        return [f"{key}.net_arch takes the place of algorithm.net_arch; use algorithm.net_arch"]
-    own = [name for name in given if str(name).startswith("features_extractor")]
-    if own and algorithm.features != "raw":
-        return [
-            f"{key}.{own[0]} takes the place of algorithm.features={algorithm.features}; set algorithm.features=raw"
-        ]
     policy = policy_class(algorithm_class)
-    if policy is None:
-        return []
-    if algorithm.features != "raw" and not takes(policy, "features_extractor_class"):
-        return [ignored_features(algorithm)]
-    mirrored = find("stable_baselines3.SAC"), find("stable_baselines3.TD3")
-    if algorithm.features == "ego_mirrored" and not issubclass(algorithm_class, mirrored):
-        return [not_mirrored(algorithm)]
-    if problems := _check_call(key, policy, POLICY, given, OF_POLICY):
-        return problems
-    optimizer = given.get("optimizer_class", "torch.optim.Adam")
-    extractor = given.get("features_extractor_class", "stable_baselines3.common.torch_layers.CombinedExtractor")
-    return [
-        *_check_kwargs(f"{key}.optimizer_kwargs", optimizer, given.get("optimizer_kwargs"), OF_OPTIMIZER),
-        *_check_kwargs(
-            f"{key}.features_extractor_kwargs", extractor, given.get("features_extractor_kwargs"), OF_EXTRACTOR
-        ),
-    ]
-
-
-def _check_kwargs(key: str, value: object, given: object, set_by_run: SetByRun) -> list[str]:
-    """Check keyword arguments that a class argument is called with, beside others."""
-    if given is None:
-        return []
     if not isinstance(given, Mapping):
-        return [f"{key}={given!r} is not a group of keys"]
-    target = class_path(value)
+        yield f"{key}={given!r} is not a group of keys"
+    elif "net_arch" in given and not isinstance(given["net_arch"], Mapping):  # a mapping sets actor and critic apart
+        yield f"{key}.net_arch takes the place of algorithm.net_arch; use algorithm.net_arch"
+    elif algorithm.features != "raw" and (own := [name for name in given if name.startswith("features_extractor")]):
+        yield f"{key}.{own[0]} takes the place of algorithm.features; set algorithm.features=raw"
+    elif policy is None:
+        return
+    elif algorithm.features != "raw" and not takes(policy, "features_extractor_class"):
+        yield ignored_features(algorithm)
+    elif algorithm.features == "ego_mirrored" and not issubclass(
+        algorithm_class, (find("stable_baselines3.SAC"), find("stable_baselines3.TD3"))
+    ):
+        yield not_mirrored(algorithm)
+    else:
+        problems = [*_check_call(key, policy, given)]
+        yield from problems
+        for name, usual in DEFAULT_CLASSES.items() if not problems else ():
+            nested = given.get(f"{name}_kwargs") or {}
+            if not isinstance(nested, Mapping):
+                yield f"{key}.{name}_kwargs={nested!r} is not a group of keys"
+            elif nested:
+                target = class_path(given.get(f"{name}_class", usual))
+                yield from _check_target(f"{key}.{name}_kwargs", {**nested, "_target_": target}, partial=True)
+
+
+def _check_target(
+    key: str, value: Any, base: str | None = None, siblings: Set[str] = frozenset(), *, partial: bool
+) -> Iterator[str]:
+    """Check a dotted path, or a node with a `_target_` and its arguments; with a base that the class must have."""
+    is_node, target = isinstance(value, Mapping), class_path(value)
+    place = f"{key}._target_={target}" if is_node else f"{key}={target}"
     try:
         call = find(target)
     except UnknownTarget as error:
-        return [f"{key}: {target}: {error}"]
-    return _check_call(key, call, str(target), given, set_by_run, partial=True)
+        yield f"{place}: {error}"
+        return
+    if base is not None and not (isinstance(call, type) and issubclass(call, find(base))):
+        yield f"{place} is not a subclass of {base}"
+    elif is_node:
+        given = {name: argument for name, argument in value.items() if name not in HYDRA_KEYS}
+        yield from _check_call(key, call, given, siblings, partial=partial)
 
 
 def _check_call(
-    key: str,
-    call: Any,
-    name: str,
-    given: Mapping[str, Any],
-    set_by_run: SetByRun,
-    siblings: Set[str] = frozenset(),
-    *,
-    partial: bool = False,
-) -> list[str]:
+    key: str, call: Any, given: Mapping[str, Any], siblings: Set[str] = frozenset(), *, partial: bool = False
+) -> Iterator[str]:
     """Check the arguments of a call; a `partial` one gets more. `siblings` are the valid keys that are no arguments."""
     parameters, is_open = _parameters(call)
-    choices, problems = (parameters.keys() - set_by_run.keys()) | siblings, []
-    for argument, value in given.items():
-        if argument in set_by_run:
-            source = set_by_run[argument]
-            problems.append(f"{key}.{argument} is set by the run itself" + (f"; use {source}" if source else ""))
-        elif argument in parameters:
-            problems += _check_value(f"{key}.{argument}", value, name, parameters[argument])
-        elif not is_open:
-            problems.append(f"{key}.{argument}: {name} has no such argument{suggestion(argument, choices)}")
-    if not partial:
-        problems += [
-            f"{key}.{argument} is missing; {name} needs it"
-            for argument, parameter in parameters.items()
-            if parameter.default is parameter.empty and argument not in {*given, *set_by_run}
-        ]
-    return problems
+    set_by_run, plain = SET_BY_RUN.get(key, {}), {}
+    for name, value in given.items():
+        base = CLASS_ARGUMENTS.get(name)
+        if name in set_by_run:
+            yield f"{key}.{name} is set by the run itself" + (f"; use {set_by_run[name]}" if set_by_run[name] else "")
+        elif isinstance(value, Mapping) and "_target_" in value:
+            is_partial = base is not None or bool(value.get("_partial_")) or "_args_" in value
+            yield from _check_target(f"{key}.{name}", value, base, partial=is_partial)
+        elif isinstance(value, str) and base is not None:
+            yield from _check_target(f"{key}.{name}", value, base, partial=True)
+        else:
+            plain[name] = value
+    known = {name: p for name, p in parameters.items() if name not in (set_by_run.keys() | given.keys() - plain.keys())}
+    limits = limits_of(getattr(call, "__name__", ""))
+    fields: dict[str, Any] = {}  # under names that pydantic takes
+    for name, p in known.items():
+        default = ... if p.default is p.empty and not partial else None
+        fields[f"argument_{len(fields)}"] = (_type_of(p, limits), Field(default, alias=name))
+    config = ConfigDict(extra="allow" if is_open else "forbid", strict=True)
+    yield from problems_of(create_model("Arguments", __config__=config, **fields), plain, key, known.keys() | siblings)
 
 
-def _check_value(key: str, value: Any, call: str, parameter: inspect.Parameter) -> list[str]:
-    """Check a value's type where the annotation is simple; numbers with a known range have been checked already."""
-    if parameter.name in CLASS_ARGUMENTS and isinstance(value, str | Mapping):
-        return _check_class(key, value, CLASS_ARGUMENTS[parameter.name])
-    if isinstance(value, Mapping) and "_target_" in value:
-        return _check_node(key, value)
+def _type_of(parameter: inspect.Parameter, limits: Mapping[str, Any]) -> Any:
+    """Return the type that an argument must have, as far as its annotation is simple or its range is known."""
     annotation = parameter.annotation
-    if value is None and parameter.name not in NULLABLE and not _takes_none(parameter):
-        return [f"{key}=null: {call} needs a value"]
-    kinds = set(get_args(annotation)) or {annotation}
-    if has_limit(parameter.name, call) or not kinds <= SIMPLE_TYPES:
-        return []
-    if type(value) in kinds or (type(value) is int and float in kinds):
-        return []
-    return [f"{key}={value!r} has the wrong type; {call} takes {inspect.formatannotation(annotation)}"]
-
-
-def _check_class(key: str, value: str | Mapping[str, Any], base: str) -> list[str]:
-    """Check a class argument; a node may also name a function that returns the class."""
-    if isinstance(value, Mapping) and (problems := _check_node(key, {**value, "_partial_": True})):
-        return problems
-    target = class_path(value)
-    try:
-        found = find(target)
-    except UnknownTarget as error:
-        return [f"{key}={target}: {error}"]
-    fits = issubclass(found, find(base)) if isinstance(found, type) else isinstance(value, Mapping)
-    return [] if fits else [f"{key}={target} is not a subclass of {base}"]
-
-
-def _check_node(key: str, node: Mapping[str, Any]) -> list[str]:
-    target = node.get("_target_")
-    try:
-        found = find(target)
-    except UnknownTarget as error:
-        return [f"{key}._target_={target}: {error}"]
-    given = {name: value for name, value in node.items() if name not in HYDRA_KEYS}
-    return _check_call(key, found, str(target), given, {}, partial=bool(node.get("_partial_")) or "_args_" in node)
+    types = set(get_args(annotation)) or {annotation}
+    nullable = parameter.name in NULLABLE or annotation in (parameter.empty, Any) or NoneType in types
+    if parameter.name in limits:
+        return limits[parameter.name] | None if nullable else limits[parameter.name]
+    if types <= {int, float, bool, str, NoneType}:
+        return annotation
+    return Any if nullable else NotNull
 
 
 def _parameters(call: Any) -> tuple[dict[str, inspect.Parameter], bool]:
@@ -235,11 +225,5 @@ def _parameters(call: Any) -> tuple[dict[str, inspect.Parameter], bool]:
         parameters = inspect.signature(call).parameters
     except (TypeError, ValueError):  # compiled, without a signature
         return {}, True
-    variadic = {name for name, one in parameters.items() if one.kind in (one.VAR_POSITIONAL, one.VAR_KEYWORD)}
-    is_open = any(parameters[name].kind is inspect.Parameter.VAR_KEYWORD for name in variadic)
-    return {name: one for name, one in parameters.items() if name not in variadic}, is_open
-
-
-def _takes_none(parameter: inspect.Parameter) -> bool:
-    annotation = parameter.annotation
-    return annotation in (parameter.empty, Any) or any(word in str(annotation) for word in ("None", "Optional"))
+    named = {name: p for name, p in parameters.items() if p.kind not in (p.VAR_POSITIONAL, p.VAR_KEYWORD)}
+    return named, any(p.kind is p.VAR_KEYWORD for p in parameters.values())

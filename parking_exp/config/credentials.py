@@ -16,7 +16,7 @@ QUERY = re.compile(r"([?&])(?:(?:ssl)?password|passwd)=[^&\s'\"]*(&?)")
 
 def strip_password(text: str) -> str:
     """Return a URI, or a text with URIs in it, without passwords; users stay."""
-    return QUERY.sub(lambda found: found[1] if found[2] else "", USERINFO.sub(r"\1@", text))
+    return QUERY.sub(lambda match: match[1] if match[2] else "", USERINFO.sub(r"\1@", text))
 
 
 def keep_password(uri: str) -> str:

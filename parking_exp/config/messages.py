@@ -1,71 +1,67 @@
 """Error messages for what pydantic refuses."""
 
-from typing import Any, get_args, get_origin
+import itertools
+import re
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from typing import Any, get_args
 
-from pydantic import BaseModel, TypeAdapter, ValidationError
+from pydantic import BaseModel, ValidationError
 
-from parking_exp.errors import suggestion
+from parking_exp.errors import ConfigError, suggestion
 
-LARGEST_NUMBER = 1e15  # of any key: its square is a float, and its digits can be printed
-NUMBER_RANGE = f"numbers lie between {-LARGEST_NUMBER:.0e} and {LARGEST_NUMBER:.0e}"
+MOST_ERRORS = 5
 
 
-def problems_of(valid: Any, value: object, key: str) -> list[str]:
-    """Return what is wrong with the value of a key, given the type that it must have."""
+def refuse(problems: Iterable[str]) -> None:
+    """Refuse a config that has problems.
+
+    Raises:
+        ConfigError: with the first five of them.
+    """
+    if first := list(itertools.islice(problems, MOST_ERRORS)):
+        raise ConfigError("\n".join(first))
+
+
+def problems_of(model: type[BaseModel], values: Mapping[str, Any], key: str, choices: Iterable[str]) -> Iterator[str]:
+    """Yield what is wrong with the values in a section, given its model and its keys."""
     try:
-        TypeAdapter(valid).validate_python(value, strict=True)
+        model.model_validate(values)
     except ValidationError as error:
-        return [sentence(item, prefix=key) for item in error.errors()]
-    return []
+        for (name,), group in itertools.groupby(error.errors(), lambda item: item["loc"][:1]):
+            items = list(group)
+            if len(items) > 1:  # of a union
+                yield f"{key}.{name}={values[str(name)]!r}: {' or '.join(_lower(item['msg']) for item in items)}"
+            else:
+                yield sentence(items[0], choices, f"{key}.")
 
 
-def sentence(item: Any, model: type[BaseModel] | None = None, prefix: str = "") -> str:
-    """Say what pydantic complains about: an item of `ValidationError.errors()`, of a section or of the key `prefix`."""
-    parts = [str(part) for part in item["loc"] if part != "nullable"]
-    key = ".".join([*([prefix] if prefix else []), *parts])
-    context, value = item.get("ctx", {}), item["input"]
-    match item["type"]:
+def sentence(error: Any, choices: Iterable[str], prefix: str = "") -> str:
+    """Say what pydantic complains about: an item of `ValidationError.errors()`, of a section with some keys."""
+    parts, value = [str(part) for part in error["loc"]], error["input"]
+    key = prefix + ".".join(parts)
+    match error["type"]:
         case "extra_forbidden":
-            return f"{key}: there is no such key{suggestion(parts[-1], _keys(model, parts[:-1]))}"
+            return f"{key}: there is no such key{suggestion(parts[-1], choices)}"
         case "missing":
             return f"{key} is missing"
-        case "greater_than_equal":
-            return f"{key}={value} is out of range; the closest valid choice is {context['ge']}"
-        case "less_than_equal":
-            return f"{key}={value} is out of range; the closest valid choice is {context['le']}"
-        case "less_than" if isinstance(context["lt"], float):
-            return f"{key}={value} is out of range; it must be less than {context['lt']}"
-        case "less_than":
-            return f"{key}={value} is out of range; the closest valid choice is {context['lt'] - 1}"
-        case "greater_than":
-            return f"{key}={value} is out of range; it must be greater than {context['gt']}"
-        case "literal_error":
-            choices = [part.strip().strip("'") for part in context["expected"].replace(" or ", ", ").split(", ")]
-            hint = suggestion(str(value), choices) if len(choices) > 1 else f"; it can only be {choices[0]}"
-            return f"{key}={value} is not a valid choice{hint}"
         case "model_type":
-            return f"{key}={value!r} is not a group of keys; it holds {', '.join(_keys(model, parts))}"
-        case "string_pattern_mismatch" if parts == ["device"]:
-            return f"device={value!r} is not a valid choice; choose from cpu, auto, cuda, cuda:N"
-        case "string_pattern_mismatch":
-            return f"{key}={value!r} is not valid; it must match {context['pattern']}"
-        case "value_error":  # of a validator of ours, whose words name what is wrong
-            return f"{key} {context['error']}"
-    problem = item["msg"][0].lower() + item["msg"][1:]
-    return f"{key}={value!r}: {problem}"
+            return f"{key}={value!r} is not a group of keys"
+        case "literal_error":
+            options = re.findall(r"'([^']*)'", error["ctx"]["expected"])
+            return f"{key}={value} is not a valid choice{suggestion(str(value), options)}"
+    return f"{key}={value!r}: {_lower(error['msg'])}"
 
 
-def _keys(model: type[BaseModel] | None, path: list[str]) -> list[str]:
-    """Keys of the (nested) section at a path."""
-    node: Any = model
+def _lower(message: str) -> str:
+    message = message.removeprefix("Value error, ")
+    return message[0].lower() + message[1:]
+
+
+def keys_at(model: type[BaseModel], path: Sequence[int | str]) -> list[str]:
+    """Return the keys of the section at a path."""
     for part in path:
-        if get_origin(node) is dict:  # of sections by name
-            node = get_args(node)[1]
-        else:
-            field = node.model_fields.get(part) if _is_section(node) else None
-            node = field.annotation if field else None
-    return [field.alias or name for name, field in node.model_fields.items()] if _is_section(node) else []
-
-
-def _is_section(node: Any) -> bool:
-    return isinstance(node, type) and issubclass(node, BaseModel)
+        if part in model.model_fields:  # otherwise the name of a section in a mapping of them
+            annotation = model.model_fields[str(part)].annotation
+            types = [t for t in (annotation, *get_args(annotation)) if isinstance(t, type)]
+            model = next((t for t in types if issubclass(t, BaseModel)), model)
+    return [field.alias or name for name, field in model.model_fields.items()]

@@ -19,8 +19,8 @@ ARTIFACTS = "mlflow-artifacts"  # folder of an output directory
 
 
 def directory_path(text: str | Path) -> Path:
-    """Return the absolute path of a directory as it is typed, `~` and `..` resolved."""
-    # Not `Path.expanduser`, which raises for an unknown user; not `resolve`: links stay as they are typed.
+    """Return the absolute path of a directory as the user wrote it, `~` and `..` resolved."""
+    # Not `Path.expanduser`, which raises for an unknown user; not `resolve`: links stay as they are.
     return Path(os.path.normpath(Path(os.path.expanduser(text)).absolute()))  # noqa: PTH111
 
 
@@ -65,10 +65,10 @@ def local_folder(uri: str) -> Path | None:
     return None if parts.scheme else Path(uri)
 
 
-def is_same_store(one: str, other: str) -> bool:
+def is_same_store(uri: str, other_uri: str) -> bool:
     """Whether two URIs name the same store."""
-    ours, theirs = database(one), database(other)
-    return one == other if ours is None or theirs is None else ours.resolve() == theirs.resolve()
+    file, other = database(uri), database(other_uri)
+    return uri == other_uri if file is None or other is None else file.resolve() == other.resolve()
 
 
 def lies_inside(path: Path, folder: Path) -> bool:

@@ -21,6 +21,14 @@ DEFAULT_SCALES = [100, 100, 5, 5, 1, 1]
 # Seeds of training scenes start here; evaluation scenes lie below, so the two never meet.
 TRAINING_SCENES_START = 2**31
 
+
+def check_range(bounds: list[float]) -> list[float]:
+    """Refuse a range without values."""
+    if not bounds[0] < bounds[1]:
+        raise ValueError("the lower bound has to be below the upper one")
+    return bounds
+
+
 NAME = r"^[A-Za-z0-9][A-Za-z0-9._-]*$"
 Name = Annotated[str, Field(pattern=NAME, max_length=80)]
 Uri = Annotated[str, AfterValidator(strip_password)]
@@ -32,6 +40,7 @@ Duration = Annotated[float, Field(gt=0, le=100_000)]
 Pixels = Annotated[int, Field(ge=1, le=10_000)]
 Share = Annotated[float, Field(gt=0, le=1)]
 Bounds = Annotated[list[float], Field(min_length=2, max_length=2)]
+Range = Annotated[Bounds, AfterValidator(check_range)]
 Simulation = Literal["vectorized", "highway_env"]
 Scene = Annotated[int, Field(ge=0, lt=TRAINING_SCENES_START)]
 NumberOfScenes = Annotated[int, Field(ge=1, le=TRAINING_SCENES_START)]
@@ -56,9 +65,9 @@ class ActionConfig(ConfigModel):
     """highway-env's `action` options."""
 
     type: Literal["ContinuousAction"]
-    acceleration_range: Bounds | None
-    steering_range: Bounds | None
-    speed_range: Bounds | None
+    acceleration_range: Range | None
+    steering_range: Range | None
+    speed_range: Range | None
     longitudinal: bool
     lateral: bool
     dynamical: bool
@@ -111,11 +120,6 @@ class EnvConfig(ConfigModel):
         options = self.model_dump(exclude=ours | training)
         options["action"] = {key: value for key, value in options["action"].items() if value is not None}
         return options
-
-    @property
-    def uncovered(self) -> list[str]:
-        """Options that the vectorised simulator does not simulate."""
-        return ["action.dynamical"] if self.action.dynamical else []
 
     def episode_steps(self) -> int:
         """Longest episode in policy steps, counted as highway-env counts time: by adding floats."""

@@ -1,10 +1,9 @@
 """Validate a config: types, ranges and rules between keys, then the arguments of third-party classes.
 
-Every error is one sentence that names the key, what is wrong and the closest valid choice. Our own keys are checked
-without importing torch or mlflow; the third-party classes, and torch with them, are imported after that.
+Every error is one sentence that names the key and what is wrong. Our own keys are checked without importing torch or
+mlflow; the third-party classes, and torch with them, are imported after that.
 """
 
-import gc
 import math
 from collections.abc import Iterable, Iterator, Mapping, Set
 from typing import Any, TypeVar
@@ -15,7 +14,7 @@ from pydantic import BaseModel, ValidationError
 
 from parking_exp.config.constructor_arguments import check_arguments
 from parking_exp.config.credentials import keep_password
-from parking_exp.config.messages import LARGEST_NUMBER, NUMBER_RANGE, sentence
+from parking_exp.config.messages import MOST_ERRORS, keys_at, refuse, sentence
 from parking_exp.config.rules import check_rules
 from parking_exp.config.schema import RunConfig, SweepOptions
 from parking_exp.errors import ConfigError
@@ -25,6 +24,7 @@ Config = DictConfig | Mapping[str, Any]
 
 # Keys of a composed config that say which runs there are, and nothing about any of them.
 SWEEP_KEYS = {"seeds", "cells", *SweepOptions.model_fields}
+LARGEST_NUMBER = 1e15  # of any key: its square is a float, and its digits can be printed
 
 
 def validate(config: Config | RunConfig) -> RunConfig:
@@ -45,24 +45,13 @@ def validate_all(configs: Iterable[Config]) -> list[RunConfig]:
     runs = []
     for config in configs:
         runs.append(parse(RunConfig, config, without=SWEEP_KEYS))
-        _refuse(check_rules(runs[-1]))
-    was_enabled = gc.isenabled()
-    gc.disable()  # importing torch without it takes .8 s less
-    try:
-        for run in runs:
-            _refuse(check_arguments(run))
-    finally:
-        if was_enabled:
-            gc.enable()
+        refuse(check_rules(runs[-1]))
+    for run in runs:
+        refuse(check_arguments(run))
     return runs
 
 
-def _refuse(problems: list[str]) -> None:
-    if problems:
-        raise ConfigError("\n".join(problems[:5]))
-
-
-def parse(model: type[Model], config: DictConfig | Mapping[str, Any], without: Set[str] = frozenset()) -> Model:
+def parse(model: type[Model], config: Config, without: Set[str] = frozenset()) -> Model:
     """Resolve interpolations and check a config, less some keys, against a schema.
 
     Raises:
@@ -87,20 +76,20 @@ def check(model: type[Model], plain: Mapping[str, Any]) -> Model:
     Raises:
         ConfigError: they don't fit.
     """
-    if problems := list(_bad_numbers(plain)):
-        raise ConfigError("\n".join(problems[:5]))
-    try:
-        return model.model_validate(plain)
-    except ValidationError as error:
-        raise ConfigError("\n".join(sentence(item, model) for item in error.errors()[:5])) from error
+    if not (problems := list(_bad_numbers(plain))):
+        try:
+            return model.model_validate(plain)
+        except ValidationError as error:
+            problems = [sentence(item, keys_at(model, item["loc"][:-1])) for item in error.errors()]
+    raise ConfigError("\n".join(problems[:MOST_ERRORS]))
 
 
 def _bad_numbers(value: object, key: str = "") -> Iterator[str]:
     """Yield a sentence for each number in nested containers that is not finite or too large to compute with."""
     if isinstance(value, float) and not math.isfinite(value):
-        yield f"{key}={value}: input should be a finite number"
+        yield f"{key}={value} is not a finite number"
     elif isinstance(value, int | float) and abs(value) > LARGEST_NUMBER:
-        yield f"{key} is out of range; {NUMBER_RANGE}"
+        yield f"{key} is out of range: numbers are at most {LARGEST_NUMBER:.0e}"
     items = value.items() if isinstance(value, Mapping) else enumerate(value) if isinstance(value, list) else ()
     for name, item in items:
         yield from _bad_numbers(item, f"{key}.{name}" if key else str(name))

@@ -1,6 +1,7 @@
 """parking-v0 simulated by highway-env itself."""
 
 from collections.abc import Sequence
+from itertools import compress
 from typing import Any
 
 import gymnasium as gym
@@ -9,6 +10,7 @@ import numpy as np
 from parking_exp.config.schema import ENV_ID, EnvConfig
 from parking_exp.envs.interface import Observation, Step
 from parking_exp.envs.outcomes import Pose, relative_pose
+from parking_exp.envs.reward import GoalReward
 
 
 class SparseReward(gym.Wrapper, gym.utils.RecordConstructorArgs):
@@ -29,9 +31,7 @@ class SparseReward(gym.Wrapper, gym.utils.RecordConstructorArgs):
 
     def compute_reward(self, achieved_goal: np.ndarray, desired_goal: np.ndarray, info: object) -> np.ndarray:
         """Return 0 where the goal is reached and -1 elsewhere; goals of shape (6,) or (batch, 6)."""
-        base = self.unwrapped
-        dense = base.compute_reward(achieved_goal, desired_goal, info)
-        return np.where(dense > -base.config["success_goal_reward"], 0.0, -1.0)
+        return self.unwrapped.goal_reward(achieved_goal, desired_goal)[0]
 
 
 def make_env(config: EnvConfig, *, render_mode: str | None = None) -> gym.Env:
@@ -46,6 +46,7 @@ def make_env(config: EnvConfig, *, render_mode: str | None = None) -> gym.Env:
     gym.register_envs(highway_env)
     # Gymnasium's checker tests every space at every step and costs time; our tests run it instead.
     env = gym.make(ENV_ID, config=config.highway_options(), render_mode=render_mode, disable_env_checker=True)
+    env.unwrapped.goal_reward = GoalReward.of(config)
     return SparseReward(env) if config.reward == "sparse" else env
 
 
@@ -59,7 +60,6 @@ class HighwayBatch:
 
     def __init__(self, config: EnvConfig, scenes: Sequence[int]) -> None:
         self.envs = [make_env(config) for _ in scenes]
-        self._all = list(self.envs)
         self._observations = [env.reset(seed=int(scene))[0] for env, scene in zip(self.envs, scenes, strict=True)]
 
     def __len__(self) -> int:
@@ -67,7 +67,9 @@ class HighwayBatch:
 
     def observe(self) -> Observation:
         """Return the observation of all scenes."""
-        return {key: np.stack([one[key] for one in self._observations]) for key in self._observations[0]}
+        return {
+            key: np.stack([observation[key] for observation in self._observations]) for key in self._observations[0]
+        }
 
     def step(self, actions: np.ndarray) -> Step:
         """Step all scenes; actions have the shape (n, actions)."""
@@ -78,9 +80,9 @@ class HighwayBatch:
         return Step(self.observe(), *(np.array(column) for column in (*columns, crashed, is_success)))
 
     def keep(self, rows: np.ndarray) -> None:
-        """Go on with some of the scenes only, by mask."""
-        self.envs = [env for env, kept in zip(self.envs, rows, strict=True) if kept]
-        self._observations = [one for one, kept in zip(self._observations, rows, strict=True) if kept]
+        """Keep only some of the scenes, by mask."""
+        self.envs = list(compress(self.envs, rows))
+        self._observations = list(compress(self._observations, rows))
 
     def pose(self, row: int) -> Pose:
         """Return the pose of a car relative to its goal."""
@@ -91,8 +93,3 @@ class HighwayBatch:
         """Return x [m], y [m], heading [rad] and signed speed [m/s] of all cars, shape (n, 4)."""
         cars = [env.unwrapped.vehicle for env in self.envs]
         return np.array([[*car.position, car.heading, car.speed] for car in cars])
-
-    def close(self) -> None:
-        """Close the envs."""
-        for env in self._all:
-            env.close()

@@ -4,9 +4,11 @@ from collections.abc import Sequence
 
 from parking_exp.config.schema import EnvConfig, Simulation
 from parking_exp.envs.highway import HighwayBatch
-from parking_exp.envs.interface import SceneBatch
 from parking_exp.envs.scenes import Scenes
 from parking_exp.envs.simulator import Simulator
+
+SceneBatch = HighwayBatch | Simulator
+"""n scenes that are stepped together, and never reset by themselves."""
 
 
 def start_scenes(config: EnvConfig, scenes: Sequence[int], simulator: Simulation | None = None) -> SceneBatch:

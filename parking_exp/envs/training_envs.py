@@ -25,7 +25,7 @@ def make_training_envs(
         config: the `env` group; what it has for training applies (`for_training`).
         n_envs: how many.
         monitor: file of finished training episodes (Stable-Baselines3's Monitor CSV). Rows are appended.
-        elapsed_s: time that the run has taken before, so that the file's clock goes on.
+        elapsed_s: time that the run has taken before, so that the file's clock continues.
     """
     simulated: VecEnv
     config = config.for_training()
@@ -60,14 +60,6 @@ def set_state(envs: VecEnv, state: dict[str, Any]) -> None:
     if isinstance(simulated, ParkingVecEnv):
         simulated.set_state(state["envs"])
         return
-    simulated._reset_seeds()  # what waits for a first reset that has been long since
-    for index, one in enumerate(state["envs"]):
-        simulated.env_method("set_state", one, indices=[index])
-
-
-def is_parking(envs: VecEnv) -> bool:
-    """Whether envs are parking-v0, ours or highway-env's, and not of another kind."""
-    if isinstance(envs.unwrapped, ParkingVecEnv):
-        return True
-    (spec,) = envs.get_attr("spec", 0)
-    return spec is not None and spec.id == ENV_ID
+    simulated._reset_seeds()  # the seeds of a first reset, which was before the state was saved
+    for index, env_state in enumerate(state["envs"]):
+        simulated.env_method("set_state", env_state, indices=[index])

@@ -1,6 +1,6 @@
 """The simulator as a Stable-Baselines3 VecEnv."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
@@ -24,10 +24,13 @@ class ParkingVecEnv(VecEnv):
         n_envs: how many.
     """
 
+    render_mode = None  # videos are made with highway-env
+
     def __init__(self, config: EnvConfig, n_envs: int) -> None:
         self.config = config
         self._rng = np.random.default_rng()
         self.simulator = Simulator(config, self._draw(n_envs))
+        self.goal_reward = self.simulator.reward
         goal = spaces.Box(-np.inf, np.inf, (len(config.observation.features),), np.float64)
         observation_space = spaces.Dict(dict.fromkeys(("observation", "achieved_goal", "desired_goal"), goal))
         super().__init__(n_envs, observation_space, spaces.Box(-1.0, 1.0, (self.simulator.action_size,), np.float32))
@@ -82,31 +85,25 @@ class ParkingVecEnv(VecEnv):
 
     def get_attr(self, attr_name: str, indices: int | Iterable[int] | None = None) -> list[Any]:
         """Return an attribute for each of the envs, which share it."""
-        values: dict[str, Any] = {"render_mode": None, "spec": None, "config": self.config}
-        values |= {name: getattr(self, name, None) for name in ("action_space", "observation_space", "metadata")}
-        if attr_name not in values:
-            raise AttributeError(f"{type(self).__name__} has no {attr_name} for each env")
-        return [values[attr_name] for _ in self._get_indices(indices)]
+        return [getattr(self, attr_name) for _ in self._get_indices(indices)]
 
     def set_attr(self, attr_name: str, value: Any, indices: int | Iterable[int] | None = None) -> None:
         """Refuse: the envs share everything."""
-        raise AttributeError(f"{type(self).__name__} has no {attr_name} for each env")
+        raise NotImplementedError
 
     def env_method(
         self, method_name: str, *args: Any, indices: int | Iterable[int] | None = None, **kwargs: Any
     ) -> list[Any]:
-        """Call `compute_reward(achieved_goal, desired_goal, info)`, which HER needs; goals of shape (batch, 6)."""
-        if method_name != "compute_reward":
-            raise AttributeError(f"{type(self).__name__} has no method {method_name} for each env")
-        return [self.simulator.compute_reward(*args, **kwargs) for _ in self._get_indices(indices)]
+        """Call a method for each of the envs, such as `compute_reward`, which HER needs."""
+        return [getattr(self, method_name)(*args, **kwargs) for _ in self._get_indices(indices)]
+
+    def compute_reward(self, achieved_goal: np.ndarray, desired_goal: np.ndarray, info: object = None) -> np.ndarray:
+        """Return the reward of goals, collisions apart: shape (batch,) for goals of shape (batch, 6)."""
+        return self.goal_reward(achieved_goal, desired_goal)[0]
 
     def env_is_wrapped(self, wrapper_class: type, indices: int | Iterable[int] | None = None) -> list[bool]:
         """Whether the envs are wrapped: never."""
         return [False for _ in self._get_indices(indices)]
-
-    def get_images(self) -> Sequence[np.ndarray | None]:
-        """Return no images: videos are made with highway-env."""
-        return [None] * self.num_envs
 
     def _draw(self, number: int) -> Scenes:
         return Scenes.random(self._rng, number, self.config.vehicles_count)

@@ -2,12 +2,14 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
+
+from pydantic import Field
 
 from parking_exp.config.allowlist import check_trust
 from parking_exp.config.paths import directory_path, refuse_links
-from parking_exp.config.schema import EnvConfig, RunConfig
-from parking_exp.errors import DamagedModelError, ModelError, RunNotFoundError, did_you_mean
+from parking_exp.config.schema import ConfigModel, EnvConfig, RunConfig
+from parking_exp.errors import RunNotFoundError
 from parking_exp.runs.directory import RunDirectory
 from parking_exp.runs.lookup import find_run
 from parking_exp.runs.stored_config import CONFIG_FILE, read_config
@@ -27,11 +29,11 @@ class Agent:
     """A trained agent on disk.
 
     Attributes:
-        name: what it is called in sentences: `final model`, `pretrained agent parked`.
+        name: as printed: `final model`, `pretrained agent parked`.
         config: what it was trained with.
         weights: a model as Stable-Baselines3 saves it, or the actor's weights alone.
-        folder: where what is made of it goes.
-        directory: its run directory; None of a pretrained one.
+        folder: where its evaluations and exports are written.
+        directory: its run directory; None for a pretrained agent.
     """
 
     name: str
@@ -45,54 +47,43 @@ class Agent:
 
         Raises:
             ConfigError: a model of its class can't be restored exactly.
-            ModelError: the weights are damaged, or are not those of its config.
+            ModelError: the weights are damaged, or do not fit the config.
         """
         from stable_baselines3.common.vec_env import DummyVecEnv
 
-        from parking_exp.algorithms.build import build_model
+        from parking_exp.algorithms.build_model import build_model
         from parking_exp.algorithms.model_files import load_weights
         from parking_exp.algorithms.policy_files import load_policy
-        from parking_exp.algorithms.save_check import check_saving
         from parking_exp.envs.highway import make_env
 
-        check_saving(self.config)
         model = build_model(self.config, DummyVecEnv([lambda: make_env(env)]), seed=0, for_training=False)
-        if self.directory is None:
-            load_policy(self.weights, model)
-            return model
-        try:
-            load_weights(self.weights, model)
-        except ModelError as error:
-            ways = _ways_out(self.directory, self.weights.stem)
-            if not isinstance(error, DamagedModelError):
-                ways = f"put back the config.yaml that it was trained with, or {ways}"
-            raise ModelError(f"{error}; {ways}") from error
+        load = load_policy if self.directory is None else load_weights
+        load(self.weights, model)
         return model
 
 
+class AgentRequest(ConfigModel):
+    """The keys by which `evaluate` and `export` name an agent."""
+
+    run: Annotated[str, Field(min_length=1)]
+    output_dir: str
+    model: ModelName
+    trust: bool
+
+    def agent(self) -> Agent:
+        """Find the agent; raises what `find_agent` does."""
+        return find_agent(self.run, directory_path(self.output_dir), self.model, trust=self.trust)
+
+
 def find_agent(run: str, output_dir: Path, model: ModelName = "final", *, trust: bool = False) -> Agent:
-    """Find the agent that a run directory, an MLflow run id, `latest`, `pretrained` or `pretrained/NAME` means.
-
-    Args:
-        run: one of these.
-        output_dir: where runs are looked for.
-        model: which of a run's models.
-        trust: whether its config may name classes that runs are not made of.
-
-    Raises:
-        ConfigError: its config can't be read.
-        RunNotFoundError: nothing answers to `run`, or it has no such model yet.
-        UntrustedError: its config would execute what runs are not made of.
-    """
+    """Find a trained agent; arguments and errors are those of `load_model`."""
     if is_pretrained(run):
-        if model != "final":
-            raise RunNotFoundError(f"run={run}: a pretrained agent has one model; leave model={model} out")
-        return _pretrained(run, output_dir)
-    directory = find_run(run, output_dir, having=f"models/{model}.zip", others=[PRETRAINED, *_pretrained_runs()])
+        return _pretrained(run, output_dir, model)
+    others = [PRETRAINED, *(f"{PRETRAINED}/{name}" for name in pretrained_names())]
+    directory = find_run(run, output_dir, having=f"models/{model}.zip", others=others)
     weights = directory.models / f"{model}.zip"
     if not weights.exists():
-        state = "is gone" if directory.status == "done" else "has not been made yet"
-        raise RunNotFoundError(f"run={run}: {weights} {state}; {_ways_out(directory, model)}")
+        raise RunNotFoundError(f"run={run}: {weights} does not exist; the run is {directory.status}")
     config = directory.config()
     directory.check_links()
     if not trust:
@@ -109,13 +100,13 @@ def load_model(
         run: run directory, MLflow run id, `latest`, `pretrained` or `pretrained/NAME`.
         output_dir: where runs are looked for.
         model: which of a run's models.
-        trust: whether its config may name classes that runs are not made of.
+        trust: whether its config may name classes that are not on the list of known ones.
 
     Raises:
         ConfigError: its config can't be read, or a model of its class can't be restored exactly.
-        ModelError: the weights are damaged, or are not those of its config.
-        RunNotFoundError: nothing answers to `run`, or it has no such model yet.
-        UntrustedError: its config would execute what runs are not made of.
+        ModelError: the weights are damaged, or do not fit the config.
+        RunNotFoundError: there is no such run, or it has no such model yet.
+        UntrustedError: its config names an unknown class, or a symbolic link leads out of its directory.
     """
     agent = find_agent(run, directory_path(output_dir), model, trust=trust)
     return agent.model(agent.config.env)
@@ -127,30 +118,16 @@ def is_pretrained(run: str) -> bool:
 
 
 def pretrained_names() -> list[str]:
-    """Return the names of the pretrained agents that this package has."""
+    """Return the names of the pretrained agents of this package."""
     return sorted(folder.parent.name for folder in PRETRAINED_DIR.glob(f"*/{POLICY_FILE}"))
 
 
-def _pretrained_runs() -> list[str]:
-    return [f"{PRETRAINED}/{name}" for name in pretrained_names()]
-
-
-def _pretrained(run: str, output_dir: Path) -> Agent:
-    _, _, name = run.partition("/")
-    name = name or "default"
-    if name not in (names := pretrained_names()):
-        hint = did_you_mean(run, _pretrained_runs())
-        raise RunNotFoundError(f"run={run}: there is no such pretrained agent; there are {', '.join(names)}{hint}")
-    folder = PRETRAINED_DIR / name
-    config, results = read_config(folder, output_dir), output_dir / PRETRAINED / name
+def _pretrained(run: str, output_dir: Path, model: ModelName) -> Agent:
+    name, names = run.partition("/")[2] or "default", pretrained_names()
+    if name not in names:
+        raise RunNotFoundError(f"run={run}: there is no such pretrained agent; choose from {', '.join(names)}")
+    if model != "final":
+        raise RunNotFoundError(f"run={run}: a pretrained agent has no model={model}; use model=final")
+    folder, results = PRETRAINED_DIR / name, output_dir / PRETRAINED / name
     refuse_links([results.parent, results, *results.rglob("*")], output_dir)
-    return Agent(f"pretrained agent {name}", config, folder / POLICY_FILE, results)
-
-
-def _ways_out(directory: RunDirectory, model: str) -> str:
-    """Return what to enter where a run's model is missing or damaged."""
-    other = "best" if model == "final" else "final"
-    ways = [f"try model={other}"] if (directory.models / f"{other}.zip").exists() else []
-    if directory.status != "done":
-        return (ways or ["let it train first"])[0]
-    return ", or ".join([*ways, f"delete {directory.path} to train it afresh"])
+    return Agent(f"pretrained agent {name}", read_config(folder, output_dir), folder / POLICY_FILE, results)

@@ -38,7 +38,6 @@ class Metric:
         dtype: of the column in frames.
         label: heading in tables.
         unit: shown behind the label; empty for none.
-        summary: format of a sentence's part about its mean, of a number; empty: label, mean and unit.
         higher_is_better: None where neither is.
         column: in `Results.runs`; None: `NAME_rate` or the name.
         in_curves: whether `Results.curves` has it.
@@ -50,7 +49,6 @@ class Metric:
     dtype: Literal["bool", "int64", "float64"] = "float64"
     label: str
     unit: str = ""
-    summary: str = ""
     higher_is_better: bool | None = None
     column: str | None = None
     in_curves: bool = False
@@ -76,10 +74,6 @@ class Metric:
         """Label and unit."""
         unit = "%" if self.is_rate else self.unit
         return f"{self.label} ({unit})" if unit else self.label
-
-    def phrase(self, mean: float) -> str:
-        """Write its mean as part of a sentence."""
-        return (self.summary or f"{self.label.lower()} {{:.3g}} {self.unit}".rstrip()).format(mean)
 
     def values(self, episodes: Any) -> Any:
         """Return its value in each row of a frame of episodes."""
@@ -111,7 +105,6 @@ METRICS: tuple[Metric, ...] = (
         of=lambda episode: episode.steps,
         dtype="int64",
         label="Steps an episode",
-        summary="{:.1f} steps",
         higher_is_better=False,
         column="episode_steps",  # `steps` are the env steps trained
         in_curves=True,
@@ -121,7 +114,6 @@ METRICS: tuple[Metric, ...] = (
         name="return",
         of=lambda episode: episode.total_reward,
         label="Return",
-        summary="return {:.2f}",
         higher_is_better=True,
         column="episode_return",
         in_curves=True,
@@ -131,7 +123,6 @@ METRICS: tuple[Metric, ...] = (
         of=lambda episode: episode.end.distance_m,
         label="Distance at the end",
         unit="m",
-        summary="at the end {:.2f} m from the slot's centre",
         higher_is_better=False,
     ),
     Metric(
@@ -139,7 +130,6 @@ METRICS: tuple[Metric, ...] = (
         of=lambda episode: abs(episode.end.heading_error_rad),
         label="Heading error at the end",
         unit="rad",
-        summary="{:.3f} rad off",
         higher_is_better=False,
     ),
     Metric(
@@ -147,7 +137,6 @@ METRICS: tuple[Metric, ...] = (
         of=lambda episode: abs(episode.end.speed_mps),
         label="Speed at the end",
         unit="m/s",
-        summary="{:.2f} m/s",
         higher_is_better=False,
     ),
 )
@@ -160,27 +149,3 @@ EPISODE_COLUMNS = ["scene", "outcome", *(metric.name for metric in METRICS if me
 
 DTYPES: dict[str, str] = {metric.name: metric.dtype for metric in METRICS if metric.name not in OUTCOMES}
 """Types of its columns, but for scene and outcome."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class RunMetric:
-    """A metric that a training logs with each evaluation, about the run so far.
-
-    Attributes:
-        name: column in frames.
-        key: its name in `metrics.jsonl` and in the store.
-        in_runs: whether `Results.runs` has its last value.
-        in_curves: whether `Results.curves` has it.
-    """
-
-    name: str
-    key: str
-    in_runs: bool = False
-    in_curves: bool = False
-
-
-RUN_METRICS: tuple[RunMetric, ...] = (
-    RunMetric(name="cpu_s", key="time/cpu_s", in_runs=True, in_curves=True),
-    RunMetric(name="wall_s", key="time/wall_s", in_runs=True),
-    RunMetric(name="real_share", key="buffer/real_share", in_curves=True),
-)

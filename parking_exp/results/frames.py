@@ -15,7 +15,7 @@ import pandas as pd
 from parking_exp.config.credentials import keep_password
 from parking_exp.config.paths import absolute, database, default_uri, directory_path
 from parking_exp.errors import ParkingError, ResultsError, plural, suggestion
-from parking_exp.evaluation.metrics import METRICS, RUN_METRICS
+from parking_exp.evaluation.metrics import METRICS
 from parking_exp.evaluation.trajectories import TRAJECTORIES_FILE
 from parking_exp.results.dtypes import TEXT, column, integers, text, times, typed
 from parking_exp.results.recordings import EPISODES, read_episodes, read_trajectories
@@ -34,9 +34,9 @@ CONFIGURED = {
     "evaluation.n_scenes": "eval_n_scenes",
 }
 FINAL = {f"final/{metric.key}": metric.run_column for metric in METRICS}
-COST = {metric.key: metric.name for metric in RUN_METRICS if metric.in_runs}
+COST = {"time/cpu_s": "cpu_s", "time/wall_s": "wall_s"}
 CURVE = {f"eval/{metric.key}": metric.key for metric in METRICS if metric.in_curves}
-BESIDE_A_CURVE = {metric.key: metric.name for metric in RUN_METRICS if metric.in_curves}
+BESIDE_A_CURVE = {"time/cpu_s": "cpu_s", "buffer/real_share": "real_share"}
 
 RUN_COLUMNS = (
     "run_id", "name", "experiment", "cell", "run_key", "seed", "status", "error", *CONFIGURED.values(), "steps",

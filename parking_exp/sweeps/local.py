@@ -65,7 +65,7 @@ def launch_workers(work: Callable[[Train], None], n_workers: int) -> dict[Path, 
             results[path] = "failed"
         return results[path]
 
-    with stop_on_signal("checkpoints", stop.set, _leave) as request, ThreadPoolExecutor(n_workers) as pool:
+    with stop_on_signal(stop.set, _leave) as request, ThreadPoolExecutor(n_workers) as pool:
         futures = []
         for number, some_cores in enumerate(shares(cores(), n_workers)):
             worker = WorkerResources(some_cores, [devices[number % len(devices)]] if devices else None)

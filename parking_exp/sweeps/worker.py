@@ -35,7 +35,7 @@ def main() -> None:
     try:
         config = directory.config()
         gc.disable()  # importing without it takes .8 s less
-        from parking_exp.training.run import train  # of torch, for which cores and threads are settled now
+        from parking_exp.training.train_run import train  # of torch, for which cores and threads are settled now
 
         if config.tracking.mlflow:
             import_mlflow()

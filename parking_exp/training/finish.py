@@ -7,7 +7,7 @@ from parking_exp.algorithms.model_files import save_model
 from parking_exp.config.schema import RunConfig
 from parking_exp.errors import CertificationError
 from parking_exp.evaluation.description import success_line
-from parking_exp.evaluation.evaluate import differences
+from parking_exp.evaluation.evaluate_policy import differences
 from parking_exp.evaluation.trajectories import TRAJECTORIES_FILE, Recorder
 from parking_exp.evaluation.video import record
 from parking_exp.training.loop import TrainingLoop
@@ -16,10 +16,10 @@ from parking_exp.training.seeding import derive_seeds
 
 
 def finish(loop: TrainingLoop) -> pd.DataFrame:
-    """Evaluate the final model on all scenes, certify some of them, write everything down; return the episodes.
+    """Evaluate the final model on all scenes, certify some of them, write all files; return the episodes.
 
     Raises:
-        CertificationError: an episode went otherwise on highway-env than in the simulator; all tables are written.
+        CertificationError: an episode differs between highway-env and the simulator; all files are written.
     """
     config, path = loop.config, loop.directory.path
     recorder = Recorder()
@@ -45,11 +45,10 @@ def finish(loop: TrainingLoop) -> pd.DataFrame:
     if number := config.evaluation.video_episodes:
         loop.bar.busy("video")
         record(loop.policy, config.env, loop.scenes(number), path / "video.mp4")
-    loop.env.close()
-    if found := differences(parts[0], certified):
+    if different := differences(parts[0], certified):
         raise CertificationError(
-            f"{len(found)} of {len(certified)} certified episodes differ between env.simulator="
-            f"{config.env.simulator} and highway-env; {'; '.join(found[:3])}"
+            f"{len(different)} of {len(certified)} certified episodes differ between env.simulator="
+            f"{config.env.simulator} and highway-env; {'; '.join(different[:3])}"
         )
     return episodes
 

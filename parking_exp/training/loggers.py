@@ -1,22 +1,13 @@
 """Stable-Baselines3 logger with a run's outputs: metrics.jsonl, progress.csv, TensorBoard, stdout."""
 
 import numbers
-import os
-import socket
 import sys
-import time
+import threading
 from pathlib import Path
 from typing import Any
 
-from stable_baselines3.common.logger import (
-    CSVOutputFormat,
-    HumanOutputFormat,
-    KVWriter,
-    Logger,
-)
-from tensorboard.compat.proto.event_pb2 import Event, SessionLog
-from tensorboard.summary.writer.record_writer import RecordWriter
-from torch.utils.tensorboard.summary import scalar
+from stable_baselines3.common.logger import CSVOutputFormat, HumanOutputFormat, KVWriter, Logger
+from torch.utils.tensorboard import SummaryWriter
 
 from parking_exp.config.schema import TrackingConfig
 from parking_exp.runs.metric_logs import MetricsLog
@@ -25,13 +16,15 @@ from parking_exp.runs.metric_logs import MetricsLog
 def make_logger(tracking: TrackingConfig, run_dir: Path, metrics: MetricsLog, step: int) -> Logger:
     """Make a run's logger: `metrics.jsonl` always, progress.csv, TensorBoard and stdout as configured.
 
-    `step` is where the run starts: progress.csv is written anew from the rows so far, and TensorBoard is told to
-    forget what came after.
+    Args:
+        tracking: the `tracking` group.
+        run_dir: of the run.
+        metrics: the rows so far, with which progress.csv begins.
+        step: where the run starts or resumes; TensorBoard discards what it has of later steps.
     """
-    table = _csv(run_dir / "progress.csv", metrics) if tracking.csv else None
-    formats: list[KVWriter] = [_MetricsWriter(metrics, table)]
+    formats: list[KVWriter] = [_MetricsWriter(metrics, run_dir / "progress.csv" if tracking.csv else None)]
     if tracking.tensorboard:
-        formats.append(_EventWriter(run_dir / "tensorboard", step))
+        formats.append(_TensorBoardWriter(run_dir / "tensorboard", step))
     if tracking.stdout:
         formats.append(HumanOutputFormat(sys.stdout))
     return Logger(str(run_dir), formats)
@@ -40,62 +33,45 @@ def make_logger(tracking: TrackingConfig, run_dir: Path, metrics: MetricsLog, st
 class _MetricsWriter(KVWriter):
     """Writes the logger's rows to a MetricsLog, and the values that it accepts to progress.csv as well."""
 
-    def __init__(self, metrics: MetricsLog, table: CSVOutputFormat | None) -> None:
-        self.metrics, self.table = metrics, table
+    def __init__(self, metrics: MetricsLog, csv: Path | None) -> None:
+        self.metrics = metrics
+        self.table = CSVOutputFormat(str(csv)) if csv else None
+        for record in metrics.records():
+            self._add_row(record["metrics"], record["step"])
 
     def write(self, key_values: dict[str, Any], key_excluded: dict[str, tuple[str, ...]], step: int = 0) -> None:
-        row = self.metrics.append(step, key_values)
-        if row and self.table is not None:
-            _add(self.table, row, step)
+        self._add_row(self.metrics.append(step, key_values), step)
 
     def close(self) -> None:
-        """Close the table; the log's rows are on their way to the disk already."""
+        """Close the table; the log's rows are on the disk already."""
         if self.table is not None:
             self.table.close()
 
+    def _add_row(self, row: dict[str, float], step: int) -> None:
+        if row and self.table is not None:
+            self.table.write(row, dict.fromkeys(row, ()), step)
 
-class _EventWriter(KVWriter):
-    """Writes the numbers of the logger's rows to a TensorBoard event file.
 
-    TensorBoard's own writer has a thread for it, which prints a traceback when the disk is full. Here that is an error
-    of the row.
-
-    Args:
-        folder: of event files.
-        step: TensorBoard forgets what earlier files have after it. Also at step 0: a run that was killed before its
-            first checkpoint starts anew beside its old events.
-    """
+class _TensorBoardWriter(KVWriter):
+    """Writes the numbers of the logger's rows to TensorBoard; Stable-Baselines3's own writer knows no `purge_step`."""
 
     def __init__(self, folder: Path, step: int) -> None:
-        folder.mkdir(exist_ok=True)
-        name = f"events.out.tfevents.{int(time.time()):010d}.{socket.gethostname()}.{os.getpid()}"
-        self._file = (folder / name).open("ab")
-        self._records = RecordWriter(self._file)
-        self._add(file_version="brain.Event:2")
-        self._add(session_log=SessionLog(status=SessionLog.START), step=step + 1)
-        self._file.flush()
+        # Also at step 0: a run that was killed before its first checkpoint starts anew beside its old events.
+        self.writer = SummaryWriter(str(folder), purge_step=step + 1)
+        threading.excepthook = _print_thread_error
 
     def write(self, key_values: dict[str, Any], key_excluded: dict[str, tuple[str, ...]], step: int = 0) -> None:
-        for key, value in sorted(key_values.items()):
+        for key, value in key_values.items():
             if isinstance(value, numbers.Real) and "tensorboard" not in (key_excluded[key] or ()):
-                self._add(summary=scalar(key, value), step=step)
-        self._file.flush()
+                self.writer.add_scalar(key, value, step)
+        self.writer.flush()
 
     def close(self) -> None:
-        """Close the file; its rows are on their way to the disk already."""
-        self._file.close()
-
-    def _add(self, **values: Any) -> None:
-        self._records.write(Event(wall_time=time.time(), **values).SerializeToString())
+        """Close the file; its rows are on the disk already."""
+        self.writer.close()
 
 
-def _csv(path: Path, metrics: MetricsLog) -> CSVOutputFormat:
-    """Open a progress.csv that begins with what the run has logged before."""
-    table = CSVOutputFormat(str(path))
-    for record in metrics.records():
-        _add(table, record["metrics"], record["step"])
-    return table
-
-
-def _add(table: CSVOutputFormat, row: dict[str, float], step: int) -> None:
-    table.write(row, dict.fromkeys(row, ()), step)
+def _print_thread_error(arguments: threading.ExceptHookArgs) -> None:
+    """Print the traceback of a thread; TensorBoard's error, of a full disk, is raised by `flush` as well."""
+    if not type(arguments.thread).__module__.startswith("tensorboard."):
+        threading.__excepthook__(arguments)

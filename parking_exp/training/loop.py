@@ -1,73 +1,72 @@
 """The training loop of a run: its model, envs and logs, with evaluations and checkpoints on the way."""
 
 import time
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pandas as pd
+from stable_baselines3.common.callbacks import BaseCallback
 
-from parking_exp.algorithms.build import build_model, greedy_policy
+from parking_exp.algorithms.build_model import build_model, greedy_policy
 from parking_exp.algorithms.model_files import save_model
-from parking_exp.algorithms.policy_average import PolicyAverage
+from parking_exp.algorithms.policy_ema import PolicyEMA
 from parking_exp.buffers import HerBuffer
 from parking_exp.config.schema import RunConfig, Simulation
 from parking_exp.envs.training_envs import make_training_envs
 from parking_exp.errors import InterruptedRunError
 from parking_exp.evaluation.description import success_line
-from parking_exp.evaluation.evaluate import evaluate, rank, summarise
+from parking_exp.evaluation.evaluate_policy import evaluate, rank, summarise
 from parking_exp.evaluation.trajectories import Recorder
 from parking_exp.runs.directory import RunDirectory
 from parking_exp.runs.metric_logs import MetricsLog, append_episodes
 from parking_exp.tracking.tracker import Tracker
 from parking_exp.training import checkpoints, rollout_state
-from parking_exp.training.callbacks import RolloutCallback
 from parking_exp.training.checkpoints import Progress
 from parking_exp.training.loggers import make_logger
 from parking_exp.training.progress import TrainingProgress
 from parking_exp.training.seeding import derive_seeds
 from parking_exp.training.signals import StopRequest
 
-
-class _StopAskedError(Exception):
-    """A signal has asked to stop in the middle of an evaluation."""
+BAR_UPDATES_PER_S = 5
 
 
 class TrainingLoop:
     """The training of one run in one process, from its start or from a checkpoint."""
 
     def __init__(
-        self,
-        *,
-        config: RunConfig,
-        directory: RunDirectory,
-        tracker: Tracker,
-        progress: Progress,
-        checkpoint: Path | None,
-        stop: StopRequest,
-        bar: TrainingProgress,
+        self, config: RunConfig, directory: RunDirectory, tracker: Tracker, checkpoint: Path | None, stop: StopRequest
     ) -> None:
-        self.config, self.directory, self.tracker = config, directory, tracker
-        self.progress, self.stop, self.bar = progress, stop, bar
+        self.config, self.directory, self.tracker, self.stop = config, directory, tracker, stop
+        self.progress = progress = checkpoints.read_progress(checkpoint) if checkpoint else Progress()
+        path = directory.path
         self._cpu_start = time.process_time() - progress.cpu_s
         self._wall_start = time.monotonic() - progress.wall_s
-        path = directory.path
         directory.models.mkdir(exist_ok=True)
         self.metrics = MetricsLog(path / "metrics.jsonl")
         seeds = derive_seeds(config.seed)
         self.env = make_training_envs(config.env, config.n_envs, path / "monitor.csv", progress.wall_s)
         self.model = build_model(config, self.env, seeds.policy)
         self.policy = greedy_policy(self.model)
-        self.average = PolicyAverage(self.model, config.algorithm.policy_ema_half_life)
+        self.average = PolicyEMA(self.model, config.algorithm.policy_ema_half_life)
         self.env.seed(seeds.training_scenes)  # after the model, which seeds the envs with its own seed
         self._rollout_state: dict[str, Any] | None = None
         if checkpoint is None:
-            self._best.unlink(missing_ok=True)  # of steps that are going to be done again
+            self._best.unlink(missing_ok=True)  # of an attempt that was killed before its first checkpoint
         else:
             self._rollout_state = checkpoints.restore(checkpoint, self.model, self._best, self.average)
-            bar.say(f"resuming at step {progress.step}")
         self.model.set_logger(make_logger(config.tracking, path, self.metrics, progress.step))
+        shown = config.tracking.progress_bar
+        self.bar = TrainingProgress(config.total_timesteps, progress.step, shown, heartbeat=directory.heartbeat)
+        self.bar.say(f"{config.cell}, seed {config.seed}: {config.total_timesteps} env steps, in {path}")
+        if checkpoint is not None:
+            self.bar.say(f"resuming at step {progress.step}")
+
+    def close(self) -> None:
+        """Remove the progress bar and close the envs."""
+        self.bar.close()
+        self.env.close()
 
     def learn(self) -> None:
         """Train up to `total_timesteps`, with evaluations and checkpoints on the way."""
@@ -81,7 +80,7 @@ class TrainingLoop:
     def evaluate(self) -> None:
         """Evaluate on the first of the fixed scenes, and keep the model if it is the best so far."""
         self.bar.busy("evaluation")
-        with self.evaluated_policy():
+        with self.average.applied():
             episodes = self.run_episodes(self.scenes(self.config.evaluation.n_scenes))
             summary = self.record_evaluation(episodes, "eval")
         self.dump_metrics()
@@ -90,25 +89,8 @@ class TrainingLoop:
     def run_episodes(
         self, scenes: Sequence[int], simulator: Simulation | None = None, recorder: Recorder | None = None
     ) -> pd.DataFrame:
-        """Return the greedy policy's episodes, within `evaluated_policy`; between steps it stops on request."""
-
-        def stop(_: int) -> None:
-            if self.stop.signal_number is not None:
-                raise _StopAskedError
-
-        return evaluate(self.policy, self.config.env, scenes, stop, simulator, recorder)
-
-    @contextmanager
-    def evaluated_policy(self) -> Iterator[None]:
-        """Have the model's policy be the one that is evaluated and saved, for a while.
-
-        Where a signal asks to stop meanwhile, the checkpoint is saved after that, with the weights that are trained.
-        """
-        try:
-            with self.average.applied():
-                yield
-        except _StopAskedError:
-            self.stop_if_asked()
+        """Return the greedy policy's episodes, or raise when a signal asks to stop."""
+        return evaluate(self.policy, self.config.env, scenes, lambda _: self.stop_if_asked(), simulator, recorder)
 
     def scenes(self, number: int) -> range:
         """Return the first `number` of the fixed evaluation scenes."""
@@ -124,22 +106,20 @@ class TrainingLoop:
     def save_checkpoint(self) -> None:
         """Save the whole state, then send what is known so far to the store."""
         step = self.model.num_timesteps
-        if step == self.progress.saved:
+        if step == self.progress.step:
             return
-        self.progress.step = self.progress.saved = step
+        self.progress.step = step
         self.progress.cpu_s, self.progress.wall_s = self.times()
         keep_last = self.config.checkpoint.keep_last
         checkpoints.save(self.directory.checkpoints, self.model, self.progress, self._best, keep_last, self.average)
         self.tracker.sync()
 
     def stop_if_asked(self) -> None:
-        """Save a checkpoint and leave, if a signal has requested it."""
+        """Raise InterruptedRunError if a signal has asked to stop; the checkpoint is saved when this is caught."""
         if self.stop.signal_number is not None:
-            self.save_checkpoint()
-            raise InterruptedRunError(
-                f"stopped at step {self.model.num_timesteps}; rerun the same command to resume",
-                self.stop.signal_number,
-            )
+            step = self.model.num_timesteps
+            words = f"stopped at step {step}; rerun the same command to resume"
+            raise InterruptedRunError(words, self.stop.signal_number)
 
     def times(self) -> tuple[float, float]:
         """Return CPU and wall seconds of the run, earlier processes included."""
@@ -170,3 +150,47 @@ class TrainingLoop:
     @property
     def _best(self) -> Path:
         return self.directory.models / "best.zip"
+
+
+class RolloutCallback(BaseCallback):
+    """Evaluates, saves checkpoints and stops as configured, before each rollout.
+
+    There Stable-Baselines3's state is complete: within a step the transition is counted already and not yet stored.
+    """
+
+    def __init__(self, loop: TrainingLoop) -> None:
+        super().__init__()
+        self.loop = loop
+        self._next_update = 0.0
+
+    def _on_rollout_start(self) -> None:
+        loop = self.loop
+        config, progress, step = loop.config, loop.progress, self.num_timesteps
+        loop.restore_rollout_state()  # here, where it was saved
+        loop.average.update()
+        loop.stop_if_asked()
+        if _is_due(step, progress.evaluated, config.evaluation.every_n_steps):
+            loop.evaluate()
+        if _is_due(step, progress.step, config.checkpoint.every_n_steps):
+            loop.save_checkpoint()
+        if (now := time.monotonic()) >= self._next_update:
+            self._next_update = now + 1 / BAR_UPDATES_PER_S
+            self._update_bar()
+
+    def _on_step(self) -> bool:
+        return True
+
+    def _on_training_end(self) -> None:
+        self._update_bar()
+
+    def _update_bar(self) -> None:
+        """Show success rate and mean return of the last training episodes."""
+        successes, episodes = self.model.ep_success_buffer, self.model.ep_info_buffer
+        success_rate = float(np.mean(successes)) if successes else None
+        mean_return = float(np.mean([episode["r"] for episode in episodes])) if episodes else None
+        self.loop.bar.update(self.num_timesteps, success_rate, mean_return)
+
+
+def _is_due(step: int, last: int, every: int | None) -> bool:
+    """Whether a multiple of `every` lies in (last, step]."""
+    return every is not None and step // every > last // every

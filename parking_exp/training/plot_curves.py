@@ -1,10 +1,11 @@
 """Draw the learning curves of a run, `curves.png`."""
 
 from pathlib import Path
+from typing import Any
 
 import pandas as pd
 
-# Okabe and Ito's palette, told apart with any colour vision.
+# Okabe and Ito's palette, distinguishable with any colour vision.
 COLOURS = {"success": "#009E73", "crash": "#D55E00", "timeout": "#56B4E9", "parked": "#000000"}
 
 
@@ -16,33 +17,26 @@ def learning_curves(metrics: pd.DataFrame, title: str, path: Path) -> None:
         title: of the picture.
         path: of the PNG.
     """
-    import matplotlib
+    from matplotlib.figure import Figure
 
-    matplotlib.use("Agg")
-    from matplotlib import pyplot as plt
+    figure = Figure(figsize=(6.4, 5.6), dpi=150, layout="constrained")
+    rates, returns = figure.subplots(2, 1, sharex=True, height_ratios=[2, 1])
 
-    figure, (rates, returns) = plt.subplots(2, 1, figsize=(6.4, 5.6), sharex=True, height_ratios=[2, 1])
+    def plot(axes: Any, column: str, scale: float = 1, **style: Any) -> None:
+        if column in metrics:
+            curve = metrics[["step", column]].dropna()
+            axes.plot(curve["step"], scale * curve[column], **style)
+
     for name, colour in COLOURS.items():
-        column = f"eval/{name}_rate"
-        if column in metrics:
-            curve = metrics[["step", column]].dropna()
-            style = {"linestyle": "--"} if name == "parked" else {}
-            rates.plot(curve["step"], 100 * curve[column], marker="o", markersize=3, color=colour, label=name, **style)
-    rates.set(ylabel="evaluation episodes (%)", ylim=(-3, 103), title=title)
-    rates.title.set_fontsize(9)
-    rates.legend(frameon=False, ncols=4, fontsize=9, loc="upper center", bbox_to_anchor=(0.5, -0.03))
-    for column, label, colour in (
-        ("eval/return_mean", "evaluation", "#0072B2"),
-        ("rollout/ep_rew_mean", "training", "#999999"),
-    ):
-        if column in metrics:
-            curve = metrics[["step", column]].dropna()
-            returns.plot(curve["step"], curve[column], color=colour, label=label)
+        line = "--" if name == "parked" else "-"
+        plot(rates, f"eval/{name}_rate", 100, color=colour, label=name, marker="o", markersize=3, linestyle=line)
+    plot(returns, "eval/return_mean", color="#0072B2", label="evaluation")
+    plot(returns, "rollout/ep_rew_mean", color="#999999", label="training")
+    rates.set(ylabel="evaluation episodes (%)", ylim=(-3, 103))
+    rates.set_title(title, fontsize=9)
     returns.set(xlabel="env steps", ylabel="mean return")
-    returns.legend(frameon=False, fontsize=9)
     for axes in (rates, returns):
+        axes.legend(frameon=False, fontsize=9)
         axes.grid(alpha=0.3)
         axes.spines[["top", "right"]].set_visible(False)
-    figure.tight_layout()
-    figure.savefig(path, dpi=150)
-    plt.close(figure)
+    figure.savefig(path)

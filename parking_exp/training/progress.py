@@ -1,9 +1,7 @@
 """Progress of a training: a rich bar on a terminal, ten lines a run elsewhere, and the heartbeat."""
 
 import time
-from collections.abc import Callable, Sequence
-from types import TracebackType
-from typing import Self
+from collections.abc import Callable
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
@@ -12,18 +10,16 @@ from parking_exp.terminal import Screen
 
 LINES = 10  # lines a run, where there is no terminal
 HEARTBEAT_S = 1.0
-BESIDE_FIGURES = 36  # columns of the bar at its shortest, its description, both times, and gaps
-Heartbeat = Callable[..., None]
 
 
 class TrainingProgress:
-    """Progress of one run, with its success rate, return and speed.
+    """Progress of one run, with its success rate, return and speed; to be closed.
 
     Args:
         total_steps, start: env steps in all, and done before.
         enabled: whether anything is shown.
         console: where; None: the standard error stream.
-        heartbeat: told every second how far the run is, whatever is shown.
+        heartbeat: called every second with how far the run is, whatever is shown.
     """
 
     def __init__(
@@ -32,7 +28,7 @@ class TrainingProgress:
         start: int,
         enabled: bool,
         console: Console | None = None,
-        heartbeat: Heartbeat | None = None,
+        heartbeat: Callable[..., None] = lambda **_: None,
     ) -> None:
         self.console = console or Screen(stderr=True)
         self.total, self.start, self.enabled = total_steps, start, enabled
@@ -41,7 +37,7 @@ class TrainingProgress:
         self._next_line = start + max(1, total_steps // LINES)
         self._bar = Progress(
             TextColumn("{task.description}"),
-            BarColumn(bar_width=None),
+            BarColumn(bar_width=10),
             MofNCompleteColumn(),
             TextColumn("{task.fields[figures]}"),
             TimeElapsedColumn(),
@@ -51,14 +47,10 @@ class TrainingProgress:
             transient=True,
         )
         self._task = self._bar.add_task("train", total=total_steps, completed=start, figures="")
-
-    def __enter__(self) -> Self:
         self._bar.start()
-        return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def close(self) -> None:
+        """Remove the bar."""
         self._bar.stop()
 
     def update(self, step: int, success_rate: float | None, episode_return: float | None) -> None:
@@ -67,33 +59,23 @@ class TrainingProgress:
         rate = (step - self.start) / max(time.monotonic() - self._started, 1e-9)
         if time.monotonic() >= self._next_heartbeat:
             self._send_heartbeat("train", rate)
-        if not self.enabled:
-            return
-        known = [f"{rate:.0f} steps/s"]
-        if success_rate is not None and episode_return is not None:
-            known = [f"success {success_rate:4.0%}", f"return {episode_return:6.1f}", *known]
-        self._bar.update(self._task, completed=step, figures=self._fitting(known), description="train")
+        success = "" if success_rate is None else f"success {success_rate:4.0%}  "
+        self._bar.update(self._task, completed=step, figures=f"{success}{rate:.0f} steps/s", description="train")
         if not self.console.is_terminal and step >= self._next_line:
             self._next_line += max(1, self.total // LINES)
-            self.say(f"train  {step}/{self.total} steps  {'  '.join(known)}")
+            mean_return = "" if episode_return is None else f"return {episode_return:6.1f}  "
+            self.say(f"train  {step}/{self.total} steps  {success}{mean_return}{rate:.0f} steps/s")
 
     def busy(self, what: str) -> None:
-        """Say what goes on besides training."""
+        """Show what the run does besides training."""
         self._send_heartbeat(what, 0.0)
         self._bar.update(self._task, description=what, figures="")
-
-    def _fitting(self, figures: Sequence[str]) -> str:
-        """Return as many figures as there is room for beside the times: without the return, or the speed alone."""
-        room = self.console.width - BESIDE_FIGURES - len(f"{self.total}/{self.total}")
-        choices = ["  ".join(some) for some in (figures, [figures[0], figures[-1]], figures[-1:])]
-        return next((text for text in choices if len(text) <= room), "")
-
-    def _send_heartbeat(self, doing: str, rate: float) -> None:
-        if self._heartbeat is not None:
-            self._next_heartbeat = time.monotonic() + HEARTBEAT_S
-            self._heartbeat(step=self._step, steps_per_s=rate, doing=doing)
 
     def say(self, text: str) -> None:
         """Print a line, above the bar where there is one."""
         if self.enabled:
             self._bar.console.print(text, highlight=False, soft_wrap=True)
+
+    def _send_heartbeat(self, doing: str, rate: float) -> None:
+        self._next_heartbeat = time.monotonic() + HEARTBEAT_S
+        self._heartbeat(step=self._step, steps_per_s=rate, doing=doing)

@@ -1,8 +1,8 @@
 """State outside the model that exact resume needs: random generators, envs, exploration noise, the logger.
 
-Envs are in the middle of their episodes, and metrics wait in the logger for its next row. Saved and restored at the
-same point, the beginning of a rollout, a training goes on as if it had not been cut. Restoring comes last there:
-`learn` resets action noise, and gSDE draws its matrices just before.
+Envs are in the middle of their episodes, and metrics wait in the logger for its next row. The state is saved and
+restored at the same point, the beginning of a rollout. There restoring comes last: `learn` resets action noise, and
+gSDE draws its matrices just before.
 """
 
 import random
@@ -40,10 +40,10 @@ def set_state(model: OffPolicyAlgorithm, state: Mapping[str, Any]) -> None:
     training_envs.set_state(model.env, state["envs"])
     noise, n_envs = model.action_noise, model.env.num_envs
     if noise is not None and n_envs > 1 and not isinstance(noise, VectorizedActionNoise):
-        # `learn` does the same; where nothing is left to be learned, it is not called.
+        # `learn` does the same, but is not called when no steps remain.
         model.action_noise = VectorizedActionNoise(noise, n_envs)
-    for one, saved in zip(_noises(model.action_noise), state["noise"], strict=True):
-        vars(one).update(saved)
+    for env_noise, saved in zip(_noises(model.action_noise), state["noise"], strict=True):
+        vars(env_noise).update(saved)
     if sde := _sde(model):
         for name in MATRICES:
             setattr(sde, name, torch.as_tensor(state["sde"][name], device=model.device))
@@ -51,8 +51,6 @@ def set_state(model: OffPolicyAlgorithm, state: Mapping[str, Any]) -> None:
         pending = getattr(model.logger, name)
         pending.clear()
         pending.update(state["metrics"][name])
-    excluded = model.logger.name_to_excluded
-    excluded.update({name: tuple(formats) for name, formats in excluded.items()})
     _set_random_states(model, state["rng"])  # last: nothing above may leave a trace in them
 
 

@@ -1,7 +1,7 @@
 """Serialization of nested state as JSON and NumPy arrays.
 
-Ours, since `torch.load(weights_only=True)` would need NumPy's private constructors on its allow-list, and safetensors
-holds tensors alone: the same conversion would stand before it.
+`torch.load(weights_only=True)` would need NumPy's private constructors on its allow-list, and safetensors holds tensors
+only: it would need the same conversion.
 """
 
 from collections.abc import Iterable, Mapping
@@ -29,8 +29,8 @@ def split(state: Any, name: str = "") -> tuple[Any, dict[str, np.ndarray]]:
     arrays: dict[str, np.ndarray] = {}
 
     def part(key: object, value: Any) -> Any:
-        plain, found = split(value, f"{name}/{key}" if name else str(key))
-        arrays.update(found)
+        plain, its_arrays = split(value, f"{name}/{key}" if name else str(key))
+        arrays.update(its_arrays)
         return plain
 
     if isinstance(state, Mapping):
@@ -41,7 +41,7 @@ def split(state: Any, name: str = "") -> tuple[Any, dict[str, np.ndarray]]:
 
 
 def join(plain: Any, arrays: Mapping[str, np.ndarray]) -> Any:
-    """Put together what `split` took apart."""
+    """Return the state that `split` took apart."""
     if isinstance(plain, list):
         return [join(value, arrays) for value in plain]
     if not isinstance(plain, dict):

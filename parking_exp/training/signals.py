@@ -23,16 +23,13 @@ def interrupt(number: int) -> None:
 
 @contextmanager
 def stop_on_signal(
-    saved: str = "a checkpoint",
-    at_first: Callable[[], None] | None = None,
-    at_second: Callable[[int], None] = interrupt,
+    at_first: Callable[[], None] = lambda: None, at_second: Callable[[int], None] = interrupt
 ) -> Iterator[StopRequest]:
     """Turn the first SIGINT or SIGTERM into a StopRequest; a second one interrupts at once.
 
     Outside the main thread signals can't be caught, and nothing changes.
 
     Args:
-        saved: what is saved before leaving, in words.
         at_first, at_second: called with the first signal, and with the second one's number.
     """
     request = StopRequest()
@@ -45,10 +42,9 @@ def stop_on_signal(
             at_second(number)
             return
         request.signal_number = number
-        if at_first is not None:
-            at_first()
+        at_first()
         # Not print: the signal may have come in the middle of one.
-        os.write(2, f"\nsaving {saved} before leaving; once more to leave at once\n".encode())
+        os.write(2, b"\nsaving a checkpoint before leaving; interrupt again to leave at once\n")
 
     before = {number: signal.signal(number, handle) for number in (signal.SIGINT, signal.SIGTERM)}
     try:

@@ -11,8 +11,7 @@ from omegaconf import OmegaConf
 
 from parking_exp.config.compose import Composed, composed_runs
 from parking_exp.config.credentials import strip_password
-from parking_exp.config.experiment_files import with_absolute_path
-from parking_exp.config.overrides import in_quotes
+from parking_exp.config.overrides import in_quotes, with_absolute_path
 from parking_exp.config.schema import RunConfig
 from parking_exp.config.validate import check, parse, validate
 from parking_exp.errors import ConfigError, OutputDirectoryError

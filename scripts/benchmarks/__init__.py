@@ -1,1 +1,1 @@
-"""Speed benchmarks: ratios against named peers, measured in turn."""
+"""Speed benchmarks relative to named peers."""

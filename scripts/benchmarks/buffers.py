@@ -1,4 +1,4 @@
-"""Benchmarks of the HER buffer: time of a sample, bytes in memory and on the disk."""
+"""Benchmark the HER buffer: sampling time, bytes in memory and on disk."""
 
 import tempfile
 from pathlib import Path
@@ -19,12 +19,12 @@ PEER = "stable-baselines3"
 
 
 class Buffers:
-    """Buffers filled with the same random transitions, made once and kept for all figures.
+    """Buffers filled with the same random transitions, shared by all figures.
 
     Args:
-        config: a run's, whose env group is taken.
-        capacity: of the large ones.
-        samples: drawn in a slice of ours; the peer draws a twentieth.
+        config: config of a run; its env is used.
+        capacity: capacity of the large buffers, in transitions.
+        samples: number of samples per measurement; the peer draws a twentieth.
     """
 
     def __init__(self, config: RunConfig, capacity: int, samples: int) -> None:
@@ -33,25 +33,25 @@ class Buffers:
         self._recorded = _record(config, steps=1000)
 
     def capacity_ratio(self, rounds: int) -> dict[str, Any]:
-        """Compare the time of a sample at full capacity, half filled, with a hundredth of both."""
+        """Compare the sampling time of a half-filled buffer with that of a buffer of a hundredth of the size."""
         large, small = self._half(self._capacity), self._half(self._capacity // 100)
         side_large, side_small = self._side(large, self._samples), self._side(small, self._samples)
         return interleave(side_small, side_large, rounds) | {"peer": "a hundredth of it", "unit": "samples"}
 
     def against_sb3(self, rounds: int) -> dict[str, Any]:
-        """Compare samples a second of full buffers."""
+        """Compare samples per second of full buffers with Stable-Baselines3."""
         ours, theirs = (self._filled(cls, self._capacity, self._capacity) for cls in (HerBuffer, HerReplayBuffer))
-        mine, peer = self._side(ours, self._samples), self._side(theirs, max(1, self._samples // 20))
-        return interleave(mine, peer, rounds) | {"peer": PEER, "unit": "samples"}
+        side, peer = self._side(ours, self._samples), self._side(theirs, max(1, self._samples // 20))
+        return interleave(side, peer, rounds) | {"peer": PEER, "unit": "samples"}
 
     def memory(self) -> dict[str, Any]:
-        """Return the bytes of a full buffer's arrays for each transition."""
+        """Return the memory of a full buffer in bytes per transition."""
         buffer = self._filled(HerBuffer, self._capacity, self._capacity)
         assert isinstance(buffer, HerBuffer)
-        return _exactly(buffer.nbytes / self._capacity)
+        return _exactly(sum(array.nbytes for array in buffer.get_state().values()) / self._capacity)
 
     def file(self) -> dict[str, Any]:
-        """Return the bytes that Stable-Baselines3's way of saving writes for each transition, half filled."""
+        """Return the size of a half-filled buffer saved by Stable-Baselines3, in bytes per transition."""
         with tempfile.TemporaryDirectory() as folder:
             path = Path(folder) / "buffer.pkl"
             save_to_pkl(path, self._half(self._capacity))
@@ -72,11 +72,11 @@ class Buffers:
         name = f"{cls.__name__} {capacity} {transitions}"
         if name not in self._kept:
             env = ParkingVecEnv(self._config.env, N_ENVS)
-            # Both as Stable-Baselines3 relabels, ours by itself.
-            known: dict[str, Any] = (
+            # Both relabel as Stable-Baselines3 does; ours computes rewards without the env.
+            options: dict[str, Any] = (
                 {"reward": GoalReward.of(self._config.env.for_training())} if cls is HerBuffer else {}
             )
-            buffer = cls(capacity, env.observation_space, env.action_space, env, "cpu", N_ENVS, **known)
+            buffer = cls(capacity, env.observation_space, env.action_space, env, "cpu", N_ENVS, **options)
             for step in range(transitions // N_ENVS):
                 buffer.add(*self._recorded[step % len(self._recorded)])
             self._kept[name] = buffer
@@ -84,7 +84,7 @@ class Buffers:
 
 
 def _record(config: RunConfig, steps: int) -> list[tuple[Any, ...]]:
-    """Record random transitions, the last of which end all episodes, so that they can be repeated."""
+    """Record random transitions; the last ones end all episodes, so that the record can be added repeatedly."""
     rng = np.random.default_rng(0)
     env = ParkingVecEnv(config.env.for_training(), N_ENVS)
     env.seed(0)

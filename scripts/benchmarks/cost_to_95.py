@@ -1,4 +1,4 @@
-"""CPU time to 95 % success: the default recipe against the usual tutorial's."""
+"""Benchmark the CPU time to 95 % success: the default recipe against the tutorial's."""
 
 import math
 import resource
@@ -17,38 +17,38 @@ from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 
 from benchmarks.timing import rounded, spread
 from benchmarks.training import run_config, tutorial_model
-from parking_exp.algorithms.build import build_model, greedy_policy, torch_settings
-from parking_exp.algorithms.policy_average import PolicyAverage
+from parking_exp.algorithms.build_model import build_model, greedy_policy, torch_settings
+from parking_exp.algorithms.policy_ema import PolicyEMA
 from parking_exp.config.run_key import short_hash
 from parking_exp.config.schema import EnvConfig, RunConfig
 from parking_exp.envs.training_envs import make_training_envs
-from parking_exp.evaluation.evaluate import evaluate, summarise
+from parking_exp.evaluation.evaluate_policy import evaluate, summarise
 from parking_exp.runs.atomic_files import read_object, write_json
 from parking_exp.runs.run_provenance import provenance
 from parking_exp.statistics.survival import steps_to
 from parking_exp.training.seeding import derive_seeds
 
 N_SCENES = 200
-THRESHOLD, HOLD = 0.95, 3  # success that so many evaluations in a row have to reach
+THRESHOLD, HOLD = 0.95, 3  # success rate, and number of consecutive evaluations that have to reach it
 PEER = "the tutorial's recipe in plain stable-baselines3 + highway-env"
 PACKAGES = ("version.torch", "version.stable-baselines3", "version.highway-env", "version.numpy")
-EVERY_UPDATES = 500  # between evaluations of ours
-PEER_EVERY, PEER_MOST = 2500, 60_000  # env steps between evaluations, and at most: 45 minutes, which understates
+EVERY_UPDATES = 500  # updates between our evaluations
+PEER_EVERY, PEER_MOST = 2500, 60_000  # env steps between evaluations, and in total (45 minutes)
 
 
 class _Evaluations(BaseCallback):
-    """Evaluates the policy every so many env steps in the exact simulator, and stops when 95 % are held.
+    """Evaluations of the policy in the simulator during training, which stop it when 95 % is held.
 
     Args:
         env: the `env` group.
         every: env steps between evaluations.
-        average: of the policy, which is evaluated.
+        average: EMA of the policy, which is evaluated.
 
     Attributes:
-        steps, rates, cpu_s: of each evaluation: env steps, success rate, CPU time of training until then.
+        steps, rates, cpu_s: env steps, success rate and CPU time of training at each evaluation.
     """
 
-    def __init__(self, env: EnvConfig, every: int, average: PolicyAverage) -> None:
+    def __init__(self, env: EnvConfig, every: int, average: PolicyEMA) -> None:
         super().__init__()
         self.env, self.every, self.next, self.average = env, every, every, average
         self.steps: list[int] = []
@@ -74,44 +74,48 @@ class _Evaluations(BaseCallback):
         return len(self.rates) < HOLD or min(self.rates[-HOLD:]) < THRESHOLD
 
     def cost_s(self) -> float | None:
-        """Return the CPU time of training until 95 % are held; None where they never are."""
+        """Return the CPU time of training until 95 % is held; None if it never is."""
         step, reached = steps_to(self.steps, self.rates, THRESHOLD, HOLD)
         return self.cpu_s[self.steps.index(int(step))] if reached else None
 
 
 def peer_costs(path: Path, seeds: int, every: int = PEER_EVERY, most: int = PEER_MOST) -> list[float]:
-    """Return the tutorial's CPU time to 95 % on each seed, from a file where this machine has measured it already.
+    """Return the tutorial's CPU time to 95 % on each seed, cached in a file per machine and versions.
 
-    Of a seed that never holds 95 % it is all of its CPU time: less than it would take.
+    For a seed that never holds 95 % it is its whole CPU time, a lower bound.
     """
     config = run_config("experiment=tutorial", "torch_threads=1")
     tags = provenance()
     machine = {name: tags[name] for name in sorted(tags) if name == "cpu" or name.startswith(PACKAGES)}
-    asked = {"success": THRESHOLD, "evaluations": HOLD, "n_scenes": N_SCENES, "every": every, "most": most}
-    about = {**machine, **asked, "threads": torch.get_num_threads(), "recipe": config.cell_key}
+    settings = {"success": THRESHOLD, "evaluations": HOLD, "n_scenes": N_SCENES, "every": every, "most": most}
+    about = {**machine, **settings, "threads": torch.get_num_threads(), "recipe": config.cell_key}
     path.parent.mkdir(parents=True, exist_ok=True)
-    known = read_object(path)
-    entry = known.setdefault(short_hash(about), {"about": about, "seeds": {}})
+    cached = read_object(path)
+    entry = cached.setdefault(short_hash(about), {"about": about, "seeds": {}})
     for seed in map(str, range(seeds)):
         if seed not in entry["seeds"]:
             model = tutorial_model(config, int(seed))
             entry["seeds"][seed] = _cost_s(model, config, every, most)
-            write_json(path, known)
+            write_json(path, cached)
     return [entry["seeds"][str(seed)]["cost_s"] for seed in range(seeds)]
 
 
 def _cost_s(model: OffPolicyAlgorithm, config: RunConfig, every: int, most: int) -> dict[str, Any]:
-    """Train a model until 95 % are held, and return what that cost with all that was seen on the way."""
+    """Train a model until 95 % is held, and return the CPU time and the learning curve."""
     model.set_logger(Logger(None, []))
-    found = _Evaluations(config.env, every, PolicyAverage(model, config.algorithm.policy_ema_half_life))
-    model.learn(most, found, log_interval=10**9)
-    cost = found.cost_s()
-    curve = {"steps": found.steps, "success": found.rates, "cpu_s": [rounded(one) for one in found.cpu_s]}
-    return {"cost_s": rounded(found.cpu_s[-1] if cost is None else cost), "reached": cost is not None, **curve}
+    evaluations = _Evaluations(config.env, every, PolicyEMA(model, config.algorithm.policy_ema_half_life))
+    model.learn(most, evaluations, log_interval=10**9)
+    cost = evaluations.cost_s()
+    curve = {
+        "steps": evaluations.steps,
+        "success": evaluations.rates,
+        "cpu_s": [rounded(seconds) for seconds in evaluations.cpu_s],
+    }
+    return {"cost_s": rounded(evaluations.cpu_s[-1] if cost is None else cost), "reached": cost is not None, **curve}
 
 
 def our_cost(config: RunConfig, every: int) -> dict[str, Any]:
-    """Return the CPU time of a run's training to 95 %, as `peer_costs` counts it."""
+    """Return the CPU time of a run's training to 95 %, counted as in `peer_costs`."""
     seeds = derive_seeds(config.seed)
     with torch_settings(config):
         env = make_training_envs(config.env, config.n_envs)
@@ -124,29 +128,29 @@ def costs(path: Path, seeds: int, *changes: str, whole: bool, **peer: int) -> di
     """Compare the CPU time to 95 % of the tutorial's recipe with the default one's: a ratio of medians over seeds.
 
     Args:
-        path: where the peer's results are kept.
-        seeds: how many, from 0 on.
+        path: cache of the peer's results.
+        seeds: number of seeds.
         changes: overrides of the default recipe.
-        whole: count our whole run, from the start of its process to the end, instead of training to 95 %; a seed that
-            never holds 95 % has a ratio of 0 otherwise.
+        whole: count our whole run, start of the process included, instead of training to 95 %. If False, a seed that
+            never holds 95 % has a ratio of 0.
         peer: `every` and `most` of `peer_costs`.
     """
     peers = peer_costs(path, seeds, **peer)
     if whole:
         ours, rates = _whole_runs(seeds, *changes)
-        known: dict[str, Any] = {"ours_success_rate": rates}
+        extra: dict[str, Any] = {"ours_success_rate": rates}
     else:
         configs = [run_config(f"seed={seed}", *changes) for seed in range(seeds)]
         trained = [our_cost(config, _every(config)) for config in configs]
-        ours, known = [one["cost_s"] if one["reached"] else math.inf for one in trained], {}
+        ours, extra = [run["cost_s"] if run["reached"] else math.inf for run in trained], {}
     entry = spread([statistics.median(peers) / cost for cost in ours], "ratio")
     entry["ratio"] = rounded(statistics.median(peers) / statistics.median(ours))
     seconds = [rounded(cost) if math.isfinite(cost) else None for cost in ours]
-    return entry | known | {"ours_cpu_s": seconds, "peer_cpu_s": peers, "peer": PEER, "unit": "CPU-seconds"}
+    return entry | extra | {"ours_cpu_s": seconds, "peer_cpu_s": peers, "peer": PEER, "unit": "CPU-seconds"}
 
 
 def _whole_runs(seeds: int, *changes: str) -> tuple[list[float], list[float]]:
-    """Return CPU time and success rate of whole runs, each in a process of its own."""
+    """Return CPU time and success rate of whole runs, each in its own process."""
     costs, rates = [], []
     with tempfile.TemporaryDirectory() as folder:
         for seed in range(seeds):
@@ -161,7 +165,7 @@ def _whole_runs(seeds: int, *changes: str) -> tuple[list[float], list[float]]:
 
 
 def _every(config: RunConfig) -> int:
-    """Return how many env steps make EVERY_UPDATES updates."""
+    """Return the env steps of EVERY_UPDATES updates."""
     return max(1, round(EVERY_UPDATES / config.updates_per_step))
 
 

@@ -11,8 +11,8 @@ from benchmarks import cost_to_95, simulation, sweeps, training, updates
 from benchmarks.buffers import Buffers
 
 ALGORITHMS, NETS = ("sac", "td3", "ddpg"), {"3x256": "[256,256,256]", "2x64": "[64,64]"}
-SBX_ALGORITHMS = ("sac", "td3")  # those of sbx that take observations with goals
-SBX_ROUNDS = (1, 8)  # gradient steps of a round
+SBX_ALGORITHMS = ("sac", "td3")  # sbx's algorithms that support Dict observations
+SBX_ROUNDS = (1, 8)  # gradient steps per round
 TARGETS = {
     "simulator.n512.ratio": (">=", 3000.0),
     "simulator.n8.ratio": (">=", 250.0),
@@ -38,9 +38,9 @@ TARGETS = {
     "sweep.overhead_s_per_run": ("<=", 6.0),
     "sweep.resume_scan_s.1000_runs": ("<=", 2.0),
 }
-SLOW = ("run.to_95.ratio", "run.whole.ratio")  # the peer trains for two hours, once on a machine
+SLOW = ("run.to_95.ratio", "run.whole.ratio")  # the peer trains for two hours, once per machine
 QUICK_ROUNDS, SEEDS = 2, 3
-# An agent that has just begun to learn drives every episode to its end, and highway-env takes its time for that.
+# Untrained agents time out, and highway-env is slow on long episodes.
 QUICK_RUN = (
     "n_envs=8",
     "updates_per_step=1",
@@ -55,11 +55,11 @@ Figures = dict[str, Callable[[], dict[str, Any]]]
 
 
 def all_figures(settings: Any, all_cores: list[int]) -> Figures:
-    """Return the measurement of every figure, by its key.
+    """Return a function that measures each figure, by its key.
 
     Args:
-        settings: the arguments of the command line.
-        all_cores: those that sweeps may use; everything else runs on one.
+        settings: arguments of the command line.
+        all_cores: cores that sweeps may use; everything else runs on one.
     """
     torch.set_num_threads(1)
     quick = settings.quick
@@ -75,9 +75,9 @@ def all_figures(settings: Any, all_cores: list[int]) -> Figures:
         env = training.run_config(f"env={option}").env
         return simulation.stepping(env, scenes, rounds, seconds=0.1 if quick else 0.5)
 
-    @cache  # the policy that is trained for one figure serves another
+    @cache  # two figures share the trained policy
     def overhead() -> tuple[dict[str, Any], Any]:
-        # As long as the run: an agent that has learned less times out, and certifying that takes longer than training.
+        # The full length: agents that have learned less time out, and the cross-check takes longer.
         steps, slice_steps = (1200, 80) if quick else (training.run_config().total_timesteps, 5120)
         return training.overhead(rounds, steps, slice_steps, *(QUICK_RUN if quick else ()))
 
@@ -101,7 +101,6 @@ def all_figures(settings: Any, all_cores: list[int]) -> Figures:
         "her.sample.ratio": lambda: buffers().against_sb3(rounds),
         "her.bytes_per_transition": lambda: buffers().memory(),
         "her.save.bytes_per_transition": lambda: buffers().file(),
-        # Whole sweeps take their time.
         "sweep.scaling.2_workers": partial(
             sweeps.scaling, 1 if quick else min(rounds, 3), None if quick else 80_000, all_cores
         ),
@@ -115,7 +114,7 @@ def _updates(quick: bool, rounds: int) -> Figures:
 
     def update(algorithm: str, net: str, gradient_steps: int = 8, sbx: bool = False) -> dict[str, Any]:
         wide = net == "3x256"
-        # As experiment=tutorial has it; sbx knows no other features.
+        # As in experiment=tutorial; sbx has no other features.
         options = (["algorithm.features=raw"] if wide or sbx else []) + (["precision=medium"] if wide else [])
         options += ["n_envs=8", f"updates_per_step={gradient_steps / 8}", "algorithm.learning_starts=1000"]
         config = training.run_config(

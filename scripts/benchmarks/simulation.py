@@ -1,4 +1,4 @@
-"""Benchmarks of the simulator against highway-env, and of evaluation on many scenes."""
+"""Benchmark the simulator against highway-env, and the evaluation on many scenes."""
 
 import time
 from typing import Any
@@ -11,13 +11,13 @@ from parking_exp.envs.highway import make_env
 from parking_exp.envs.interface import Policy
 from parking_exp.envs.scenes import Scenes
 from parking_exp.envs.simulator import Simulator
-from parking_exp.evaluation.evaluate import evaluate
+from parking_exp.evaluation.evaluate_policy import evaluate
 
 PEER = "highway-env"
 
 
 def stepping(env: EnvConfig, scenes: int, rounds: int, seconds: float) -> dict[str, Any]:
-    """Compare steps a second, with uniformly random actions; ended episodes are started anew on both sides."""
+    """Compare steps per second with uniformly random actions; ended episodes are restarted."""
     rng = np.random.default_rng(0)
     simulator, peer = Simulator(env, Scenes.random(rng, scenes, env.vehicles_count)), make_env(env)
     actions = rng.uniform(-1, 1, (256, scenes, simulator.action_size)).astype(np.float32)
@@ -42,7 +42,7 @@ def stepping(env: EnvConfig, scenes: int, rounds: int, seconds: float) -> dict[s
             steps += 1
         return steps
 
-    # The first episodes start together and crash together; later they are spread evenly.
+    # The first episodes start and crash together; let them spread out.
     for step in range(200):
         ended = simulator.step(actions[step])
         rows = np.flatnonzero(ended.terminated)

@@ -1,4 +1,4 @@
-"""Benchmarks of sweeps: scaling to two workers, overhead of a run, planning of a sweep that is done."""
+"""Benchmark sweeps: scaling to two workers, overhead per run, planning of a finished sweep."""
 
 import contextlib
 import os
@@ -21,7 +21,7 @@ BARE = (
     "evaluation.n_scenes=1",
     "evaluation.video_episodes=0",
 )
-MOMENT = (
+SHORT = (
     "n_envs=8",
     "updates_per_step=1",
     "env.duration=4",
@@ -32,11 +32,8 @@ MOMENT = (
 
 
 def scaling(rounds: int, steps: int | None, all_cores: Sequence[int]) -> dict[str, Any]:
-    """Compare two workers with one: runs an hour, each with its start, its end and `steps` of the default training.
-
-    None: of training for a moment, as `overhead` has it.
-    """
-    length = MOMENT if steps is None else (f"total_timesteps={steps}",)
+    """Compare runs per hour of two workers with one; runs train for `steps` env steps (None: as in `overhead`)."""
+    length = SHORT if steps is None else (f"total_timesteps={steps}",)
     ratios = []
     with _cores(all_cores), tempfile.TemporaryDirectory() as folder:
         for number in range(rounds):
@@ -50,23 +47,23 @@ def scaling(rounds: int, steps: int | None, all_cores: Sequence[int]) -> dict[st
 
 
 def overhead(rounds: int, all_cores: Sequence[int]) -> dict[str, Any]:
-    """Measure a run's seconds besides training: those of a run that trains for a moment, 108 steps and 8 updates.
+    """Measure the seconds of a run of 108 env steps and 8 updates.
 
-    That is its start, to the first env step, and its end: final model, curves, all artifacts to the store. The final
-    evaluation and its certification are a single scene of at most 20 steps.
+    These are its start and its end: final model, curves, artifacts. The final evaluation and the cross-check are a
+    single scene of at most 20 steps.
     """
     values = []
     with _cores(all_cores), tempfile.TemporaryDirectory() as folder:
         for number in range(rounds + 1):
-            values.append(_seconds(_frozen(Path(folder), f"seed={number}", *BARE, *MOMENT), 1))
+            values.append(_seconds(_frozen(Path(folder), f"seed={number}", *BARE, *SHORT), 1))
     return spread(values[1:], "seconds") | {
         "peer": "",
-        "unit": "seconds a run, besides its training",
-    }  # the first made the store
+        "unit": "seconds per run, besides training",
+    }  # the first run created the store
 
 
 def scan(rounds: int, n_seeds: int, *cells: str) -> dict[str, Any]:
-    """Measure how long it takes to check the cells of `her_ablation`, or some of them, and look up their runs."""
+    """Measure the seconds to plan the cells of `her_ablation`, or some of them, whose runs are finished."""
     with tempfile.TemporaryDirectory() as folder:
         runs = composed_runs("config", ["experiment=her_ablation", *cells, f"seeds={n_seeds}", f"output_dir={folder}"])
         for run in plan(runs):
@@ -76,14 +73,14 @@ def scan(rounds: int, n_seeds: int, *cells: str) -> dict[str, Any]:
         values = []
         for _ in range(rounds):
             begin = time.perf_counter()
-            found = plan(runs)
+            planned = plan(runs)
             values.append(time.perf_counter() - begin)
-        assert not any(run.is_due for run in found)
+        assert not any(run.is_due for run in planned)
     return spread(values, "seconds") | {"peer": "", "unit": f"seconds for {len(runs)} finished runs"}
 
 
 def _frozen(output_dir: Path, *overrides: str) -> list[Path]:
-    """Freeze runs, and return their directories."""
+    """Write the configs of runs into their directories, and return these."""
     planned = plan(composed_runs("config", [*overrides, f"output_dir={output_dir}"]))
     for run in planned:
         RunDirectory(run.path).freeze(run.config, run.label, None)
@@ -95,18 +92,18 @@ def _seconds(paths: Sequence[Path], workers: int) -> float:
     endings = launch(paths, workers)
     seconds = time.perf_counter() - begin
     if set(endings.values()) != {"done"}:
-        raise RuntimeError(f"a run that was to be timed has failed: {endings}")
+        raise RuntimeError(f"a timed run failed: {endings}")
     return seconds
 
 
 @contextlib.contextmanager
-def _cores(some: Sequence[int]) -> Iterator[None]:
-    """Use more cores than the one that everything else is pinned to."""
+def _cores(allowed: Sequence[int]) -> Iterator[None]:
+    """Allow other cores than the one that the benchmark is pinned to."""
     if not hasattr(os, "sched_setaffinity"):
         yield
         return
     before = os.sched_getaffinity(0)
-    os.sched_setaffinity(0, some)
+    os.sched_setaffinity(0, allowed)
     try:
         yield
     finally:

@@ -1,4 +1,4 @@
-"""Benchmarks of whole runs: the tutorial's recipe against plain Stable-Baselines3, and the overhead of a run."""
+"""Benchmark training: the tutorial's recipe against plain Stable-Baselines3, and the overhead of a run."""
 
 import statistics
 import subprocess
@@ -14,8 +14,8 @@ from stable_baselines3.common.logger import Logger
 from stable_baselines3.common.monitor import Monitor
 
 from benchmarks.timing import interleave, rounded, spread
-from benchmarks.updates import theirs
-from parking_exp.algorithms.build import build_model, torch_settings
+from benchmarks.updates import with_sb3_classes
+from parking_exp.algorithms.build_model import build_model, torch_settings
 from parking_exp.config.compose import composed
 from parking_exp.config.paths import store_uri
 from parking_exp.config.schema import RunConfig
@@ -25,22 +25,19 @@ from parking_exp.envs.interface import Policy
 from parking_exp.envs.training_envs import make_training_envs
 from parking_exp.runs.directory import RunDirectory
 from parking_exp.tracking.tracker import open_tracker
-from parking_exp.training.callbacks import RolloutCallback
-from parking_exp.training.checkpoints import Progress
 from parking_exp.training.finish import finish
-from parking_exp.training.loop import TrainingLoop
-from parking_exp.training.progress import TrainingProgress
+from parking_exp.training.loop import RolloutCallback, TrainingLoop
 from parking_exp.training.signals import StopRequest
 
 
 def run_config(*overrides: str) -> RunConfig:
-    """Compose and check a run's config."""
+    """Return the validated config of a run."""
     (config,) = composed("config", list(overrides))
     return validate(config)
 
 
 def tutorial(rounds: int, steps: int) -> dict[str, Any]:
-    """Compare training steps a second of the tutorial's recipe, `steps` in all on each side after the warm-up."""
+    """Compare training steps per second of the tutorial's recipe, over `steps` on each side after a warm-up."""
     config = run_config("experiment=tutorial", "torch_threads=1")
     ours = build_model(config, make_training_envs(config.env, config.n_envs), seed=0)
     peer = tutorial_model(config, seed=0)
@@ -48,11 +45,11 @@ def tutorial(rounds: int, steps: int) -> dict[str, Any]:
         model.set_logger(Logger(None, []))
         model.learn(config.algorithm.arguments["learning_starts"])
 
-    def mine() -> float:
+    def our_side() -> float:
         with torch_settings(config):
             return _learn(ours, steps // rounds)
 
-    entry = interleave(mine, lambda: _learn(peer, steps // rounds), rounds)
+    entry = interleave(our_side, lambda: _learn(peer, steps // rounds), rounds)
     return entry | {
         "peer": "plain stable-baselines3 + highway-env",
         "unit": "env steps",
@@ -62,7 +59,7 @@ def tutorial(rounds: int, steps: int) -> dict[str, Any]:
 
 
 def tutorial_model(config: RunConfig, seed: int) -> SAC:
-    """Return the model of the tutorial's recipe, experiment=tutorial, in plain Stable-Baselines3 + highway-env."""
+    """Return the model of `experiment=tutorial` in plain Stable-Baselines3 and highway-env."""
     arguments = config.algorithm.arguments
     return SAC(
         "MultiInputPolicy",
@@ -74,19 +71,24 @@ def tutorial_model(config: RunConfig, seed: int) -> SAC:
         policy_kwargs={"net_arch": list(config.algorithm.net_arch)},
         buffer_size=config.buffer.buffer_size,
         replay_buffer_class=HerReplayBuffer,
-        replay_buffer_kwargs=theirs(config).buffer.arguments,
+        replay_buffer_kwargs=with_sb3_classes(config).buffer.arguments,
         seed=seed,
         device="cpu",
     )
 
 
 def overhead(rounds: int, steps: int, slice_steps: int, *changes: str) -> tuple[dict[str, Any], Policy]:
-    """Measure what the default run costs besides training, and return a policy trained on the way.
+    """Measure the overhead of the default run over its training; also return the trained policy.
 
-    A tracked run is trained for `steps`; its parts are timed, and slices of it are measured in turn with slices of a
-    bare one. The ratio is that of the default run in full length, put together from them: start, training with its
-    rows of metrics, every evaluation and checkpoint, and the end with certification, figures, video and artifacts.
-    `changes` are overrides of the run that is timed.
+    A tracked run is trained for `steps`, and its parts are timed; slices of its training alternate with slices of a
+    bare training. The ratio is that of a default run of full length, composed of these parts: start, training with
+    logging, evaluations, checkpoints, and the end with cross-check, figures, video and artifacts.
+
+    Args:
+        rounds: number of slices.
+        steps: env steps of the tracked run.
+        slice_steps: env steps per slice.
+        changes: overrides of the timed run.
     """
     full = run_config()
     with tempfile.TemporaryDirectory() as folder, ExitStack() as stack:
@@ -98,7 +100,7 @@ def overhead(rounds: int, steps: int, slice_steps: int, *changes: str) -> tuple[
         loop.learn()
         bare = build_model(config, make_training_envs(config.env, config.n_envs), seed=0)
         bare.set_logger(Logger(None, []))
-        bare.learning_starts = steps  # its buffer is as full
+        bare.learning_starts = steps  # fills its buffer equally
         bare.learn(steps)
         bare.learning_starts = 0
         loop.config = run_config(
@@ -116,18 +118,18 @@ def overhead(rounds: int, steps: int, slice_steps: int, *changes: str) -> tuple[
         evaluation_s = statistics.median(_seconds(loop.evaluate) for _ in range(rounds))
         checkpoint_s = statistics.median(_checkpoint_seconds(loop) for _ in range(rounds))
         policy = loop.policy
-        with loop.evaluated_policy():
+        with loop.average.applied():
             end_s = _seconds(lambda: finish(loop))
         loop.directory.update(status="done")
         loop.tracker.close()
-        if problem := loop.directory.unsynced:  # then its checkpoints and its end have cost too little
-            raise RuntimeError(f"the store of the run that was to be timed has not got everything: {problem}")
+        if problem := loop.directory.unsynced:  # the timed checkpoints and end would be incomplete
+            raise RuntimeError(f"the store of the timed run is incomplete: {problem}")
     evaluations = full.total_timesteps // (full.evaluation.every_n_steps or full.total_timesteps)
     checkpoints = full.total_timesteps // (full.checkpoint.every_n_steps or full.total_timesteps)
-    besides = start_s + (evaluations - 1) * evaluation_s + checkpoints * checkpoint_s + end_s
-    # The slices have updates; the random steps before the first one cost next to nothing.
+    rest = start_s + (evaluations - 1) * evaluation_s + checkpoints * checkpoint_s + end_s
+    # Random steps before the first update cost next to nothing.
     learned = full.total_timesteps - full.algorithm.arguments["learning_starts"]
-    ratios = [(learned * tracked + besides) / (learned * bare) for tracked, bare in slices]
+    ratios = [(learned * tracked + rest) / (learned * bare) for tracked, bare in slices]
     parts = {
         "training_s": learned * statistics.median(bare for _, bare in slices),
         "rows_and_callbacks_s": learned * statistics.median(tracked - bare for tracked, bare in slices),
@@ -141,7 +143,7 @@ def overhead(rounds: int, steps: int, slice_steps: int, *changes: str) -> tuple[
 
 
 def _make_store(config: RunConfig) -> None:
-    """Make the store: a user's has been there since the first run."""
+    """Create the store, which exists in all runs but the first."""
     code = f"from parking_exp.tracking.client import connect; connect({store_uri(config)!r})"
     subprocess.run([sys.executable, "-c", code], check=True, capture_output=True)
 
@@ -151,21 +153,12 @@ def _tracked_loop(config: RunConfig) -> tuple[TrainingLoop, float]:
     start = time.perf_counter()
     directory.create(config)
     directory.update(status="running")
-    tracker = open_tracker(config, directory)
-    loop = TrainingLoop(
-        config=config,
-        directory=directory,
-        tracker=tracker,
-        progress=Progress(),
-        checkpoint=None,
-        stop=StopRequest(),
-        bar=TrainingProgress(config.total_timesteps, 0, False),
-    )
+    loop = TrainingLoop(config, directory, open_tracker(config, directory), None, StopRequest())
     return loop, time.perf_counter() - start
 
 
 def _checkpoint_seconds(loop: TrainingLoop) -> float:
-    loop.progress.saved = -1  # as if training had gone on
+    loop.progress.step = -1  # as if training had gone on
     return _seconds(loop.save_checkpoint)
 
 

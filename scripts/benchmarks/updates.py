@@ -1,4 +1,4 @@
-"""Benchmarks of the fast update against the `train` of Stable-Baselines3 and of sbx, sampling included."""
+"""Benchmark the fast update, sampling included, against `train()` of Stable-Baselines3 and sbx."""
 
 from typing import Any
 
@@ -7,7 +7,7 @@ from stable_baselines3.common.logger import Logger
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 
 from benchmarks.timing import interleave
-from parking_exp.algorithms.build import build_model, torch_settings
+from parking_exp.algorithms.build_model import build_model, torch_settings
 from parking_exp.config.her_options import RELABEL_OPTIONS
 from parking_exp.config.schema import RunConfig
 from parking_exp.envs.training_envs import make_training_envs
@@ -17,9 +17,9 @@ SBX = "sbx, with our replay buffer"
 
 
 def updates(config: RunConfig, rounds: int, updates_a_slice: int, transitions: int = 10_000) -> dict[str, Any]:
-    """Compare updates a second, in rounds of as many as the config does after each step of its envs.
+    """Compare updates per second with Stable-Baselines3, in rounds of the config's length.
 
-    Ours have the config's matmul precision; the peer has torch's default.
+    Ours uses the config's matmul precision, the peer torch's default.
     """
     ours, peer = filled(config, fast=True, transitions=transitions), filled(config, fast=False, transitions=transitions)
     return _compare(config, ours, peer, rounds, updates_a_slice) | {"peer": PEER}
@@ -28,13 +28,13 @@ def updates(config: RunConfig, rounds: int, updates_a_slice: int, transitions: i
 def updates_against_sbx(
     config: RunConfig, rounds: int, updates_a_slice: int, transitions: int = 10_000
 ) -> dict[str, Any]:
-    """Compare updates a second with those of sbx (Stable-Baselines3 in JAX), which samples from our replay buffer.
+    """Compare updates per second with sbx (Stable-Baselines3 in JAX), which samples from our replay buffer.
 
-    sbx concatenates the observation's parts, as `algorithm.features=raw` does. Other options than batch size, tau and
-    gamma, such as the policy delay, are sbx's defaults.
+    sbx concatenates the observation's parts, as `algorithm.features=raw` does. Options other than batch size, tau and
+    gamma are sbx's defaults.
 
     Raises:
-        ImportError: without the `bench` extra.
+        ImportError: the extra `bench` is not installed.
     """
     import sbx
 
@@ -60,11 +60,11 @@ def updates_against_sbx(
 def _compare(
     config: RunConfig, ours: OffPolicyAlgorithm, peer: OffPolicyAlgorithm, rounds: int, updates_a_slice: int
 ) -> dict[str, Any]:
-    """Time both models' `train` in turn, on the same batch size; ours with the precision of the config."""
+    """Time `train` of both models with the same batch size; ours with the precision of the config."""
     _, gradient_steps = config.update_rounds()
     calls = max(1, updates_a_slice // gradient_steps)
 
-    def mine() -> float:
+    def our_side() -> float:
         with torch_settings(config):
             return side(ours)
 
@@ -74,13 +74,13 @@ def _compare(
         return calls * gradient_steps
 
     about = {"unit": "updates", "precision": config.precision, "peer_precision": "highest"}
-    return interleave(mine, lambda: side(peer), rounds) | about
+    return interleave(our_side, lambda: side(peer), rounds) | about
 
 
 def filled(config: RunConfig, fast: bool, transitions: int = 10_000) -> Any:
-    """Return a model whose replay buffer holds random transitions, made with our classes or with theirs."""
+    """Return a model with a filled replay buffer, of our classes (fast) or Stable-Baselines3's."""
     if not fast:
-        config = theirs(config)
+        config = with_sb3_classes(config)
     model = build_model(config, make_training_envs(config.env, config.n_envs), seed=0)
     assert isinstance(model, getattr(stable_baselines3, config.algorithm.target.rpartition(".")[2]))
     model.set_logger(Logger(None, []))
@@ -90,8 +90,8 @@ def filled(config: RunConfig, fast: bool, transitions: int = 10_000) -> Any:
     return model
 
 
-def theirs(config: RunConfig) -> RunConfig:
-    """Return the config with Stable-Baselines3's own algorithm and HER buffer."""
+def with_sb3_classes(config: RunConfig) -> RunConfig:
+    """Return the config with Stable-Baselines3's algorithm and HER buffer."""
     algorithm = config.algorithm.model_copy(
         update={"target": f"stable_baselines3.{config.algorithm.target.rpartition('.')[2]}"}
     )

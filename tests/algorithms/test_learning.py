@@ -8,7 +8,7 @@ from support.marks import slow_but
 from support.reach import CHANCE, Reach, success_rate
 from support.runs import make_config
 
-from parking_exp.algorithms.build import build_model, greedy_policy
+from parking_exp.algorithms.build_model import build_model, greedy_policy
 from parking_exp.algorithms.fast.supported import is_supported
 
 # The bound and four standard deviations of a rate over 200 episodes: 1 %.

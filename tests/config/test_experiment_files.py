@@ -3,8 +3,7 @@
 import pytest
 from support.runs import make_config
 
-from parking_exp.config.experiment_files import with_absolute_path
-from parking_exp.config.overrides import in_quotes
+from parking_exp.config.overrides import in_quotes, with_absolute_path
 from parking_exp.errors import ConfigError
 
 

@@ -7,7 +7,7 @@ from highway_env.vehicle.kinematics import Vehicle
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from parking_exp.envs.simulator.collisions import corners, out_of_reach, separating_axis
+from parking_exp.envs.simulator.collisions import corners, separating_axis
 from parking_exp.envs.simulator.dynamics import advance, limited_acceleration, slip_angle
 
 coordinate = st.floats(-6, 6)
@@ -59,27 +59,13 @@ def test_a_frame_is_highway_envs(x, y, heading, speed, acceleration, steering):
     assert (*position[:, 0], turned[0], faster[0]) == (*car.position, car.heading, car.speed)
 
 
-def test_pushed_apart_rectangles_just_touch():
-    """A car 0.4 m inside a wall is pushed out along the wall's normal, by 0.4 m."""
-    car, wall = polygon(0, 18.4, np.pi / 2, 5, 2), polygon(0, 21, 0, 70, 1)
-    now, soon, push = separating_axis(np.stack([car, wall])[None], np.zeros((1, 2)))
-    assert now[0]
-    assert soon[0]
-    np.testing.assert_allclose(push[0], [0, -0.4], atol=1e-12)
-
-
-def test_a_collision_is_predicted_one_frame_ahead():
-    """A car 0.1 m before a wall, at 3 m/s: it does not touch yet, and will in 1/15 s; 0.1 m too far by then."""
-    car, wall = polygon(0, 17.9, np.pi / 2, 5, 2), polygon(0, 21, 0, 70, 1)
-    now, soon, push = separating_axis(np.stack([car, wall])[None], np.array([[0, 0.2]]))
-    assert not now[0]
-    assert soon[0]
-    np.testing.assert_allclose(push[0], [0, -0.1], atol=1e-12)
-
-
-def test_circles_shrink_in_reverse():
-    offset = np.array([[5.0, 0.0], [5.0, 0.0]])
-    assert out_of_reach(offset, 5.0, 5.0, np.array([0.1, -0.1])).tolist() == [False, True]
+@pytest.mark.parametrize(("y", "way", "touches", "push"), [(18.4, 0.0, True, -0.4), (17.9, 0.2, False, -0.1)])
+def test_a_car_is_pushed_out_of_a_wall_one_frame_ahead(y, way, touches, push):
+    """A car 0.4 m inside a wall; and one 0.1 m before it at 3 m/s, which will be 0.1 m too far in 1/15 s."""
+    car, wall = polygon(0, y, np.pi / 2, 5, 2), polygon(0, 21, 0, 70, 1)
+    now, soon, translation = separating_axis(np.stack([car, wall])[None], np.array([[0, way]]))
+    assert (bool(now[0]), bool(soon[0])) == (touches, True)
+    np.testing.assert_allclose(translation[0], [0, push], atol=1e-12)
 
 
 @pytest.mark.parametrize(("speed", "expected"), [(3.0, 1.0), (6.0, -1.0), (5.0, 1.0), (-4.0, 2.0)])

@@ -11,6 +11,7 @@ from parking_exp.envs.highway import HighwayBatch, make_env
 from parking_exp.envs.scene_batches import start_scenes
 from parking_exp.envs.scenes import Scenes, start_slot
 from parking_exp.envs.simulator import Simulator
+from parking_exp.envs.vec_env import ParkingVecEnv
 from parking_exp.errors import ConfigError
 
 # Every scalar option of the env group that the physics, the observation or the reward depends on.
@@ -93,28 +94,6 @@ def test_random_scenes_have_the_distribution_of_highway_envs():
         assert (np.abs(counts - expected) < 5 * np.sqrt(2 * expected.mean())).all()
 
 
-def test_state_is_saved_restored_and_continued_identically():
-    config = env_config("env=parking_crowded", "env.vehicles_count=26")
-    rng = np.random.default_rng(0)
-    simulator = Simulator(config, Scenes.from_seeds(range(64), 26))
-    actions = np.clip(rng.normal(0.7, 0.5, (40, 64, 2)), -1, 1)
-    for step in range(20):
-        simulator.step(actions[step])
-    saved = {name: array.copy() for name, array in simulator.get_state().items()}
-    assert saved["crashed"].any()
-    first = [simulator.step(actions[step]) for step in range(20, 40)]
-    other = Simulator(config, Scenes.from_seeds(range(100, 164), 26))
-    other.set_state(saved)
-    second = [other.step(actions[step]) for step in range(20, 40)]
-    for one, two in zip(first, second, strict=True):
-        for key in one.observation:
-            np.testing.assert_array_equal(one.observation[key], two.observation[key])
-        for name in ("reward", "terminated", "truncated", "crashed", "is_success"):
-            np.testing.assert_array_equal(getattr(one, name), getattr(two, name))
-    for name, array in simulator.get_state().items():
-        np.testing.assert_array_equal(array, other.get_state()[name])
-
-
 def test_a_scene_does_not_depend_on_its_neighbours():
     config = env_config("env=parking_crowded")
     actions = np.random.default_rng(0).uniform(-1, 1, (60, 50, 2))
@@ -126,21 +105,14 @@ def test_a_scene_does_not_depend_on_its_neighbours():
         assert many.reward[37] == one.reward[0]
 
 
-def test_actions_of_another_shape_are_refused():
-    simulator = Simulator(env_config(), Scenes.from_seeds(range(3)))
-    with pytest.raises(ValueError, match=r"shape \(3, 1\), not \(3, 2\)"):
-        simulator.step(np.zeros((3, 1)))
-
-
-def test_reward_of_a_batch_of_goals_is_highway_envs():
-    rng = np.random.default_rng(0)
-    achieved, desired = rng.normal(size=(2, 100, 6))
-    for option in ("parking", "parking_sparse"):
-        config = env_config(f"env={option}")
-        ours = Simulator(config, Scenes.from_seeds([0])).compute_reward(achieved, desired)
-        np.testing.assert_allclose(ours, make_env(config).unwrapped.compute_reward(achieved, desired, {})
-                                   if option == "parking" else make_env(config).compute_reward(achieved, desired, {}),
-                                   rtol=0, atol=1e-12)  # fmt: skip
+@pytest.mark.parametrize("option", ["parking", "parking_sparse"])
+def test_reward_of_a_batch_of_goals_is_highway_envs(option):
+    config = env_config(f"env={option}")
+    achieved, desired = np.random.default_rng(0).normal(size=(2, 100, 6))
+    dense = make_env(config).unwrapped.compute_reward(achieved, desired, {})
+    expected = np.where(dense > -config.success_goal_reward, 0.0, -1.0) if option == "parking_sparse" else dense
+    for ours in (ParkingVecEnv(config, 1), *([make_env(config)] if option == "parking_sparse" else [])):
+        np.testing.assert_allclose(ours.compute_reward(achieved, desired, {}), expected, rtol=0, atol=1e-12)
 
 
 def test_both_simulators_start_and_end_alike():
@@ -153,4 +125,3 @@ def test_both_simulators_start_and_end_alike():
             assert step.truncated.tolist() == [number == 11] * 2
         batch.keep(np.array([False, True]))
         assert len(batch) == 1
-        batch.close()

@@ -1,37 +1,136 @@
-"""The command evaluate.py: what it prints."""
+"""The command evaluate.py: what it prints, writes, stores and refuses."""
 
-from support.runs import type_here
+import os
+import re
+import shutil
+
+import imageio.v3 as iio
+import numpy as np
+import pandas as pd
+import pytest
+from omegaconf import OmegaConf
+from PIL import Image, ImageSequence
+from support.runs import artifacts, make_config, only_run, store, type_here
 
 from parking_exp.config.compose import composed
-from parking_exp.evaluation import evaluate_run
+from parking_exp.errors import ModelError, RunNotFoundError
+from parking_exp.evaluation.evaluate_run import evaluate_run, validate_request
+from parking_exp.evaluation.metrics import EPISODE_COLUMNS
+from parking_exp.evaluation.video import record
 
-SHORT = ("run=pretrained", "episodes=2", "simulator=vectorized", "env=parking", "env.duration=0.4", "name=short")
+
+@pytest.fixture
+def finished(smoke, tmp_path):
+    """A copy of a finished run: its directory, and its output directory."""
+    shutil.copytree(smoke[2], tmp_path / "outputs")
+    return only_run(tmp_path / "outputs"), tmp_path / "outputs"
 
 
-def test_without_a_terminal_there_are_lines_of_text_alone_and_the_video_and_gif_are_named(tmp_path):
-    done = type_here("evaluate", *SHORT, "video=1", "gif=true", cwd=tmp_path)
+def test_episodes_rates_and_a_video_are_printed_and_stored(finished):
+    directory, output_dir = finished
+    done = type_here(
+        "evaluate", f"run={directory.run_id}", f"output_dir={output_dir}", "episodes=6", "video=2", "gif=true"
+    )
     assert (done.returncode, done.stderr) == (0, "")
-    lines = done.stdout.splitlines()
-    assert "" not in lines
-    folder = tmp_path / "outputs" / "pretrained" / "default" / "evaluations" / "short"
-    assert lines[-3:] == [
-        f"video          {folder}/video.gif",
-        f"video          {folder}/video.mp4",
-        f"results        {folder}",
-    ]
-    assert {path.name for path in folder.iterdir()} == {"episodes.csv", "summary.json", "video.gif", "video.mp4"}
+    for name in ("success", "crash", "timeout", "parked"):
+        assert re.search(rf"^{name} +\d+\.\d%   95 % interval", done.stdout, re.MULTILINE)
+    folder = directory.path / "evaluations" / "parking-final-scenes-0-5"
+    assert f"results        {folder}" in done.stdout
+    table = pd.read_csv(folder / "episodes.csv")
+    assert table["scene"].tolist() == [0, 1, 2, 3, 4, 5]
+    # Each episode: its start, three simulation frames a step, and a second of its end at 15 frames a second.
+    frames = sum(1 + 3 * steps + 15 for steps in table["steps"][:2])
+    video = iio.imread(folder / "video.mp4", plugin="FFMPEG")
+    assert video.shape == (frames, 300, 600, 3)
+    assert len(np.unique(video[:16], axis=0)) > 10  # the car moves, also between two policy steps
+    with Image.open(folder / "video.gif") as gif:  # frames that repeat are shown longer instead
+        shown_ms = sum(frame.info["duration"] for frame in ImageSequence.Iterator(gif))
+    assert shown_ms == 200 * -(-frames // 3)
+    stored = artifacts(store(output_dir), directory.run_id, f"evaluations/{folder.name}")
+    assert [path.rpartition("/")[2] for path in stored] == ["episodes.csv", "summary.json", "video.gif", "video.mp4"]
+    # The same model on the same scenes: what the run itself saw at its end.
+    final = pd.read_csv(directory.path / "episodes.csv").query("phase == 'final'").reset_index(drop=True)
+    pd.testing.assert_frame_equal(table.head(5), final[EPISODE_COLUMNS], rtol=1e-6)
 
 
-def test_without_a_terminal_progress_is_a_line_every_few_seconds(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(evaluate_run, "LINE_EVERY_S", 0.0)
-    monkeypatch.chdir(tmp_path)
-    evaluate_run.evaluate_run(composed("evaluate", list(SHORT))[0])
-    # Two steps of two episodes.
-    assert capsys.readouterr().err == "2 episodes of parking: 2 of 2 done\n"
-
-
-def test_no_video_is_named_where_none_is_asked_for(tmp_path):
+def test_another_env_the_best_model_and_a_name_can_be_chosen_and_an_earlier_video_goes(finished):
+    directory, _ = finished
+    arguments = (f"run={directory.path}", "episodes=2", "env=parking_crowded", "env.duration=0.4",
+                 "model=best", "tracking.mlflow=false", "name=crowded")  # fmt: skip
     for video in ("video=1", "video=0"):
-        done = type_here("evaluate", *SHORT, video, cwd=tmp_path)
-    assert done.returncode == 0
-    assert [line for line in done.stdout.splitlines() if line.startswith("video")] == []
+        done = type_here("evaluate", *arguments, video)
+        assert done.returncode == 0, done.stderr
+    assert "best model on 2 scenes of parking_crowded" in done.stdout
+    folder = directory.path / "evaluations" / "crowded"
+    assert {path.name for path in folder.iterdir()} == {"episodes.csv", "summary.json"}
+    assert len(pd.read_csv(folder / "episodes.csv")) == 2
+
+
+def evaluate_stored(directory, *arguments):
+    (config,) = composed("evaluate", [f"run='{directory.path}'", "episodes=1", "simulator=vectorized", *arguments])
+    return evaluate_run(config)
+
+
+def test_a_model_that_is_missing_or_damaged_is_named(finished):
+    directory, _ = finished
+    path = directory.models / "final.zip"
+    os.truncate(path, 3000)
+    with pytest.raises(ModelError, match=rf"^{path} is damaged"):
+        evaluate_stored(directory)
+    path.unlink()
+    with pytest.raises(RunNotFoundError, match=str(path)):
+        evaluate_stored(directory)
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "problem"),
+    [
+        ("algorithm.net_arch", [8, 8], "policy.actor.latent_pi.0.weight"),
+        ("algorithm.ent_coef", 0.5, "it lacks ent_coef_tensor"),
+    ],
+)
+def test_a_model_that_does_not_fit_its_config_is_refused(finished, key, value, problem):
+    directory, _ = finished
+    config = OmegaConf.load(directory.path / "config.yaml")
+    OmegaConf.update(config, key, value)
+    OmegaConf.save(config, directory.path / "config.yaml")
+    with pytest.raises(ModelError, match=rf"final\.zip .* config\.yaml .*{re.escape(problem)}"):
+        evaluate_stored(directory)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "named"),
+    [
+        (["run=nowhere"], "run=nowhere"),
+        (["epsodes=3"], "epsodes"),
+        (["episodes=0"], "episodes=0"),
+        (["episodes=3", "video=5"], "video=5"),
+        (["gif=true"], "gif=true"),
+        (["model=last"], "model=last"),
+        (["first_scene=2147483600"], "first_scene=2147483600"),
+        (["env.duration=2"], "env"),
+        (["env=parking", "env.policy_frequency=20"], "env.policy_frequency=20"),
+        (["algorithm=td3"], "algorithm"),
+        (["env=parkin"], "env=parkin"),
+    ],
+)
+def test_a_mistake_is_one_sentence_that_names_the_key(smoke, arguments, named):
+    done = type_here("evaluate", f"output_dir={smoke[2]}", *arguments)
+    assert done.returncode == 2
+    assert done.stderr.startswith(f"error: {named}")
+    assert done.stderr.count("\n") == 1
+
+
+@pytest.mark.parametrize(("run", "n_scenes"), [("latest", 100), ("pretrained", 20), ("pretrained/parked", 20)])
+def test_a_pretrained_agent_is_evaluated_on_20_scenes_and_a_run_on_100_by_default(run, n_scenes):
+    for arguments, expected in ((["first_scene=3"], range(3, 3 + n_scenes)), (["episodes=7"], range(7))):
+        (config,) = composed("evaluate", [f"run={run}", *arguments])
+        assert validate_request(config).scenes == expected
+
+
+@pytest.mark.slow
+def test_in_a_video_an_episode_is_cut_after_20_seconds(tmp_path):
+    def stand(observation):
+        return np.zeros((len(observation["observation"]), 2), np.float32)
+
+    assert record(stand, make_config().env, [0], tmp_path / "video.mp4") == 1 + 3 * 100 + 15

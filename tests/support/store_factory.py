@@ -26,7 +26,7 @@ from parking_exp.config.compose import composed
 from parking_exp.config.paths import default_uri
 from parking_exp.config.schema import RunConfig
 from parking_exp.envs.geometry import SLOT_POSITIONS
-from parking_exp.evaluation.evaluate import summarise
+from parking_exp.evaluation.evaluate_policy import summarise
 from parking_exp.evaluation.metrics import EPISODE_COLUMNS
 from parking_exp.runs.atomic_files import sha256, write_json
 from parking_exp.runs.directory import RunDirectory, RunResult

@@ -26,7 +26,7 @@ from parking_exp.tracking.client import connect, reason
 from parking_exp.tracking.mirror import flatten, later, mirror_missing, mirror_problem, try_mirror
 from parking_exp.tracking.tracker import open_tracker
 from parking_exp.training import checkpoints
-from parking_exp.training.run import train
+from parking_exp.training.train_run import train
 
 QUICK = ("experiment=smoke", "evaluation.video_episodes=0", "tracking.tensorboard=false")
 

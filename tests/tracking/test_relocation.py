@@ -23,7 +23,7 @@ from parking_exp.runs.directory import RunDirectory, RunResult
 from parking_exp.runs.lookup import find_runs
 from parking_exp.tracking.mirror import mirror, mirror_missing
 from parking_exp.tracking.store import Store
-from parking_exp.training.run import train
+from parking_exp.training.train_run import train
 
 EVALUATE = ("episodes=1", "simulator=vectorized", "name=again")
 

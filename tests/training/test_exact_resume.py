@@ -19,11 +19,11 @@ from support.simulator_equality import KINDS as POLICIES
 from support.simulator_equality import actions_of, different_scenes, record, repeat
 from support.sweep_processes import workers
 
-from parking_exp.algorithms.build import build_model, greedy_policy
+from parking_exp.algorithms.build_model import build_model, greedy_policy
 from parking_exp.envs.training_envs import make_training_envs
 from parking_exp.runs.directory import RunDirectory
 from parking_exp.runs.lookup import find_runs
-from parking_exp.training.run import train
+from parking_exp.training.train_run import train
 
 pytestmark = pytest.mark.slow
 
@@ -36,28 +36,16 @@ def test_the_default_recipe_parks(tmp_path):
     assert min(rates) >= 0.95, rates
 
 
-SB3_BUFFER = ("~buffer.relabel_collision", "~buffer.relabel_terminated", "~buffer.goal_velocity")
-HIGHWAY = "env.simulator=highway_env"
+# Other algorithms, buffers and noises are interrupted within one process: tests/training/test_resume.py.
 KINDS = {
     "sac": (),
-    "sac, highway_env, replay": (HIGHWAY, "buffer=replay"),
-    "sac, gSDE, odd checkpoints": (
-        "algorithm.use_sde=true", "algorithm.sde_sample_freq=4", "algorithm.train_freq=6", "checkpoint.every_n_steps=35",
-    ),
     "sac, one highway_env by episodes, gSDE": (
-        HIGHWAY, "n_envs=1", "algorithm.train_freq=[1,episode]", "algorithm.use_sde=true", "buffer=her_final",
+        "env.simulator=highway_env", "n_envs=1", "algorithm.train_freq=[1,episode]", "algorithm.use_sde=true",
     ),
-    "td3, Stable-Baselines3's HER": ("algorithm=td3", "buffer._target_=stable_baselines3.HerReplayBuffer", *SB3_BUFFER),
-    "td3, four highway_envs, Ornstein-Uhlenbeck, a full buffer": (
-        HIGHWAY, "n_envs=4", "algorithm=td3", "buffer=her_random", "buffer.buffer_size=200", "algorithm.learning_starts=48",
+    "td3, EMA, Ornstein-Uhlenbeck noise, a full buffer": (
+        "algorithm=td3", "algorithm.policy_ema_half_life=30", "buffer.buffer_size=200", "n_envs=4", "algorithm.learning_starts=48",
         "algorithm.action_noise._target_=stable_baselines3.common.noise.OrnsteinUhlenbeckActionNoise",
     ),
-    "td3, averaged policy": ("algorithm=td3", "algorithm.policy_ema_half_life=30", "buffer.relabel_collision=exclude"),
-    "ddpg, one env, Stable-Baselines3's replay": (
-        "algorithm=ddpg", "n_envs=1", "buffer._target_=stable_baselines3.common.buffers.DictReplayBuffer", *SB3_BUFFER,
-        "~buffer.n_sampled_goal", "~buffer.goal_selection_strategy",
-    ),
-    "Stable-Baselines3's ddpg, highway_env": (HIGHWAY, "algorithm=ddpg", "algorithm._target_=stable_baselines3.DDPG"),
 }  # fmt: skip
 
 
@@ -71,13 +59,8 @@ def test_a_run_killed_at_random_moments_is_the_run_that_was_not(tmp_path, kind):
     lasted = seconds_of_training(only_run(whole))
     command, keywords = script("train", *arguments, f"output_dir={pieces}")
     moments, killed, run_ids = random.Random(kind), [], set()
-    for step in (
-        0,
-        80,
-        160,
-        240,
-        400,
-    ):  # a random while after the checkpoint of this step, the last in the final evaluation
+    # A random while after the checkpoint of each of these steps, the last in the final evaluation.
+    for step in (0, 80, 160, 240, 400):
         process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, **keywords)
         started = time.time()
         while process.poll() is None and not (is_training(pieces, started) and last_step(pieces) >= step):
@@ -130,10 +113,11 @@ def test_a_parallel_sweep_killed_at_random_moments_is_the_sweep_that_was_not(tmp
     ours, theirs = find_runs(whole), find_runs(pieces)
     assert [path.relative_to(whole) for path in ours] == [path.relative_to(pieces) for path in theirs]
     assert len(ours) == 12
-    for one, two in zip(ours, theirs, strict=True):
-        assert differences(one, two) == []
-        assert stored(whole, RunDirectory(one).run_id) == stored(pieces, RunDirectory(two).run_id)
-        assert first_ids[two] in {None, RunDirectory(two).run_id}
+    for expected, path in zip(ours, theirs, strict=True):
+        assert differences(expected, path) == []
+        run_id = RunDirectory(path).run_id
+        assert stored(whole, RunDirectory(expected).run_id) == stored(pieces, run_id)
+        assert first_ids[path] in {None, run_id}
     client = store(pieces)
     experiment = client.get_experiment_by_name("smoke")
     assert len(client.search_runs([experiment.experiment_id])) == 12

@@ -4,7 +4,6 @@ import copy
 import json
 import random
 import signal
-import subprocess
 from contextlib import contextmanager
 from functools import cache
 
@@ -15,21 +14,20 @@ from gymnasium import spaces
 from stable_baselines3.common.logger import Logger
 from support.marks import slow_but
 from support.run_equality import differences, exact
-from support.runs import make_config, only_run, script, wait_for
+from support.runs import make_config, only_run
 
-from parking_exp.algorithms.build import build_model, greedy_policy
+from parking_exp.algorithms.build_model import build_model, greedy_policy
 from parking_exp.algorithms.fast.base import FastTraining
 from parking_exp.envs import training_envs
 from parking_exp.envs.action_replay import ReplayActions
 from parking_exp.envs.highway import make_env
 from parking_exp.errors import FailedRunError, InterruptedRunError
-from parking_exp.evaluation.evaluate import evaluate
+from parking_exp.evaluation.evaluate_policy import evaluate
 from parking_exp.evaluation.video import record
 from parking_exp.runs.atomic_files import read_json
 from parking_exp.training import checkpoints, finish, loop, rollout_state, serialization
-from parking_exp.training.callbacks import RolloutCallback
-from parking_exp.training.loop import TrainingLoop
-from parking_exp.training.run import train
+from parking_exp.training.loop import RolloutCallback, TrainingLoop
+from parking_exp.training.train_run import train
 
 SMOKE = ("experiment=smoke", "total_timesteps=160", "evaluation.every_n_steps=60", "checkpoint.every_n_steps=50",
          "evaluation.n_scenes=1", "evaluation.final_n_scenes=2", "evaluation.video_episodes=0", "env.duration=2",
@@ -38,11 +36,15 @@ OTHERS_BUFFER = ("~buffer.relabel_collision", "~buffer.relabel_terminated", "~bu
 HIGHWAY = "env.simulator=highway_env"
 KINDS = {
     "sac": (),
-    "sac with gSDE": ("algorithm.use_sde=true", "algorithm.train_freq=4", "tracking.log_interval=1"),
+    "sac with gSDE": (
+        "algorithm.use_sde=true", "algorithm.sde_sample_freq=4", "algorithm.train_freq=4", "tracking.log_interval=1",
+    ),
     "sac, by episodes, in one highway_env, replay": (
         HIGHWAY, "n_envs=1", "algorithm.train_freq=[1,episode]", "buffer=replay",
     ),
-    "td3, random goals, a full buffer": ("algorithm=td3", "buffer=her_random", "buffer.buffer_size=100"),
+    "td3, EMA, random goals, a full buffer": (
+        "algorithm=td3", "algorithm.policy_ema_half_life=20", "buffer=her_random", "buffer.buffer_size=100",
+    ),
     "td3 with Ornstein-Uhlenbeck noise, in highway_envs": (
         HIGHWAY, "algorithm=td3", "buffer=her_episode",
         "algorithm.action_noise._target_=stable_baselines3.common.noise.OrnsteinUhlenbeckActionNoise",
@@ -64,7 +66,7 @@ KINDS = {
 
 
 class CutOffError(BaseException):
-    """What a kill is, as far as a run in this process can have one."""
+    """Stands for a kill in a run of this process."""
 
 
 @contextmanager
@@ -103,11 +105,11 @@ def no_picture(monkeypatch):
 
 
 def run(output_dir, *overrides, cuts=()):
-    """A run that is cut off by each of these, one after the other, and then goes on to its end."""
+    """Return the directory of a run that each of `cuts` interrupts, one after the other, and that is then finished."""
     config = configured(output_dir, *overrides)
-    for one in cuts:
+    for interruption in cuts:
         disturb()
-        with one, pytest.raises(FailedRunError) as failure:
+        with interruption, pytest.raises(FailedRunError) as failure:
             train(config)
         assert isinstance(failure.value.__cause__, CutOffError)
     disturb()
@@ -127,7 +129,7 @@ def uninterrupted(tmp_path_factory):
     return run(tmp_path_factory.mktemp("uninterrupted"))
 
 
-@pytest.mark.parametrize("kind", slow_but(["sac"], KINDS))
+@pytest.mark.parametrize("kind", slow_but(["sac", "td3, EMA, random goals, a full buffer"], KINDS))
 def test_a_run_that_was_cut_off_twice_is_the_one_that_was_not(tmp_path, kind):
     """Between checkpoints, in the middle of episodes; before the first update and later."""
     whole = run(tmp_path / "whole", *KINDS[kind])
@@ -135,44 +137,10 @@ def test_a_run_that_was_cut_off_twice_is_the_one_that_was_not(tmp_path, kind):
     assert differences(whole, pieces) == []
 
 
-DAMAGE = {
-    "gone": lambda path: path.unlink(),
-    "cut": lambda path: path.write_bytes(path.read_bytes()[:40]),
-    "flipped": lambda path: path.write_bytes(b"\x00" + path.read_bytes()[1:]),
-}
-
-
-def test_logs_that_were_damaged_before_a_resume_are_whole_again(uninterrupted, tmp_path):
-    config = configured(tmp_path)
-    with cut_at(137), pytest.raises(FailedRunError):
-        train(config)
-    for name, damage in zip(("metrics.jsonl", "episodes.csv", "monitor.csv"), DAMAGE.values(), strict=True):
-        damage(only_run(tmp_path).path / name)
-    train(config)
-    assert differences(uninterrupted, only_run(tmp_path).path) == []
-
-
-@pytest.mark.parametrize("kind", slow_but(["cut"], DAMAGE))
-def test_a_run_goes_on_without_its_other_files(uninterrupted, tmp_path, kind):
-    """What is not in a checkpoint, and only says something about the run."""
-    config = configured(tmp_path, "tracking.mlflow=true", f"tracking.uri=sqlite:///{tmp_path / 'file'}/x.db")
-    (tmp_path / "file").touch()  # a store that is down
-    with cut_at(137), pytest.raises(FailedRunError):
-        train(config)
-    for name in ("provenance.json", "synced.json", "status.json", "beat.json"):
-        if (path := only_run(tmp_path).path / name).exists() and (kind != "gone" or name != "status.json"):
-            DAMAGE[kind](path)
-    train(config)
-    directory = only_run(tmp_path)
-    assert differences(uninterrupted, directory.path) == []
-    assert directory.status == "done"
-    assert directory.unsynced == f"File exists: {tmp_path / 'file'}"
-
-
 def test_the_comparison_sees_everything(uninterrupted, tmp_path):
     """Another seed differs in every kind of thing that is compared, else nothing would be shown above."""
     other = run(tmp_path, "seed=1")
-    found = " ".join(differences(uninterrupted, other))
+    different = " ".join(differences(uninterrupted, other))
     for name in (
         "episodes.csv", "metrics", "monitor.csv", "progress.csv", "best.zip/", "final.zip/", "model.zip/policy.pth/",
         "model.zip/actor.optimizer.pth/", "model.zip/critic.optimizer.pth/", "model.zip/ent_coef_optimizer.pth/",
@@ -180,7 +148,7 @@ def test_the_comparison_sees_everything(uninterrupted, tmp_path):
         "state.npz/model/_last_obs/observation", "state.npz/streams/envs/envs/simulator/position", "state.npz/streams/envs/monitor/episode_returns",
         "state.npz/streams/rng/numpy/state/key", "state.npz/streams/rng/python/numbers", "state.npz/streams/rng/torch",
     ):  # fmt: skip
-        assert name in found
+        assert name in different
 
 
 @pytest.mark.parametrize("first", slow_but([3], [1, 3]))
@@ -211,23 +179,22 @@ def test_a_run_that_was_cut_off_while_it_wrote_a_checkpoint(uninterrupted, tmp_p
     assert differences(uninterrupted, run(tmp_path, cuts=[writing])) == []
 
 
-def test_a_run_whose_newest_checkpoint_was_damaged(uninterrupted, tmp_path):
-    def damage(*_):
-        newest = sorted(only_run(tmp_path).checkpoints.glob("step=*"))[-1]
-        (newest / "state.npz").write_bytes(b"")
-        return False
-
-    damaged = cut(checkpoints, "latest", damage)
+def test_a_run_whose_logs_and_newest_checkpoint_were_damaged(uninterrupted, tmp_path):
     config = configured(tmp_path)
     with cut_at(151), pytest.raises(FailedRunError):
         train(config)
-    with damaged:
-        train(config)
-    assert differences(uninterrupted, only_run(tmp_path).path) == []
+    directory = only_run(tmp_path)
+    newest = sorted(directory.checkpoints.glob("step=*"))[-1]
+    (newest / "state.npz").write_bytes(b"")
+    (directory.path / "metrics.jsonl").unlink()
+    (directory.path / "episodes.csv").write_bytes((directory.path / "episodes.csv").read_bytes()[:40])
+    (directory.path / "monitor.csv").write_bytes(b"\x00" * 40)
+    train(config)
+    assert differences(uninterrupted, directory.path) == []
 
 
 @pytest.mark.parametrize("in_evaluation", [False, True])
-def test_a_run_that_was_told_to_stop_at_an_odd_step(uninterrupted, tmp_path, in_evaluation):
+def test_a_run_that_a_signal_stopped_at_an_odd_step(uninterrupted, tmp_path, in_evaluation):
     """What a signal does: a checkpoint where none is due, without the evaluation that is, and metrics wait for their row."""
     config = configured(tmp_path)
     asked = TrainingLoop.evaluate if in_evaluation else RolloutCallback._on_step
@@ -247,22 +214,6 @@ def test_a_run_that_was_told_to_stop_at_an_odd_step(uninterrupted, tmp_path, in_
     assert "train/critic_loss" in state["streams"]["metrics"]["name_to_value"] or in_evaluation
     train(config)
     assert differences(uninterrupted, only_run(tmp_path).path) == []
-
-
-@pytest.mark.slow
-def test_killed_processes_leave_nothing_that_shows(tmp_path):
-    """A real kill in real processes, TensorBoard's events included."""
-    arguments = [*SMOKE, HIGHWAY, "checkpoint.every_n_steps=40", "tracking.tensorboard=true", "total_timesteps=250"]
-    whole = run(tmp_path / "whole", *arguments[len(SMOKE) :])
-    command, keywords = script("train", *arguments, f"output_dir={tmp_path / 'pieces'}", "tracking.progress_bar=true")
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, **keywords)
-    wait_for(lambda: any((tmp_path / "pieces").glob("*/*/*/checkpoints/step=*")), process)
-    process.kill()
-    process.wait()
-    done = subprocess.run(command, check=False, capture_output=True, timeout=180, **keywords)
-    assert done.returncode == 0, done.stderr
-    assert "resuming at step" in done.stderr
-    assert differences(whole, only_run(tmp_path / "pieces").path) == []
 
 
 def test_nothing_is_executed_from_a_checkpoint(tmp_path, monkeypatch):
@@ -316,7 +267,7 @@ def comparable(tree):
     return plain, {name: exact(array) for name, array in arrays.items()}
 
 
-RESTORED = ["sac, by episodes, in one highway_env, replay", "td3, random goals, a full buffer", "tqc", "crossq"]
+RESTORED = ["sac, by episodes, in one highway_env, replay", "td3, EMA, random goals, a full buffer", "tqc", "crossq"]
 
 
 @pytest.mark.parametrize("kind", slow_but(RESTORED, KINDS))
@@ -337,32 +288,32 @@ def test_rollout_state_is_restored_as_it_was_saved(kind):
     disturb()
     rollout_state.set_state(other, serialization.join(json.loads(json.dumps(plain)), arrays))
     assert comparable(rollout_state.get_state(other)) == comparable(saved)
-    assert other.logger.name_to_excluded["train/loss"] == ("tensorboard",)
+    assert list(other.logger.name_to_excluded["train/loss"]) == ["tensorboard"]
     assert draws(other) == expected
 
 
 @pytest.mark.parametrize("steps", slow_but([7], [0, 7, 30]))
 @pytest.mark.parametrize("option", slow_but(["parking_sparse"], ["parking_sparse", "parking_crowded"]))
-def test_an_env_of_highway_env_goes_on_from_its_state(option, steps):
+def test_an_env_of_highway_env_continues_from_its_state(option, steps):
     """At the start of an episode, in its middle, and after others; the next scenes are the same, too."""
     env_config = composed_once(
         f"env={option}", "env.training_duration=5", "n_envs=1", "algorithm.learning_starts=100"
     ).env
-    one, other = (ReplayActions(make_env(env_config.for_training())) for _ in range(2))
+    env, other = (ReplayActions(make_env(env_config.for_training())) for _ in range(2))
     actions = np.random.default_rng(0).uniform(-1, 1, (steps + 40, 2)).astype(np.float32)
-    one.reset(seed=3)
+    env.reset(seed=3)
     for action in actions[:steps]:
-        if any(one.step(action)[2:4]):
-            one.reset()
-    other.set_state(one.get_state())
+        if any(env.step(action)[2:4]):
+            env.reset()
+    other.set_state(env.get_state())
     for action in actions[steps:]:
-        ours, theirs = one.step(action), other.step(action)
+        ours, theirs = env.step(action), other.step(action)
         for key in ours[0]:
             np.testing.assert_array_equal(ours[0][key], theirs[0][key])
         assert ours[1:4] == theirs[1:4]
         if any(ours[2:4]):
-            one.reset(), other.reset()
-    assert one.unwrapped.np_random.bit_generator.state == other.unwrapped.np_random.bit_generator.state
+            env.reset(), other.reset()
+    assert env.unwrapped.np_random.bit_generator.state == other.unwrapped.np_random.bit_generator.state
 
 
 def test_what_waits_in_an_env_for_its_first_reset_is_gone_after_restoring():
@@ -399,5 +350,5 @@ def test_a_tree_comes_back_with_its_types():
         assert type(again[name]) is type(tree[name])
     assert again["list"][0]["array"].dtype == np.uint8
     assert again["empty"].shape == (0, 2)
-    with pytest.raises(TypeError, match="a/0 is a Box, which can't be saved without pickling it"):
+    with pytest.raises(TypeError, match="a/0 is a Box"):
         serialization.split({"a": [spaces.Box(0, 1)]})

@@ -110,7 +110,7 @@ def test_every_search_of_the_package_is_valid(name):
         ([*SMOKE, "seeds=3"], "search.tuning_seeds"),
         ([*SMOKE, "buffer=her_future,her_final"], "one value for each key"),
         ([*SMOKE, "algorithm.gamma=0.9"], "algorithm.gamma is both"),
-        ([*SMOKE, "n_trials=0"], "n_trials=0"),
+        ([*SMOKE, "n_trials=0"], "n_trials=0: "),
     ],
 )
 def test_a_wrong_override_is_named(overrides, words):

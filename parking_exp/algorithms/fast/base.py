@@ -1,6 +1,6 @@
 """Mixin that gives SAC, TD3 and DDPG a faster `train`: when it applies, and what it logs."""
 
-from typing import Any, ClassVar, Protocol
+from typing import Any, ClassVar
 
 import gymnasium as gym
 import numpy as np
@@ -10,26 +10,17 @@ from stable_baselines3.common.noise import ActionNoise
 from parking_exp.algorithms.fast.supported import is_supported
 
 
-class Update(Protocol):
-    """The update of one model's networks, without autograd."""
-
-    def __init__(self, model: Any) -> None: ...
-
-    def is_bound(self, model: Any) -> bool:
-        """Whether the networks and optimizers are still the model's."""
-
-    def run(self, model: Any, gradient_steps: int, batch_size: int) -> dict[str, float]:
-        """Do `gradient_steps` updates and return the means of what Stable-Baselines3 logs."""
-
-
 class FastTraining:
     """Mixin that replaces the `train` of an off-policy class of Stable-Baselines3; it stands before that class.
 
     Models that the fast update does not support (`supported.is_supported`) are trained by Stable-Baselines3's `train`.
+
+    Attributes:
+        update_class: the update of one model's networks, without autograd: SAC's or TD3's.
     """
 
-    update_class: ClassVar[type[Update]]
-    _update: Update | None = None
+    update_class: ClassVar[type]
+    _update: Any = None
 
     def train(self: Any, gradient_steps: int, batch_size: int = 64) -> None:
         """Do `gradient_steps` updates on minibatches of the replay buffer."""

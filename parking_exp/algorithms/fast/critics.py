@@ -4,7 +4,7 @@ from typing import Any
 
 import torch
 
-from parking_exp.algorithms.fast.mlp import MLP, as_layers, parameters
+from parking_exp.algorithms.fast.mlp import MLP, parameters
 from parking_exp.algorithms.fast.optimizer import Adam, FlatTensors, polyak_update
 
 
@@ -17,8 +17,8 @@ class Critics:
 
     def __init__(self, model: Any) -> None:
         networks, targets = model.critic.q_networks, model.critic_target.q_networks
-        self.networks = [MLP(as_layers(parameters(network))) for network in networks]
-        self.targets = [MLP(as_layers(parameters(network))) for network in targets]
+        self.networks = [MLP(parameters(network)) for network in networks]
+        self.targets = [MLP(parameters(network)) for network in targets]
         self.flat = FlatTensors([tensor for network in networks for tensor in parameters(network)])
         self.flat_target = FlatTensors([tensor for network in targets for tensor in parameters(network)])
         self.adam = Adam(model.critic.optimizer, self.flat)

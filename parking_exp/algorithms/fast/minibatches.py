@@ -1,6 +1,6 @@
 """Minibatches of several updates, sampled from the replay buffer together and turned into features once."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
 import torch
@@ -24,7 +24,7 @@ class Minibatch(NamedTuple):
         actions: shape (B, actions).
         rewards: shape (B, 1).
         discounts: of the next state's value: gamma, or 0 where the episode terminated; shape (B, 1).
-        next_signs: of the next steering, -1 where its scene is mirrored; shape (B, 1), or (1, 1) where none is.
+        next_signs: of the next steering, -1 where its scene is mirrored; shape (B, 1).
     """
 
     features: torch.Tensor
@@ -55,40 +55,26 @@ def _sample(model: OffPolicyAlgorithm, steps: int, batch_size: int) -> Iterator[
 
 
 def _collate(model: Any, samples: list[Any], steps: int) -> Iterator[Minibatch]:
-    actor = model.actor
+    """Make minibatches of as many samples, or of one large sample that is dealt out in turn."""
 
-    def dealt(parts: list[torch.Tensor]) -> torch.Tensor:
-        """Return shape (steps, B, ...): several minibatches as they are, one large one dealt out in turn."""
+    def dealt(parts: Sequence[torch.Tensor]) -> torch.Tensor:
+        """Return shape (steps, B, ...)."""
         if len(parts) == steps:
-            return torch.stack(parts)
+            return torch.stack(list(parts))
         (rows,) = parts
         return rows.unflatten(0, (-1, steps)).transpose(0, 1)
 
-    def features(observations: list[Any]) -> torch.Tensor:
-        return dealt([actor.extract_features(observation, actor.features_extractor) for observation in observations])
+    before, after, *others = map(dealt, zip(*(_tensors(model, data) for data in samples), strict=True))
+    return map(Minibatch, torch.cat([before, after], dim=1), *(tensor.contiguous() for tensor in others))
 
-    extractor = actor.features_extractor
-    mirrored = isinstance(extractor, MirroredEgoFrameExtractor) and extractor.steering
 
-    def actions(data: Any) -> torch.Tensor:
-        return extractor.mirror(data.actions, data.observations) if mirrored else data.actions
-
-    if mirrored:
-        next_signs = dealt([extractor.sign(data.next_observations) for data in samples])
-    else:
-        next_signs = torch.ones((steps, 1, 1))
-    discounts = [
-        (1 - data.dones) * (model.gamma if getattr(data, "discounts", None) is None else data.discounts)
-        for data in samples
-    ]
-    parts = (
-        torch.cat(
-            [features([data.observations for data in samples]), features([data.next_observations for data in samples])],
-            dim=1,
-        ),
-        dealt([actions(data) for data in samples]).contiguous(),
-        dealt([data.rewards for data in samples]).contiguous(),
-        dealt(discounts).contiguous(),
-        next_signs.contiguous(),
+def _tensors(model: Any, data: Any) -> tuple[torch.Tensor, ...]:
+    """Return the features of a sample, those of its next observations, and what else a `Minibatch` has of it."""
+    extractor, actions, next_signs = model.actor.features_extractor, data.actions, torch.ones_like(data.rewards)
+    if isinstance(extractor, MirroredEgoFrameExtractor) and extractor.steering:
+        actions, next_signs = extractor.mirror(actions, data.observations), extractor.sign(data.next_observations)
+    gamma = model.gamma if getattr(data, "discounts", None) is None else data.discounts
+    features, next_features = (
+        model.actor.extract_features(part, extractor) for part in (data.observations, data.next_observations)
     )
-    return map(Minibatch, *parts)
+    return features, next_features, actions, data.rewards, (1 - data.dones) * gamma, next_signs

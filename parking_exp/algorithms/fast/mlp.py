@@ -5,6 +5,7 @@ that nothing reads. These passes use the operations that autograd would use, so 
 Where torch's float32 matmul precision is not `highest`, wide layers go through oneDNN.
 """
 
+from collections.abc import Sequence
 from itertools import pairwise
 from typing import Any, cast
 
@@ -16,18 +17,16 @@ from torch import nn
 WIDE = 128
 _onednn: Any = getattr(torch.ops.mkldnn, "_linear_pointwise", None) if torch.backends.mkldnn.is_available() else None
 
-Layer = tuple[torch.Tensor, torch.Tensor]
-
 
 class MLP:
     """Linear layers with ReLU between them, as `stable_baselines3.common.torch_layers.create_mlp` makes them.
 
     Args:
-        layers: (weight, bias) of each, from input to output.
+        tensors: weight, bias, weight, ..., from input to output.
     """
 
-    def __init__(self, layers: list[Layer]) -> None:
-        self.layers = layers
+    def __init__(self, tensors: Sequence[torch.Tensor]) -> None:
+        self.layers = list(zip(tensors[::2], tensors[1::2], strict=True))
 
     def forward(self, x: torch.Tensor) -> list[torch.Tensor]:
         """Return the input of every layer, and the output last; x has the shape (batch, inputs)."""
@@ -83,11 +82,6 @@ def linear_layers(module: nn.Sequential, last: type[nn.Module] | None = None) ->
 def parameters(module: nn.Sequential) -> list[torch.Tensor]:
     """Return weight, bias, weight, ... of an MLP's layers."""
     return [tensor for layer in module if isinstance(layer, nn.Linear) for tensor in (layer.weight, layer.bias)]
-
-
-def as_layers(tensors: list[torch.Tensor]) -> list[Layer]:
-    """Pair weight, bias, weight, ... up."""
-    return list(zip(tensors[::2], tensors[1::2], strict=True))
 
 
 def _by_onednn(weight: torch.Tensor) -> bool:

@@ -67,12 +67,12 @@ class Adam:
     def is_bound(self) -> bool:
         """Whether the optimizer's state is still the one that is stepped here; loading replaces it."""
         state = self.optimizer.state
-        mine = zip(self.parameters.tensors, self._mean.tensors, self._square.tensors, strict=True)
+        states = zip(self.parameters.tensors, self._mean.tensors, self._square.tensors, strict=True)
         return (
             all(flat.is_whole for flat in (self.parameters, self._steps, self._mean, self._square))
             and all(
                 state[parameter].get("exp_avg") is mean and state[parameter].get("exp_avg_sq") is square
-                for parameter, mean, square in mine
+                for parameter, mean, square in states
             )
             and int(self._steps.vector[0].item()) == self._step
         )

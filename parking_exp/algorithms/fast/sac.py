@@ -11,7 +11,7 @@ from torch import nn
 from parking_exp.algorithms.fast.base import FastTraining
 from parking_exp.algorithms.fast.critics import Critics
 from parking_exp.algorithms.fast.minibatches import Minibatch, sample_minibatches
-from parking_exp.algorithms.fast.mlp import MLP, as_layers, parameters
+from parking_exp.algorithms.fast.mlp import MLP, parameters
 from parking_exp.algorithms.fast.optimizer import Adam, FlatTensors
 
 LOG_SQRT_2_PI = math.log(math.sqrt(2 * math.pi))
@@ -26,8 +26,8 @@ class _Update:
         body, mean, log_std = parameters(model.actor.latent_pi), model.actor.mu, model.actor.log_std
         assert isinstance(mean, nn.Linear)
         assert isinstance(log_std, nn.Linear)
-        self.actor = MLP(as_layers(body))
-        self.mean, self.log_std = (MLP([(head.weight, head.bias)]) for head in (mean, log_std))
+        self.actor = MLP(body)
+        self.mean, self.log_std = (MLP([head.weight, head.bias]) for head in (mean, log_std))
         self.flat = FlatTensors([*body, mean.weight, mean.bias, log_std.weight, log_std.bias])
         self.adam = Adam(model.actor.optimizer, self.flat)
         self.ent_coef_adam: Adam | None = None
@@ -37,8 +37,10 @@ class _Update:
     def is_bound(self, model: Any) -> bool:
         """Whether the networks and optimizers are still the model's."""
         pairs = [(self.adam, model.actor.optimizer), (self.ent_coef_adam, model.ent_coef_optimizer)]
-        mine = all(adam.optimizer is optimizer and adam.is_bound for adam, optimizer in pairs if adam is not None)
-        return mine and self.critics.is_bound(model)
+        actor_is_bound = all(
+            adam.optimizer is optimizer and adam.is_bound for adam, optimizer in pairs if adam is not None
+        )
+        return actor_is_bound and self.critics.is_bound(model)
 
     def run(self, model: Any, gradient_steps: int, batch_size: int) -> dict[str, float]:
         """Do `gradient_steps` updates and return the means of what Stable-Baselines3 logs."""

@@ -13,13 +13,7 @@ from parking_exp.algorithms.fast.optimizer import is_plain_adam
 from parking_exp.algorithms.features import EgoFrameExtractor, FineEgoFrameExtractor, MirroredEgoFrameExtractor
 from parking_exp.algorithms.mirrored_policies import MirroredActor, MirroredCritic, MirroredGaussianActor
 
-EXTRACTORS = (
-    EgoFrameExtractor,
-    FineEgoFrameExtractor,
-    MirroredEgoFrameExtractor,
-    CombinedExtractor,
-    FlattenExtractor,
-)
+EXTRACTORS = (EgoFrameExtractor, FineEgoFrameExtractor, MirroredEgoFrameExtractor, CombinedExtractor, FlattenExtractor)
 
 
 def is_supported(model: Any) -> bool:
@@ -41,9 +35,9 @@ def is_supported(model: Any) -> bool:
     return bool(
         known
         and all(linear_layers(cast(nn.Sequential, network)) for network in critic.q_networks)
-        and all(type(one.features_extractor) in EXTRACTORS for one in (actor, critic))
+        and all(type(network.features_extractor) in EXTRACTORS for network in (actor, critic))
         and type(actor.features_extractor) is type(critic.features_extractor)
-        and all(_is_fully_trained(one) for one in (actor, critic))
+        and all(_is_fully_trained(network) for network in (actor, critic))
         and (ent_coef_optimizer is None or is_plain_adam(ent_coef_optimizer))
     )
 

@@ -8,7 +8,7 @@ import torch
 from parking_exp.algorithms.fast.base import FastTraining
 from parking_exp.algorithms.fast.critics import Critics
 from parking_exp.algorithms.fast.minibatches import sample_minibatches
-from parking_exp.algorithms.fast.mlp import MLP, as_layers, parameters
+from parking_exp.algorithms.fast.mlp import MLP, parameters
 from parking_exp.algorithms.fast.optimizer import Adam, FlatTensors, polyak_update
 
 
@@ -18,14 +18,16 @@ class _Update:
     def __init__(self, model: Any) -> None:
         self.critics = Critics(model)
         actor, target = parameters(model.actor.mu), parameters(model.actor_target.mu)
-        self.actor, self.target = MLP(as_layers(actor)), MLP(as_layers(target))
+        self.actor, self.target = MLP(actor), MLP(target)
         self.flat, self.flat_target = FlatTensors(actor), FlatTensors(target)
         self.adam = Adam(model.actor.optimizer, self.flat)
 
     def is_bound(self, model: Any) -> bool:
         """Whether the networks and optimizers are still the model's."""
-        mine = self.adam.optimizer is model.actor.optimizer and self.adam.is_bound and self.flat_target.is_whole
-        return mine and self.critics.is_bound(model)
+        actor_is_bound = (
+            self.adam.optimizer is model.actor.optimizer and self.adam.is_bound and self.flat_target.is_whole
+        )
+        return actor_is_bound and self.critics.is_bound(model)
 
     def run(self, model: Any, gradient_steps: int, batch_size: int) -> dict[str, float]:
         """Do `gradient_steps` updates and return the means of what Stable-Baselines3 logs."""

@@ -22,7 +22,7 @@ from parking_exp.envs.geometry import (
     WALL_POSITIONS,
     WALL_THICKNESS_M,
 )
-from parking_exp.envs.simulator.state import State
+from parking_exp.envs.simulator.scene_state import SceneState
 
 ALONG, ACROSS = np.array([-0.5, -0.5, 0.5, 0.5]), np.array([-0.5, 0.5, 0.5, -0.5])
 NEXT_CORNER = np.array([1, 2, 3, 0])
@@ -136,14 +136,14 @@ class Collisions:
         self._pairs = np.array(pairs, int).reshape(-1, 2)
         self._diagonals = np.append(np.full(count, CAR_DIAGONAL_M), WALL_DIAGONALS)
 
-    def resolve(self, state: State) -> None:
+    def resolve(self, state: SceneState) -> None:
         """Detect the collisions of a frame; write crashes, and the impacts of the next frame, into the state."""
         self._resolve_cars(state)
         # Parked cars stand apart until one of them is pushed.
         if state.disturbed.any():
             self._resolve_parked(state)
 
-    def _resolve_cars(self, state: State) -> None:
+    def _resolve_cars(self, state: SceneState) -> None:
         scene, obstacle = self._near_cars(state)
         if not len(scene):
             return
@@ -156,7 +156,7 @@ class Collisions:
         if soon.any():
             self._push(state, scene[soon], obstacle[soon], push[soon])
 
-    def _push(self, state: State, scene: np.ndarray, obstacle: np.ndarray, push: np.ndarray) -> None:
+    def _push(self, state: SceneState, scene: np.ndarray, obstacle: np.ndarray, push: np.ndarray) -> None:
         """Write the impacts on cars: a wall pushes the whole way out, a parked car half of it, and is pushed as far."""
         if self.count:
             cars = obstacle < self.count
@@ -168,7 +168,7 @@ class Collisions:
         state.hit[scene, 0] = True
         state.impact[scene, 0] = push
 
-    def _resolve_parked(self, state: State) -> None:
+    def _resolve_parked(self, state: SceneState) -> None:
         rows = np.flatnonzero(state.disturbed)
         positions = np.concatenate([state.parked[rows], np.tile(WALL_POSITIONS, (len(rows), 1, 1))], axis=1)
         first, second = self._pairs.T
@@ -186,19 +186,19 @@ class Collisions:
         state.hit[pushed] = True
         state.impact[pushed] = np.stack([push, -push], axis=1)[cars]
 
-    def _corners(self, state: State, scene: np.ndarray, obstacle: np.ndarray) -> np.ndarray:
+    def _corners(self, state: SceneState, scene: np.ndarray, obstacle: np.ndarray) -> np.ndarray:
         """Return the corners of obstacles, shape (n, 4, 2)."""
         wall = obstacle - self.count
-        found: np.ndarray = WALL_CORNERS.take(np.maximum(wall, 0), axis=0)
+        obstacle_corners: np.ndarray = WALL_CORNERS.take(np.maximum(wall, 0), axis=0)
         if self.count:
             cars = wall < 0
             which = scene[cars], obstacle[cars]
             heading = state.parked_heading[which]
             direction = np.stack([np.cos(heading), np.sin(heading)], axis=-1)
-            found[cars] = corners(state.parked[which], direction, CAR_LENGTH_M, CAR_WIDTH_M)
-        return found
+            obstacle_corners[cars] = corners(state.parked[which], direction, CAR_LENGTH_M, CAR_WIDTH_M)
+        return obstacle_corners
 
-    def _near_cars(self, state: State) -> tuple[np.ndarray, np.ndarray]:
+    def _near_cars(self, state: SceneState) -> tuple[np.ndarray, np.ndarray]:
         """Return scenes and numbers of the obstacles that the cars may touch, parked cars first."""
         travel = state.speed * self.dt
         if not self.count:
@@ -208,7 +208,7 @@ class Collisions:
         at_wall, wall = self._near_walls(state, travel)
         return np.concatenate([scene, at_wall]), np.concatenate([obstacle, self.count + wall])
 
-    def _near_walls(self, state: State, travel: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def _near_walls(self, state: SceneState, travel: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         if not self.walls:
             return np.empty(0, int), np.empty(0, int)
         # The circles around the walls hold most of the lot: leave out first what cannot reach the line of a wall.

@@ -11,23 +11,6 @@ from parking_exp.envs.geometry import CAR_LENGTH_M
 Range = tuple[float, float]
 
 
-def scale(actions: np.ndarray, low: np.ndarray, span: np.ndarray) -> np.ndarray:
-    """Map actions in [-1, 1], shape (n, k), to ranges, in the precision of the actions, as highway-env does.
-
-    Args:
-        actions: shape (n, k).
-        low, span: lower ends and lengths of the ranges, shape (k,).
-
-    Returns:
-        Values in double precision, shape (k, n).
-    """
-    scaled = actions - -1
-    scaled *= span.astype(actions.dtype)
-    scaled /= 2
-    scaled += low.astype(actions.dtype)
-    return scaled.T.astype(np.float64)
-
-
 def slip_angle(steering: np.ndarray) -> np.ndarray:
     """Return the angle between the direction of motion at the car's centre and its heading."""
     angle: np.ndarray = np.arctan(0.5 * np.tan(steering))

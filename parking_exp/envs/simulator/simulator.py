@@ -22,8 +22,8 @@ from parking_exp.envs.outcomes import Pose, relative_pose
 from parking_exp.envs.reward import GoalReward
 from parking_exp.envs.scenes import Scenes
 from parking_exp.envs.simulator.collisions import Collisions, extent
-from parking_exp.envs.simulator.dynamics import Range, advance, limited_acceleration, scale, slip_angle
-from parking_exp.envs.simulator.state import State
+from parking_exp.envs.simulator.dynamics import Range, advance, limited_acceleration, slip_angle
+from parking_exp.envs.simulator.scene_state import SceneState
 from parking_exp.errors import ConfigError
 
 # highway-env's own ranges, where the config has none: of ContinuousAction and of Vehicle.
@@ -49,11 +49,11 @@ class Simulator:
         ConfigError: an option is not covered.
     """
 
-    state: State
+    state: SceneState
 
     def __init__(self, config: EnvConfig, scenes: Scenes) -> None:
-        if config.uncovered:
-            raise ConfigError(f"env.{config.uncovered[0]} is not simulated; use env.simulator=highway_env")
+        if config.action.dynamical:
+            raise ConfigError("env.action.dynamical is not simulated; use env.simulator=highway_env")
         action = config.action
         acceleration = _range(action.acceleration_range, ACCELERATION_RANGE_MPS2) if action.longitudinal else None
         steering = _range(action.steering_range, STEERING_RANGE_RAD) if action.lateral else None
@@ -85,12 +85,12 @@ class Simulator:
     def start(self, scenes: Scenes, rows: np.ndarray | None = None) -> None:
         """Start anew, all scenes or the given rows."""
         if rows is None:
-            self.state = State.at_start(scenes)
+            self.state = SceneState.at_start(scenes)
         else:
-            self.state.restart(rows, scenes)
+            self.state.put(rows, SceneState.at_start(scenes))
 
     def keep(self, rows: np.ndarray) -> None:
-        """Go on with some of the scenes only, by index or mask."""
+        """Keep only some of the scenes, by index or mask."""
         self.state = self.state.take(np.arange(len(self))[rows])
 
     def observe(self, rows: np.ndarray | slice = slice(None)) -> dict[str, np.ndarray]:
@@ -102,16 +102,12 @@ class Simulator:
 
         Args:
             actions: shape (n, 1 or 2), in [-1, 1]: acceleration, then steering, those that the config leaves.
-
-        Raises:
-            ValueError: the actions have another shape.
         """
         state = self.state
         actions = np.asarray(actions)
         if actions.dtype.kind != "f":
             actions = actions.astype(np.float64)
-        if actions.shape != (len(self), self.action_size):
-            raise ValueError(f"actions have the shape {actions.shape}, not {(len(self), self.action_size)}")
+        assert actions.shape == (len(self), self.action_size), f"actions have the shape {actions.shape}"
         acceleration, steering = self._controls(actions)
         before = state.position, state.heading, state.speed
         rows = self._drive(acceleration, steering)
@@ -134,25 +130,23 @@ class Simulator:
         """Return x [m], y [m], heading [rad] and signed speed [m/s] of all cars, shape (n, 4)."""
         return np.column_stack([*self.state.position, self.state.heading, self.state.speed])
 
-    def close(self) -> None:
-        """Nothing to close."""
-
     def get_state(self) -> dict[str, np.ndarray]:
         """Return a copy of the state as plain arrays, to be saved and given to `set_state`."""
-        return {name: array.copy() for name, array in self.state.arrays()}
+        return {name: array.copy() for name, array in vars(self.state).items()}
 
     def set_state(self, state: dict[str, np.ndarray]) -> None:
         """Restore a state; what follows is identical."""
-        self.state = State(**{name: np.array(array) for name, array in state.items()})
-
-    def compute_reward(self, achieved_goal: np.ndarray, desired_goal: np.ndarray, info: object = None) -> np.ndarray:
-        """Return the reward of goals, collisions apart: shape (...) for goals of shape (..., 6)."""
-        return self.reward(achieved_goal, desired_goal)[0]
+        self.state = SceneState(**{name: np.array(array) for name, array in state.items()})
 
     def _controls(self, actions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         if self.clip:
             actions = np.minimum(np.maximum(actions, -1), 1)
-        controls = scale(actions, self._low, self._span)
+        # From [-1, 1] to the ranges, in the precision of the actions, as highway-env does.
+        scaled = actions - -1
+        scaled *= self._span.astype(actions.dtype)
+        scaled /= 2
+        scaled += self._low.astype(actions.dtype)
+        controls = scaled.T.astype(np.float64)
         if self.action_size == 2:
             return controls[0], controls[1]
         none = np.zeros(len(actions))
@@ -202,7 +196,7 @@ class Simulator:
         near[close] |= (offset[..., 0] ** 2 + offset[..., 1] ** 2 < reach[close, None] ** 2).any(axis=1)
         return near
 
-    def _drive_by_frames(self, state: State, acceleration: np.ndarray, steering: np.ndarray) -> None:
+    def _drive_by_frames(self, state: SceneState, acceleration: np.ndarray, steering: np.ndarray) -> None:
         """Integrate a step frame by frame, in place, with speed limits, collisions and their consequences."""
         low, high = self.speed_range
         fastest = np.abs(state.speed) + np.abs(acceleration) * (self.frames * self.dt)

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -9,6 +10,7 @@ import torch
 from hydra.utils import get_class, get_object, instantiate
 from stable_baselines3.common.noise import ActionNoise, NormalActionNoise
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
+from stable_baselines3.common.save_util import recursive_getattr
 from stable_baselines3.common.torch_layers import CombinedExtractor
 from stable_baselines3.common.vec_env import VecEnv
 from torch import nn
@@ -17,12 +19,9 @@ from parking_exp.algorithms.features import EgoFrameExtractor, FineEgoFrameExtra
 from parking_exp.algorithms.mirrored_policies import MIRRORED
 from parking_exp.algorithms.noise import VectorizedNormalNoise
 from parking_exp.buffers import HerBuffer
-from parking_exp.config.constructor_arguments import POLICY, ignored_features, not_mirrored, policy_class, takes
+from parking_exp.config.constructor_arguments import CLASS_ARGUMENTS, POLICY, not_mirrored, policy_class, takes
 from parking_exp.config.schema import RunConfig
-from parking_exp.config.targets import CLASS_ARGUMENTS
 from parking_exp.envs.interface import Policy
-from parking_exp.envs.reward import GoalReward
-from parking_exp.envs.training_envs import is_parking
 from parking_exp.errors import ConfigError
 
 
@@ -31,19 +30,20 @@ def build_model(config: RunConfig, env: VecEnv, seed: int, *, for_training: bool
 
     Args:
         config: the run.
-        env: training envs, or one env of the same spaces.
+        env: training envs, or one env of the same spaces. Where they have a `goal_reward`, the HER buffer relabels
+            with it.
         seed: of weights, exploration and minibatches.
         for_training: False skips the replay buffer, for a model that only predicts.
 
     Raises:
-        ConfigError: the library refuses an argument, or its policy ignores the features.
+        ConfigError: the library refuses an argument, or the algorithm would lose weights when it is saved.
     """
-    arguments = config.algorithm.arguments
+    target, arguments = config.algorithm.target, config.algorithm.arguments
     train_freq, gradient_steps = config.update_rounds()
     node: dict[str, Any] = {
         "policy": POLICY,
         **arguments,
-        "_target_": config.algorithm.target,
+        "_target_": target,
         "_convert_": "all",
         "_partial_": True,
         "gradient_steps": gradient_steps,
@@ -57,21 +57,23 @@ def build_model(config: RunConfig, env: VecEnv, seed: int, *, for_training: bool
     build = instantiate(node)
     objects: dict[str, Any] = {"env": env, "train_freq": train_freq, "policy_kwargs": _policy_kwargs(config)}
     if config.algorithm.features == "ego_mirrored":
-        objects["policy"] = _mirrored_policy(config)
+        objects["policy"] = MIRRORED.get(policy_class(get_class(target)) or object)
+        if objects["policy"] is None:
+            raise ConfigError(not_mirrored(config.algorithm))
     if (noise := arguments.get("action_noise")) is not None:
         objects["action_noise"] = _action_noise(noise, env.num_envs)
     if for_training:
         objects["replay_buffer_class"] = get_class(config.buffer.target)
         objects["replay_buffer_kwargs"] = config.buffer.arguments
-        if issubclass(objects["replay_buffer_class"], HerBuffer) and is_parking(env):
-            objects["replay_buffer_kwargs"]["reward"] = GoalReward.of(config.env.for_training())
+        if issubclass(objects["replay_buffer_class"], HerBuffer) and env.has_attr("goal_reward"):
+            (objects["replay_buffer_kwargs"]["reward"],) = env.get_attr("goal_reward", 0)
     _skip_compiler_import()
     try:
         model = build(**objects)
     except (TypeError, ValueError, KeyError, AssertionError) as error:
-        raise ConfigError(f"algorithm: {config.algorithm.target} refuses its arguments: {error}") from error
-    if config.algorithm.features != "raw" and not _computes_ego_features(model):
-        raise ConfigError(ignored_features(config.algorithm))
+        raise ConfigError(f"algorithm: {target} refuses its arguments: {error}") from error
+    if unsaved := _unsaved_weights(model):
+        raise ConfigError(f"algorithm._target_={target}: its files would lose {', '.join(unsaved)}")
     return model
 
 
@@ -81,7 +83,7 @@ def greedy_policy(model: OffPolicyAlgorithm) -> Policy:
 
 
 def _skip_compiler_import() -> None:
-    """Keep torch from importing its compiler when the first optimizer is made: 1.1 s of a run's start (torch 2.13).
+    """Keep torch from importing its compiler when the first optimizer is made: 1.1 to 4 s of CPU time of every run.
 
     torch imports it to mark some methods of optimizers as never to be compiled, at their first call, unless they are
     marked: `torch._compile._disable_dynamo`. The mark set here is the plain method. Another torch ignores it.
@@ -92,34 +94,28 @@ def _skip_compiler_import() -> None:
             setattr(plain, "__dynamo_disable", plain)
 
 
-def _computes_ego_features(model: OffPolicyAlgorithm) -> bool:
-    """Whether a network of the model has the features extractor; policies of other libraries may not take it."""
-    networks = [one for one in vars(model).values() if isinstance(one, nn.Module)]
-    return any(isinstance(module, EgoFrameExtractor) for network in networks for module in network.modules())
-
-
-def _mirrored_policy(config: RunConfig) -> type:
-    """Return the policy that mirrors the steering with its features."""
-    policy = MIRRORED.get(policy_class(get_class(config.algorithm.target)) or object)
-    if policy is None:
-        raise ConfigError(not_mirrored(config.algorithm))
-    return policy
+def _unsaved_weights(model: OffPolicyAlgorithm) -> list[str]:
+    """Return the networks, optimizers and tensors of a model that its `_get_torch_save_params()` does not name."""
+    saved = [recursive_getattr(model, name) for name in chain(*model._get_torch_save_params())]
+    if not saved:  # such as the classes of sbx
+        return ["all weights"]
+    parts = {id(part) for value in saved for part in (value.modules() if isinstance(value, nn.Module) else [value])}
+    kinds = (nn.Module, torch.optim.Optimizer, torch.Tensor)
+    return [name for name, value in vars(model).items() if isinstance(value, kinds) and id(value) not in parts]
 
 
 def _policy_kwargs(config: RunConfig) -> dict[str, Any]:
     policy_kwargs: dict[str, Any] = {"net_arch": list(config.algorithm.net_arch)}
-    if config.algorithm.features == "ego":
-        policy_kwargs["features_extractor_class"] = EgoFrameExtractor
-        policy_kwargs["features_extractor_kwargs"] = {"scales": list(config.env.observation.scales)}
-    elif config.algorithm.features in ("ego_fine", "ego_mirrored"):
-        policy_kwargs["features_extractor_class"] = FineEgoFrameExtractor
-        policy_kwargs["features_extractor_kwargs"] = {
-            "scales": list(config.env.observation.scales),
-            "reward_weights": list(config.env.reward_weights),
-        }
-        if config.algorithm.features == "ego_mirrored":
-            policy_kwargs["features_extractor_class"] = MirroredEgoFrameExtractor
-            policy_kwargs["features_extractor_kwargs"]["steering"] = config.env.action.lateral
+    scales = {"scales": list(config.env.observation.scales)}
+    fine = {**scales, "reward_weights": list(config.env.reward_weights)}
+    extractors = {
+        "ego": (EgoFrameExtractor, scales),
+        "ego_fine": (FineEgoFrameExtractor, fine),
+        "ego_mirrored": (MirroredEgoFrameExtractor, {**fine, "steering": config.env.action.lateral}),
+    }
+    if config.algorithm.features in extractors:
+        extractor, arguments = extractors[config.algorithm.features]
+        policy_kwargs |= {"features_extractor_class": extractor, "features_extractor_kwargs": arguments}
     elif (policy := policy_class(get_class(config.algorithm.target))) is None or takes(
         policy, "features_extractor_class"
     ):
@@ -132,16 +128,11 @@ def _policy_kwargs(config: RunConfig) -> dict[str, Any]:
 
 
 def _class(value: Any) -> Any:
-    """Return the class that a dotted path or a `_target_` node names; with the node's arguments, if it has any."""
-    if isinstance(value, str):
-        return get_class(value)
-    if not isinstance(value, Mapping):
-        return value
-    found = get_object(value["_target_"])
-    is_class = isinstance(found, type)
-    if is_class and not set(value) - {"_target_", "_partial_"}:
-        return found
-    return instantiate({**value, "_convert_": "all", "_partial_": is_class})
+    """Return the class that a dotted path names, or what a `_target_` node makes: a class with arguments for it."""
+    if isinstance(value, Mapping):
+        is_class = isinstance(get_object(value["_target_"]), type)
+        return instantiate({**value, "_convert_": "all", "_partial_": is_class})
+    return get_class(value) if isinstance(value, str) else value
 
 
 def _action_noise(node: Mapping[str, Any], n_envs: int) -> ActionNoise:

@@ -2,20 +2,19 @@
 
 import os
 import resource
-import signal
 import socket
 import sys
 import time
 import traceback
 from collections.abc import Mapping
-from contextlib import nullcontext
+from contextlib import closing, nullcontext
+from functools import partial
 from typing import Any
 
 import torch
 from omegaconf import DictConfig
 
-from parking_exp.algorithms.build import torch_settings
-from parking_exp.algorithms.save_check import check_saving
+from parking_exp.algorithms.build_model import torch_settings
 from parking_exp.config.schema import RunConfig
 from parking_exp.config.validate import validate
 from parking_exp.errors import ConfigError, FailedRunError, InterruptedRunError
@@ -28,10 +27,8 @@ from parking_exp.terminal import say
 from parking_exp.tracking.mirror import later
 from parking_exp.tracking.tracker import Tracker, open_tracker
 from parking_exp.training import checkpoints
-from parking_exp.training.checkpoints import Progress
 from parking_exp.training.finish import finish
 from parking_exp.training.loop import TrainingLoop
-from parking_exp.training.progress import TrainingProgress
 from parking_exp.training.signals import StopRequest, interrupt, stop_on_signal
 
 
@@ -39,7 +36,9 @@ def train(config: DictConfig | Mapping[str, Any] | RunConfig, *, supervised: boo
     """Train, evaluate and track one run, or finish what is left of it.
 
     A run that is done returns its stored result. One that was interrupted resumes from its latest whole checkpoint.
-    `supervised`: another process holds the run's supervisor lock, and has started this one for it.
+    Args:
+        config: of the run.
+        supervised: whether a process that holds the run's supervisor lock has started this one.
 
     Raises:
         ConfigError: the config cannot run; nothing was made on disk.
@@ -50,10 +49,9 @@ def train(config: DictConfig | Mapping[str, Any] | RunConfig, *, supervised: boo
     """
     config = validate(config)
     directory = RunDirectory(config.run_dir)
-    if directory.result() is None:
-        if config.device.startswith("cuda") and int(config.device[5:] or 0) >= torch.cuda.device_count():
-            raise ConfigError(f"device={config.device}: torch finds no such device; the closest valid choice is auto")
-        check_saving(config)
+    lacks_device = config.device.startswith("cuda") and int(config.device[5:] or 0) >= torch.cuda.device_count()
+    if lacks_device and directory.result() is None:
+        raise ConfigError(f"device={config.device}: torch finds no such device; the closest valid choice is auto")
     with nullcontext() if supervised else directory.supervisor_lock(), directory.training_lock():
         if (result := directory.result()) is not None:
             say("already done; to train it afresh, change the seed or delete its directory")
@@ -75,43 +73,29 @@ def _train(config: RunConfig, directory: RunDirectory, stop: StopRequest) -> Run
     tracker = Tracker()
     try:
         checkpoint = checkpoints.latest(directory.checkpoints)
-        progress = checkpoints.read_progress(checkpoint) if checkpoint else Progress()
         restore_logs(directory.path, checkpoint)
-        shown = config.tracking.progress_bar
-        with TrainingProgress(config.total_timesteps, progress.step, shown, heartbeat=directory.heartbeat) as bar:
-            bar.say(f"{config.cell}, seed {config.seed}: {config.total_timesteps} env steps, in {directory.path}")
-            tracker = open_tracker(config, directory, bar.say)
-            loop = TrainingLoop(
-                config=config,
-                directory=directory,
-                tracker=tracker,
-                progress=progress,
-                checkpoint=checkpoint,
-                stop=stop,
-                bar=bar,
-            )
-            loop.learn()
-            with loop.evaluated_policy():
-                episodes = finish(loop)
+        tracker = open_tracker(config, directory, partial(say, stderr=True))
+        with closing(TrainingLoop(config, directory, tracker, checkpoint, stop)) as loop:
+            try:
+                loop.learn()
+                with loop.average.applied():
+                    episodes = finish(loop)
+            except InterruptedRunError:
+                loop.save_checkpoint()
+                raise
         metrics = loop.metrics.latest()
         finished = RunResult(str(directory.path), directory.run_id, loop.model.num_timesteps, metrics)
-        directory.finish(finished, **_cost(finished))
-    except (InterruptedRunError, KeyboardInterrupt) as error:
+        directory.finish(finished, **_summary(finished))
+    except (InterruptedRunError, KeyboardInterrupt):
         directory.update(status="interrupted")
         tracker.close()
-        if isinstance(error, InterruptedRunError):
-            raise
-        raise InterruptedRunError("left at once; the last checkpoint stands", signal.SIGINT) from None
+        raise
     except BaseException as error:
         _record_failure(error, directory, tracker)
         raise FailedRunError(
             f"the run failed: {type(error).__name__}: {error}; its traceback is in {directory.path / 'traceback.txt'}"
         ) from error
-    try:
-        tracker.close()
-    except KeyboardInterrupt:
-        words = f"the run is done, its store is not up to date; {later(config.output_path, directory.tracking_uri)}"
-        raise InterruptedRunError(words, signal.SIGINT) from None
+    tracker.close()
     result = directory.result()
     assert result is not None
     say(*describe(episodes).split("\n"), *_closing_lines(result, directory))
@@ -119,27 +103,23 @@ def _train(config: RunConfig, directory: RunDirectory, stop: StopRequest) -> Run
 
 
 def _record_failure(error: BaseException, directory: RunDirectory, tracker: Tracker) -> None:
-    """Leave a status and a traceback behind, as far as a full disk or a lost store allows."""
-    steps = (
-        lambda: directory.update(status="failed", error=f"{type(error).__name__}: {error}"),
-        lambda: write_atomically(directory.path / "traceback.txt", "".join(traceback.format_exception(error))),
-        tracker.close,
-    )
-    for step in steps:
-        try:
-            step()
-        except Exception as another:  # the first error is the one to report; this one rides along
-            error.add_note(f"while recording the failure: {type(another).__name__}: {another}")
+    """Write down status and traceback, as far as a full disk allows."""
+    try:
+        directory.update(status="failed", error=f"{type(error).__name__}: {error}")
+        write_atomically(directory.path / "traceback.txt", "".join(traceback.format_exception(error)))
+        tracker.close()
+    except Exception as another:  # the first error is the one to report
+        error.add_note(f"while recording the failure: {type(another).__name__}: {another}")
 
 
-def _cost(result: RunResult) -> dict[str, float | None]:
-    """Return what tables of many runs show without opening any: success, and what the run took."""
-    used = resource.getrusage(resource.RUSAGE_SELF)
+def _summary(result: RunResult) -> dict[str, float | None]:
+    """Return the entries of status.json that tables of many runs show: success, and what the run took."""
+    usage = resource.getrusage(resource.RUSAGE_SELF)
     return {
         "success_rate": result.metrics.get("final/success_rate"),
         "wall_s": result.metrics.get("time/wall_s"),
         "cpu_s": result.metrics.get("time/cpu_s"),
-        "memory_bytes": used.ru_maxrss * (1 if sys.platform == "darwin" else 1024),
+        "memory_bytes": usage.ru_maxrss * (1 if sys.platform == "darwin" else 1024),
     }
 
 

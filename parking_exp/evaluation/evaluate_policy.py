@@ -3,22 +3,21 @@
 Scene s is what `env.reset(seed=s)` of highway-env makes.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
-import gymnasium as gym
 import numpy as np
 import pandas as pd
 
 from parking_exp.config.schema import EnvConfig, Simulation
-from parking_exp.envs.interface import Observation, Policy, SceneBatch
+from parking_exp.envs.interface import Policy
 from parking_exp.envs.outcomes import outcome
-from parking_exp.envs.scene_batches import start_scenes
+from parking_exp.envs.scene_batches import SceneBatch, start_scenes
 from parking_exp.evaluation.metrics import EPISODE_COLUMNS, METRICS, RANKING, Episode
 from parking_exp.evaluation.trajectories import Recorder
 
-SIDE_BY_SIDE = 250  # scenes that are stepped together; more are no faster, and between two steps one can stop
-TOLERANCE = 1e-9  # of continuous columns, between two simulators
+BATCH_SIZE = 250  # scenes that are stepped together; more are no faster, and a signal is noticed between two steps
+TOLERANCE = 1e-9  # of numbers, between two simulators
 
 
 def evaluate(
@@ -31,13 +30,13 @@ def evaluate(
 ) -> pd.DataFrame:
     """Run one episode in each scene and return one row per episode, in the order of `scenes`.
 
-    The policy sees all scenes at once; finished ones are dropped. Whatever simulates them, it sees the same batches.
+    The policy sees the scenes in batches, without those that are finished: the same batches in either simulator.
 
     Args:
         policy: what is evaluated.
         env: the `env` group; episodes last its `duration`.
         scenes: seeds of `env.reset`.
-        on_step: called after each step of all episodes with the number that have finished; may raise to stop.
+        on_step: called after each step of a batch with the number of finished episodes; may raise to stop.
         simulator: what simulates the scenes; None: the env's own.
         recorder: is given the cars of all scenes at the start and after each step.
 
@@ -45,14 +44,10 @@ def evaluate(
         Frame with the columns `metrics.EPISODE_COLUMNS`.
     """
     rows: list[dict[str, Any]] = []
-    for first in range(0, len(scenes), SIDE_BY_SIDE):
-        chunk = scenes[first : first + SIDE_BY_SIDE]
-        batch = start_scenes(env, chunk, simulator)
-        try:
-            for row in _episodes(policy, batch, np.asarray(chunk), on_step, recorder, finished=first):
-                rows.append(row)
-        finally:
-            batch.close()
+    for first in range(0, len(scenes), BATCH_SIZE):
+        seeds = np.asarray(scenes[first : first + BATCH_SIZE])
+        batch = start_scenes(env, seeds.tolist(), simulator)
+        _run_batch(policy, batch, seeds, rows, on_step, recorder)
     order = {scene: number for number, scene in enumerate(scenes)}
     rows.sort(key=lambda row: order[row["scene"]])
     return pd.DataFrame(rows, columns=EPISODE_COLUMNS)
@@ -60,14 +55,13 @@ def evaluate(
 
 def differences(episodes: pd.DataFrame, certified: pd.DataFrame) -> list[str]:
     """Compare two tables of the same scenes, episode by episode; return a phrase for each scene that differs."""
-    found = []
-    pairs = zip(episodes.to_dict("records"), certified.to_dict("records"), strict=True)
-    for ours, theirs in pairs:
-        columns = [name for name in EPISODE_COLUMNS if not _same(ours[name], theirs[name])]
+    phrases = []
+    for ours, theirs in zip(episodes.to_dict("records"), certified.to_dict("records"), strict=True):
+        columns = [name for name in EPISODE_COLUMNS if not _is_same(ours[name], theirs[name])]
         if columns:
             values = ", ".join(f"{name} {ours[name]} and {theirs[name]}" for name in columns)
-            found.append(f"scene {ours['scene']}: {values}")
-    return found
+            phrases.append(f"scene {ours['scene']}: {values}")
+    return phrases
 
 
 def summarise(episodes: pd.DataFrame) -> dict[str, float]:
@@ -77,33 +71,21 @@ def summarise(episodes: pd.DataFrame) -> dict[str, float]:
 
 def rank(summary: dict[str, float]) -> tuple[float, ...]:
     """Return the sort key of an evaluation: success rate, then fewer crashes, then fewer steps. Larger is better."""
-    ranked = [next(metric for metric in METRICS if metric.name == name) for name in RANKING]
+    metrics = {metric.name: metric for metric in METRICS}
+    ranked = [metrics[name] for name in RANKING]
     return tuple(summary[metric.key] if metric.higher_is_better else -summary[metric.key] for metric in ranked)
 
 
-def rollout(policy: Policy, env: gym.Env, scene: int) -> Iterator[tuple[Observation, dict[str, Any], bool]]:
-    """Yield (observation, info, done) of one episode, the start included."""
-    observation, info = env.reset(seed=scene)
-    done = False
-    yield observation, info, done
-    while not done:
-        action = policy(_stack([observation]))[0]
-        observation, _, terminated, truncated, info = env.step(action)
-        done = terminated or truncated
-        yield observation, info, done
-
-
-def _episodes(
+def _run_batch(
     policy: Policy,
     batch: SceneBatch,
     scenes: np.ndarray,
+    rows: list[dict[str, Any]],
     on_step: Callable[[int], None] | None,
     recorder: Recorder | None,
-    finished: int,
-) -> Iterator[dict[str, Any]]:
-    """Yield the row of each episode when it has ended."""
-    observation, steps = batch.observe(), 0
-    totals = np.zeros(len(scenes))
+) -> None:
+    """Step a batch until all episodes have ended; append the row of each when it ends."""
+    observation, steps, totals = batch.observe(), 0, np.zeros(len(scenes))
     if recorder is not None:
         recorder.add(scenes, batch.cars())
     while len(batch):
@@ -113,25 +95,19 @@ def _episodes(
         steps += 1
         totals += step.reward
         done = step.terminated | step.truncated
-        for row in np.flatnonzero(done):
-            ending = outcome(bool(step.crashed[row]), bool(step.is_success[row]))
-            episode = Episode(ending, steps, float(totals[row]), batch.pose(int(row)))
-            values: dict[str, Any] = {metric.name: metric.of(episode) for metric in METRICS}
-            values |= {"scene": int(scenes[row]), "outcome": ending}
-            yield {name: values[name] for name in EPISODE_COLUMNS}
+        for index in np.flatnonzero(done).tolist():
+            ending = outcome(bool(step.crashed[index]), bool(step.is_success[index]))
+            episode = Episode(ending, steps, float(totals[index]), batch.pose(index))
+            values = {metric.name: metric.of(episode) for metric in METRICS}
+            rows.append({"scene": int(scenes[index]), "outcome": ending, **values})
         observation = step.observation
         if done.any():
-            finished += int(done.sum())
             batch.keep(~done)
             scenes, totals = scenes[~done], totals[~done]
             observation = {key: value[~done] for key, value in observation.items()}
         if on_step is not None:
-            on_step(finished)
+            on_step(len(rows))
 
 
-def _same(ours: Any, theirs: Any) -> bool:
-    return abs(ours - theirs) <= TOLERANCE if isinstance(ours, float) else ours == theirs
-
-
-def _stack(observations: list[Observation]) -> Observation:
-    return {key: np.stack([observation[key] for observation in observations]) for key in observations[0]}
+def _is_same(value: Any, other: Any) -> bool:
+    return abs(value - other) <= TOLERANCE if isinstance(value, float) else value == other

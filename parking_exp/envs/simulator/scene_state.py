@@ -1,6 +1,6 @@
 """State of many scenes as arrays."""
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
@@ -12,7 +12,7 @@ COLUMNS = ("position", "direction")
 
 
 @dataclass
-class State:
+class SceneState:
     """Everything that the future of n scenes depends on, besides the actions. Scenes are rows, or columns of `COLUMNS`.
 
     Attributes:
@@ -47,45 +47,26 @@ class State:
     def at_start(cls, scenes: Scenes) -> Self:
         """Return the state in which scenes start."""
         n, count = scenes.parked.shape
-        state = cls(
-            goal=np.empty(n, np.int64),
-            position=np.empty((2, n)),
-            heading=np.empty(n),
-            direction=np.empty((2, n)),
-            speed=np.empty(n),
-            crashed=np.empty(n, bool),
-            steps=np.empty(n, np.int64),
-            parked=np.empty((n, count, 2)),
-            parked_heading=np.empty((n, count)),
-            hit=np.empty((n, 1 + count), bool),
+        return cls(
+            goal=scenes.goal.copy(),
+            position=np.zeros((2, n)),
+            heading=scenes.heading.copy(),
+            direction=np.array([np.cos(scenes.heading), np.sin(scenes.heading)]),
+            speed=np.zeros(n),
+            crashed=np.zeros(n, bool),
+            steps=np.zeros(n, np.int64),
+            parked=SLOT_POSITIONS[scenes.parked],
+            parked_heading=SLOT_HEADINGS[scenes.parked],
+            hit=np.zeros((n, 1 + count), bool),
             impact=np.zeros((n, 1 + count, 2)),
-            disturbed=np.empty(n, bool),
+            disturbed=np.zeros(n, bool),
         )
-        state.restart(slice(None), scenes)
-        return state
-
-    def restart(self, rows: np.ndarray | slice, scenes: Scenes) -> None:
-        """Start new scenes in some rows."""
-        self.goal[rows], self.heading[rows] = scenes.goal, scenes.heading
-        self.direction[0, rows], self.direction[1, rows] = np.cos(scenes.heading), np.sin(scenes.heading)
-        self.position[:, rows] = 0.0
-        self.speed[rows] = 0.0
-        self.steps[rows] = 0
-        self.crashed[rows] = False
-        self.hit[rows] = False
-        self.disturbed[rows] = False
-        if self.parked.shape[1]:
-            self.parked[rows], self.parked_heading[rows] = SLOT_POSITIONS[scenes.parked], SLOT_HEADINGS[scenes.parked]
 
     def take(self, rows: np.ndarray) -> Self:
         """Return the state of some scenes, by index, as a copy."""
-        return type(self)(**{name: a.take(rows, axis=int(name in COLUMNS)) for name, a in self.arrays()})
+        return type(self)(**{name: array.take(rows, axis=int(name in COLUMNS)) for name, array in vars(self).items()})
 
     def put(self, rows: np.ndarray, other: Self) -> None:
         """Replace the state of some scenes."""
-        for name, array in self.arrays():
+        for name, array in vars(self).items():
             array[(slice(None), rows) if name in COLUMNS else rows] = getattr(other, name)
-
-    def arrays(self) -> list[tuple[str, np.ndarray]]:
-        """Return all arrays by name."""
-        return [(field.name, getattr(self, field.name)) for field in fields(self)]

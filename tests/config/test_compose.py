@@ -1,0 +1,171 @@
+"""Tests of composing: options, overrides in Hydra's grammar, and what is refused before any value is checked."""
+
+import hydra
+import pytest
+from hydra import initialize_config_dir
+from hydra.core.global_hydra import GlobalHydra
+from omegaconf import OmegaConf
+from support.runs import GROUPS, make_config, options
+
+from parking_exp.config.compose import composed, config_dir
+from parking_exp.config.overrides import quoted
+from parking_exp.config.validate import validate
+from parking_exp.errors import ConfigError
+
+TUTORIAL = {
+    "total_timesteps": 10_000, "n_envs": 1, "updates_per_step": 1.0,
+    "env": {"training_duration": None, "training_success_goal_reward": None, "duration": 100},
+    "algorithm": {
+        "_target_": "parking_exp.algorithms.SAC", "features": "raw", "net_arch": [256, 256, 256], "learning_rate": 1e-3, "gamma": 0.95,
+        "batch_size": 256, "tau": 0.005, "learning_starts": 500,
+    },
+    "buffer": {"buffer_size": 1_000_000, "n_sampled_goal": 4, "goal_selection_strategy": "future"},
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("group", "option"),
+    [
+        pytest.param(group, option, marks=pytest.mark.slow if option in ("her_ablation", "her_relabelling") else ())
+        for group in GROUPS
+        for option in options(group)
+    ],
+)
+def test_every_option_of_every_group_composes_and_validates(group, option):
+    for composed_config in composed("config", [f"{group}={option}"]):
+        config = validate(composed_config)
+        if group in ("env", "algorithm", "buffer"):
+            assert getattr(config, group).name == option
+        if group == "experiment":
+            assert config.experiment_name == option
+
+
+def test_the_tutorial_is_the_usual_recipe():
+    plain = make_config("experiment=tutorial").plain()
+    for key, value in TUTORIAL.items():
+        assert ({name: plain[key][name] for name in value} if isinstance(value, dict) else plain[key]) == value
+    assert make_config("experiment=tutorial", "total_timesteps=1234").total_timesteps == 1234
+
+
+@pytest.mark.parametrize(
+    ("override", "named"),
+    [
+        ("sead=1", "'seed'"),
+        ("learning_rate=1e-3", "'algorithm.learning_rate'"),
+        ("n_sampled_goal=4", "'buffer.n_sampled_goal'"),
+        ("env=parkin_sparse", "'parking_sparse'"),
+        ("experiment=tutorail", "'tutorial'"),
+        ("algorithm.learning_rat=1", "'learning_rate'"),
+        ("algorithm.policy_kwargs.n_critics=3", "+algorithm.policy_kwargs.n_critics"),
+        ("tracking.mlfow=true", "'mlflow'"),
+        ("tracking={cvs:true}", "'csv'"),
+        ("algorithm.policy_kwargs=[1]", "algorithm.policy_kwargs"),
+        ("hydra.launcher.n_job=2", "'n_jobs'"),
+        ("hydra.launcher=3", "hydra.launcher=3"),
+        ("hydra=1", "hydra=1"),
+        ("seed.x=1", "seed.x"),
+        ("+seed=1", "seed"),
+        ("~seed=7", "seed"),
+        ("=3", "=3"),
+        ("env=null", "env=null"),
+        ("env@foo=parking", "env@foo"),
+        ("buffer=[replay,x]", "buffer=x"),
+        ("seed=[1", "seed=[1"),
+        ("run name=3", "run name=3"),
+        ("experiment_name='a", "experiment_name='a"),
+        ("algorithm=sac,", "algorithm=sac,"),
+        ("seed=choice()", "seed=choice()"),
+        ("env=glob(x*)", "env=glob(x*)"),
+        ("seed=interval(0,1)", "seed=interval(0,1)"),
+        (f"n_envs={'9' * 5000}", "n_envs"),
+        ("experiment=nowhere.yaml", "nowhere.yaml"),
+    ],
+)
+def test_what_does_not_compose_is_a_sentence_that_names_it(override, named):
+    with pytest.raises(ConfigError, match=r"^[^\n]+$") as refusal:
+        composed("config", [override])
+    assert named in str(refusal.value)
+
+
+@pytest.mark.parametrize(
+    "override", ["seed=???", "seed=${seed}", "experiment_name=${nowhere}", "output_dir=${oc.env:NOT_SET}"]
+)
+def test_a_missing_value_and_an_interpolation_without_one_name_their_key(override):
+    with pytest.raises(ConfigError, match=rf"^{override.partition('=')[0]}[^\n]+$"):
+        make_config(override)
+
+
+@pytest.mark.parametrize(
+    "lines",
+    [
+        ["experiment=smoke", "seed=1", "output_dir='/a b'"],
+        ["algorithm=td3", "+algorithm.policy_kwargs.n_critics=3", "~buffer.n_sampled_goal", "++algorithm.new=[1,2]"],
+        [
+            "env=parking_sparse",
+            "algorithm.learning_rate={_target_: a.b, end: 1}",
+            "tracking={csv: false, log_interval: 3}",
+        ],
+        ["algorithm.gamma=1", "algorithm.gamma=0.5", "experiment_name=${algorithm.name}"],
+    ],
+)
+def test_a_config_is_what_hydra_composes(lines):
+    (ours,) = composed("config", lines)
+    with initialize_config_dir(version_base="1.3", config_dir=str(config_dir())):
+        assert OmegaConf.to_yaml(ours) == OmegaConf.to_yaml(hydra.compose("config", lines))
+
+
+@pytest.mark.parametrize(
+    ("argument", "expected"),
+    [
+        ("seed=1", "seed=1"),
+        ("run=outputs/a/seed=0", "run='outputs/a/seed=0'"),
+        ("output_dir=/my runs/it's", r"output_dir='/my runs/it\'s'"),
+        ("output_dir='/my runs'", "output_dir='/my runs'"),
+        ("output_dir=/plain", "output_dir=/plain"),
+    ],
+)
+def test_paths_that_hydras_grammar_cannot_read_are_quoted(argument, expected):
+    assert quoted(argument) == expected
+
+
+def test_a_users_own_options_are_found_in_that_call_alone(tmp_path):
+    (tmp_path / "evaluation").mkdir()
+    (tmp_path / "evaluation" / "long.yaml").write_text("defaults: [default]\nn_scenes: 50\n")
+    for value in (50, 51):
+        (tmp_path / "evaluation" / "long.yaml").write_text(f"defaults: [default]\nn_scenes: {value}\n")
+        (config,) = composed("config", ["evaluation=long", "evaluation.first_scene=7"], str(tmp_path))
+        assert (config.evaluation.n_scenes, config.evaluation.first_scene) == (value, 7)
+    with pytest.raises(ConfigError, match=r"^evaluation=long"):
+        composed("config", ["evaluation=long"])
+
+
+def test_an_experiment_file_may_lie_anywhere(tmp_path):
+    file = tmp_path / "a b" / "mine=1.yaml"
+    file.parent.mkdir()
+    file.write_text("# @package _global_\ndefaults:\n  - override /algorithm: sac\nexperiment_name: mine\nn_envs: 2\n")
+    config = make_config(f"experiment='{file}'", "n_envs=4")
+    assert (config.experiment_name, config.algorithm.name, config.n_envs) == ("mine", "sac", 4)
+    file.write_text("n_envs: [")
+    with pytest.raises(ConfigError, match=r"mine=1.yaml"):
+        make_config(f"experiment='{file}'")
+
+
+def test_a_sweep_is_the_product_of_values_in_hydras_grammar():
+    one, other = composed("config", ["evaluation.n_scenes=5,10", "total_timesteps=7"])
+    assert (one.evaluation.n_scenes, other.evaluation.n_scenes) == (5, 10)
+    assert [config.tracking.csv for config in composed("config", ["tracking={csv: false},{csv: true}"])] == [
+        False,
+        True,
+    ]
+    assert [config.buffer.name for config in composed("config", ["buffer=glob(her_*)"])] == [
+        "her_episode", "her_final", "her_future", "her_random",
+    ]  # fmt: skip
+    assert len(composed("config", ["seed=0,1", "buffer=her_future,replay"])) == 4
+
+
+def test_composing_leaves_an_outer_hydra_as_it_was():
+    with initialize_config_dir(version_base="1.3", config_dir=str(config_dir())):
+        before = GlobalHydra.instance().hydra
+        composed("config", [])
+        assert GlobalHydra.instance().hydra is before
+    assert not GlobalHydra.instance().is_initialized()

@@ -1,0 +1,378 @@
+"""A run from its config to its result: what it leaves behind, and that nothing is lost when it is interrupted."""
+
+import re
+import shutil
+import signal
+import subprocess
+import time
+from contextlib import suppress
+
+import imageio.v3 as iio
+import numpy as np
+import pandas as pd
+import pytest
+import stable_baselines3
+import torch
+from stable_baselines3.common.results_plotter import load_results
+from support.runs import (
+    artifacts,
+    assert_store_is_whole,
+    history,
+    make_config,
+    only_run,
+    run_script,
+    script,
+    store,
+    type_here,
+    wait_for,
+)
+from support.sweep_processes import FAILING
+from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+
+from parking_exp import __version__
+from parking_exp.algorithms.build_model import build_model, greedy_policy
+from parking_exp.algorithms.model_files import load_weights
+from parking_exp.envs.reward import GoalReward
+from parking_exp.envs.training_envs import make_training_envs
+from parking_exp.errors import ConfigError, FailedRunError, RunLockedError
+from parking_exp.evaluation.evaluate_policy import evaluate
+from parking_exp.evaluation.metrics import EPISODE_COLUMNS, METRICS
+from parking_exp.runs.atomic_files import read_json, sha256
+from parking_exp.runs.directory import RunDirectory
+from parking_exp.tracking.mirror import flatten
+from parking_exp.training import checkpoints
+from parking_exp.training.finish import certified_scenes
+from parking_exp.training.train_run import train
+
+STEPS = [100, 200, 300, 400]
+
+
+def test_a_run_prints_its_progress_rates_with_intervals_and_where_things_are(smoke):
+    directory, process, _ = smoke
+    assert re.search(
+        r"^success +\d+\.\d%   95 % interval \d+\.\d% to \d+\.\d%   \d of 5$", process.stdout, re.MULTILINE
+    )
+    assert f"run directory  {directory.path}" in process.stdout
+    assert f"MLflow run     {directory.run_id}" in process.stdout
+    assert "Traceback" not in process.stderr
+    lines = [line for line in process.stderr.splitlines() if line.startswith("train ")]
+    assert 3 <= len(lines) <= 11
+    assert re.match(r"train  \d+/400 steps  success +\d+%  return +-?\d+\.\d  \d+ steps/s", lines[-1])
+
+
+def test_the_store_has_every_metric_of_an_evaluation(smoke):
+    directory, _, output_dir = smoke
+    client = store(output_dir)
+    for metric in METRICS:
+        assert [step for step, _ in history(client, directory.run_id, f"eval/{metric.key}")] == STEPS
+        assert [step for step, _ in history(client, directory.run_id, f"final/{metric.key}")] == [400]
+    for name in ("time/cpu_s", "time/wall_s"):
+        values = [value for _, value in history(client, directory.run_id, name)]
+        assert values == sorted(values)
+        assert len(values) == 4
+    metrics = client.get_run(directory.run_id).data.metrics
+    assert {"rollout/success_rate", "rollout/ep_rew_mean", "rollout/ep_len_mean", "train/critic_loss"} <= set(metrics)
+    final = pd.read_csv(directory.path / "episodes.csv").query("phase == 'final'")
+    assert metrics["final/distance_m_mean"] == pytest.approx(final["distance_m"].mean())
+    assert metrics["final/timeout_rate"] == (final["outcome"] == "timeout").mean()
+    assert_store_is_whole(output_dir, 400)
+
+
+def test_the_fraction_of_real_transitions_is_logged(smoke):
+    """With n_sampled_goal=2 a third is real, besides transitions that may have no virtual goal."""
+    directory, _, output_dir = smoke
+    fractions = history(store(output_dir), directory.run_id, "buffer/real_share")
+    assert len(fractions) >= 4
+    with np.load(checkpoints.latest(directory.checkpoints) / checkpoints.BUFFER) as buffer:
+        real, virtual = buffer["sampled"]
+    assert fractions[-1] == (400, pytest.approx(real / (real + virtual)))
+    assert all(1 / 3 <= fraction < 1 for _, fraction in fractions)
+
+
+def test_the_store_has_the_resolved_config_and_what_was_run(smoke):
+    directory, _, output_dir = smoke
+    data, config = store(output_dir).get_run(directory.run_id).data, directory.config()
+    assert data.params == flatten(config.plain())
+    assert data.params["algorithm._target_"] == "parking_exp.algorithms.SAC"
+    assert data.params["env.observation.scales"] == "[100.0, 100.0, 5.0, 5.0, 1.0, 1.0]"
+    tags = {
+        "experiment": "smoke", "cell": config.cell, "seed": "0", "run_key": config.run_key, "status": "done",
+        "version.parking-exp": __version__,
+    }  # fmt: skip
+    assert {name: data.tags[name] for name in tags} == tags
+    for package in ("python", "torch", "stable-baselines3", "highway-env", "gymnasium"):
+        assert re.match(r"\d+\.\d+", data.tags[f"version.{package}"])
+    assert "git_commit" not in data.tags or re.fullmatch(r"[0-9a-f]{40}", data.tags["git_commit"])
+
+
+def test_the_store_has_all_files_and_knows_where_the_replay_buffer_is(smoke):
+    directory, _, output_dir = smoke
+    client, last = store(output_dir), "checkpoints/step=0000000400"
+    assert artifacts(client, directory.run_id) == [
+        "checkpoints/step=0000000300/model.zip", "checkpoints/step=0000000300/replay_buffer.json",
+        f"{last}/model.zip", f"{last}/replay_buffer.json", "config.yaml", "curves.png", "episodes.csv", "metrics.jsonl",
+        "models/best.zip", "models/final.zip", "monitor.csv", "progress.csv", "trajectories.npz", "video.mp4",
+    ]  # fmt: skip
+    record = read_json(directory.path / client.download_artifacts(directory.run_id, f"{last}/replay_buffer.json"))
+    assert record["path"] == f"{last}/replay_buffer.npz"  # in the run directory
+    assert record["sha256"] == sha256(directory.path / last / "replay_buffer.npz")
+
+
+def test_episodes_have_one_row_each_and_the_final_ones_are_certified_on_highway_env(smoke):
+    directory = smoke[0]
+    table = pd.read_csv(directory.path / "episodes.csv")
+    assert list(table.columns) == ["phase", "step", *EPISODE_COLUMNS]
+    scenes = table.groupby(["phase", "step"])["scene"].agg(list).to_dict()
+    during = {("eval", step): [0, 1, 2] for step in STEPS}
+    assert scenes == {**during, ("final", 400): [0, 1, 2, 3, 4], ("certified", 400): [0, 1, 2, 3, 4]}
+    table = table.set_index("phase").drop(columns="step")
+    pd.testing.assert_frame_equal(table.loc["final"], table.loc["certified"].rename({"certified": "final"}))
+    config = directory.config()
+    model = build_model(config, make_training_envs(config.env, 1), seed=0, for_training=False)
+    load_weights(directory.models / "final.zip", model)
+    theirs = evaluate(greedy_policy(model), config.env, range(5), simulator="highway_env")
+    assert table.loc["certified", "return"].tolist() == pytest.approx(theirs["return"].tolist(), abs=1e-9)
+    metrics = directory.result().metrics
+    for metric in METRICS:
+        assert metrics[f"certified/{metric.key}"] == metrics[f"final/{metric.key}"]
+
+
+@pytest.mark.parametrize(("seed", "scenes"), [(0, [1, 4]), (1, [0, 1])])
+def test_some_final_scenes_drawn_by_the_seed_are_certified(tmp_path, seed, scenes):
+    config = make_config(
+        "experiment=smoke", f"seed={seed}", "evaluation.n_certified_scenes=2", "evaluation.video_episodes=0",
+        "tracking.mlflow=false", f"output_dir={tmp_path}", "total_timesteps=100",
+    )  # fmt: skip
+    result = train(config)
+    table = pd.read_csv(config.run_dir / "episodes.csv").drop(columns="step").set_index("phase")
+    final, certified = (table.loc[phase].set_index("scene") for phase in ("final", "certified"))
+    assert final.index.tolist() == [0, 1, 2, 3, 4]
+    assert certified.index.tolist() == certified_scenes(config) == scenes
+    pd.testing.assert_frame_equal(final.loc[certified.index], certified)
+    assert result.metrics["final/steps_mean"] == final["steps"].mean()
+    assert result.metrics["certified/steps_mean"] == certified["steps"].mean()
+    assert (result.run_id, result.steps) == (None, 100)
+    assert not (tmp_path / "mlflow.db").exists()
+
+
+def test_a_simulator_that_differs_from_highway_env_fails_the_run(output_dir, monkeypatch):
+    """Here the simulator gives other rewards in the final scenes; both tables are stored."""
+    original = GoalReward.__call__
+
+    def other(self, achieved, desired):
+        reward, reached = original(self, achieved, desired)
+        return reward - 1e-6, reached
+
+    monkeypatch.setattr(GoalReward, "__call__", other)
+    config = make_config("experiment=smoke", f"output_dir={output_dir}", "evaluation.video_episodes=0", "n_envs=1",
+                         "total_timesteps=100")  # fmt: skip
+    with pytest.raises(FailedRunError, match=r"5 of 5 certified episodes differ .* scene 0: return -\d"):
+        train(config)
+    directory = only_run(output_dir)
+    assert directory.status == "failed"
+    assert directory.result() is None
+    run = store(output_dir).get_run(directory.run_id)
+    assert run.info.status == "FAILED"
+    # The same command resumes from the last checkpoint: what came after that is not final.
+    assert not {"final/return_mean", "certified/return_mean"} & set(run.data.metrics)
+    stored = pd.read_csv(store(output_dir).download_artifacts(directory.run_id, "episodes.csv"))
+    assert set(stored["phase"]) == {"eval", "final", "certified"}
+
+
+@pytest.mark.slow
+def test_trained_on_highway_env_a_run_is_certified_as_it_is(tmp_path):
+    config = make_config(
+        "experiment=smoke", f"output_dir={tmp_path}", "env.simulator=highway_env", "total_timesteps=100",
+        "tracking.mlflow=false", "evaluation.video_episodes=0", "env.action.dynamical=true",
+    )  # fmt: skip
+    metrics = train(config).metrics
+    assert metrics["certified/return_mean"] == metrics["final/return_mean"]
+
+
+def test_the_video_decodes_and_has_every_frame(smoke):
+    directory, _, _ = smoke
+    frames = iio.imread(directory.path / "video.mp4", plugin="FFMPEG")
+    episodes = pd.read_csv(directory.path / "episodes.csv").query("phase == 'final' and scene < 2")
+    # Each episode: its start, three simulation frames a step, and a second of its end at 15 frames a second.
+    assert frames.shape == (sum(1 + 3 * steps + 15 for steps in episodes["steps"]), 300, 600, 3)
+    assert frames.std() > 10  # something is drawn
+
+
+def test_stable_baselines3_reads_the_logs_and_the_model(smoke):
+    path, config = smoke[0].path, smoke[0].config()
+    monitor = load_results(str(path))
+    assert set(monitor.columns) >= {"r", "l", "t", "is_success", "crashed"}
+    assert monitor["l"].max() == 11  # training_duration of 2 s
+    assert pd.read_csv(path / "progress.csv")["eval/success_rate"].notna().sum() == 4
+    events = EventAccumulator(str(path / "tensorboard"))
+    events.Reload()
+    assert [event.step for event in events.Scalars("eval/success_rate")] == STEPS
+    env = make_training_envs(config.env, 1)
+    observation, plain = env.reset(), stable_baselines3.SAC.load(path / "models" / "final.zip")
+    ours = build_model(config, env, seed=1, for_training=False)
+    load_weights(path / "models" / "final.zip", ours)
+    assert (plain.predict(observation, deterministic=True)[0] == greedy_policy(ours)(observation)).all()
+
+
+def test_a_finished_run_is_not_run_again_also_when_its_files_were_deleted(smoke, tmp_path):
+    shutil.copytree(smoke[2], tmp_path / "outputs")
+    directory = only_run(tmp_path / "outputs")
+    shutil.rmtree(directory.models), (directory.path / "metrics.jsonl").unlink()
+    before = sorted(directory.path.rglob("*"))
+    again = type_here("train", "experiment=smoke", f"output_dir={tmp_path / 'outputs'}")
+    assert again.returncode == 0
+    assert again.stdout.startswith("already done")
+    assert sorted(directory.path.rglob("*")) == before
+    assert train(make_config("experiment=smoke", f"output_dir={tmp_path / 'outputs'}")) == directory.result()
+
+
+def test_a_killed_run_resumes_in_the_same_mlflow_run_with_no_step_twice(output_dir):
+    arguments = (
+        "experiment=smoke", f"output_dir={output_dir}", "total_timesteps=400", "evaluation.video_episodes=0",
+        "algorithm._target_=support.failing_algorithms.Lingers",  # slow enough to be killed on the way
+    )  # fmt: skip
+    command, keywords = script("train", *arguments, env=FAILING)
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, **keywords)
+    checkpoints = lambda: sorted(path.name for path in output_dir.glob("*/*/*/checkpoints/step=*"))  # noqa: E731
+    wait_for(lambda: len(checkpoints()) == 2, process)
+    time.sleep(0.5)  # into the steps after a checkpoint
+    process.kill()
+    process.wait()
+    directory = only_run(output_dir)
+    killed_at, run_id = checkpoints()[-1], directory.run_id
+    assert directory.status == "running"
+    done = type_here("train", *arguments)
+    assert done.returncode == 0, done.stderr
+    assert f"resuming at step {int(killed_at.removeprefix('step='))}" in done.stderr
+    assert (directory.run_id, directory.status) == (run_id, "done")
+    local = assert_store_is_whole(output_dir, 400)
+    assert [step for step, _ in local["eval/success_rate"]] == STEPS
+    updates, episodes = ([value for _, value in local[name]] for name in ("train/n_updates", "time/episodes"))
+    assert updates == sorted(set(updates))
+    assert updates[-1] == pytest.approx(0.5 * (400 - 40), abs=10)
+    assert episodes == sorted(set(episodes))
+    assert checkpoints() == ["step=0000000300", "step=0000000400"]
+    assert len(pd.read_csv(directory.path / "progress.csv")["eval/success_rate"].dropna()) == 4
+    assert not pd.read_csv(directory.path / "episodes.csv").duplicated(["phase", "step", "scene"]).any()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("signal_number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_saves_a_checkpoint_and_the_same_command_resumes(tmp_path, signal_number):
+    output_dir = tmp_path / "outputs"
+    arguments = ("experiment=smoke", f"output_dir={output_dir}", "checkpoint.every_n_steps=null",
+                 "evaluation.video_episodes=0", "evaluation.every_n_steps=null")  # fmt: skip
+    command, keywords = script("train", *arguments)
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, **keywords)
+    wait_for(lambda: any(output_dir.glob("*/*/*/metrics.jsonl")), process)
+    process.send_signal(signal_number)
+    _, errors = process.communicate(timeout=60)
+    assert process.returncode == 128 + signal_number
+    assert "rerun the same command to resume" in errors
+    assert "Traceback" not in errors
+    directory, client = only_run(output_dir), store(output_dir)
+    (checkpoint,) = directory.checkpoints.iterdir()
+    assert directory.status == "interrupted"
+    run = client.get_run(directory.run_id)
+    assert (run.info.status, run.data.tags["status"]) == ("KILLED", "interrupted")
+    done = run_script("train", *arguments)
+    assert done.returncode == 0, done.stderr
+    assert f"resuming at step {int(checkpoint.name.removeprefix('step='))}" in done.stderr
+    assert_store_is_whole(output_dir, 400)
+
+
+def test_a_run_that_fails_is_failed_in_the_store_with_its_traceback(output_dir):
+    config = make_config(
+        "experiment=smoke", f"output_dir={output_dir}", "algorithm._target_=support.failing_algorithms.Raises"
+    )
+    with pytest.raises(FailedRunError, match=r"traceback\.txt"):
+        train(config)
+    directory, client = RunDirectory(config.run_dir), store(output_dir)
+    assert directory.status == "failed"
+    run = client.get_run(directory.run_id)
+    assert (run.info.status, run.data.tags["status"]) == ("FAILED", "failed")
+    assert "traceback.txt" in artifacts(client, directory.run_id)
+    assert (directory.path / "traceback.txt").read_text().startswith("Traceback")
+
+
+def test_a_device_that_is_not_there_is_refused_before_anything_is_made(tmp_path):
+    device = f"cuda:{torch.cuda.device_count()}"
+    with pytest.raises(ConfigError, match=f"^device={device}"):
+        train(make_config("experiment=smoke", f"output_dir={tmp_path}", f"device={device}"))
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_two_processes_do_not_work_on_one_run(tmp_path):
+    config = make_config("experiment=smoke", f"output_dir={tmp_path}")
+    with RunDirectory(config.run_dir).supervisor_lock(), pytest.raises(RunLockedError, match="another process"):
+        train(config)
+
+
+def assert_failed_on_a_full_disk(path, reason):
+    status = read_json(path / "status.json")
+    assert status["status"] == "failed"
+    assert reason in status["error"]
+    assert (path / "traceback.txt").read_text().startswith("Traceback")
+    assert reason in (path / "traceback.txt").read_text()
+    assert not [*path.rglob(".tmp-*")]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("kib", "arguments"),
+    [
+        (120, ("checkpoint.every_n_steps=400", "tracking.tensorboard=false")),  # the last of some is too large
+        (65, ("checkpoint.every_n_steps=null", "tracking.csv=false", "tracking.log_interval=1")),
+    ],
+)
+def test_a_full_disk_under_a_checkpoint_or_tensorboard_fails_the_run_without_a_traceback(tmp_path, kib, arguments):
+    """A file-size limit stands in for it: that of the replay buffer, or of TensorBoard's events."""
+    command, keywords = script(
+        "train", "experiment=smoke", f"output_dir={tmp_path}", "tracking.mlflow=false", "evaluation.video_episodes=0",
+        "evaluation.every_n_steps=null", "updates_per_step=0.1", "total_timesteps=4000", *arguments,
+    )  # fmt: skip
+    limited = ["bash", "-c", f'ulimit -f {kib}; exec "$@"', "_", *command]
+    failed = subprocess.run(limited, check=False, capture_output=True, timeout=180, **keywords)
+    assert failed.returncode == 2
+    assert "Traceback" not in failed.stderr
+    assert "OSError: [Errno 27] File too large" in failed.stderr
+    directory = only_run(tmp_path)
+    assert_failed_on_a_full_disk(directory.path, "File too large")
+    kept = [int(folder.name.removeprefix("step=")) for folder in directory.path.glob("checkpoints/*")]
+    done = subprocess.run(command, check=False, capture_output=True, timeout=180, **keywords)
+    assert done.returncode == 0, done.stderr
+    assert not kept or f"resuming at step {max(kept)}" in done.stderr
+
+
+@pytest.fixture
+def small_disk(tmp_path):
+    """A disk of 3,000 KiB, to be filled."""
+    disk = tmp_path / "disk"
+    disk.mkdir()
+    command = ["mount", "-t", "tmpfs", "-o", "size=3000k", "tmpfs", str(disk)]
+    if not shutil.which("mount") or subprocess.run(command, check=False, capture_output=True).returncode:
+        pytest.skip("nothing can be mounted here")
+    yield disk
+    subprocess.run(["umount", "-l", str(disk)], check=True)
+
+
+@pytest.mark.slow
+def test_a_sweep_on_a_disk_that_fills_up_reports_why_its_runs_failed_and_resumes_when_there_is_room(small_disk):
+    arguments = ("experiment=smoke", f"output_dir={small_disk}", "total_timesteps=1200", "tracking.mlflow=false", "seeds=2",
+                 "evaluation.final_n_scenes=2", "evaluation.n_scenes=2", "evaluation.every_n_steps=null", "evaluation.video_episodes=0", "env.simulator=highway_env")  # fmt: skip
+    command, keywords = script("train", *arguments)
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, **keywords)
+    wait_for(lambda: len({path.parents[1] for path in small_disk.glob("*/*/*/checkpoints/step=*")}) == 2, process)
+    with suppress(OSError), (small_disk / "filler").open("wb", buffering=0) as filler:
+        while filler.write(bytes(4096)):
+            pass
+    output, errors = process.communicate(timeout=120)
+    assert process.returncode == 2
+    assert "Traceback" not in errors
+    for seed in (0, 1):
+        assert re.search(rf"^failed   .*seed={seed}: .*No space left on device", output, re.MULTILINE)
+    for path in small_disk.glob("*/*/seed=*"):
+        assert_failed_on_a_full_disk(path, "No space left on device")
+    (small_disk / "filler").unlink()
+    again = run_script("train", *arguments, "retry=failed")
+    assert again.returncode == 0, again.stderr
