@@ -128,7 +128,7 @@ def _composer(config_name: str, hydra_lines: list[str]) -> Callable[[Point], Com
 def _runs(compose_point: Callable[[Point], Composed], axes: dict[str, list[str]]) -> list[Composed]:
     """Compose every cell of an experiment, and give it its seeds; all get their first before any its second."""
     base = compose_point(tuple(f"{key}={axes[key][0]}" for key in ("experiment", "cells") if key in axes)).cell
-    blocks = check_blocks(_container(base.get("cells")))
+    blocks = check_blocks(_container(base.cells)) if "seeds" in base else []  # a report's cells are labels
     in_blocks = {key for block in blocks for key in block}
     axes = {bare if (bare := key.lstrip("+")) in in_blocks else key: values for key, values in axes.items()}
     own = [yaml.safe_load(value) for value in axes.pop("seeds", [])]
