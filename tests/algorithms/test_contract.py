@@ -5,14 +5,11 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from hydra.utils import get_class
 from stable_baselines3.common.logger import Logger
 from support.run_equality import exact, parameters
 from support.runs import make_config, options
 
 from parking_exp.algorithms.build_model import build_model, greedy_policy
-from parking_exp.algorithms.features import EgoFrameExtractor
-from parking_exp.algorithms.model_files import load_weights
 from parking_exp.envs.training_envs import make_training_envs
 from parking_exp.errors import ConfigError
 from parking_exp.training import checkpoints, rollout_state
@@ -62,19 +59,6 @@ def trained(request, tmp_path_factory):
     return SimpleNamespace(config=config, model=model, folder=folder, saved=saved, updated=state(model, directory))
 
 
-def test_its_config_becomes_a_model_of_its_class(trained):
-    assert type(trained.model) is get_class(trained.config.algorithm.target)
-    has_ego_features = isinstance(trained.model.actor.features_extractor, EgoFrameExtractor)
-    assert has_ego_features == (trained.config.algorithm.features != "raw")
-
-
-def test_loaded_into_another_model_it_has_the_same_weights_and_actions(trained, tmp_path):
-    other = built(trained.config, seed=1)
-    assert state(other, tmp_path)["actions"] != trained.saved["actions"]
-    load_weights(trained.folder / "model.zip", other)
-    assert state(other, tmp_path) == trained.saved
-
-
 def test_restored_from_a_checkpoint_its_next_updates_are_the_same(trained, tmp_path):
     """Parameters, target networks, optimizers, coefficients and actions."""
     other = built(trained.config, seed=1)
@@ -82,12 +66,6 @@ def test_restored_from_a_checkpoint_its_next_updates_are_the_same(trained, tmp_p
     other.train(2, other.batch_size)
     assert trained.updated != trained.saved
     assert state(other, tmp_path) == trained.updated
-
-
-@pytest.mark.parametrize("algorithm", [*options("algorithm"), "a user's with an extra network"])
-def test_an_argument_that_it_does_not_take_is_refused_by_name(algorithm):
-    with pytest.raises(ConfigError, match=r"^algorithm\.no_such: "):
-        make_config(*SMOKE, *ALGORITHMS[algorithm], "+algorithm.no_such=1")
 
 
 @pytest.mark.parametrize(("name", "lost"), [("ForgetsExtraNetwork", "curiosity"), ("SavesNothing", "all weights")])

@@ -16,7 +16,6 @@ from stable_baselines3.common.envs import BitFlippingEnv
 from stable_baselines3.common.logger import Logger
 from stable_baselines3.common.save_util import load_from_pkl, save_to_pkl
 from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
-from support.marks import slow_but
 from support.runs import USER_CONF, make_config
 from support.user_buffers import NextSecondHer
 
@@ -153,33 +152,6 @@ def test_given_the_same_indices_batches_are_stable_baselines3s(n_envs, steps, no
         assert torch.equal(getattr(mixed, part)[:13], getattr(real, part)[:13])
 
 
-@pytest.mark.parametrize("simulator", slow_but(["vectorized"], ["vectorized", "highway_env"]))
-@pytest.mark.parametrize("option", slow_but(["parking"], ["parking", "parking_sparse"]))
-def test_with_real_episodes_too(option, simulator):
-    """200 steps of 3 envs; with highway-env, its own compute_reward is what Stable-Baselines3 asks."""
-    config = make_config(f"env={option}", f"env.simulator={simulator}", "env.training_duration=3")
-    envs = make_training_envs(config.env, 3)
-    arguments, keywords = (1000, envs.observation_space, envs.action_space), {"env": envs, "device": "cpu", "n_envs": 3}
-    theirs = HerReplayBuffer(*arguments, **keywords)
-    ours = HerBuffer(*arguments, reward=envs.get_attr("goal_reward")[0], **keywords)
-    rng = np.random.default_rng(0)
-    envs.seed(0)
-    obs = envs.reset()
-    for _ in range(200):
-        action = rng.uniform(-1, 1, (3, 2)).astype(np.float32)
-        next_obs, reward, done, infos = envs.step(action)
-        stored = {key: value.copy() for key, value in next_obs.items()}
-        for row in np.flatnonzero(done):
-            for key, value in stored.items():
-                value[row] = infos[row]["terminal_observation"][key]
-        for buffer in (ours, theirs):
-            buffer.add(obs, stored, action, reward, done, infos)
-        obs = {key: value.copy() for key, value in next_obs.items()}
-    assert ours.storage.compact
-    index = np.array(drawable(ours))
-    assert_same_batches(ours, theirs, index, STRATEGIES["episode"](rng, ours.episodes, index, records_of(ours, index)))
-
-
 @settings(max_examples=60, deadline=None)
 @given(
     n_envs=st.sampled_from([1, 3]), rows=st.integers(9, 40), steps=st.integers(1, 150), seed=st.integers(0, 1000),
@@ -244,36 +216,6 @@ def test_random_takes_goals_from_everything_stored():
     assert len(counts) == 12 * 8
     assert stats.chisquare(counts).pvalue > 1e-3
     assert abs(np.corrcoef(drawn, goals)[0, 1]) < 0.02
-
-
-@pytest.mark.parametrize("strategy", [*STRATEGY_NAMES, "random"])
-@pytest.mark.parametrize(("n_envs", "steps"), [(1, 40), (1, 333), (8, 90)])
-def test_which_goal_a_transition_carries(strategy, n_envs, steps):
-    """Read off the fields: real ones their own goal, virtual ones a next achieved goal of where the strategy looks."""
-    ours, _ = pair(100, n_envs, steps, goal_selection_strategy=strategy)
-    last = {}
-    for at, env, _, episode, *_ in batch_of(ours, drawable(ours)).observations["observation"].tolist():
-        last[env, episode] = max(last.get((env, episode), 0), at + 1)
-    ours.sampled = [0, 0]
-    for _ in range(20):
-        batch = ours.sample(100)
-        goals = batch.observations["desired_goal"]
-        assert torch.equal(goals, batch.next_observations["desired_goal"])
-        for row, (at, env, *_) in enumerate(batch.observations["observation"].tolist()):
-            goal, goal_env, goal_episode = goals[row, [0, 1, 3]].tolist()
-            episode = batch.observations["observation"][row, 3].item()
-            assert batch.actions[row].tolist() == [episode, at]
-            assert batch.next_observations["achieved_goal"][row, :2].tolist() == [at + 1, env]
-            if row < 20:
-                assert (goal, goal_env, goal_episode) == (-1, env, episode)
-                assert batch.rewards[row] == -(100.0 * episode + at)
-            elif strategy == "random":
-                assert goal >= 1
-            else:
-                assert (goal_env, goal_episode) == (env, episode)
-                lowest = {"future": at + 1, "final": last[env, episode], "episode": 1}[strategy]
-                assert lowest <= goal <= last[env, episode]
-    assert ours.real_share == 0.2
 
 
 @pytest.mark.parametrize("strategy", ["future", "episode"])

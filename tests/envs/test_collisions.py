@@ -59,15 +59,6 @@ def test_a_frame_is_highway_envs(x, y, heading, speed, acceleration, steering):
     assert (*position[:, 0], turned[0], faster[0]) == (*car.position, car.heading, car.speed)
 
 
-@pytest.mark.parametrize(("y", "way", "touches", "push"), [(18.4, 0.0, True, -0.4), (17.9, 0.2, False, -0.1)])
-def test_a_car_is_pushed_out_of_a_wall_one_frame_ahead(y, way, touches, push):
-    """A car 0.4 m inside a wall; and one 0.1 m before it at 3 m/s, which will be 0.1 m too far in 1/15 s."""
-    car, wall = polygon(0, y, np.pi / 2, 5, 2), polygon(0, 21, 0, 70, 1)
-    now, soon, translation = separating_axis(np.stack([car, wall])[None], np.array([[0, way]]))
-    assert (bool(now[0]), bool(soon[0])) == (touches, True)
-    np.testing.assert_allclose(translation[0], [0, push], atol=1e-12)
-
-
 @pytest.mark.parametrize(("speed", "expected"), [(3.0, 1.0), (6.0, -1.0), (5.0, 1.0), (-4.0, 2.0)])
 def test_a_car_beyond_its_limits_is_brought_back(speed, expected):
     limited = limited_acceleration(np.array([1.0]), np.array([speed]), (-2.0, 5.0))

@@ -83,17 +83,6 @@ def test_success_of_parking_stop_means_parked():
         assert reward(pose / SCALES, goal / SCALES)[1]
 
 
-def test_parking_2021_has_no_walls_and_ends_after_100_steps():
-    env = make_env(make_config("env=parking_2021").env)
-    env.reset(seed=0)
-    assert len(env.unwrapped.road.objects) == 1  # the goal
-    steps, truncated = 0, False
-    while not truncated:
-        *_, truncated, _ = env.step(np.zeros(2))
-        steps += 1
-    assert steps == 100
-
-
 def test_a_sparse_step_costs_1_and_a_crash_the_collision_penalty_besides():
     env = make_env(make_config("env=parking_sparse").env)
     env.reset(seed=0)

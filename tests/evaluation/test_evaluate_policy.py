@@ -36,28 +36,6 @@ def test_one_row_per_scene_in_the_order_asked_for():
     assert set(table["steps"]) == {11}
 
 
-def test_an_episode_does_not_depend_on_its_neighbours():
-    env = make_config("env.duration=6").env
-    together = evaluate(straight_on, env, range(40)).set_index("scene")
-    alone = evaluate(straight_on, env, [37]).set_index("scene")
-    pd.testing.assert_series_equal(together.loc[37], alone.loc[37])
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("option", ["parking", "parking_crowded", "parking_sparse"])
-def test_both_simulators_give_the_same_table_and_trajectories(option, tmp_path):
-    env, tables, recordings = make_config(f"env={option}", "env.duration=4").env, [], []
-    for simulator in ("vectorized", "highway_env"):
-        recorder, path = Recorder(), tmp_path / f"{simulator}.npz"
-        tables.append(evaluate(straight_on, env, range(30), simulator=simulator, recorder=recorder))
-        recorder.save(path)
-        recordings.append(read_trajectories(path.read_bytes()))
-    assert "crash" in set(tables[0]["outcome"])
-    assert differences(*tables) == []
-    for ours, theirs in (tables, recordings):
-        pd.testing.assert_frame_equal(ours, theirs, check_exact=True)
-
-
 @pytest.mark.parametrize("simulator", ["vectorized", "highway_env"])
 def test_trajectories_lead_from_the_origin_to_where_the_episode_ended(simulator, tmp_path):
     env = make_config("env.duration=4").env
@@ -100,17 +78,6 @@ def test_rows_are_what_a_plain_loop_sees():
     assert row["distance_m"] == pytest.approx(
         np.linalg.norm(env.unwrapped.vehicle.position - env.unwrapped.vehicle.goal.position)
     )
-
-
-def test_evaluation_can_be_stopped_from_outside():
-    class Stopped(Exception):
-        pass
-
-    def stop(finished):
-        raise Stopped
-
-    with pytest.raises(Stopped):
-        evaluate(wait, make_config().env, [0], on_step=stop)
 
 
 @pytest.mark.parametrize(

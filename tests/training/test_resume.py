@@ -216,25 +216,6 @@ def test_a_run_that_a_signal_stopped_at_an_odd_step(uninterrupted, tmp_path, in_
     assert differences(uninterrupted, only_run(tmp_path).path) == []
 
 
-def test_nothing_is_executed_from_a_checkpoint(tmp_path, monkeypatch):
-    """Neither when a run is resumed nor for its model: no pickle is opened, and torch loads weights only."""
-    config = configured(tmp_path)
-    with cut_at(151), pytest.raises(FailedRunError):
-        train(config)
-    load, loaded = torch.load, []
-
-    def weights_only(*arguments, **keywords):
-        loaded.append(keywords["weights_only"])
-        return load(*arguments, **keywords)
-
-    monkeypatch.setattr(torch, "load", weights_only)
-    for name in ("pickle.load", "pickle.loads", "cloudpickle.load", "cloudpickle.loads"):
-        monkeypatch.setattr(name, lambda *_, **__: pytest.fail("unpickled"))
-    train(config)
-    assert len(loaded) >= 4
-    assert all(loaded)
-
-
 def built(*overrides):
     config = composed_once(*overrides)
     model = build_model(config, training_envs.make_training_envs(config.env, config.n_envs), seed=0)

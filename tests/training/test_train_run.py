@@ -5,9 +5,7 @@ import shutil
 import signal
 import subprocess
 import time
-from contextlib import suppress
 
-import imageio.v3 as iio
 import numpy as np
 import pandas as pd
 import pytest
@@ -179,25 +177,6 @@ def test_a_simulator_that_differs_from_highway_env_fails_the_run(output_dir, mon
     assert set(stored["phase"]) == {"eval", "final", "certified"}
 
 
-@pytest.mark.slow
-def test_trained_on_highway_env_a_run_is_certified_as_it_is(tmp_path):
-    config = make_config(
-        "experiment=smoke", f"output_dir={tmp_path}", "env.simulator=highway_env", "total_timesteps=100",
-        "tracking.mlflow=false", "evaluation.video_episodes=0", "env.action.dynamical=true",
-    )  # fmt: skip
-    metrics = train(config).metrics
-    assert metrics["certified/return_mean"] == metrics["final/return_mean"]
-
-
-def test_the_video_decodes_and_has_every_frame(smoke):
-    directory, _, _ = smoke
-    frames = iio.imread(directory.path / "video.mp4", plugin="FFMPEG")
-    episodes = pd.read_csv(directory.path / "episodes.csv").query("phase == 'final' and scene < 2")
-    # Each episode: its start, three simulation frames a step, and a second of its end at 15 frames a second.
-    assert frames.shape == (sum(1 + 3 * steps + 15 for steps in episodes["steps"]), 300, 600, 3)
-    assert frames.std() > 10  # something is drawn
-
-
 def test_stable_baselines3_reads_the_logs_and_the_model(smoke):
     path, config = smoke[0].path, smoke[0].config()
     monitor = load_results(str(path))
@@ -342,37 +321,3 @@ def test_a_full_disk_under_a_checkpoint_or_tensorboard_fails_the_run_without_a_t
     done = subprocess.run(command, check=False, capture_output=True, timeout=180, **keywords)
     assert done.returncode == 0, done.stderr
     assert not kept or f"resuming at step {max(kept)}" in done.stderr
-
-
-@pytest.fixture
-def small_disk(tmp_path):
-    """A disk of 3,000 KiB, to be filled."""
-    disk = tmp_path / "disk"
-    disk.mkdir()
-    command = ["mount", "-t", "tmpfs", "-o", "size=3000k", "tmpfs", str(disk)]
-    if not shutil.which("mount") or subprocess.run(command, check=False, capture_output=True).returncode:
-        pytest.skip("nothing can be mounted here")
-    yield disk
-    subprocess.run(["umount", "-l", str(disk)], check=True)
-
-
-@pytest.mark.slow
-def test_a_sweep_on_a_disk_that_fills_up_reports_why_its_runs_failed_and_resumes_when_there_is_room(small_disk):
-    arguments = ("experiment=smoke", f"output_dir={small_disk}", "total_timesteps=1200", "tracking.mlflow=false", "seeds=2",
-                 "evaluation.final_n_scenes=2", "evaluation.n_scenes=2", "evaluation.every_n_steps=null", "evaluation.video_episodes=0", "env.simulator=highway_env")  # fmt: skip
-    command, keywords = script("train", *arguments)
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, **keywords)
-    wait_for(lambda: len({path.parents[1] for path in small_disk.glob("*/*/*/checkpoints/step=*")}) == 2, process)
-    with suppress(OSError), (small_disk / "filler").open("wb", buffering=0) as filler:
-        while filler.write(bytes(4096)):
-            pass
-    output, errors = process.communicate(timeout=120)
-    assert process.returncode == 2
-    assert "Traceback" not in errors
-    for seed in (0, 1):
-        assert re.search(rf"^failed   .*seed={seed}: .*No space left on device", output, re.MULTILINE)
-    for path in small_disk.glob("*/*/seed=*"):
-        assert_failed_on_a_full_disk(path, "No space left on device")
-    (small_disk / "filler").unlink()
-    again = run_script("train", *arguments, "retry=failed")
-    assert again.returncode == 0, again.stderr
