@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from stable_baselines3.common.logger import Logger
 from stable_baselines3.common.noise import NormalActionNoise, VectorizedActionNoise
 from stable_baselines3.common.torch_layers import CombinedExtractor
 from stable_baselines3.common.vec_env import DummyVecEnv
+from support.models import make_model
 from support.reach import Reach
 from support.runs import make_config, options
 
@@ -24,8 +24,7 @@ SMALL = ("experiment=smoke", "tracking.mlflow=false")
 
 
 def built(*overrides, seed=0):
-    config = make_config(*SMALL, *overrides)
-    return build_model(config, make_training_envs(config.env, config.n_envs), seed)
+    return make_model(*SMALL, *overrides, seed=seed)
 
 
 def test_what_needs_the_envs_reward_is_refused_for_an_env_that_has_none():
@@ -76,7 +75,6 @@ def test_classes_among_the_policys_arguments_are_dotted_paths_or_targets(algorit
     model = built(
         f"algorithm={algorithm}", f"+algorithm.policy_kwargs={{{arguments},optimizer_kwargs:{{weight_decay:0.5}}}}"
     )
-    model.set_logger(Logger(None, []))
     model.learn(60)
     assert model._n_updates > 0
     assert {type(module) for module in model.actor.modules()} & {torch.nn.Tanh, torch.nn.ReLU} == {torch.nn.Tanh}

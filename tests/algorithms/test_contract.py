@@ -5,12 +5,11 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from stable_baselines3.common.logger import Logger
+from support.models import make_model, model_of
 from support.run_equality import exact, parameters
 from support.runs import make_config, options
 
-from parking_exp.algorithms.build_model import build_model, greedy_policy
-from parking_exp.envs.training_envs import make_training_envs
+from parking_exp.algorithms.build_model import greedy_policy
 from parking_exp.errors import ConfigError
 from parking_exp.training import checkpoints, rollout_state
 
@@ -33,12 +32,6 @@ def configured(algorithm):
     return make_config(*SMOKE, *ALGORITHMS[algorithm])
 
 
-def built(config, seed):
-    model = build_model(config, make_training_envs(config.env, config.n_envs), seed)
-    model.set_logger(Logger(None, []))
-    return model
-
-
 def state(model, directory):
     """All tensors that the model's file has, and its actions on random observations, as bytes."""
     rng = np.random.default_rng(0)
@@ -51,7 +44,7 @@ def state(model, directory):
 def trained(request, tmp_path_factory):
     """A model that was saved in a checkpoint after its first updates, and then made two more."""
     config, directory = configured(request.param), tmp_path_factory.mktemp("checkpoints")
-    model = built(config, seed=0).learn(60)
+    model = model_of(config).learn(60)
     assert model._n_updates > 0
     folder = checkpoints.save(directory, model, checkpoints.Progress(step=60), directory / "best.zip", keep_last=1)
     saved = state(model, directory)
@@ -61,7 +54,7 @@ def trained(request, tmp_path_factory):
 
 def test_restored_from_a_checkpoint_its_next_updates_are_the_same(trained, tmp_path):
     """Parameters, target networks, optimizers, coefficients and actions."""
-    other = built(trained.config, seed=1)
+    other = model_of(trained.config, seed=1)
     rollout_state.set_state(other, checkpoints.restore(trained.folder, other, tmp_path / "best.zip"))
     other.train(2, other.batch_size)
     assert trained.updated != trained.saved
@@ -71,4 +64,4 @@ def test_restored_from_a_checkpoint_its_next_updates_are_the_same(trained, tmp_p
 @pytest.mark.parametrize(("name", "lost"), [("ForgetsExtraNetwork", "curiosity"), ("SavesNothing", "all weights")])
 def test_a_class_whose_files_would_lose_weights_is_refused(name, lost):
     with pytest.raises(ConfigError, match=rf"^{USER}\.{name}: .*{lost}$"):
-        built(make_config(*SMOKE, f"{USER}.{name}"), seed=0)
+        make_model(*SMOKE, f"{USER}.{name}")

@@ -3,10 +3,8 @@
 import re
 import shutil
 
-import numpy as np
 import pytest
 import torch
-from safetensors.torch import save
 from support.runs import make_config
 
 from parking_exp.algorithms.build_model import build_model, greedy_policy
@@ -14,7 +12,7 @@ from parking_exp.algorithms.policy_files import load_policy, save_policy
 from parking_exp.envs.training_envs import make_training_envs
 from parking_exp.errors import DamagedModelError, ModelError, RunNotFoundError, UntrustedError
 from parking_exp.evaluation import agents
-from parking_exp.evaluation.agents import PRETRAINED_DIR, find_agent, load_model
+from parking_exp.evaluation.agents import PRETRAINED_DIR, find_agent
 from parking_exp.evaluation.evaluate_policy import evaluate, summarise
 
 TINY = ("algorithm.net_arch=[8]", "n_envs=1", "algorithm.learning_starts=1000", "updates_per_step=1")
@@ -89,31 +87,6 @@ def test_the_policy_of_another_model_is_refused_and_changes_nothing(saved, loade
     with pytest.raises(ModelError, match=rf"policy\.safetensors .*{difference}"):
         load_policy(tmp_path / "policy.safetensors", model)
     assert all(map(torch.equal, before, model.actor.parameters()))
-
-
-def test_a_model_is_loaded_in_one_call(tmp_path):
-    model, parked = load_model(), load_model("pretrained/parked", tmp_path)
-    goal = np.array([0.1, 0.14, 0, 0, 0, 1])
-    start = np.array([0, 0, 0, 0, 1, 0])
-    observation = {"observation": start, "achieved_goal": start, "desired_goal": goal}
-    (action, _), (other, _) = (agent.predict(observation, deterministic=True) for agent in (model, parked))
-    assert action.shape == other.shape == (2,)
-    assert action.tolist() != other.tolist()
-
-
-@pytest.mark.parametrize(
-    ("change", "named"),
-    [({}, "actor.mu.0.bias"), ({"actor.mu.0.bias": torch.zeros(8, dtype=torch.float64)}, "actor.mu.0.bias"),
-     ({"more": torch.zeros(2)}, "more")],
-)  # fmt: skip
-def test_a_file_with_other_weights_is_refused_with_the_first_that_differs(change, named, tmp_path):
-    model = make_model("algorithm=td3")
-    weights = dict(model.actor.state_dict(prefix="actor.")) | change
-    if not change:
-        del weights[named]
-    (tmp_path / "policy.safetensors").write_bytes(save(weights))
-    with pytest.raises(ModelError, match=rf"policy\.safetensors .*{named}"):
-        load_policy(tmp_path / "policy.safetensors", model)
 
 
 @pytest.mark.parametrize("damage", [lambda content: content[:-9], lambda content: b"", lambda content: b"\xff" * 99])

@@ -101,17 +101,9 @@ def test_parked_is_inside_the_lines_straight_and_stationary(pose, parked):
 
 
 def test_the_pose_is_seen_from_the_slot():
-    env = make_env(make_config().env)
-    env.reset(seed=0)
-    car = env.unwrapped.vehicle
-    heading = car.goal.heading
-    car.position = (
-        car.goal.position
-        + 1.0 * np.array([math.cos(heading), math.sin(heading)])
-        + 0.25 * np.array([-math.sin(heading), math.cos(heading)])
-    )
-    car.heading, car.speed = heading + 0.1 - 2 * math.pi, -2.0
-    pose = relative_pose(car.position, car.heading, car.speed, car.goal.position, car.goal.heading)
+    ahead, left, slot = np.array([0.6, 0.8]), np.array([-0.8, 0.6]), np.array([4.0, 14.0])
+    heading = math.atan2(0.8, 0.6)
+    pose = relative_pose(slot + ahead + 0.25 * left, heading + 0.1 - 2 * math.pi, -2.0, slot, heading)
     assert (pose.ahead_m, pose.side_m, pose.heading_error_rad, pose.speed_mps) == pytest.approx((1.0, 0.25, 0.1, -2.0))
     assert pose.distance_m == pytest.approx(math.hypot(1.0, 0.25))
 

@@ -119,20 +119,14 @@ def test_exporting_changes_nothing_of_the_model(tmp_path):
 
 @pytest.mark.parametrize("file_format", FORMATS)
 def test_a_file_whose_actions_differ_is_not_written(file_format, tmp_path, monkeypatch):
-    model, observations = agent("sac")
+    (model, observations), path = agent("sac"), tmp_path / "policy"
+    path.write_text("earlier")
     export = policy_export.EXPORTERS[file_format]
-    for by, refused in ((9e-5, False), (1.2e-4, True), (np.nan, True)):
-        monkeypatch.setitem(policy_export.EXPORTERS, file_format, lambda *args, by=by: export(*args) + by)
-        path = tmp_path / f"policy {by}"
-        path.write_text("earlier")
-        if not refused:
-            assert export_policy(model, file_format, path, observations) == pytest.approx(9e-5, abs=1e-5)
-            assert path.stat().st_size > 1000
-            continue
+    for difference in (1.2e-4, np.nan):
+        monkeypatch.setitem(policy_export.EXPORTERS, file_format, lambda *args, by=difference: export(*args) + by)
         with pytest.raises(ModelError, match=re.escape(str(path))):
             export_policy(model, file_format, path, observations)
-        assert path.read_text() == "earlier"
-    assert len(list(tmp_path.iterdir())) == 3
+        assert [file.read_text() for file in tmp_path.iterdir()] == ["earlier"]
 
 
 @pytest.fixture(scope="module")
@@ -168,9 +162,7 @@ def test_a_path_and_a_model_can_be_chosen(run, tmp_path):
         (["format=onx"], "format=onx"),
         (["path=."], "path=."),
         (["path=policy.onnx", "format=torchscript"], "path=policy.onnx"),
-        (["run=nowhere"], "run=nowhere"),
         (["run=parked"], "run=parked"),
-        (["model=last"], "model=last"),
         (["run={run}", "path=file/policy.onnx"], "File exists: {here}/file"),
     ],
 )

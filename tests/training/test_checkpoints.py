@@ -5,12 +5,9 @@ import errno
 import numpy as np
 import pytest
 import torch
-from stable_baselines3.common.logger import Logger
-from support.runs import make_config
+from support.models import make_model
 
-from parking_exp.algorithms.build_model import build_model
 from parking_exp.buffers import HerBuffer
-from parking_exp.envs.training_envs import make_training_envs
 from parking_exp.errors import DamagedFileError
 from parking_exp.runs.metric_logs import APPENDED, read_metrics, restore_logs
 from parking_exp.training import checkpoints
@@ -18,12 +15,8 @@ from parking_exp.training.checkpoints import Progress
 
 
 def trained(*overrides, steps=100):
-    config = make_config("experiment=smoke", "algorithm.learning_starts=40", *overrides)
-    model = build_model(config, make_training_envs(config.env, config.n_envs), seed=0)
-    model.set_logger(Logger(None, []))
-    if steps:
-        model.learn(steps)
-    return model
+    model = make_model("experiment=smoke", "algorithm.learning_starts=40", *overrides)
+    return model.learn(steps) if steps else model
 
 
 def save(directory, model, step, keep_last=2, best=None):

@@ -2,7 +2,6 @@
 
 import re
 import shutil
-import signal
 import subprocess
 import time
 
@@ -18,7 +17,6 @@ from support.runs import (
     history,
     make_config,
     only_run,
-    run_script,
     script,
     store,
     type_here,
@@ -233,45 +231,6 @@ def test_a_killed_run_resumes_in_the_same_mlflow_run_with_no_step_twice(output_d
     assert checkpoints() == ["step=0000000300", "step=0000000400"]
     assert len(pd.read_csv(directory.path / "progress.csv")["eval/success_rate"].dropna()) == 4
     assert not pd.read_csv(directory.path / "episodes.csv").duplicated(["phase", "step", "scene"]).any()
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("signal_number", [signal.SIGINT, signal.SIGTERM])
-def test_a_signal_saves_a_checkpoint_and_the_same_command_resumes(tmp_path, signal_number):
-    output_dir = tmp_path / "outputs"
-    arguments = ("experiment=smoke", f"output_dir={output_dir}", "checkpoint.every_n_steps=null",
-                 "evaluation.video_episodes=0", "evaluation.every_n_steps=null")  # fmt: skip
-    command, keywords = script("train", *arguments)
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, **keywords)
-    wait_for(lambda: any(output_dir.glob("*/*/*/metrics.jsonl")), process)
-    process.send_signal(signal_number)
-    _, errors = process.communicate(timeout=60)
-    assert process.returncode == 128 + signal_number
-    assert "rerun the same command to resume" in errors
-    assert "Traceback" not in errors
-    directory, client = only_run(output_dir), store(output_dir)
-    (checkpoint,) = directory.checkpoints.iterdir()
-    assert directory.status == "interrupted"
-    run = client.get_run(directory.run_id)
-    assert (run.info.status, run.data.tags["status"]) == ("KILLED", "interrupted")
-    done = run_script("train", *arguments)
-    assert done.returncode == 0, done.stderr
-    assert f"resuming at step {int(checkpoint.name.removeprefix('step='))}" in done.stderr
-    assert_store_is_whole(output_dir, 400)
-
-
-def test_a_run_that_fails_is_failed_in_the_store_with_its_traceback(output_dir):
-    config = make_config(
-        "experiment=smoke", f"output_dir={output_dir}", "algorithm._target_=support.failing_algorithms.Raises"
-    )
-    with pytest.raises(FailedRunError, match=r"traceback\.txt"):
-        train(config)
-    directory, client = RunDirectory(config.run_dir), store(output_dir)
-    assert directory.status == "failed"
-    run = client.get_run(directory.run_id)
-    assert (run.info.status, run.data.tags["status"]) == ("FAILED", "failed")
-    assert "traceback.txt" in artifacts(client, directory.run_id)
-    assert (directory.path / "traceback.txt").read_text().startswith("Traceback")
 
 
 def test_a_device_that_is_not_there_is_refused_before_anything_is_made(tmp_path):
