@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import torch
-from hydra.utils import get_class, get_object, instantiate
+from hydra.utils import get_class, instantiate
 from stable_baselines3.common.noise import ActionNoise, NormalActionNoise
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from stable_baselines3.common.save_util import recursive_getattr
@@ -128,10 +128,9 @@ def _policy_kwargs(config: RunConfig) -> dict[str, Any]:
 
 
 def _class(value: Any) -> Any:
-    """Return the class that a dotted path names, or what a `_target_` node makes: a class with arguments for it."""
+    """Return the class that a dotted path names, or a class with the arguments of a `_target_` node."""
     if isinstance(value, Mapping):
-        is_class = isinstance(get_object(value["_target_"]), type)
-        return instantiate({**value, "_convert_": "all", "_partial_": is_class})
+        return instantiate({**value, "_convert_": "all", "_partial_": True})
     return get_class(value) if isinstance(value, str) else value
 
 

@@ -24,7 +24,7 @@ class SparseReward(gym.Wrapper, gym.utils.RecordConstructorArgs):
         gym.Wrapper.__init__(self, env)
 
     def step(self, action: np.ndarray) -> tuple[Any, float, bool, bool, dict[str, Any]]:
-        """Step the env; the reward is 0 or -1, plus the penalty of a collision."""
+        """Step the env."""
         observation, _, terminated, truncated, info = self.env.step(action)
         reward = float(info["is_success"]) - 1.0 + self.unwrapped.config["collision_reward"] * info["crashed"]
         return observation, reward, terminated, truncated, info
@@ -35,12 +35,7 @@ class SparseReward(gym.Wrapper, gym.utils.RecordConstructorArgs):
 
 
 def make_env(config: EnvConfig, *, render_mode: str | None = None) -> gym.Env:
-    """Make one parking env.
-
-    Args:
-        config: the `env` group.
-        render_mode: None or `rgb_array`.
-    """
+    """Make one parking env; `render_mode` is None or `rgb_array`."""
     import highway_env  # with matplotlib.pyplot and pygame: training in our simulator starts without them
 
     gym.register_envs(highway_env)
@@ -51,12 +46,7 @@ def make_env(config: EnvConfig, *, render_mode: str | None = None) -> gym.Env:
 
 
 class HighwayBatch:
-    """n scenes of highway-env itself, an env for each, stepped together.
-
-    Args:
-        config: the `env` group; episodes last its `duration`.
-        scenes: seeds of `env.reset`.
-    """
+    """n scenes of highway-env itself, an env for each, stepped together; never reset by itself."""
 
     def __init__(self, config: EnvConfig, scenes: Sequence[int]) -> None:
         self.envs = [make_env(config) for _ in scenes]

@@ -13,13 +13,7 @@ Policy = Callable[[Observation], np.ndarray]
 
 
 class Step(NamedTuple):
-    """Result of one policy step of n scenes.
-
-    Attributes:
-        observation: Dict observation; each entry has shape (n, features).
-        reward: shape (n,).
-        terminated, truncated, crashed, is_success: booleans, shape (n,).
-    """
+    """Result of one policy step of n scenes; all but the observation have the shape (n,)."""
 
     observation: Observation
     reward: np.ndarray

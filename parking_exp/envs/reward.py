@@ -10,19 +10,12 @@ from parking_exp.config.schema import DEFAULT_FEATURES, EnvConfig
 
 @dataclass(frozen=True, eq=False)
 class GoalReward:
-    """The reward of an env variant. Goals are x, y, vx, vy, cos_h, sin_h in highway-env's own scales.
+    """The reward of an env variant. Goals are x, y, vx, vy, cos_h, sin_h in highway-env's own scales."""
 
-    Attributes:
-        weights: of the features' distances, shape (6,).
-        threshold: the dense reward above which a goal counts as reached.
-        collision: what a crash adds to the reward.
-        sparse: whether the reward is 0 where the goal is reached and -1 elsewhere, instead of the distance.
-    """
-
-    weights: np.ndarray
-    threshold: float
-    collision: float
-    sparse: bool
+    weights: np.ndarray  # of the features' distances, shape (6,)
+    threshold: float  # the dense reward above which a goal counts as reached
+    collision: float  # what a crash adds to the reward
+    sparse: bool  # the reward is 0 where the goal is reached and -1 elsewhere, instead of the distance
 
     # Which features of a goal are a velocity.
     velocity = tuple(DEFAULT_FEATURES.index(name) for name in ("vx", "vy"))

@@ -21,17 +21,11 @@ _START_DISTANCE_M = abs(float(SLOT_POSITIONS[_START_SLOTS[0], 0])) + 10.0
 
 @dataclass(frozen=True)
 class Scenes:
-    """A batch of n scenes.
+    """A batch of n scenes."""
 
-    Attributes:
-        heading: the car's heading at the start, shape (n,) [rad], in [0, 2 pi).
-        goal: goal slots, shape (n,).
-        parked: slots of the parked cars, in highway-env's order, shape (n, vehicles_count).
-    """
-
-    heading: np.ndarray
-    goal: np.ndarray
-    parked: np.ndarray
+    heading: np.ndarray  # the car's heading at the start, shape (n,) [rad], in [0, 2 pi)
+    goal: np.ndarray  # goal slots, shape (n,)
+    parked: np.ndarray  # slots of the parked cars, in highway-env's order, shape (n, vehicles_count)
 
     def __len__(self) -> int:
         return len(self.heading)
@@ -40,9 +34,7 @@ class Scenes:
     def from_seeds(seeds: Sequence[int], vehicles_count: int = 0) -> "Scenes":
         """Make highway-env's own scenes, bit for bit: scene s is what `env.reset(seed=s)` makes.
 
-        Args:
-            seeds: at least 0.
-            vehicles_count: parked cars in each; at most 26, since the goal and the slot nearest to the car stay free.
+        There are at most 26 parked cars: the goal and the slot nearest to the car stay free.
         """
         heading = np.empty(len(seeds))
         slots = np.empty((len(seeds), 1 + vehicles_count), np.int64)

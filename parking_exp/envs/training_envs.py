@@ -19,11 +19,9 @@ MONITOR_STATE = ("episode_returns", "episode_lengths", "episode_count")
 def make_training_envs(
     config: EnvConfig, n_envs: int, monitor: Path | None = None, elapsed_s: float = 0.0
 ) -> VecMonitor:
-    """Make the training envs.
+    """Make the training envs of an `env` group, with what it has for training.
 
     Args:
-        config: the `env` group; what it has for training applies (`for_training`).
-        n_envs: how many.
         monitor: file of finished training episodes (Stable-Baselines3's Monitor CSV). Rows are appended.
         elapsed_s: time that the run has taken before, so that the file's clock continues.
     """

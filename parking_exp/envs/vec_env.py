@@ -18,10 +18,6 @@ class ParkingVecEnv(VecEnv):
 
     After `seed(s)`, `reset()` starts highway-env's scenes s, s + 1, ..., as n envs of highway-env would. Later scenes
     are drawn from the same distribution by a generator seeded with s.
-
-    Args:
-        config: the `env` group.
-        n_envs: how many.
     """
 
     render_mode = None  # videos are made with highway-env

@@ -26,29 +26,16 @@ ModelName = Literal["final", "best"]
 
 @dataclass(frozen=True)
 class Agent:
-    """A trained agent on disk.
+    """A trained agent on disk."""
 
-    Attributes:
-        name: as printed: `final model`, `pretrained agent parked`.
-        config: what it was trained with.
-        weights: a model as Stable-Baselines3 saves it, or the actor's weights alone.
-        folder: where its evaluations and exports are written.
-        directory: its run directory; None for a pretrained agent.
-    """
-
-    name: str
+    name: str  # as printed: `final model`, `pretrained agent parked`
     config: RunConfig
-    weights: Path
-    folder: Path
-    directory: RunDirectory | None = None
+    weights: Path  # a model as Stable-Baselines3 saves it, or the actor's weights alone
+    folder: Path  # where its evaluations and exports are written
+    directory: RunDirectory | None = None  # its run directory; None for a pretrained agent
 
     def model(self, env: EnvConfig) -> "OffPolicyAlgorithm":
-        """Return the model with its weights, for predicting in an env.
-
-        Raises:
-            ConfigError: a model of its class can't be restored exactly.
-            ModelError: the weights are damaged, or do not fit the config.
-        """
+        """Return the model with its weights, for predicting in an env; raises what `load_model` does."""
         from stable_baselines3.common.vec_env import DummyVecEnv
 
         from parking_exp.algorithms.build_model import build_model
@@ -71,7 +58,7 @@ class AgentRequest(ConfigModel):
     trust: bool
 
     def agent(self) -> Agent:
-        """Find the agent; raises what `find_agent` does."""
+        """Find the agent."""
         return find_agent(self.run, directory_path(self.output_dir), self.model, trust=self.trust)
 
 

@@ -10,14 +10,17 @@ import numpy as np
 import pandas as pd
 
 from parking_exp.config.schema import EnvConfig, Simulation
+from parking_exp.envs.highway import HighwayBatch
 from parking_exp.envs.interface import Policy
 from parking_exp.envs.outcomes import outcome
-from parking_exp.envs.scene_batches import SceneBatch, start_scenes
+from parking_exp.envs.scenes import Scenes
+from parking_exp.envs.simulator import Simulator
 from parking_exp.evaluation.metrics import EPISODE_COLUMNS, METRICS, RANKING, Episode
 from parking_exp.evaluation.trajectories import Recorder
 
 BATCH_SIZE = 250  # scenes that are stepped together; more are no faster, and a signal is noticed between two steps
 TOLERANCE = 1e-9  # of numbers, between two simulators
+SceneBatch = HighwayBatch | Simulator
 
 
 def evaluate(
@@ -33,20 +36,19 @@ def evaluate(
     The policy sees the scenes in batches, without those that are finished: the same batches in either simulator.
 
     Args:
-        policy: what is evaluated.
-        env: the `env` group; episodes last its `duration`.
+        policy, env: what is evaluated, and where; episodes last the env's `duration`.
         scenes: seeds of `env.reset`.
         on_step: called after each step of a batch with the number of finished episodes; may raise to stop.
         simulator: what simulates the scenes; None: the env's own.
         recorder: is given the cars of all scenes at the start and after each step.
-
-    Returns:
-        Frame with the columns `metrics.EPISODE_COLUMNS`.
     """
     rows: list[dict[str, Any]] = []
     for first in range(0, len(scenes), BATCH_SIZE):
         seeds = np.asarray(scenes[first : first + BATCH_SIZE])
-        batch = start_scenes(env, seeds.tolist(), simulator)
+        if (simulator or env.simulator) == "highway_env":
+            batch: SceneBatch = HighwayBatch(env, seeds.tolist())
+        else:
+            batch = Simulator(env, Scenes.from_seeds(seeds.tolist(), env.vehicles_count))
         _run_batch(policy, batch, seeds, rows, on_step, recorder)
     order = {scene: number for number, scene in enumerate(scenes)}
     rows.sort(key=lambda row: order[row["scene"]])

@@ -77,10 +77,7 @@ def evaluate_run(config: DictConfig) -> Path:
     """Evaluate, print, and store; return the folder of the results.
 
     Raises:
-        ConfigError: the config is not valid, or the run's algorithm can't be restored exactly.
-        ModelError: the model is damaged, or does not fit the run's config.
-        RunNotFoundError: there is no such run, or it has no such model yet.
-        UntrustedError: the stored config names an unknown class, and `trust` is false.
+        ConfigError: the config is not valid; also what `agents.load_model` raises.
     """
     request = validate_request(config)
     agent = request.agent()
@@ -112,16 +109,9 @@ def _evaluate(request: EvaluationRequest, agent: Agent, env: EnvConfig, folder: 
     for outdated in folder.glob("video.*"):
         outdated.unlink()
     episodes.to_csv(folder / "episodes.csv", index=False)
-    summary = {
-        "env": env.name,
-        "simulator": request.simulator,
-        "model": request.model,
-        "first_scene": request.first_scene,
-        "episodes": len(episodes),
-        **summarise(episodes),
-        "intervals": intervals(episodes),
-    }
-    write_json(folder / "summary.json", summary)
+    chosen = request.model_dump(include={"simulator", "model", "first_scene"})
+    rates = {**summarise(episodes), "intervals": intervals(episodes)}
+    write_json(folder / "summary.json", {"env": env.name, **chosen, "episodes": len(episodes), **rates})
     say(
         f"{agent.name} on {plural(len(scenes), 'scene')} of {env.name}, from scene {request.first_scene}, "
         f"simulated by {request.simulator}",
@@ -153,11 +143,7 @@ def _store(request: EvaluationRequest, directory: RunDirectory) -> None:
 
 
 def _env(request: EvaluationRequest, env: EnvConfig) -> EnvConfig:
-    """Return an `env` group with the request's simulator.
-
-    Raises:
-        ConfigError: they do not go together.
-    """
+    """Return an `env` group with the request's simulator; ConfigError where they do not go together."""
     env = env.model_copy(update={"simulator": request.simulator})
     refuse(check_env(env))
     return env

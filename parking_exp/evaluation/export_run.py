@@ -23,7 +23,6 @@ if TYPE_CHECKING:
 N_OBSERVATIONS = 1000  # on which a file is compared with the model
 N_SCENES = 50  # evaluated at a time
 RANDOM_FRACTION = 0.1  # of actions, so that the file is also compared where the policy would not go
-REQUIRED_PACKAGES = {"onnx": ("onnx", "onnxruntime")}
 SUFFIXES = {"onnx": ".onnx", "torchscript": ".pt", "safetensors": ".safetensors"}
 
 
@@ -41,7 +40,7 @@ def validate_request(config: DictConfig) -> ExportRequest:
         ConfigError: a value is not valid, or a package that the format needs is not installed.
     """
     request = parse(ExportRequest, config)
-    for name in REQUIRED_PACKAGES.get(request.format, ()):
+    for name in ("onnx", "onnxruntime") if request.format == "onnx" else ():
         if find_spec(name) is None:
             raise ConfigError(f"format={request.format}: {name} is not installed; pip install 'parking-exp[export]'")
     suffix = SUFFIXES[request.format]
@@ -54,10 +53,8 @@ def export_run(config: DictConfig) -> Path:
     """Write the policy, compare the file with the model, print the largest difference; return the file's path.
 
     Raises:
-        ConfigError: the config is not valid, or the run's algorithm can't be restored exactly.
-        ModelError: the model is damaged, can't be exported, or the file's actions differ from the model's.
-        RunNotFoundError: there is no such run, or it has no such model yet.
-        UntrustedError: the stored config names an unknown class, and `trust` is false.
+        ConfigError: the config is not valid; also what `agents.load_model` raises.
+        ModelError: the model can't be exported, or the file's actions differ from the model's.
     """
     request = validate_request(config)
     agent = request.agent()
@@ -87,10 +84,7 @@ def export_run(config: DictConfig) -> Path:
 def sample_observations(policy: "Policy", env: EnvConfig, number: int) -> "Observation":
     """Return observations of whole episodes of a policy, with some random actions; the same at each call.
 
-    Args:
-        policy: chooses most actions.
-        env: the `env` group.
-        number: of observations, evenly drawn from the episodes' first steps to their last.
+    They are evenly drawn, from the episodes' first steps to their last.
     """
     import numpy as np
 

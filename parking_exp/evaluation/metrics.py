@@ -13,46 +13,27 @@ from parking_exp.envs.outcomes import OUTCOMES, Outcome, Pose
 
 @dataclass(frozen=True)
 class Episode:
-    """An evaluation episode that has ended.
-
-    Attributes:
-        outcome: success, crash or timeout.
-        steps: its length in policy steps.
-        total_reward: undiscounted sum of its rewards.
-        end: the car relative to its goal slot at the end.
-    """
+    """An evaluation episode that has ended."""
 
     outcome: Outcome
-    steps: int
-    total_reward: float
-    end: Pose
+    steps: int  # policy steps
+    total_reward: float  # undiscounted
+    end: Pose  # of the car, relative to its goal slot
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Metric:
-    """A metric of evaluation episodes, of which an evaluation has the rate (of a bool) or the mean (of a number).
+    """A metric of evaluation episodes, of which an evaluation has the rate (of a bool) or the mean (of a number)."""
 
-    Attributes:
-        name: its column in `episodes.csv`; outcomes share the column `outcome`.
-        of: its value, computed from an episode that has ended.
-        dtype: of the column in frames.
-        label: heading in tables.
-        unit: shown behind the label; empty for none.
-        higher_is_better: None where neither is.
-        column: in `Results.runs`; None: `NAME_rate` or the name.
-        in_curves: whether `Results.curves` has it.
-        in_reports: whether reports have its mean over seeds.
-    """
-
-    name: str
-    of: Callable[[Episode], bool | int | float]
-    dtype: Literal["bool", "int64", "float64"] = "float64"
-    label: str
-    unit: str = ""
-    higher_is_better: bool | None = None
-    column: str | None = None
-    in_curves: bool = False
-    in_reports: bool = False
+    name: str  # of its column in `episodes.csv`; outcomes share the column `outcome`
+    of: Callable[[Episode], bool | int | float]  # its value, computed from an episode that has ended
+    label: str  # heading in tables
+    unit: str = ""  # shown behind the label
+    dtype: Literal["bool", "int64", "float64"] = "float64"  # of the column in frames
+    higher_is_better: bool | None = None  # None where neither is
+    column: str | None = None  # in `Results.runs`; None: `NAME_rate` or the name
+    in_curves: bool = False  # whether `Results.curves` has it
+    in_reports: bool = False  # whether reports have its mean over seeds
 
     @property
     def is_rate(self) -> bool:
@@ -82,64 +63,36 @@ class Metric:
 
 def _rate(name: str, of: Callable[[Episode], bool], *, higher_is_better: bool) -> Metric:
     """Return a metric of which the store, curves and reports have the rate."""
-    return Metric(
-        name=name,
-        of=of,
-        dtype="bool",
-        label=name.capitalize(),
-        higher_is_better=higher_is_better,
-        in_curves=True,
-        in_reports=True,
-    )
+    return Metric(name, of, name.capitalize(), "", "bool", higher_is_better, in_curves=True, in_reports=True)
 
 
 def _ended_as(name: Outcome) -> Callable[[Episode], bool]:
     return lambda episode: episode.outcome == name
 
 
+# In `Results.runs`, `steps` are the env steps trained.
 METRICS: tuple[Metric, ...] = (
     *(_rate(name, _ended_as(name), higher_is_better=name == "success") for name in OUTCOMES),
     _rate("parked", lambda episode: episode.end.parked, higher_is_better=True),
     Metric(
-        name="steps",
-        of=lambda episode: episode.steps,
-        dtype="int64",
-        label="Steps an episode",
-        higher_is_better=False,
-        column="episode_steps",  # `steps` are the env steps trained
-        in_curves=True,
-        in_reports=True,
+        "steps", lambda episode: episode.steps, "Steps an episode", "", "int64", higher_is_better=False,
+        column="episode_steps", in_curves=True, in_reports=True
     ),
     Metric(
-        name="return",
-        of=lambda episode: episode.total_reward,
-        label="Return",
-        higher_is_better=True,
-        column="episode_return",
-        in_curves=True,
+        "return", lambda episode: episode.total_reward, "Return", higher_is_better=True, column="episode_return",
+        in_curves=True
     ),
     Metric(
-        name="distance_m",
-        of=lambda episode: episode.end.distance_m,
-        label="Distance at the end",
-        unit="m",
-        higher_is_better=False,
+        "distance_m", lambda episode: episode.end.distance_m, "Distance at the end", "m", higher_is_better=False
     ),
     Metric(
-        name="heading_error_rad",
-        of=lambda episode: abs(episode.end.heading_error_rad),
-        label="Heading error at the end",
-        unit="rad",
-        higher_is_better=False,
+        "heading_error_rad", lambda episode: abs(episode.end.heading_error_rad), "Heading error at the end", "rad",
+        higher_is_better=False
     ),
     Metric(
-        name="speed_mps",
-        of=lambda episode: abs(episode.end.speed_mps),
-        label="Speed at the end",
-        unit="m/s",
-        higher_is_better=False,
+        "speed_mps", lambda episode: abs(episode.end.speed_mps), "Speed at the end", "m/s", higher_is_better=False
     ),
-)
+)  # fmt: skip
 
 RANKING = ("success", "crash", "steps")
 """By which metrics the best model is chosen: the second where the first is equal, and so on."""

@@ -26,13 +26,6 @@ def record(policy: Policy, env: EnvConfig, scenes: Sequence[int], path: Path, gi
     A second of video is a second of driving: one frame for the start of each episode, one for each simulation frame,
     and one second of its end. Episodes are cut after `LONGEST_EPISODE_S` seconds.
 
-    Args:
-        policy: what is recorded.
-        env: the `env` group.
-        scenes: seeds of `env.reset`.
-        path: of the mp4.
-        gif: whether to make a GIF as well.
-
     Returns:
         The number of frames.
     """

@@ -31,7 +31,7 @@ log = logging.getLogger(__name__)
 
 MODEL, AVERAGED, BEST = "model.zip", "averaged.zip", "best.zip"
 BUFFER, MANIFEST = "replay_buffer.npz", "manifest.json"
-STATE, ARRAYS, METRICS = "state.json", "state.npz", "metrics.jsonl"
+STATE, ARRAYS = "state.json", "state.npz"
 COUNTERS = ("num_timesteps", "_n_updates", "_episode_num", "_current_progress_remaining")
 LAST = ("_last_obs", "_last_episode_starts")
 RECENT = ("ep_info_buffer", "ep_success_buffer")
@@ -39,19 +39,12 @@ RECENT = ("ep_info_buffer", "ep_success_buffer")
 
 @dataclass
 class Progress:
-    """Progress of a run, besides its model and buffer.
+    """Progress of a run, besides its model and buffer."""
 
-    Attributes:
-        step: env steps at the last checkpoint.
-        evaluated: env steps at the last evaluation.
-        best: rank of the best evaluation so far (`evaluation.rank`).
-        cpu_s, wall_s: time spent so far, earlier processes included.
-    """
-
-    step: int = 0
-    evaluated: int = 0
-    best: list[float] | None = None
-    cpu_s: float = 0.0
+    step: int = 0  # env steps at the last checkpoint
+    evaluated: int = 0  # env steps at the last evaluation
+    best: list[float] | None = None  # rank of the best evaluation so far
+    cpu_s: float = 0.0  # time spent, earlier processes included
     wall_s: float = 0.0
 
 
@@ -65,13 +58,7 @@ def save(
 ) -> Path:
     """Write a checkpoint, then delete all but the last `keep_last`.
 
-    Args:
-        directory: of the run's checkpoints; the logs beside it are copied into each checkpoint.
-        model: what is trained.
-        progress: of the run.
-        best: the best model's file; it is copied, since a later one may replace it.
-        keep_last: how many checkpoints stay.
-        average: of the policy; it is saved as a second model.
+    The logs beside `directory` and the best model are copied into it; the average is saved as a second model.
 
     Raises:
         OSError: the disk is full; earlier checkpoints are untouched.
@@ -92,11 +79,10 @@ def save(
         plain, arrays = serialization.split(state)
         _write_arrays(folder / ARRAYS, arrays)
         write_json(folder / STATE, {"progress": asdict(progress), **plain})
+    folders = _folders(directory)
+    number = folders.index(target) + 1
     # A later step is of a checkpoint that was damaged when the run was resumed.
-    others = [folder for folder in _folders(directory) if folder != target]
-    later = [folder for folder in others if folder.name > target.name]
-    earlier = [folder for folder in others if folder.name < target.name]
-    for outdated in [*later, *earlier[: max(0, len(earlier) - keep_last + 1)]]:
+    for outdated in folders[: max(0, number - keep_last)] + folders[number:]:
         shutil.rmtree(outdated)
     return target
 
@@ -113,10 +99,7 @@ def latest(directory: Path) -> Path | None:
 
 def check(folder: Path) -> str | None:
     """Return what is wrong with a checkpoint; None if all files have their hashes."""
-    manifest = read_object(folder / MANIFEST)
-    if not manifest.keys() >= {MODEL, BUFFER, STATE, ARRAYS, METRICS}:
-        return f"{MANIFEST} is missing or damaged"
-    for name, digest in manifest.items():
+    for name, digest in (read_object(folder / MANIFEST) or {MANIFEST: None}).items():
         if not (folder / name).is_file() or sha256(folder / name) != digest:
             return f"{name} is missing or damaged"
     return None

@@ -16,11 +16,7 @@ from parking_exp.runs.metric_logs import MetricsLog
 def make_logger(tracking: TrackingConfig, run_dir: Path, metrics: MetricsLog, step: int) -> Logger:
     """Make a run's logger: `metrics.jsonl` always, progress.csv, TensorBoard and stdout as configured.
 
-    Args:
-        tracking: the `tracking` group.
-        run_dir: of the run.
-        metrics: the rows so far, with which progress.csv begins.
-        step: where the run starts or resumes; TensorBoard discards what it has of later steps.
+    progress.csv begins with the rows of `metrics`; TensorBoard discards what it has of steps after `step`.
     """
     formats: list[KVWriter] = [_MetricsWriter(metrics, run_dir / "progress.csv" if tracking.csv else None)]
     if tracking.tensorboard:

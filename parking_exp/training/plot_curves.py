@@ -10,13 +10,7 @@ COLOURS = {"success": "#009E73", "crash": "#D55E00", "timeout": "#56B4E9", "park
 
 
 def learning_curves(metrics: pd.DataFrame, title: str, path: Path) -> None:
-    """Draw a run's evaluation rates and returns against env steps.
-
-    Args:
-        metrics: columns `step`, `eval/<name>_rate`, `eval/return_mean`, as `MetricsLog.frame` gives them.
-        title: of the picture.
-        path: of the PNG.
-    """
+    """Draw a run's evaluation rates and returns against env steps, from the columns of `MetricsLog.frame`."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(6.4, 5.6), dpi=150, layout="constrained")

@@ -3,7 +3,6 @@
 import time
 from collections.abc import Callable
 
-from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from parking_exp.terminal import Screen
@@ -17,8 +16,7 @@ class TrainingProgress:
 
     Args:
         total_steps, start: env steps in all, and done before.
-        enabled: whether anything is shown.
-        console: where; None: the standard error stream.
+        enabled: whether anything is shown, on the standard error stream.
         heartbeat: called every second with how far the run is, whatever is shown.
     """
 
@@ -27,10 +25,9 @@ class TrainingProgress:
         total_steps: int,
         start: int,
         enabled: bool,
-        console: Console | None = None,
         heartbeat: Callable[..., None] = lambda **_: None,
     ) -> None:
-        self.console = console or Screen(stderr=True)
+        self.console = Screen(stderr=True)
         self.total, self.start, self.enabled = total_steps, start, enabled
         self._started = time.monotonic()
         self._heartbeat, self._next_heartbeat, self._step = heartbeat, 0.0, start

@@ -11,12 +11,9 @@ from parking_exp.config.schema import TRAINING_SCENES_START
 class Seeds:
     """Seeds of one run's random generators."""
 
-    policy: int
-    """Weights, exploration and minibatches (Python, NumPy and torch), below 2**31."""
-    training_scenes: int
-    """Seed of the first training env; env i gets this + i. At least 2**31, where no evaluation scene lies."""
-    certified_scenes: int
-    """Draws the scenes of the final evaluation that are certified."""
+    policy: int  # weights, exploration and minibatches (Python, NumPy and torch), below 2**31
+    training_scenes: int  # of the first training env; env i gets this + i. At least 2**31: no evaluation scene
+    certified_scenes: int  # draws the scenes of the final evaluation that are certified
 
 
 def derive_seeds(seed: int) -> Seeds:

@@ -28,9 +28,6 @@ def stop_on_signal(
     """Turn the first SIGINT or SIGTERM into a StopRequest; a second one interrupts at once.
 
     Outside the main thread signals can't be caught, and nothing changes.
-
-    Args:
-        at_first, at_second: called with the first signal, and with the second one's number.
     """
     request = StopRequest()
     if threading.current_thread() is not threading.main_thread():

@@ -36,9 +36,7 @@ def train(config: DictConfig | Mapping[str, Any] | RunConfig, *, supervised: boo
     """Train, evaluate and track one run, or finish what is left of it.
 
     A run that is done returns its stored result. One that was interrupted resumes from its latest whole checkpoint.
-    Args:
-        config: of the run.
-        supervised: whether a process that holds the run's supervisor lock has started this one.
+    `supervised` is true where the process that started this one holds the run's supervisor lock.
 
     Raises:
         ConfigError: the config cannot run; nothing was made on disk.
@@ -84,8 +82,14 @@ def _train(config: RunConfig, directory: RunDirectory, stop: StopRequest) -> Run
                 loop.save_checkpoint()
                 raise
         metrics = loop.metrics.latest()
-        finished = RunResult(str(directory.path), directory.run_id, loop.model.num_timesteps, metrics)
-        directory.finish(finished, **_summary(finished))
+        memory_bytes = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (1 if sys.platform == "darwin" else 1024)
+        directory.finish(
+            RunResult(str(directory.path), directory.run_id, loop.model.num_timesteps, metrics),
+            success_rate=metrics.get("final/success_rate"),
+            wall_s=metrics.get("time/wall_s"),
+            cpu_s=metrics.get("time/cpu_s"),
+            memory_bytes=memory_bytes,
+        )
     except (InterruptedRunError, KeyboardInterrupt):
         directory.update(status="interrupted")
         tracker.close()
@@ -110,17 +114,6 @@ def _record_failure(error: BaseException, directory: RunDirectory, tracker: Trac
         tracker.close()
     except Exception as another:  # the first error is the one to report
         error.add_note(f"while recording the failure: {type(another).__name__}: {another}")
-
-
-def _summary(result: RunResult) -> dict[str, float | None]:
-    """Return the entries of status.json that tables of many runs show: success, and what the run took."""
-    usage = resource.getrusage(resource.RUSAGE_SELF)
-    return {
-        "success_rate": result.metrics.get("final/success_rate"),
-        "wall_s": result.metrics.get("time/wall_s"),
-        "cpu_s": result.metrics.get("time/cpu_s"),
-        "memory_bytes": usage.ru_maxrss * (1 if sys.platform == "darwin" else 1024),
-    }
 
 
 def _closing_lines(result: RunResult, directory: RunDirectory) -> list[str]:

@@ -5,15 +5,11 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from hydra.utils import get_class
-from stable_baselines3.common.logger import Logger
+from support.models import make_model, model_of
 from support.run_equality import exact, parameters
 from support.runs import make_config, options
 
-from parking_exp.algorithms.build_model import build_model, greedy_policy
-from parking_exp.algorithms.features import EgoFrameExtractor
-from parking_exp.algorithms.model_files import load_weights
-from parking_exp.envs.training_envs import make_training_envs
+from parking_exp.algorithms.build_model import greedy_policy
 from parking_exp.errors import ConfigError
 from parking_exp.training import checkpoints, rollout_state
 
@@ -36,12 +32,6 @@ def configured(algorithm):
     return make_config(*SMOKE, *ALGORITHMS[algorithm])
 
 
-def built(config, seed):
-    model = build_model(config, make_training_envs(config.env, config.n_envs), seed)
-    model.set_logger(Logger(None, []))
-    return model
-
-
 def state(model, directory):
     """All tensors that the model's file has, and its actions on random observations, as bytes."""
     rng = np.random.default_rng(0)
@@ -54,7 +44,7 @@ def state(model, directory):
 def trained(request, tmp_path_factory):
     """A model that was saved in a checkpoint after its first updates, and then made two more."""
     config, directory = configured(request.param), tmp_path_factory.mktemp("checkpoints")
-    model = built(config, seed=0).learn(60)
+    model = model_of(config).learn(60)
     assert model._n_updates > 0
     folder = checkpoints.save(directory, model, checkpoints.Progress(step=60), directory / "best.zip", keep_last=1)
     saved = state(model, directory)
@@ -62,35 +52,16 @@ def trained(request, tmp_path_factory):
     return SimpleNamespace(config=config, model=model, folder=folder, saved=saved, updated=state(model, directory))
 
 
-def test_its_config_becomes_a_model_of_its_class(trained):
-    assert type(trained.model) is get_class(trained.config.algorithm.target)
-    has_ego_features = isinstance(trained.model.actor.features_extractor, EgoFrameExtractor)
-    assert has_ego_features == (trained.config.algorithm.features != "raw")
-
-
-def test_loaded_into_another_model_it_has_the_same_weights_and_actions(trained, tmp_path):
-    other = built(trained.config, seed=1)
-    assert state(other, tmp_path)["actions"] != trained.saved["actions"]
-    load_weights(trained.folder / "model.zip", other)
-    assert state(other, tmp_path) == trained.saved
-
-
 def test_restored_from_a_checkpoint_its_next_updates_are_the_same(trained, tmp_path):
     """Parameters, target networks, optimizers, coefficients and actions."""
-    other = built(trained.config, seed=1)
+    other = model_of(trained.config, seed=1)
     rollout_state.set_state(other, checkpoints.restore(trained.folder, other, tmp_path / "best.zip"))
     other.train(2, other.batch_size)
     assert trained.updated != trained.saved
     assert state(other, tmp_path) == trained.updated
 
 
-@pytest.mark.parametrize("algorithm", [*options("algorithm"), "a user's with an extra network"])
-def test_an_argument_that_it_does_not_take_is_refused_by_name(algorithm):
-    with pytest.raises(ConfigError, match=r"^algorithm\.no_such: "):
-        make_config(*SMOKE, *ALGORITHMS[algorithm], "+algorithm.no_such=1")
-
-
 @pytest.mark.parametrize(("name", "lost"), [("ForgetsExtraNetwork", "curiosity"), ("SavesNothing", "all weights")])
 def test_a_class_whose_files_would_lose_weights_is_refused(name, lost):
     with pytest.raises(ConfigError, match=rf"^{USER}\.{name}: .*{lost}$"):
-        built(make_config(*SMOKE, f"{USER}.{name}"), seed=0)
+        make_model(*SMOKE, f"{USER}.{name}")

@@ -35,19 +35,18 @@ def features(car, goal, make=EgoFrameExtractor):
     return make(space, SCALES)(tensors)[0].tolist()
 
 
-def test_a_goal_ahead_and_to_the_left():
-    # The car looks along +y; 20 m ahead of it and 10 m to its left the slot looks along -x.
-    found = features(car=(0, 0, math.pi / 2, 2.5), goal=(-10, 20, math.pi))
-    expected = [2.0, 1.0, 0.0, 1.0, 0.5, math.sqrt(5), 0.0, 0.0, 0.0, 1.0]
-    assert found == pytest.approx(expected, abs=1e-6)
-
-
-def test_driving_backwards_has_a_negative_speed():
-    assert features(car=(0, 0, 0.3, -5), goal=(10, 0, 0))[4] == pytest.approx(-1.0, abs=1e-6)
-
-
-def test_the_pose_in_the_lot_is_scaled_by_the_walls():
-    assert features(car=(35, -21, 0, 0), goal=(0, 0, 0))[6:] == pytest.approx([1.0, -1.0, 1.0, 0.0], abs=1e-6)
+@pytest.mark.parametrize(
+    ("car", "goal", "part", "expected"),
+    [
+        # The car looks along +y; 20 m ahead of it and 10 m to its left the slot looks along -x.
+        ((0, 0, math.pi / 2, 2.5), (-10, 20, math.pi), slice(None),
+         [2.0, 1.0, 0.0, 1.0, 0.5, math.sqrt(5), 0.0, 0.0, 0.0, 1.0]),
+        ((0, 0, 0.3, -5), (10, 0, 0), slice(4, 5), [-1.0]),  # backwards
+        ((35, -21, 0, 0), (0, 0, 0), slice(6, None), [1.0, -1.0, 1.0, 0.0]),  # scaled by the walls
+    ],
+)  # fmt: skip
+def test_the_goal_in_the_cars_frame_its_speed_and_its_pose_in_the_lot(car, goal, part, expected):
+    assert features(car, goal)[part] == pytest.approx(expected, abs=1e-6)
 
 
 def test_goal_features_do_not_depend_on_where_the_scene_lies():

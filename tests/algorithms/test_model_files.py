@@ -2,30 +2,19 @@
 
 import io
 import os
-import random
 import zipfile
 
 import pytest
 import torch
-from stable_baselines3.common.logger import Logger
-from support.run_equality import leaves, parameters
-from support.runs import make_config
+from support.models import make_model
+from support.run_equality import leaves
 
-from parking_exp.algorithms.build_model import build_model
-from parking_exp.algorithms.model_files import load_weights, read_weights, save_model
-from parking_exp.envs.training_envs import make_training_envs
+from parking_exp.algorithms.model_files import load_weights, save_model
 from parking_exp.errors import DamagedModelError, ModelError
-from parking_exp.training import checkpoints
-from parking_exp.training.checkpoints import Progress
-
-CPU = torch.device("cpu")
 
 
 def built(*overrides, seed=0):
-    config = make_config("experiment=smoke", "algorithm.learning_starts=40", *overrides)
-    model = build_model(config, make_training_envs(config.env, config.n_envs), seed)
-    model.set_logger(Logger(None, []))
-    return model
+    return make_model("experiment=smoke", "algorithm.learning_starts=40", *overrides, seed=seed)
 
 
 @pytest.fixture(scope="module")
@@ -69,18 +58,6 @@ def state(model):
     return leaves([model.get_parameters(), model.log_ent_coef], "")
 
 
-def test_a_saved_file_has_the_models_tensors_and_all_of_them_are_loaded(model, content, tmp_path):
-    path = tmp_path / "model.zip"
-    path.write_bytes(content)
-    saved = parameters(path)
-    assert len([name for name in saved if name.startswith("policy.pth/")]) == len(model.policy.state_dict())
-    assert saved["pytorch_variables.pth/log_ent_coef"] == leaves(model.log_ent_coef, "")[""]
-    other = built(seed=1)
-    assert state(other) != state(model)
-    load_weights(path, other)
-    assert state(other) == state(model)
-
-
 @pytest.mark.parametrize(
     "damage",
     [
@@ -101,28 +78,6 @@ def test_a_damaged_file_is_refused_and_changes_nothing(model, content, tmp_path,
     assert state(model) == before
 
 
-@pytest.mark.slow
-def test_any_byte_may_be_flipped(content, tmp_path):
-    """All of what describes the zip, and some of the rest: the same weights, or a refusal; never other ones."""
-    path = tmp_path / "model.zip"
-    path.write_bytes(content)
-    with zipfile.ZipFile(path) as archive:
-        positions = set(range(archive.start_dir, len(content), 2))
-        for one in archive.infolist():
-            positions |= set(range(one.header_offset, one.header_offset + 30 + len(one.filename), 2))
-    positions |= set(random.Random(0).sample(range(len(content)), 200))
-    expected, refused = leaves(read_weights(path, CPU), ""), 0
-    for position in sorted(positions):
-        path.write_bytes(flipped(content, position, position % 8))
-        try:
-            weights = leaves(read_weights(path, CPU), "")
-        except DamagedModelError:
-            refused += 1
-            continue
-        assert weights.items() <= expected.items()  # without a part of them, they do not fit
-    assert refused > 300
-
-
 def test_what_is_no_weight_is_not_executed(model, content, tmp_path):
     class Hostile:
         def __reduce__(self):
@@ -141,7 +96,6 @@ def test_what_is_no_weight_is_not_executed(model, content, tmp_path):
 @pytest.mark.parametrize(
     ("overrides", "named"),
     [
-        (["algorithm.net_arch=[8,8]"], "actor.latent_pi.0.weight"),
         (["algorithm.net_arch=[16,16,16]"], "actor.latent_pi.4.weight"),
         (["algorithm=td3", "algorithm.net_arch=[16,16]"], "log_ent_coef"),
         (["algorithm.ent_coef=0.1"], "ent_coef_tensor"),
@@ -150,43 +104,5 @@ def test_what_is_no_weight_is_not_executed(model, content, tmp_path):
 def test_a_file_of_another_model_is_refused(content, tmp_path, overrides, named):
     path = tmp_path / "model.zip"
     path.write_bytes(content)
-    with pytest.raises(ModelError, match=rf"^{path} does not fit .*{named}"):
+    with pytest.raises(ModelError, match=rf"^{path} .*{named}"):
         load_weights(path, built(*overrides))
-
-
-@pytest.mark.parametrize(
-    ("name", "value", "named"),
-    [
-        ("pytorch_variables_pth", None, "log_ent_coef"),
-        ("pytorch_variables_pth", tensors({"log_ent_coef": None}), "NoneType"),
-        ("actor_optimizer_pth", None, "actor.optimizer"),
-        ("actor_optimizer_pth", tensors({"state": {}, "param_groups": []}), "parameter groups"),
-        ("policy_pth", tensors([1]), "list"),
-    ],
-)
-def test_a_file_without_all_weights_is_refused(content, tmp_path, name, value, named):
-    path = tmp_path / "model.zip"
-    path.write_bytes(rewritten(content, **{name: value}))
-    with pytest.raises(ModelError, match=rf"^{path} does not fit SAC .*{named}"):
-        load_weights(path, built())
-
-
-@pytest.mark.parametrize(
-    ("damage", "deleted"),
-    [
-        (lambda content: flipped(content, content.index(b"policy.pth") + 3000), "{folder}"),
-        (lambda content: rewritten(content, actor_optimizer_pth=None), "{run}"),
-    ],
-)
-def test_a_damaged_model_in_a_checkpoint_whose_manifest_fits_is_named(model, tmp_path, monkeypatch, damage, deleted):
-    """As a disk leaves it that went wrong before the hash was taken."""
-    best, save = tmp_path / "best.zip", type(model).save
-    with monkeypatch.context() as patch:
-        patch.setattr(
-            type(model), "save", lambda self, path: save(self, path) or path.write_bytes(damage(path.read_bytes()))
-        )
-        folder = checkpoints.save(tmp_path / "run" / "checkpoints", model, Progress(step=60), best, 2)
-    assert checkpoints.check(folder) is None
-    deleted = deleted.format(folder=folder, run=tmp_path / "run")
-    with pytest.raises(ModelError, match=rf"^{folder / 'model.zip'} .* delete {deleted} "):
-        checkpoints.restore(folder, built(seed=1), best)

@@ -3,12 +3,11 @@
 import numpy as np
 import pytest
 from highway_env.utils import are_polygons_intersecting
-from highway_env.vehicle.kinematics import Vehicle
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from parking_exp.envs.simulator.collisions import corners, separating_axis
-from parking_exp.envs.simulator.dynamics import advance, limited_acceleration, slip_angle
+from parking_exp.envs.simulator.dynamics import limited_acceleration
 
 coordinate = st.floats(-6, 6)
 angle = st.one_of(st.floats(-7, 7), st.sampled_from([0.0, np.pi / 2, -np.pi / 2]))
@@ -31,41 +30,6 @@ def test_separating_axis_is_highway_envs(first, second, displacement):
     assert (bool(now[0]), bool(soon[0])) == (their_now, their_soon)
     if their_soon:
         np.testing.assert_array_equal(push[0], their_push)
-
-
-@settings(max_examples=200, deadline=None)
-@given(st.tuples(coordinate, coordinate), angle, st.floats(-40, 40))
-def test_corners_are_highway_envs(position, heading, speed):
-    car = Vehicle(None, list(position), heading, speed)
-    np.testing.assert_array_equal(polygon(*position, heading, 5.0, 2.0), car.polygon()[:4])
-
-
-@settings(max_examples=300, deadline=None)
-@given(coordinate, coordinate, angle, st.floats(-40, 40), st.floats(-9, 9), st.floats(-1.5, 1.5))
-def test_a_frame_is_highway_envs(x, y, heading, speed, acceleration, steering):
-    car = Vehicle(None, [x, y], heading, speed)
-    car.act({"steering": steering, "acceleration": acceleration})
-    car.step(1 / 15)
-    slip = slip_angle(np.array([steering]))
-    position, turned, faster = advance(
-        np.array([[x], [y]]),
-        np.array([heading]),
-        np.array([speed]),
-        np.array([acceleration]) * (1 / 15),
-        slip,
-        np.sin(slip),
-        1 / 15,
-    )
-    assert (*position[:, 0], turned[0], faster[0]) == (*car.position, car.heading, car.speed)
-
-
-@pytest.mark.parametrize(("y", "way", "touches", "push"), [(18.4, 0.0, True, -0.4), (17.9, 0.2, False, -0.1)])
-def test_a_car_is_pushed_out_of_a_wall_one_frame_ahead(y, way, touches, push):
-    """A car 0.4 m inside a wall; and one 0.1 m before it at 3 m/s, which will be 0.1 m too far in 1/15 s."""
-    car, wall = polygon(0, y, np.pi / 2, 5, 2), polygon(0, 21, 0, 70, 1)
-    now, soon, translation = separating_axis(np.stack([car, wall])[None], np.array([[0, way]]))
-    assert (bool(now[0]), bool(soon[0])) == (touches, True)
-    np.testing.assert_allclose(translation[0], [0, push], atol=1e-12)
 
 
 @pytest.mark.parametrize(("speed", "expected"), [(3.0, 1.0), (6.0, -1.0), (5.0, 1.0), (-4.0, 2.0)])

@@ -48,36 +48,6 @@ def test_until_the_first_reset_it_equals_highway_env_in_a_dummy_vec_env(config):
             np.testing.assert_array_equal(mine["terminal_observation"][key], value)
 
 
-@pytest.mark.slow
-def test_crashes_and_their_terminal_observations_equal_those_of_a_dummy_vec_env():
-    """Full throttle until each env has crashed once, at different times; what comes after is another scene."""
-    config = make_config("env=parking_crowded", "env.training_duration=20").env
-    ours = ParkingVecEnv(config.for_training(), 6)
-    theirs = DummyVecEnv([lambda: make_env(config.for_training())] * 6)
-    ours.seed(0), theirs.seed(0)
-    ours.reset(), theirs.reset()
-    waiting, ends = set(range(6)), []
-    for step in range(101):
-        mine, their = (env.step(np.tile([1.0, 0.1], (6, 1)).astype(np.float32)) for env in (ours, theirs))
-        for row in list(waiting):
-            assert mine[1][row] == their[1][row]
-            assert mine[2][row] == their[2][row]
-            if not mine[2][row]:
-                np.testing.assert_array_equal(mine[0]["observation"][row], their[0]["observation"][row])
-                continue
-            waiting.remove(row)
-            ends.append(step)
-            last, their_last = (side[3][row]["terminal_observation"] for side in (mine, their))
-            np.testing.assert_array_equal(last["achieved_goal"], their_last["achieved_goal"])
-            for name in ("crashed", "is_success", "TimeLimit.truncated"):
-                assert mine[3][row][name] == their[3][row][name]
-            assert mine[3][row]["crashed"]
-        if not waiting:
-            break
-    assert not waiting
-    assert len(set(ends)) > 1
-
-
 def test_an_ended_episode_is_followed_by_a_new_scene(config):
     env = ParkingVecEnv(config.for_training(), 3)
     env.seed(0)
@@ -122,12 +92,3 @@ def test_state_is_saved_restored_and_continued_identically(option):
             np.testing.assert_array_equal(observation[key], again[0][key])
         np.testing.assert_array_equal(rewards, again[1])
         np.testing.assert_array_equal(dones, again[2])
-
-
-def test_what_an_env_does_not_have_is_named(config):
-    env = ParkingVecEnv(config, 2)
-    assert env.get_attr("render_mode") == [None, None]
-    with pytest.raises(AttributeError, match="road"):
-        env.get_attr("road")
-    with pytest.raises(AttributeError, match="steer"):
-        env.env_method("steer")

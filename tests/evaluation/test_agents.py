@@ -3,10 +3,8 @@
 import re
 import shutil
 
-import numpy as np
 import pytest
 import torch
-from safetensors.torch import save
 from support.runs import make_config
 
 from parking_exp.algorithms.build_model import build_model, greedy_policy
@@ -14,7 +12,7 @@ from parking_exp.algorithms.policy_files import load_policy, save_policy
 from parking_exp.envs.training_envs import make_training_envs
 from parking_exp.errors import DamagedModelError, ModelError, RunNotFoundError, UntrustedError
 from parking_exp.evaluation import agents
-from parking_exp.evaluation.agents import PRETRAINED_DIR, find_agent, load_model, pretrained_names
+from parking_exp.evaluation.agents import PRETRAINED_DIR, find_agent
 from parking_exp.evaluation.evaluate_policy import evaluate, summarise
 
 TINY = ("algorithm.net_arch=[8]", "n_envs=1", "algorithm.learning_starts=1000", "updates_per_step=1")
@@ -23,14 +21,6 @@ TINY = ("algorithm.net_arch=[8]", "n_envs=1", "algorithm.learning_starts=1000", 
 def make_model(*overrides, seed=0):
     config = make_config(*TINY, *overrides)
     return build_model(config, make_training_envs(config.env, 1), seed=seed, for_training=False)
-
-
-def test_there_are_a_default_and_a_parked_agent_each_with_a_card_in_less_than_100_kb():
-    assert pretrained_names() == ["default", "parked"]
-    for name in pretrained_names():
-        files = {file.name: file.stat().st_size for file in (PRETRAINED_DIR / name).iterdir()}
-        assert set(files) == {"README.md", "config.yaml", "policy.safetensors"}
-        assert sum(files.values()) < 100_000
 
 
 @pytest.mark.parametrize("link", ["pretrained", "pretrained/default", "pretrained/default/evaluations"])
@@ -82,58 +72,21 @@ def test_a_saved_policy_is_restored_bit_for_bit_and_alone(algorithm, tmp_path):
         assert torch.equal(weight, before[name]), name
 
 
-def test_a_file_that_names_no_policy_class_fits_by_its_shapes(tmp_path):
-    model, other = (make_model("algorithm=td3", seed=seed) for seed in (1, 2))
-    (tmp_path / "policy.safetensors").write_bytes(save(dict(model.actor.state_dict(prefix="actor."))))
-    load_policy(tmp_path / "policy.safetensors", other)
-    assert all(torch.equal(weight, other.actor.state_dict()[name]) for name, weight in model.actor.state_dict().items())
-
-
 @pytest.mark.parametrize(
     ("saved", "loaded", "difference"),
     [
         ("algorithm.features=ego_fine", "algorithm.features=ego_mirrored", "MultiInputPolicy, not MirroredTD3Policy"),
         ("algorithm.features=ego_fine", "algorithm.features=ego", "FineEgoFrameExtractor, not EgoFrameExtractor"),
-        ("algorithm.net_arch=[9]", "algorithm.net_arch=[8]", "actor.mu.0.weight is 9 x 19 of float32"),
+        ("algorithm.net_arch=[9]", "algorithm.net_arch=[8]", "actor.mu.0.weight"),
     ],
 )
 def test_the_policy_of_another_model_is_refused_and_changes_nothing(saved, loaded, difference, tmp_path):
     save_policy(make_model("algorithm=td3", saved), tmp_path / "policy.safetensors")
     model = make_model("algorithm=td3", loaded)
     before = [weight.clone() for weight in model.actor.parameters()]
-    with pytest.raises(ModelError, match=difference):
+    with pytest.raises(ModelError, match=rf"policy\.safetensors .*{difference}"):
         load_policy(tmp_path / "policy.safetensors", model)
     assert all(map(torch.equal, before, model.actor.parameters()))
-
-
-def test_a_model_is_loaded_in_one_call(tmp_path):
-    model, parked = load_model(), load_model("pretrained/parked", tmp_path)
-    goal = np.array([0.1, 0.14, 0, 0, 0, 1])
-    start = np.array([0, 0, 0, 0, 1, 0])
-    observation = {"observation": start, "achieved_goal": start, "desired_goal": goal}
-    (action, _), (other, _) = (agent.predict(observation, deterministic=True) for agent in (model, parked))
-    assert action.shape == other.shape == (2,)
-    assert action.tolist() != other.tolist()
-
-
-@pytest.mark.parametrize(
-    ("change", "named"),
-    [
-        (lambda weights: weights.pop("actor.mu.0.bias"), "actor.mu.0.bias"),
-        (lambda weights: weights.update(more=torch.zeros(2)), "more"),
-        (
-            lambda weights: weights.update({"actor.mu.0.bias": torch.zeros(8, dtype=torch.float64)}),
-            "actor.mu.0.bias",
-        ),
-    ],
-)
-def test_a_file_with_other_weights_is_refused_with_the_first_that_differs(change, named, tmp_path):
-    model = make_model("algorithm=td3")
-    weights = dict(model.actor.state_dict(prefix="actor."))
-    change(weights)
-    (tmp_path / "policy.safetensors").write_bytes(save(weights))
-    with pytest.raises(ModelError, match=rf"policy\.safetensors .*: {named} "):
-        load_policy(tmp_path / "policy.safetensors", model)
 
 
 @pytest.mark.parametrize("damage", [lambda content: content[:-9], lambda content: b"", lambda content: b"\xff" * 99])

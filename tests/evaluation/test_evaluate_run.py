@@ -10,13 +10,12 @@ import pandas as pd
 import pytest
 from omegaconf import OmegaConf
 from PIL import Image, ImageSequence
-from support.runs import artifacts, make_config, only_run, store, type_here
+from support.runs import artifacts, only_run, store, type_here
 
 from parking_exp.config.compose import composed
 from parking_exp.errors import ModelError, RunNotFoundError
 from parking_exp.evaluation.evaluate_run import evaluate_run, validate_request
 from parking_exp.evaluation.metrics import EPISODE_COLUMNS
-from parking_exp.evaluation.video import record
 
 
 @pytest.fixture
@@ -82,20 +81,15 @@ def test_a_model_that_is_missing_or_damaged_is_named(finished):
         evaluate_stored(directory)
 
 
-@pytest.mark.parametrize(
-    ("key", "value", "problem"),
-    [
-        ("algorithm.net_arch", [8, 8], "policy.actor.latent_pi.0.weight"),
-        ("algorithm.ent_coef", 0.5, "it lacks ent_coef_tensor"),
-    ],
-)
-def test_a_model_that_does_not_fit_its_config_is_refused(finished, key, value, problem):
+@pytest.mark.parametrize(("key", "value"), [("algorithm.net_arch", [8, 8]), ("algorithm.ent_coef", 0.5)])
+def test_a_model_that_does_not_fit_its_config_is_refused(finished, key, value):
     directory, _ = finished
     config = OmegaConf.load(directory.path / "config.yaml")
     OmegaConf.update(config, key, value)
     OmegaConf.save(config, directory.path / "config.yaml")
-    with pytest.raises(ModelError, match=rf"final\.zip .* config\.yaml .*{re.escape(problem)}"):
+    with pytest.raises(ModelError, match=rf"^{directory.models / 'final.zip'} .*config\.yaml") as refusal:
         evaluate_stored(directory)
+    assert "\n" not in str(refusal.value)
 
 
 @pytest.mark.parametrize(
@@ -117,7 +111,8 @@ def test_a_model_that_does_not_fit_its_config_is_refused(finished, key, value, p
 def test_a_mistake_is_one_sentence_that_names_the_key(smoke, arguments, named):
     done = type_here("evaluate", f"output_dir={smoke[2]}", *arguments)
     assert done.returncode == 2
-    assert done.stderr.startswith(f"error: {named}")
+    assert done.stderr.startswith("error: ")
+    assert named in done.stderr
     assert done.stderr.count("\n") == 1
 
 
@@ -126,11 +121,3 @@ def test_a_pretrained_agent_is_evaluated_on_20_scenes_and_a_run_on_100_by_defaul
     for arguments, expected in ((["first_scene=3"], range(3, 3 + n_scenes)), (["episodes=7"], range(7))):
         (config,) = composed("evaluate", [f"run={run}", *arguments])
         assert validate_request(config).scenes == expected
-
-
-@pytest.mark.slow
-def test_in_a_video_an_episode_is_cut_after_20_seconds(tmp_path):
-    def stand(observation):
-        return np.zeros((len(observation["observation"]), 2), np.float32)
-
-    assert record(stand, make_config().env, [0], tmp_path / "video.mp4") == 1 + 3 * 100 + 15

@@ -21,7 +21,7 @@ from parking_exp.algorithms.policy_export import export_policy
 from parking_exp.envs.training_envs import make_training_envs
 from parking_exp.errors import ModelError
 from parking_exp.evaluation import export_run
-from parking_exp.evaluation.agents import PRETRAINED_DIR, load_model
+from parking_exp.evaluation.agents import PRETRAINED_DIR
 from parking_exp.evaluation.export_run import sample_observations
 
 NAMES = ["achieved_goal", "desired_goal", "observation"]
@@ -117,34 +117,16 @@ def test_exporting_changes_nothing_of_the_model(tmp_path):
     assert all(after[name].dtype == torch.float32 and torch.equal(after[name], before[name]) for name in before)
 
 
-def test_observations_are_of_whole_episodes_and_the_same_each_time():
-    config, policy = make_config("env=parking_stop"), greedy_policy(load_model("pretrained/parked"))
-    observations, again = (sample_observations(policy, config.env, 1000) for _ in range(2))
-    assert sorted(observations) == NAMES
-    for name in NAMES:
-        np.testing.assert_array_equal(again[name], observations[name])
-    metres = 100 * np.linalg.norm((observations["achieved_goal"] - observations["desired_goal"])[:, :2], axis=1)
-    assert metres.shape == (1000,)
-    assert (metres[:30] > 10).all()  # first steps first
-    assert 200 < (metres < 1).sum() < 800
-
-
 @pytest.mark.parametrize("file_format", FORMATS)
 def test_a_file_whose_actions_differ_is_not_written(file_format, tmp_path, monkeypatch):
-    model, observations = agent("sac")
+    (model, observations), path = agent("sac"), tmp_path / "policy"
+    path.write_text("earlier")
     export = policy_export.EXPORTERS[file_format]
-    for by, refused in ((9e-5, False), (1.2e-4, True), (np.nan, True)):
-        monkeypatch.setitem(policy_export.EXPORTERS, file_format, lambda *args, by=by: export(*args) + by)
-        path = tmp_path / f"policy {by}"
-        path.write_text("earlier")
-        if not refused:
-            assert export_policy(model, file_format, path, observations) == pytest.approx(9e-5, abs=1e-5)
-            assert path.stat().st_size > 1000
-            continue
+    for difference in (1.2e-4, np.nan):
+        monkeypatch.setitem(policy_export.EXPORTERS, file_format, lambda *args, by=difference: export(*args) + by)
         with pytest.raises(ModelError, match=re.escape(str(path))):
             export_policy(model, file_format, path, observations)
-        assert path.read_text() == "earlier"
-    assert len(list(tmp_path.iterdir())) == 3
+        assert [file.read_text() for file in tmp_path.iterdir()] == ["earlier"]
 
 
 @pytest.fixture(scope="module")
@@ -180,9 +162,7 @@ def test_a_path_and_a_model_can_be_chosen(run, tmp_path):
         (["format=onx"], "format=onx"),
         (["path=."], "path=."),
         (["path=policy.onnx", "format=torchscript"], "path=policy.onnx"),
-        (["run=nowhere"], "run=nowhere"),
         (["run=parked"], "run=parked"),
-        (["model=last"], "model=last"),
         (["run={run}", "path=file/policy.onnx"], "File exists: {here}/file"),
     ],
 )

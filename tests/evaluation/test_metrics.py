@@ -2,7 +2,6 @@
 
 import pandas as pd
 
-from parking_exp.evaluation.metrics import METRICS, RANKING
 from parking_exp.runs.metric_logs import append_episodes
 
 
@@ -11,11 +10,3 @@ def test_a_run_that_began_before_a_metric_was_added_keeps_the_columns_of_its_tab
     append_episodes(path, pd.DataFrame({"scene": [3], "steps": [7]}), "eval", 100)
     append_episodes(path, pd.DataFrame({"scene": [4], "side_m": [0.5], "steps": [9]}), "eval", 200)
     assert path.read_text() == "phase,step,scene,steps\neval,100,3,7\neval,200,4,9\n"
-
-
-def test_names_are_unique_and_the_ranking_knows_what_is_better():
-    names = [metric.name for metric in METRICS]
-    assert len({*names}) == len(names)
-    assert len({metric.run_column for metric in METRICS}) == len(names)
-    ranked = [metric for metric in METRICS if metric.name in RANKING]
-    assert [metric.higher_is_better for metric in ranked] == [True, False, False]

@@ -1,12 +1,9 @@
 """Runs that are killed at any step end as if they had not been; these proofs take minutes (`make test-slow`)."""
 
-import contextlib
 import itertools
 import json
 import multiprocessing
-import os
 import random
-import signal
 import subprocess
 import time
 from concurrent.futures import ProcessPoolExecutor
@@ -14,15 +11,12 @@ from concurrent.futures import ProcessPoolExecutor
 import numpy as np
 import pytest
 from support.run_equality import differences, stored
-from support.runs import assert_store_is_whole, make_config, only_run, options, run_script, script, store
+from support.runs import assert_store_is_whole, make_config, only_run, options, run_script, script
 from support.simulator_equality import KINDS as POLICIES
-from support.simulator_equality import actions_of, different_scenes, record, repeat
-from support.sweep_processes import workers
+from support.simulator_equality import actions_of, record, repeat
 
 from parking_exp.algorithms.build_model import build_model, greedy_policy
 from parking_exp.envs.training_envs import make_training_envs
-from parking_exp.runs.directory import RunDirectory
-from parking_exp.runs.lookup import find_runs
 from parking_exp.training.train_run import train
 
 pytestmark = pytest.mark.slow
@@ -82,47 +76,6 @@ def test_a_run_killed_at_random_moments_is_the_run_that_was_not(tmp_path, kind):
     assert stored(whole, only_run(whole).run_id) == stored(pieces, only_run(pieces).run_id)
 
 
-def test_a_parallel_sweep_killed_at_random_moments_is_the_sweep_that_was_not(tmp_path):
-    """Now its parent is killed, now a worker; every run directory and every number in the store is the same in the end."""
-    arguments = (
-        "experiment=smoke", "evaluation.video_episodes=0", "checkpoint.every_n_steps=25", "algorithm=sac,td3,ddpg",
-        "buffer=her_future,replay", "seeds=2",
-    )  # fmt: skip
-    whole, pieces = tmp_path / "whole", tmp_path / "pieces"
-    done = run_script("train", *arguments, f"output_dir={whole}", timeout=600)
-    assert done.returncode == 0, done.stderr
-    command, keywords = script("train", *arguments, f"output_dir={pieces}")
-    moments, killed, first_ids = random.Random(0), 0, {}
-    while killed < 12:
-        process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, **keywords)
-        time.sleep(moments.uniform(4, 12))
-        if victims := workers(pieces):
-            with contextlib.suppress(ProcessLookupError):
-                os.kill(moments.choice(victims), signal.SIGKILL)
-            time.sleep(moments.uniform(0, 3))
-        if process.poll() is not None:
-            break
-        process.kill()
-        process.wait()
-        killed += 1
-        for path in find_runs(pieces):
-            first_ids.setdefault(path, RunDirectory(path).run_id)
-    done = run_script("train", *arguments, f"output_dir={pieces}", timeout=600)
-    assert done.returncode == 0, done.stderr
-    print(f"the sweep was killed {killed} times")
-    ours, theirs = find_runs(whole), find_runs(pieces)
-    assert [path.relative_to(whole) for path in ours] == [path.relative_to(pieces) for path in theirs]
-    assert len(ours) == 12
-    for expected, path in zip(ours, theirs, strict=True):
-        assert differences(expected, path) == []
-        run_id = RunDirectory(path).run_id
-        assert stored(whole, RunDirectory(expected).run_id) == stored(pieces, run_id)
-        assert first_ids[path] in {None, run_id}
-    client = store(pieces)
-    experiment = client.get_experiment_by_name("smoke")
-    assert len(client.search_runs([experiment.experiment_id])) == 12
-
-
 def last_step(output_dir):
     """The last checkpoint's step; 0 where there is none."""
     steps = [int(path.name.removeprefix("step=")) for path in output_dir.glob("*/*/*/checkpoints/step=*")]
@@ -164,8 +117,3 @@ def test_200_000_steps_on_1_000_scenes_without_one_mismatch(option, trained_poli
         mismatches = [mismatch for future in waiting for mismatch in future.result()]
     print(f"{option}: {steps} steps on {scenes} scenes, {len(mismatches)} mismatches")
     assert mismatches == []
-
-
-@pytest.mark.parametrize("parked", [0, 10])
-def test_10_000_scenes_bit_for_bit(parked):
-    assert different_scenes(range(10_000), parked) == []

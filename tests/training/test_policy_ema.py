@@ -2,13 +2,11 @@
 
 import pytest
 import torch
-from stable_baselines3.common.logger import Logger
+from support import models
 from support.runs import make_config, only_run
 
-from parking_exp.algorithms.build_model import build_model
 from parking_exp.algorithms.model_files import read_weights
 from parking_exp.algorithms.policy_ema import PolicyEMA
-from parking_exp.envs.training_envs import make_training_envs
 from parking_exp.errors import ConfigError
 from parking_exp.training import checkpoints
 from parking_exp.training.train_run import train
@@ -16,11 +14,8 @@ from parking_exp.training.train_run import train
 SMOKE = ("experiment=smoke", "algorithm=td3", "algorithm.policy_ema_half_life=20", "evaluation.video_episodes=0")
 
 
-def make_model(*overrides):
-    config = make_config(*SMOKE, *overrides)
-    model = build_model(config, make_training_envs(config.env, config.n_envs), seed=0)
-    model.set_logger(Logger(None, []))
-    return model
+def make_model():
+    return models.make_model(*SMOKE)
 
 
 def actor(model):
@@ -70,28 +65,19 @@ def test_without_a_half_life_or_an_update_the_actor_stays_as_it_is():
             assert all(torch.equal(*pair) for pair in zip(before, actor(model), strict=True))
 
 
-@pytest.fixture(scope="module")
-def averaged(tmp_path_factory):
-    """A run with an averaged policy."""
-    output = tmp_path_factory.mktemp("averaged")
-    train(make_config(*SMOKE, f"output_dir={output}"))
-    return only_run(output)
-
-
 def weights(path):
     policy = read_weights(path, torch.device("cpu"))["policy"]
     return {name: value for name, value in policy.items() if name.startswith("actor.")}
 
 
-def same(ours, theirs):
-    return all(torch.equal(ours[name], theirs[name]) for name in ours)
-
-
-def test_the_average_is_what_is_saved_and_training_goes_on_from_the_trained_weights(averaged):
-    last = checkpoints.latest(averaged.checkpoints)
-    final = weights(averaged.models / "final.zip")
-    assert same(final, weights(last / checkpoints.AVERAGED))
-    assert not same(final, weights(last / checkpoints.MODEL))
+def test_the_average_is_what_is_saved_and_training_goes_on_from_the_trained_weights(tmp_path):
+    train(make_config(*SMOKE, "tracking.mlflow=false", f"output_dir={tmp_path}"))
+    run = only_run(tmp_path)
+    last = checkpoints.latest(run.checkpoints)
+    files = (run.models / "final.zip", last / checkpoints.AVERAGED, last / checkpoints.MODEL)
+    final, averaged, trained = (weights(path) for path in files)
+    assert all(torch.equal(final[name], averaged[name]) for name in final)
+    assert not all(torch.equal(final[name], trained[name]) for name in final)
 
 
 def test_an_average_that_had_not_begun_begins_with_the_first_update(tmp_path):

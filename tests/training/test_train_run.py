@@ -2,12 +2,9 @@
 
 import re
 import shutil
-import signal
 import subprocess
 import time
-from contextlib import suppress
 
-import imageio.v3 as iio
 import numpy as np
 import pandas as pd
 import pytest
@@ -20,7 +17,6 @@ from support.runs import (
     history,
     make_config,
     only_run,
-    run_script,
     script,
     store,
     type_here,
@@ -179,25 +175,6 @@ def test_a_simulator_that_differs_from_highway_env_fails_the_run(output_dir, mon
     assert set(stored["phase"]) == {"eval", "final", "certified"}
 
 
-@pytest.mark.slow
-def test_trained_on_highway_env_a_run_is_certified_as_it_is(tmp_path):
-    config = make_config(
-        "experiment=smoke", f"output_dir={tmp_path}", "env.simulator=highway_env", "total_timesteps=100",
-        "tracking.mlflow=false", "evaluation.video_episodes=0", "env.action.dynamical=true",
-    )  # fmt: skip
-    metrics = train(config).metrics
-    assert metrics["certified/return_mean"] == metrics["final/return_mean"]
-
-
-def test_the_video_decodes_and_has_every_frame(smoke):
-    directory, _, _ = smoke
-    frames = iio.imread(directory.path / "video.mp4", plugin="FFMPEG")
-    episodes = pd.read_csv(directory.path / "episodes.csv").query("phase == 'final' and scene < 2")
-    # Each episode: its start, three simulation frames a step, and a second of its end at 15 frames a second.
-    assert frames.shape == (sum(1 + 3 * steps + 15 for steps in episodes["steps"]), 300, 600, 3)
-    assert frames.std() > 10  # something is drawn
-
-
 def test_stable_baselines3_reads_the_logs_and_the_model(smoke):
     path, config = smoke[0].path, smoke[0].config()
     monitor = load_results(str(path))
@@ -256,45 +233,6 @@ def test_a_killed_run_resumes_in_the_same_mlflow_run_with_no_step_twice(output_d
     assert not pd.read_csv(directory.path / "episodes.csv").duplicated(["phase", "step", "scene"]).any()
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("signal_number", [signal.SIGINT, signal.SIGTERM])
-def test_a_signal_saves_a_checkpoint_and_the_same_command_resumes(tmp_path, signal_number):
-    output_dir = tmp_path / "outputs"
-    arguments = ("experiment=smoke", f"output_dir={output_dir}", "checkpoint.every_n_steps=null",
-                 "evaluation.video_episodes=0", "evaluation.every_n_steps=null")  # fmt: skip
-    command, keywords = script("train", *arguments)
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, **keywords)
-    wait_for(lambda: any(output_dir.glob("*/*/*/metrics.jsonl")), process)
-    process.send_signal(signal_number)
-    _, errors = process.communicate(timeout=60)
-    assert process.returncode == 128 + signal_number
-    assert "rerun the same command to resume" in errors
-    assert "Traceback" not in errors
-    directory, client = only_run(output_dir), store(output_dir)
-    (checkpoint,) = directory.checkpoints.iterdir()
-    assert directory.status == "interrupted"
-    run = client.get_run(directory.run_id)
-    assert (run.info.status, run.data.tags["status"]) == ("KILLED", "interrupted")
-    done = run_script("train", *arguments)
-    assert done.returncode == 0, done.stderr
-    assert f"resuming at step {int(checkpoint.name.removeprefix('step='))}" in done.stderr
-    assert_store_is_whole(output_dir, 400)
-
-
-def test_a_run_that_fails_is_failed_in_the_store_with_its_traceback(output_dir):
-    config = make_config(
-        "experiment=smoke", f"output_dir={output_dir}", "algorithm._target_=support.failing_algorithms.Raises"
-    )
-    with pytest.raises(FailedRunError, match=r"traceback\.txt"):
-        train(config)
-    directory, client = RunDirectory(config.run_dir), store(output_dir)
-    assert directory.status == "failed"
-    run = client.get_run(directory.run_id)
-    assert (run.info.status, run.data.tags["status"]) == ("FAILED", "failed")
-    assert "traceback.txt" in artifacts(client, directory.run_id)
-    assert (directory.path / "traceback.txt").read_text().startswith("Traceback")
-
-
 def test_a_device_that_is_not_there_is_refused_before_anything_is_made(tmp_path):
     device = f"cuda:{torch.cuda.device_count()}"
     with pytest.raises(ConfigError, match=f"^device={device}"):
@@ -342,37 +280,3 @@ def test_a_full_disk_under_a_checkpoint_or_tensorboard_fails_the_run_without_a_t
     done = subprocess.run(command, check=False, capture_output=True, timeout=180, **keywords)
     assert done.returncode == 0, done.stderr
     assert not kept or f"resuming at step {max(kept)}" in done.stderr
-
-
-@pytest.fixture
-def small_disk(tmp_path):
-    """A disk of 3,000 KiB, to be filled."""
-    disk = tmp_path / "disk"
-    disk.mkdir()
-    command = ["mount", "-t", "tmpfs", "-o", "size=3000k", "tmpfs", str(disk)]
-    if not shutil.which("mount") or subprocess.run(command, check=False, capture_output=True).returncode:
-        pytest.skip("nothing can be mounted here")
-    yield disk
-    subprocess.run(["umount", "-l", str(disk)], check=True)
-
-
-@pytest.mark.slow
-def test_a_sweep_on_a_disk_that_fills_up_reports_why_its_runs_failed_and_resumes_when_there_is_room(small_disk):
-    arguments = ("experiment=smoke", f"output_dir={small_disk}", "total_timesteps=1200", "tracking.mlflow=false", "seeds=2",
-                 "evaluation.final_n_scenes=2", "evaluation.n_scenes=2", "evaluation.every_n_steps=null", "evaluation.video_episodes=0", "env.simulator=highway_env")  # fmt: skip
-    command, keywords = script("train", *arguments)
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, **keywords)
-    wait_for(lambda: len({path.parents[1] for path in small_disk.glob("*/*/*/checkpoints/step=*")}) == 2, process)
-    with suppress(OSError), (small_disk / "filler").open("wb", buffering=0) as filler:
-        while filler.write(bytes(4096)):
-            pass
-    output, errors = process.communicate(timeout=120)
-    assert process.returncode == 2
-    assert "Traceback" not in errors
-    for seed in (0, 1):
-        assert re.search(rf"^failed   .*seed={seed}: .*No space left on device", output, re.MULTILINE)
-    for path in small_disk.glob("*/*/seed=*"):
-        assert_failed_on_a_full_disk(path, "No space left on device")
-    (small_disk / "filler").unlink()
-    again = run_script("train", *arguments, "retry=failed")
-    assert again.returncode == 0, again.stderr

@@ -121,12 +121,9 @@ WALL_CORNERS = corners(
 
 
 class Collisions:
-    """Collisions of all scenes in a frame. Obstacles of a scene are numbered: the parked cars, then the walls.
+    """Collisions of all scenes in a frame of `dt` seconds.
 
-    Args:
-        dt: length of a frame [s].
-        count: parked cars in each scene.
-        walls: whether there are walls.
+    Obstacles of a scene are numbered: its `count` parked cars, then the walls.
     """
 
     def __init__(self, dt: float, count: int, *, walls: bool) -> None:

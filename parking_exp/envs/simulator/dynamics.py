@@ -26,17 +26,13 @@ def advance(
     sin_slip: np.ndarray,
     dt: float,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Integrate the bicycle model over one simulation frame.
+    """Integrate the bicycle model over one simulation frame; return position, heading and speed after it.
 
     Args:
-        position: shape (2, n).
-        heading, speed: shape (n,).
-        gain: acceleration times dt, shape (n,).
-        slip, sin_slip: `slip_angle` of the steering, and its sine, shape (n,).
+        position: shape (2, n); all others have the shape (n,).
+        gain: acceleration times dt.
+        slip, sin_slip: `slip_angle` of the steering, and its sine.
         dt: length of the frame [s].
-
-    Returns:
-        Position, heading and speed after it, of the same shapes.
     """
     course = heading + slip
     velocity = np.empty_like(position)

@@ -13,35 +13,20 @@ COLUMNS = ("position", "direction")
 
 @dataclass
 class SceneState:
-    """Everything that the future of n scenes depends on, besides the actions. Scenes are rows, or columns of `COLUMNS`.
+    """Everything that the future of n scenes depends on, but actions. Scenes are rows, or columns of `COLUMNS`."""
 
-    Attributes:
-        goal: goal slots, shape (n,).
-        position: of the cars, shape (2, n) [m].
-        heading: shape (n,) [rad].
-        direction: its cosine and sine, shape (2, n).
-        speed: signed, shape (n,) [m/s].
-        crashed: shape (n,).
-        steps: policy steps since the start, shape (n,).
-        parked: positions of the parked cars, shape (n, vehicles_count, 2) [m].
-        parked_heading: shape (n, vehicles_count) [rad].
-        hit: whether `impact` is to be applied in the next frame, shape (n, 1 + vehicles_count); first the car itself.
-        impact: what a predicted collision will displace each by, shape (n, 1 + vehicles_count, 2) [m].
-        disturbed: whether a parked car has been hit, shape (n,).
-    """
-
-    goal: np.ndarray
-    position: np.ndarray
-    heading: np.ndarray
-    direction: np.ndarray
-    speed: np.ndarray
-    crashed: np.ndarray
-    steps: np.ndarray
-    parked: np.ndarray
-    parked_heading: np.ndarray
-    hit: np.ndarray
-    impact: np.ndarray
-    disturbed: np.ndarray
+    goal: np.ndarray  # slots, shape (n,)
+    position: np.ndarray  # of the cars, shape (2, n) [m]
+    heading: np.ndarray  # shape (n,) [rad]
+    direction: np.ndarray  # its cosine and sine, shape (2, n)
+    speed: np.ndarray  # signed, shape (n,) [m/s]
+    crashed: np.ndarray  # shape (n,)
+    steps: np.ndarray  # policy steps since the start, shape (n,)
+    parked: np.ndarray  # positions of the parked cars, shape (n, vehicles_count, 2) [m]
+    parked_heading: np.ndarray  # shape (n, vehicles_count) [rad]
+    hit: np.ndarray  # whether `impact` applies in the next frame, shape (n, 1 + vehicles_count); first the car itself
+    impact: np.ndarray  # what a predicted collision will displace each by, shape (n, 1 + vehicles_count, 2) [m]
+    disturbed: np.ndarray  # whether a parked car has been hit, shape (n,)
 
     @classmethod
     def at_start(cls, scenes: Scenes) -> Self:

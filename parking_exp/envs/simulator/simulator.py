@@ -40,13 +40,6 @@ class Simulator:
     """n scenes of an env variant, simulated together.
 
     The same scene and actions give highway-env's trajectory. Scenes are independent; none is ever reset by itself.
-
-    Args:
-        config: the `env` group.
-        scenes: where to start.
-
-    Raises:
-        ConfigError: an option is not covered.
     """
 
     state: SceneState
@@ -98,11 +91,7 @@ class Simulator:
         return self._observation(self._pose(rows), self.state.goal[rows])
 
     def step(self, actions: np.ndarray) -> Step:
-        """Drive all scenes for one policy step.
-
-        Args:
-            actions: shape (n, 1 or 2), in [-1, 1]: acceleration, then steering, those that the config leaves.
-        """
+        """Drive all scenes for one policy step; actions have the shape (n, 1 or 2): acceleration, then steering."""
         state = self.state
         actions = np.asarray(actions)
         if actions.dtype.kind != "f":

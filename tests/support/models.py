@@ -1,0 +1,19 @@
+"""Models without logs, for tests that need no run."""
+
+from stable_baselines3.common.logger import Logger
+
+from parking_exp.algorithms.build_model import build_model
+from parking_exp.envs.training_envs import make_training_envs
+from support.runs import make_config
+
+
+def make_model(*overrides, seed=0, **keywords):
+    """The model of a config, in envs of its own."""
+    return model_of(make_config(*overrides), seed, **keywords)
+
+
+def model_of(config, seed=0, **keywords):
+    """The same of a config that is composed already."""
+    model = build_model(config, make_training_envs(config.env, config.n_envs), seed, **keywords)
+    model.set_logger(Logger(None, []))
+    return model
