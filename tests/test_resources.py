@@ -1,4 +1,4 @@
-"""Tests of cores, memory and CUDA devices, and how workers share them."""
+"""Tests of cores and CUDA devices, and how workers share them."""
 
 import json
 import os

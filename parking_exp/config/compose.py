@@ -23,7 +23,7 @@ from omegaconf import DictConfig, ListConfig, OmegaConf, open_dict
 from omegaconf.errors import ConfigAttributeError, ConfigKeyError, OmegaConfBaseException
 
 from parking_exp.config.cell_labels import settings_of
-from parking_exp.config.grid import Point, check_blocks, check_number, points, seeds_of
+from parking_exp.config.grid import Point, check_blocks, points, seeds_of
 from parking_exp.config.overrides import axes_of, experiment_option, is_hydras, parse
 from parking_exp.config.schema import RunConfig
 from parking_exp.config.validate import validate
@@ -143,7 +143,6 @@ def _runs(compose_point: Callable[[Point], Composed], axes: dict[str, list[str]]
 
     all_points = points(blocks, axes, has, axes.get("experiment", [""])[0])
     all_seeds: list[int] | list[None] = seeds or [None]
-    check_number(len(all_points) * len(all_seeds), f"{len(all_points)} cells x {len(all_seeds)} seeds")
     composed_points = map(compose_point, all_points)
     cells = {OmegaConf.to_yaml(run.cell): run for run in composed_points}  # blocks may come to the same
     return [Composed(run.cell, seed, "", run.options) for seed in all_seeds for run in cells.values()]

@@ -15,7 +15,7 @@ Decay = Annotated[float, Field(ge=0, lt=1)]
 LIMITS: dict[str, Any] = {
     "learning_rate": PositiveFloat,
     "learning_starts": Count,
-    "batch_size": Positive,
+    "batch_size": Annotated[int, Field(ge=1, le=1_000_000)],
     "tau": Share,
     "gamma": Share,
     "train_freq": Positive | list,  # of a list, see rules

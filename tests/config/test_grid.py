@@ -6,7 +6,7 @@ import pytest
 from support.marks import slow_but
 from support.runs import run_script
 
-from parking_exp.config.compose import composed, composed_runs
+from parking_exp.config.compose import composed
 from parking_exp.config.grid import points, seeds_of
 from parking_exp.config.validate import validate
 from parking_exp.errors import ConfigError
@@ -66,31 +66,10 @@ def test_seeds_are_a_number_or_a_list(value, seeds):
     assert seeds_of(value) == seeds
 
 
-@pytest.mark.parametrize("value", [0, -1, True, "x", [], ["a"], 1.5, [True], [[1]], [3, 2**32]])
+@pytest.mark.parametrize("value", [0, -1, 2**32, True, "x", [], ["a"], 1.5, [True], [3, 2**32]])
 def test_other_seeds_are_refused(value):
     with pytest.raises(ConfigError, match=r"^seeds="):
         seeds_of(value)
-
-
-TEN = ",".join(map(str, range(1, 11)))
-KEYS = ("n_envs", "total_timesteps", "algorithm.batch_size", "env.duration", "env.scaling", "checkpoint.keep_last")
-
-
-@pytest.mark.parametrize(
-    ("overrides", "number"),
-    [
-        (["seeds=4294967296"], "4294967296"),
-        (["seeds=50001", "buffer=her_future,replay"], "100002"),
-        ([f"{key}={TEN}" for key in KEYS], "1000000"),
-    ],
-)
-def test_more_than_a_hundred_thousand_runs_are_refused(overrides, number):
-    with pytest.raises(ConfigError, match=f" makes {number} runs; a sweep has 100000 at most$"):
-        composed_runs("config", overrides)
-
-
-def test_a_sweep_can_have_a_hundred_thousand_runs():
-    assert len(composed_runs("config", ["seeds=100000"])) == 100_000
 
 
 def test_seeds_on_a_command_line():
