@@ -34,12 +34,7 @@ from parking_exp.terminal import LogFormatter, say
 # Hydra's flags, with their short forms: those that show something, and those that change how.
 SHOWING = {"--help": ["-h"], "--hydra-help": [], "--version": [], "--cfg": ["-c"], "--info": ["-i"]}
 OTHERS = {"--resolve": [], "--package": ["-p"], "--run": ["-r"], "--multirun": ["-m"], "--config-dir": ["-cd"]}
-WITH_VALUE: dict[str, dict[str, str]] = {
-    "--cfg": {},
-    "--info": {"nargs": "?", "const": "all"},
-    "--package": {},
-    "--config-dir": {},
-}
+WITH_VALUE = {"--cfg": {}, "--info": {"nargs": "?", "const": "all"}, "--package": {}, "--config-dir": {}}
 
 Command = Callable[[list[str], str | None], None]
 """What a command does with its overrides and Hydra's `--config-dir`."""

@@ -34,12 +34,12 @@ VERSION_BASE = "1.3"
 
 @dataclass(frozen=True)
 class Composed:
-    """One run.
+    """One run: the config of its cell as Hydra composed it, and what sets the run apart.
 
     Attributes:
-        cell: its config as Hydra composed it, shared by all runs of the cell.
-        seed: takes the place of the cell's; None: the cell's own.
-        label: of its cell; empty: what sets its config apart from those of the other cells.
+        cell: shared by all runs of the cell.
+        seed: replaces the cell's; None: the cell's own.
+        label: of its cell; empty: derived from the configs of all cells.
         options: group -> chosen option.
     """
 
@@ -92,10 +92,9 @@ def composed_runs(config_name: str, overrides: list[str], extra_config_dir: str 
 
 
 def _composer(config_name: str, hydra_lines: list[str]) -> Callable[[Point], Composed]:
-    """Return a function that composes a config with some overrides.
+    """Return a function that composes a cell.
 
-    Hydra takes 0.1 s for that, and a grid may have a thousand cells. So each choice of options is composed once, and
-    the values of keys are set in a copy, which takes 3 ms.
+    Hydra takes 0.1 s for that, so each choice of options is composed once; keys are set in a copy, which takes 3 ms.
     """
     groups = GlobalHydra.instance().config_loader().list_groups("")
 
@@ -129,11 +128,9 @@ def _runs(compose_point: Callable[[Point], Composed], axes: dict[str, list[str]]
     """Compose every cell of an experiment, and give it its seeds; all get their first before any its second."""
     base = compose_point(tuple(f"{key}={axes[key][0]}" for key in ("experiment", "cells") if key in axes)).cell
     blocks = check_blocks(_container(base.cells)) if "seeds" in base else []  # a report's cells are labels
-    in_blocks = {key for block in blocks for key in block}
-    axes = {bare if (bare := key.lstrip("+")) in in_blocks else key: values for key, values in axes.items()}
-    own = [yaml.safe_load(value) for value in axes.pop("seeds", [])]
-    seeds = seeds_of((own[0] if len(own) == 1 else own) if own else _container(base.get("seeds")))
-    if "seed" in axes or "seed" in in_blocks:
+    passed = [yaml.safe_load(value) for value in axes.pop("seeds", [])]
+    seeds = seeds_of((passed[0] if len(passed) == 1 else passed) if passed else _container(base.get("seeds")))
+    if "seed" in axes or any("seed" in block for block in blocks):
         seeds = None
 
     def has(key: str, point: Point) -> bool:
@@ -141,9 +138,8 @@ def _runs(compose_point: Callable[[Point], Composed], axes: dict[str, list[str]]
         node = OmegaConf.select(compose_point(point).cell, section) if section else base
         return isinstance(node, DictConfig) and name in node
 
-    all_points = points(blocks, axes, has, axes.get("experiment", [""])[0])
     all_seeds: list[int] | list[None] = seeds or [None]
-    composed_points = map(compose_point, all_points)
+    composed_points = map(compose_point, points(blocks, axes, has, axes.get("experiment", [""])[0]))
     cells = {OmegaConf.to_yaml(run.cell): run for run in composed_points}  # blocks may come to the same
     return [Composed(run.cell, seed, "", run.options) for seed in all_seeds for run in cells.values()]
 
@@ -229,8 +225,7 @@ def _sentence(error: Exception) -> str:
         return _unknown_key(cause)
     if isinstance(cause, OmegaConfBaseException) and cause.full_key:
         return f"{cause.full_key}: {str(cause).splitlines()[0]}"
-    lines = [" ".join(line.split()).rstrip(".") for line in str(error).splitlines() if line.strip()]
-    return "; ".join(lines[:2]) or type(error).__name__
+    return " ".join(str(error).split())
 
 
 def _unknown_key(error: ConfigKeyError | ConfigAttributeError) -> str:
@@ -239,13 +234,13 @@ def _unknown_key(error: ConfigKeyError | ConfigAttributeError) -> str:
     section = key.rpartition(".")[0]
     if not isinstance(known, dict):
         return f"{key}: {section or 'the config'} has no keys"
-    sections = (other[: f"{other}.".index(f".{name}.")] for other in settings_of(known) if f".{name}." in f"{other}.")
-    if place := next(sections, None):  # a section was left out
-        return f"{key}: there is no such key; did you mean '{section and section + '.'}{place}.{name}'?"
-    is_open = "_target_" in known or not known or key.startswith("hydra.")
-    hint = (
-        did_you_mean(name, known, cutoff=0.8) or f"; write +{key}=VALUE to add it"
-        if is_open
-        else suggestion(name, known)
+    tails = (
+        other.partition(f".{name}.")[0] for other in (f".{o}." for o in settings_of(known)) if f".{name}." in other
     )
+    if tail := next(tails, None):  # a section was left out
+        return f"{key}: there is no such key; did you mean '{section}{tail if section else tail[1:]}.{name}'?"
+    if "_target_" in known or not known or key.startswith("hydra."):  # takes other keys, too
+        hint = did_you_mean(name, known, cutoff=0.8) or f"; write +{key}=VALUE to add it"
+    else:
+        hint = suggestion(name, known)
     return f"{key}: there is no such key" + (f" in {section}={known['name']}" if "name" in known else "") + hint
