@@ -42,6 +42,7 @@ LIGHT = [
         (["algorithm._target_=__main__.X"], "algorithm._target_=__main__.X: "),
         (["--seed=1", "n_envs=0"], "--seed: "),
         (["--cfg"], "--cfg/-c: "),
+        (["--cfg=jub"], "--cfg/-c: "),
         (["--cfg", "job", "sead=1"], "sead: "),
         (["--config-dir=/nope", "--dry-run"], "--config-dir=/nope "),
         (["--dry-rum"], "--dry-rum: there is no such flag; did you mean '--dry-run'?"),
@@ -85,13 +86,14 @@ def test_help_lists_the_options_of_groups_and_examples(name):
 @pytest.mark.parametrize(
     ("flags", "words", "expected"),
     [
-        ({"--json": "json=true"}, ["a=1", "--json", "b=2"], ({}, ["a=1", "b=2", "json=true"])),
-        ({}, ["a=1", "--config-dir", ".", "b=2", "-m"], ({"--config-dir": ".", "--multirun": ""}, ["a=1", "b=2"])),
-        ({}, ["her_final, n_sampled_goal=8", "-1"], ({}, ["her_final, n_sampled_goal=8", "-1"])),
+        ({"--json": "json=true"}, ["a=1", "--json", "b=2"], (None, False, ["a=1", "b=2", "json=true"])),
+        ({}, ["a=1", "--config-dir", ".", "b=2", "-m"], (".", True, ["a=1", "b=2"])),
+        ({}, ["her_final, n_sampled_goal=8", "-1"], (None, False, ["her_final, n_sampled_goal=8", "-1"])),
     ],
 )
 def test_flags_stand_anywhere_between_the_words(flags, words, expected):
-    assert _parse(words, flags) == expected
+    given, overrides = _parse(words, flags)
+    assert (given.config_dir, given.multirun, overrides) == expected
 
 
 def test_what_is_shown_may_be_cut_off_by_a_pipe():
