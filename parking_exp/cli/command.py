@@ -57,8 +57,9 @@ def run_command(
     with errors_as_sentences():
         options, words = _parse(sys.argv[1:], flags or {})
         overrides = [quoted(override) for override in read(words)]
-        if options.cfg or options.help:
+        if options.cfg:
             composed(config_name, overrides, options.config_dir)  # for its sentences
+        if options.cfg or options.help:
             _show(config_name, options, overrides)
         else:
             command(overrides, options.config_dir)

@@ -8,23 +8,20 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
-from typing import Any, ClassVar, cast
+from typing import Any, cast
 
 import hydra
 import yaml
 from hydra import initialize_config_dir
-from hydra.core.config_search_path import ConfigSearchPath
 from hydra.core.global_hydra import GlobalHydra
 from hydra.core.override_parser.types import OverrideType
-from hydra.core.plugins import Plugins
 from hydra.errors import HydraException, MissingConfigException, OverrideParseException
-from hydra.plugins.search_path_plugin import SearchPathPlugin
 from omegaconf import DictConfig, ListConfig, OmegaConf, open_dict
 from omegaconf.errors import ConfigAttributeError, ConfigKeyError, OmegaConfBaseException
 
 from parking_exp.config.cell_labels import settings_of
 from parking_exp.config.grid import Point, check_blocks, points, seeds_of
-from parking_exp.config.overrides import axes_of, experiment_option, is_hydras, parse
+from parking_exp.config.overrides import axes_of, experiment_option, in_quotes, is_hydras, parse
 from parking_exp.config.schema import RunConfig
 from parking_exp.config.validate import validate
 from parking_exp.errors import ConfigError, ParkingError, did_you_mean, suggestion
@@ -82,8 +79,8 @@ def composed_runs(config_name: str, overrides: list[str], extra_config_dir: str 
     Raises:
         ConfigError: an override names no key or option, or the config does not compose.
     """
-    with hydra_ready(extra_config_dir):
-        compose_point = _composer(config_name, [line for line in overrides if is_hydras(line)])
+    with hydra_ready():
+        compose_point = _composer(config_name, [*user_options(extra_config_dir), *filter(is_hydras, overrides)])
         axes = axes_of(experiment_option(line, config_dir()) for line in overrides if not is_hydras(line))
         experiments = axes.pop("experiment", None)
         if experiments is None:
@@ -163,37 +160,26 @@ def config_dir() -> Path:
     return inside if inside.is_dir() else package.parent / "conf"
 
 
-class UserDirectory(SearchPathPlugin):
-    """Adds a directory of the user's own options to Hydra's search path, behind ours."""
-
-    path: ClassVar[str | None] = None
-
-    def manipulate_search_path(self, search_path: ConfigSearchPath) -> None:
-        """Append the directory."""
-        if self.path is not None:
-            search_path.append("command-line", str(Path(self.path).absolute()))
-
-
-@cache
-def _register_plugins() -> None:
-    # Hydra looks for launchers in `hydra_plugins` alone, and a checkout need not be installed.
-    plugins = str(Path(__file__).resolve().parents[1] / "plugins")
-    if plugins not in sys.path and Path(plugins).is_dir():
-        sys.path.append(plugins)
-    Plugins.instance().register(UserDirectory)
+def user_options(extra_config_dir: str | None) -> list[str]:
+    """Return the override that has Hydra look for options in a directory of the user's own, too, behind ours."""
+    return (
+        [] if extra_config_dir is None else [f"hydra.searchpath=[{in_quotes(str(Path(extra_config_dir).absolute()))}]"]
+    )
 
 
 @contextmanager
-def hydra_ready(extra_config_dir: str | None) -> Iterator[None]:
-    """Make Hydra ready to compose from our tree and, with `--config-dir`, from the user's.
+def hydra_ready() -> Iterator[None]:
+    """Make Hydra ready to compose from our tree.
 
     Raises:
         ConfigError: what Hydra or OmegaConf complain about meanwhile, in one sentence.
     """
-    _register_plugins()
+    # Hydra looks for launchers in `hydra_plugins` alone, and a checkout need not be installed.
+    plugins = str(Path(__file__).resolve().parents[1] / "plugins")
+    if plugins not in sys.path and Path(plugins).is_dir():
+        sys.path.append(plugins)
     outer = GlobalHydra.instance().hydra  # we may be called within a Hydra app, such as a benchmark or a user's own
     GlobalHydra.instance().clear()
-    UserDirectory.path = extra_config_dir
     try:
         with (
             initialize_config_dir(str(config_dir()), "parking_exp", VERSION_BASE),
@@ -207,7 +193,6 @@ def hydra_ready(extra_config_dir: str | None) -> Iterator[None]:
             raise error.__cause__ from error
         raise ConfigError(_sentence(error)) from error
     finally:
-        UserDirectory.path = None
         GlobalHydra.instance().hydra = outer
 
 

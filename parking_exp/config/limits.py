@@ -47,6 +47,6 @@ CLASS_LIMITS: dict[str, dict[str, Any]] = {
 }
 
 
-def limits_of(target: str) -> dict[str, Any]:
+def limits_of(class_name: str) -> dict[str, Any]:
     """Return the types and ranges of arguments of a class."""
-    return CLASS_LIMITS.get(target.rpartition(".")[2], LIMITS)
+    return CLASS_LIMITS.get(class_name, LIMITS)
