@@ -22,21 +22,13 @@ FEW_CELLS = 5
 
 @dataclass(frozen=True)
 class Factor:
-    """A key that differs between cells.
+    """A key that differs between cells."""
 
-    Attributes:
-        key: e.g. `buffer.n_sampled_goal`, or a group such as `buffer`.
-        name: short, for axes: `n_sampled_goal`.
-        levels: its values, numbers in order.
-        numeric: whether all levels are numbers.
-        log: whether its levels are better shown on a logarithmic axis.
-    """
-
-    key: str
-    name: str
-    levels: Sequence[Setting]
-    numeric: bool
-    log: bool = False
+    key: str  # e.g. `buffer.n_sampled_goal`, or a group such as `buffer`
+    name: str  # short, for axes: `n_sampled_goal`
+    levels: Sequence[Setting]  # numbers in order
+    numeric: bool  # whether all levels are numbers
+    log: bool = False  # whether an axis is better logarithmic
 
 
 def settings_of(config: Mapping[str, Any], prefix: str = "") -> dict[str, Setting]:

@@ -107,10 +107,7 @@ class EnvConfig(ConfigModel):
 
     def for_training(self) -> Self:
         """Return the config of training envs, in which `training_duration` and `training_success_goal_reward` apply."""
-        values = {
-            "duration": self.training_duration,
-            "success_goal_reward": self.training_success_goal_reward,
-        }
+        values = {"duration": self.training_duration, "success_goal_reward": self.training_success_goal_reward}
         return self.model_copy(update={key: value for key, value in values.items() if value is not None})
 
     def highway_options(self) -> dict[str, Any]:
