@@ -55,11 +55,7 @@ class DamagedFileError(ParkingError):
 
 
 class StoreError(ParkingError):
-    """A store that is up and can't take a run as it is."""
-
-
-class UnsyncedError(ParkingError):
-    """A store fails, and has not got all that the run directories have."""
+    """A store that can't take a run as it is, or has not got all that the run directories have."""
 
 
 class CertificationError(ParkingError):

@@ -1,11 +1,9 @@
-"""Cores, memory and CUDA devices of this machine, and their division between workers."""
+"""Cores and CUDA devices of this machine, and their division between workers."""
 
 import itertools
 import os
 from collections.abc import Sequence
 from pathlib import Path
-
-import psutil
 
 THREAD_VARIABLES = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMEXPR_NUM_THREADS")
 
@@ -32,11 +30,6 @@ def pin(some_cores: Sequence[int]) -> None:
     """Keep this process to some cores, where the system can."""
     if hasattr(os, "sched_setaffinity"):
         os.sched_setaffinity(0, some_cores)
-
-
-def total_memory() -> int:
-    """Return how many bytes of memory this machine has."""
-    return psutil.virtual_memory().total
 
 
 def cuda_devices() -> list[str]:

@@ -31,15 +31,7 @@ from parking_exp.errors import (
 )
 from parking_exp.terminal import LogFormatter, say
 
-# Hydra's flags, with their short forms: those that show something, and those that change how.
-SHOWING = {"--help": ["-h"], "--hydra-help": [], "--version": [], "--cfg": ["-c"], "--info": ["-i"]}
-OTHERS = {"--resolve": [], "--package": ["-p"], "--run": ["-r"], "--multirun": ["-m"], "--config-dir": ["-cd"]}
-WITH_VALUE: dict[str, dict[str, str]] = {
-    "--cfg": {},
-    "--info": {"nargs": "?", "const": "all"},
-    "--package": {},
-    "--config-dir": {},
-}
+HYDRA_FLAGS = {"--help", "--cfg", "--resolve", "--multirun", "--config-dir"}
 
 Command = Callable[[list[str], str | None], None]
 """What a command does with its overrides and Hydra's `--config-dir`."""
@@ -63,12 +55,14 @@ def run_command(
     if logging.lastResort is not None:  # what warnings go through
         logging.lastResort.setFormatter(LogFormatter())
     with errors_as_sentences():
-        given, words = _parse(sys.argv[1:], flags or {})
+        options, words = _parse(sys.argv[1:], flags or {})
         overrides = [quoted(override) for override in read(words)]
-        if given.keys() & SHOWING.keys():
-            _run_hydra(config_name, given, overrides)
+        if options.cfg:
+            composed(config_name, overrides, options.config_dir)  # for its sentences
+        if options.cfg or options.help:
+            _show(config_name, options, overrides)
         else:
-            command(overrides, given.get("--config-dir"))
+            command(overrides, options.config_dir)
 
 
 def for_each(config_name: str, check: Callable[[DictConfig], object], task: Callable[[DictConfig], object]) -> Command:
@@ -118,49 +112,43 @@ def fail(error: ParkingError) -> NoReturn:
     sys.exit(128 + error.signal_number if isinstance(error, InterruptedRunError) else 2)
 
 
-def _parse(words: list[str], flags: Mapping[str, str]) -> tuple[dict[str, str], list[str]]:
-    """Return Hydra's flags with their values, and the overrides, those of our flags last.
+def _parse(words: list[str], flags: Mapping[str, str]) -> tuple[argparse.Namespace, list[str]]:
+    """Return Hydra's flags, and the overrides, those of our flags last.
 
     Raises:
         ConfigError: there is no such flag, or its value is missing or wrong.
     """
     parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False, exit_on_error=False)
     parser.add_argument("overrides", nargs="*")
-    for flag, short in {**SHOWING, **OTHERS}.items():
-        options = WITH_VALUE.get(flag, {"action": "store_const", "const": ""})
-        parser.add_argument(flag, *short, dest=flag, **options)  # type: ignore[arg-type]
+    parser.add_argument("--help", "-h", action="store_true")
+    parser.add_argument("--cfg", "-c", choices=["job", "hydra", "all"])
+    parser.add_argument("--resolve", action="store_true")
+    parser.add_argument("--multirun", "-m", action="store_true")  # several values make a sweep anyway
+    parser.add_argument("--config-dir", "-cd")
     for flag, override in flags.items():
         parser.add_argument(flag, action="append_const", dest="flags", const=override, default=[])
     try:
-        arguments, unknown = parser.parse_known_intermixed_args(words)
+        options, unknown = parser.parse_known_intermixed_args(words)
     except argparse.ArgumentError as error:
         raise ConfigError(f"{error.argument_name}: {error.message}") from error
     if unknown:
         flag = next((word for word in unknown if word.startswith("-")), unknown[0]).partition("=")[0]
-        hint = did_you_mean(flag, [*flags, *SHOWING, *OTHERS], cutoff=0.8) or "; write KEY=VALUE, without dashes"
+        hint = did_you_mean(flag, [*flags, *HYDRA_FLAGS], cutoff=0.8) or "; write KEY=VALUE, without dashes"
         raise ConfigError(f"{flag}: there is no such flag{hint}")
-    given = {name: value for name, value in vars(arguments).items() if name.startswith("-") and value is not None}
-    directory = given.get("--config-dir")
-    if directory is not None and not Path(directory).is_dir():
-        raise ConfigError(f"--config-dir={directory} is not a directory")
-    return given, arguments.overrides + getattr(arguments, "flags", [])
+    if options.config_dir is not None and not Path(options.config_dir).is_dir():
+        raise ConfigError(f"--config-dir={options.config_dir} is not a directory")
+    return options, options.overrides + getattr(options, "flags", [])
 
 
-def _run_hydra(config_name: str, flags: Mapping[str, str], overrides: list[str]) -> None:
-    """Have Hydra show help, a config or the like.
-
-    Raises:
-        ConfigError: what is to be shown does not compose, or flags do not go together.
-    """
-    if "--cfg" in flags:
-        composed(config_name, overrides, flags.get("--config-dir"))
-    show = hydra.main(str(config_dir()), config_name, VERSION_BASE)(lambda config: None)
+def _show(config_name: str, options: argparse.Namespace, overrides: list[str]) -> None:
+    """Have Hydra show help or a config, without passwords."""
+    flags = ["--help"] if options.help else [f"--cfg={options.cfg}", *["--resolve"] * options.resolve]
+    if options.config_dir is not None:
+        flags.append(f"--config-dir={options.config_dir}")
+    sys.argv[1:] = [*flags, *overrides]
     shown = io.StringIO()
     try:
         with redirect_stdout(shown):
-            sys.argv[1:] = [*(f"{flag}={value}" if value else flag for flag, value in flags.items()), *overrides]
-            show()
-    except ValueError as error:  # flags that do not go together
-        raise ConfigError(str(error)) from error
+            hydra.main(str(config_dir()), config_name, VERSION_BASE)(lambda config: None)()
     finally:
         sys.stdout.write(strip_password(shown.getvalue()))

@@ -16,7 +16,7 @@ from parking_exp.cli.command import for_each, run_command
 from parking_exp.config.paths import absolute, default_uri, directory_path, is_same_store
 from parking_exp.config.schema import ConfigModel, Name, StoreConfig
 from parking_exp.config.validate import parse
-from parking_exp.errors import ConfigError, ParkingError, RunNotFoundError, UnsyncedError, plural, suggestion
+from parking_exp.errors import ConfigError, ParkingError, RunNotFoundError, StoreError, plural, suggestion
 from parking_exp.runs.directory import RunDirectory
 from parking_exp.runs.lookup import find_runs
 from parking_exp.runs.run_state import RunState, as_plain, labelled, read_state
@@ -75,7 +75,7 @@ def show(config: DictConfig) -> None:
 
     Raises:
         RunNotFoundError: there are none.
-        UnsyncedError: with `sync`, a store still fails.
+        StoreError: with `sync`, a store still fails.
     """
     request, out = validate_status(config), console()
     if request.sync:
@@ -108,7 +108,7 @@ def _sync(request: StatusRequest) -> None:
     """Send what stores have not got.
 
     Raises:
-        UnsyncedError: one of them still fails.
+        StoreError: one of them still fails.
     """
     directories = [RunDirectory(path) for path in find_runs(request.output_path, request.experiment_name)]
     uris = {default_uri(request.output_path), *filter(None, [request.tracking.uri])}
@@ -120,7 +120,7 @@ def _sync(request: StatusRequest) -> None:
         say(f"{directory.path}: {problem or 'the store has everything'}", stderr=True)
         n_failed += problem is not None
     if n_failed:
-        raise UnsyncedError(f"the store has not got all of {plural(n_failed, 'run')}; sync=true tries again")
+        raise StoreError(f"the store has not got all of {plural(n_failed, 'run')}; sync=true tries again")
 
 
 def _picture(request: StatusRequest) -> RenderableType:
@@ -154,11 +154,7 @@ def _searches_plain(request: StatusRequest) -> list[dict[str, Any]]:
         if isinstance(search, ParkingError):
             plain.append({"experiment": name, "error": str(search)})
         else:
-            about: dict[str, Any] = {
-                "experiment": name,
-                "n_trials": search.n_trials,
-                "objectives": search.search.objective,
-            }
-            by_stage = {str(stage): number for stage, number in counts(search.trials).items()}
-            plain.append({**about, **by_stage, "trials": [asdict(trial) for trial in search.trials]})
+            about: dict[str, Any] = {"n_trials": search.n_trials, "objectives": search.search.objective}
+            about |= {str(stage): number for stage, number in counts(search.trials).items()}
+            plain.append({"experiment": name, **about, "trials": [asdict(trial) for trial in search.trials]})
     return plain

@@ -18,11 +18,7 @@ CLASSES = {
     "highway_env.vehicle.kinematics": ["Vehicle"],
     "parking_exp.algorithms": ["DDPG", "SAC", "TD3"],
     "parking_exp.algorithms.crossq": ["CrossQ"],
-    "parking_exp.algorithms.features": [
-        "EgoFrameExtractor",
-        "FineEgoFrameExtractor",
-        "MirroredEgoFrameExtractor",
-    ],
+    "parking_exp.algorithms.features": ["EgoFrameExtractor", "FineEgoFrameExtractor", "MirroredEgoFrameExtractor"],
     "parking_exp.buffers": ["HerBuffer"],
     "sb3_contrib": ["CrossQ", "TQC"],
     "stable_baselines3": ["DDPG", "HerReplayBuffer", "SAC", "TD3"],

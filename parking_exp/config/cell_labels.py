@@ -22,21 +22,13 @@ FEW_CELLS = 5
 
 @dataclass(frozen=True)
 class Factor:
-    """A key that differs between cells.
+    """A key that differs between cells."""
 
-    Attributes:
-        key: e.g. `buffer.n_sampled_goal`, or a group such as `buffer`.
-        name: short, for axes: `n_sampled_goal`.
-        levels: its values, numbers in order.
-        numeric: whether all levels are numbers.
-        log: whether its levels are better shown on a logarithmic axis.
-    """
-
-    key: str
-    name: str
-    levels: Sequence[Setting]
-    numeric: bool
-    log: bool = False
+    key: str  # e.g. `buffer.n_sampled_goal`, or a group such as `buffer`
+    name: str  # short, for axes: `n_sampled_goal`
+    levels: Sequence[Setting]  # numbers in order
+    numeric: bool  # whether all levels are numbers
+    log: bool = False  # whether an axis is better logarithmic
 
 
 def settings_of(config: Mapping[str, Any], prefix: str = "") -> dict[str, Setting]:
@@ -64,11 +56,9 @@ def differing(configs: Sequence[Config]) -> list[str]:
 def find_factors(
     configs: Sequence[Config], experiments: Sequence[str]
 ) -> tuple[list[Factor], list[dict[str, Setting]]]:
-    """Return the factors, and for each cell its settings: factor's key -> value, None where a cell has no such key.
+    """Return the factors of cells, given the config and the experiment of each, and each cell's settings.
 
-    Args:
-        configs: of each cell.
-        experiments: that each cell belongs to.
+    Settings are factor's key -> value; None where a cell has no such key.
     """
     varying, columns = differing(configs), dict[str, list[Setting]]()
     if len(set(experiments)) > 1:
@@ -89,11 +79,9 @@ def find_factors(
 
 
 def label_cells(configs: Sequence[Config], names: Sequence[str]) -> list[str]:
-    """Return the labels of the cells of an experiment; a cell that is alone is its algorithm and buffer.
+    """Return the labels of the cells of an experiment, given their configs and names.
 
-    Args:
-        configs: of each cell.
-        names: of each cell, e.g. `parking-sac-her_future-83d1101904`.
+    A cell that is alone is called after its algorithm and buffer.
     """
     if len(configs) == 1:
         options = [str(configs[0][f"{group}.name"]) for group in GROUPS[1:] if f"{group}.name" in configs[0]]
@@ -113,11 +101,10 @@ def cell_labels(
         ", ".join(prefix + setting(cell[key]) for key, prefix in prefixes.items() if cell[key] is not None)
         for cell in settings
     ]
+    parts = [name.rpartition("-") for name in names]
     return [
-        label
-        if label and labels.count(label) == 1
-        else f"{label or name.rpartition('-')[0]} ({name.rpartition('-')[2]})"
-        for label, name in zip(labels, names, strict=True)
+        label if label and labels.count(label) == 1 else f"{label or option} ({key})"
+        for label, (option, _, key) in zip(labels, parts, strict=True)
     ]
 
 

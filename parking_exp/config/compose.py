@@ -8,23 +8,20 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
-from typing import Any, ClassVar, cast
+from typing import Any, cast
 
 import hydra
 import yaml
 from hydra import initialize_config_dir
-from hydra.core.config_search_path import ConfigSearchPath
 from hydra.core.global_hydra import GlobalHydra
 from hydra.core.override_parser.types import OverrideType
-from hydra.core.plugins import Plugins
 from hydra.errors import HydraException, MissingConfigException, OverrideParseException
-from hydra.plugins.search_path_plugin import SearchPathPlugin
 from omegaconf import DictConfig, ListConfig, OmegaConf, open_dict
 from omegaconf.errors import ConfigAttributeError, ConfigKeyError, OmegaConfBaseException
 
 from parking_exp.config.cell_labels import settings_of
-from parking_exp.config.grid import Point, check_blocks, check_number, points, seeds_of
-from parking_exp.config.overrides import axes_of, experiment_option, is_hydras, parse
+from parking_exp.config.grid import Point, check_blocks, points, seeds_of
+from parking_exp.config.overrides import axes_of, experiment_option, in_quotes, is_hydras, parse
 from parking_exp.config.schema import RunConfig
 from parking_exp.config.validate import validate
 from parking_exp.errors import ConfigError, ParkingError, did_you_mean, suggestion
@@ -34,12 +31,12 @@ VERSION_BASE = "1.3"
 
 @dataclass(frozen=True)
 class Composed:
-    """One run.
+    """One run: the config of its cell as Hydra composed it, and what sets the run apart.
 
     Attributes:
-        cell: its config as Hydra composed it, shared by all runs of the cell.
-        seed: takes the place of the cell's; None: the cell's own.
-        label: of its cell; empty: what sets its config apart from those of the other cells.
+        cell: shared by all runs of the cell.
+        seed: replaces the cell's; None: the cell's own.
+        label: of its cell; empty: derived from the configs of all cells.
         options: group -> chosen option.
     """
 
@@ -82,8 +79,8 @@ def composed_runs(config_name: str, overrides: list[str], extra_config_dir: str 
     Raises:
         ConfigError: an override names no key or option, or the config does not compose.
     """
-    with hydra_ready(extra_config_dir):
-        compose_point = _composer(config_name, [line for line in overrides if is_hydras(line)])
+    with hydra_ready():
+        compose_point = _composer(config_name, [*user_options(extra_config_dir), *filter(is_hydras, overrides)])
         axes = axes_of(experiment_option(line, config_dir()) for line in overrides if not is_hydras(line))
         experiments = axes.pop("experiment", None)
         if experiments is None:
@@ -92,10 +89,9 @@ def composed_runs(config_name: str, overrides: list[str], extra_config_dir: str 
 
 
 def _composer(config_name: str, hydra_lines: list[str]) -> Callable[[Point], Composed]:
-    """Return a function that composes a config with some overrides.
+    """Return a function that composes a cell.
 
-    Hydra takes 0.1 s for that, and a grid may have a thousand cells. So each choice of options is composed once, and
-    the values of keys are set in a copy, which takes 3 ms.
+    Hydra takes 0.1 s for that, so each choice of options is composed once; keys are set in a copy, which takes 3 ms.
     """
     groups = GlobalHydra.instance().config_loader().list_groups("")
 
@@ -129,11 +125,9 @@ def _runs(compose_point: Callable[[Point], Composed], axes: dict[str, list[str]]
     """Compose every cell of an experiment, and give it its seeds; all get their first before any its second."""
     base = compose_point(tuple(f"{key}={axes[key][0]}" for key in ("experiment", "cells") if key in axes)).cell
     blocks = check_blocks(_container(base.cells)) if "seeds" in base else []  # a report's cells are labels
-    in_blocks = {key for block in blocks for key in block}
-    axes = {bare if (bare := key.lstrip("+")) in in_blocks else key: values for key, values in axes.items()}
-    own = [yaml.safe_load(value) for value in axes.pop("seeds", [])]
-    seeds = seeds_of((own[0] if len(own) == 1 else own) if own else _container(base.get("seeds")))
-    if "seed" in axes or "seed" in in_blocks:
+    passed = [yaml.safe_load(value) for value in axes.pop("seeds", [])]
+    seeds = seeds_of((passed[0] if len(passed) == 1 else passed) if passed else _container(base.get("seeds")))
+    if "seed" in axes or any("seed" in block for block in blocks):
         seeds = None
 
     def has(key: str, point: Point) -> bool:
@@ -141,10 +135,8 @@ def _runs(compose_point: Callable[[Point], Composed], axes: dict[str, list[str]]
         node = OmegaConf.select(compose_point(point).cell, section) if section else base
         return isinstance(node, DictConfig) and name in node
 
-    all_points = points(blocks, axes, has, axes.get("experiment", [""])[0])
     all_seeds: list[int] | list[None] = seeds or [None]
-    check_number(len(all_points) * len(all_seeds), f"{len(all_points)} cells x {len(all_seeds)} seeds")
-    composed_points = map(compose_point, all_points)
+    composed_points = map(compose_point, points(blocks, axes, has, axes.get("experiment", [""])[0]))
     cells = {OmegaConf.to_yaml(run.cell): run for run in composed_points}  # blocks may come to the same
     return [Composed(run.cell, seed, "", run.options) for seed in all_seeds for run in cells.values()]
 
@@ -168,37 +160,26 @@ def config_dir() -> Path:
     return inside if inside.is_dir() else package.parent / "conf"
 
 
-class UserDirectory(SearchPathPlugin):
-    """Adds a directory of the user's own options to Hydra's search path, behind ours."""
-
-    path: ClassVar[str | None] = None
-
-    def manipulate_search_path(self, search_path: ConfigSearchPath) -> None:
-        """Append the directory."""
-        if self.path is not None:
-            search_path.append("command-line", str(Path(self.path).absolute()))
-
-
-@cache
-def _register_plugins() -> None:
-    # Hydra looks for launchers in `hydra_plugins` alone, and a checkout need not be installed.
-    plugins = str(Path(__file__).resolve().parents[1] / "plugins")
-    if plugins not in sys.path and Path(plugins).is_dir():
-        sys.path.append(plugins)
-    Plugins.instance().register(UserDirectory)
+def user_options(extra_config_dir: str | None) -> list[str]:
+    """Return the override that has Hydra look for options in a directory of the user's own, too, behind ours."""
+    return (
+        [] if extra_config_dir is None else [f"hydra.searchpath=[{in_quotes(str(Path(extra_config_dir).absolute()))}]"]
+    )
 
 
 @contextmanager
-def hydra_ready(extra_config_dir: str | None) -> Iterator[None]:
-    """Make Hydra ready to compose from our tree and, with `--config-dir`, from the user's.
+def hydra_ready() -> Iterator[None]:
+    """Make Hydra ready to compose from our tree.
 
     Raises:
         ConfigError: what Hydra or OmegaConf complain about meanwhile, in one sentence.
     """
-    _register_plugins()
+    # Hydra looks for launchers in `hydra_plugins` alone, and a checkout need not be installed.
+    plugins = str(Path(__file__).resolve().parents[1] / "plugins")
+    if plugins not in sys.path and Path(plugins).is_dir():
+        sys.path.append(plugins)
     outer = GlobalHydra.instance().hydra  # we may be called within a Hydra app, such as a benchmark or a user's own
     GlobalHydra.instance().clear()
-    UserDirectory.path = extra_config_dir
     try:
         with (
             initialize_config_dir(str(config_dir()), "parking_exp", VERSION_BASE),
@@ -212,7 +193,6 @@ def hydra_ready(extra_config_dir: str | None) -> Iterator[None]:
             raise error.__cause__ from error
         raise ConfigError(_sentence(error)) from error
     finally:
-        UserDirectory.path = None
         GlobalHydra.instance().hydra = outer
 
 
@@ -230,8 +210,7 @@ def _sentence(error: Exception) -> str:
         return _unknown_key(cause)
     if isinstance(cause, OmegaConfBaseException) and cause.full_key:
         return f"{cause.full_key}: {str(cause).splitlines()[0]}"
-    lines = [" ".join(line.split()).rstrip(".") for line in str(error).splitlines() if line.strip()]
-    return "; ".join(lines[:2]) or type(error).__name__
+    return " ".join(str(error).split())
 
 
 def _unknown_key(error: ConfigKeyError | ConfigAttributeError) -> str:
@@ -240,13 +219,13 @@ def _unknown_key(error: ConfigKeyError | ConfigAttributeError) -> str:
     section = key.rpartition(".")[0]
     if not isinstance(known, dict):
         return f"{key}: {section or 'the config'} has no keys"
-    sections = (other[: f"{other}.".index(f".{name}.")] for other in settings_of(known) if f".{name}." in f"{other}.")
-    if place := next(sections, None):  # a section was left out
-        return f"{key}: there is no such key; did you mean '{section and section + '.'}{place}.{name}'?"
-    is_open = "_target_" in known or not known or key.startswith("hydra.")
-    hint = (
-        did_you_mean(name, known, cutoff=0.8) or f"; write +{key}=VALUE to add it"
-        if is_open
-        else suggestion(name, known)
+    tails = (
+        other.partition(f".{name}.")[0] for other in (f".{o}." for o in settings_of(known)) if f".{name}." in other
     )
+    if tail := next(tails, None):  # a section was left out
+        return f"{key}: there is no such key; did you mean '{section}{tail if section else tail[1:]}.{name}'?"
+    if "_target_" in known or not known or key.startswith("hydra."):  # takes other keys, too
+        hint = did_you_mean(name, known, cutoff=0.8) or f"; write +{key}=VALUE to add it"
+    else:
+        hint = suggestion(name, known)
     return f"{key}: there is no such key" + (f" in {section}={known['name']}" if "name" in known else "") + hint

@@ -111,11 +111,6 @@ def check_arguments(run: RunConfig) -> Iterator[str]:
             yield from _check_policy(section, find(section.target))
 
 
-def ignored_features(algorithm: AlgorithmConfig) -> str:
-    """Return the error that an algorithm's policy has no features extractor."""
-    return f"algorithm.features={algorithm.features}: {algorithm.class_name}'s policy ignores it; use raw"
-
-
 def not_mirrored(algorithm: AlgorithmConfig) -> str:
     """Return the error that an algorithm's policy cannot mirror its steering."""
     return f"algorithm.features=ego_mirrored: {algorithm.class_name}'s policy mirrors no steering; use ego_fine"
@@ -145,7 +140,7 @@ def _check_policy(algorithm: AlgorithmConfig, algorithm_class: type) -> Iterator
     elif policy is None:
         return
     elif algorithm.features != "raw" and not takes(policy, "features_extractor_class"):
-        yield ignored_features(algorithm)
+        yield f"algorithm.features={algorithm.features}: {algorithm.class_name}'s policy ignores it; use raw"
     elif algorithm.features == "ego_mirrored" and not issubclass(
         algorithm_class, (find("stable_baselines3.SAC"), find("stable_baselines3.TD3"))
     ):
@@ -154,12 +149,11 @@ def _check_policy(algorithm: AlgorithmConfig, algorithm_class: type) -> Iterator
         problems = [*_check_call(key, policy, given)]
         yield from problems
         for name, usual in DEFAULT_CLASSES.items() if not problems else ():
-            nested = given.get(f"{name}_kwargs") or {}
-            if not isinstance(nested, Mapping):
-                yield f"{key}.{name}_kwargs={nested!r} is not a group of keys"
-            elif nested:
-                target = class_path(given.get(f"{name}_class", usual))
+            nested, target = given.get(f"{name}_kwargs") or {}, class_path(given.get(f"{name}_class", usual))
+            if isinstance(nested, Mapping):
                 yield from _check_target(f"{key}.{name}_kwargs", {**nested, "_target_": target}, partial=True)
+            else:
+                yield f"{key}.{name}_kwargs={nested!r} is not a group of keys"
 
 
 def _check_target(
@@ -199,10 +193,13 @@ def _check_call(
             plain[name] = value
     known = {name: p for name, p in parameters.items() if name not in (set_by_run.keys() | given.keys() - plain.keys())}
     limits = limits_of(getattr(call, "__name__", ""))
-    fields: dict[str, Any] = {}  # under names that pydantic takes
-    for name, p in known.items():
-        default = ... if p.default is p.empty and not partial else None
-        fields[f"argument_{len(fields)}"] = (_type_of(p, limits), Field(default, alias=name))
+    fields: dict[str, Any] = {  # under names that pydantic takes
+        f"argument_{number}": (
+            _type_of(p, limits),
+            Field(None if partial or p.default is not p.empty else ..., alias=n),
+        )
+        for number, (n, p) in enumerate(known.items())
+    }
     config = ConfigDict(extra="allow" if is_open else "forbid", strict=True)
     yield from problems_of(create_model("Arguments", __config__=config, **fields), plain, key, known.keys() | siblings)
 

@@ -5,7 +5,6 @@ how many seeds, or which, each cell gets.
 """
 
 import itertools
-import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
@@ -14,7 +13,7 @@ from parking_exp.errors import ConfigError
 Block = Mapping[str, Any]
 Point = tuple[str, ...]
 """The overrides of a cell."""
-MOST_RUNS = 100_000
+MOST_SEEDS = 100_000
 
 
 def points(
@@ -33,7 +32,7 @@ def points(
         experiment: its name, for the error.
 
     Raises:
-        ConfigError: no cell is left, or there are too many.
+        ConfigError: no cell is left.
     """
     listed: dict[str, set[str]] = {}
     for block in blocks:
@@ -53,7 +52,6 @@ def points(
         for key, values in axes.items():
             if key not in block and (key not in listed or has(key, first)):
                 lines.append([f"{key}={v}" for v in values])
-        check_number(len(cells) + math.prod(map(len, lines)), "what is swept over")
         cells |= dict.fromkeys(itertools.product(*lines))
     if not cells:
         narrowed = " ".join(f"{key}={','.join(axes[key])}" for key in axes if key in listed)
@@ -78,24 +76,13 @@ def seeds_of(value: object) -> list[int] | None:
     Raises:
         ConfigError: it is neither.
     """
-    if type(value) is int and value > 0:
-        check_number(value, f"seeds={value}")
+    if type(value) is int and 0 < value <= MOST_SEEDS:
         return list(range(value))
     if isinstance(value, list) and value and all(type(seed) is int and 0 <= seed < 2**32 for seed in value):
         return list(dict.fromkeys(value))
     if value is not None:
-        raise ConfigError(f"seeds={value!r} is neither a number of seeds nor a list of them between 0 and {2**32 - 1}")
+        raise ConfigError(f"seeds={value!r} is neither a number up to {MOST_SEEDS} nor a list of seeds below {2**32}")
     return None
-
-
-def check_number(number: int, what: str) -> None:
-    """Refuse more runs or cells than a sweep can have.
-
-    Raises:
-        ConfigError: `what` makes too many.
-    """
-    if number > MOST_RUNS:
-        raise ConfigError(f"{what} makes {number} runs; a sweep has {MOST_RUNS} at most")
 
 
 def _values(value: object) -> list[str]:

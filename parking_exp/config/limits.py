@@ -15,7 +15,7 @@ Decay = Annotated[float, Field(ge=0, lt=1)]
 LIMITS: dict[str, Any] = {
     "learning_rate": PositiveFloat,
     "learning_starts": Count,
-    "batch_size": Positive,
+    "batch_size": Annotated[int, Field(ge=1, le=1_000_000)],
     "tau": Share,
     "gamma": Share,
     "train_freq": Positive | list,  # of a list, see rules
@@ -47,6 +47,6 @@ CLASS_LIMITS: dict[str, dict[str, Any]] = {
 }
 
 
-def limits_of(target: str) -> dict[str, Any]:
+def limits_of(class_name: str) -> dict[str, Any]:
     """Return the types and ranges of arguments of a class."""
-    return CLASS_LIMITS.get(target.rpartition(".")[2], LIMITS)
+    return CLASS_LIMITS.get(class_name, LIMITS)

@@ -64,18 +64,15 @@ def axes_of(lines: Iterable[str]) -> dict[str, list[str]]:
     """Return the values of each key, in Hydra's syntax; of a key that is overridden twice, the last.
 
     Raises:
-        ConfigError: a key has a range instead of values, or both `seed` and `seeds` are given.
+        ConfigError: a key has no values, or both `seed` and `seeds` are given.
     """
     axes = {}
     for override in parse(lines):
-        if not override.is_sweep_override():
-            values = [override.get_value_element_as_str()]
-        elif override.is_discrete_sweep():
+        values = [] if override.is_sweep_override() else [override.get_value_element_as_str()]
+        if override.is_discrete_sweep():
             values = list(override.sweep_string_iterator())
-        else:
-            raise ConfigError(f"{override.input_line}: a sweep needs values, not a range of them")
         if not values:
-            raise ConfigError(f"{override.input_line}: no option matches")
+            raise ConfigError(f"{override.input_line}: there are no values to sweep over")
         axes[override.get_key_element()] = values
     if "seed" in axes and axes.get("seeds", ["null"]) != ["null"]:
         raise ConfigError("seed and seeds are both given; seeds=[...] names several")

@@ -2,23 +2,19 @@
 
 import re
 from collections.abc import Iterator, Mapping
-from itertools import pairwise
 
 from parking_exp.config.allowlist import ALLOWED
 from parking_exp.config.constructor_arguments import UnknownTarget, find
 from parking_exp.config.her_options import HER_OPTIONS
 from parking_exp.config.schema import DEFAULT_FEATURES, DEFAULT_SCALES, TRAINING_SCENES_START, EnvConfig, RunConfig
-from parking_exp.resources import total_memory
 
 HER_CLASSES = ("HerBuffer", "HerReplayBuffer")
-# What is needed at least: `HerBuffer` takes 113 bytes a transition, other buffers and a batch of tensors more.
-TRANSITION_BYTES, SCENE_BYTES, WEIGHT_BYTES = 113, 1000, 4
 
 
 def check_rules(run: RunConfig) -> Iterator[str]:
     """Yield what is wrong with rules between keys."""
     yield from check_env(run.env)
-    for check in (_check_memory, _check_buffer, _check_algorithm, _check_evaluation, _check_tracking):
+    for check in (_check_buffer, _check_algorithm, _check_evaluation, _check_tracking):
         yield from check(run)
 
 
@@ -43,23 +39,6 @@ def check_env(env: EnvConfig) -> Iterator[str]:
             find(env.other_vehicles_type)
         except UnknownTarget as error:
             yield f"env.other_vehicles_type={env.other_vehicles_type}: {error}"
-
-
-def _check_memory(run: RunConfig) -> Iterator[str]:
-    """Yield what can never fit, however much memory is free now."""
-    sizes = {
-        "buffer.buffer_size": (run.buffer.buffer_size, TRANSITION_BYTES),
-        "algorithm.batch_size": (run.algorithm.arguments.get("batch_size"), TRANSITION_BYTES),
-        "algorithm.net_arch": (
-            sum(wide * high for wide, high in pairwise([1, *run.algorithm.net_arch, 1])),
-            WEIGHT_BYTES,
-        ),
-        "n_envs": (run.n_envs, SCENE_BYTES),
-        "evaluation.final_n_scenes": (run.evaluation.final_n_scenes, SCENE_BYTES),
-    }
-    for key, (number, size) in sizes.items():
-        if isinstance(number, int) and number * size > total_memory():
-            yield f"{key} needs {number * size / 1e9:,.1f} GB, and this machine has {total_memory() / 1e9:,.1f} GB"
 
 
 def _check_buffer(run: RunConfig) -> Iterator[str]:

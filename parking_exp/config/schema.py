@@ -43,7 +43,7 @@ Bounds = Annotated[list[float], Field(min_length=2, max_length=2)]
 Range = Annotated[Bounds, AfterValidator(check_range)]
 Simulation = Literal["vectorized", "highway_env"]
 Scene = Annotated[int, Field(ge=0, lt=TRAINING_SCENES_START)]
-NumberOfScenes = Annotated[int, Field(ge=1, le=TRAINING_SCENES_START)]
+NumberOfScenes = Annotated[int, Field(ge=1, le=10_000_000)]
 
 
 class ConfigModel(BaseModel):
@@ -107,10 +107,7 @@ class EnvConfig(ConfigModel):
 
     def for_training(self) -> Self:
         """Return the config of training envs, in which `training_duration` and `training_success_goal_reward` apply."""
-        values = {
-            "duration": self.training_duration,
-            "success_goal_reward": self.training_success_goal_reward,
-        }
+        values = {"duration": self.training_duration, "success_goal_reward": self.training_success_goal_reward}
         return self.model_copy(update={key: value for key, value in values.items() if value is not None})
 
     def highway_options(self) -> dict[str, Any]:
@@ -153,14 +150,14 @@ class AlgorithmConfig(ThirdParty):
     """The `algorithm` group."""
 
     features: Literal["raw", "ego", "ego_fine", "ego_mirrored"]
-    net_arch: Annotated[list[Positive], Field(min_length=1)]
+    net_arch: Annotated[list[Annotated[int, Field(ge=1, le=10_000)]], Field(min_length=1)]
     policy_ema_half_life: PositiveFloat | None
 
 
 class BufferConfig(ThirdParty):
     """The `buffer` group."""
 
-    buffer_size: Positive
+    buffer_size: Annotated[int, Field(ge=1, le=100_000_000)]  # 11 GB
 
 
 class EvaluationConfig(ConfigModel):
@@ -214,7 +211,7 @@ class RunConfig(ConfigModel):
     output_dir: Annotated[str, Field(pattern=r"^[^?]+$")]
     seed: Annotated[int, Field(ge=0, lt=2**32)]
     total_timesteps: Positive
-    n_envs: Positive
+    n_envs: Annotated[int, Field(ge=1, le=100_000)]
     # Below, a round would be longer than 1,000 steps of each env.
     updates_per_step: Annotated[float, Field(ge=0.001, le=1000)]
     device: Annotated[str, Field(pattern=r"^(cpu|auto|cuda(:\d{1,3})?)$")]

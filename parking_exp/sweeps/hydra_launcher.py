@@ -10,7 +10,7 @@ from hydra.experimental.callback import Callback
 from hydra.types import HydraContext, RunMode
 from omegaconf import DictConfig
 
-from parking_exp.config.compose import hydra_ready
+from parking_exp.config.compose import hydra_ready, user_options
 from parking_exp.config.overrides import hydra_overrides
 from parking_exp.errors import ConfigError, ParkingError, plural
 from parking_exp.resources import cores
@@ -38,10 +38,11 @@ class Launch:
         extra_config_dir: str | None = None,
         task: Callable[[DictConfig], object] | None = None,
     ) -> None:
-        self._extra = extra_config_dir
-        with hydra_ready(self._extra):
+        with hydra_ready():
             loader = GlobalHydra.instance().config_loader()
-            config = loader.load_configuration("worker", hydra_overrides(overrides), RunMode.MULTIRUN)
+            config = loader.load_configuration(
+                "worker", [*user_options(extra_config_dir), *hydra_overrides(overrides)], RunMode.MULTIRUN
+            )
             self.config: DictConfig = config.hydra.launcher
             self.name: str = config.hydra.runtime.choices["hydra/launcher"]
             # Launchers notify the context's callbacks of each job; a plain `Callback` does nothing.
@@ -68,7 +69,7 @@ class Launch:
             ConfigError: a package is missing.
             InterruptedRunError: a signal stopped it.
         """
-        with hydra_ready(self._extra):
+        with hydra_ready():
             try:
                 values = [_value_of(job) for job in self._launcher.launch(overrides, 0)]
             except ImportError as error:

@@ -8,8 +8,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from support.marks import slow_but
-from support.runs import GROUPS, ROOT, options, run_script, script, type_here
+from support.runs import GROUPS, ROOT, options, script, type_here
 
 from parking_exp.cli.command import _parse, errors_as_sentences
 
@@ -41,12 +40,10 @@ LIGHT = [
         (["sead=1"], "sead: there is no such key; did you mean 'seed'?"),
         (["-m", "seed=0,1", "n_envs=0"], "n_envs=0: "),
         (["algorithm._target_=__main__.X"], "algorithm._target_=__main__.X: "),
-        (["experiment=smoke", "+nonsense=1"], "nonsense: "),
         (["--seed=1", "n_envs=0"], "--seed: "),
         (["--cfg"], "--cfg/-c: "),
-        (["--cfg", "job", "-m"], ""),
+        (["--cfg=jub"], "--cfg/-c: "),
         (["--cfg", "job", "sead=1"], "sead: "),
-        (["--config-name=nope"], "--config-name: "),
         (["--config-dir=/nope", "--dry-run"], "--config-dir=/nope "),
         (["--dry-rum"], "--dry-rum: there is no such flag; did you mean '--dry-run'?"),
     ],
@@ -89,37 +86,30 @@ def test_help_lists_the_options_of_groups_and_examples(name):
 @pytest.mark.parametrize(
     ("flags", "words", "expected"),
     [
-        ({"--json": "json=true"}, ["a=1", "--json", "b=2"], ({}, ["a=1", "b=2", "json=true"])),
-        ({}, ["a=1", "--config-dir", ".", "b=2", "-m"], ({"--config-dir": ".", "--multirun": ""}, ["a=1", "b=2"])),
-        ({}, ["her_final, n_sampled_goal=8", "-1"], ({}, ["her_final, n_sampled_goal=8", "-1"])),
+        ({"--json": "json=true"}, ["a=1", "--json", "b=2"], (None, False, ["a=1", "b=2", "json=true"])),
+        ({}, ["a=1", "--config-dir", ".", "b=2", "-m"], (".", True, ["a=1", "b=2"])),
+        ({}, ["her_final, n_sampled_goal=8", "-1"], (None, False, ["her_final, n_sampled_goal=8", "-1"])),
     ],
 )
 def test_flags_stand_anywhere_between_the_words(flags, words, expected):
-    assert _parse(words, flags) == expected
+    given, overrides = _parse(words, flags)
+    assert (given.config_dir, given.multirun, overrides) == expected
 
 
-@pytest.mark.parametrize("arguments", slow_but([["--help"]], [["--help"], ["--cfg", "all"]]))
-def test_what_is_shown_may_be_cut_off_by_a_pipe(arguments):
-    command, keywords = script("train", *arguments)
+def test_what_is_shown_may_be_cut_off_by_a_pipe():
+    command, keywords = script("train", "--help")
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, **keywords)
     process.stdout.close()
     assert process.stderr.read() == ""
     assert process.wait(60) == 1
 
 
-@pytest.mark.parametrize("number", [errno.ENOSPC, errno.EACCES, errno.EDQUOT])
-def test_an_error_of_the_disk_is_a_sentence(number, capsys):
+def test_an_error_of_the_disk_is_a_sentence(capsys):
     with pytest.raises(SystemExit), errors_as_sentences():
-        raise OSError(number, "the disk says why", "file")
+        raise OSError(errno.ENOSPC, "the disk says why", "file")
     assert capsys.readouterr().err == "error: the disk says why: file\n"
-
-
-@pytest.mark.parametrize(
-    "error", [FileNotFoundError(errno.ENOENT, "No such file", "x"), OSError("odd"), ConnectionResetError()]
-)
-def test_another_error_of_the_system_keeps_its_traceback(error):
-    with pytest.raises(type(error)), errors_as_sentences():
-        raise error
+    with pytest.raises(FileNotFoundError), errors_as_sentences():
+        raise FileNotFoundError(errno.ENOENT, "No such file", "x")
 
 
 def test_an_output_directory_that_cannot_be_made_gets_a_sentence(tmp_path):
@@ -147,17 +137,6 @@ def test_hydras_own_config_dir_adds_options(tmp_path, flag):
 
 
 @pytest.mark.slow
-def test_a_multirun_runs_every_point(tmp_path):
-    done = run_script(
-        "train", "-m", "experiment=smoke", "seed=0,1", "total_timesteps=60", "tracking.mlflow=false",
-        "evaluation.video_episodes=0", "evaluation.final_n_scenes=3", f"output_dir={tmp_path / 'outputs'}",
-    )  # fmt: skip
-    assert done.returncode == 0, done.stderr
-    found = sorted(path.parent.name for path in tmp_path.glob("outputs/*/*/*/result.json"))
-    assert found == ["seed=0", "seed=1"]
-
-
-@pytest.mark.slow
 def test_a_built_wheel_works_from_any_directory(tmp_path):
     """The wheel carries conf/ inside the package; what it prints shows that it is the wheel's."""
     build = [sys.executable, "-m", "pip", "wheel", "--quiet", "--no-deps", "--no-build-isolation",
@@ -178,7 +157,6 @@ def test_a_built_wheel_works_from_any_directory(tmp_path):
     assert done.stdout.startswith(str(site / "parking_exp" / "conf"))
     assert (elsewhere / "outputs" / "mlflow.db").exists()
     assert (site / "hydra_plugins" / "parking_launcher" / "__init__.py").exists()
-    assert not (site / "parking_exp" / "plugins").exists()
     for name in ("default", "parked"):
         files = {path.name for path in (site / "parking_exp" / "pretrained" / name).iterdir()}
         assert files == {"README.md", "config.yaml", "policy.safetensors"}

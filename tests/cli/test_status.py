@@ -16,7 +16,6 @@ from parking_exp.runs.atomic_files import read_json, write_json
 from parking_exp.runs.directory import RunDirectory
 from parking_exp.runs.lookup import find_runs
 from parking_exp.runs.run_state import labelled, read_state
-from parking_exp.runs.state_tables import duration
 from parking_exp.tuning.study import storage_of
 
 
@@ -37,13 +36,6 @@ def test_cells_are_labelled_by_all_of_their_experiment_whatever_was_planned_firs
     assert found == {("updates_per_step=0.01", 0), ("updates_per_step=0.1", 0), ("updates_per_step=0.1", 1)}
 
 
-def test_an_odd_number_in_a_config_does_not_hide_other_runs(tmp_path):
-    for cell, gamma in (("cell-a", "1"), ("cell-b", "1" + 400 * "0")):
-        path = run_dir(tmp_path, cell, status="done", steps=1)
-        (path / "config.yaml").write_text(f"algorithm: {{gamma: {gamma}}}")
-    assert len(labelled([read_state(path) for path in find_runs(tmp_path)])) == 2
-
-
 def test_stages_are_told_from_status_claim_and_beat(tmp_path):
     now = time.time()
     done = run_dir(tmp_path, seed=0, status="done", steps=1000, success_rate=0.9, wall_s=12.0)
@@ -58,21 +50,9 @@ def test_stages_are_told_from_status_claim_and_beat(tmp_path):
     assert read_state(running).stage == "pending"  # nobody is at it
     with RunDirectory(running).supervisor_lock():
         state = read_state(running)
-    assert (state.stage, state.step, state.steps_per_s, state.left_s, state.host) == (
-        "running",
-        400,
-        20.0,
-        30.0,
-        "here",
-    )
+    progress = (state.step, state.steps_per_s, state.left_s, state.host)
+    assert (state.stage, *progress) == ("running", 400, 20.0, 30.0, "here")
     assert read_state(tmp_path / "mine" / "cell-b" / "seed=7").stage == "pending"
-
-
-@pytest.mark.parametrize("content", ["", "{", "[]", "null"])
-def test_a_status_that_a_power_cut_has_emptied_is_pending(tmp_path, content):
-    path = run_dir(tmp_path, status="done")
-    (path / "status.json").write_text(content)
-    assert read_state(path).stage == "pending"
 
 
 WRONG = {
@@ -82,14 +62,13 @@ WRONG = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("name", WRONG)
+@pytest.mark.parametrize("name", ["status", "steps", "host", "total_timesteps"])
 def test_an_entry_of_the_wrong_type_reads_as_absent_and_is_told(tmp_path, name):
     path = run_dir(tmp_path, **{"status": "done", "steps": 5, name: WRONG[name]})
     state = read_state(path)
     assert state.damaged == f"status.json has no valid {name}"
     assert state.stage == ("pending" if name == "status" else "done")
     assert state.step == (0 if name in {"status", "steps"} else 5)
-    assert name not in RunDirectory(path).read_status()
     RunDirectory(path).update(host="here")
     assert read_state(path).damaged is None
 
@@ -111,14 +90,6 @@ def test_a_status_that_is_damaged_is_one_runs_alone(tmp_path):
     process = RunDirectory(tmp_path / "mine" / "cell-b" / "seed=0")
     with process.supervisor_lock():
         assert (read_state(process.path).stage, read_state(process.path).step) == ("running", 0)
-
-
-def test_a_run_whose_length_is_unknown_is_told_without_it(tmp_path):
-    for seed, total in ((0, None), (1, 1000)):
-        path = run_dir(tmp_path, "cell-a", seed, status="interrupted", total_timesteps=total)
-        (path / "checkpoints" / "step=300").mkdir(parents=True)
-    lines = type_here("status", f"output_dir={tmp_path}").stdout.splitlines()
-    assert lines[-2:] == ["stopped  a seed=0: resumes at step 300", "stopped  a seed=1: resumes at step 300 of 1000"]
 
 
 def test_text_of_a_foreign_run_does_nothing_to_the_terminal(tmp_path):
@@ -152,21 +123,20 @@ def test_status_tells_every_cell_in_a_table_and_as_json(tmp_path):
     run_dir(tmp_path, "cell-a", 0, status="done", success_rate=1.0)
     run_dir(tmp_path, "cell-a", 1, status="done", success_rate=0.5)
     failed = run_dir(tmp_path, "cell-b", 0, status="failed", error="killed by SIGKILL", killed=True)
-    run_dir(tmp_path, "cell-b", 1, status="pending")
+    (run_dir(tmp_path, "cell-b", 1, status="interrupted") / "checkpoints" / "step=300").mkdir(parents=True)
     told = run_script("status", f"output_dir={tmp_path}", "experiment=mine")
     assert [line.split() for line in told.stdout.splitlines()] == [
         ["cell", "done", "running", "failed", "pending", "success"],
         ["a", "2", "75%"],
         ["b", "1", "1"],
         ["all", "2", "1", "1"],
+        ["stopped", "b", "seed=1:", "resumes", "at", "step", "300", "of", "1000"],
         ["failed", "b", "seed=0:", "killed", "by", "SIGKILL", str(failed)],
     ]
     found = json.loads(type_here("status", f"output_dir={tmp_path}", "--json").stdout)
     assert [found[stage] for stage in ("done", "running", "failed", "pending")] == [2, 0, 1, 1]
-    assert [(cell["cell"], cell["done"], cell["failed"]) for cell in found["cells"]] == [
-        ("cell-a", 2, 0),
-        ("cell-b", 0, 1),
-    ]
+    counted = [(cell["cell"], cell["done"], cell["failed"]) for cell in found["cells"]]
+    assert counted == [("cell-a", 2, 0), ("cell-b", 0, 1)]
     assert found["cells"][1]["runs"][0]["reason"] == "killed by SIGKILL"
 
 
@@ -200,11 +170,6 @@ def test_a_running_run_is_told_with_step_rate_time_left_and_host(tmp_path):
     assert line.endswith(f" left   {status['host']}")
 
 
-@pytest.mark.parametrize(("seconds", "words"), [(3.4, "3 s"), (99.6, "2 min"), (720, "12 min"), (19_200, "5 h 20 min")])
-def test_durations_in_words(seconds, words):
-    assert duration(seconds) == words
-
-
 def search_in(folder, uri, **stored):
     """Write a search whose study, with one trial, lies in a storage."""
     study = optuna.create_study(study_name=folder.name, storage=storage_of(folder, uri), direction="maximize")
@@ -224,24 +189,14 @@ def test_no_database_is_opened_that_only_a_search_names(tmp_path):
     search_in(folder, f"sqlite:///{elsewhere}")
     told = type_here("status", f"output_dir={tmp_path / 'outputs'}", f"storage=sqlite:///{elsewhere}")
     assert "3 trials: 1 done, 2 pending" in told.stdout
-    link = folder / "study.journal"
-    link.symlink_to(tmp_path / "file")
-    write_json(folder / "search.json", {"n_trials": 3, "search": SETTINGS})
-    told = type_here("status", f"output_dir={tmp_path / 'outputs'}")
-    assert told.stdout.splitlines()[-1].startswith(f"search mine: {link} is a symbolic link that leads out of {folder}")
-    assert not (tmp_path / "file").exists()
 
 
 @pytest.mark.parametrize("as_json", [True, False])
 @pytest.mark.parametrize(
     ("stored", "attributes", "problem"),
     [
-        (
-            {"search": SETTINGS | {"objective": ["success_auc", "final_success"]}},
-            {},
-            "differ in their number of objectives",
-        ),
-        ({}, {"changes": ["x"]}, "the study is damaged: trial 1 has no valid changes"),
+        ({"search": SETTINGS | {"objective": ["success_auc", "final_success"]}}, {}, "number of objectives"),
+        ({}, {"changes": ["x"]}, "trial 1 has no valid changes"),
     ],
 )
 def test_a_damaged_search_is_shown_beside_the_runs(tmp_path, capsys, as_json, stored, attributes, problem):

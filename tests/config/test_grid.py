@@ -4,9 +4,8 @@ from collections import Counter
 
 import pytest
 from support.marks import slow_but
-from support.runs import run_script
 
-from parking_exp.config.compose import composed, composed_runs
+from parking_exp.config.compose import composed
 from parking_exp.config.grid import points, seeds_of
 from parking_exp.config.validate import validate
 from parking_exp.errors import ConfigError
@@ -66,31 +65,10 @@ def test_seeds_are_a_number_or_a_list(value, seeds):
     assert seeds_of(value) == seeds
 
 
-@pytest.mark.parametrize("value", [0, -1, True, "x", [], ["a"], 1.5, [True], [[1]], [3, 2**32]])
+@pytest.mark.parametrize("value", [0, -1, 2**32, True, "x", [], ["a"], 1.5, [True], [3, 2**32]])
 def test_other_seeds_are_refused(value):
     with pytest.raises(ConfigError, match=r"^seeds="):
         seeds_of(value)
-
-
-TEN = ",".join(map(str, range(1, 11)))
-KEYS = ("n_envs", "total_timesteps", "algorithm.batch_size", "env.duration", "env.scaling", "checkpoint.keep_last")
-
-
-@pytest.mark.parametrize(
-    ("overrides", "number"),
-    [
-        (["seeds=4294967296"], "4294967296"),
-        (["seeds=50001", "buffer=her_future,replay"], "100002"),
-        ([f"{key}={TEN}" for key in KEYS], "1000000"),
-    ],
-)
-def test_more_than_a_hundred_thousand_runs_are_refused(overrides, number):
-    with pytest.raises(ConfigError, match=f" makes {number} runs; a sweep has 100000 at most$"):
-        composed_runs("config", overrides)
-
-
-def test_a_sweep_can_have_a_hundred_thousand_runs():
-    assert len(composed_runs("config", ["seeds=100000"])) == 100_000
 
 
 def test_seeds_on_a_command_line():
@@ -110,11 +88,8 @@ def test_seeds_on_a_command_line():
     ("overrides", "named"),
     [
         (("seeds=a,b",), r"seeds=\['a', 'b'\]"),
-        (("seeds=[1,2],[3]",), r"seeds=\[\[1, 2\], \[3\]\]"),
         (("seeds=3", "seed=1"), "seed and seeds"),
         (("buffer=her_future,replay", "buffer.n_sampled_goal=2,4"), r"buffer\.n_sampled_goal: .*buffer=replay"),
-        (("algorithm=sac,td3", "algorithm.policy_delay=1,2"), r"algorithm\.policy_delay: .*algorithm=sac"),
-        (("cells=3",), "cells=3"),
         (("cells=[3]",), r"cells=\[3\]"),
     ],
 )
@@ -162,17 +137,3 @@ def test_every_cell_has_as_many_env_steps_and_updates(experiment, budget, steps)
     assert {run.update_rounds() for run in found} == {(1, 8)}
     rest = [run.plain() | {"buffer": None, "env": None} for run in found if run.algorithm.features != "raw"]
     assert all(plain == rest[0] for plain in rest)
-
-
-@pytest.mark.slow
-def test_one_run_of_a_sweep_is_the_run_that_was_asked_for(tmp_path):
-    """One seed and one cell: the run that was checked is the one that is trained."""
-    arguments = (
-        "experiment=smoke", "seeds=[5]", "cells=[{algorithm:td3}]", "total_timesteps=60", "tracking.mlflow=false",
-        "evaluation.video_episodes=0", "evaluation.final_n_scenes=3", f"output_dir={tmp_path}",
-    )  # fmt: skip
-    done = run_script("train", *arguments)
-    assert done.returncode == 0, done.stderr
-    (result,) = tmp_path.glob("*/*/*/result.json")
-    assert result.parent.name == "seed=5"
-    assert result.parents[1].name.startswith("parking-td3-")
