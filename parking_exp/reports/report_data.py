@@ -3,15 +3,13 @@
 Rates are shares in 0 ... 1, and None where they are not known.
 """
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
-from numbers import Real
 from typing import TYPE_CHECKING, Any, Literal, cast
 
 from parking_exp.config.cell_labels import Factor, Setting
 from parking_exp.envs.outcomes import Outcome
-from parking_exp.statistics import ParameterImportance, Proportion
+from parking_exp.statistics import Interval, MainEffect, ParameterImportance, Proportion
 
 if TYPE_CHECKING:
     from parking_exp.reports.search_report import Tuning
@@ -19,38 +17,6 @@ if TYPE_CHECKING:
 Verdict = Literal["a", "b", "same", "unknown"]
 Design = Literal["single", "list", "factorial", "search"]
 """How cells differ: one cell; a list without a plan; crossed factors; many points drawn from ranges."""
-
-
-def finite(value: object) -> float | None:
-    """Return a finite number as a float, None for anything else."""
-    return float(value) if isinstance(value, Real) and math.isfinite(value) else None
-
-
-@dataclass(frozen=True)
-class Interval:
-    """A number with its 95 % interval.
-
-    Attributes:
-        value: e.g. the mean over seeds; None without data.
-        low, high: None where there is no interval, e.g. over one seed.
-        n: seeds behind it.
-        method: how the interval was made, as `parking_exp.statistics` names it.
-    """
-
-    value: float | None
-    low: float | None = None
-    high: float | None = None
-    n: int = 0
-    method: str = "none"
-
-    @classmethod
-    def of(
-        cls, value: float, low: float, high: float, n: int, method: str, bounds: tuple[float, float] | None = None
-    ) -> "Interval":
-        """Return an interval whose ends are cut to `bounds`; NaN and infinity become None."""
-        least, most = bounds or (-math.inf, math.inf)
-        start, end = (None if finite(bound) is None else min(max(bound, least), most) for bound in (low, high))
-        return cls(finite(value), start, end, n, method)
 
 
 @dataclass(frozen=True)
@@ -256,34 +222,6 @@ class Pair:
         verdict = cast(Verdict, {"a": "b", "b": "a"}.get(self.verdict, self.verdict))
         difference, improvement = mirrored(self.difference, 0.0), mirrored(self.improvement, 1.0)
         return replace(self, a=self.b, b=self.a, difference=difference, improvement=improvement, verdict=verdict)
-
-
-@dataclass(frozen=True)
-class Level:
-    """A level's mean over the levels of the other factors, all cells with equal weight."""
-
-    level: Setting
-    effect: Interval
-    cells: int
-
-
-@dataclass(frozen=True)
-class MainEffect:
-    """What one factor does on average over the others.
-
-    Attributes:
-        factor: its key.
-        levels: the mean of each.
-        complete: whether all combinations are there; else levels are averaged over different cells.
-        largest: the highest mean minus the lowest.
-        p: of that difference, corrected (Bonferroni) for the choice among all pairs of levels.
-    """
-
-    factor: str
-    levels: Sequence[Level]
-    complete: bool
-    largest: Interval | None = None
-    p: float | None = None
 
 
 @dataclass(frozen=True)

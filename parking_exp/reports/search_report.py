@@ -16,7 +16,7 @@ from pydantic import ValidationError
 from parking_exp.config.schema import NAME
 from parking_exp.errors import ParkingError, ResultsError, plural
 from parking_exp.reports import formats
-from parking_exp.reports.report_data import Interval, ReportData
+from parking_exp.reports.report_data import ReportData
 from parking_exp.reports.tables.table import (
     Entry,
     Table,
@@ -29,7 +29,7 @@ from parking_exp.reports.tables.table import (
     spread,
     words,
 )
-from parking_exp.statistics import mean_interval, welch
+from parking_exp.statistics import Interval, mean_interval, welch
 from parking_exp.tuning.retest import RetestedTrial, read_retest
 from parking_exp.tuning.search import SEARCH_FILE, study_in
 from parking_exp.tuning.trials import TrialRow, plain_choice
@@ -89,7 +89,8 @@ def with_tuning(report: ReportData, tuning: Tuning) -> ReportData:
         claim = (
             f"On {plural(len(best.test), 'fresh seed')}, “{best.label}” is the best of "
             f"{plural(len(tuning.retested), 'retrained trial')}: {tuning.objectives[0]} "
-            f"{formats.rate_interval(_mean(best.test))}; tuning minus test {formats.points_interval(_loss(best))}."
+            f"{formats.rate_interval(mean_interval(best.test))}; "
+            f"tuning minus test {formats.points_interval(_loss(best))}."
         )
         claims.insert(0, claim)
     warning = f"Cells of a search include runs on the tuning seeds that trials were selected by; {fair}."
@@ -133,15 +134,9 @@ def _described(distribution: Any) -> Mapping[str, Any]:
     return description
 
 
-def _mean(rates: Sequence[float]) -> Interval:
-    estimate = mean_interval(rates, bounds=(0.0, 1.0))
-    return Interval.of(estimate.mean, estimate.low, estimate.high, estimate.n, estimate.method)
-
-
 def _loss(trial: RetestedTrial) -> Interval:
     """Return the mean on tuning seeds minus that on fresh seeds, with Welch's interval."""
-    test = welch(trial.tuning, trial.test)
-    return Interval.of(test.difference, test.low, test.high, min(test.n_a, test.n_b), test.method, bounds=(-1.0, 1.0))
+    return welch(trial.tuning, trial.test).clipped(-1, 1)
 
 
 def search_text(report: ReportData) -> Iterator[str]:
@@ -213,8 +208,8 @@ def retest_table(report: ReportData) -> Iterator[Table]:
             "label": trial.label,
             "n_tuning": len(trial.tuning),
             "n_test": len(trial.test),
-            **spread("tuning", _mean(trial.tuning)),
-            **spread("test", _mean(trial.test)),
+            **spread("tuning", mean_interval(trial.tuning)),
+            **spread("test", mean_interval(trial.test)),
             **spread("difference", _loss(trial)),
         }
         for trial in tuning.retested

@@ -17,8 +17,8 @@ from support import report_factory
 from parking_exp.reports.figures import cell_figures, factor_figures, lot_figures, pair_figures, study_figures
 from parking_exp.reports.figures.figure_files import draw
 from parking_exp.reports.figures.figure_style import INK, cell_labels, cell_style, report_style
-from parking_exp.reports.report_data import Interval
 from parking_exp.reports.sections import SECTIONS
+from parking_exp.statistics import Interval
 
 SVG = "{http://www.w3.org/2000/svg}"
 LIST = ["final_success", "learning_curves", "time_to_90", "pairwise", "scene_map", "trajectories"]

@@ -11,12 +11,12 @@ from support import report_factory
 
 from parking_exp.reports import formats
 from parking_exp.reports.render.markdown_report import markdown
-from parking_exp.reports.report_data import Interval
 from parking_exp.reports.report_files import write_tables
 from parking_exp.reports.sections import section_contents
 from parking_exp.reports.tables import report_tables
 from parking_exp.reports.tables.table import Table, cell_column, column, words
 from parking_exp.reports.tables.table_writers import latex
+from parking_exp.statistics import Interval
 
 EXAMPLES = [
     report_factory.report,

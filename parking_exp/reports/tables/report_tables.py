@@ -6,7 +6,7 @@ from operator import itemgetter
 
 from parking_exp.reports import formats
 from parking_exp.reports.cell_summaries import FURTHER, REPORTED
-from parking_exp.reports.report_data import Interaction, Interval, ReportData
+from parking_exp.reports.report_data import Interaction, ReportData
 from parking_exp.reports.tables.table import (
     PERCENT,
     Column,
@@ -24,7 +24,7 @@ from parking_exp.reports.tables.table import (
     setting,
     words,
 )
-from parking_exp.statistics import Proportion
+from parking_exp.statistics import Interval, Proportion
 
 RATES = ("success", "parked", "crash", "timeout")
 VERDICTS = {"same": "can't be told apart", "unknown": "too few seeds to tell"}

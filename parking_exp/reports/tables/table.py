@@ -5,7 +5,9 @@ from dataclasses import dataclass, is_dataclass, replace
 from typing import Any, NamedTuple
 
 from parking_exp.reports import formats
-from parking_exp.reports.report_data import Cell, Interval, finite
+from parking_exp.reports.report_data import Cell
+from parking_exp.statistics import Interval
+from parking_exp.statistics.checks import finite_or_none
 
 PERCENT = "with 95 % intervals over seeds in brackets"
 MOST_OPEN_ROWS = 30
@@ -133,7 +135,7 @@ def interval_column(
     """Return a column of a number with its interval, by default a rate in per cent, which the page can also draw."""
 
     def entry(row: Row) -> Entry:
-        value, low, high = (finite(row.get(name)) for name in (key, f"{key}_low", f"{key}_high"))
+        value, low, high = (finite_or_none(row.get(name)) for name in (key, f"{key}_low", f"{key}_high"))
         drawn = (low, value, high) if bar and value is not None else None
         return Entry(write(Interval(value, low, high)), value, drawn)
 
@@ -152,14 +154,14 @@ def setting(value: Any) -> Entry:
 
 def number(value: float | None, digits: int = 0) -> Entry:
     """Write a number."""
-    return Entry(formats.number(value, digits), finite(value))
+    return Entry(formats.number(value, digits), finite_or_none(value))
 
 
 def percent(share: float | None) -> Entry:
     """Write a share in per cent."""
-    return Entry(formats.percent(share), finite(share))
+    return Entry(formats.percent(share), finite_or_none(share))
 
 
 def p_value(p: float | None) -> Entry:
     """Write a p value."""
-    return Entry(formats.probability(p), finite(p))
+    return Entry(formats.probability(p), finite_or_none(p))
