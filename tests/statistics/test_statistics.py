@@ -253,8 +253,6 @@ def test_normalised_area_is_trapezoids_over_the_covered_range():
     # (0 + 1) / 2 * 10 + 1 * 20 = 25 of 30
     assert normalised_area([10, 20, 40], [0, 1, 1]) == pytest.approx(25 / 30)
     assert normalised_area([10, 20, 30, 40], [0, 1, math.nan, 1]) == pytest.approx(25 / 30)
-    # to 15: (0 + 0.5) / 2 * 5 of 5
-    assert normalised_area([10, 20], [0, 1], horizon=15) == pytest.approx(0.25)
     assert normalised_area([10], [0.3]) == 0.3
     with pytest.raises(ValueError, match="at least one evaluation"):
         normalised_area([10], [math.nan])
