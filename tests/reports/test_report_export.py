@@ -12,7 +12,6 @@ from support.report_command import report
 from support.runs import in_memory, read_text
 from support.store_factory import Look, make_store
 
-from parking_exp.cli.report import report_overrides
 from parking_exp.reports import lot_map
 from parking_exp.reports.report_builder import build_report
 from parking_exp.reports.report_export import ReportSource, read_report_export, write_report_export
@@ -240,7 +239,3 @@ def test_a_mistake_names_the_key_and_writes_nothing(tmp_path, arguments, words):
     assert said.startswith("error: ")
     assert all(word in said for word in words)
     assert [path.name for path in tmp_path.iterdir()] == ["full"]
-
-
-def test_folders_are_text_whatever_their_names():
-    assert report_overrides(["from=2024", "export='a b,c'"]) == ["from='2024'", "export='a b,c'"]
