@@ -24,11 +24,8 @@ class Family(NamedTuple):
 def compare_pairs(cells: Sequence[Cell], baseline: str | None) -> Family:
     """Return the pairs of the declared family.
 
-    Without a baseline these are all pairs or, where cells are many, all against the one with the highest mean.
-
-    Args:
-        cells: those with fewer than two finished seeds can't be tested, and their verdict is unknown.
-        baseline: id of the cell that all others are compared with.
+    These are all others against the baseline, given by its id; without one all pairs or, where cells are many, all
+    against the one with the highest mean. The verdict of fewer than two finished seeds is unknown.
     """
     rated = [cell for cell in cells if cell.success.value is not None]
     reference = next((cell for cell in rated if cell.id == baseline), None)

@@ -46,14 +46,9 @@ def summarise(
     horizons: tuple[float | None, float | None],
     unfinished: bool,
 ) -> Cell:
-    """Return a cell's numbers.
+    """Return a cell's numbers; with `unfinished`, learning curves show runs that are not done, too.
 
-    Args:
-        cell: its runs.
-        number: of the cell in the report.
-        evaluations: curves and final episodes of the runs.
-        horizons: up to which env step, and CPU second, times to 90 % are averaged; see `shared_horizons`.
-        unfinished: whether learning curves show runs that are not done, too.
+    `horizons`: up to which env step, and CPU second, times to 90 % are averaged; see `shared_horizons`.
     """
     runs: list[dict[str, Any]] = cell.done[RUN_COLUMNS].to_dict("records")  # type: ignore[assignment]
     seeds = [_seed(run, evaluations) for run in runs]

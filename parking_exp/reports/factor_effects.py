@@ -56,10 +56,8 @@ def interactions(
 ) -> list[Interaction]:
     """Return tables of two factors each, one for each setting of the others where these are few.
 
-    Args:
-        cells: a control that has no value of the column's factor is a row with one column of its own, `null`.
-        factors: of the design.
-        real_shares: measured share of real transitions, by id of the cell.
+    A control that has no value of the column's factor is a row with one column of its own, `null`. `real_shares` are
+    measured shares of real transitions, by id of the cell.
     """
     crossed = _crossed(factors, cells)
     if len(crossed) > 2:  # an env is what a table is for

@@ -31,14 +31,9 @@ class ReportSource(NamedTuple):
 def write_report_export(
     source: ReportSource, report: ReportData, folder: Path, command: str, *, only_cells: bool
 ) -> None:
-    """Write the export of a report.
+    """Write the export of a report: with `only_cells`, the runs of its cells and not all of the experiments.
 
-    Args:
-        source: what the report was made of.
-        report: what it says.
-        folder: see `write_export`.
-        command: how to make the report from the export.
-        only_cells: whether it has the runs of the report's cells alone, and not all of the experiments.
+    `command` is how to make the report from the export.
     """
     results = _of_cells(source.results, report) if only_cells else source.results
     final = RunEvaluations.of(results).final

@@ -43,8 +43,6 @@ class Tuning:
     """The hyperparameter search of an experiment.
 
     Attributes:
-        experiment: its name.
-        sampler, pruner: of the search.
         n_trials: number of trials requested.
         objectives: names; all are maximised.
         n_seeds: number of tuning seeds of each trial.
