@@ -74,6 +74,11 @@ def points_interval(interval: Interval) -> str:
     return f"{points(interval.value)} points{brackets(points(interval.low), points(interval.high))}"
 
 
+def words(value: Any) -> str:
+    """Write a name or a few words."""
+    return "" if value is None else str(value)
+
+
 def level(value: Any) -> str:
     """Write a factor's level; a control that has no such key has none."""
     return "none" if value is None else setting(value)

@@ -18,16 +18,11 @@ from parking_exp.errors import ParkingError, ResultsError, plural
 from parking_exp.reports import formats
 from parking_exp.reports.report_data import ReportData
 from parking_exp.reports.tables.table import (
-    Entry,
     Table,
     column,
     interval_column,
-    number,
-    percent,
     record,
-    setting,
     spread,
-    words,
 )
 from parking_exp.statistics import Interval, mean_interval, welch
 from parking_exp.tuning.retest import RetestedTrial, read_retest
@@ -176,13 +171,13 @@ def trial_table(report: ReportData) -> Iterator[Table]:
         "trials",
         rows,
         [
-            column("Trial", "number", number, numeric=False),
-            column("State", "state", words, numeric=False),
-            *(column(name, name, percent) for name in tuning.objectives),
+            column("Trial", "number", formats.number, numeric=False),
+            column("State", "state", numeric=False),
+            *(column(name, name, formats.percent) for name in tuning.objectives),
             *(column(name, name, _parameter, numeric=is_number[name]) for name in tuning.parameters),
-            column("Env steps", "env_steps", number),
-            column("CPU (s)", "cpu_s", number),
-            *([column("Why it failed", "reason", words, numeric=False)] if any(row["reason"] for row in rows) else []),
+            column("Env steps", "env_steps", formats.number),
+            column("CPU (s)", "cpu_s", formats.number),
+            *([column("Why it failed", "reason", numeric=False)] if any(row["reason"] for row in rows) else []),
         ],
         f"Trials: means over {tuning.n_seeds} tuning seeds (%), parameters, and what they took.",
         latex=True,
@@ -190,9 +185,9 @@ def trial_table(report: ReportData) -> Iterator[Table]:
     )
 
 
-def _parameter(value: Any) -> Entry:
+def _parameter(value: Any) -> str:
     """Write a parameter, which conditions may have kept out of a trial."""
-    return Entry("") if value is None else Entry(f"{value:.3g}", value) if isinstance(value, float) else setting(value)
+    return "" if value is None else f"{value:.3g}" if isinstance(value, float) else formats.setting(value)
 
 
 def retest_table(report: ReportData) -> Iterator[Table]:
@@ -216,7 +211,7 @@ def retest_table(report: ReportData) -> Iterator[Table]:
         "retest",
         rows,
         [
-            column("Trial", "label", words, numeric=False),
+            column("Trial", "label", numeric=False),
             interval_column("Tuning seeds", "tuning"),
             interval_column("Fresh seeds", "test"),
             interval_column("Tuning minus test", "difference", formats.points_interval),

@@ -14,7 +14,7 @@ from parking_exp.reports.render.markdown_report import markdown
 from parking_exp.reports.report_files import write_tables
 from parking_exp.reports.sections import section_contents
 from parking_exp.reports.tables import report_tables
-from parking_exp.reports.tables.table import Table, cell_column, column, words
+from parking_exp.reports.tables.table import Table, cell_column, column
 from parking_exp.reports.tables.table_writers import latex
 from parking_exp.statistics import Interval
 
@@ -157,7 +157,7 @@ def test_hostile_names_in_csv_keep_their_text(tmp_path):
 
 def test_latex_table_is_exact():
     rows = [{"cell": "c0", "label": "a_b", "success": "94.4 [91.2, 97.1]"}, {"cell": "c1", "label": "[c]"}]
-    assert latex(Table("pairs", rows, [cell_column(), column("Success (%)", "success", words)], "Gain of 5 %.")) == (
+    assert latex(Table("pairs", rows, [cell_column(), column("Success (%)", "success")], "Gain of 5 %.")) == (
         "\\begin{table}[htbp]\n"
         "\\centering\n"
         "\\caption{Gain of 5 \\%.}\n"

@@ -119,9 +119,19 @@ def cell_record(cell: Cell) -> dict[str, str]:
     return {"cell": cell.id, "label": cell.label}
 
 
-def column(title: str, key: str, write: Callable[[Any], Entry], *, numeric: bool = True) -> Column:
-    """Return a column of one value of each row, written by e.g. `percent`."""
-    return Column(title, lambda row: write(row.get(key)), numeric)
+def column(title: str, key: str, write: Callable[[Any], str] = formats.words, *, numeric: bool = True) -> Column:
+    """Return a column of one value of each row, written by e.g. `formats.percent`, and sorted as a number or a text."""
+
+    def entry(row: Row) -> Entry:
+        text = write(value := row.get(key))
+        return Entry(text, finite_or_none(value) if numeric else text or None)
+
+    return Column(title, entry, numeric)
+
+
+def text_column(title: str, write: Callable[[Row], str]) -> Column:
+    """Return a column of a text that is made of each row."""
+    return Column(title, lambda row: Entry(write(row), write(row)), numeric=False)
 
 
 def cell_column(title: str = "Cell", cell: str = "cell", label: str = "label") -> Column:
@@ -140,28 +150,3 @@ def interval_column(
         return Entry(write(Interval(value, low, high)), value, drawn)
 
     return Column(title, entry)
-
-
-def words(value: Any) -> Entry:
-    """Write a name or a few words."""
-    return Entry("" if value is None else str(value), value)
-
-
-def setting(value: Any) -> Entry:
-    """Write a config value."""
-    return Entry(formats.setting(value), value if isinstance(value, float | int) else formats.setting(value))
-
-
-def number(value: float | None, digits: int = 0) -> Entry:
-    """Write a number."""
-    return Entry(formats.number(value, digits), finite_or_none(value))
-
-
-def percent(share: float | None) -> Entry:
-    """Write a share in per cent."""
-    return Entry(formats.percent(share), finite_or_none(share))
-
-
-def p_value(p: float | None) -> Entry:
-    """Write a p value."""
-    return Entry(formats.probability(p), finite_or_none(p))
