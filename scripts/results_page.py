@@ -134,7 +134,7 @@ class Experiment:
         contrasts = [statistics.contrast(frame, [key, within], "success", (key, *pair)) for pair in pairs]
         corrected = statistics.holm([contrast.p for contrast in contrasts])
         return {
-            pair: f"{formats.points(contrast.difference)} [{formats.points(contrast.low)}, "
+            pair: f"{formats.points(contrast.value)} [{formats.points(contrast.low)}, "
             f"{formats.points(contrast.high)}], {formats.p_value(p)}"
             for pair, contrast, p in zip(pairs, contrasts, corrected, strict=True)
         }

@@ -5,10 +5,9 @@ from dataclasses import replace
 from itertools import combinations
 from typing import NamedTuple
 
-import numpy as np
-
-from parking_exp.reports.report_data import Cell, Interval, Pair, Verdict, finite
-from parking_exp.statistics import coverage_note, holm, log_rank, probability_of_improvement, welch
+from parking_exp.reports.report_data import Cell, Pair, Verdict
+from parking_exp.statistics import Interval, coverage_note, holm, log_rank, probability_of_improvement, welch
+from parking_exp.statistics.checks import finite_or_none
 
 ALL_PAIRS_UP_TO = 12  # cells: 66 pairs
 SIGNIFICANT = 0.05
@@ -25,11 +24,8 @@ class Family(NamedTuple):
 def compare_pairs(cells: Sequence[Cell], baseline: str | None) -> Family:
     """Return the pairs of the declared family.
 
-    Without a baseline these are all pairs or, where cells are many, all against the one with the highest mean.
-
-    Args:
-        cells: those with fewer than two finished seeds can't be tested, and their verdict is unknown.
-        baseline: id of the cell that all others are compared with.
+    These are all others against the baseline, given by its id; without one all pairs or, where cells are many, all
+    against the one with the highest mean. The verdict of fewer than two finished seeds is unknown.
     """
     rated = [cell for cell in cells if cell.success.value is not None]
     reference = next((cell for cell in rated if cell.id == baseline), None)
@@ -54,32 +50,31 @@ def compare_pairs(cells: Sequence[Cell], baseline: str | None) -> Family:
             "name a baseline beforehand to avoid that."
         )
     pairs = [_pair(a, b) for a, b in couples]
-    p_holm = holm([np.nan if pair.p is None else pair.p for pair in pairs])
-    log_rank_holm = holm([np.nan if pair.log_rank_p is None else pair.log_rank_p for pair in pairs])
+    p_holm, log_rank_p_holm = (
+        list(map(finite_or_none, holm(p))) for p in ([pair.p for pair in pairs], [pair.log_rank_p for pair in pairs])
+    )
     corrected = [
-        replace(pair, p_holm=finite(p), log_rank_p_holm=finite(times_p), verdict=_verdict(pair.difference, p))
-        for pair, p, times_p in zip(pairs, p_holm, log_rank_holm, strict=True)
+        replace(pair, p_holm=p, log_rank_p_holm=times_p, verdict=_verdict(pair.difference, p))
+        for pair, p, times_p in zip(pairs, p_holm, log_rank_p_holm, strict=True)
     ]
     return Family(corrected, sentence, reference.id if reference else None)
 
 
 def _pair(a: Cell, b: Cell) -> Pair:
     rates_a, rates_b = ([seed.success for seed in cell.seeds if seed.success is not None] for cell in (a, b))
-    test, better = welch(rates_a, rates_b), probability_of_improvement(rates_a, rates_b)
-    n = min(len(rates_a), len(rates_b))
+    test = welch(rates_a, rates_b)
     times_a, times_b = (
         [(seed.steps_to_90, seed.reached_90) for seed in cell.seeds if seed.steps_to_90 is not None] for cell in (a, b)
     )
-    log_rank_p = (
-        finite(log_rank([*zip(*times_a, strict=True)], [*zip(*times_b, strict=True)])) if times_a and times_b else None
-    )
+    both_timed = times_a and times_b
+    log_rank_p = log_rank([*zip(*times_a, strict=True)], [*zip(*times_b, strict=True)]) if both_timed else None
     return Pair(
         a=a.id,
         b=b.id,
-        difference=Interval.of(test.difference, test.low, test.high, n, test.method, bounds=(-1, 1)),
-        p=finite(test.p),
+        difference=test.clipped(-1, 1),
+        p=test.p,
         p_holm=None,
-        improvement=Interval.of(better.probability, better.low, better.high, n, better.method),
+        improvement=probability_of_improvement(rates_a, rates_b),
         log_rank_p=log_rank_p,
         log_rank_p_holm=None,
         verdict="unknown",
@@ -87,8 +82,8 @@ def _pair(a: Cell, b: Cell) -> Pair:
     )
 
 
-def _verdict(difference: Interval, p: float) -> Verdict:
-    if np.isnan(p) or difference.value is None:
+def _verdict(difference: Interval, p: float | None) -> Verdict:
+    if p is None or difference.value is None:
         return "unknown"
     if p >= SIGNIFICANT:
         return "same"

@@ -33,10 +33,8 @@ class CellRuns:
     """The runs of one cell.
 
     Attributes:
-        experiment, name: as in the store.
         label: what sets it apart from the others of the report.
         settings: value of each factor.
-        config: dotted key -> value.
         runs: rows of `Results.runs`, by seed; of two runs with the same seed, the one that is done, or is newer.
         repeated: how many runs were left out for another one with the same seed.
     """
@@ -97,11 +95,8 @@ def relabelled(cells: Sequence[CellRuns]) -> tuple[list[CellRuns], list[Factor]]
 def choose(cells: Sequence[CellRuns], asked: Sequence[str], key: str = "cells") -> list[CellRuns]:
     """Return the cells that were asked for.
 
-    Args:
-        cells: all cells.
-        asked: labels, names or patterns of them (`her_*`), any of which may fit; and `KEY=VALUE,VALUE`, all of which
-            have to: a group, a config key or the end of one, and the values it may have.
-        key: of the command line, for errors.
+    `asked` are labels, names or patterns of them (`her_*`), any of which may fit; and `KEY=VALUE,VALUE`, all of which
+    have to: a group, a config key or the end of one, and the values it may have.
 
     Raises:
         ConfigError: one of them fits nothing.

@@ -10,9 +10,10 @@ import pandas as pd
 from parking_exp.evaluation.metrics import METRICS, Metric
 from parking_exp.reports.cell_selection import CellRuns
 from parking_exp.reports.lot_map import slot_rates
-from parking_exp.reports.report_data import Cell, Curve, Interval, Seed, Survival, finite
+from parking_exp.reports.report_data import Cell, Curve, Seed, Survival
 from parking_exp.reports.run_evaluations import EvaluationCurve, RunEvaluations
 from parking_exp.statistics import (
+    Interval,
     Proportion,
     coverage_note,
     kaplan_meier,
@@ -24,6 +25,7 @@ from parking_exp.statistics import (
     steps_to,
     wilson_interval,
 )
+from parking_exp.statistics.checks import finite_or_none
 
 GOOD = 0.9
 HOLD = 3
@@ -44,20 +46,15 @@ def summarise(
     horizons: tuple[float | None, float | None],
     unfinished: bool,
 ) -> Cell:
-    """Return a cell's numbers.
+    """Return a cell's numbers; with `unfinished`, learning curves show runs that are not done, too.
 
-    Args:
-        cell: its runs.
-        number: of the cell in the report.
-        evaluations: curves and final episodes of the runs.
-        horizons: up to which env step, and CPU second, times to 90 % are averaged; see `shared_horizons`.
-        unfinished: whether learning curves show runs that are not done, too.
+    `horizons`: up to which env step, and CPU second, times to 90 % are averaged; see `shared_horizons`.
     """
     runs: list[dict[str, Any]] = cell.done[RUN_COLUMNS].to_dict("records")  # type: ignore[assignment]
     seeds = [_seed(run, evaluations) for run in runs]
     success = _known(seed.success for seed in seeds)
     means = {
-        name: _mean([finite(run[metric.run_column]) for run in runs], (0.0, 1.0) if metric.is_rate else None)
+        name: _mean([finite_or_none(run[metric.run_column]) for run in runs], (0.0, 1.0) if metric.is_rate else None)
         for name, metric in REPORTED.items()
     }
     return Cell(
@@ -103,7 +100,7 @@ def _fields(values: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _seed(run: dict[str, Any], evaluations: RunEvaluations) -> Seed:
-    metrics = {name: finite(run[metric.run_column]) for name, metric in REPORTED.items()}
+    metrics = {name: finite_or_none(run[metric.run_column]) for name, metric in REPORTED.items()}
     episodes, curve = evaluations.final.get(run["run_id"]), evaluations.curves.get(run["run_id"])
     n_scenes = len(episodes.scene) if episodes is not None else _whole(run["n_scenes"])
     success, low, high = metrics["success"], None, None
@@ -117,7 +114,7 @@ def _seed(run: dict[str, Any], evaluations: RunEvaluations) -> Seed:
         n_scenes=n_scenes,
         low=low,
         high=high,
-        cpu_s=finite(run["cpu_s"]),
+        cpu_s=finite_or_none(run["cpu_s"]),
         steps_to_90=steps,
         reached_90=reached,
         cpu_s_to_90=cpu_s,
@@ -131,7 +128,7 @@ def _evaluation_curve(curve: EvaluationCurve) -> tuple[float, bool, float | None
     time, reached = steps_to(curve.step, curve.success, GOOD, HOLD)
     cpu_s = curve.cpu_s[np.searchsorted(curve.step, time)] if reached else curve.watched(HOLD)[1]
     area = normalised_area(curve.step, curve.success) if np.count_nonzero(~np.isnan(curve.success)) > 1 else None
-    return time, reached, finite(cpu_s), area
+    return time, reached, finite_or_none(cpu_s), area
 
 
 def _curve(runs: pd.DataFrame, evaluations: RunEvaluations) -> Curve | None:
@@ -148,46 +145,43 @@ def _curve(runs: pd.DataFrame, evaluations: RunEvaluations) -> Curve | None:
     band = mean_band(success)
     return Curve(
         step=steps.tolist(),
-        mean=[finite(point.mean) for point in band],
-        low=[finite(point.low) for point in band],
-        high=[finite(point.high) for point in band],
+        mean=[point.value for point in band],
+        low=[point.low for point in band],
+        high=[point.high for point in band],
         n=[point.n for point in band],
         crash=[float(known.mean()) if len(known := rates[~np.isnan(rates)]) else None for rates in crash.T],
-        seeds=[(seed, curve.step.tolist(), [finite(rate) for rate in curve.success]) for seed, curve in curves.items()],
+        seeds=[
+            (seed, curve.step.tolist(), [finite_or_none(rate) for rate in curve.success])
+            for seed, curve in curves.items()
+        ],
     )
 
 
 def _survival(unit: str, times: Sequence[tuple[float | None, bool]], horizon: float | None) -> Survival | None:
-    known = [(time, reached) for time, reached in times if time is not None]
-    if not known:
+    timed = [(time, reached) for time, reached in times if time is not None]
+    if not timed:
         return None
-    at, observed = np.array([time for time, _ in known]), np.array([reached for _, reached in known])
+    at, observed = np.array([time for time, _ in timed]), np.array([reached for _, reached in timed])
     estimate = kaplan_meier(at, observed)
     start = [0.0] if estimate.times[0] > 0 else []  # where no seed has reached anything
-    mean = Interval(None)
-    if horizon:
-        area = restricted_mean(at, observed, horizon)
-        mean = Interval.of(area.mean, area.low, area.high, area.n, area.method)
     return Survival(
         unit=unit,
         time=[*start, *estimate.times],
         reached=[*start, *estimate.reached],
-        low=[*start, *map(finite, estimate.low)],
-        high=[*start, *map(finite, estimate.high)],
-        censored=sorted(time for time, reached in known if not reached),
-        n=len(known),
+        low=[*start, *map(finite_or_none, estimate.low)],
+        high=[*start, *map(finite_or_none, estimate.high)],
+        censored=sorted(time for time, reached in timed if not reached),
+        n=len(timed),
         k=int(observed.sum()),
         median=estimate.median,
-        restricted_mean=mean,
+        restricted_mean=restricted_mean(at, observed, horizon) if horizon else Interval(None),
         horizon=horizon,
     )
 
 
 def _mean(values: Sequence[float | None], bounds: tuple[float, float] | None = None) -> Interval:
-    if not (known := _known(values)):
-        return Interval(None)
-    mean = mean_interval(known, bounds=bounds)
-    return Interval.of(mean.mean, mean.low, mean.high, mean.n, mean.method)
+    present = _known(values)
+    return mean_interval(present, bounds=bounds) if present else Interval(None)
 
 
 def _known(values: Iterable[float | None]) -> list[float]:
@@ -201,4 +195,4 @@ def _counts(status: pd.Series) -> dict[str, int]:
 
 
 def _whole(value: Any) -> int | None:
-    return None if (number := finite(value)) is None else int(number)
+    return None if (number := finite_or_none(value)) is None else int(number)

@@ -11,7 +11,9 @@ import pandas as pd
 
 from parking_exp import statistics
 from parking_exp.config.cell_labels import FEW_CELLS, Factor, Setting, hashable, setting
-from parking_exp.reports.report_data import Cell, Design, Interaction, Interval, Level, MainEffect, finite
+from parking_exp.reports.report_data import Cell, Design, Interaction
+from parking_exp.statistics import MainEffect
+from parking_exp.statistics.checks import finite_or_none
 
 RESPONSE = "success"
 SEARCH_CELLS = 8
@@ -46,28 +48,7 @@ def main_effects(cells: Sequence[Cell], factors: Sequence[Factor]) -> list[MainE
     frame = _frame(cells, crossed)
     if not len(frame):
         return []
-    keys = [factor.key for factor in crossed]
-    effects = statistics.main_effects(frame, keys, RESPONSE)
-    return [_main_effect(key, frame, keys, effects) for key in keys]
-
-
-def _main_effect(key: str, frame: pd.DataFrame, keys: Sequence[str], effects: statistics.MainEffects) -> MainEffect:
-    means = [level for level in effects.levels if level.factor == key]
-    levels = [
-        Level(
-            mean.level,
-            Interval.of(mean.mean, mean.low, mean.high, mean.seeds, mean.method, bounds=(0, 1)),
-            mean.cells,
-        )
-        for mean in means
-    ]
-    if len(means) < 2:  # no run of the other levels is done yet
-        return MainEffect(key, levels, effects.complete)
-    highest, lowest = max(means, key=lambda level: level.mean), min(means, key=lambda level: level.mean)
-    gap = statistics.contrast(frame, keys, RESPONSE, (key, highest.level, lowest.level))
-    largest = Interval.of(gap.difference, gap.low, gap.high, min(gap.n_a, gap.n_b), gap.method, bounds=(-1, 1))
-    p = None if np.isnan(gap.p) else min(1.0, gap.p * math.comb(len(means), 2))
-    return MainEffect(key, levels, effects.complete, largest, p)
+    return statistics.main_effects(frame, [factor.key for factor in crossed], RESPONSE)
 
 
 def interactions(
@@ -75,10 +56,8 @@ def interactions(
 ) -> list[Interaction]:
     """Return tables of two factors each, one for each setting of the others where these are few.
 
-    Args:
-        cells: a control that has no value of the column's factor is a row with one column of its own, `null`.
-        factors: of the design.
-        real_shares: measured share of real transitions, by id of the cell.
+    A control that has no value of the column's factor is a row with one column of its own, `null`. `real_shares` are
+    measured shares of real transitions, by id of the cell.
     """
     crossed = _crossed(factors, cells)
     if len(crossed) > 2:  # an env is what a table is for
@@ -88,8 +67,8 @@ def interactions(
         for given, some in _given(cells, [factor for factor in factors if factor not in (row, column)]):
             if len(tables) < MOST_TABLES and (table := _interaction(some, row, column, given, real_shares)):
                 tables.append(table)
-    corrected = statistics.holm([np.nan if table.p is None else table.p for table in tables])
-    return [replace(table, p=finite(p)) for table, p in zip(tables, corrected, strict=True)]
+    corrected = statistics.holm([table.p for table in tables])
+    return [replace(table, p=finite_or_none(p)) for table, p in zip(tables, corrected, strict=True)]
 
 
 def importance(cells: Sequence[Cell], factors: Sequence[Factor]) -> list[statistics.ParameterImportance]:
@@ -110,7 +89,7 @@ def _interaction(
         return None
     table = statistics.interaction(frame, row.key, column.key, RESPONSE)
     entries: dict[tuple[Setting, Setting], Sequence[float | int | None]] = {
-        (cell.row, cell.column): (finite(cell.mean), finite(cell.low), finite(cell.high), cell.n, finite(cell.residual))
+        (cell.row, cell.column): (cell.mean.value, cell.mean.low, cell.mean.high, cell.mean.n, cell.residual)
         for cell in table.cells
     }
     rows, columns = list(table.rows), list(table.columns)
@@ -123,12 +102,11 @@ def _interaction(
     grids: list[Any] = [[[entries.get((r, c), NO_RUNS)[part] for c in columns] for r in rows] for part in range(5)]
     shares = None
     if column.key == N_SAMPLED_GOAL:
-        known = _shares(cells, row, column, real_shares)
-        known |= {place: 1.0 for place in entries if place[1] is None}
-        shares = [[known.get((r, c)) for c in columns] for r in rows]
+        measured = _shares(cells, row, column, real_shares)
+        measured |= {place: 1.0 for place in entries if place[1] is None}
+        shares = [[measured.get((r, c)) for c in columns] for r in rows]
     mean, low, high, n, residual = grids
-    p = finite(table.p)
-    return Interaction(row.key, column.key, given, rows, columns, mean, low, high, n, residual, shares, p)
+    return Interaction(row.key, column.key, given, rows, columns, mean, low, high, n, residual, shares, table.p)
 
 
 def _shares(

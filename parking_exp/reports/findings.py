@@ -5,9 +5,9 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from parking_exp.errors import plural, quoted_label
 from parking_exp.reports.cell_pairs import SIGNIFICANT, Family
 from parking_exp.reports.formats import p_value, points_interval, rate_interval, setting
-from parking_exp.reports.report_data import Cell, Design, Factor, Interaction, Interval, MainEffect, Pair
+from parking_exp.reports.report_data import Cell, Design, Factor, Interaction, Pair
 from parking_exp.reports.warnings import FEW_NAMES, named
-from parking_exp.statistics import ParameterImportance
+from parking_exp.statistics import Interval, MainEffect, ParameterImportance
 
 VERDICTS = {"a": "is better than", "b": "is worse than", "same": "can't be told apart from"}
 

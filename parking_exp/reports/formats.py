@@ -4,34 +4,34 @@ import re
 from typing import Any
 
 from parking_exp.config.cell_labels import setting
-from parking_exp.reports.report_data import Interval, finite
-from parking_exp.statistics import Proportion
+from parking_exp.statistics import Interval, Proportion
+from parking_exp.statistics.checks import finite_or_none
 
 CONTROL = re.compile(r"[\x00-\x1f\x7f-\x9f\u2028\u2029]+")
 
 
 def percent(share: float | None, *, signed: bool = False) -> str:
     """Write 0.944 as `94.4`."""
-    if (share := finite(share)) is None:
+    if (share := finite_or_none(share)) is None:
         return ""
     return f"{100 * share + 0.0:{'+' if signed else ''}.1f}".replace("-", "−" if signed else "-")  # noqa: RUF001
 
 
 def number(value: float | None, digits: int = 0) -> str:
     """Write 40000 as `40,000`."""
-    return "" if (value := finite(value)) is None else f"{value:,.{digits}f}"
+    return "" if (value := finite_or_none(value)) is None else f"{value:,.{digits}f}"
 
 
 def probability(p: float | None) -> str:
     """Write a p value for a table: three digits, and nothing smaller."""
-    if (p := finite(p)) is None:
+    if (p := finite_or_none(p)) is None:
         return ""
     return "<0.001" if p < 0.001 else f"{p:.3f}"
 
 
 def p_value(p: float | None) -> str:
     """Write a p value for a sentence: `p = 0.012`."""
-    if (p := finite(p)) is None:
+    if (p := finite_or_none(p)) is None:
         return ""
     return "p < 0.001" if p < 0.001 else f"p = {p:.3f}" if p < 0.1 else f"p = {p:.2f}"
 
@@ -55,7 +55,7 @@ def share_interval(share: Proportion) -> str:
 
 def rate_text(value: float | None) -> str:
     """Write 0.944 as `94.4 %`, for sentences and hover values."""
-    return f"{percent(value)} %" if finite(value) is not None else "unknown"
+    return f"{percent(value)} %" if finite_or_none(value) is not None else "unknown"
 
 
 def rate_interval(interval: Interval) -> str:
@@ -72,6 +72,11 @@ def points(difference: float | None) -> str:
 def points_interval(interval: Interval) -> str:
     """Write `+9.1 points [+4.0, +14.2]`, or the number alone."""
     return f"{points(interval.value)} points{brackets(points(interval.low), points(interval.high))}"
+
+
+def words(value: Any) -> str:
+    """Write a name or a few words."""
+    return "" if value is None else str(value)
 
 
 def level(value: Any) -> str:

@@ -43,13 +43,8 @@ def sample(
 ) -> tuple[list[Path], list[tuple[float, float, str]], list[str]]:
     """Return some trajectories of each outcome, where crashes and timeouts ended [m], and unreadable recordings.
 
-    With parked cars, which belong to one episode, it is one trajectory of each outcome.
-
-    Args:
-        runs: (seed, run id) of the finished runs of a cell.
-        results: where their trajectories are.
-        final: their final episodes, by run id.
-        vehicles_count: parked cars in each scene.
+    With parked cars, which belong to one episode, it is one trajectory of each outcome. `runs` are (seed, run id) of
+    the finished runs of a cell.
     """
     rows, problems = _sampled(runs, results, final)
     drawn = rows[rows["rank"] < (1 if vehicles_count else PATHS_AN_OUTCOME)]

@@ -2,8 +2,8 @@
 
 from collections.abc import Iterator
 
-from parking_exp.reports.report_data import Interval, ReportData
-from parking_exp.statistics import unseen_share
+from parking_exp.reports.report_data import ReportData
+from parking_exp.statistics import Interval, unseen_share
 from parking_exp.statistics.intervals import BOOTSTRAP, EXACT, NONE, SCORE, T
 
 INTERVALS = {

@@ -3,15 +3,13 @@
 Rates are shares in 0 ... 1, and None where they are not known.
 """
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
-from numbers import Real
 from typing import TYPE_CHECKING, Any, Literal, cast
 
 from parking_exp.config.cell_labels import Factor, Setting
 from parking_exp.envs.outcomes import Outcome
-from parking_exp.statistics import ParameterImportance, Proportion
+from parking_exp.statistics import Interval, MainEffect, ParameterImportance, Proportion
 
 if TYPE_CHECKING:
     from parking_exp.reports.search_report import Tuning
@@ -21,52 +19,12 @@ Design = Literal["single", "list", "factorial", "search"]
 """How cells differ: one cell; a list without a plan; crossed factors; many points drawn from ranges."""
 
 
-def finite(value: object) -> float | None:
-    """Return a finite number as a float, None for anything else."""
-    return float(value) if isinstance(value, Real) and math.isfinite(value) else None
-
-
-@dataclass(frozen=True)
-class Interval:
-    """A number with its 95 % interval.
-
-    Attributes:
-        value: e.g. the mean over seeds; None without data.
-        low, high: None where there is no interval, e.g. over one seed.
-        n: seeds behind it.
-        method: how the interval was made, as `parking_exp.statistics` names it.
-    """
-
-    value: float | None
-    low: float | None = None
-    high: float | None = None
-    n: int = 0
-    method: str = "none"
-
-    @classmethod
-    def of(
-        cls, value: float, low: float, high: float, n: int, method: str, bounds: tuple[float, float] | None = None
-    ) -> "Interval":
-        """Return an interval whose ends are cut to `bounds`; NaN and infinity become None."""
-        least, most = bounds or (-math.inf, math.inf)
-        start, end = (None if finite(bound) is None else min(max(bound, least), most) for bound in (low, high))
-        return cls(finite(value), start, end, n, method)
-
-
 @dataclass(frozen=True)
 class Seed:
-    """One finished run.
+    """One finished run: rates over its `n_scenes` final episodes, and `low`, `high`: Wilson's interval of `success`.
 
-    Attributes:
-        success, crash, timeout, parked: final rates over the `n_scenes` evaluation scenes.
-        low, high: Wilson interval of `success`.
-        episode_steps: mean length of its final episodes [policy steps].
-        cpu_s: CPU seconds of the whole run.
-        steps_to_90, reached_90: first step from which three evaluations in a row had 90 %, and True; else the last from
-            which that could have been seen, and False.
-        cpu_s_to_90: CPU seconds at that step.
-        area: normalised area under its curve.
-        further: other metrics that reports have, by name.
+    `steps_to_90` is the first env step from which three evaluations in a row had 90 %; where `reached_90` is False, the
+    last one from which that could have been seen. `area` is that under its curve.
     """
 
     seed: int
@@ -90,14 +48,9 @@ class Seed:
 
 @dataclass(frozen=True)
 class Curve:
-    """Evaluations during training, over a cell's seeds; shape (n,) each, n different steps.
+    """Evaluations during training: mean success with its interval at each env step, over the `n` seeds that have it.
 
-    Attributes:
-        step: env steps.
-        mean, low, high: success and its interval.
-        n: seeds at each step: runs of different lengths end at different ones.
-        crash: mean crash rate.
-        seeds: (seed, steps, rates) of each run, unfinished ones included in a quick report.
+    `seeds` are (seed, steps, rates) of each run, unfinished ones included in a quick report. Other shapes: (steps,).
     """
 
     step: Sequence[int]
@@ -115,13 +68,11 @@ class Survival:
 
     Attributes:
         unit: `env steps` or `CPU-seconds`.
-        time: where the share changes, starting at 0; shape (n,).
-        reached, low, high: share of seeds that have reached it by then, and its interval, shape (n,).
+        time, reached, low, high: share of seeds that have reached it by then, and its interval; from 0 on, shape (n,).
         censored: times at which the observation of a seed that has not reached it ended.
         n, k: seeds, and how many of them have reached it.
         median: None where fewer than half have.
-        restricted_mean: mean time up to `horizon`.
-        horizon: shortest observation of all cells, so that restricted means can be compared.
+        restricted_mean: mean time up to `horizon`, the shortest observation of all cells.
     """
 
     unit: str
@@ -150,15 +101,7 @@ class SlotRate:
 
 @dataclass(frozen=True)
 class Path:
-    """One episode seen from above.
-
-    Attributes:
-        slot: its goal.
-        x_m, y_m, heading_rad: pose of the car at the start and after each step, of a long one after every fifth step
-            and the last.
-        steps: its length.
-        parked_slots: where other cars stand.
-    """
+    """One episode seen from above: poses at the start and after each step; of a long one, after every fifth."""
 
     seed: int
     scene: int
@@ -178,17 +121,11 @@ class Cell:
     Attributes:
         id: `c0`, `c1`, ... in the order of the report; also what its colour follows from.
         label: what sets it apart from the others, e.g. `her_final, n_sampled_goal=8`; may hold any text.
-        experiment, name: as in the store; `name` is the folder of its runs.
+        name: the folder of its runs.
         settings: the value of each factor.
         counts: how many runs are done, running, failed, pending; and pruned, if a search has pruned some.
-        total_timesteps: env steps of a run.
-        success, crash, timeout, parked, episode_steps, cpu_s, area: means over seeds.
-        reaching_90: seeds whose final success is at least 90 %.
-        seeds: finished runs, by seed.
         curve, survival, survival_cpu: None without evaluations during training.
-        slots: the scene map; empty without episodes.
         failures: (x_m, y_m, outcome) where crashes and timeouts ended, of runs that keep trajectories.
-        paths: sampled trajectories.
         note: a sentence about an interval that is too narrow or missing; None if all is well.
         further: means of other metrics that reports have, by name.
     """
@@ -225,10 +162,8 @@ class Pair:
 
     Attributes:
         a, b: ids of the cells.
-        difference: mean of a minus mean of b, with Welch's interval.
-        p: of Welch's test; None where it can't be made.
-        p_holm: corrected for all pairs of the report's family.
-        improvement: probability that a seed of a is better than one of b, ties counted half, with its interval.
+        difference, p, p_holm: mean of a minus mean of b, by Welch's test; corrected for the report's family.
+        improvement: probability that a seed of a is better than one of b, ties counted half.
         log_rank_p, log_rank_p_holm: of the times to 90 %; None where none was reached.
         verdict: `a` or `b` is better (p_holm below 0.05), `same`: not significant, `unknown`: too few seeds.
         note: a sentence about an interval that is too narrow; None if all is well.
@@ -259,43 +194,11 @@ class Pair:
 
 
 @dataclass(frozen=True)
-class Level:
-    """A level's mean over the levels of the other factors, all cells with equal weight."""
-
-    level: Setting
-    effect: Interval
-    cells: int
-
-
-@dataclass(frozen=True)
-class MainEffect:
-    """What one factor does on average over the others.
-
-    Attributes:
-        factor: its key.
-        levels: the mean of each.
-        complete: whether all combinations are there; else levels are averaged over different cells.
-        largest: the highest mean minus the lowest.
-        p: of that difference, corrected (Bonferroni) for the choice among all pairs of levels.
-    """
-
-    factor: str
-    levels: Sequence[Level]
-    complete: bool
-    largest: Interval | None = None
-    p: float | None = None
-
-
-@dataclass(frozen=True)
 class Interaction:
     """Two factors crossed; grids have the shape (rows, columns), and None without runs.
 
     Attributes:
-        row, column: keys of the factors.
         given: settings of the other factors that this table is for, e.g. `env=parking_sparse`; None for all.
-        rows, columns: their levels.
-        mean, low, high: success and its interval.
-        n: seeds.
         residual: what the two main effects do not explain.
         real_share: measured share of real transitions in batches, where a factor is n_sampled_goal.
         p: of the F test of interaction, with Holm's correction for the tables; None where it can't be made.
@@ -332,11 +235,9 @@ class Provenance:
 
     Attributes:
         versions: package -> version -> number of runs.
-        commits: commit (with `+` where files differed from it) -> number of runs.
-        machines: CPU -> number of runs.
+        commits: commit (with `+` where files differed from it) -> number of runs; `machines`: CPU -> number of runs.
         difference: config key -> value in each cell, in the order of the cells; only keys that differ.
         common: the rest of the config, dotted key -> value.
-        unfinished: runs that failed, are under way, or were interrupted.
         uri: of the store, without passwords.
         left_out: labels of the experiments' other cells.
         first, last: when the first run began and the last one ended, as ISO 8601 in UTC.
@@ -359,12 +260,9 @@ class ReportData:
     """A whole report.
 
     Attributes:
-        title: names of the experiments.
         made: when, as ISO 8601 in UTC; `version` of this package.
         quick: whether it was made while a sweep may be under way.
         command: how to make it again.
-        design, factors: how cells differ.
-        cells: in the order of the sweep.
         shown: ids of the cells in figures: all of them, or the first ones by success where there are too many.
         baseline: id of the cell that others are to be compared with.
         reference: id of the cell that all others are compared with: the baseline or, where cells are many, the one with
@@ -372,10 +270,8 @@ class ReportData:
         family: a sentence: which pairs were compared, and how p was corrected.
         pairs, effects, interactions, importance: empty where they make no sense.
         exploratory: fewer than 10 seeds somewhere.
-        claims: findings in sentences, the most important first.
-        warnings: sentences about what makes numbers hard to compare, e.g. mixed versions.
-        missing: sentences about what is not there (yet).
-        tuning: the experiment's hyperparameter search.
+        claims, warnings, missing, notes: sentences: findings, the most important first; what makes numbers hard to
+            compare; what is not there (yet).
     """
 
     title: str

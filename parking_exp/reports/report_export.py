@@ -5,7 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from pydantic import BaseModel, TypeAdapter, ValidationError
+from pydantic import TypeAdapter, ValidationError
 
 from parking_exp.errors import ResultsError
 from parking_exp.reports.lot_map import sampled_rows
@@ -15,14 +15,8 @@ from parking_exp.reports.search_report import Tuning
 from parking_exp.results.frame_export import REPORT, read_export, without_paths, write_export
 from parking_exp.results.frames import Results
 
-IN_FRAMES = {
-    "cells": ("seeds", "curve", "slots", "failures", "paths"),
-    "survival": ("time", "reached", "low", "high", "censored"),
-    "pairs": ("note",),
-    "unfinished": ("run_dir",),
-}
-"""What report.json leaves out of each cell, survival curve, pair and unfinished run: the frames have it, or a warning,
-or it is a place on the machine."""
+IN_FRAMES = ("seeds", "curve", "survival", "survival_cpu", "slots", "failures", "paths")
+"""What report.json leaves out of each cell: the frames have it."""
 DIGITS = 6
 
 
@@ -34,23 +28,12 @@ class ReportSource(NamedTuple):
     tuning: Tuning | None = None
 
 
-class _ReportEntries(BaseModel):
-    """What `report.json` has to have for a report."""
-
-    experiments: list[str]
-
-
 def write_report_export(
     source: ReportSource, report: ReportData, folder: Path, command: str, *, only_cells: bool
 ) -> None:
-    """Write the export of a report.
+    """Write the export of a report: with `only_cells`, the runs of its cells and not all of the experiments.
 
-    Args:
-        source: what the report was made of.
-        report: what it says.
-        folder: see `write_export`.
-        command: how to make the report from the export.
-        only_cells: whether it has the runs of the report's cells alone, and not all of the experiments.
+    `command` is how to make the report from the export.
     """
     results = _of_cells(source.results, report) if only_cells else source.results
     final = RunEvaluations.of(results).final
@@ -74,11 +57,11 @@ def read_report_export(folder: str) -> ReportSource:
     """
     results = read_export(folder)
     try:
-        described = _ReportEntries.model_validate(results.about)
+        experiments = TypeAdapter(list[str]).validate_python(results.about["experiments"])
         tuning = TypeAdapter(Tuning | None).validate_python(results.about["report"].get("tuning"))
     except (ValidationError, KeyError, AttributeError) as error:
         raise ResultsError(f"{Path(folder) / REPORT} can't be read: it is no description of a report") from error
-    return ReportSource(results, described.experiments, tuning)
+    return ReportSource(results, experiments, tuning)
 
 
 def _of_cells(results: Results, report: ReportData) -> Results:
@@ -92,15 +75,9 @@ def _of_cells(results: Results, report: ReportData) -> Results:
 
 def _summary(report: ReportData) -> dict[str, Any]:
     """Return what a report says, without what the frames of its export have, and without when and where it was made."""
-    summary = report.plain()
-    clocks = [cell[name] for cell in summary["cells"] for name in ("survival", "survival_cpu") if cell[name]]
-    items = {"survival": clocks, "unfinished": summary["provenance"]["unfinished"], **summary}
-    for kind, names in IN_FRAMES.items():
-        for item in items[kind]:
-            for name in names:
-                del item[name]
-    del summary["made"], summary["provenance"]["uri"], summary["provenance"]["common"]
-    return summary
+    summary = {key: value for key, value in report.plain().items() if key not in ("made", "provenance")}
+    cells = [{key: value for key, value in cell.items() if key not in IN_FRAMES} for cell in summary["cells"]]
+    return {**summary, "cells": cells}
 
 
 def _plain(value: Any) -> Any:

@@ -17,13 +17,7 @@ from parking_exp.runs.atomic_files import write_atomically
 
 
 def write_report(report: ReportData, folder: Path, formats: Sequence[str]) -> None:
-    """Write all files of a report; the page is the last.
-
-    Args:
-        report: what it says.
-        folder: its `figures` and `tables` are replaced as a whole, other files in it stay.
-        formats: of the figures.
-    """
+    """Write all files of a report; `figures` and `tables` are replaced as a whole, and the page is the last."""
     numbers = json.dumps(report.plain(), ensure_ascii=False, allow_nan=False, indent=1)
     with TemporaryDirectory(prefix=".new-", dir=folder) as new:
         figures, tables = Path(new) / "figures", Path(new) / "tables"

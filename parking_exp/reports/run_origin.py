@@ -15,13 +15,7 @@ REASONS = {"running": "under way", "interrupted": "interrupted or not begun; rer
 
 
 def provenance(cells: Sequence[CellRuns], left_out: Sequence[str], uri: str) -> Provenance:
-    """Return what exactly was run.
-
-    Args:
-        cells: those of the report.
-        left_out: labels of the experiments' other cells.
-        uri: of the store, without passwords.
-    """
+    """Return what exactly was run in the cells of a report; `left_out` are labels of the experiments' other cells."""
     runs = pd.concat([cell.runs for cell in cells])
     versions = {
         str(column).removeprefix(VERSION): _counts(runs[column]) for column in runs if str(column).startswith(VERSION)

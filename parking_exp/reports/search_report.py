@@ -16,20 +16,15 @@ from pydantic import ValidationError
 from parking_exp.config.schema import NAME
 from parking_exp.errors import ParkingError, ResultsError, plural
 from parking_exp.reports import formats
-from parking_exp.reports.report_data import Interval, ReportData
+from parking_exp.reports.report_data import ReportData
 from parking_exp.reports.tables.table import (
-    Entry,
     Table,
     column,
     interval_column,
-    number,
-    percent,
     record,
-    setting,
     spread,
-    words,
 )
-from parking_exp.statistics import mean_interval, welch
+from parking_exp.statistics import Interval, mean_interval, welch
 from parking_exp.tuning.retest import RetestedTrial, read_retest
 from parking_exp.tuning.search import SEARCH_FILE, study_in
 from parking_exp.tuning.trials import TrialRow, plain_choice
@@ -43,8 +38,6 @@ class Tuning:
     """The hyperparameter search of an experiment.
 
     Attributes:
-        experiment: its name.
-        sampler, pruner: of the search.
         n_trials: number of trials requested.
         objectives: names; all are maximised.
         n_seeds: number of tuning seeds of each trial.
@@ -89,7 +82,8 @@ def with_tuning(report: ReportData, tuning: Tuning) -> ReportData:
         claim = (
             f"On {plural(len(best.test), 'fresh seed')}, “{best.label}” is the best of "
             f"{plural(len(tuning.retested), 'retrained trial')}: {tuning.objectives[0]} "
-            f"{formats.rate_interval(_mean(best.test))}; tuning minus test {formats.points_interval(_loss(best))}."
+            f"{formats.rate_interval(mean_interval(best.test))}; "
+            f"tuning minus test {formats.points_interval(_loss(best))}."
         )
         claims.insert(0, claim)
     warning = f"Cells of a search include runs on the tuning seeds that trials were selected by; {fair}."
@@ -133,15 +127,9 @@ def _described(distribution: Any) -> Mapping[str, Any]:
     return description
 
 
-def _mean(rates: Sequence[float]) -> Interval:
-    estimate = mean_interval(rates, bounds=(0.0, 1.0))
-    return Interval.of(estimate.mean, estimate.low, estimate.high, estimate.n, estimate.method)
-
-
 def _loss(trial: RetestedTrial) -> Interval:
     """Return the mean on tuning seeds minus that on fresh seeds, with Welch's interval."""
-    test = welch(trial.tuning, trial.test)
-    return Interval.of(test.difference, test.low, test.high, min(test.n_a, test.n_b), test.method, bounds=(-1.0, 1.0))
+    return welch(trial.tuning, trial.test).clipped(-1, 1)
 
 
 def search_text(report: ReportData) -> Iterator[str]:
@@ -183,13 +171,13 @@ def trial_table(report: ReportData) -> Iterator[Table]:
         "trials",
         rows,
         [
-            column("Trial", "number", number, numeric=False),
-            column("State", "state", words, numeric=False),
-            *(column(name, name, percent) for name in tuning.objectives),
+            column("Trial", "number", formats.number, numeric=False),
+            column("State", "state", numeric=False),
+            *(column(name, name, formats.percent) for name in tuning.objectives),
             *(column(name, name, _parameter, numeric=is_number[name]) for name in tuning.parameters),
-            column("Env steps", "env_steps", number),
-            column("CPU (s)", "cpu_s", number),
-            *([column("Why it failed", "reason", words, numeric=False)] if any(row["reason"] for row in rows) else []),
+            column("Env steps", "env_steps", formats.number),
+            column("CPU (s)", "cpu_s", formats.number),
+            *([column("Why it failed", "reason", numeric=False)] if any(row["reason"] for row in rows) else []),
         ],
         f"Trials: means over {tuning.n_seeds} tuning seeds (%), parameters, and what they took.",
         latex=True,
@@ -197,9 +185,9 @@ def trial_table(report: ReportData) -> Iterator[Table]:
     )
 
 
-def _parameter(value: Any) -> Entry:
+def _parameter(value: Any) -> str:
     """Write a parameter, which conditions may have kept out of a trial."""
-    return Entry("") if value is None else Entry(f"{value:.3g}", value) if isinstance(value, float) else setting(value)
+    return "" if value is None else f"{value:.3g}" if isinstance(value, float) else formats.setting(value)
 
 
 def retest_table(report: ReportData) -> Iterator[Table]:
@@ -213,8 +201,8 @@ def retest_table(report: ReportData) -> Iterator[Table]:
             "label": trial.label,
             "n_tuning": len(trial.tuning),
             "n_test": len(trial.test),
-            **spread("tuning", _mean(trial.tuning)),
-            **spread("test", _mean(trial.test)),
+            **spread("tuning", mean_interval(trial.tuning)),
+            **spread("test", mean_interval(trial.test)),
             **spread("difference", _loss(trial)),
         }
         for trial in tuning.retested
@@ -223,7 +211,7 @@ def retest_table(report: ReportData) -> Iterator[Table]:
         "retest",
         rows,
         [
-            column("Trial", "label", words, numeric=False),
+            column("Trial", "label", numeric=False),
             interval_column("Tuning seeds", "tuning"),
             interval_column("Fresh seeds", "test"),
             interval_column("Tuning minus test", "difference", formats.points_interval),

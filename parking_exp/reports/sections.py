@@ -29,13 +29,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Figure:
-    """A figure of a section.
-
-    Attributes:
-        name: stem of its files; `{}` in it becomes the number of each, where `draw` gives several.
-        title: a few words.
-        draw: data -> figures and their captions, none without data.
-    """
+    """A figure of a section; `{}` in its name becomes the number of each, where `draw` gives several."""
 
     name: str
     title: str
@@ -44,15 +38,7 @@ class Figure:
 
 @dataclass(frozen=True)
 class Section:
-    """A part of the page and of `report.md`. It is left out where it has nothing to say.
-
-    Attributes:
-        id: its anchor.
-        title: its heading.
-        text: data -> paragraphs.
-        tables: data -> tables, see `tables.report_tables`.
-        figures: in order.
-    """
+    """A part of the page and of `report.md`: paragraphs, tables and figures. It is left out where it has none."""
 
     id: str
     title: str

@@ -63,13 +63,7 @@ def warnings(
 
 
 def missing(cells: Sequence[Cell], experiments: Iterable[str], having: Iterable[str]) -> Iterator[str]:
-    """Yield which runs have no result. Those that a search has pruned are over, and do not count.
-
-    Args:
-        cells: of the report.
-        experiments: those that were asked for.
-        having: experiments that have runs.
-    """
+    """Yield which runs have no result, and which experiments have no runs. Pruned runs are over, and do not count."""
     total: Counter[str] = Counter()
     for cell in cells:
         total.update(cell.counts)

@@ -4,23 +4,22 @@ Every training imports this package, and scipy.stats takes half a second to impo
 when they are called. Wilson's interval, which a training needs, is computed here; a test compares it with scipy's.
 """
 
-from parking_exp.statistics.comparisons import Difference, Improvement, holm, probability_of_improvement, welch
+from parking_exp.statistics.comparisons import Difference, holm, probability_of_improvement, welch
 from parking_exp.statistics.coverage import coverage_note
 from parking_exp.statistics.curves import normalised_area
 from parking_exp.statistics.effects import (
     InteractionCell,
     InteractionTable,
-    LevelMean,
-    MainEffects,
+    Level,
+    MainEffect,
     contrast,
     interaction,
     main_effects,
 )
 from parking_exp.statistics.hyperparameters import FEWEST_ROWS, ParameterImportance, importance
-from parking_exp.statistics.intervals import Estimate, mean_band, mean_interval
+from parking_exp.statistics.intervals import Interval, mean_band, mean_interval
 from parking_exp.statistics.rates import Proportion, share_reaching, unseen_share, wilson_interval
 from parking_exp.statistics.survival import (
-    RestrictedMean,
     SurvivalCurve,
     kaplan_meier,
     log_rank,
@@ -31,15 +30,13 @@ from parking_exp.statistics.survival import (
 __all__ = [
     "FEWEST_ROWS",
     "Difference",
-    "Estimate",
-    "Improvement",
     "InteractionCell",
     "InteractionTable",
-    "LevelMean",
-    "MainEffects",
+    "Interval",
+    "Level",
+    "MainEffect",
     "ParameterImportance",
     "Proportion",
-    "RestrictedMean",
     "SurvivalCurve",
     "contrast",
     "coverage_note",

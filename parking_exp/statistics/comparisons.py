@@ -2,6 +2,7 @@
 
 import math
 import warnings
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,45 +10,27 @@ from numpy.typing import ArrayLike
 from scipy.special import ndtri
 
 from parking_exp.statistics.checks import finite
+from parking_exp.statistics.intervals import Interval
 
 WELCH = "Welch"
 PERMUTATION = "permutation, no scatter"
 NEWCOMBE = "Newcombe 5"
-NONE = "none"
 
 
 @dataclass(frozen=True)
-class Difference:
-    """mean(a) - mean(b) with its interval and two-sided p; NaN where the data allow for none."""
+class Difference(Interval):
+    """mean(a) - mean(b) with its interval, two-sided p and degrees of freedom; None where the data allow for none."""
 
-    difference: float
-    low: float
-    high: float
-    p: float
-    df: float
-    n_a: int
-    n_b: int
-    method: str
-
-
-@dataclass(frozen=True)
-class Improvement:
-    """P(A > B) + P(A = B) / 2 with its interval."""
-
-    probability: float
-    low: float
-    high: float
-    n_a: int
-    n_b: int
-    method: str
+    p: float | None = None
+    df: float | None = None
 
 
 def welch(a: ArrayLike, b: ArrayLike, confidence: float = 0.95) -> Difference:
     """Return the difference of two means over seeds, shapes (n_a,) and (n_b,), by Welch's test (Welch 1947).
 
-    With fewer than two seeds on a side, interval and p are NaN. Where neither side scatters, Welch is undefined: the
-    interval is NaN; p is 1 for equal values and else that of the exact permutation test, 2 / binom(n_a + n_b, n_a):
-    10 against 10 seeds give 0.00001, 2 against 2 only 0.33.
+    With fewer than two seeds on a side, there are neither interval nor p. Where neither side scatters, Welch is
+    undefined: there is no interval; p is 1 for equal values and else that of the exact permutation test,
+    2 / binom(n_a + n_b, n_a): 10 against 10 seeds give 0.00001, 2 against 2 only 0.33.
 
     Raises:
         ValueError: a side is empty or holds NaN.
@@ -55,22 +38,21 @@ def welch(a: ArrayLike, b: ArrayLike, confidence: float = 0.95) -> Difference:
     from scipy import stats  # half a second that only reports pay
 
     first, second = finite(a, "a difference of means"), finite(b, "a difference of means")
-    m, n, nan = len(first), len(second), math.nan
+    m, n = len(first), len(second)
     difference = float(first.mean() - second.mean())
     if min(m, n) < 2:
-        return Difference(difference, nan, nan, nan, nan, m, n, NONE)
+        return Difference(difference, n=min(m, n))
     if np.ptp(first) == 0 and np.ptp(second) == 0:
-        if first[0] == second[0]:
-            return Difference(0.0, nan, nan, 1.0, nan, m, n, PERMUTATION)
-        return Difference(difference, nan, nan, 2 / math.comb(m + n, m), nan, m, n, PERMUTATION)
+        p = 1.0 if first[0] == second[0] else 2 / math.comb(m + n, m)
+        return Difference(float(first[0] - second[0]), n=min(m, n), method=PERMUTATION, p=p)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)  # of one side without scatter
         test = stats.ttest_ind(first, second, equal_var=False)
     low, high = map(float, test.confidence_interval(confidence))
-    return Difference(difference, low, high, float(test.pvalue), float(test.df), m, n, WELCH)
+    return Difference(difference, low, high, min(m, n), WELCH, float(test.pvalue), float(test.df))
 
 
-def probability_of_improvement(a: ArrayLike, b: ArrayLike, confidence: float = 0.95) -> Improvement:
+def probability_of_improvement(a: ArrayLike, b: ArrayLike, confidence: float = 0.95) -> Interval:
     """Return how probable it is that a seed of `a`, shape (n_a,), beats one of `b`, (n_b,); ties count one half.
 
     Newcombe's method 5 (Newcombe 2006, Statistics in Medicine 25:559-573): a score interval whose variance is Hanley
@@ -84,7 +66,7 @@ def probability_of_improvement(a: ArrayLike, b: ArrayLike, confidence: float = 0
     m, n = len(first), len(second)
     theta = (1 + np.sign(first[:, None] - second[None])).mean() / 2
     low, high = newcombe(theta, m, n, confidence)
-    return Improvement(float(theta), float(low), float(high), m, n, NEWCOMBE)
+    return Interval(float(theta), float(low), float(high), min(m, n), NEWCOMBE)
 
 
 def newcombe(theta: ArrayLike, m: int, n: int, confidence: float) -> tuple[np.ndarray, np.ndarray]:
@@ -107,10 +89,10 @@ def newcombe(theta: ArrayLike, m: int, n: int, confidence: float) -> tuple[np.nd
     return edge(np.zeros_like(at)), edge(np.ones_like(at))
 
 
-def holm(p_values: ArrayLike) -> np.ndarray:
+def holm(p_values: Sequence[float | None] | np.ndarray) -> np.ndarray:
     """Return Holm's adjusted p-values, same order and shape (n,) (Holm 1979).
 
-    NaN stays NaN and is no part of the family.
+    NaN and None are no part of the family, and become NaN.
 
     Raises:
         ValueError: a p-value lies outside 0 ... 1.

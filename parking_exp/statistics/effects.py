@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from scipy.special import fdtrc, stdtr, stdtrit
 
+from parking_exp.statistics.checks import finite_or_none
 from parking_exp.statistics.comparisons import Difference
-from parking_exp.statistics.intervals import NONE, mean_interval
+from parking_exp.statistics.intervals import Interval, mean_interval
 
 if TYPE_CHECKING:  # a training imports this package and needs no frames of ours
     from collections.abc import Mapping, Sequence
@@ -24,26 +25,31 @@ POOLED = "pooled variance"
 
 
 @dataclass(frozen=True)
-class LevelMean:
-    """The mean of cell means at one level of a factor."""
+class Level:
+    """A level's mean over the levels of the other factors, all cells with equal weight."""
 
-    factor: str
     level: Any
-    mean: float
-    low: float
-    high: float
+    effect: Interval
     cells: int
-    seeds: int
-    method: str
 
 
 @dataclass(frozen=True)
-class MainEffects:
-    """Every level of every factor; `complete` says whether all combinations of levels are there."""
+class MainEffect:
+    """What one factor does on average over the others.
 
-    levels: tuple[LevelMean, ...]
-    mean: float
+    Attributes:
+        factor: its name.
+        levels: the mean of each.
+        complete: whether all combinations are there; else levels are averaged over different cells.
+        largest: the highest mean minus the lowest; None with a single level.
+        p: of that difference, corrected (Bonferroni) for the choice among all pairs of levels.
+    """
+
+    factor: str
+    levels: Sequence[Level]
     complete: bool
+    largest: Interval | None = None
+    p: float | None = None
 
 
 @dataclass(frozen=True)
@@ -52,11 +58,7 @@ class InteractionCell:
 
     row: Any
     column: Any
-    mean: float
-    low: float
-    high: float
-    n: int
-    method: str
+    mean: Interval
     residual: float
 
 
@@ -64,35 +66,45 @@ class InteractionCell:
 class InteractionTable:
     """The combinations that there are, row by row.
 
-    `complete` says whether none is missing, and `p` how well a sum of two effects explains them all: NaN where seeds do
-    not scatter or nothing is left to explain.
+    `p` says how well a sum of two effects explains them all: None where seeds do not scatter or nothing is left.
     """
 
-    rows: tuple[Any, ...]
-    columns: tuple[Any, ...]
-    cells: tuple[InteractionCell, ...]
-    complete: bool
-    p: float
+    rows: Sequence[Any]
+    columns: Sequence[Any]
+    cells: Sequence[InteractionCell]
+    p: float | None
 
 
-def main_effects(frame: pd.DataFrame, factors: Sequence[str], response: str, confidence: float = 0.95) -> MainEffects:
+def main_effects(
+    frame: pd.DataFrame, factors: Sequence[str], response: str, confidence: float = 0.95
+) -> list[MainEffect]:
     """Return the mean of cell means for every level of every factor: cells weigh the same, whatever their seeds.
 
-    The interval is that of a linear contrast of independent means with their own variances (Welch 1947; Satterthwaite
-    1946 for the degrees of freedom); where a cell of the level has a single seed, the pooled variance of all cells
-    stands in for all; where nothing scatters, there is none. It is not cut at 0 or 1. In an incomplete design the
-    levels are averaged over different cells: `complete` is False and differences may be due to those.
+    The response is a rate in 0 ... 1. The interval is that of a linear contrast of independent means with their own
+    variances (Welch 1947; Satterthwaite 1946 for the degrees of freedom), cut where rates end; where a cell of the
+    level has a single seed, the pooled variance of all cells stands in for all; where nothing scatters, there is none.
     """
     cells = _cells(frame, factors, response)
-    levels = []
+    levels = [_levels(cells, place) for place in range(len(factors))]
+    complete = len(cells) == math.prod(map(len, levels))
+    effects = []
     for place, factor in enumerate(factors):
-        for level in _levels(cells, place):
-            own = [values for key, values in cells.items() if key[place] == level]
-            mean = _contrast(own, [], cells, confidence)
-            n = sum(map(len, own))
-            levels.append(LevelMean(factor, level, mean.difference, mean.low, mean.high, len(own), n, mean.method))
-    complete = len(cells) == math.prod(len(_levels(cells, place)) for place in range(len(factors)))
-    return MainEffects(tuple(levels), float(np.mean([values.mean() for values in cells.values()])), complete)
+        own = {level: [values for key, values in cells.items() if key[place] == level] for level in levels[place]}
+        effects.append(_main_effect(factor, own, cells, complete, confidence))
+    return effects
+
+
+def _main_effect(
+    name: str, own: Mapping[Any, Sequence[np.ndarray]], cells: Cells, complete: bool, confidence: float
+) -> MainEffect:
+    means = {level: _contrast(values, [], cells, confidence) for level, values in own.items()}
+    levels = [Level(level, mean.clipped(0, 1), len(own[level])) for level, mean in means.items()]
+    if len(levels) < 2:
+        return MainEffect(name, levels, complete)
+    highest, lowest = (choose(means, key=lambda level: means[level].value or 0.0) for choose in (max, min))
+    largest = _contrast(own[highest], own[lowest], cells, confidence)
+    p = None if largest.p is None else min(1.0, largest.p * math.comb(len(levels), 2))
+    return MainEffect(name, levels, complete, largest.clipped(-1, 1), p)
 
 
 def contrast(
@@ -100,7 +112,7 @@ def contrast(
 ) -> Difference:
     """Return how far two levels of a factor are apart: the difference of the means that `main_effects` gives.
 
-    `levels` is (factor, level, other level). Interval and p are as described there, NaN without scatter.
+    `levels` is (factor, level, other level). Interval and p are as described there, not cut, None without scatter.
 
     Raises:
         ValueError: there is no such level.
@@ -134,14 +146,13 @@ def interaction(
     rows, columns = _levels(cells, 0), _levels(cells, 1)
     means = np.array([values.mean() for values in cells.values()])
     design = np.array([[row == r for r in rows] + [column == c for c in columns] for row, column in cells], dtype=float)
-    residuals = dict(zip(cells, means - design @ np.linalg.lstsq(design, means, rcond=None)[0], strict=True))
-    combinations = []
-    for row, column in sorted(cells, key=lambda key: (rows.index(key[0]), columns.index(key[1]))):
-        mean = mean_interval(cells[row, column], confidence, bounds=bounds)
-        residual = float(residuals[row, column])
-        combinations.append(InteractionCell(row, column, mean.mean, mean.low, mean.high, mean.n, mean.method, residual))
-    complete = len(combinations) == len(rows) * len(columns)
-    return InteractionTable(tuple(rows), tuple(columns), tuple(combinations), complete, _interaction_p(cells, design))
+    residuals = means - design @ np.linalg.lstsq(design, means, rcond=None)[0]
+    combinations = [
+        InteractionCell(key[0], key[1], mean_interval(values, confidence, bounds=bounds), float(residual))
+        for (key, values), residual in zip(cells.items(), residuals, strict=True)
+    ]
+    combinations.sort(key=lambda cell: (rows.index(cell.row), columns.index(cell.column)))
+    return InteractionTable(rows, columns, combinations, finite_or_none(_interaction_p(cells, design)))
 
 
 def _contrast(side: Sequence[np.ndarray], other: Sequence[np.ndarray], cells: Cells, confidence: float) -> Difference:
@@ -150,7 +161,7 @@ def _contrast(side: Sequence[np.ndarray], other: Sequence[np.ndarray], cells: Ce
     both = [*side, *other]
     sizes = np.array([len(values) for values in both])
     difference = float(weights @ [values.mean() for values in both])
-    n_side, n_other = sum(map(len, side)), sum(map(len, other))
+    n = min(sum(map(len, values)) for values in (side, other) if values)
     if sizes.min() > 1:
         squares, method = weights**2 * [_variance(values) for values in both] / sizes, CELLS
         spread = float((squares**2 / (sizes - 1)).sum())
@@ -159,11 +170,11 @@ def _contrast(side: Sequence[np.ndarray], other: Sequence[np.ndarray], cells: Ce
         pooled, df = _pooled(cells)
         squares, method = weights**2 * pooled / sizes, POOLED
     if not (df > 0 and squares.sum() > 0):
-        return Difference(difference, math.nan, math.nan, math.nan, math.nan, n_side, n_other, NONE)
+        return Difference(difference, n=n)
     error = math.sqrt(squares.sum())
     half = float(stdtrit(df, 0.5 + confidence / 2)) * error
     p = 2 * float(stdtr(df, -abs(difference) / error))
-    return Difference(difference, difference - half, difference + half, p, df, n_side, n_other, method)
+    return Difference(difference, difference - half, difference + half, n, method, p, df)
 
 
 def _variance(values: np.ndarray) -> float:

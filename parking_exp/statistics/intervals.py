@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import stdtrit
 
-from parking_exp.statistics.checks import finite
+from parking_exp.statistics.checks import finite, finite_or_none
 
 NONE = "none"
 T = "t"
@@ -29,14 +29,26 @@ CHUNK = 256  # rows that are resampled at once: 256 x 9,999 floats are 20 MB
 
 
 @dataclass(frozen=True)
-class Estimate:
-    """A mean of `n` values with its interval, got by `method`; its ends are NaN where the data allow for none."""
+class Interval:
+    """A number with its confidence interval.
 
-    mean: float
-    low: float
-    high: float
-    n: int
-    method: str
+    Attributes:
+        value: e.g. the mean over seeds; None without data.
+        low, high: None where the data allow for no interval, e.g. over one seed.
+        n: seeds behind it; behind a difference, those of the side that has fewer.
+        method: how the interval was made.
+    """
+
+    value: float | None
+    low: float | None = None
+    high: float | None = None
+    n: int = 0
+    method: str = NONE
+
+    def clipped(self, least: float, most: float) -> "Interval":
+        """Return the same interval with its ends within `least` ... `most`."""
+        low, high = (None if end is None else min(max(end, least), most) for end in (self.low, self.high))
+        return Interval(self.value, low, high, self.n, self.method)
 
 
 def mean_interval(
@@ -45,7 +57,7 @@ def mean_interval(
     seed: int = 0,
     bounds: tuple[float, float] | None = (0.0, 1.0),
     resamples: int = 9999,
-) -> Estimate:
+) -> Interval:
     """Return the mean of `values`, shape (seeds,), with an interval for the mean of all seeds there could be.
 
     Methods, by what the data allow: one value has no interval ("none"). From 5 seeds, the studentised bootstrap
@@ -61,7 +73,7 @@ def mean_interval(
     """
     array = finite(values, "a mean over seeds")
     low, high, methods = interval_rows(array[None], confidence, seed, bounds, resamples)
-    return Estimate(float(array.mean()), float(low[0]), float(high[0]), len(array), methods[0])
+    return Interval(float(array.mean()), finite_or_none(low[0]), finite_or_none(high[0]), len(array), methods[0])
 
 
 def mean_band(
@@ -70,24 +82,24 @@ def mean_band(
     seed: int = 0,
     bounds: tuple[float, float] | None = (0.0, 1.0),
     resamples: int = 1999,
-) -> list[Estimate]:
+) -> list[Interval]:
     """Return `mean_interval` of every column of `values`, shape (seeds, points): the band around a learning curve.
 
     The band holds point by point, not for the whole curve at once. NaN means that a run was not measured there (it
-    ended sooner): a point counts the seeds that it has, and a point without any has n = 0 and NaN.
+    ended sooner): a point counts the seeds that it has, and a point without any has n = 0 and no value.
 
     Raises:
         ValueError: values lie outside `bounds`.
     """
     table = np.asarray(values, dtype=float)
     columns, counts = table.T, np.count_nonzero(~np.isnan(table), axis=0)
-    band = [Estimate(np.nan, np.nan, np.nan, 0, NONE)] * len(columns)
+    band = [Interval(None)] * len(columns)
     for count in np.unique(counts[counts > 0]):
         where = np.flatnonzero(counts == count)
         rows = np.array([columns[i][~np.isnan(columns[i])] for i in where])
         low, high, methods = interval_rows(rows, confidence, seed, bounds, resamples)
         for i, row, a, b, method in zip(where, rows, low, high, methods, strict=True):
-            band[i] = Estimate(float(row.mean()), float(a), float(b), int(count), method)
+            band[i] = Interval(float(row.mean()), finite_or_none(a), finite_or_none(b), int(count), method)
     return band
 
 

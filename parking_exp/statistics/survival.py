@@ -1,6 +1,5 @@
 """Time to a threshold, with runs that never reach it as censored: Kaplan-Meier, log-rank, restricted mean."""
 
-import math
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -9,8 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from parking_exp.statistics.checks import finite
-from parking_exp.statistics.intervals import EXACT, NONE, SCORE, score_interval
+from parking_exp.statistics.checks import finite, finite_or_none
+from parking_exp.statistics.intervals import EXACT, SCORE, Interval, score_interval
 from parking_exp.statistics.rates import wilson_interval
 
 if TYPE_CHECKING:
@@ -27,19 +26,6 @@ class SurvivalCurve:
     high: tuple[float, ...]
     median: float | None
     n: int
-
-
-@dataclass(frozen=True)
-class RestrictedMean:
-    """The mean of min(time, horizon), in the unit of the times."""
-
-    mean: float
-    low: float
-    high: float
-    error: float
-    horizon: float
-    n: int
-    method: str
 
 
 def steps_to(steps: ArrayLike, rates: ArrayLike, threshold: float = 0.9, hold: int = 3) -> tuple[float, bool]:
@@ -98,7 +84,7 @@ def kaplan_meier(times: ArrayLike, observed: ArrayLike, confidence: float = 0.95
     )
 
 
-def restricted_mean(times: ArrayLike, observed: ArrayLike, horizon: float, confidence: float = 0.95) -> RestrictedMean:
+def restricted_mean(times: ArrayLike, observed: ArrayLike, horizon: float, confidence: float = 0.95) -> Interval:
     """Return the area under S up to `horizon`: the mean time, where a run that needs longer counts as `horizon`.
 
     The variance is Greenwood's, sum of A_i^2 d_i / (r_i (r_i - d_i)) with A_i the area right of event i (Irwin 1949;
@@ -120,7 +106,7 @@ def restricted_mean(times: ArrayLike, observed: ArrayLike, horizon: float, confi
     pieces = np.diff(np.concatenate([[0.0], np.minimum(at, horizon), [horizon]])) * np.concatenate([[1.0], survival])
     mean = float(pieces.sum())
     if n == 1:
-        return RestrictedMean(mean, math.nan, math.nan, math.nan, horizon, n, NONE)
+        return Interval(mean, n=n)
     right = np.cumsum(pieces[::-1])[::-1][1:]
     counted = (events > 0) & (at < horizon) & (at_risk > events)
     d, r = events[counted].astype(float), at_risk[counted]
@@ -131,11 +117,11 @@ def restricted_mean(times: ArrayLike, observed: ArrayLike, horizon: float, confi
     else:
         bounds = score_interval(np.array(mean / horizon), np.array(square / horizon**2), n - 1, confidence)
         low, high, method = float(bounds[0]), float(bounds[1]), SCORE
-    return RestrictedMean(mean, low * horizon, high * horizon, math.sqrt(square), horizon, n, method)
+    return Interval(mean, low * horizon, high * horizon, n, method)
 
 
-def log_rank(a: Sequence[ArrayLike], b: Sequence[ArrayLike]) -> float:
-    """Return the two-sided p of the log-rank test (Mantel 1966) of two pairs (times, observed); NaN without any event.
+def log_rank(a: Sequence[ArrayLike], b: Sequence[ArrayLike]) -> float | None:
+    """Return the two-sided p of the log-rank test (Mantel 1966) of two pairs (times, observed); None without any event.
 
     Raises:
         ValueError: as `kaplan_meier`.
@@ -143,9 +129,9 @@ def log_rank(a: Sequence[ArrayLike], b: Sequence[ArrayLike]) -> float:
     from scipy import stats
 
     if not (np.any(a[1]) or np.any(b[1])):
-        return math.nan
+        return None
     with np.errstate(invalid="ignore", divide="ignore"):
-        return float(stats.logrank(_censored(*a), _censored(*b)).pvalue)
+        return finite_or_none(stats.logrank(_censored(*a), _censored(*b)).pvalue)
 
 
 def _censored(times: ArrayLike, observed: ArrayLike) -> "CensoredData":

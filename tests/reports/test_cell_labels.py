@@ -5,7 +5,7 @@ from itertools import product
 import pandas as pd
 import pytest
 
-from parking_exp.config.cell_labels import cell_labels, differing, find_factors, setting
+from parking_exp.config.cell_labels import cell_labels, differing, find_factors
 from parking_exp.config.compose import composed_runs
 from parking_exp.reports.cell_selection import group
 from parking_exp.reports.factor_effects import design
@@ -160,13 +160,6 @@ def test_plans_and_reports_label_the_same_cells_alike(overrides, expected, tmp_p
     planned = {run.config.cell: run.label for run in runs}
     assert planned == {one.name: one.label for one in found}
     assert expected is None or set(planned.values()) == expected
-
-
-@pytest.mark.parametrize(
-    ("value", "text"), [(True, "true"), (0.0003, "0.0003"), (4, "4"), (None, "null"), ("x", "x"), (1e-5, "1e-05")]
-)
-def test_values_are_shown_as_in_yaml(value, text):
-    assert setting(value) == text
 
 
 def test_one_numeric_factor_is_worth_a_curve_and_a_few_words_are_a_list():

@@ -1,8 +1,6 @@
 """The figures of a report: which there are, that they show the report's values, and that no name can do harm."""
 
 import re
-import subprocess
-import sys
 import warnings
 import xml.etree.ElementTree as ET
 from dataclasses import replace
@@ -17,8 +15,8 @@ from support import report_factory
 from parking_exp.reports.figures import cell_figures, factor_figures, lot_figures, pair_figures, study_figures
 from parking_exp.reports.figures.figure_files import draw
 from parking_exp.reports.figures.figure_style import INK, cell_labels, cell_style, report_style
-from parking_exp.reports.report_data import Interval
 from parking_exp.reports.sections import SECTIONS
+from parking_exp.statistics import Interval
 
 SVG = "{http://www.w3.org/2000/svg}"
 LIST = ["final_success", "learning_curves", "time_to_90", "pairwise", "scene_map", "trajectories"]
@@ -98,17 +96,6 @@ def test_the_same_report_gives_the_same_bytes_whatever_the_users_settings(three,
         assert dict(matplotlib.rcParams) == before
     for path in drawn[0].iterdir():
         assert path.read_bytes() == (tmp_path / path.name).read_bytes(), path.name
-
-
-@pytest.mark.slow
-def test_drawing_imports_neither_pyplot_nor_torch(tmp_path):
-    code = (
-        "import sys; sys.path.insert(0, 'tests'); from support import report_factory; from pathlib import Path;"
-        "from parking_exp.reports.figures.figure_files import draw; draw(report_factory.one_seed(), Path(sys.argv[1]));"
-        "print(sorted({'matplotlib.pyplot', 'torch'} & set(sys.modules)))"
-    )
-    done = subprocess.run([sys.executable, "-c", code, str(tmp_path)], check=True, capture_output=True, text=True)
-    assert done.stdout == "[]\n"
 
 
 def test_a_cell_keeps_its_look_and_no_two_of_forty_look_the_same(three):
@@ -255,11 +242,6 @@ def test_trajectories_have_a_row_for_each_cell_and_a_column_for_each_outcome(thr
 )
 def test_unusual_contents_are_drawn_without_a_warning(report, tmp_path):
     assert draw(report, tmp_path, ["png"])[0].name == "final_success"
-
-
-def test_a_cell_without_results_has_a_row_that_says_so():
-    (axes,) = axes_of(cell_figures.draw_final_success, report_factory.with_failed_cell())
-    assert texts(axes) == ["no finished seeds"]
 
 
 def test_nothing_to_draw_gives_no_figure(tmp_path):

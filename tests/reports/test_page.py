@@ -213,21 +213,6 @@ def test_toggle_changes_the_theme_and_is_remembered(show):
     assert tab.evaluate("getComputedStyle(document.body).backgroundColor") != light
 
 
-@pytest.mark.slow
-def test_print_opens_what_is_folded(show, tmp_path):
-    tab = show("report")
-    assert not tab.locator("#table-seeds").is_visible()
-    tab.pdf(path=tmp_path / "folded.pdf")
-    tab.evaluate("dispatchEvent(new Event('beforeprint'))")
-    assert tab.locator("#table-seeds").is_visible()
-    tab.evaluate("dispatchEvent(new Event('afterprint'))")
-    assert not tab.locator("#table-seeds").is_visible()
-    tab.evaluate("document.querySelectorAll('details').forEach(one => one.remove())")
-    tab.pdf(path=tmp_path / "without.pdf")
-    pages = [(tmp_path / name).read_bytes().count(b"/Type /Page\n") for name in ("folded.pdf", "without.pdf")]
-    assert pages[0] > pages[1] > 0
-
-
 def test_print_is_light_and_without_controls(show):
     tab = show("her_ablation", color_scheme="dark")
     tab.emulate_media(media="print", color_scheme="dark")
@@ -246,17 +231,6 @@ def test_everything_is_there_without_javascript(show):
     assert tab.locator("#table-seeds").is_visible()
 
 
-@pytest.mark.slow
-def test_five_hundred_cells(show, files):
-    tab = show("many")
-    assert files("many").stat().st_size < 5e6
-    assert tab.locator("#table-headline tbody tr").count() == 500
-    tab.locator("#results input").fill("td3, learning_rate=0.1 ")
-    assert column(tab, "headline", 0) == ["td3, learning_rate=0.1"]
-    heading(tab, "headline", "Success").locator("button").click()
-    assert tab.evaluate("document.scrollingElement.scrollWidth") <= 1280
-
-
 def test_sections_without_data_are_left_out(show):
     tab = show("one_seed")
     assert tab.locator("#factors, #search, #table-config, #table-unfinished, #table-pairs").count() == 0
@@ -264,10 +238,3 @@ def test_sections_without_data_are_left_out(show):
     assert all(tab.locator(target).count() == 1 for target in targets)
     ids = tab.locator("[id]").evaluate_all("found => found.map(one => one.id)")
     assert len(ids) == len(set(ids))
-
-
-def test_values_of_tables_reach_the_script(files):
-    text = files("with_failed_cell").read_text(encoding="utf-8")
-    assert 'data-value="0.97' in text
-    assert 'data-value="None"' not in text
-    assert "http" not in text.replace("http-equiv", "")

@@ -11,7 +11,6 @@ import pandas as pd
 import pytest
 from support.marks import slow_but
 from support.report_command import report
-from support.runs import run_script
 from support.store_factory import Look, make_store
 
 from parking_exp.cli.report import report_overrides
@@ -116,20 +115,6 @@ def test_a_quick_report_shows_what_there_is_and_says_what_is_missing(output_dir)
     assert "1 of 4 runs are done" in page
 
 
-@pytest.mark.slow
-def test_several_experiments_make_one_report(made):
-    make_store(made, "two", {"sac": []}, range(2))
-    report(made, "experiment=one,two")
-    stored = json.loads((made / "reports" / "one+two" / "report.json").read_text())
-    assert [cell["label"] for cell in stored["cells"]] == ["one, sac", "one, td3", "two, sac"]
-
-
-@pytest.mark.slow
-def test_any_store_can_be_reported_on(made, tmp_path):
-    report(tmp_path, "experiment=one", f"tracking.uri=sqlite:///{made}/mlflow.db", "name=theirs")
-    assert (tmp_path / "reports" / "theirs" / "index.html").exists()
-
-
 def test_a_label_with_commas_and_equal_signs_is_a_baseline(output_dir):
     cells = {f"{s}{n}": [f"buffer=her_{s}", f"buffer.n_sampled_goal={n}"] for s in ("future", "final") for n in (1, 4)}
     make_store(output_dir, "one", cells, range(2))
@@ -199,14 +184,6 @@ def test_what_may_be_an_argument_of_a_runs_own_class_is_left_to_the_store(tmp_pa
     assert re.match(r"error: there is no store .*mlflow.db", report(tmp_path, typed, code=2).stderr)
 
 
-def test_an_experiment_without_runs_is_a_sentence(output_dir):
-    from mlflow import MlflowClient
-
-    MlflowClient(f"sqlite:///{output_dir}/mlflow.db").create_experiment("empty")
-    done = report(output_dir, "experiment=empty", code=2)
-    assert done.stderr == "error: experiment=empty: it has no runs of parking_exp\n"
-
-
 def test_words_without_a_key_of_the_command_name_cells():
     typed = [
         "experiment=a,b",
@@ -244,26 +221,6 @@ def test_without_a_name_it_is_the_only_experiment_or_a_sentence(made):
     make_store(made, "two", {"sac": []}, [0])
     said = report(made, code=2).stderr
     assert said == "error: experiment: the store has several; name one or more of one, two\n"
-
-
-def test_markdown_shows_figures_that_are_there(made):
-    report(made, "experiment=one", "report.formats=[svg]")
-    text = (made / "reports" / "one" / "report.md").read_text()
-    assert "figures/final_success.svg" in text
-    report(made, "experiment=one", "report.formats=[]")
-    assert "figures/" not in (made / "reports" / "one" / "report.md").read_text()
-
-
-@pytest.mark.slow
-def test_a_run_that_fails_before_it_trains_is_told_with_its_reason(tmp_path):
-    run_script("train", "experiment=smoke", "timeout_s=100", "device=cuda", f"output_dir={tmp_path}")
-    assert "of its 1 run, none is done" in report(tmp_path, "experiment=smoke", code=2).stderr
-    report(tmp_path, "experiment=smoke", "report=quick")
-    stored = json.loads((tmp_path / "reports" / "smoke" / "report.json").read_text())
-    (run,) = stored["provenance"]["unfinished"]
-    assert run["status"] == "failed"
-    assert "torch finds no CUDA device" in run["reason"]
-    assert stored["missing"][0] == "0 of 1 run is done: 1 failed."
 
 
 def stored(output_dir, name="one"):

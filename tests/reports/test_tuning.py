@@ -120,14 +120,6 @@ def written(whole, folder):
     return {path.stem: [*csv.DictReader(path.read_text().splitlines())] for path in folder.glob("*.csv")}
 
 
-def test_states_are_counted_and_the_best_trial_is_named(folder):
-    found = tuning(folder, [trial(0.2), trial(state="pruned"), trial(0.6), trial(state="failed", reason="no")], 6)
-    (text,) = search_text(report(tuning=found))
-    assert "6 trials (sampler tpe, pruner none): 2 done, 1 pruned, 1 failed, 2 pending." in text
-    assert "success_auc, mean over 2 tuning seeds" in text
-    assert "“trial 2: learning_rate=0.001, her_future, n_sampled_goal=4” with 60.0 %" in text
-
-
 def test_the_study_of_an_export_has_the_importances_of_the_study(folder):
     found = many(folder)
     assert found.parameters["buffer"]["attributes"]["choices"] == ["her_future", "replay"]
@@ -173,6 +165,9 @@ def test_figures_and_tables_show_the_trials(folder, tmp_path):
     found = tuning(folder, [trial(0.45), trial(0.85, rate=2e-3, buffer="replay"), trial(state="pruned", env_steps=8)])
     whole = report(tuning=found)
     assert drawn(whole, tmp_path / "figures") == ["optimisation_history", "slices_1", "trial_coordinates"]
+    (text,) = search_text(whole)
+    assert "3 trials (sampler tpe, pruner none): 2 done, 1 pruned." in text
+    assert "learning_rate=0.002, replay” with 85.0 %" in text
     rows = written(whole, tmp_path / "tables")["trials"]
     assert [row["state"] for row in rows] == ["done", "done", "pruned"]
     assert [row["success_auc"] for row in rows] == ["0.45", "0.85", ""]
@@ -292,12 +287,3 @@ def test_pruned_runs_are_neither_missing_nor_unfinished_and_cells_of_them_alone_
     assert found.missing == []
     assert list(found.provenance.unfinished) == []
     assert found.notes[0] == ("2 trials of the search were pruned before a run was done; they are not among the cells.")
-
-
-def test_runs_that_are_missing_are_counted_without_the_pruned_ones(output_dir):
-    states = ("done", "pruned", "failed")
-    make_store(output_dir, "one", {"sac": []}, range(3), lambda _, seed: Look(status=states[seed], error="no way"))
-    results = load("one", output_dir=output_dir)
-    found = build_report(results, ["one"])
-    assert found.missing == ["1 of 2 runs are done: 1 failed."]
-    assert [run.status for run in found.provenance.unfinished] == ["failed"]

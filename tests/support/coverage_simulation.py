@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import stats
 
-from parking_exp.statistics import coverage_note, restricted_mean, wilson_interval
+from parking_exp.statistics import coverage_note, restricted_mean
 from parking_exp.statistics.comparisons import newcombe
 from parking_exp.statistics.intervals import interval_rows
 
@@ -69,7 +69,6 @@ SKEWED_PAIRS = (
     (Rates(0.95, 0.1), Rates(0.99, 0.01)),
 )
 RESTRICTED = ((20, 0.2, 0.0), (20, 0.5, 0.0), (40, 0.5, 0.0), (30, 0.3, 0.1), (30, 0.3, 0.2))
-FAST_OR_NEVER = ((10, 0.2, 0.1), (10, 0.2, 0.2))  # median, deviation of the logarithm, share that never reaches
 
 
 def of_mean(rates, n, draws=DRAWS):
@@ -125,13 +124,6 @@ def of_improvement(a, b, n, draws=DRAWS):
     return (low <= truth) & (truth <= high)
 
 
-def of_rate(rate, trials, draws=DRAWS):
-    """Return in which of the draws Wilson's interval holds the rate."""
-    table = np.array([wilson_interval(k, trials) for k in range(trials + 1)])
-    drawn = table[np.random.default_rng(6).binomial(trials, rate, draws)]
-    return (drawn[:, 0] <= rate) & (rate <= drawn[:, 1])
-
-
 def of_restricted_mean(median, deviation, failing, n, draws=DRAWS):
     """Return in which of the draws the restricted mean's interval holds: log-normal times in thousands of steps, horizon 50.
 
@@ -168,14 +160,8 @@ def main():
         print("difference", *pair, *(f"{100 * of_difference(*pair, n).mean():.1f}" for n in SEEDS))
         print("improvement", *pair, *(f"{100 * of_improvement(*pair, n).mean():.1f}" for n in SEEDS))
         print("note speaks", *pair, *(f"{100 * speaks(pair[0], n, pair[1]).mean():.0f}" for n in SEEDS))
-    for time in RESTRICTED + FAST_OR_NEVER:
+    for time in RESTRICTED:
         print("restricted mean", time, *(f"{100 * of_restricted_mean(*time, n).mean():.1f}" for n in SEEDS))
-    for trials in (*SEEDS, 100, 500):
-        print(
-            "wilson",
-            trials,
-            *(f"{p}: {100 * of_rate(p, trials).mean():.1f}" for p in (0.25, 0.5, 0.75, 0.9, 0.95, 0.99)),
-        )
 
 
 if __name__ == "__main__":

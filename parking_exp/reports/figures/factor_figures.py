@@ -18,7 +18,8 @@ from parking_exp.reports.figures.figure_style import (
     percentages,
     row_axes,
 )
-from parking_exp.reports.report_data import Factor, Interaction, MainEffect, ReportData, Setting
+from parking_exp.reports.report_data import Factor, Interaction, ReportData, Setting
+from parking_exp.statistics import MainEffect
 
 _MOST_BARS = 16
 

@@ -23,15 +23,7 @@ _METADATA: dict[str, dict[str, Any]] = {
 
 @dataclass(frozen=True)
 class Picture:
-    """One figure of a report, drawn.
-
-    Attributes:
-        name: stem of its files.
-        title: a few words.
-        caption: what is drawn, and what bars and bands are; plain text, to be escaped.
-        svg: the drawing, for a page.
-        section: id of the section that shows it.
-    """
+    """One figure of a report, drawn; its caption is plain text, to be escaped."""
 
     name: str
     title: str
@@ -46,14 +38,7 @@ def draw(
     formats: Sequence[str] = ("svg", "pdf", "png"),
     sections: Sequence[Section] = SECTIONS,
 ) -> list[Picture]:
-    """Draw the figures that a report has data for.
-
-    Args:
-        report: what to draw.
-        folder: for `<name>.<format>`; made if it isn't there.
-        formats: any of `svg`, `pdf`, `png`.
-        sections: whose figures.
-    """
+    """Draw the figures that a report has data for into a folder, as `<name>.<format>`."""
     folder.mkdir(parents=True, exist_ok=True)
     pictures = []
     with report_style(), warnings.catch_warnings():

@@ -106,13 +106,9 @@ def row_axes(texts: Sequence[str]) -> tuple[Figure, Axes]:
 def heat_map(
     figure: Figure, values: np.ndarray, texts: Mapping[tuple[int, int], str], colours: tuple[str, float, float]
 ) -> tuple[Axes, Colorbar]:
-    """Draw values as coloured squares with a text in each, and a colour bar.
+    """Draw values, shape (rows, columns), as coloured squares with a text in each, and a colour bar; NaN stays white.
 
-    Args:
-        figure: to draw on.
-        values: shape (rows, columns), the first row at the top; NaN stays white.
-        texts: of squares, by row and column.
-        colours: name of a colour map, and the values at its ends.
+    `colours` are the name of a colour map, and the values at its ends.
     """
     axes = figure.subplots()
     rows, columns = values.shape

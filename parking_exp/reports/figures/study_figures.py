@@ -21,11 +21,7 @@ FEWEST_TRIALS = 20  # for importances: PED-ANOVA looks at the best tenth
 
 
 def study_of(tuning: Tuning, objectives: slice = slice(1)) -> Any:
-    """Return an in-memory study of the finished trials of a report, which may be from an export.
-
-    Args:
-        tuning: the search.
-        objectives: those that the study has, by default the first one.
+    """Return an in-memory study of the finished trials of a report, which may be from an export, for some objectives.
 
     Raises:
         ResultsError: the trials do not fit the parameters.

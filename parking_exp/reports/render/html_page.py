@@ -23,7 +23,6 @@ TEMPLATES = Path(__file__).parent / "templates"
 MAX_ROWS = 3000
 """A longer table is left to `tables/*.csv`; the page has its part about the cells in the figures."""
 
-
 MARKERS = {
     "o": "M5 .8a4.2 4.2 0 1 1 0 8.4a4.2 4.2 0 1 1 0-8.4z",
     "s": "M1.2 1.2h7.6v7.6h-7.6z",
@@ -38,12 +37,9 @@ MARKERS = {
 def page(
     report: ReportData, contents: Sequence[SectionContent], styles: "Mapping[str, CellStyle] | None" = None
 ) -> str:
-    """Return `index.html`.
+    """Return `index.html`. Everything is escaped; pictures are embedded as images, in which nothing is executed.
 
-    Args:
-        report: whose summary to say; everything in it is escaped.
-        contents: of its sections; pictures are embedded as images, in which nothing is executed.
-        styles: of the cells in the figures, by id; drawn beside their names.
+    `styles` of the cells in the figures, by id, are drawn beside their names.
     """
     environment = Environment(
         loader=FileSystemLoader(TEMPLATES),

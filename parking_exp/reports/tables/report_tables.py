@@ -6,7 +6,7 @@ from operator import itemgetter
 
 from parking_exp.reports import formats
 from parking_exp.reports.cell_summaries import FURTHER, REPORTED
-from parking_exp.reports.report_data import Interaction, Interval, ReportData
+from parking_exp.reports.report_data import Interaction, ReportData
 from parking_exp.reports.tables.table import (
     PERCENT,
     Column,
@@ -17,14 +17,10 @@ from parking_exp.reports.tables.table import (
     cell_record,
     column,
     interval_column,
-    number,
-    p_value,
-    percent,
     record,
-    setting,
-    words,
+    text_column,
 )
-from parking_exp.statistics import Proportion
+from parking_exp.statistics import Interval, Proportion
 
 RATES = ("success", "parked", "crash", "timeout")
 VERDICTS = {"same": "can't be told apart", "unknown": "too few seeds to tell"}
@@ -43,9 +39,9 @@ def headline(report: ReportData) -> Iterator[Table]:
             *(interval_column(REPORTED[name].heading, name, bar=name == "success") for name in RATES),
             Column("Seeds ≥ 90 %", _reaching_90),
             *([_median("Steps to hold 90 %", "survival")] if timed else []),
-            column(REPORTED["episode_steps"].heading, "episode_steps", partial(number, digits=1)),
-            column("Env steps", "total_timesteps", number),
-            column("CPU (s)", "cpu_s", number),
+            column(REPORTED["episode_steps"].heading, "episode_steps", partial(formats.number, digits=1)),
+            column("Env steps", "total_timesteps", formats.number),
+            column("CPU (s)", "cpu_s", formats.number),
             *(_further_column(name) for name in FURTHER),
         ],
         f"Final evaluation: means over seeds, {PERCENT}; how many seeds ended at 90 % or above, with Wilson's interval "
@@ -95,13 +91,13 @@ def seeds(report: ReportData) -> Iterator[Table]:
         ],
         [
             cell_column(),
-            column("Seed", "seed", words),
+            column("Seed", "seed"),
             interval_column(REPORTED["success"].heading, "success", bar=True),
-            *(column(REPORTED[name].heading, name, percent) for name in RATES[1:]),
-            column("Scenes", "n_scenes", number),
+            *(column(REPORTED[name].heading, name, formats.percent) for name in RATES[1:]),
+            column("Scenes", "n_scenes", formats.number),
             Column("Steps to 90 %", reached),
-            column("CPU (s)", "cpu_s", number),
-            column("Run", "run_id", words, numeric=False),
+            column("CPU (s)", "cpu_s", formats.number),
+            column("Run", "run_id", numeric=False),
         ],
         "Finished runs: final rates over the evaluation scenes, with Wilson's 95 % interval in brackets.",
         folded=True,
@@ -146,9 +142,9 @@ def pairs(report: ReportData) -> Iterator[Table]:
     labels = {cell.id: cell.label for cell in report.cells}
     rows = [{"a_label": labels[pair.a], "b_label": labels[pair.b], **record(pair)} for pair in report.pairs]
 
-    def verdict(row: Row) -> Entry:
+    def verdict(row: Row) -> str:
         better = {"a": row["a_label"], "b": row["b_label"]}.get(row["verdict"])
-        return words(VERDICTS[row["verdict"]] if better is None else f"{better} is better")
+        return VERDICTS[row["verdict"]] if better is None else f"{better} is better"
 
     yield Table(
         "pairs",
@@ -157,10 +153,10 @@ def pairs(report: ReportData) -> Iterator[Table]:
             cell_column("A", "a", "a_label"),
             cell_column("B", "b", "b_label"),
             interval_column("A − B (points)", "difference", partial(formats.percent_interval, signed=True)),  # noqa: RUF001
-            column("p (Holm)", "p_holm", p_value),
+            column("p (Holm)", "p_holm", formats.probability),
             interval_column("A better than B (%)", "improvement"),
-            column("p, time to 90 % (Holm)", "log_rank_p_holm", p_value),
-            Column("In words", verdict, numeric=False),
+            column("p, time to 90 % (Holm)", "log_rank_p_holm", formats.probability),
+            text_column("In words", verdict),
         ],
         "Pairs of cells: difference of mean final success in percentage points, with 95 % interval; probability that a "
         "seed of A is better than one of B.",
@@ -174,10 +170,10 @@ def effects(report: ReportData) -> Iterator[Table]:
         "effects",
         [{**record(effect), **record(level)} for effect in report.effects for level in effect.levels],
         [
-            column("Factor", "factor", words, numeric=False),
-            column("Level", "level", setting, numeric=False),
+            column("Factor", "factor", numeric=False),
+            column("Level", "level", formats.setting, numeric=False),
             interval_column("Success (%)", "effect", bar=True),
-            column("Cells", "cells", number),
+            column("Cells", "cells", formats.number),
         ],
         f"Main effects: mean final success at each level over the levels of the other factors, {PERCENT}.",
         latex=True,
@@ -211,11 +207,11 @@ def _crossed(crossed: Interaction, name: str) -> Table:
     for i, level in enumerate(crossed.rows):
         means = [Interval(crossed.mean[i][j], crossed.low[i][j], crossed.high[i][j]) for j in places]
         rates = [Entry(formats.percent_interval(mean), mean.value) for mean in means]
-        rows.append({"level": setting(level), "entries": rates})
+        rows.append({"level": Entry(formats.setting(level), formats.setting(level)), "entries": rates})
     for level, shares in zip(crossed.rows, crossed.real_share or [()] * len(crossed.rows), strict=True):
         if shares:
             title = Entry(f"{formats.level(level)}: real transitions (%)")
-            rows.append({"level": title, "entries": [percent(share) for share in shares]})
+            rows.append({"level": title, "entries": [Entry(formats.percent(share), share) for share in shares]})
     given = f" for {crossed.given}" if crossed.given else ""
     return Table(
         name,
@@ -237,17 +233,17 @@ def importance(report: ReportData) -> Iterator[Table]:
     def share(row: Row) -> Entry:
         return Entry(formats.percent(row["share"]), row["share"], bar=(None, row["share"], None))
 
-    def signed(direction: float | None) -> Entry:
-        return Entry("" if direction is None else f"{direction:+.2f}", direction)
+    def signed(direction: float | None) -> str:
+        return "" if direction is None else f"{direction:+.2f}"
 
     yield Table(
         "importance",
         [record(parameter) for parameter in report.importance],
         [
-            column("Hyperparameter", "factor", words, numeric=False),
+            column("Hyperparameter", "factor", numeric=False),
             Column("Variance explained alone (%)", share),
             column("Rank correlation", "direction", signed),
-            column("p (permutations)", "p", p_value),
+            column("p (permutations)", "p", formats.probability),
         ],
         "Hyperparameters: share of the variance of final success that each explains alone.",
         latex=True,
@@ -266,16 +262,16 @@ def config(report: ReportData) -> Iterator[Table]:
     ]
     caption = "Settings that are not the same in all cells."
     if len(rows) > len(difference):
-        columns = [column(key, key, setting, numeric=False) for key in difference]
+        columns = [column(key, key, formats.setting, numeric=False) for key in difference]
         yield Table("config", rows, [cell_column(), *columns], caption, latex=True)
         return
     yield Table("config", rows)
-    columns = [column(cell.label, cell.id, setting, numeric=False) for cell in report.cells]
+    columns = [column(cell.label, cell.id, formats.setting, numeric=False) for cell in report.cells]
     turned = [
         {"key": key, **{cell.id: value for cell, value in zip(report.cells, line, strict=True)}}
         for key, line in difference.items()
     ]
-    key = column("Setting", "key", words, numeric=False)
+    key = column("Setting", "key", numeric=False)
     yield Table("config", turned, [key, *columns], caption, csv=False, latex=True)
 
 
@@ -293,9 +289,9 @@ def versions(report: ReportData) -> Iterator[Table]:
         "versions",
         rows,
         [
-            Column("What", lambda row: words(row["name"] if row["version"] else row["kind"]), numeric=False),
-            Column("Version", lambda row: words(row["version"] or row["name"]), numeric=False),
-            column("Runs", "runs", number),
+            text_column("What", lambda row: row["name"] if row["version"] else row["kind"]),
+            text_column("Version", lambda row: row["version"] or row["name"]),
+            column("Runs", "runs", formats.number),
         ],
         "Versions, commits and machines.",
     )
@@ -307,10 +303,10 @@ def unfinished(report: ReportData) -> Iterator[Table]:
         "unfinished",
         [record(run) for run in report.provenance.unfinished],
         [
-            column("Cell", "label", words, numeric=False),
-            column("Seed", "seed", words),
-            column("Status", "status", words, numeric=False),
-            column("Reason", "reason", words, numeric=False),
+            column("Cell", "label", numeric=False),
+            column("Seed", "seed"),
+            column("Status", "status", numeric=False),
+            column("Reason", "reason", numeric=False),
         ],
         "Runs without a result, and why.",
         file="failed",
@@ -322,7 +318,7 @@ def common(report: ReportData) -> Iterator[Table]:
     yield Table(
         "common",
         [{"key": key, "value": value} for key, value in report.provenance.common.items()],
-        [column("Setting", "key", words, numeric=False), column("Value", "value", setting, numeric=False)],
+        [column("Setting", "key", numeric=False), column("Value", "value", formats.setting, numeric=False)],
         "Settings that are the same in all cells.",
         csv=False,
         folded=True,
@@ -346,7 +342,7 @@ def _cell_rows(report: ReportData) -> list[Row]:
 def _further_column(name: str) -> Column:
     if REPORTED[name].is_rate:
         return interval_column(REPORTED[name].heading, name)
-    return column(REPORTED[name].heading, name, partial(number, digits=2))
+    return column(REPORTED[name].heading, name, partial(formats.number, digits=2))
 
 
 def _finished(row: Row) -> Entry:

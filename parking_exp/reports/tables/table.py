@@ -5,7 +5,9 @@ from dataclasses import dataclass, is_dataclass, replace
 from typing import Any, NamedTuple
 
 from parking_exp.reports import formats
-from parking_exp.reports.report_data import Cell, Interval, finite
+from parking_exp.reports.report_data import Cell
+from parking_exp.statistics import Interval
+from parking_exp.statistics.checks import finite_or_none
 
 PERCENT = "with 95 % intervals over seeds in brackets"
 MOST_OPEN_ROWS = 30
@@ -117,9 +119,19 @@ def cell_record(cell: Cell) -> dict[str, str]:
     return {"cell": cell.id, "label": cell.label}
 
 
-def column(title: str, key: str, write: Callable[[Any], Entry], *, numeric: bool = True) -> Column:
-    """Return a column of one value of each row, written by e.g. `percent`."""
-    return Column(title, lambda row: write(row.get(key)), numeric)
+def column(title: str, key: str, write: Callable[[Any], str] = formats.words, *, numeric: bool = True) -> Column:
+    """Return a column of one value of each row, written by e.g. `formats.percent`, and sorted as a number or a text."""
+
+    def entry(row: Row) -> Entry:
+        text = write(value := row.get(key))
+        return Entry(text, finite_or_none(value) if numeric else text or None)
+
+    return Column(title, entry, numeric)
+
+
+def text_column(title: str, write: Callable[[Row], str]) -> Column:
+    """Return a column of a text that is made of each row."""
+    return Column(title, lambda row: Entry(write(row), write(row)), numeric=False)
 
 
 def cell_column(title: str = "Cell", cell: str = "cell", label: str = "label") -> Column:
@@ -133,33 +145,8 @@ def interval_column(
     """Return a column of a number with its interval, by default a rate in per cent, which the page can also draw."""
 
     def entry(row: Row) -> Entry:
-        value, low, high = (finite(row.get(name)) for name in (key, f"{key}_low", f"{key}_high"))
+        value, low, high = (finite_or_none(row.get(name)) for name in (key, f"{key}_low", f"{key}_high"))
         drawn = (low, value, high) if bar and value is not None else None
         return Entry(write(Interval(value, low, high)), value, drawn)
 
     return Column(title, entry)
-
-
-def words(value: Any) -> Entry:
-    """Write a name or a few words."""
-    return Entry("" if value is None else str(value), value)
-
-
-def setting(value: Any) -> Entry:
-    """Write a config value."""
-    return Entry(formats.setting(value), value if isinstance(value, float | int) else formats.setting(value))
-
-
-def number(value: float | None, digits: int = 0) -> Entry:
-    """Write a number."""
-    return Entry(formats.number(value, digits), finite(value))
-
-
-def percent(share: float | None) -> Entry:
-    """Write a share in per cent."""
-    return Entry(formats.percent(share), finite(share))
-
-
-def p_value(p: float | None) -> Entry:
-    """Write a p value."""
-    return Entry(formats.probability(p), finite(p))
