@@ -157,7 +157,7 @@ def _searches_plain(request: StatusRequest) -> list[dict[str, Any]]:
             about: dict[str, Any] = {
                 "experiment": name,
                 "n_trials": search.n_trials,
-                "objectives": search.search.objective,
+                "objectives": [search.search.objective],
             }
             by_stage = {str(stage): number for stage, number in counts(search.trials).items()}
             plain.append({**about, **by_stage, "trials": [asdict(trial) for trial in search.trials]})

@@ -37,7 +37,7 @@ def tune(search: Search, launch: Launch) -> None:
     """
     search.check()
     out, request = console(), search.request
-    objectives, n_trials = request.search.objective, request.n_trials
+    n_trials = request.n_trials
     if (n_workers := request.n_workers or launch.n_jobs) is None:
         raise ConfigError(f"hydra/launcher={launch.name}: set the number of parallel trials, n_workers=N")
     if request.dry_run:
@@ -50,7 +50,11 @@ def tune(search: Search, launch: Launch) -> None:
     search.save()
     if _n_left(trials, n_trials):
         trials = _train(search, study, launch, n_workers)
-    out.print(trial_table(trials, objectives), *progress_lines(trials, objectives, n_trials), sep="\n")
+    out.print(
+        trial_table(trials, request.search.objective),
+        *progress_lines(trials, request.search.objective, n_trials),
+        sep="\n",
+    )
     if left := _n_left(trials, n_trials):
         raise FailedRunError(f"{plural(left, 'trial')} not over; rerun the same command to resume")
     if not counts(trials)["done"]:
@@ -71,7 +75,7 @@ def _describe(search: Search, trials: list[TrialRow], n_workers: int, out: Conso
     for key, dimension in settings.space.items():
         out.print(f"{key}: {dimension}")
     pruner = f"{settings.pruner} after {settings.grace_updates:,} updates" if settings.pruner else "none"
-    out.print(f"objective {' and '.join(settings.objective)}; sampler {settings.sampler}, pruner {pruner}")
+    out.print(f"objective {settings.objective}; sampler {settings.sampler}, pruner {pruner}")
     left = _n_left(trials, request.n_trials)
     retested = min(settings.n_retest + 1, request.n_trials) if settings.n_retest else 0
     out.print(

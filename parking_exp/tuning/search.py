@@ -14,7 +14,7 @@ from parking_exp.config.credentials import strip_password
 from parking_exp.config.overrides import in_quotes, with_absolute_path
 from parking_exp.config.schema import RunConfig
 from parking_exp.config.validate import check, parse, validate
-from parking_exp.errors import ConfigError, OutputDirectoryError
+from parking_exp.errors import ConfigError
 from parking_exp.runs.atomic_files import read_object, write_json
 from parking_exp.tuning.search_config import SearchConfig, TuneRequest
 from parking_exp.tuning.study import OpenStudy, open_study, storage_errors, storage_of
@@ -114,10 +114,6 @@ class Search:
 
     def open(self) -> OpenStudy:
         """Return the study; create it, and its folder, if there is none yet."""
-        try:
-            self.folder.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise OutputDirectoryError(f"output_dir: {self.folder} cannot be made: {error.strerror}") from error
         storage = storage_of(self.folder, self.request.storage)
         return open_study(self.folder, self.request.search, self.base, self.values, storage)
 
@@ -197,7 +193,5 @@ def study_in(folder: Path, storage: str | None = None) -> StoredSearch | None:
             study = optuna.load_study(study_name=folder.name, storage=storage)
         except KeyError:  # it was never begun
             return None
-    if len(study.directions) != len(settings.objective):
-        raise ConfigError(f"{folder / SEARCH_FILE} and the study differ in their number of objectives")
     n_trials = n_trials if isinstance(n_trials, int) else 0
     return StoredSearch(settings, n_trials, study, rows(study, folder, n_trials))

@@ -19,7 +19,7 @@ from parking_exp.tuning.trials import TrialRow
 
 def trial(number, value, *runs, state="done"):
     values = [value] if state == "done" else []
-    return TrialRow(number, state, values=values, by_seed=[values], runs=runs or [str(number)])
+    return TrialRow(number, state, values=values, by_seed=values, runs=runs or [str(number)])
 
 
 def chosen(n_retest, *trials):

@@ -7,7 +7,7 @@ from support.runs import make_config, options
 from support.searches import user_search
 
 from parking_exp.config.credentials import with_password
-from parking_exp.errors import ConfigError, OutputDirectoryError
+from parking_exp.errors import ConfigError
 from parking_exp.tuning.search import Search, study_in
 
 SMOKE = ("search=smoke",)
@@ -86,12 +86,6 @@ def test_passwords_are_not_stored_and_a_worker_takes_its_storage_from_its_caller
     assert with_password(search.request.storage) == uris["storage"]
     assert Search.load(search.folder, "sqlite:////other.db").request.storage == "sqlite:////other.db"
     assert Search.load(search.folder, None).request.storage is None
-
-
-def test_a_folder_that_cannot_be_made_is_named(tmp_path):
-    (tmp_path / "smoke").write_text("a file")
-    with pytest.raises(OutputDirectoryError, match=str(tmp_path / "smoke")):
-        Search([*SMOKE, f"output_dir={tmp_path}"]).open()
 
 
 @pytest.mark.parametrize("name", options("search"))
