@@ -153,16 +153,6 @@ def _start(path: Path, resources: WorkerResources, log: IO[bytes]) -> subprocess
     )
 
 
-def supervise_job(path: str) -> WorkerResult:
-    """Supervise one run as a job of another launcher (submitit's, Ray's, Hydra's own).
-
-    Raises:
-        KeyboardInterrupt: a signal to the job stopped it; the run's state is saved.
-    """
-    with stop_of_job() as stop:
-        return supervise(Path(path), stop=stop)
-
-
 @contextmanager
 def stop_of_job() -> Iterator[Stop]:
     """Yield a function that tells whether a signal has asked this job to stop.
