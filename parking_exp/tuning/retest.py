@@ -27,7 +27,6 @@ from parking_exp.tuning.trials import TrialRow, ranked
 
 RETEST_FILE = "retest.json"
 Rates = Annotated[list[Annotated[float, Field(ge=0, le=1)]], Field(min_length=1)]
-GROUPS = ("env", "algorithm", "buffer")
 
 
 @dataclass(frozen=True)
@@ -110,7 +109,7 @@ def write_winner(search: Search, retested: Sequence[RetestedTrial], out: Console
     del config["seed"]
     options = search.compose(winner.changes).options
     experiment = {
-        "defaults": [{f"override /{group}": options[group]} for group in GROUPS],
+        "defaults": [{f"override /{group}": options[group]} for group in ("env", "algorithm", "buffer")],
         "experiment_name": f"tuned_{name}",
         **config,
     }

@@ -30,7 +30,6 @@ def tune(search: Search, launch: Launch) -> None:
 
     Raises:
         ConfigError: the space, the study or the launcher does not fit.
-        OutputDirectoryError: the experiment's folder can't be made.
         StoreError: the storage of the study fails.
         FailedRunError: not all trials are over, or re-runs failed.
         InterruptedRunError: a signal stopped it.

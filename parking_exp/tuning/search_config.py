@@ -4,7 +4,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import AfterValidator, Field, model_validator
 
-from parking_exp.config.credentials import keep_password
+from parking_exp.config.credentials import keep_password, strip_password
 from parking_exp.config.paths import absolute
 from parking_exp.config.schema import ConfigModel, Count, Name, Positive, SweepOptions
 from parking_exp.tuning.space import Dimension, Value
@@ -46,3 +46,13 @@ class TuneRequest(SweepOptions):
     n_trials: Positive
     n_workers: Positive | None
     storage: Storage | None
+
+
+class SearchFile(ConfigModel):
+    """The content of `search.json`, from which workers and other commands find the study and compose trials."""
+
+    overrides: list[str] = Field(default_factory=list)
+    extra_config_dir: str | None = None
+    storage: Annotated[str, AfterValidator(strip_password)] | None = None
+    n_trials: int
+    search: SearchConfig

@@ -4,7 +4,7 @@ import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
 from pydantic import FiniteFloat, TypeAdapter, ValidationError
 from rich.table import Table
@@ -18,7 +18,6 @@ if TYPE_CHECKING:
     from optuna.trial import FrozenTrial
 
 TrialState = Literal["done", "pruned", "failed", "running", "pending"]
-STATES: tuple[TrialState, ...] = ("done", "pruned", "failed", "running", "pending")
 SHOWN = 15
 
 
@@ -107,7 +106,7 @@ def ranked(trials: Sequence[TrialRow]) -> list[TrialRow]:
 def counts(trials: Sequence[TrialRow]) -> dict[TrialState, int]:
     """Return how many trials are in each state."""
     states = [trial.state for trial in trials]
-    return {state: states.count(state) for state in STATES}
+    return {state: states.count(state) for state in get_args(TrialState)}
 
 
 def trial_table(trials: Sequence[TrialRow], objective: str) -> Table:

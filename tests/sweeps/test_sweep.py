@@ -9,7 +9,7 @@ import subprocess
 import time
 
 import pytest
-from support.runs import ROOT, run_script, script, type_here
+from support.runs import run_script, script, type_here
 from support.sweep_processes import QUICK, SLOW, begin, stages, statuses, sweep, trained, wait_until, workers
 
 from parking_exp.config.compose import composed_runs
@@ -60,22 +60,17 @@ def test_every_way_to_fail_is_told_and_the_others_go_on(tmp_path):
     assert "5 runs: 1 done, 4 to run" in again.stdout
 
 
-@pytest.mark.slow
 def test_retry_runs_a_failed_run_again(tmp_path):
-    """What made it fail is mended in between: here, another module of the same name."""
-    for name, base in {"broken": "support.failing_algorithms.Raises", "mended": "parking_exp.algorithms.SAC"}.items():
-        module, _, kind = base.rpartition(".")
-        (tmp_path / name).mkdir()
-        (tmp_path / name / "mine.py").write_text(f"from {module} import {kind}\nclass Mine({kind}): pass\n")
-    command = (*QUICK, f"output_dir={tmp_path / 'outputs'}", "algorithm._target_=mine.Mine", "seeds=2")
-    paths = {name: {"PYTHONPATH": f"{tmp_path / name}:{ROOT / 'tests'}"} for name in ("broken", "mended")}
-    assert run_script("train", *command, env=paths["broken"]).returncode == 2
-    left = run_script("train", *command, env=paths["mended"])
+    (run,) = plan(composed_runs("config", [*QUICK, "seeds=1", f"output_dir={tmp_path}"]))
+    directory = RunDirectory(run.path)
+    directory.freeze(run.config, run.label, None)
+    directory.update(status="failed", error="a bad day")
+    left = type_here("train", *QUICK, f"output_dir={tmp_path}", "seeds=1", "hydra/launcher=local")
     assert left.returncode == 2
-    assert left.stderr == "error: of 2 runs, 2 failed; retry=failed runs failed ones again\n"
-    done = run_script("train", *command, "retry=failed", env=paths["mended"])
+    assert left.stderr == "error: of 1 run, 1 failed; retry=failed runs failed ones again\n"
+    done = sweep(tmp_path, "seeds=1", "hydra/launcher=local", "retry=failed")
     assert done.returncode == 0, done.stderr
-    assert stages(tmp_path / "outputs") == ["done", "done"]
+    assert stages(tmp_path) == ["done"]
 
 
 @pytest.mark.slow
