@@ -57,8 +57,7 @@ def launch(
         jobs: the arguments. Paths in them must be on a file system that the nodes share.
         executor: `slurm`, or `local` for processes of this machine.
         n_jobs: how many at a time; None: as many as the cluster takes, or this machine has cores.
-        folder: for submitit's own scripts and logs.
-        parameters: of `submitit.AutoExecutor.update_parameters`.
+        folder, parameters: see `make_executor`.
 
     Raises:
         ConfigError: submitit refuses a parameter.

@@ -54,8 +54,8 @@ def supervise(path: Path, resources: WorkerResources | None = None, stop: Stop |
 
     Args:
         path: the run directory, with its frozen config.
-        resources: of the machine; None: all of it.
-        stop: asked again and again; once it is true, the run saves a checkpoint and leaves, or is killed after GRACE_S.
+        resources: None: the whole machine.
+        stop: polled; once it returns true, the run saves a checkpoint and exits, or is killed after GRACE_S.
     """
     directory = RunDirectory(path)
     if directory.under_way:

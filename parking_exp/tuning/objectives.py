@@ -39,12 +39,7 @@ def values_so_far(
 ) -> list[float]:
     """Return the mean area of a trial's runs at each evaluation of its current run, which pruning compares.
 
-    The current run's area is weighted by the fraction of the run that is over.
-
-    Args:
-        finished: areas of the trial's finished runs.
-        steps, success: the success curve of the current run.
-        total_timesteps: of the current run.
+    The current run's area is weighted by the fraction of the run that is over; `finished` are the areas of the others.
     """
     values = []
     for position, step in enumerate(steps, 1):

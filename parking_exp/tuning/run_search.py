@@ -64,8 +64,7 @@ def tune(search: Search, launch: Launch) -> None:
 
 def _n_left(trials: list[TrialRow], n_trials: int) -> int:
     """Return how many trials are not over."""
-    found = counts(trials)
-    return n_trials - found["done"] - found["pruned"] - found["failed"]
+    return n_trials - sum(trial.state in ("done", "pruned", "failed") for trial in trials)
 
 
 def _describe(search: Search, trials: list[TrialRow], n_workers: int, out: Console) -> None:

@@ -156,10 +156,7 @@ def _enqueue(study: "Study", search: SearchConfig, changes: Mapping[str, Any], v
     for key in parameters:
         search.space[key].suggest(fixed, key)
     trial = create_trial(
-        state=TrialState.WAITING,
-        params=fixed.params,
-        distributions=fixed.distributions,
-        user_attrs={CHANGES: changes},
+        state=TrialState.WAITING, params=fixed.params, distributions=fixed.distributions, user_attrs={CHANGES: changes}
     )
     study.add_trial(trial)
 

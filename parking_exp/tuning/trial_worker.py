@@ -166,20 +166,16 @@ class _TrialTraining:
         if self.settings.pruner is None:
             return False
         (steps, success), n_finished = success_curve(RunDirectory(config.run_dir)), len(self.areas)
+        every = config.evaluation.every_n_steps
+        n_evaluations = config.total_timesteps // every + 2 if every else 1  # of a run at most, the final one included
         for number, value in enumerate(values_so_far(self.areas, steps, success, config.total_timesteps)):
-            step = n_finished * _evaluations(config) + number  # evaluations are counted through all seeds
+            step = n_finished * n_evaluations + number  # evaluations are counted through all seeds
             if step not in self.reported:
                 self.trial.report(value, step)
                 self.reported.add(step)
         if not steps or (not n_finished and updates_at(config, steps[-1]) < self.settings.grace_updates):
             return False
         return self.trial.number > 0 and self.trial.should_prune()
-
-
-def _evaluations(config: RunConfig) -> int:
-    """Return how many evaluations a run has at most, the final one included."""
-    every = config.evaluation.every_n_steps
-    return config.total_timesteps // every + 2 if every else 1
 
 
 def _cpu_s(config: RunConfig) -> float:
