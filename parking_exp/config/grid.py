@@ -5,6 +5,7 @@ how many seeds, or which, each cell gets.
 """
 
 import itertools
+import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
@@ -14,6 +15,7 @@ Block = Mapping[str, Any]
 Point = tuple[str, ...]
 """The overrides of a cell."""
 MOST_SEEDS = 100_000
+MOST_CELLS = 10_000
 
 
 def points(
@@ -32,7 +34,7 @@ def points(
         experiment: its name, for the error.
 
     Raises:
-        ConfigError: no cell is left.
+        ConfigError: no cell is left, or there are too many.
     """
     listed: dict[str, set[str]] = {}
     for block in blocks:
@@ -52,6 +54,8 @@ def points(
         for key, values in axes.items():
             if key not in block and (key not in listed or has(key, first)):
                 lines.append([f"{key}={v}" for v in values])
+        if len(cells) + math.prod(map(len, lines)) > MOST_CELLS:
+            raise ConfigError(f"a sweep has at most {MOST_CELLS} cells")
         cells |= dict.fromkeys(itertools.product(*lines))
     if not cells:
         narrowed = " ".join(f"{key}={','.join(axes[key])}" for key in axes if key in listed)

@@ -3,6 +3,7 @@
 import os
 import re
 from collections.abc import Iterable
+from itertools import islice
 from pathlib import Path
 
 from hydra.core.global_hydra import GlobalHydra
@@ -10,6 +11,7 @@ from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import Override
 from hydra.errors import HydraException
 
+from parking_exp.config.grid import MOST_CELLS
 from parking_exp.errors import ConfigError
 
 
@@ -64,15 +66,17 @@ def axes_of(lines: Iterable[str]) -> dict[str, list[str]]:
     """Return the values of each key, in Hydra's syntax; of a key that is overridden twice, the last.
 
     Raises:
-        ConfigError: a key has no values, or both `seed` and `seeds` are given.
+        ConfigError: a key has no values or too many, or both `seed` and `seeds` are given.
     """
     axes = {}
     for override in parse(lines):
         values = [] if override.is_sweep_override() else [override.get_value_element_as_str()]
         if override.is_discrete_sweep():
-            values = list(override.sweep_string_iterator())
+            values = list(islice(override.sweep_string_iterator(), MOST_CELLS + 1))
         if not values:
             raise ConfigError(f"{override.input_line}: there are no values to sweep over")
+        if len(values) > MOST_CELLS:
+            raise ConfigError(f"{override.input_line}: a sweep has at most {MOST_CELLS} cells")
         axes[override.get_key_element()] = values
     if "seed" in axes and axes.get("seeds", ["null"]) != ["null"]:
         raise ConfigError("seed and seeds are both given; seeds=[...] names several")

@@ -109,7 +109,7 @@ def tuning_of(folder: Path, stored: "StoredSearch") -> Tuning:
         sampler=search.sampler,
         pruner=search.pruner,
         n_trials=stored.n_trials,
-        objectives=search.objective,
+        objectives=[search.objective],
         n_seeds=len(search.tuning_seeds),
         parameters={name: _described(distribution) for name, distribution in distributions.items()},
         trials=stored.trials,

@@ -13,7 +13,6 @@ from parking_exp.reports.figures.study_figures import (
     draw_cell_coordinates,
     draw_history,
     draw_parameter_importance,
-    draw_pareto_front,
     draw_slices,
     draw_trial_coordinates,
 )
@@ -97,7 +96,6 @@ SECTIONS = (
         text=search_text,
         figures=[
             Figure("optimisation_history", "Optimisation history", draw_history),
-            Figure("pareto_front", "Pareto front", draw_pareto_front),
             Figure("parameter_importance", "Importance of parameters", draw_parameter_importance),
             Figure("slices_{}", "Value against each parameter", draw_slices),
             Figure("trial_coordinates", "Trials across their parameters", draw_trial_coordinates),

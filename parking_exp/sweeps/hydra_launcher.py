@@ -1,6 +1,7 @@
 """Set up the Hydra launcher of a command line, and have it train run directories."""
 
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import Any, cast
 
 from hydra.core.global_hydra import GlobalHydra
@@ -14,7 +15,7 @@ from parking_exp.config.compose import hydra_ready, user_options
 from parking_exp.config.overrides import hydra_overrides
 from parking_exp.errors import ConfigError, ParkingError, plural
 from parking_exp.resources import cores
-from parking_exp.sweeps.supervisor import WorkerResult, supervise_job
+from parking_exp.sweeps.supervisor import WorkerResult, stop_of_job, supervise
 
 EXTRAS = {"slurm", "ray"}
 
@@ -90,8 +91,13 @@ class Launch:
 
 
 def train_run(config: DictConfig) -> WorkerResult:
-    """Train the run of a directory; Hydra's task function."""
-    return supervise_job(config.run)
+    """Train the run of a directory, as a job of any launcher; Hydra's task function.
+
+    Raises:
+        KeyboardInterrupt: a signal to the job stopped it; the run's state is saved.
+    """
+    with stop_of_job() as stop:
+        return supervise(Path(config.run), stop=stop)
 
 
 def _value_of(job: JobReturn) -> Any:

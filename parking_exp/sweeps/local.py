@@ -19,11 +19,7 @@ Train = Callable[[Path, Stop], WorkerResult | None]
 
 
 def launch(paths: Sequence[Path], n_jobs: int | None = None) -> dict[Path, WorkerResult]:
-    """Train runs, up to `n_jobs` at a time; return how each run ended that was begun.
-
-    Args:
-        paths: run directories with frozen configs.
-        n_jobs: how many at a time; None: as many as there are cores.
+    """Train the runs of directories, `n_jobs` at a time (None: one per core); return how each run ended that was begun.
 
     Raises:
         InterruptedRunError: a signal stopped it.
@@ -44,11 +40,8 @@ def launch_workers(work: Callable[[Train], None], n_workers: int) -> dict[Path, 
     """Have workers train what they choose; return how each run ended that was begun.
 
     Each worker has its own cores, and CUDA devices in turn where there are any. The first SIGINT or SIGTERM stops them
-    all, with their states saved; a second one leaves at once.
-
-    Args:
-        work: what a worker does, given the function that trains; called in a thread for each of them.
-        n_workers: number of workers.
+    all, with their states saved; a second one leaves at once. `work` is called in a thread for each worker, with the
+    function that trains.
 
     Raises:
         InterruptedRunError: a signal stopped it.

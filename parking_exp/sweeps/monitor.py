@@ -28,7 +28,7 @@ class Monitor:
     Args:
         find: returns the run directories that exist now.
         n_runs: how many there will be in the end, at most.
-        console: where to print; None: the standard error stream.
+        console: None: the standard error stream.
     """
 
     def __init__(self, find: Callable[[], Sequence[Path]], n_runs: int, console: Console | None = None) -> None:

@@ -19,13 +19,9 @@ from parking_exp.sweeps.hydra_launcher import Launch
 
 @dataclass(frozen=True)
 class PlannedRun:
-    """One run of a sweep, and how far it was when the sweep began.
+    """One run of a sweep: its directory, the label of its cell, and how far it was when the sweep began.
 
     Attributes:
-        config: of the run.
-        path: its directory.
-        label: of its cell.
-        state: how far it is.
         retried: whether it is run again if it has failed.
         entries: additional entries of its status.json.
     """

@@ -57,8 +57,7 @@ def launch(
         jobs: the arguments. Paths in them must be on a file system that the nodes share.
         executor: `slurm`, or `local` for processes of this machine.
         n_jobs: how many at a time; None: as many as the cluster takes, or this machine has cores.
-        folder: for submitit's own scripts and logs.
-        parameters: of `submitit.AutoExecutor.update_parameters`.
+        folder, parameters: see `make_executor`.
 
     Raises:
         ConfigError: submitit refuses a parameter.
@@ -75,8 +74,7 @@ def launch(
             while len(submitted) < len(jobs):
                 with _sigint_blocked():  # Ctrl-C has to find all that was submitted
                     submitted += made.map_array(task, jobs[len(submitted) :][:MAX_ARRAY_SIZE])
-                if n_jobs or len(submitted) == len(jobs):  # the limit holds within an array only
-                    _wait(submitted)
+                _wait(submitted)  # n_jobs holds within an array only
         else:
             while len(submitted) < len(jobs) or any(not job.done() for job in submitted):
                 if len(submitted) < len(jobs) and sum(not job.done() for job in submitted) < (n_jobs or len(cores())):

@@ -54,8 +54,8 @@ def supervise(path: Path, resources: WorkerResources | None = None, stop: Stop |
 
     Args:
         path: the run directory, with its frozen config.
-        resources: of the machine; None: all of it.
-        stop: asked again and again; once it is true, the run saves a checkpoint and leaves, or is killed after GRACE_S.
+        resources: None: the whole machine.
+        stop: polled; once it returns true, the run saves a checkpoint and exits, or is killed after GRACE_S.
     """
     directory = RunDirectory(path)
     if directory.under_way:
@@ -151,16 +151,6 @@ def _start(path: Path, resources: WorkerResources, log: IO[bytes]) -> subprocess
     return subprocess.Popen(
         command, env=environment, stdin=subprocess.DEVNULL, stdout=log, stderr=subprocess.STDOUT, start_new_session=True
     )
-
-
-def supervise_job(path: str) -> WorkerResult:
-    """Supervise one run as a job of another launcher (submitit's, Ray's, Hydra's own).
-
-    Raises:
-        KeyboardInterrupt: a signal to the job stopped it; the run's state is saved.
-    """
-    with stop_of_job() as stop:
-        return supervise(Path(path), stop=stop)
 
 
 @contextmanager

@@ -1,7 +1,6 @@
 """Objectives of a search: a number in 0 ... 1 for each run of a trial, the higher the better."""
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 
 from parking_exp.config.schema import RunConfig
 from parking_exp.runs.directory import RunDirectory
@@ -9,59 +8,43 @@ from parking_exp.runs.metric_logs import read_metrics
 from parking_exp.statistics.curves import normalised_area
 from parking_exp.tuning.search_config import Objective
 
-
-@dataclass(frozen=True)
-class RunCurve:
-    """Success of one run at each of its evaluations so far; of a finished run, the final one is the last.
-
-    Attributes:
-        steps: env steps, rising.
-        success: success rates.
-        final: metrics at the end of the run; empty before that.
-    """
-
-    steps: Sequence[int]
-    success: Sequence[float]
-    final: Mapping[str, float]
-
-    def value(self, objective: Objective) -> float:
-        """Return an objective of the finished run; `success_auc` also of an unfinished one."""
-        if objective == "success_auc":
-            return normalised_area(self.steps, self.success)
-        return self.final[{"final_success": "final/success_rate", "final_parked": "final/parked_rate"}[objective]]
+FINAL_METRICS = {"final_success": "final/success_rate", "final_parked": "final/parked_rate"}
 
 
-def read_curve(directory: RunDirectory) -> RunCurve:
-    """Read the evaluations of a run from its directory.
+def success_curve(directory: RunDirectory) -> tuple[list[int], list[float]]:
+    """Return the env steps of a run's evaluations so far, and their success rates; the last may be the final one.
 
     Raises:
-        DamagedFileError: its log is damaged.
+        DamagedFileError: the run's log is damaged.
     """
-    rates: dict[int, float] = {}
-    for record in read_metrics(directory.path / "metrics.jsonl"):
-        if (rate := record["metrics"].get("eval/success_rate")) is not None:
-            rates[record["step"]] = rate
+    records = [(record["step"], record["metrics"]) for record in read_metrics(directory.path / "metrics.jsonl")]
+    rates = {step: metrics["eval/success_rate"] for step, metrics in records if "eval/success_rate" in metrics}
     result = directory.result()
     if result is not None and "final/success_rate" in result.metrics:
         rates[result.steps] = result.metrics["final/success_rate"]
     steps = sorted(rates)
-    return RunCurve(steps, [rates[step] for step in steps], result.metrics if result else {})
+    return steps, [rates[step] for step in steps]
 
 
-def values_so_far(finished: Sequence[float], curve: RunCurve, total_timesteps: int) -> list[float]:
+def objective_value(directory: RunDirectory, objective: Objective) -> float:
+    """Return an objective of a finished run."""
+    result = directory.result()
+    if result is not None and objective in FINAL_METRICS:
+        return result.metrics[FINAL_METRICS[objective]]
+    return normalised_area(*success_curve(directory))
+
+
+def values_so_far(
+    finished: Sequence[float], steps: Sequence[int], success: Sequence[float], total_timesteps: int
+) -> list[float]:
     """Return the mean area of a trial's runs at each evaluation of its current run, which pruning compares.
 
-    The current run's area is weighted by the fraction of the run that is over.
-
-    Args:
-        finished: areas of the trial's finished runs.
-        curve: of the current run.
-        total_timesteps: of the current run.
+    The current run's area is weighted by the fraction of the run that is over; `finished` are the areas of the others.
     """
     values = []
-    for position, step in enumerate(curve.steps, 1):
+    for position, step in enumerate(steps, 1):
         weight = min(1.0, step / total_timesteps)
-        area = normalised_area(curve.steps[:position], curve.success[:position])
+        area = normalised_area(steps[:position], success[:position])
         values.append((sum(finished) + weight * area) / (len(finished) + weight) if finished or weight else area)
     return values
 

@@ -21,13 +21,12 @@ from parking_exp.runs.run_state import read_state
 from parking_exp.sweeps.hydra_launcher import Launch
 from parking_exp.sweeps.plan import PlannedRun
 from parking_exp.sweeps.sweep import sweep
-from parking_exp.tuning.objectives import read_curve
+from parking_exp.tuning.objectives import objective_value
 from parking_exp.tuning.search import Search
 from parking_exp.tuning.trials import TrialRow, ranked
 
 RETEST_FILE = "retest.json"
 Rates = Annotated[list[Annotated[float, Field(ge=0, le=1)]], Field(min_length=1)]
-GROUPS = ("env", "algorithm", "buffer")
 
 
 @dataclass(frozen=True)
@@ -66,12 +65,11 @@ def retest(search: Search, trials: Sequence[TrialRow], launch: Launch) -> list[R
     sweep(planned, launch)
     for trial in chosen:
         directories = [RunDirectory(run.path) for run in planned if run.entries["trial"] == trial.number]
-        test = [read_curve(directory).value(settings.objective[0]) for directory in directories]
-        tuning = [values[0] for values in trial.by_seed]
-        retested.append(RetestedTrial(trial.number, trial.label, trial.changes, tuning, test))
+        test = [objective_value(directory, settings.objective) for directory in directories]
+        retested.append(RetestedTrial(trial.number, trial.label, trial.changes, list(trial.by_seed), test))
     retested.sort(key=lambda trial: (-mean(trial.test), trial.number))
     seeds = {"tuning_seeds": settings.tuning_seeds, "test_seeds": settings.test_seeds}
-    stored = {"objective": settings.objective[0], **seeds, "trials": [asdict(trial) for trial in retested]}
+    stored = {"objective": settings.objective, **seeds, "trials": [asdict(trial) for trial in retested]}
     write_json(search.folder / RETEST_FILE, stored)
     return retested
 
@@ -111,7 +109,7 @@ def write_winner(search: Search, retested: Sequence[RetestedTrial], out: Console
     del config["seed"]
     options = search.compose(winner.changes).options
     experiment = {
-        "defaults": [{f"override /{group}": options[group]} for group in GROUPS],
+        "defaults": [{f"override /{group}": options[group]} for group in ("env", "algorithm", "buffer")],
         "experiment_name": f"tuned_{name}",
         **config,
     }
@@ -119,7 +117,7 @@ def write_winner(search: Search, retested: Sequence[RetestedTrial], out: Console
     path = search.folder / f"tuned_{name}.yaml"
     write_atomically(path, head + yaml.safe_dump(experiment, sort_keys=False))
     seeds = plural(len(winner.test), "fresh seed")
-    out.print(f"the winner is {winner.label}: {search.request.search.objective[0]} {mean(winner.test):.1%} on {seeds}")
+    out.print(f"the winner is {winner.label}: {search.request.search.objective} {mean(winner.test):.1%} on {seeds}")
     out.print(f"experiment     {path}")
     config_dir = ["--config-dir", search.extra_config_dir] if search.extra_config_dir else []
     out.print(f"train it with  {shlex.join(['python', 'scripts/train.py', f'experiment={path}', *config_dir])}")

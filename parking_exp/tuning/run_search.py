@@ -30,14 +30,13 @@ def tune(search: Search, launch: Launch) -> None:
 
     Raises:
         ConfigError: the space, the study or the launcher does not fit.
-        OutputDirectoryError: the experiment's folder can't be made.
         StoreError: the storage of the study fails.
         FailedRunError: not all trials are over, or re-runs failed.
         InterruptedRunError: a signal stopped it.
     """
     search.check()
     out, request = console(), search.request
-    objectives, n_trials = request.search.objective, request.n_trials
+    n_trials = request.n_trials
     if (n_workers := request.n_workers or launch.n_jobs) is None:
         raise ConfigError(f"hydra/launcher={launch.name}: set the number of parallel trials, n_workers=N")
     if request.dry_run:
@@ -50,7 +49,11 @@ def tune(search: Search, launch: Launch) -> None:
     search.save()
     if _n_left(trials, n_trials):
         trials = _train(search, study, launch, n_workers)
-    out.print(trial_table(trials, objectives), *progress_lines(trials, objectives, n_trials), sep="\n")
+    out.print(
+        trial_table(trials, request.search.objective),
+        *progress_lines(trials, request.search.objective, n_trials),
+        sep="\n",
+    )
     if left := _n_left(trials, n_trials):
         raise FailedRunError(f"{plural(left, 'trial')} not over; rerun the same command to resume")
     if not counts(trials)["done"]:
@@ -61,8 +64,7 @@ def tune(search: Search, launch: Launch) -> None:
 
 def _n_left(trials: list[TrialRow], n_trials: int) -> int:
     """Return how many trials are not over."""
-    found = counts(trials)
-    return n_trials - found["done"] - found["pruned"] - found["failed"]
+    return n_trials - sum(trial.state in ("done", "pruned", "failed") for trial in trials)
 
 
 def _describe(search: Search, trials: list[TrialRow], n_workers: int, out: Console) -> None:
@@ -71,7 +73,7 @@ def _describe(search: Search, trials: list[TrialRow], n_workers: int, out: Conso
     for key, dimension in settings.space.items():
         out.print(f"{key}: {dimension}")
     pruner = f"{settings.pruner} after {settings.grace_updates:,} updates" if settings.pruner else "none"
-    out.print(f"objective {' and '.join(settings.objective)}; sampler {settings.sampler}, pruner {pruner}")
+    out.print(f"objective {settings.objective}; sampler {settings.sampler}, pruner {pruner}")
     left = _n_left(trials, request.n_trials)
     retested = min(settings.n_retest + 1, request.n_trials) if settings.n_retest else 0
     out.print(

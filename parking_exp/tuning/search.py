@@ -14,9 +14,9 @@ from parking_exp.config.credentials import strip_password
 from parking_exp.config.overrides import in_quotes, with_absolute_path
 from parking_exp.config.schema import RunConfig
 from parking_exp.config.validate import check, parse, validate
-from parking_exp.errors import ConfigError, OutputDirectoryError
+from parking_exp.errors import ConfigError
 from parking_exp.runs.atomic_files import read_object, write_json
-from parking_exp.tuning.search_config import SearchConfig, TuneRequest
+from parking_exp.tuning.search_config import SearchConfig, SearchFile, TuneRequest
 from parking_exp.tuning.study import OpenStudy, open_study, storage_errors, storage_of
 from parking_exp.tuning.trials import TrialRow, rows
 
@@ -114,40 +114,31 @@ class Search:
 
     def open(self) -> OpenStudy:
         """Return the study; create it, and its folder, if there is none yet."""
-        try:
-            self.folder.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise OutputDirectoryError(f"output_dir: {self.folder} cannot be made: {error.strerror}") from error
         storage = storage_of(self.folder, self.request.storage)
         return open_study(self.folder, self.request.search, self.base, self.values, storage)
 
     def save(self) -> None:
         """Save what workers and other commands need to find the study and to compose the configs of trials."""
         extra = self.extra_config_dir
-        stored = {
+        stored = SearchFile(
             # Workers may be started from another directory.
-            "overrides": [strip_password(with_absolute_path(line)) for line in self.overrides],
-            "extra_config_dir": extra and str(Path(extra).absolute()),
-            "storage": self.request.storage,
-            "n_trials": self.request.n_trials,
-            "search": self.request.search.model_dump(by_alias=True),
-        }
-        write_json(self.folder / SEARCH_FILE, stored)
+            overrides=[strip_password(with_absolute_path(line)) for line in self.overrides],
+            extra_config_dir=extra and str(Path(extra).absolute()),
+            storage=self.request.storage,
+            n_trials=self.request.n_trials,
+            search=self.request.search,
+        )
+        write_json(self.folder / SEARCH_FILE, stored.model_dump(by_alias=True))
 
     @classmethod
     def load(cls, folder: Path, storage: str | None) -> "Search":
         """Return the last search of an experiment's folder, with the storage of the caller.
 
         A storage that the folder's files name is never opened.
-
-        Raises:
-            ConfigError: there is none.
         """
-        stored = read_object(folder / SEARCH_FILE)
-        if not isinstance(stored.get("overrides"), list):
-            raise ConfigError(f"{folder / SEARCH_FILE} can't be read; rerun the search")
+        stored = check(SearchFile, read_object(folder / SEARCH_FILE))
         own = [f"output_dir={in_quotes(str(folder.parent))}", f"storage={in_quotes(storage) if storage else 'null'}"]
-        return cls([*stored["overrides"], *own], stored.get("extra_config_dir"))
+        return cls([*stored.overrides, *own], stored.extra_config_dir)
 
 
 def _in_override(value: Any) -> str:
@@ -161,7 +152,7 @@ def _in_override(value: Any) -> str:
 
 @dataclass(frozen=True)
 class StoredSearch:
-    """A search as other commands find it in its folder: its settings, number of trials, study and the trials so far."""
+    """A search as other commands find it in its folder: its settings, number of trials, study and trials so far."""
 
     search: SearchConfig
     n_trials: int
@@ -181,23 +172,16 @@ def study_in(folder: Path, storage: str | None = None) -> StoredSearch | None:
         StoreError: its storage fails.
         UntrustedError: see `storage_of`.
     """
-    stored = read_object(folder / SEARCH_FILE)
-    if "search" not in stored:
+    if not (content := read_object(folder / SEARCH_FILE)):
         return None
-    settings = check(SearchConfig, stored["search"])
-    n_trials, place = stored.get("n_trials"), stored.get("storage")
-    place = strip_password(place) if isinstance(place, str) and place else None
-    if place not in (None, storage):
-        raise ConfigError(f"the study is in {place}; pass storage={place} to read it")
+    stored = check(SearchFile, content)
+    if stored.storage not in (None, storage):
+        raise ConfigError(f"the study is in {stored.storage}; pass storage={stored.storage} to read it")
     import optuna
 
-    storage = storage_of(folder, place)
     with storage_errors(folder.name):
         try:
-            study = optuna.load_study(study_name=folder.name, storage=storage)
+            study = optuna.load_study(study_name=folder.name, storage=storage_of(folder, stored.storage))
         except KeyError:  # it was never begun
             return None
-    if len(study.directions) != len(settings.objective):
-        raise ConfigError(f"{folder / SEARCH_FILE} and the study differ in their number of objectives")
-    n_trials = n_trials if isinstance(n_trials, int) else 0
-    return StoredSearch(settings, n_trials, study, rows(study, folder, n_trials))
+    return StoredSearch(stored.search, stored.n_trials, study, rows(study, folder, stored.n_trials))

@@ -1,24 +1,18 @@
 """The schema of a search: its space, objective, sampler, pruner and seeds."""
 
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Literal, Self
 
-from pydantic import AfterValidator, BeforeValidator, Field, model_validator
+from pydantic import AfterValidator, Field, model_validator
 
-from parking_exp.config.credentials import keep_password
+from parking_exp.config.credentials import keep_password, strip_password
 from parking_exp.config.paths import absolute
 from parking_exp.config.schema import ConfigModel, Count, Name, Positive, SweepOptions
 from parking_exp.tuning.space import Dimension, Value
 
 Objective = Literal["success_auc", "final_success", "final_parked"]
-Sampler = Literal["tpe", "random"]
-Pruner = Literal["median"]
 Seeds = Annotated[list[Annotated[int, Field(ge=0, lt=2**32)]], Field(min_length=1)]
 Storage = Annotated[str, AfterValidator(lambda uri: absolute(keep_password(uri)))]
 """URI of Optuna's storage without the password, which `with_password` adds where the storage is opened."""
-
-
-def _as_list(value: Any) -> Any:
-    return value if isinstance(value, list) else [value]
 
 
 class SearchConfig(ConfigModel):
@@ -26,9 +20,9 @@ class SearchConfig(ConfigModel):
 
     name: Name
     space: Annotated[dict[str, Dimension], Field(min_length=1)]
-    objective: Annotated[list[Objective], Field(min_length=1), BeforeValidator(_as_list)]
-    sampler: Sampler
-    pruner: Pruner | None
+    objective: Objective
+    sampler: Literal["tpe", "random"]
+    pruner: Literal["median"] | None
     grace_updates: Count
     tuning_seeds: Seeds
     test_seeds: Seeds
@@ -42,8 +36,6 @@ class SearchConfig(ConfigModel):
             raise ValueError(f"seed {twice[0]} occurs twice in tuning_seeds and test_seeds; all have to differ")
         if "seed" in self.space or "seeds" in self.space:
             raise ValueError("space has seeds; every trial is trained on tuning_seeds")
-        if self.pruner and len(self.objective) > 1:
-            raise ValueError(f"pruner={self.pruner} takes one objective, not {len(self.objective)}; write null")
         return self
 
 
@@ -54,3 +46,13 @@ class TuneRequest(SweepOptions):
     n_trials: Positive
     n_workers: Positive | None
     storage: Storage | None
+
+
+class SearchFile(ConfigModel):
+    """The content of `search.json`, from which workers and other commands find the study and compose trials."""
+
+    overrides: list[str] = Field(default_factory=list)
+    extra_config_dir: str | None = None
+    storage: Annotated[str, AfterValidator(strip_password)] | None = None
+    n_trials: int
+    search: SearchConfig

@@ -33,7 +33,7 @@ STUDY_FILE, CLAIM_LOCK, TRIALS_FOLDER = "study.journal", ".claiming", ".trials"
 Values = Callable[[Mapping[str, Any]], Mapping[str, Any]]
 DEFINITION = "definition"  # attribute of a study
 # Attributes of a trial.
-CHANGES, RUNS, REASON, SEED_VALUES, STEPS, CPU_S = "changes", "runs", "reason", "values_by_seed", "env_steps", "cpu_s"
+CHANGES, RUNS, REASON, SEED_VALUES, STEPS, CPU_S = "changes", "runs", "reason", "by_seed", "env_steps", "cpu_s"
 
 
 @dataclass(frozen=True)
@@ -97,9 +97,9 @@ def storage_of(folder: Path, uri: str | None) -> Any:
     # Not all files of the folder: those of cells may be on another disk.
     refuse_links((file for names in (".*", "study.*", f"{TRIALS_FOLDER}/*") for file in folder.glob(names)), folder)
     with storage_errors(folder.name):
+        folder.mkdir(parents=True, exist_ok=True)
         if uri is not None:
             return optuna.storages.get_storage(with_password(uri))
-        folder.mkdir(parents=True, exist_ok=True)
         path.touch()
         return JournalStorage(JournalFileBackend(str(path), lock_obj=cast(Any, _JournalLock(path))))
 
@@ -122,9 +122,7 @@ def open_study(folder: Path, search: SearchConfig, base: RunConfig, values: Valu
 
     name = folder.name
     with FileLock(folder / CLAIM_LOCK), storage_errors(name):
-        study = optuna.create_study(
-            storage=storage, study_name=name, directions=["maximize"] * len(search.objective), load_if_exists=True
-        )
+        study = optuna.create_study(storage=storage, study_name=name, direction="maximize", load_if_exists=True)
         definition = _definition(search, base)
         known = study.user_attrs.get(DEFINITION)
         if known is None:
@@ -158,10 +156,7 @@ def _enqueue(study: "Study", search: SearchConfig, changes: Mapping[str, Any], v
     for key in parameters:
         search.space[key].suggest(fixed, key)
     trial = create_trial(
-        state=TrialState.WAITING,
-        params=fixed.params,
-        distributions=fixed.distributions,
-        user_attrs={CHANGES: changes},
+        state=TrialState.WAITING, params=fixed.params, distributions=fixed.distributions, user_attrs={CHANGES: changes}
     )
     study.add_trial(trial)
 

@@ -17,7 +17,7 @@ from parking_exp.runs.run_state import read_state
 from parking_exp.sweeps.hydra_launcher import train_run
 from parking_exp.sweeps.local import Train
 from parking_exp.sweeps.supervisor import Stop, WorkerResult, stop_of_job, supervise
-from parking_exp.tuning.objectives import read_curve, updates_at, values_so_far
+from parking_exp.tuning.objectives import objective_value, success_curve, updates_at, values_so_far
 from parking_exp.tuning.search import Search
 from parking_exp.tuning.study import CHANGES, CPU_S, REASON, RUNS, SEED_VALUES, STEPS, claim
 
@@ -93,7 +93,8 @@ class _TrialTraining:
         except ConfigError as error:  # values that can't be combined
             return self._end("failed", [], reason=str(error).replace("\n", "; "))
         runs = [config.model_copy(update={"seed": seed}) for seed in self.settings.tuning_seeds]
-        folders, values = [str(run.run_dir.relative_to(run.output_path)) for run in runs], []
+        folders = [str(run.run_dir.relative_to(run.output_path)) for run in runs]
+        values: list[float] = []
         for number, run in enumerate(runs, 1):
             self.trial.set_user_attr(RUNS, folders[:number])
             was_done = read_state(run.run_dir).stage == "done"
@@ -106,20 +107,15 @@ class _TrialTraining:
             # A run of an earlier process was judged before the next one began.
             if outcome == "pruned" or (self._is_worse(run) and number < len(runs) and not was_done):
                 return self._end("pruned", runs[:number])
-            curve = read_curve(RunDirectory(run.run_dir))
-            self.areas.append(curve.value("success_auc"))
-            values.append([curve.value(objective) for objective in self.settings.objective])
+            self.areas.append(objective_value(RunDirectory(run.run_dir), "success_auc"))
+            values.append(objective_value(RunDirectory(run.run_dir), self.settings.objective))
         self.trial.set_user_attr(SEED_VALUES, values)
-        return self._end("done", runs, values=[mean(column) for column in zip(*values, strict=True)])
+        return self._end("done", runs, value=mean(values))
 
     def _end(
-        self,
-        outcome: Outcome,
-        runs: Sequence[RunConfig],
-        reason: str | None = None,
-        values: Sequence[float] | None = None,
+        self, outcome: Outcome, runs: Sequence[RunConfig], reason: str | None = None, value: float | None = None
     ) -> Outcome:
-        """Record what the trial took and how it ended."""
+        """Record the resources that the trial used and how it ended."""
         from optuna.trial import TrialState
 
         self.trial.set_user_attr(CPU_S, sum(_cpu_s(run) for run in runs))
@@ -127,7 +123,7 @@ class _TrialTraining:
         if reason is not None:
             self.trial.set_user_attr(REASON, reason)
         states = {"done": TrialState.COMPLETE, "pruned": TrialState.PRUNED, "failed": TrialState.FAIL}
-        self.study.tell(self.trial, values, states[outcome])
+        self.study.tell(self.trial, value, states[outcome])
         return outcome
 
     def _train_run(self, config: RunConfig) -> Outcome:
@@ -169,21 +165,17 @@ class _TrialTraining:
         """Report the evaluations of the current run so far, and return whether to prune the trial."""
         if self.settings.pruner is None:
             return False
-        curve, n_finished = read_curve(RunDirectory(config.run_dir)), len(self.areas)
-        for number, value in enumerate(values_so_far(self.areas, curve, config.total_timesteps)):
-            step = n_finished * _evaluations(config) + number  # evaluations are counted through all seeds
+        (steps, success), n_finished = success_curve(RunDirectory(config.run_dir)), len(self.areas)
+        every = config.evaluation.every_n_steps
+        n_evaluations = config.total_timesteps // every + 2 if every else 1  # of a run at most, the final one included
+        for number, value in enumerate(values_so_far(self.areas, steps, success, config.total_timesteps)):
+            step = n_finished * n_evaluations + number  # evaluations are counted through all seeds
             if step not in self.reported:
                 self.trial.report(value, step)
                 self.reported.add(step)
-        if not curve.steps or (not n_finished and updates_at(config, curve.steps[-1]) < self.settings.grace_updates):
+        if not steps or (not n_finished and updates_at(config, steps[-1]) < self.settings.grace_updates):
             return False
         return self.trial.number > 0 and self.trial.should_prune()
-
-
-def _evaluations(config: RunConfig) -> int:
-    """Return how many evaluations a run has at most, the final one included."""
-    every = config.evaluation.every_n_steps
-    return config.total_timesteps // every + 2 if every else 1
 
 
 def _cpu_s(config: RunConfig) -> float:

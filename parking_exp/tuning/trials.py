@@ -4,21 +4,20 @@ import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
 from pydantic import FiniteFloat, TypeAdapter, ValidationError
 from rich.table import Table
 
 from parking_exp.errors import ConfigError, plural
 from parking_exp.runs.locks import is_held
-from parking_exp.tuning.study import CHANGES, CPU_S, REASON, RUNS, SEED_VALUES, STEPS, storage_errors, trial_lock_path
+from parking_exp.tuning.study import storage_errors, trial_lock_path
 
 if TYPE_CHECKING:
     from optuna import Study
     from optuna.trial import FrozenTrial
 
 TrialState = Literal["done", "pruned", "failed", "running", "pending"]
-STATES: tuple[TrialState, ...] = ("done", "pruned", "failed", "running", "pending")
 SHOWN = 15
 
 
@@ -31,8 +30,8 @@ class TrialRow:
         state: done, pruned, failed, running, or pending; pending again after its worker was killed.
         changes: what it changes in the search's config.
         parameters: name -> value, a number or the text of a choice.
-        values: objectives, mean over seeds; empty unless it is done.
-        by_seed: objectives of each seed.
+        values: the objective, mean over seeds; empty unless it is done.
+        by_seed: the objective of each seed.
         runs: run directories, relative to the output directory.
         env_steps, cpu_s: total of its runs; None if unknown.
         reason: why it failed.
@@ -42,9 +41,9 @@ class TrialRow:
     state: TrialState
     changes: Mapping[str, Any] = field(default_factory=dict)
     parameters: Mapping[str, int | FiniteFloat | str] = field(default_factory=dict)
-    values: Sequence[FiniteFloat] = ()
-    by_seed: Sequence[Sequence[FiniteFloat]] = ()
-    runs: Sequence[str] = ()
+    values: Sequence[FiniteFloat] = field(default_factory=list)
+    by_seed: Sequence[FiniteFloat] = field(default_factory=list)
+    runs: Sequence[str] = field(default_factory=list)
     env_steps: int | None = None
     cpu_s: FiniteFloat | None = None
     reason: str | None = None
@@ -69,34 +68,26 @@ def rows(study: "Study", folder: Path, n_trials: int) -> list[TrialRow]:
         StoreError: its storage fails.
     """
     with storage_errors(study.study_name):
-        trials, n_objectives = study.get_trials(deepcopy=False)[:n_trials], len(study.directions)
-    return [_row(frozen, folder, n_objectives) for frozen in trials]
+        trials = study.get_trials(deepcopy=False)[:n_trials]
+    return [_row(trial, folder) for trial in trials]
 
 
-def _row(frozen: "FrozenTrial", folder: Path, n_objectives: int) -> TrialRow:
+def _row(trial: "FrozenTrial", folder: Path) -> TrialRow:
     states = {"COMPLETE": "done", "PRUNED": "pruned", "FAIL": "failed", "WAITING": "pending"}
-    held = frozen.state.name == "RUNNING" and is_held(trial_lock_path(folder, frozen.number))
-    # Optuna takes the last intermediate value of a pruned trial for its value.
-    values = (frozen.values or []) if frozen.state.name == "COMPLETE" else []
-    attributes = frozen.user_attrs
+    held = trial.state.name == "RUNNING" and is_held(trial_lock_path(folder, trial.number))
+    entries = {
+        **trial.user_attrs,
+        "number": trial.number,
+        "state": states.get(trial.state.name, "running" if held else "pending"),
+        # Optuna takes the last intermediate value of a pruned trial for its value.
+        "values": trial.values if trial.state.name == "COMPLETE" else [],
+    }
     try:
-        return ROW.validate_python(
-            {
-                "number": frozen.number,
-                "state": states.get(frozen.state.name, "running" if held else "pending"),
-                "changes": attributes.get(CHANGES, {}),
-                "parameters": {name: plain_choice(value) for name, value in frozen.params.items()},
-                "values": values if len(values) in (0, n_objectives) else None,
-                "by_seed": attributes.get(SEED_VALUES, []),
-                "runs": attributes.get(RUNS, []),
-                "env_steps": attributes.get(STEPS),
-                "cpu_s": attributes.get(CPU_S),
-                "reason": attributes.get(REASON),
-            }
-        )
+        parameters = {name: plain_choice(value) for name, value in trial.params.items()}
+        return ROW.validate_python({**entries, "parameters": parameters})
     except ValueError as error:
         entry = error.errors()[0]["loc"][0] if isinstance(error, ValidationError) else "parameters"
-        raise ConfigError(f"the study is damaged: trial {frozen.number} has no valid {entry}") from error
+        raise ConfigError(f"the study is damaged: trial {trial.number} has no valid {entry}") from error
 
 
 def plain_choice(value: Any) -> float | str:
@@ -108,31 +99,31 @@ def plain_choice(value: Any) -> float | str:
 
 
 def ranked(trials: Sequence[TrialRow]) -> list[TrialRow]:
-    """Return the trials that are done, best first by the first objective."""
+    """Return the trials that are done, best first."""
     return sorted((trial for trial in trials if trial.values), key=lambda trial: (-trial.values[0], trial.number))
 
 
 def counts(trials: Sequence[TrialRow]) -> dict[TrialState, int]:
     """Return how many trials are in each state."""
     states = [trial.state for trial in trials]
-    return {state: states.count(state) for state in STATES}
+    return {state: states.count(state) for state in get_args(TrialState)}
 
 
-def trial_table(trials: Sequence[TrialRow], objectives: Sequence[str]) -> Table:
+def trial_table(trials: Sequence[TrialRow], objective: str) -> Table:
     """Return the best trials, then running and failed ones: state, value and changes."""
-    table = Table("trial", "state", *objectives, "changes", box=None, pad_edge=False)
+    table = Table("trial", "state", objective, "changes", box=None, pad_edge=False)
     best, others = ranked(trials), [trial for trial in trials if trial.state in ("running", "failed")]
     for trial in [*best[: max(1, SHOWN - len(others))], *others[:SHOWN]]:
-        values = [f"{value:.1%}" for value in trial.values] or [""] * len(objectives)
-        table.add_row(str(trial.number), trial.state, *values, trial.reason or trial.label.partition(": ")[2])
+        value = f"{trial.values[0]:.1%}" if trial.values else ""
+        table.add_row(str(trial.number), trial.state, value, trial.reason or trial.label.partition(": ")[2])
     return table
 
 
-def progress_lines(trials: Sequence[TrialRow], objectives: Sequence[str], n_trials: int) -> Iterator[str]:
+def progress_lines(trials: Sequence[TrialRow], objective: str, n_trials: int) -> Iterator[str]:
     """Yield how many trials are in each state, and the best so far."""
-    found = counts(trials)
-    found["pending"] += n_trials - len(trials)
-    yield f"{plural(n_trials, 'trial')}: {', '.join(f'{number} {state}' for state, number in found.items() if number)}"
+    by_state = counts(trials)
+    by_state["pending"] += n_trials - len(trials)
+    states = ", ".join(f"{number} {state}" for state, number in by_state.items() if number)
+    yield f"{plural(n_trials, 'trial')}: {states}"
     for best in ranked(trials)[:1]:
-        values = ", ".join(f"{name} {value:.1%}" for name, value in zip(objectives, best.values, strict=True))
-        yield f"best so far: {best.label} ({values})"
+        yield f"best so far: {best.label} ({objective} {best.values[0]:.1%})"

@@ -195,7 +195,7 @@ def test_no_database_is_opened_that_only_a_search_names(tmp_path):
 @pytest.mark.parametrize(
     ("stored", "attributes", "problem"),
     [
-        ({"search": SETTINGS | {"objective": ["success_auc", "final_success"]}}, {}, "number of objectives"),
+        ({"search": SETTINGS | {"objective": ["success_auc", "final_success"]}}, {}, "objective"),
         ({}, {"changes": ["x"]}, "trial 1 has no valid changes"),
     ],
 )

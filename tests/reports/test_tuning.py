@@ -60,7 +60,7 @@ def trial(*values, state="done", rate=1e-3, buffer="her_future", **attributes):
 def tuning(folder, trials, n_trials=None, **changes):
     """What a report has of a search with these trials."""
     search = settings(**changes)
-    study = optuna.create_study(directions=["maximize"] * len(search.objective))
+    study = optuna.create_study(direction="maximize")
     study.add_trials(trials)
     total = n_trials or len(trials)
     return tuning_of(folder, StoredSearch(search, total, study, rows(study, folder, total)))
@@ -176,14 +176,6 @@ def test_figures_and_tables_show_the_trials(folder, tmp_path):
     assert (tmp_path / "tables" / "trials.tex").exists()
 
 
-def test_several_objectives_have_a_front_and_slices_of_each(folder, tmp_path):
-    trials = [trial(0.5, 0.6), trial(0.7, 0.5, rate=2e-3), trial(0.4, 0.4, rate=3e-3), trial(state="failed")]
-    whole = report(tuning=tuning(folder, trials, objective=["success_auc", "final_parked"]))
-    assert drawn(whole, tmp_path) == [
-        "optimisation_history", "pareto_front", "slices_1", "slices_2", "trial_coordinates"
-    ]  # fmt: skip
-
-
 def test_a_search_of_an_export_that_does_not_fit_together_gets_a_sentence(folder, tmp_path):
     found = tuning(folder, [trial(0.5), trial(0.6, rate=2e-3)])
     wrong = {**found.parameters, "algorithm.learning_rate": {"name": "os.system", "attributes": {}}}
@@ -233,7 +225,7 @@ def test_a_report_has_the_first_search_in_the_folders_of_its_experiments(begun):
     [
         (lambda folder: write_search(folder, search={"name": "x"}), "space"),
         (lambda folder: write_retest(folder, (0, [2.0], [0.5])), "smoke/retest.json"),
-        (lambda folder: add(folder, trial(0.5, values_by_seed="x")), "trial 2 has no valid by_seed"),
+        (lambda folder: add(folder, trial(0.5, by_seed="x")), "trial 2 has no valid by_seed"),
     ],
     ids=["settings", "retest", "trial"],
 )

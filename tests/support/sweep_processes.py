@@ -20,9 +20,9 @@ def sweep(output_dir, *arguments, **keywords):
     return run_script("train", *QUICK, f"output_dir={output_dir}", *arguments, env=FAILING, **keywords)
 
 
-def begin(output_dir, *arguments):
-    """Start a sweep in a session of its own, as a terminal would."""
-    command, keywords = script("train", *QUICK, f"output_dir={output_dir}", *arguments, env=FAILING)
+def begin(output_dir, *arguments, name="train", options=QUICK):
+    """Start a sweep or a search in a session of its own, as a terminal would."""
+    command, keywords = script(name, *options, f"output_dir={output_dir}", *arguments, env=FAILING)
     return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, start_new_session=True, **keywords)
 
 

@@ -170,19 +170,7 @@ def test_a_job_is_waited_for_while_squeue_lists_or_fails_and_until_it_has_a_resu
     assert calls(tmp_path) == ["squeue"] * 5  # a job with a result is not asked about
 
 
-@pytest.mark.parametrize(("n_jobs", "order"), [(None, "sbatch sbatch squeue"), (2, "sbatch squeue sbatch squeue")])
-def test_arrays_wait_for_each_other_only_where_n_jobs_is_set(tmp_path, fake, monkeypatch, n_jobs, order):
-    pytest.importorskip("submitit")
-    monkeypatch.setattr(slurm_launcher, "MAX_ARRAY_SIZE", 2)
-    fake("srun", "true")
-    fake("sbatch", "echo Submitted batch job 7", "echo Submitted batch job 8")
-    fake("squeue", "true")
-    results = slurm_launcher.launch(str.upper, ["a", "b", "c"], "slurm", n_jobs, tmp_path / "submitit", {"mem_gb": 1})
-    assert calls(tmp_path) == order.split()
-    assert [str(result).partition(";")[0] for result in results] == ["stopped by Slurm or a signal"] * 3
-
-
-def test_an_array_that_slurm_refuses_cancels_those_before_it(tmp_path, fake, monkeypatch):
+def test_arrays_wait_for_each_other_and_one_that_slurm_refuses_cancels_those_before_it(tmp_path, fake, monkeypatch):
     pytest.importorskip("submitit")
     monkeypatch.setattr(slurm_launcher, "MAX_ARRAY_SIZE", 1)
     fake("srun", "true")
@@ -191,7 +179,7 @@ def test_an_array_that_slurm_refuses_cancels_those_before_it(tmp_path, fake, mon
     fake("squeue", "true")
     with pytest.raises(FailedRunError, match="over the limit"):
         slurm_launcher.launch(str.upper, ["a", "b"], "slurm", None, tmp_path / "submitit", {"mem_gb": 1})
-    assert calls(tmp_path) == ["sbatch", "sbatch", "scancel", "7", "squeue"]
+    assert calls(tmp_path) == ["sbatch", "squeue", "sbatch", "scancel", "7", "squeue"]
 
 
 def test_what_a_job_raised_or_left_unreadable_is_an_error_of_that_job_with_its_log(job):

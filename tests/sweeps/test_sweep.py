@@ -9,7 +9,7 @@ import subprocess
 import time
 
 import pytest
-from support.runs import ROOT, run_script, script, type_here
+from support.runs import run_script, script, type_here
 from support.sweep_processes import QUICK, SLOW, begin, stages, statuses, sweep, trained, wait_until, workers
 
 from parking_exp.config.compose import composed_runs
@@ -18,7 +18,6 @@ from parking_exp.runs.run_state import read_state
 from parking_exp.sweeps.local import launch
 from parking_exp.sweeps.monitor import Monitor
 from parking_exp.sweeps.plan import plan
-from parking_exp.sweeps.supervisor import supervise
 from parking_exp.terminal import Screen
 
 TWO = ("hydra.launcher.n_jobs=2",)  # at a time, on however many cores
@@ -61,35 +60,23 @@ def test_every_way_to_fail_is_told_and_the_others_go_on(tmp_path):
     assert "5 runs: 1 done, 4 to run" in again.stdout
 
 
-@pytest.mark.slow
 def test_retry_runs_a_failed_run_again(tmp_path):
-    """What made it fail is mended in between: here, another module of the same name."""
-    for name, base in {"broken": "support.failing_algorithms.Raises", "mended": "parking_exp.algorithms.SAC"}.items():
-        module, _, kind = base.rpartition(".")
-        (tmp_path / name).mkdir()
-        (tmp_path / name / "mine.py").write_text(f"from {module} import {kind}\nclass Mine({kind}): pass\n")
-    command = (*QUICK, f"output_dir={tmp_path / 'outputs'}", "algorithm._target_=mine.Mine", "seeds=2")
-    paths = {name: {"PYTHONPATH": f"{tmp_path / name}:{ROOT / 'tests'}"} for name in ("broken", "mended")}
-    assert run_script("train", *command, env=paths["broken"]).returncode == 2
-    left = run_script("train", *command, env=paths["mended"])
+    (run,) = plan(composed_runs("config", [*QUICK, "seeds=1", f"output_dir={tmp_path}"]))
+    directory = RunDirectory(run.path)
+    directory.freeze(run.config, run.label, None)
+    directory.update(status="failed", error="a bad day")
+    left = type_here("train", *QUICK, f"output_dir={tmp_path}", "seeds=1", "hydra/launcher=local")
     assert left.returncode == 2
-    assert left.stderr == "error: of 2 runs, 2 failed; retry=failed runs failed ones again\n"
-    done = run_script("train", *command, "retry=failed", env=paths["mended"])
+    assert left.stderr == "error: of 1 run, 1 failed; retry=failed runs failed ones again\n"
+    done = sweep(tmp_path, "seeds=1", "hydra/launcher=local", "retry=failed")
     assert done.returncode == 0, done.stderr
-    assert stages(tmp_path / "outputs") == ["done", "done"]
+    assert stages(tmp_path) == ["done"]
 
 
 @pytest.mark.slow
 def test_a_run_that_hangs_past_its_time_is_failed(tmp_path):
-    begin = time.monotonic()
-    done = sweep(
-        tmp_path,
-        "seeds=[0]",
-        "algorithm._target_=support.failing_algorithms.Hangs",
-        "timeout_s=2",
-        "hydra/launcher=local",
-    )
-    assert time.monotonic() - begin < 60
+    hangs = ("algorithm._target_=support.failing_algorithms.Hangs", "timeout_s=2", "hydra/launcher=local")
+    done = sweep(tmp_path, "seeds=[0]", *hangs, timeout=60)
     assert done.returncode == 2
     (status,) = statuses(tmp_path).values()
     assert (status["status"], status["error"]) == ("failed", "ran past timeout_s=2")
@@ -158,16 +145,6 @@ def test_a_sweep_takes_over_what_another_one_leaves(tmp_path):
     assert trained(tmp_path) == [2, 2]
 
 
-@pytest.mark.slow
-def test_a_frozen_config_that_is_broken_fails_its_run_alone(tmp_path):
-    runs = plan(composed_runs("config", [*QUICK, "seeds=2", f"output_dir={tmp_path}"]))
-    for run in runs:
-        RunDirectory(run.path).freeze(run.config, run.label, None)
-    (runs[0].path / "config.yaml").write_text("a: [b")
-    assert launch([run.path for run in runs], n_jobs=1) == {runs[0].path: "failed", runs[1].path: "done"}
-    assert read_state(runs[0].path).reason.startswith(f"{runs[0].path / 'config.yaml'} can't be read: ")
-
-
 def test_a_run_that_was_stopped_before_its_first_checkpoint_is_said_so(tmp_path):
     (run,) = plan(composed_runs("config", [*QUICK, "seeds=1", f"output_dir={tmp_path}"]))
     directory, out = RunDirectory(run.path), Screen(file=io.StringIO(), width=200)
@@ -189,27 +166,14 @@ def test_a_run_that_was_stopped_before_its_first_checkpoint_is_said_so(tmp_path)
     ]  # fmt: skip
 
 
-def test_a_config_of_another_run_is_not_trained(tmp_path):
-    ours, another = plan(composed_runs("config", [*QUICK, "seeds=2", f"output_dir={tmp_path}"]))
-    RunDirectory(ours.path).freeze(another.config, ours.label, None)
-    assert supervise(ours.path) == "failed"
-    place = ours.path / "config.yaml"
-    assert read_state(ours.path).reason == f"{place} is the config of another run; rerun the sweep"
-
-
-@pytest.mark.slow
-def test_a_worker_that_is_killed_is_failed_and_goes_on_when_typed_again(tmp_path):
-    process = begin(tmp_path, "seeds=2", *SLOW)
-    wait_until(lambda: len(list(tmp_path.glob("*/*/seed=0/checkpoints/step=*"))) >= 1)
-    (victim,) = [status["pid"] for (_, seed), status in statuses(tmp_path).items() if seed == "seed=0"]
-    os.kill(victim, signal.SIGKILL)
-    out, errors = process.communicate(timeout=120)
-    assert process.returncode == 2
-    assert "seed=0: killed by SIGKILL (out of memory?)" in out
-    assert errors.splitlines()[-1] == "error: of 2 runs, 1 failed; rerun the same command to resume"
-    assert stages(tmp_path) == ["done", "failed"]
-    assert sweep(tmp_path, "seeds=2", *SLOW).returncode == 0
-    assert trained(tmp_path) == [1, 2]
+def test_a_run_whose_frozen_config_is_broken_or_of_another_run_fails(tmp_path):
+    broken, another, last = plan(composed_runs("config", [*QUICK, "seeds=3", f"output_dir={tmp_path}"]))
+    for run, config in ((broken, broken.config), (another, last.config)):
+        RunDirectory(run.path).freeze(config, run.label, None)
+    (broken.path / "config.yaml").write_text("a: [b")
+    paths = [broken.path, another.path]
+    assert launch(paths, n_jobs=1) == dict.fromkeys(paths, "failed")
+    assert all(str(path / "config.yaml") in read_state(path).reason for path in paths)
 
 
 @pytest.mark.slow

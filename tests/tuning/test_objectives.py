@@ -1,15 +1,12 @@
 """Objectives of runs, on curves that are written by hand."""
 
+import json
+
 import pytest
 from support.runs import make_config
 
-from parking_exp.tuning.objectives import RunCurve, updates_at, values_so_far
-
-CURVE = RunCurve(
-    [1000, 2000, 3000, 4000, 5000],
-    [0.0, 0.5, 0.96, 0.95, 1.0],
-    {"final/success_rate": 0.97, "final/parked_rate": 0.1},
-)
+from parking_exp.runs.directory import RunDirectory, RunResult
+from parking_exp.tuning.objectives import objective_value, updates_at, values_so_far
 
 
 def test_updates_follow_from_steps():
@@ -23,15 +20,22 @@ def test_updates_follow_from_steps():
 
 @pytest.mark.parametrize(
     ("objective", "value"),
-    [("success_auc", (0.25 + 0.73 + 0.955 + 0.975) / 4), ("final_success", 0.97), ("final_parked", 0.1)],
+    [("success_auc", (0.25 + 0.73 + 0.955 + 0.975) / 4), ("final_success", 1.0), ("final_parked", 0.1)],
 )
-def test_each_objective_of_a_run(objective, value):
-    assert CURVE.value(objective) == pytest.approx(value)
+def test_each_objective_of_a_run(tmp_path, objective, value):
+    directory = RunDirectory(tmp_path / "seed=0")
+    directory.create(make_config(f"output_dir={tmp_path}"))
+    rates = {1000: 0.0, 2000: 0.5, 3000: 0.96, 4000: 0.95}
+    lines = [{"step": step, "time_ms": 0, "metrics": {"eval/success_rate": rate}} for step, rate in rates.items()]
+    (directory.path / "metrics.jsonl").write_text("".join(json.dumps(line) + "\n" for line in lines))
+    final = {"final/success_rate": 1.0, "final/parked_rate": 0.1}
+    directory.finish(RunResult(str(directory.path), None, 5000, final), wall_s=1)
+    assert objective_value(directory, objective) == pytest.approx(value)
 
 
 def test_pruning_compares_the_mean_area_so_far_weighted_by_what_is_over_of_the_run():
-    half = RunCurve([1000, 2000], [0.0, 0.5], {})
-    assert values_so_far([], half, 2000) == [0.0, 0.25]
-    assert values_so_far([0.75], half, 2000) == [0.75 / 1.5, (0.75 + 0.25) / 2]
-    assert values_so_far([0.75], half, 8000) == [0.75 / 1.125, (0.75 + 0.25 / 4) / 1.25]
-    assert values_so_far([], RunCurve([0], [0.5], {}), 8000) == [0.5]
+    half = ([1000, 2000], [0.0, 0.5])
+    assert values_so_far([], *half, 2000) == [0.0, 0.25]
+    assert values_so_far([0.75], *half, 2000) == [0.75 / 1.5, (0.75 + 0.25) / 2]
+    assert values_so_far([0.75], *half, 8000) == [0.75 / 1.125, (0.75 + 0.25 / 4) / 1.25]
+    assert values_so_far([], [0], [0.5], 8000) == [0.5]

@@ -10,16 +10,13 @@ from support.searches import user_search
 from parking_exp.config.compose import composed_runs
 from parking_exp.config.overrides import in_quotes
 from parking_exp.config.validate import validate
-from parking_exp.sweeps.hydra_launcher import Launch
 from parking_exp.tuning.retest import RetestedTrial, chosen_trials, write_winner
-from parking_exp.tuning.run_search import tune
-from parking_exp.tuning.search import Search
 from parking_exp.tuning.trials import TrialRow
 
 
 def trial(number, value, *runs, state="done"):
     values = [value] if state == "done" else []
-    return TrialRow(number, state, values=values, by_seed=[values], runs=runs or [str(number)])
+    return TrialRow(number, state, values=values, by_seed=values, runs=runs or [str(number)])
 
 
 def chosen(n_retest, *trials):
@@ -32,19 +29,8 @@ def test_trial_0_and_the_best_of_the_others_are_trained_again():
     assert chosen(9, *trials) == [0, 1, 4, 3]
     assert chosen(0, *trials) == []
     assert chosen(1, trial(0, 0.0, state="failed"), trial(1, 0.9)) == [1]
-
-
-def test_of_trials_with_the_same_runs_the_first_is_trained_again():
-    trials = [trial(0, 0.5, "a"), trial(1, 0.9, "b"), trial(2, 0.9, "c"), trial(3, 0.9, "b"), trial(4, 0.5, "a")]
-    assert chosen(3, *trials) == [0, 1, 2]
-
-
-def test_a_dry_run_promises_no_more_re_runs_than_there_are_trials(tmp_path, capsys):
-    options = ["search=smoke", f"output_dir={tmp_path}", "search.test_seeds=[1,2,3]", "search.n_retest=4"]
-    for n_trials, runs in ((2, 6), (20, 15)):
-        tune(Search([*options, f"n_trials={n_trials}", "dry_run=true"]), Launch([]))
-        assert f"at the end {runs} runs on fresh seeds" in " ".join(capsys.readouterr().out.split())
-    assert list(tmp_path.iterdir()) == []
+    same = [trial(0, 0.5, "a"), trial(1, 0.9, "b"), trial(2, 0.9, "c"), trial(3, 0.9, "b"), trial(4, 0.5, "a")]
+    assert chosen(3, *same) == [0, 1, 2]  # the first of the trials with the same runs
 
 
 def test_the_winner_becomes_an_experiment_file_that_composes_to_its_config(tmp_path):

@@ -15,10 +15,8 @@ from parking_exp.tuning.space import Dimension
 @pytest.mark.parametrize(
     ("form", "value", "stored"),
     [
-        ({"log": [1e-4, 1e-2]}, 2e-3, 2e-3),
         ({"uniform": [0.0, 1.0]}, 0.25, 0.25),
         ({"int": [1, 8]}, 4, 4),
-        ({"choices": [256, 512]}, 512, "512"),
         ({"choices": [[8, 8], [16, 16]]}, [16, 16], "[16, 16]"),
         ({"choices": ["sac", None]}, None, "null"),
         ({"choices": [0.5, 1, 2]}, 1.0, "1"),
@@ -36,8 +34,6 @@ def test_a_value_of_the_config_has_a_parameter_and_comes_back(form, value, store
         ({"log": [1e-4, 1e-2]}, 0.1),
         ({"log": [1e-4, 1e-2]}, {"_target_": "a.Schedule"}),
         ({"int": [1, 8]}, 2.5),
-        ({"int": [0, 1]}, True),
-        ({"choices": [256, 512]}, 300),
         ({"choices": [0, 1]}, True),
     ],
 )
@@ -72,17 +68,11 @@ def test_sampled_values_lie_within_both_ends_and_have_six_digits():
     [
         ({"space": {}}, "space"),
         ({"space": {"algorithm.gamma": {"log": [0.9, 0.99], "choices": [1]}}}, "space.algorithm.gamma"),
-        ({"space": {"algorithm.gamma": {}}}, "space.algorithm.gamma"),
         ({"space": {"algorithm.gamma": {"log": [0.99, 0.9]}}}, "space.algorithm.gamma"),
         ({"space": {"algorithm.gamma": {"log": [0.0, 0.9]}}}, "0.0 is not above 0"),
-        ({"space": {"algorithm.gamma": {"logg": [0.9, 1.0]}}}, "did you mean 'log'"),
         ({"space": {"seed": {"int": [0, 5]}}}, "tuning_seeds"),
         ({"tuning_seeds": [1, 2], "test_seeds": [2, 3]}, "seed 2"),
-        ({"tuning_seeds": [1, 1]}, "seed 1"),
-        ({"objective": ["final_success", "final_parked"], "pruner": "median"}, "pruner=median"),
         ({"objective": "final_succes"}, "final_success"),
-        ({"sampler": "tbe"}, "did you mean 'tpe'"),
-        ({"pruner": "wilcoxon"}, "wilcoxon"),
     ],
 )
 def test_a_wrong_search_is_refused_in_one_sentence_that_names_the_key(changes, words):

@@ -20,8 +20,8 @@ MOST_SLICES = 4  # in one figure
 FEWEST_TRIALS = 20  # for importances: PED-ANOVA looks at the best tenth
 
 
-def study_of(tuning: Tuning, objectives: slice = slice(1)) -> Any:
-    """Return an in-memory study of the finished trials of a report, which may be from an export, for some objectives.
+def study_of(tuning: Tuning) -> Any:
+    """Return an in-memory study of the finished trials of a report, which may be from an export.
 
     Raises:
         ResultsError: the trials do not fit the parameters.
@@ -30,7 +30,7 @@ def study_of(tuning: Tuning, objectives: slice = slice(1)) -> Any:
 
     try:
         kinds = {name: json_to_distribution(json.dumps(kind)) for name, kind in tuning.parameters.items()}
-        return _study(kinds, [(trial.parameters, trial.values[objectives]) for trial in tuning.trials if trial.values])
+        return _study(kinds, [(trial.parameters, trial.values[:1]) for trial in tuning.trials if trial.values])
     except (ValueError, KeyError, TypeError) as error:
         raise ResultsError(f"the search of {tuning.experiment} can't be drawn: {error}") from error
 
@@ -85,13 +85,6 @@ def draw_history(report: ReportData) -> Iterator[Drawing]:
         yield figure, f"{objective} of each trial that is done, and the best so far."
 
 
-def draw_pareto_front(report: ReportData) -> Iterator[Drawing]:
-    """Draw the trials of a search for two or three objectives, and their Pareto front."""
-    if (tuning := report.tuning) and _varied(tuning) and len(tuning.objectives) in (2, 3):
-        figure = _plot("plot_pareto_front", study_of(tuning, slice(None)), target_names=[*tuning.objectives])
-        yield figure, f"Pareto front of {' and '.join(tuning.objectives)}."
-
-
 def draw_parameter_importance(report: ReportData) -> Iterator[Drawing]:
     """Draw the importance of parameters, if enough trials differ in their values."""
     if (tuning := report.tuning) and _varied(tuning):
@@ -103,15 +96,14 @@ def draw_parameter_importance(report: ReportData) -> Iterator[Drawing]:
 
 
 def draw_slices(report: ReportData) -> Iterator[Drawing]:
-    """Draw each objective against each parameter, some parameters to a figure."""
+    """Draw the objective against each parameter, some parameters to a figure."""
     if (tuning := report.tuning) is None or not (names := _varied(tuning)):
         return
-    for place, objective in enumerate(tuning.objectives):
-        study = study_of(tuning, slice(place, place + 1))
-        for begin in range(0, len(names), MOST_SLICES):
-            chosen = names[begin : begin + MOST_SLICES]
-            figure = _plot("plot_slice", study, params=chosen, target_name=objective)
-            yield figure, f"{objective} against {', '.join(chosen)}; darker trials are later ones."
+    objective = tuning.objectives[0]
+    for begin in range(0, len(names), MOST_SLICES):
+        chosen = names[begin : begin + MOST_SLICES]
+        figure = _plot("plot_slice", study_of(tuning), params=chosen, target_name=objective)
+        yield figure, f"{objective} against {', '.join(chosen)}; darker trials are later ones."
 
 
 def draw_trial_coordinates(report: ReportData) -> Iterator[Drawing]:
