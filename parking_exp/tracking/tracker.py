@@ -9,6 +9,7 @@ from parking_exp.runs.atomic_files import write_json
 from parking_exp.runs.directory import RunDirectory
 from parking_exp.runs.run_provenance import PROVENANCE_FILE, provenance, read_provenance
 from parking_exp.tracking.mirror import later, try_mirror
+from parking_exp.tracking.store import Store
 
 # Between attempts at a store that fails: so that no more than a twentieth of a training's time goes there.
 SHORTEST_PAUSE_S, PAUSE_TO_ATTEMPT = 30.0, 20.0
@@ -41,7 +42,7 @@ class MlflowTracker(Tracker):
     def close(self) -> None:
         """Send everything, also where the store has just failed."""
         start, before = time.monotonic(), self.problem
-        self.problem = try_mirror(self.directory, self.uri)
+        self.problem = try_mirror(self.directory, Store(self.uri, self.directory.output_dir))
         now = time.monotonic()
         self._next_attempt = now + max(SHORTEST_PAUSE_S, PAUSE_TO_ATTEMPT * (now - start)) if self.problem else 0.0
         if before and self.problem is None:

@@ -12,7 +12,17 @@ from functools import cache
 
 import pytest
 from support.mlflow_servers import closed_port, mlflow_server, needs_server
-from support.runs import ROOT, artifacts, assert_store_is_whole, history, make_config, only_run, run_script, store
+from support.runs import (
+    ROOT,
+    artifacts,
+    assert_store_is_whole,
+    history,
+    make_config,
+    only_run,
+    run_script,
+    store,
+    stored_params,
+)
 from support.sync_processes import KEYS, grow, sync
 
 from parking_exp.config.paths import default_uri
@@ -23,7 +33,8 @@ from parking_exp.runs.metric_logs import restore_logs
 from parking_exp.runs.run_provenance import provenance
 from parking_exp.tracking import mirror as mirroring
 from parking_exp.tracking.client import connect, reason
-from parking_exp.tracking.mirror import flatten, later, mirror_missing, mirror_problem, try_mirror
+from parking_exp.tracking.mirror import later, mirror_missing, mirror_problem, try_mirror
+from parking_exp.tracking.store import Store
 from parking_exp.tracking.tracker import open_tracker
 from parking_exp.training import checkpoints
 from parking_exp.training.train_run import train
@@ -39,7 +50,7 @@ def smoke_config():
 def mirror_all(output_dir, uri=None):
     """Mirror what a store lacks of an output directory; what was in the way of each run."""
     directories = [RunDirectory(path) for path in find_runs(output_dir)]
-    return [problem for _, problem in mirror_missing(directories, uri or default_uri(output_dir))]
+    return [problem for _, problem in mirror_missing(directories, Store(uri or default_uri(output_dir), output_dir))]
 
 
 @pytest.fixture
@@ -144,7 +155,7 @@ def test_a_mirror_that_is_killed_anywhere_is_completed_by_the_next_one(output_di
     for directory in directories:
         run = client.get_run(directory.run_id)
         assert stored_points(output_dir, directory.run_id) == local_points(directory)
-        assert run.data.params == flatten(directory.config().plain())
+        assert run.data.params == stored_params(directory.config())
         assert run.data.tags["status"] == "done"
         assert artifacts(client, directory.run_id) == artifacts(client, first.run_id)
 
@@ -357,25 +368,18 @@ def test_a_store_that_has_just_failed_is_left_alone_until_the_end(fresh_dir):
     assert messages[1:] == ["the store has everything now"]
 
 
-def test_any_error_while_mirroring_is_noted_and_stops_nothing(output_dir, monkeypatch):
-    directory = written_run(output_dir)
-    monkeypatch.setattr(mirroring, "flatten", {}.__getitem__)
-    assert "unhashable" in try_mirror(directory, default_uri(output_dir))
-    assert "unhashable" in directory.unsynced
-
-
 def test_a_server_that_is_down_is_asked_once_for_all_runs(fresh_dir):
     with closed_port() as port:
         uri = f"http://127.0.0.1:{port}"
         directories = [written_run(fresh_dir, seed, uri) for seed in range(3)]
         assert mirror_all(fresh_dir, uri) == ["Connection refused"] * 3
-        assert "3 runs" in mirror_problem(directories, uri)
+        assert "3 runs" in mirror_problem(directories, Store(uri, fresh_dir))
     assert [directory.unsynced for directory in directories] == [None] * 3
 
 
 def test_a_store_that_is_no_database_is_refused_at_once(fresh_dir):
     (fresh_dir / "mlflow.db").write_text("this is not a database, and it is long enough to be looked at " * 20)
-    assert try_mirror(written_run(fresh_dir), default_uri(fresh_dir)) == "file is not a database"
+    assert try_mirror(written_run(fresh_dir), Store(default_uri(fresh_dir), fresh_dir)) == "file is not a database"
 
 
 def test_reasons_have_no_password_and_are_short():
@@ -459,7 +463,7 @@ def test_a_server_that_comes_up_later_gets_everything_artifacts_too(tmp_path):
         directory = written_run(tmp_path, uri=uri)
         grow(directory, rows=400)
         finish(directory)
-        assert try_mirror(directory, uri) == "Connection refused"
+        assert try_mirror(directory, Store(uri, tmp_path)) == "Connection refused"
     with mlflow_server(port, tmp_path):
         assert mirror_all(tmp_path, uri) == [None]
         grow(directory, rows=5)

@@ -259,7 +259,7 @@ def test_syncing_does_not_connect_to_where_run_directories_say(output_dir, liste
     uri, heard = listener
     directory = run_in(output_dir)
     stored_uri(directory, uri)
-    assert list(mirror_missing([directory], default_uri(output_dir))) == []
+    assert list(mirror_missing([directory], Store(default_uri(output_dir), output_dir))) == []
     done = type_here("status", f"output_dir={output_dir}", "sync=true")
     assert f"tracking.uri={uri}" in done.stderr
     assert heard == []
@@ -352,7 +352,7 @@ def test_a_store_that_is_a_link_out_of_its_output_directory_is_refused(output_di
     (output_dir / "mlflow.db").symlink_to(tmp_path / "elsewhere.db")
     before = (tmp_path / "elsewhere.db").read_bytes()
     words = f"{output_dir / 'mlflow.db'} is a symbolic link that leads out of {output_dir}; name the store with tracking.uri="
-    ((_, problem),) = mirror_missing([directory], default_uri(output_dir))
+    ((_, problem),) = mirror_missing([directory], Store(default_uri(output_dir), output_dir))
     assert problem == words
     with pytest.raises(ParkingError) as refusal:
         load("smoke", output_dir=output_dir)
