@@ -25,7 +25,7 @@ from parking_exp.config.run_key import short_hash
 from parking_exp.config.schema import RunConfig
 from parking_exp.errors import plural
 from parking_exp.runs.atomic_files import fingerprint, read_object
-from parking_exp.runs.directory import RunDirectory, Status
+from parking_exp.runs.directory import BUFFER, MANIFEST, MODEL, RunDirectory, Status
 from parking_exp.runs.metric_logs import read_metrics
 from parking_exp.runs.run_provenance import PROVENANCE_FILE, read_provenance
 from parking_exp.tracking.client import reason
@@ -51,8 +51,6 @@ AT_THE_END = (
     "models/best.zip",
     "models/final.zip",
 )
-# As in checkpoints.py, which imports torch: a command that only mirrors can do without.
-MODEL, BUFFER, MANIFEST = "model.zip", "replay_buffer.npz", "manifest.json"
 
 
 def mirror(directory: RunDirectory, store: Store) -> None:

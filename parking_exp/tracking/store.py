@@ -113,7 +113,7 @@ class Store:
                     experiment = client.get_experiment_by_name(name)
                     if experiment is None:
                         raise
-        self._refuse_elsewhere(experiment.artifact_location, "")
+        self.artifact_path(experiment.artifact_location, "")
         return experiment.experiment_id
 
     def log(
@@ -179,18 +179,7 @@ class Store:
         Raises:
             StoreError: it is outside of the output directory that the store is part of.
         """
-        self._refuse_elsewhere(folder_uri, name)
         folder = local_folder(folder_uri)
-        return folder / name if folder else None
-
-    def _refuse_elsewhere(self, folder_uri: str | None, name: str) -> None:
-        """Refuse an artifact of an output directory's own store that lies elsewhere.
-
-        Raises:
-            StoreError: it does.
-        """
-        if (own := self._own_directory) is None:
-            return
-        folder = local_folder(folder_uri) if folder_uri else None
-        if folder is None or not lies_inside(folder / name, own):
+        if (own := self._own_directory) and not (folder and lies_inside(folder / name, own)):
             raise StoreError(f"this store keeps artifacts outside of {own}, in {folder_uri}; use another experiment")
+        return folder / name if folder else None

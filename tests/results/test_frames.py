@@ -22,7 +22,7 @@ from parking_exp.config.paths import default_uri
 from parking_exp.errors import ResultsError
 from parking_exp.evaluation.metrics import EPISODE_COLUMNS
 from parking_exp.results import frames, load
-from parking_exp.results.dtypes import column, typed
+from parking_exp.results.dtypes import typed
 from parking_exp.results.recordings import EPISODES
 
 HER = {"four": ["buffer.n_sampled_goal=4"], "none": ["buffer=replay"]}
@@ -122,16 +122,6 @@ PARAMS = [("3", 3), ("-3", -3), ("2.0", 2.0), ("5e-05", 5e-05), (".5", 0.5), ("i
 def test_a_parameter_is_what_its_text_says(word, value):
     assert typed(word) == value
     assert type(typed(word)) is type(value)
-
-
-@pytest.mark.parametrize(
-    ("values", "dtype"),
-    [([1, 2], "int64"), ([1, 0.5], "float64"), ([True, False], "bool"), (["a", "b"], "str"), (["auto", 0.1], "object"),
-     ([1, None], "object"), ([True, 1], "object")],
-)  # fmt: skip
-def test_a_column_has_the_type_of_its_values_which_stay_as_they_are(values, dtype):
-    assert str(column(values).dtype) == dtype
-    assert column(values).tolist() == values
 
 
 def test_damaged_and_odd_artifacts_spoil_nothing_else(output_dir):
@@ -305,13 +295,8 @@ def test_an_unknown_experiment_is_said_with_what_there_is(ablation):
 
 def test_an_experiment_without_runs_is_said(output_dir):
     client = store(output_dir)
-    experiment_id = client.create_experiment("void")
-    with pytest.raises(ResultsError, match=r"^experiment=void: it has no runs of parking_exp$"):
-        load("void", output_dir=output_dir)
-    with pytest.raises(ResultsError, match=rf"^{default_uri(output_dir)}: it has no runs of parking_exp$"):
-        load(output_dir=output_dir)
-    client.create_run(experiment_id)
-    with pytest.raises(ResultsError, match=r"^experiment=void: it has no runs of parking_exp, but 1 by others$"):
+    client.create_run(client.create_experiment("void"))
+    with pytest.raises(ResultsError, match=r"^experiment=void: .*, but 1 by others$"):
         load("void", output_dir=output_dir)
 
 

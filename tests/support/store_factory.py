@@ -222,13 +222,9 @@ def _prefixed(phase: str, summary: Mapping[str, float]) -> dict[str, float]:
     return {f"{phase}/{name}": value for name, value in summary.items()}
 
 
+@cache
 def _provenance() -> dict[str, str]:
-    if not _known:
-        _known.update(provenance())  # it asks git
-    return _known
-
-
-_known: dict[str, str] = {}
+    return provenance()  # it asks git
 
 
 def _write(directory: RunDirectory, config: RunConfig, look: Look, label: str, uri: str) -> None:
