@@ -76,7 +76,7 @@ def mirror(directory: RunDirectory, store: Store) -> None:
                 run = client.create_run(experiment_id, start_ms, tags, f"{config.cell}-seed={config.seed}")
         if directory.run_id != run.info.run_id or directory.tracking_uri != store.uri:
             directory.update(run_id=run.info.run_id, tracking_uri=store.uri)
-        if run.data.tags.get(DIGEST) == digest:
+        if (run.data.tags.get(DIGEST), run.data.tags.get("run_dir")) == (digest, tags["run_dir"]):
             return
         note = run_note(directory, config)
         if run.data.tags.get(NOTE, note).partition(":")[0] == note.partition(":")[0]:  # else a user has written another
