@@ -23,6 +23,7 @@ from parking_exp.runs.run_state import RunState, as_plain, labelled, read_state
 from parking_exp.runs.state_tables import cell_table, damaged_lines, failure_lines, running_lines, stopped_lines
 from parking_exp.terminal import console, say
 from parking_exp.tracking.mirror import mirror_missing
+from parking_exp.tracking.store import Store
 from parking_exp.tuning.search import SEARCH_FILE, StoredSearch, study_in
 from parking_exp.tuning.search_config import Storage
 from parking_exp.tuning.trials import counts, progress_lines, trial_table
@@ -116,7 +117,8 @@ def _sync(request: StatusRequest) -> None:
         if uri and not any(is_same_store(uri, absolute(named)) for named in uris):
             say(f"left out: runs that are tracked in {uri}; tracking.uri={uri} sends them there", stderr=True)
     n_failed = 0
-    for directory, problem in (pair for uri in uris for pair in mirror_missing(directories, uri)):
+    stores = [Store(uri, request.output_path) for uri in uris]
+    for directory, problem in (pair for store in stores for pair in mirror_missing(directories, store)):
         say(f"{directory.path}: {problem or 'the store has everything'}", stderr=True)
         n_failed += problem is not None
     if n_failed:

@@ -128,6 +128,7 @@ def _store(request: EvaluationRequest, directory: RunDirectory) -> None:
     A run directory may be somebody else's: nothing is sent to the store that it names.
     """
     from parking_exp.tracking.mirror import later, try_mirror
+    from parking_exp.tracking.store import Store
 
     tracked_in, output_dir = directory.tracking_uri, directory_path(request.output_dir)
     uri = request.tracking.uri or default_uri(output_dir)
@@ -138,7 +139,7 @@ def _store(request: EvaluationRequest, directory: RunDirectory) -> None:
                 f"tracking.uri={tracked_in} sends the results there"
             )
         return
-    if problem := try_mirror(directory, uri):
+    if problem := try_mirror(directory, Store(uri, directory.output_dir)):
         say(f"not stored     {problem}; {later(directory.output_dir, uri)}")
 
 

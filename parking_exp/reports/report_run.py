@@ -63,18 +63,24 @@ def _source(request: ReportRequest, show: Callable[[str], None]) -> "ReportSourc
         ResultsError: it can't be read, or has none of them.
     """
     from parking_exp.reports.report_export import ReportSource, read_report_export
-    from parking_exp.results.frames import load
+    from parking_exp.results.frames import load, read_store
     from parking_exp.tracking.mirror import mirror_problem
+    from parking_exp.tracking.store import Store
 
     if request.source is not None:
         show("reading the export")
         return read_report_export(request.source)
-    show("sending to the store what it lacks")
-    paths = [path for name in request.experiments or [""] for path in find_runs(request.output_path, name or None)]
-    problem = mirror_problem(map(RunDirectory, paths), request.tracking.uri or default_uri(request.output_path))
-    show("reading the store")
-    results = load(request.experiments, uri=request.tracking.uri, output_dir=request.output_path)
-    results = replace(results, problems=(*([f"{problem}."] if problem else []), *results.problems))
+    if request.tracking.uri:
+        show("reading the store")
+        results = load(request.experiments, uri=request.tracking.uri)
+    else:
+        show("sending to the store what it lacks")
+        paths = [path for name in request.experiments or [""] for path in find_runs(request.output_path, name or None)]
+        store = Store(default_uri(request.output_path), request.output_path)
+        problem = mirror_problem(map(RunDirectory, paths), store)
+        show("reading the store")
+        results = read_store(store, request.experiments)
+        results = replace(results, problems=(*([f"{problem}."] if problem else []), *results.problems))
     having = list(dict.fromkeys(results.runs["experiment"]))
     if request.experiments is None and len(having) > 1:
         raise ConfigError(f"experiment: the store has several; name one or more of {', '.join(having)}")

@@ -19,7 +19,7 @@ from typing import Any
 import pandas as pd
 
 from parking_exp.config.paths import directory_path
-from parking_exp.errors import ConfigError, ResultsError, did_you_mean
+from parking_exp.errors import ConfigError, ResultsError
 from parking_exp.results.dtypes import TEXT, column, typed
 from parking_exp.results.frames import CONFIGURED, COST, CURVE_COLUMNS, FINAL, RUN_COLUMNS, STATUSES, Results
 from parking_exp.results.recordings import EPISODES, REQUIRED, TRAJECTORIES
@@ -98,19 +98,19 @@ def write_export(
         "runs.csv.gz": _exported_runs(results.runs),
         "curves.csv.gz": results.curves,
         # One column per run: equal columns compress to almost nothing.
-        "outcomes.csv.gz": final.astype({"run_id": str}).pivot(index="scene", columns="run_id", values="outcome"),
-        "trajectories.csv.gz": pd.concat([pd.DataFrame(columns=["run_id", *TRAJECTORIES]), *recordings]).astype(
-            TRAJECTORIES
-        ),
+        "outcomes.csv.gz": final.astype({"run_id": str})
+        .pivot(index="scene", columns="run_id", values="outcome")
+        .reset_index(),
+        "trajectories.csv.gz": pd.concat([pd.DataFrame(columns=["run_id", *TRAJECTORIES]), *recordings])
+        .astype(TRAJECTORIES)
+        .drop(columns="speed_mps"),
     }
-    tables["outcomes.csv.gz"] = tables["outcomes.csv.gz"].reset_index()
-    tables["trajectories.csv.gz"] = tables["trajectories.csv.gz"].drop(columns="speed_mps")
     for name, table in tables.items():
         text = table.to_csv(index=False, float_format="%.2f" if name == "trajectories.csv.gz" else "%.6g")
         with replacing(folder / name) as temporary:  # writes through no link
             temporary.write_bytes(gzip.compress(text.encode(), mtime=1))  # the same content gives the same bytes
-    said = [without_paths(one) for one in dict.fromkeys([*problems, *results.problems])]
-    described = {"problems": said, "ignored": results.ignored, **(about or {})}
+    sentences = [without_paths(problem) for problem in dict.fromkeys([*problems, *results.problems])]
+    described = {"problems": sentences, "ignored": results.ignored, **(about or {})}
     text = json.dumps(described, ensure_ascii=False, allow_nan=False, indent=1)
     write_atomically(folder / REPORT, text + "\n")
     return folder
@@ -124,9 +124,7 @@ def read_export(folder: str | Path) -> Export:
     """
     uri, folder = str(folder), directory_path(folder)
     if absent := [name for name in FILES if not (folder / name).is_file()]:
-        near = [path.name for path in folder.parent.iterdir() if path.is_dir()] if folder.parent.is_dir() else []
-        hint = "" if folder.is_dir() else did_you_mean(folder.name, near)
-        raise ResultsError(f"{folder} is not a whole export: it has no {absent[0]}{hint}")
+        raise ResultsError(f"{folder} is not a whole export: it has no {absent[0]}")
     try:
         about = json.loads((folder / REPORT).read_text(encoding="utf-8"))
         problems, ignored = tuple(map(str, about["problems"])), int(about["ignored"])

@@ -3,9 +3,9 @@
 import json
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
@@ -13,7 +13,7 @@ import numpy as np
 import pandas as pd
 
 from parking_exp.config.credentials import keep_password
-from parking_exp.config.paths import absolute, database, default_uri, directory_path
+from parking_exp.config.paths import database, default_uri, directory_path
 from parking_exp.errors import ParkingError, ResultsError, plural, suggestion
 from parking_exp.evaluation.metrics import METRICS
 from parking_exp.evaluation.trajectories import TRAJECTORIES_FILE
@@ -46,6 +46,7 @@ RUN_COLUMNS = (
 CURVE_COLUMNS = ("run_id", "step", *CURVE.values(), *BESIDE_A_CURVE.values())
 EPISODE_COLUMNS = ("run_id", *EPISODES)
 
+DOWNLOADS_AT_ONCE = 16
 SEED = re.compile(r"\d{1,18}")
 OURS = ("cell", "seed", "run_key", "run_dir", "status")  # tags that make a run one of this package's
 
@@ -59,7 +60,7 @@ class Results:
         uri: the store.
         problems: a sentence for each thing that is missing or broken; the frames have the rest.
         ignored: how many runs were left out, as they are none of this package's.
-        artifacts_in: the output directory that the store is part of; None: artifacts may lie anywhere.
+        store: a connection to it, for recordings; None: there are none.
     """
 
     runs: pd.DataFrame
@@ -68,15 +69,11 @@ class Results:
     uri: str
     problems: tuple[str, ...] = ()
     ignored: int = 0
-    artifacts_in: Path | None = None
+    store: Store | None = None
 
     def __repr__(self) -> str:
         sizes = ", ".join(f"{len(getattr(self, name))} {name}" for name in ("runs", "curves", "episodes"))
         return f"<Results of {self.uri}: rows of {sizes}; {len(self.problems)} problems>"
-
-    @cached_property
-    def _store(self) -> Store:
-        return Store(self.uri, self.artifacts_in)
 
     def trajectories(self, run_id: str) -> pd.DataFrame:
         """Return the car's trajectories in final episodes of a run: one row per step, the start (step 0) included.
@@ -89,7 +86,8 @@ class Results:
         self._refuse_unknown(run_id)
         places = self.runs.loc[self.runs["run_id"] == run_id, "artifact_uri"]
         with _refused(f"run {run_id}: {TRAJECTORIES_FILE} can't be read"):
-            return read_trajectories(self._store.artifact(run_id, places.iloc[0], TRAJECTORIES_FILE))
+            stored = self.store.artifact(run_id, places.iloc[0], TRAJECTORIES_FILE) if self.store else None
+            return read_trajectories(stored)
 
     def _refuse_unknown(self, run_id: str) -> None:
         if run_id not in set(self.runs["run_id"]):
@@ -110,17 +108,24 @@ def load(
     Raises:
         ResultsError: there is no such store, it can't be read, there is no such experiment, or it has no runs.
     """
-    here = None if uri else directory_path(output_dir)
-    uri = absolute(keep_password(uri) if uri else default_uri(directory_path(output_dir)))
-    if (path := database(uri)) is not None and not path.is_file():
+    here = directory_path(output_dir)
+    return read_store(Store(keep_password(uri), None) if uri else Store(default_uri(here), here), experiments)
+
+
+def read_store(store: Store, experiments: str | Iterable[str] | None) -> Results:
+    """Read runs from a store that may have been asked for them already; see `load`.
+
+    Raises:
+        ResultsError: as `load`.
+    """
+    if (path := database(store.uri)) is not None and not path.is_file():
         raise ResultsError(f"there is no store {path}; train something first, or name another output_dir or store")
-    with _refused(f"the store {uri} can't be read"):
-        store = Store(uri, here)
+    with _refused(f"the store {store.uri} can't be read"):
         ids = _chosen(store, experiments)
-        found = store.runs(list(ids.values()))
+        found = [run for run in store.runs(list(ids.values())) if run.info.lifecycle_stage == "active"]
     kept = [run for run in found if _is_ours(run)]
     if not kept:
-        asked = uri if experiments is None else f"experiment={','.join(ids)}"
+        asked = store.uri if experiments is None else f"experiment={','.join(ids)}"
         raise ResultsError(f"{asked}: it has no runs of parking_exp{f', but {len(found)} by others' if found else ''}")
     runs = _runs(kept, {experiment_id: name for name, experiment_id in ids.items()}, store.run_dir)
     logs, log_problems = _contents(store, runs, "metrics.jsonl")
@@ -131,7 +136,7 @@ def load(
     episodes, unread = read_episodes(tables, runs["run_id"].to_list())
     table_problems |= {run_id: f"episodes.csv can't be read: {what}" for run_id, what in unread.items()}
     problems = (*_twice(runs), *_sentences(runs, log_problems | damaged), *_sentences(runs, table_problems))
-    return Results(runs, _curves(points), episodes, uri, problems, len(found) - len(kept), here)
+    return Results(runs, _curves(points), episodes, store.uri, problems, len(found) - len(kept), store)
 
 
 @contextmanager
@@ -209,14 +214,20 @@ def _runs(found: Sequence["Run"], names: Mapping[str, str], run_dir: Callable[["
 def _contents(store: Store, runs: pd.DataFrame, name: str) -> tuple[dict[str, bytes], dict[str, str]]:
     """Return an artifact of each run that has it, and what is wrong with the others', by run id."""
     contents, problems = {}, {}
-    places = list(zip(runs["run_id"], runs["artifact_uri"], strict=True))
-    for (run_id, _), status, content in zip(places, runs["status"], store.artifacts(places, name), strict=True):
-        if isinstance(content, Exception):
-            problems[run_id] = f"{name} can't be read: {reason(content)}"
-        elif content is not None:
+
+    def fetch(run_id: str, folder_uri: str, status: str) -> None:
+        try:
+            content = store.artifact(run_id, folder_uri, name)
+        except Exception as error:
+            problems[run_id] = f"{name} can't be read: {reason(error)}"
+            return
+        if content is not None:
             contents[run_id] = content
         elif status == "done":  # others may not have come to an evaluation
             problems[run_id] = f"{name} is missing in the store"
+
+    with ThreadPoolExecutor(DOWNLOADS_AT_ONCE) as pool:
+        list(pool.map(fetch, runs["run_id"], runs["artifact_uri"], runs["status"]))
     return contents, problems
 
 

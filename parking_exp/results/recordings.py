@@ -36,20 +36,22 @@ def read_episodes(texts: Mapping[str, bytes], run_ids: Sequence[str]) -> tuple[p
         texts: content of `episodes.csv` by run id.
         run_ids: the categories of the column `run_id`, in the order of the table.
     """
-    # Texts with the same header are parsed as one: the number of parses is what takes time.
-    alike: dict[bytes, dict[str, bytes]] = {}
-    for run_id, content in texts.items():
-        alike.setdefault(content.partition(b"\n")[0], {})[run_id] = content
     tables, problems = [_empty({"run_id": _categories(run_ids), **EPISODES})], dict[str, str]()
-    for several in alike.values():
+
+    def parse(alike: Mapping[str, bytes]) -> None:
         try:
-            tables.append(_parse(several, run_ids))
-        except ValueError:
-            for run_id, content in several.items():
-                try:
-                    tables.append(_parse({run_id: content}, run_ids))
-                except ValueError as error:
-                    problems[run_id] = str(error).strip().partition("\n")[0]
+            tables.append(_parse(alike, run_ids))
+        except ValueError as error:
+            if len(alike) == 1:
+                problems[next(iter(alike))] = str(error).strip().partition("\n")[0]
+            else:
+                for run_id, content in alike.items():
+                    parse({run_id: content})
+
+    # Texts with the same header are parsed as one: the number of parses is what takes time.
+    headers = {run_id: content.partition(b"\n")[0] for run_id, content in texts.items()}
+    for header in dict.fromkeys(headers.values()):
+        parse({run_id: content for run_id, content in texts.items() if headers[run_id] == header})
     joined = pd.concat(tables[1:] or tables, ignore_index=True).reindex(columns=["run_id", *EPISODES])
     return joined.sort_values("run_id", kind="stable", ignore_index=True), problems
 

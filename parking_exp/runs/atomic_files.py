@@ -76,10 +76,10 @@ class _LoaderWithoutAliases(yaml.SafeLoader):
 def read_object(path: Path) -> dict[str, Any]:
     """Read a JSON object; return {} if the file does not exist or holds anything else."""
     try:
-        found = read_json(path)
+        content = read_json(path)
     except (OSError, ValueError):
         return {}
-    return found if isinstance(found, dict) else {}
+    return content if isinstance(content, dict) else {}
 
 
 def sha256(path: Path) -> str:

@@ -23,13 +23,14 @@ from parking_exp.config.credentials import strip_password
 from parking_exp.config.paths import absolute, directory_path, refuse_links, relative, store_uri
 from parking_exp.config.schema import RunConfig
 from parking_exp.errors import OutputDirectoryError, RunLockedError
-from parking_exp.runs.atomic_files import read_object, write_json
+from parking_exp.runs.atomic_files import read_object, replacing, write_json
 from parking_exp.runs.locks import hold, is_held
 from parking_exp.runs.run_provenance import typed_command
 from parking_exp.runs.status_schema import Status, StatusEntries, read_entries
 from parking_exp.runs.stored_config import CONFIG_FILE, OUTPUT_DIR, read_config, write_config
 
 STATUS_FILE, RESULT_FILE, HEARTBEAT_FILE = "status.json", "result.json", "beat.json"
+MODEL, BUFFER, MANIFEST = "model.zip", "replay_buffer.npz", "manifest.json"  # of a checkpoint
 SUPERVISOR_LOCK, TRAINING_LOCK = ".claim", ".lock"
 # To see whether a lock is held, it is taken for a moment: who wants to hold it tries again for this long.
 LOCK_PATIENCE_S = 2.0
@@ -58,25 +59,15 @@ class RunResult:
 
 
 class RunDirectory:
-    """The directory of one run."""
+    """The directory of one run; `models` holds the best and the final one."""
 
     def __init__(self, path: Path) -> None:
-        self.path = path
+        self.path, self.checkpoints, self.models = path, path / "checkpoints", path / "models"
 
     @property
     def output_dir(self) -> Path:
         """The output directory that the run is in now: it may have been moved since the run was written."""
         return directory_path(self.path / OUTPUT_DIR)
-
-    @property
-    def checkpoints(self) -> Path:
-        """Directory of checkpoints."""
-        return self.path / "checkpoints"
-
-    @property
-    def models(self) -> Path:
-        """Directory of the best and the final model."""
-        return self.path / "models"
 
     @property
     def status(self) -> Status:
@@ -138,7 +129,8 @@ class RunDirectory:
         Raises:
             OutputDirectoryError: it can't be written.
         """
-        self._write_config(config, durable=True)
+        with self._writable():
+            write_config(self.path, config, durable=True)
         self.reserve()
 
     def reserve(self) -> None:
@@ -147,12 +139,8 @@ class RunDirectory:
         Raises:
             OutputDirectoryError: there is not as much left.
         """
-        path = self.path / RESERVE
-        try:
-            path.write_bytes(os.urandom(RESERVE_BYTES))  # what can't be compressed
-        except OSError as error:
-            path.unlink(missing_ok=True)
-            raise OutputDirectoryError(f"output_dir: {self.path} cannot be written: {error.strerror}") from error
+        with self._writable(), replacing(self.path / RESERVE, durable=False) as temporary:
+            temporary.write_bytes(os.urandom(RESERVE_BYTES))  # what can't be compressed
 
     def freeze(
         self,
@@ -182,7 +170,8 @@ class RunDirectory:
                 return
             if keep and status == "pending" and (self.path / CONFIG_FILE).exists():
                 return
-            self._write_config(config, durable=False)
+            with self._writable():
+                write_config(self.path, config, durable=False)
             known = {"label": label, "total_timesteps": config.total_timesteps, "command": typed_command()}
             uri = store_uri(config) if config.tracking.mlflow else None
             fresh = {"status": "pending", "error": None, "killed": None, "tracking_uri": uri}
@@ -229,17 +218,16 @@ class RunDirectory:
 
     @contextmanager
     def _held(self, name: str, patience_s: float) -> Iterator[None]:
-        try:
+        with self._writable():
             self.path.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise OutputDirectoryError(f"output_dir: {self.path} cannot be made: {error.strerror}") from error
         with hold(self.path / name, patience_s):
             self.check_links()
             yield
 
-    def _write_config(self, config: RunConfig, durable: bool) -> None:
+    @contextmanager
+    def _writable(self) -> Iterator[None]:
         try:
-            write_config(self.path, config, durable=durable)
+            yield
         except OSError as error:
             raise OutputDirectoryError(f"output_dir: {self.path} cannot be written: {error.strerror}") from error
 

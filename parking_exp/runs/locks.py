@@ -18,15 +18,12 @@ def hold(path: Path, patience_s: float) -> Iterator[None]:
     Raises:
         RunLockedError: another process has held it all the while.
     """
-    lock = FileLock(path, timeout=patience_s)
     try:
-        lock.acquire()
+        lock = FileLock(path).acquire(timeout=patience_s)
     except Timeout:
         raise RunLockedError(f"another process is working on {path.parent}; wait for it, or stop it first") from None
-    try:
+    with lock:
         yield
-    finally:
-        lock.release()
 
 
 def is_held(path: Path) -> bool:

@@ -39,17 +39,8 @@ def find_run(name: str, output_dir: Path, having: str, others: Sequence[str] = (
     ids = {run_id: file.parent for file in files if (run_id := RunDirectory(file.parent).run_id)}
     if name in ids:
         return RunDirectory(ids[name].absolute())
-    if folder.is_dir():
-        inside = sorted(file.parent for depth in (1, 2, 3) for file in folder.glob(f"{'*/' * depth}{STATUS_FILE}"))
-        hint = f"; one in it is {inside[0]}" if inside else ""
-        raise RunNotFoundError(f"run={name} is no run directory{hint}")
-    latest = ["latest"] if usable else []
-    hint = did_you_mean(name, [*latest, *others, *ids, *(str(file.parent) for file in files)])
-    ways = [f"write run=latest for {usable[-1].parent}"] if usable else []
-    ways += [f"write run={other}" for other in others[:1]]
-    if not files:
-        ways = ["train one first", "set output_dir", *ways]
-    hint = hint or (f"; {', or '.join(ways)}" if ways else "")
+    choices = [*(["latest"] if usable else []), *others, *ids, *(str(file.parent) for file in files)]
+    hint = did_you_mean(name, choices) or (f"; write run={choices[0]}" if choices else "; train one first")
     raise RunNotFoundError(
         f"run={name} is neither a run directory nor the MLflow run id of a run in {output_dir}{hint}"
     )

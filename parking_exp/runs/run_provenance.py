@@ -1,9 +1,11 @@
 """Provenance of a run: versions of packages, git commit, CPU, and the command line that was typed."""
 
 import platform
+import re
 import shlex
 import subprocess
 import sys
+from contextlib import suppress
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
@@ -41,8 +43,8 @@ def typed_command() -> str | None:
 
 def read_provenance(path: Path) -> tuple[int | None, dict[str, str]]:
     """Return when a run was started, in ms since 1970, and its tags; other tags are left out."""
-    found = read_object(path)
-    started_ms, tags = found.get("started_ms"), found.get("tags")
+    stored = read_object(path)
+    started_ms, tags = stored.get("started_ms"), stored.get("tags")
     known = {
         name: value
         for name, value in (tags.items() if isinstance(tags, dict) else ())
@@ -56,26 +58,19 @@ def _git() -> dict[str, str]:
     root = Path(__file__).resolve().parents[2]
     if not (root / ".git").exists():
         return {}
-    commit = _run_git(root, "rev-parse", "HEAD")
-    if commit is None:
-        return {}
-    changes = _run_git(root, "status", "--porcelain", "--untracked-files=no")
-    return {"git_commit": commit, "git_dirty": str(bool(changes)).lower()}
 
-
-def _run_git(root: Path, *arguments: str) -> str | None:
-    try:
+    def git(*arguments: str) -> str:
         command = ["git", "-C", str(root), *arguments]
-        done = subprocess.run(command, check=False, capture_output=True, text=True, timeout=10)
-    except (OSError, subprocess.TimeoutExpired):
-        return None
-    return done.stdout.strip() if done.returncode == 0 else None
+        return subprocess.run(command, check=True, capture_output=True, text=True, timeout=10).stdout.strip()
+
+    with suppress(OSError, subprocess.SubprocessError):
+        changes = git("status", "--porcelain", "--untracked-files=no")
+        return {"git_commit": git("rev-parse", "HEAD"), "git_dirty": str(bool(changes)).lower()}
+    return {}
 
 
 def _cpu() -> str:
     info = Path("/proc/cpuinfo")
-    if info.exists():
-        for line in info.read_text(encoding="utf-8", errors="replace").splitlines():
-            if line.startswith("model name"):
-                return line.partition(":")[2].strip()
-    return platform.processor() or platform.machine()
+    text = info.read_text(encoding="utf-8", errors="replace") if info.exists() else ""
+    name = re.search(r"^model name\s*: *(.+)", text, re.MULTILINE)
+    return name[1].strip() if name else platform.processor() or platform.machine()

@@ -8,12 +8,8 @@ from parking_exp.errors import quoted_label
 from parking_exp.runs.run_state import STAGES, RunState, by_cell, counts
 
 
-def cell_table(states: Sequence[RunState], labels: Sequence[str] | None = None) -> Table:
-    """Return one row a cell: how many of its runs are at each stage, and the mean success of those that are done.
-
-    `labels` are other names than the ones that the runs have, one for each run.
-    """
-    names = dict(zip((state.run_dir for state in states), labels or [state.label for state in states], strict=True))
+def cell_table(states: Sequence[RunState]) -> Table:
+    """Return one row a cell: how many of its runs are at each stage, and the mean success of those that are done."""
     table = Table(box=None, pad_edge=False)
     table.add_column("cell", overflow="fold")
     stages = [stage for stage in STAGES if stage != "pruned" or counts(states)["pruned"]]
@@ -24,9 +20,9 @@ def cell_table(states: Sequence[RunState], labels: Sequence[str] | None = None) 
     for (experiment, _), runs in by_cell(states):
         rates = [run.success_rate for run in runs if run.stage == "done" and run.success_rate is not None]
         mean = f"{sum(rates) / len(rates):.0%}" if rates else ""
-        name = names[runs[0].run_dir]
+        label = runs[0].label
         table.add_row(
-            f"{experiment}: {name}" if several else name, *(str(counts(runs)[stage] or "") for stage in stages), mean
+            f"{experiment}: {label}" if several else label, *(str(counts(runs)[stage] or "") for stage in stages), mean
         )
     if len(list(by_cell(states))) > 1:
         table.add_row("all", *(str(counts(states)[stage] or "") for stage in stages), "", style="bold")

@@ -56,18 +56,18 @@ def read_entries(path: Path, schema: type[BaseModel]) -> tuple[dict[str, Any], s
     A file that is not there has no entries, and there is nothing wrong with it.
     """
     try:
-        found = read_json(path)
+        stored = read_json(path)
     except (OSError, ValueError):
-        return {}, f"{path.name} can't be read"
-    if found is None:
+        stored = "damaged"
+    if stored is None:
         return {}, None
-    if not isinstance(found, dict):
+    if not isinstance(stored, dict):
         return {}, f"{path.name} can't be read"
-    found = {key: value for key, value in found.items() if value is not None}
+    entries = {key: value for key, value in stored.items() if value is not None}
     try:
-        schema.model_validate(found)
+        schema.model_validate(entries)
     except ValidationError as error:
-        wrong = {str(one["loc"][0]) for one in error.errors()}
-        known = {key: value for key, value in found.items() if key not in wrong}
-        return known, f"{path.name} has no valid {' and no valid '.join(sorted(wrong))}"
-    return found, None
+        wrong = {str(problem["loc"][0]) for problem in error.errors()}
+        valid = {key: value for key, value in entries.items() if key not in wrong}
+        return valid, f"{path.name} has no valid {' and no valid '.join(sorted(wrong))}"
+    return entries, None

@@ -75,8 +75,8 @@ def _labels(cells: Mapping[Path, RunConfig]) -> dict[Path, str]:
 
 def describe(runs: Sequence[PlannedRun], launch: Launch, out: Console) -> None:
     """Print the plan: cells x seeds, what is done, what will run, and how long that may take."""
-    states = [run.state for run in runs]
-    out.print(cell_table(states, [run.label for run in runs]))
+    states = [run.state.model_copy(update={"label": run.label}) for run in runs]
+    out.print(cell_table(states))
     for line in damaged_lines(states):
         out.print(line)
     found, due = counts(states), [run for run in runs if run.is_due and run.state.stage != "running"]

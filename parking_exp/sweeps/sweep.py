@@ -19,6 +19,7 @@ from parking_exp.sweeps.monitor import Monitor
 from parking_exp.sweeps.plan import PlannedRun, describe
 from parking_exp.terminal import console
 from parking_exp.tracking.mirror import mirror_problem
+from parking_exp.tracking.store import Store
 
 POLL_S = 1.0
 
@@ -69,7 +70,7 @@ def _launch_all(due: list[Path], launch: Launch, monitor: Monitor) -> None:
 def _sync(runs: Sequence[PlannedRun], monitor: Monitor) -> None:
     """Send to the store what workers could not, because they were killed or the store was down."""
     for uri in {store_uri(run.config) for run in runs if run.config.tracking.mlflow}:
-        if problem := mirror_problem([RunDirectory(run.path) for run in runs], uri):
+        if problem := mirror_problem([RunDirectory(run.path) for run in runs], Store(uri, runs[0].config.output_path)):
             monitor.say(problem)
 
 

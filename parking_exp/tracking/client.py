@@ -137,21 +137,15 @@ def _is_half_made(path: Path) -> bool:
 def _open(uri: str) -> "MlflowClient":
     """Return a client of a store that has answered."""
     from mlflow import MlflowClient
+    from sqlalchemy import create_engine, inspect
 
     uri = with_password(uri)
-    if not uri.startswith(("http", "databricks")):
-        _open_database(uri)
+    if not uri.startswith(("http", "databricks")):  # MLflow tries for two minutes before it raises
+        engine = create_engine(uri)
+        try:
+            inspect(engine).get_table_names()
+        finally:
+            engine.dispose()
     client = MlflowClient(uri)
     client.search_experiments(max_results=1)
     return client
-
-
-def _open_database(uri: str) -> None:
-    """Raise now where a database can't be opened: MLflow itself tries for two minutes before it raises."""
-    from sqlalchemy import create_engine, inspect
-
-    engine = create_engine(uri)
-    try:
-        inspect(engine).get_table_names()
-    finally:
-        engine.dispose()

@@ -15,17 +15,17 @@ import shutil
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from filelock import FileLock
 
 from parking_exp.config.cell_labels import settings_of
-from parking_exp.config.paths import absolute, database, default_uri, is_same_store, relative_path
+from parking_exp.config.paths import database, default_uri, is_same_store, relative_path
 from parking_exp.config.run_key import short_hash
 from parking_exp.config.schema import RunConfig
 from parking_exp.errors import plural
 from parking_exp.runs.atomic_files import fingerprint, read_object
-from parking_exp.runs.directory import RunDirectory, Status
+from parking_exp.runs.directory import BUFFER, MANIFEST, MODEL, RunDirectory, Status
 from parking_exp.runs.metric_logs import read_metrics
 from parking_exp.runs.run_provenance import PROVENANCE_FILE, read_provenance
 from parking_exp.tracking.client import reason
@@ -39,7 +39,7 @@ DIGEST, STARTED = "mirrored", "started_ms"  # tags
 WAIT_S = 120  # for another process that mirrors the same run
 # MLflow cuts or refuses longer values; the whole config is an artifact besides.
 LONGEST_PARAM, LONGEST_ERROR = 6000, 500
-MLFLOW_STATUS = {"running": "RUNNING", "done": "FINISHED", "failed": "FAILED"}  # others: KILLED
+MLFLOW_STATUS = {"done": "FINISHED", "failed": "FAILED"}  # others: KILLED
 AT_THE_END = (
     "episodes.csv",
     "trajectories.npz",
@@ -51,8 +51,6 @@ AT_THE_END = (
     "models/best.zip",
     "models/final.zip",
 )
-# As in checkpoints.py, which imports torch: a command that only mirrors can do without.
-MODEL, BUFFER, MANIFEST = "model.zip", "replay_buffer.npz", "manifest.json"
 
 
 def mirror(directory: RunDirectory, store: Store) -> None:
@@ -74,24 +72,29 @@ def mirror(directory: RunDirectory, store: Store) -> None:
         run = _find(directory, store, experiment_id, tags)
         if run is None:
             start_ms = int(tags[STARTED]) if STARTED in tags else None
-            run = store.create_run(experiment_id, f"{config.cell}-seed={config.seed}", start_ms, tags)
+            with store.writing() as client:
+                run = client.create_run(experiment_id, start_ms, tags, f"{config.cell}-seed={config.seed}")
         if directory.run_id != run.info.run_id or directory.tracking_uri != store.uri:
             directory.update(run_id=run.info.run_id, tracking_uri=store.uri)
-        if run.data.tags.get(DIGEST) == digest:
+        if (run.data.tags.get(DIGEST), run.data.tags.get("run_dir")) == (digest, tags["run_dir"]):
             return
         note = run_note(directory, config)
         if run.data.tags.get(NOTE, note).partition(":")[0] == note.partition(":")[0]:  # else a user has written another
             tags[NOTE] = note
-        params = {key: value[:LONGEST_PARAM] for key, value in flatten(config.plain()).items()}
+        params = {key: str(value)[:LONGEST_PARAM] for key, value in settings_of(config.plain()).items()}
         store.log(run, params, tags, list(_new_metrics(run, files.get("metrics.jsonl"))))
         for name, file in files.items():
             store.put_artifact(run, name, file.read_bytes() if file.name != MANIFEST else _buffer_record(file))
         _delete_stale(store, run, directory)
-        store.set_status(run, MLFLOW_STATUS.get(status, "KILLED"), None if status == "running" else _end_ms(directory))
+        with store.writing() as client:
+            if status == "running":
+                client.update_run(run.info.run_id, "RUNNING")
+            else:
+                client.set_terminated(run.info.run_id, MLFLOW_STATUS.get(status, "KILLED"), _end_ms(directory))
         store.log(run, {}, {DIGEST: digest})
 
 
-def try_mirror(directory: RunDirectory, uri: str, store: Store | None = None) -> str | None:
+def try_mirror(directory: RunDirectory, store: Store) -> str | None:
     """Mirror as far as the store allows, and return what is in the way, or None.
 
     Nothing that fails here stops a training, since the run directory has everything. The reason is noted in status.json
@@ -99,7 +102,7 @@ def try_mirror(directory: RunDirectory, uri: str, store: Store | None = None) ->
     """
     problem = None
     try:
-        mirror(directory, store or Store(absolute(uri), directory.output_dir))
+        mirror(directory, store)
     except Exception as error:
         problem = reason(error)
     with suppress(OSError):  # on a full disk
@@ -108,7 +111,7 @@ def try_mirror(directory: RunDirectory, uri: str, store: Store | None = None) ->
     return problem
 
 
-def mirror_missing(directories: Iterable[RunDirectory], uri: str) -> Iterator[tuple[RunDirectory, str | None]]:
+def mirror_missing(directories: Iterable[RunDirectory], store: Store) -> Iterator[tuple[RunDirectory, str | None]]:
     """Mirror every run that is tracked in a store and that the store lacks, or has an older state of.
 
     The store is asked once which these are. Runs that a process is working on are left to it. What a run directory
@@ -117,33 +120,31 @@ def mirror_missing(directories: Iterable[RunDirectory], uri: str) -> Iterator[tu
     Yields:
         Each run that the store lacked, and what kept it from being sent now, or None.
     """
-    uri = absolute(uri)
-    tracked = [one for one in directories if (own := one.tracking_uri) and is_same_store(own, uri)]
+    tracked = [run for run in directories if (uri := run.tracking_uri) and is_same_store(uri, store.uri)]
     idle = [directory for directory in tracked if not directory.under_way]
     if not idle:
         return
     try:
-        store = Store(uri, idle[0].output_dir)
         ids = store.experiments()
         names = {directory.path.parents[1].name for directory in idle}
-        runs = store.runs([ids[name] for name in names if name in ids], deleted=True)
+        runs = store.runs([ids[name] for name in names if name in ids])
     except Exception as error:
         yield from ((directory, reason(error)) for directory in idle)
         return
     known = {(place.resolve(), run.data.tags.get(DIGEST)) for run in runs if (place := store.run_dir(run))}
     for directory in idle:
         if (directory.path.resolve(), _digest(directory)) not in known:
-            yield directory, try_mirror(directory, uri, store)
+            yield directory, try_mirror(directory, store)
 
 
-def mirror_problem(directories: Iterable[RunDirectory], uri: str) -> str | None:
+def mirror_problem(directories: Iterable[RunDirectory], store: Store) -> str | None:
     """Mirror what a store lacks of some runs; return a sentence if it still lacks some, with the command to run."""
-    problems = [(directory, problem) for directory, problem in mirror_missing(directories, uri) if problem]
+    problems = [(directory, problem) for directory, problem in mirror_missing(directories, store) if problem]
     if not problems:
         return None
     directory, problem = problems[0]
     lacking = f"the store has not got all of {plural(len(problems), 'run')}, e.g. {directory.path}"
-    return f"{lacking}: {problem}; {later(directory.output_dir, uri)}"
+    return f"{lacking}: {problem}; {later(directory.output_dir, store.uri)}"
 
 
 def later(output_dir: Path, uri: str | None) -> str:
@@ -154,11 +155,6 @@ def later(output_dir: Path, uri: str | None) -> str:
     if uri is not None and uri != default_uri(output_dir):
         words.append(f"tracking.uri={uri}")
     return f"`{shlex.join(words)}` sends what is missing"
-
-
-def flatten(config: Mapping[str, Any]) -> dict[str, str]:
-    """Return nested mappings as one level with dotted keys; lists stay whole."""
-    return {key: str(value) for key, value in settings_of(config).items()}
 
 
 def _status(directory: RunDirectory) -> Status:
@@ -218,15 +214,16 @@ def _find(directory: RunDirectory, store: Store, experiment_id: str, tags: Mappi
     The id in status.json is not enough: it may have been copied, or written by anybody. A run of another directory is
     taken only if that is gone, so that this one is where it was moved to.
     """
-    for run in store.runs([experiment_id], f"tags.run_key = '{tags['run_key']}'"):
+    for run in store.search([experiment_id], f"tags.run_key = '{tags['run_key']}'"):
         place = store.run_dir(run)
-        if place is None:
+        if place is None or run.info.lifecycle_stage == "deleted":
             continue
         if place.resolve() != directory.path.resolve():
             if run.info.run_id == directory.run_id and not place.is_dir():
                 return run
         elif STARTED in tags and run.data.tags.get(STARTED, tags[STARTED]) != tags[STARTED]:
-            store.delete_run(run)
+            with store.writing() as client:
+                client.delete_run(run.info.run_id)  # it can be restored in MLflow's UI
         else:
             return run
     return None

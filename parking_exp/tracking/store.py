@@ -1,7 +1,8 @@
 """Read and write an MLflow store through its public client; many processes may write at a time."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from functools import cached_property
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
@@ -15,36 +16,47 @@ from parking_exp.tracking.relocation import OUTPUT_DIR_TAG
 from parking_exp.tracking.tags import experiment_tags
 
 if TYPE_CHECKING:
+    from mlflow import MlflowClient
     from mlflow.entities import Metric, Run
 
 METRICS_A_BATCH, PARAMS_A_BATCH = 1000, 100  # MLflow's own limits
 RUNS_A_PAGE = 10_000  # one request for most stores; MLflow's limit is 50,000
-DOWNLOADS_AT_ONCE = 16
 
 
 class Store:
-    """A connection to a store. Only what writes takes its lock.
+    """An MLflow store. It is connected to when it is asked first, with what `client.connect` raises.
 
     Args:
         uri: the store.
         output_dir: an output directory whose own store this may be. Such a store may come from elsewhere with the
             directory, so it reads and writes artifacts below it only. None: artifacts may lie anywhere.
-
-    Raises:
-        StoreError: the store's file is a link that leads out of the output directory.
-        Exception: what `client.connect` raises.
     """
 
     def __init__(self, uri: str, output_dir: Path | None) -> None:
         self.uri = absolute(uri)
         self._database = path = database(self.uri)
         self._own_directory = output_dir if path and output_dir and path.is_relative_to(output_dir) else None
-        if path and self._own_directory and not lies_inside(path, self._own_directory):
-            raise StoreError(
-                f"{path} is a symbolic link that leads out of {self._own_directory}; name the store with tracking.uri="
-            )
-        self.client = connect(self.uri)
-        self._lock = write_lock(self.uri)
+        self._runs: dict[str, list[Run]] = {}  # by experiment id, as of the last search
+
+    @cached_property
+    def client(self) -> "MlflowClient":
+        """MLflow's client of the store, to read; see `writing`.
+
+        Raises:
+            StoreError: the store's file is a link that leads out of the output directory.
+        """
+        path, own = self._database, self._own_directory
+        if path and own and not lies_inside(path, own):
+            raise StoreError(f"{path} is a symbolic link that leads out of {own}; name the store with tracking.uri=")
+        return connect(self.uri)
+
+    @contextmanager
+    def writing(self) -> "Iterator[MlflowClient]":
+        """Yield MLflow's client, with the lock that all writers share."""
+        client = self.client
+        self._runs.clear()
+        with write_lock(self.uri):
+            yield client
 
     def experiments(self) -> dict[str, str]:
         """Return the ids of all experiments that are not deleted, by name."""
@@ -55,23 +67,25 @@ class Store:
             if not (token := page.token):
                 return found
 
-    def runs(self, experiment_ids: Sequence[str], condition: str = "", *, deleted: bool = False) -> "list[Run]":
-        """Return all runs of some experiments that fulfil a condition, the first started first.
+    def runs(self, experiment_ids: Sequence[str]) -> "list[Run]":
+        """Return all runs of some experiments, deleted ones too. They are searched again after this has written."""
+        if unknown := [each for each in experiment_ids if each not in self._runs]:
+            found = self.search(unknown)
+            self._runs |= {each: [run for run in found if run.info.experiment_id == each] for each in unknown}
+        return [run for each in experiment_ids for run in self._runs[each]]
 
-        Args:
-            experiment_ids: of the experiments; without any there are no runs.
-            condition: in MLflow's language of filters.
-            deleted: whether runs that a user has deleted are among them.
-        """
+    def search(self, experiment_ids: Sequence[str], condition: str = "") -> "list[Run]":
+        """Return the runs of some experiments that fulfil a condition in MLflow's language of filters."""
         from mlflow.entities import ViewType
 
-        view, found, token = ViewType.ALL if deleted else ViewType.ACTIVE_ONLY, list["Run"](), None
-        while experiment_ids:
-            page = self.client.search_runs(list(experiment_ids), condition, view, RUNS_A_PAGE, page_token=token)
+        found, token = list["Run"](), None
+        while True:
+            page = self.client.search_runs(
+                experiment_ids, condition, ViewType.ALL, RUNS_A_PAGE, ["attributes.start_time"], token
+            )
             found += page
             if not (token := page.token):
-                break
-        return sorted(found, key=lambda run: run.info.start_time or 0)
+                return found
 
     def run_dir(self, run: "Run") -> Path | None:
         """Return the run directory that a run's tag means: a relative one lies beside an embedded store."""
@@ -90,27 +104,17 @@ class Store:
             location = (config.output_path / ARTIFACTS / name).as_uri()
         if self._own_directory:
             tags[OUTPUT_DIR_TAG] = str(self._own_directory)
-        with self._lock:
-            experiment = self.client.get_experiment_by_name(name)
+        with self.writing() as client:
+            experiment = client.get_experiment_by_name(name)
             if experiment is None:
                 try:
-                    return self.client.create_experiment(name, location, tags)
+                    return client.create_experiment(name, location, tags)
                 except MlflowException:  # without a lock of ours another process may have been first
-                    experiment = self.client.get_experiment_by_name(name)
+                    experiment = client.get_experiment_by_name(name)
                     if experiment is None:
                         raise
-        self._refuse_elsewhere(experiment.artifact_location, "")
+        self.artifact_path(experiment.artifact_location, "")
         return experiment.experiment_id
-
-    def create_run(self, experiment_id: str, name: str, start_ms: int | None, tags: Mapping[str, str]) -> "Run":
-        """Create a run."""
-        with self._lock:
-            return self.client.create_run(experiment_id, start_time=start_ms, tags=dict(tags), run_name=name)
-
-    def delete_run(self, run: "Run") -> None:
-        """Delete a run, as MLflow's UI does: it can be restored there."""
-        with self._lock:
-            self.client.delete_run(run.info.run_id)
 
     def log(
         self, run: "Run", params: Mapping[str, str], tags: Mapping[str, str], metrics: Sequence["Metric"] = ()
@@ -124,19 +128,11 @@ class Store:
         missing = [Param(key, value) for key, value in params.items() if key not in run.data.params]
         changed = [RunTag(key, value) for key, value in tags.items() if run.data.tags.get(key) != value]
         batches: list[dict[str, Any]] = [{"tags": changed}] if changed else []
-        batches += [{"params": batch} for batch in _batches(missing, PARAMS_A_BATCH)]
-        batches += [{"metrics": batch} for batch in _batches(metrics, METRICS_A_BATCH)]
+        for kind, values, size in (("params", missing, PARAMS_A_BATCH), ("metrics", metrics, METRICS_A_BATCH)):
+            batches += [{kind: values[start : start + size]} for start in range(0, len(values), size)]
         for batch in batches:
-            with self._lock:
-                self.client.log_batch(run.info.run_id, **batch)
-
-    def set_status(self, run: "Run", status: str, end_ms: int | None) -> None:
-        """Set MLflow's own status of a run; `end_ms` is for one that does not go on."""
-        with self._lock:
-            if end_ms is None:
-                self.client.update_run(run.info.run_id, status)
-            else:
-                self.client.set_terminated(run.info.run_id, status, end_ms)
+            with self.writing() as client:
+                client.log_batch(run.info.run_id, **batch)
 
     def put_artifact(self, run: "Run", name: str, content: bytes) -> None:
         """Store an artifact of a run, in place of an earlier one of that name.
@@ -177,41 +173,13 @@ class Store:
                     raise
                 return None
 
-    def artifacts(self, places: Sequence[tuple[str, str]], name: str) -> Iterator[bytes | Exception | None]:
-        """Yield what `artifact` returns or raises for each (run id, folder URI), several at a time."""
-
-        def fetch(place: tuple[str, str]) -> bytes | Exception | None:
-            try:
-                return self.artifact(*place, name)
-            except Exception as error:
-                return error
-
-        with ThreadPoolExecutor(DOWNLOADS_AT_ONCE) as pool:
-            yield from pool.map(fetch, places)
-
     def artifact_path(self, folder_uri: str, name: str) -> Path | None:
         """Return the path of an artifact, None where artifacts are not files of this machine.
 
         Raises:
             StoreError: it is outside of the output directory that the store is part of.
         """
-        self._refuse_elsewhere(folder_uri, name)
         folder = local_folder(folder_uri)
-        return folder / name if folder else None
-
-    def _refuse_elsewhere(self, folder_uri: str | None, name: str) -> None:
-        """Refuse an artifact of an output directory's own store that lies elsewhere.
-
-        Raises:
-            StoreError: it does.
-        """
-        if (own := self._own_directory) is None:
-            return
-        folder = local_folder(folder_uri) if folder_uri else None
-        if folder is None or not lies_inside(folder / name, own):
+        if (own := self._own_directory) and not (folder and lies_inside(folder / name, own)):
             raise StoreError(f"this store keeps artifacts outside of {own}, in {folder_uri}; use another experiment")
-
-
-def _batches(values: Sequence[Any], size: int) -> Iterator[Sequence[Any]]:
-    for start in range(0, len(values), size):
-        yield values[start : start + size]
+        return folder / name if folder else None

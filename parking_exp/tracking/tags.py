@@ -1,7 +1,6 @@
 """MLflow tags that describe experiments and runs in its UI: kind, description, command, headline result."""
 
 import json
-from typing import Any
 
 from parking_exp.config.schema import RunConfig
 from parking_exp.runs.directory import RunDirectory
@@ -25,19 +24,14 @@ def experiment_tags(name: str) -> dict[str, str]:
 
 def run_note(directory: RunDirectory, config: RunConfig) -> str:
     """Return the description of a run: what it is, how it went, the command that was typed."""
-    status = directory.read_status()
-    what = f"{config.algorithm.name}, {config.buffer.name} on {config.env.name}, seed {config.seed}"
-    lines = [f"{what}: {_headline(status, directory, config)}."]
+    status, result = directory.read_status(), directory.result()
+    how = str(status.get("status", "pending"))
+    if result is not None:
+        rates = {name: result.metrics.get(f"final/{name}_rate") for name in ("success", "crash", "parked")}
+        words = ", ".join(f"{name} {rate:.1%}" for name, rate in rates.items() if rate is not None)
+        scenes = f"{config.evaluation.final_n_scenes} scenes, {config.n_certified_scenes} of them certified"
+        how = f"{words} on {scenes} on highway-env, after {result.steps:,} env steps"
+    lines = [f"{config.algorithm.name}, {config.buffer.name} on {config.env.name}, seed {config.seed}: {how}."]
     if command := status.get("command"):
         lines.append(f"Typed: `{command}`")
     return "\n\n".join(lines)
-
-
-def _headline(status: dict[str, Any], directory: RunDirectory, config: RunConfig) -> str:
-    result = directory.result()
-    if result is None:
-        return str(status.get("status", "pending"))
-    rates = {name: result.metrics.get(f"final/{name}_rate") for name in ("success", "crash", "parked")}
-    words = ", ".join(f"{name} {rate:.1%}" for name, rate in rates.items() if rate is not None)
-    scenes = f"{config.evaluation.final_n_scenes} scenes, {config.n_certified_scenes} of them certified on highway-env,"
-    return f"{words} on {scenes} after {result.steps:,} env steps"

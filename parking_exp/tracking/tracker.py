@@ -9,39 +9,31 @@ from parking_exp.runs.atomic_files import write_json
 from parking_exp.runs.directory import RunDirectory
 from parking_exp.runs.run_provenance import PROVENANCE_FILE, provenance, read_provenance
 from parking_exp.tracking.mirror import later, try_mirror
+from parking_exp.tracking.store import Store
 
 # Between attempts at a store that fails: so that no more than a twentieth of a training's time goes there.
 SHORTEST_PAUSE_S, PAUSE_TO_ATTEMPT = 30.0, 20.0
 
 
 class Tracker:
-    """Null tracker, of a run without a store; base of `MlflowTracker`."""
+    """Mirrors a run to its store, if it has one. After a failure the store is not tried again for a while."""
 
-    def sync(self) -> None:
-        """Send what has become final; to be called after each checkpoint."""
-
-    def close(self) -> None:
-        """Send everything; to be called when the run's last status is written."""
-
-
-class MlflowTracker(Tracker):
-    """Mirrors a run to MLflow. After a failure the store is not tried again for a while, with one message."""
-
-    def __init__(self, uri: str, directory: RunDirectory, say: Callable[[str], None]) -> None:
-        self.uri, self.directory, self.say = uri, directory, say
+    def __init__(self, directory: RunDirectory, uri: str | None = None, say: Callable[[str], None] = print) -> None:
+        self.directory, self.uri, self.say = directory, uri, say
         self.problem: str | None = None
         self._next_attempt = 0.0
-        self.close()
 
     def sync(self) -> None:
-        """Send what has become final, unless the store has just failed."""
+        """Send what has become final, unless the store has just failed; to be called after each checkpoint."""
         if time.monotonic() >= self._next_attempt:
             self.close()
 
     def close(self) -> None:
-        """Send everything, also where the store has just failed."""
+        """Send everything; to be called when the run's last status is written."""
+        if self.uri is None:
+            return
         start, before = time.monotonic(), self.problem
-        self.problem = try_mirror(self.directory, self.uri)
+        self.problem = try_mirror(self.directory, Store(self.uri, self.directory.output_dir))
         now = time.monotonic()
         self._next_attempt = now + max(SHORTEST_PAUSE_S, PAUSE_TO_ATTEMPT * (now - start)) if self.problem else 0.0
         if before and self.problem is None:
@@ -55,11 +47,13 @@ def open_tracker(config: RunConfig, directory: RunDirectory, say: Callable[[str]
     """Return the run's tracker; `say` prints a sentence for the user."""
     if not config.tracking.mlflow:
         directory.update(tracking_uri=None)
-        return Tracker()
+        return Tracker(directory)
     # Of the process that trains, not of one that mirrors later.
     path = directory.path / PROVENANCE_FILE
     started_ms = read_provenance(path)[0] or time.time_ns() // 1_000_000
     write_json(path, {"started_ms": started_ms, "tags": provenance()})
     uri = store_uri(config)
     directory.update(tracking_uri=uri)
-    return MlflowTracker(uri, directory, say)
+    tracker = Tracker(directory, uri, say)
+    tracker.close()
+    return tracker

@@ -24,13 +24,13 @@ from parking_exp.algorithms.model_files import load_weights
 from parking_exp.algorithms.policy_ema import PolicyEMA
 from parking_exp.buffers import HerBuffer
 from parking_exp.runs.atomic_files import fsync, read_json, read_object, sha256, write_json
+from parking_exp.runs.directory import BUFFER, MANIFEST, MODEL
 from parking_exp.runs.metric_logs import copy_logs
 from parking_exp.training import rollout_state, serialization
 
 log = logging.getLogger(__name__)
 
-MODEL, AVERAGED, BEST = "model.zip", "averaged.zip", "best.zip"
-BUFFER, MANIFEST = "replay_buffer.npz", "manifest.json"
+AVERAGED, BEST = "averaged.zip", "best.zip"
 STATE, ARRAYS = "state.json", "state.npz"
 COUNTERS = ("num_timesteps", "_n_updates", "_episode_num", "_current_progress_remaining")
 LAST = ("_last_obs", "_last_episode_starts")

@@ -68,7 +68,7 @@ def _train(config: RunConfig, directory: RunDirectory, stop: StopRequest) -> Run
     if command := typed_command():  # a supervised run has the sweep's
         process["command"] = command
     directory.update(status="running", error=None, killed=None, total_timesteps=config.total_timesteps, **process)
-    tracker = Tracker()
+    tracker = Tracker(directory)
     try:
         checkpoint = checkpoints.latest(directory.checkpoints)
         restore_logs(directory.path, checkpoint)

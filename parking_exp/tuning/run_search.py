@@ -15,6 +15,7 @@ from parking_exp.sweeps.hydra_launcher import Launch
 from parking_exp.sweeps.monitor import Monitor
 from parking_exp.terminal import console
 from parking_exp.tracking.mirror import mirror_problem
+from parking_exp.tracking.store import Store
 from parking_exp.tuning.retest import retest, write_winner
 from parking_exp.tuning.search import Search, study_in
 from parking_exp.tuning.trials import TrialRow, counts, progress_lines, rows, trial_table
@@ -112,6 +113,7 @@ def _train(search: Search, study: "Study", launch: Launch, n_workers: int) -> li
         finally:
             # What was not sent, because a run was pruned or killed, or its store was down.
             directories = [RunDirectory(path) for path in runs()]
-            if base.tracking.mlflow and (unsent := mirror_problem(directories, store_uri(base))):
+            store = Store(store_uri(base), base.output_path)
+            if base.tracking.mlflow and (unsent := mirror_problem(directories, store)):
                 monitor.say(unsent)
     return trials

@@ -4,6 +4,7 @@ from itertools import product
 
 import pandas as pd
 import pytest
+from support.runs import stored_params
 
 from parking_exp.config.cell_labels import cell_labels, differing, find_factors
 from parking_exp.config.compose import composed_runs
@@ -11,7 +12,6 @@ from parking_exp.reports.cell_selection import group
 from parking_exp.reports.factor_effects import design
 from parking_exp.results.dtypes import column, typed
 from parking_exp.sweeps.plan import plan
-from parking_exp.tracking.mirror import flatten
 
 
 def cell(env="parking", algorithm="sac", buffer="her_future", **others):
@@ -141,7 +141,7 @@ def test_labels_that_are_the_same_get_the_key_of_their_cell():
 )
 def test_plans_and_reports_label_the_same_cells_alike(overrides, expected, tmp_path):
     runs = plan(composed_runs("config", [*overrides, f"output_dir={tmp_path}"]))
-    params = [flatten(run.config.plain()) for run in runs]
+    params = [stored_params(run.config) for run in runs]
     found = group(
         pd.DataFrame(
             {

@@ -90,10 +90,9 @@ def test_final_episodes_come_back_with_their_outcomes_alone(stored, written):
     assert episodes[["parked", "steps", "return"]].isna().all(axis=None)
 
 
-@pytest.mark.parametrize("steps", [[0, 1, 2], [0, 5, 10, 12], [40]])
-def test_trajectories_come_back_in_centimetres_without_speeds(stored, tmp_path, steps):
-    run_id = stored.runs["run_id"][0]
-    x = np.array([0, 1.001, 0.5, 0.534])[: len(steps)]
+def test_trajectories_come_back_in_centimetres_without_speeds(stored, tmp_path):
+    run_id, steps = stored.runs["run_id"][0], [0, 5, 10, 12]
+    x = np.array([0, 1.001, 0.5, 0.534])
     trajectory = pd.DataFrame({"scene": 3, "step": steps, "x_m": x, "y_m": -x, "heading_rad": x / 10, "speed_mps": 1.0})
     folder = write_export(stored, tmp_path / "one", {run_id: trajectory})
     found = read_export(folder).trajectories(run_id)
@@ -172,11 +171,6 @@ def test_an_export_does_not_write_through_links(stored, written, tmp_path):
     assert len(read_export(written).runs) == 4
 
 
-def test_for_a_folder_that_is_not_there_the_closest_is_suggested(written):
-    with pytest.raises(ResultsError, match=r"hers is not a whole export.*did you mean 'her'\?"):
-        read_export(written.with_name("hers"))
-
-
 @pytest.mark.parametrize("name", FILES)
 def test_a_file_that_is_missing_is_named(written, name):
     (written / name).unlink()
@@ -190,10 +184,15 @@ def test_a_file_that_is_missing_is_named(written, name):
         ("report.json", '"ignored"', '"ignore"'), ("report.json", "{", "["), ("runs.csv.gz", "run_id,", "run,"),
         ("runs.csv.gz", ",200,", ",200.5,"), ("runs.csv.gz", "2023-11-14 ", "2023-99-14 "),
         ("curves.csv.gz", ",0.333333", ",a"), ("outcomes.csv.gz", "scene", "scenes"),
+        ("curves.csv.gz", None, None),
     ],
 )  # fmt: skip
 def test_a_damaged_export_is_a_sentence_that_names_it(written, name, old, new):
-    edit(written / name, old, new)
+    path = written / name
+    if old:
+        edit(path, old, new)
+    else:
+        path.write_bytes(path.read_bytes()[:-30])
     with pytest.raises(ResultsError, match="can't be read") as error:
         read_export(written)
     assert str(written) in str(error.value)
@@ -205,11 +204,3 @@ def test_rows_of_runs_that_an_export_does_not_have_are_left_out(written):
     edit(written / "outcomes.csv.gz", "scene,", "scene,x")
     found = read_export(written)
     assert set(found.curves["run_id"]) | set(found.episodes["run_id"]) <= set(found.runs["run_id"])
-
-
-@pytest.mark.parametrize("content", [b"\xff\xfe", None])
-def test_a_table_that_was_cut_off_is_damaged(written, content):
-    path = written / "curves.csv.gz"
-    path.write_bytes(content or path.read_bytes()[:-30])
-    with pytest.raises(ResultsError, match="can't be read"):
-        read_export(written)

@@ -22,7 +22,7 @@ from parking_exp.config.paths import default_uri
 from parking_exp.errors import ResultsError
 from parking_exp.evaluation.metrics import EPISODE_COLUMNS
 from parking_exp.results import frames, load
-from parking_exp.results.dtypes import column, typed
+from parking_exp.results.dtypes import typed
 from parking_exp.results.recordings import EPISODES
 
 HER = {"four": ["buffer.n_sampled_goal=4"], "none": ["buffer=replay"]}
@@ -124,16 +124,6 @@ def test_a_parameter_is_what_its_text_says(word, value):
     assert type(typed(word)) is type(value)
 
 
-@pytest.mark.parametrize(
-    ("values", "dtype"),
-    [([1, 2], "int64"), ([1, 0.5], "float64"), ([True, False], "bool"), (["a", "b"], "str"), (["auto", 0.1], "object"),
-     ([1, None], "object"), ([True, 1], "object")],
-)  # fmt: skip
-def test_a_column_has_the_type_of_its_values_which_stay_as_they_are(values, dtype):
-    assert str(column(values).dtype) == dtype
-    assert column(values).tolist() == values
-
-
 def test_damaged_and_odd_artifacts_spoil_nothing_else(output_dir):
     header = "phase,step,scene,outcome,parked,steps,return,distance_m,heading_error_rad,speed_mps\n"
     line = "certified,400,0,success,True,9,-1.5,0.1,0.01,0.2\n"
@@ -215,17 +205,15 @@ def test_names_come_as_they_are(ablation, output_dir):
 
 
 def test_runs_of_others_and_deleted_ones_are_left_out(output_dir):
-    made = make_store(output_dir, "e", {"": []}, range(3))
+    made = make_store(output_dir, "e", {"": []}, range(2))
     client = store(output_dir)
     experiment_id = client.get_experiment_by_name("e").experiment_id
     client.create_run(experiment_id, run_name="by hand")
-    odd = client.create_run(
-        experiment_id, tags={"cell": "c", "seed": "one", "run_key": "k", "run_dir": "d", "status": "done"}
-    )
-    client.log_metric(odd.info.run_id, "eval/success_rate", 1.0)
+    odd = {"cell": "c", "seed": "one", "run_key": "k", "run_dir": "d", "status": "done"}
+    client.create_run(experiment_id, tags=odd)
     client.delete_run(made["", 1].run_id)
     found = load("e", output_dir=output_dir)
-    assert list(found.runs["run_id"]) == [made["", 0].run_id, made["", 2].run_id]
+    assert list(found.runs["run_id"]) == [made["", 0].run_id]
     assert set(found.curves["run_id"]) == set(found.runs["run_id"]) == set(found.episodes["run_id"])
     assert found.ignored == 2
 
@@ -305,13 +293,8 @@ def test_an_unknown_experiment_is_said_with_what_there_is(ablation):
 
 def test_an_experiment_without_runs_is_said(output_dir):
     client = store(output_dir)
-    experiment_id = client.create_experiment("void")
-    with pytest.raises(ResultsError, match=r"^experiment=void: it has no runs of parking_exp$"):
-        load("void", output_dir=output_dir)
-    with pytest.raises(ResultsError, match=rf"^{default_uri(output_dir)}: it has no runs of parking_exp$"):
-        load(output_dir=output_dir)
-    client.create_run(experiment_id)
-    with pytest.raises(ResultsError, match=r"^experiment=void: it has no runs of parking_exp, but 1 by others$"):
+    client.create_run(client.create_experiment("void"))
+    with pytest.raises(ResultsError, match=r"^experiment=void: .*, but 1 by others$"):
         load("void", output_dir=output_dir)
 
 

@@ -16,6 +16,7 @@ from pathlib import Path
 
 import pytest
 
+from parking_exp.config.cell_labels import settings_of
 from parking_exp.config.compose import composed
 from parking_exp.config.validate import validate
 from parking_exp.runs.directory import RunDirectory
@@ -92,6 +93,11 @@ def artifacts(client, run_id, folder=None):
     for item in client.list_artifacts(run_id, folder):
         found += artifacts(client, run_id, item.path) if item.is_dir else [item.path]
     return sorted(found)
+
+
+def stored_params(config):
+    """A run's config as the parameters that MLflow has of it."""
+    return {key: str(value) for key, value in settings_of(config.plain()).items()}
 
 
 def history(client, run_id, key):

@@ -46,23 +46,15 @@ class Look:
     Attributes:
         success, crash, parked: shares of the episodes of its final evaluation; the others are timeouts. They become
             whole numbers of episodes.
-        curve: success rate of each evaluation, evenly spaced up to `total_timesteps`; None: a rise to `success` in
-            every_n_steps.
+        curve: success rate of each evaluation, evenly spaced; None: a rise to `success` in every_n_steps.
         steps: mean length of an episode.
-        cpu_s: of the whole run.
-        status: done, running, failed or interrupted. All but done stop after `progress` of the evaluations.
         progress: share of the evaluations that a run that is not done has behind it.
-        error: of a failed one.
-        missing: artifacts that the store has lost, e.g. `episodes.csv`.
-        contents: other contents of artifacts, e.g. {"episodes.csv": b"no table"}.
+        missing, contents: artifacts that the store has lost, and others whose content is another.
         nan: metrics that are NaN wherever they are logged.
-        real_share: of the transitions that the buffer sampled.
         tags: that the store has otherwise than a training writes them, e.g. {"cpu": "<script>"}; None: not at all.
-            `mlflow.runName` is the run's name.
         params: that the store has besides.
         trajectories: of how many episodes.
         rows: of training metrics between two evaluations.
-        started_ms: when it began.
     """
 
     success: float = 0.8
@@ -103,9 +95,6 @@ def make_store(
         seeds: of each cell.
         look: of a run, from its cell's label and seed.
         uri: of the store; None: `mlflow.db` in the output directory.
-
-    Returns:
-        The run directories by (label, seed).
     """
     runs, looks, configs = {}, {}, {}
     for label, cell in cells.items():
@@ -222,13 +211,9 @@ def _prefixed(phase: str, summary: Mapping[str, float]) -> dict[str, float]:
     return {f"{phase}/{name}": value for name, value in summary.items()}
 
 
+@cache
 def _provenance() -> dict[str, str]:
-    if not _known:
-        _known.update(provenance())  # it asks git
-    return _known
-
-
-_known: dict[str, str] = {}
+    return provenance()  # it asks git
 
 
 def _write(directory: RunDirectory, config: RunConfig, look: Look, label: str, uri: str) -> None:

@@ -10,13 +10,11 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
-from parking_exp.config.paths import default_uri
 from parking_exp.runs.atomic_files import sha256, write_json
 from parking_exp.runs.directory import RunDirectory
-from parking_exp.runs.lookup import find_runs
 from parking_exp.runs.metric_logs import MetricsLog, copy_logs
 from parking_exp.tracking.client import ENVIRONMENT
-from parking_exp.tracking.mirror import mirror, mirror_missing
+from parking_exp.tracking.mirror import mirror
 from parking_exp.tracking.store import Store
 
 KEYS = ("eval/success_rate", "rollout/ep_rew_mean", "train/loss")
@@ -99,9 +97,9 @@ def killed_sync(directory, moment):
 if __name__ == "__main__":
     command, *paths = sys.argv[1:]
     directories = [RunDirectory(Path(path)) for path in paths]
-    if command != "scan":  # once, before it is forked
-        os.environ.update(ENVIRONMENT)
-        import mlflow.store.tracking.sqlalchemy_store  # noqa: F401
+    os.environ.update(ENVIRONMENT)
+    import mlflow.store.tracking.sqlalchemy_store  # noqa: F401 - once, before it is forked
+
     if command == "at-once":
         gate, opened = os.pipe()
 
@@ -119,6 +117,3 @@ if __name__ == "__main__":
         moments = [1 + number * total // len(directories) for number in range(len(directories))]
         endings = [statuses([forked(killed_sync, *pair)])[0] for pair in zip(directories, moments, strict=True)]
         print(endings)
-    if command == "scan":
-        found = [RunDirectory(path) for path in find_runs(Path(paths[0]))]
-        print(len(list(mirror_missing(found, default_uri(Path(paths[0]))))))

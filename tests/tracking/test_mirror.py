@@ -8,38 +8,42 @@ import subprocess
 import sys
 import time
 from contextlib import closing
-from functools import cache
 
 import pytest
 from support.mlflow_servers import closed_port, mlflow_server, needs_server
-from support.runs import ROOT, artifacts, assert_store_is_whole, history, make_config, only_run, run_script, store
+from support.runs import (
+    ROOT,
+    artifacts,
+    assert_store_is_whole,
+    history,
+    make_config,
+    only_run,
+    run_script,
+    store,
+    stored_params,
+)
 from support.sync_processes import KEYS, grow, sync
+from support.tracked_runs import finish, finished_run, written_run
 
 from parking_exp.config.paths import default_uri
 from parking_exp.runs.atomic_files import write_json
-from parking_exp.runs.directory import RunDirectory, RunResult
+from parking_exp.runs.directory import RunDirectory
 from parking_exp.runs.lookup import find_runs
 from parking_exp.runs.metric_logs import restore_logs
 from parking_exp.runs.run_provenance import provenance
-from parking_exp.tracking import mirror as mirroring
 from parking_exp.tracking.client import connect, reason
-from parking_exp.tracking.mirror import flatten, later, mirror_missing, mirror_problem, try_mirror
+from parking_exp.tracking.mirror import later, mirror_missing, mirror_problem, try_mirror
+from parking_exp.tracking.store import Store
 from parking_exp.tracking.tracker import open_tracker
-from parking_exp.training import checkpoints
 from parking_exp.training.train_run import train
 
 QUICK = ("experiment=smoke", "evaluation.video_episodes=0", "tracking.tensorboard=false")
 
 
-@cache
-def smoke_config():
-    return make_config("experiment=smoke")
-
-
 def mirror_all(output_dir, uri=None):
     """Mirror what a store lacks of an output directory; what was in the way of each run."""
     directories = [RunDirectory(path) for path in find_runs(output_dir)]
-    return [problem for _, problem in mirror_missing(directories, uri or default_uri(output_dir))]
+    return [problem for _, problem in mirror_missing(directories, Store(uri or default_uri(output_dir), output_dir))]
 
 
 @pytest.fixture
@@ -47,30 +51,6 @@ def fresh_dir(output_dir):
     """An output directory without a store."""
     (output_dir / "mlflow.db").unlink()
     return output_dir
-
-
-def written_run(output_dir, seed=0, uri=None, started_ms=1_700_000_000_000):
-    """A run directory as at the start of a training, without one."""
-    smoke = smoke_config()
-    tracking = smoke.tracking.model_copy(update={"uri": uri})
-    config = smoke.model_copy(update={"output_dir": str(output_dir), "seed": seed, "tracking": tracking})
-    directory = RunDirectory(config.run_dir)
-    directory.create(config)
-    write_json(directory.path / "provenance.json", {"started_ms": started_ms, "tags": provenance()})
-    directory.update(status="running", tracking_uri=uri or default_uri(output_dir))
-    return directory
-
-
-def finish(directory):
-    (directory.path / "episodes.csv").write_text("phase,step\n")
-    directory.finish(RunResult(str(directory.path), directory.run_id, 1, {}))
-
-
-def finished_run(output_dir, seed=0, **changes):
-    directory = written_run(output_dir, seed, **changes)
-    grow(directory, rows=20)
-    finish(directory)
-    return directory
 
 
 def local_points(directory, up_to=None):
@@ -144,7 +124,7 @@ def test_a_mirror_that_is_killed_anywhere_is_completed_by_the_next_one(output_di
     for directory in directories:
         run = client.get_run(directory.run_id)
         assert stored_points(output_dir, directory.run_id) == local_points(directory)
-        assert run.data.params == flatten(directory.config().plain())
+        assert run.data.params == stored_params(directory.config())
         assert run.data.tags["status"] == "done"
         assert artifacts(client, directory.run_id) == artifacts(client, first.run_id)
 
@@ -159,14 +139,12 @@ def test_mirroring_again_changes_nothing(output_dir):
     assert directory.read_status() == status
 
 
-@pytest.mark.parametrize("kept", [[], [2]])
-def test_a_store_that_was_lost_is_filled_again_also_after_another_run_was_sent_there(output_dir, empty, kept):
+def test_a_store_that_was_lost_is_filled_again_also_after_another_run_was_sent_there(output_dir, empty):
     directories = [finished_run(output_dir, seed) for seed in range(4)]
     assert mirror_all(output_dir) == [None] * 4
     shutil.copy(empty / "mlflow.db", output_dir)  # another one in its place
-    for seed in kept:
-        sync(directories[seed])
-    assert mirror_all(output_dir) == [None] * (4 - len(kept))
+    sync(directories[2])
+    assert mirror_all(output_dir) == [None] * 3
     assert mirror_all(output_dir) == []
     assert rows(output_dir, "SELECT status, count(*) FROM runs GROUP BY status") == [("FINISHED", 4)]
     for directory in directories:
@@ -240,18 +218,8 @@ def test_a_run_that_broke_has_its_traceback_and_error_in_the_store_until_it_is_r
     assert "traceback.txt" not in artifacts(client, directory.run_id)
 
 
-def test_a_run_that_fails_again_for_another_reason_is_sent_again(output_dir):
-    directory = written_run(output_dir)
-    directory.update(status="failed", error="ValueError: the first")
-    assert mirror_all(output_dir) == [None]
-    directory.update(status="failed", error="killed by SIGKILL", killed=True)
-    assert mirror_all(output_dir) == [None]
-    assert stored_run(directory).data.tags["error"] == "killed by SIGKILL"
-    assert mirror_all(output_dir) == []
-
-
 def test_a_planned_run_is_in_the_store_and_is_the_same_one_when_it_has_begun(output_dir):
-    config = smoke_config().model_copy(update={"output_dir": str(output_dir)})
+    config = make_config("experiment=smoke").model_copy(update={"output_dir": str(output_dir)})
     directory = RunDirectory(config.run_dir)
     directory.freeze(config, "sac", None)
     assert mirror_all(output_dir) == [None]
@@ -263,21 +231,18 @@ def test_a_planned_run_is_in_the_store_and_is_the_same_one_when_it_has_begun(out
     assert (directory.run_id, stored_run(directory).data.tags["status"]) == (run_id, "running")
 
 
-@pytest.mark.parametrize("lost", [["metrics.jsonl"], ["metrics.jsonl", "checkpoints", "models", "episodes.csv"]])
-def test_a_finished_run_whose_files_were_deleted_keeps_those_of_the_store(output_dir, lost):
+def test_a_finished_run_whose_files_were_deleted_keeps_those_of_the_store(output_dir):
     directory = finished_run(output_dir)
     sync(directory)
-    points, names, run_id = (
-        stored_points(output_dir, directory.run_id),
-        artifacts(store(output_dir), directory.run_id),
-        directory.run_id,
-    )
-    for path in (directory.path / name for name in lost):
-        shutil.rmtree(path, ignore_errors=True) if path.is_dir() else path.unlink(missing_ok=True)
+    run_id, client = directory.run_id, store(output_dir)
+    points, names = stored_points(output_dir, run_id), artifacts(client, run_id)
+    shutil.rmtree(directory.checkpoints)
+    for name in ("metrics.jsonl", "episodes.csv"):
+        (directory.path / name).unlink()
     assert mirror_all(output_dir) == [None]
     assert directory.run_id == run_id
     assert stored_points(output_dir, run_id) == points
-    assert artifacts(store(output_dir), run_id) == names
+    assert artifacts(client, run_id) == names
 
 
 def test_a_run_that_is_trained_afresh_in_the_same_place_takes_the_place_of_the_old_one(output_dir):
@@ -357,36 +322,19 @@ def test_a_store_that_has_just_failed_is_left_alone_until_the_end(fresh_dir):
     assert messages[1:] == ["the store has everything now"]
 
 
-def test_any_error_while_mirroring_is_noted_and_stops_nothing(output_dir, monkeypatch):
-    directory = written_run(output_dir)
-    monkeypatch.setattr(mirroring, "flatten", {}.__getitem__)
-    assert "unhashable" in try_mirror(directory, default_uri(output_dir))
-    assert "unhashable" in directory.unsynced
-
-
 def test_a_server_that_is_down_is_asked_once_for_all_runs(fresh_dir):
     with closed_port() as port:
         uri = f"http://127.0.0.1:{port}"
         directories = [written_run(fresh_dir, seed, uri) for seed in range(3)]
         assert mirror_all(fresh_dir, uri) == ["Connection refused"] * 3
-        assert "3 runs" in mirror_problem(directories, uri)
+        assert "3 runs" in mirror_problem(directories, Store(uri, fresh_dir))
     assert [directory.unsynced for directory in directories] == [None] * 3
-
-
-def test_a_store_that_is_no_database_is_refused_at_once(fresh_dir):
-    (fresh_dir / "mlflow.db").write_text("this is not a database, and it is long enough to be looked at " * 20)
-    assert try_mirror(written_run(fresh_dir), default_uri(fresh_dir)) == "file is not a database"
 
 
 def test_reasons_have_no_password_and_are_short():
     error = ValueError("no server at postgresql://me:secret@db.example:5432/mlflow")
     assert reason(error) == "no server at postgresql://me@db.example:5432/mlflow"
     assert len(reason(ValueError("x" * 1000))) < 210
-
-
-def test_names_in_a_checkpoint_are_those_that_training_writes():
-    for name in ("MODEL", "BUFFER", "MANIFEST"):
-        assert getattr(mirroring, name) == getattr(checkpoints, name)
 
 
 @pytest.mark.slow
@@ -442,16 +390,6 @@ def test_a_run_whose_store_is_down_is_done_and_the_store_gets_all_of_it_later(sm
     assert {"evaluations/two/episodes.csv", "evaluations/two/summary.json"} <= stored
 
 
-@pytest.mark.slow
-def test_a_run_is_trained_without_its_server(tmp_path):
-    with closed_port() as port:
-        uri = f"http://127.0.0.1:{port}"
-        train(make_config(*QUICK, f"output_dir={tmp_path}", "total_timesteps=60", f"tracking.uri={uri}"))
-        directory = only_run(tmp_path)
-        assert (directory.status, directory.unsynced) == ("done", "Connection refused")
-        assert not (tmp_path / "mlflow.db").exists()
-
-
 @needs_server
 def test_a_server_that_comes_up_later_gets_everything_artifacts_too(tmp_path):
     with closed_port() as port:
@@ -459,7 +397,7 @@ def test_a_server_that_comes_up_later_gets_everything_artifacts_too(tmp_path):
         directory = written_run(tmp_path, uri=uri)
         grow(directory, rows=400)
         finish(directory)
-        assert try_mirror(directory, uri) == "Connection refused"
+        assert try_mirror(directory, Store(uri, tmp_path)) == "Connection refused"
     with mlflow_server(port, tmp_path):
         assert mirror_all(tmp_path, uri) == [None]
         grow(directory, rows=5)

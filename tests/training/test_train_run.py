@@ -19,6 +19,7 @@ from support.runs import (
     only_run,
     script,
     store,
+    stored_params,
     type_here,
     wait_for,
 )
@@ -35,7 +36,6 @@ from parking_exp.evaluation.evaluate_policy import evaluate
 from parking_exp.evaluation.metrics import EPISODE_COLUMNS, METRICS
 from parking_exp.runs.atomic_files import read_json, sha256
 from parking_exp.runs.directory import RunDirectory
-from parking_exp.tracking.mirror import flatten
 from parking_exp.training import checkpoints
 from parking_exp.training.finish import certified_scenes
 from parking_exp.training.train_run import train
@@ -88,7 +88,7 @@ def test_the_fraction_of_real_transitions_is_logged(smoke):
 def test_the_store_has_the_resolved_config_and_what_was_run(smoke):
     directory, _, output_dir = smoke
     data, config = store(output_dir).get_run(directory.run_id).data, directory.config()
-    assert data.params == flatten(config.plain())
+    assert data.params == stored_params(config)
     assert data.params["algorithm._target_"] == "parking_exp.algorithms.SAC"
     assert data.params["env.observation.scales"] == "[100.0, 100.0, 5.0, 5.0, 1.0, 1.0]"
     tags = {

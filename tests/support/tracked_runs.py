@@ -1,0 +1,39 @@
+"""Run directories as trainings with a store leave them, without a training."""
+
+from functools import cache
+
+from parking_exp.config.paths import default_uri
+from parking_exp.runs.atomic_files import write_json
+from parking_exp.runs.directory import RunDirectory, RunResult
+from parking_exp.runs.run_provenance import provenance
+from support.runs import make_config
+from support.sync_processes import grow
+
+
+@cache
+def _smoke_config():
+    return make_config("experiment=smoke")
+
+
+def written_run(output_dir, seed=0, uri=None, started_ms=1_700_000_000_000):
+    """A run directory as at the start of a training."""
+    smoke = _smoke_config()
+    tracking = smoke.tracking.model_copy(update={"uri": uri})
+    config = smoke.model_copy(update={"output_dir": str(output_dir), "seed": seed, "tracking": tracking})
+    directory = RunDirectory(config.run_dir)
+    directory.create(config)
+    write_json(directory.path / "provenance.json", {"started_ms": started_ms, "tags": provenance()})
+    directory.update(status="running", tracking_uri=uri or default_uri(output_dir))
+    return directory
+
+
+def finish(directory):
+    (directory.path / "episodes.csv").write_text("phase,step\n")
+    directory.finish(RunResult(str(directory.path), directory.run_id, 1, {}))
+
+
+def finished_run(output_dir, seed=0, **changes):
+    directory = written_run(output_dir, seed, **changes)
+    grow(directory, rows=20)
+    finish(directory)
+    return directory
