@@ -60,7 +60,7 @@ class StatusRequest(ConfigModel):
 
 
 def validate_status(config: DictConfig) -> StatusRequest:
-    """Check a composed config and return it typed.
+    """Validate a composed config.
 
     Raises:
         ConfigError: with a sentence for each thing that is wrong.

@@ -28,7 +28,7 @@ LARGEST_NUMBER = 1e15  # of any key: its square is a float, and its digits can b
 
 
 def validate(config: Config | RunConfig) -> RunConfig:
-    """Check a composed config and return it typed.
+    """Validate a composed config.
 
     Raises:
         ConfigError: with one sentence for each of the first five things that are wrong.
@@ -37,7 +37,7 @@ def validate(config: Config | RunConfig) -> RunConfig:
 
 
 def validate_all(configs: Iterable[Config]) -> list[RunConfig]:
-    """Check composed configs and return them typed: our own keys of all, then the arguments of their classes.
+    """Validate composed configs: our own keys of all, then the arguments of their classes.
 
     Raises:
         ConfigError: with one sentence for each of the first five things that are wrong with one of them.

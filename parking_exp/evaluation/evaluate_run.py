@@ -54,7 +54,7 @@ class EvaluationRequest(AgentRequest):
 
 
 def validate_request(config: DictConfig) -> EvaluationRequest:
-    """Check a composed config and return it typed.
+    """Validate a composed config.
 
     Raises:
         ConfigError: with a sentence for each mistake.

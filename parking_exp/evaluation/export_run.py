@@ -34,7 +34,7 @@ class ExportRequest(AgentRequest):
 
 
 def validate_request(config: DictConfig) -> ExportRequest:
-    """Check a composed config and return it typed.
+    """Validate a composed config.
 
     Raises:
         ConfigError: a value is not valid, or a package that the format needs is not installed.

@@ -9,7 +9,7 @@ from parking_exp.reports.report_data import Cell, Design, Factor, Interaction, P
 from parking_exp.reports.warnings import FEW_NAMES, named
 from parking_exp.statistics import Interval, MainEffect, ParameterImportance
 
-VERDICTS = {"a": "is better than", "b": "is worse than", "same": "can't be told apart from"}
+VERDICTS = {"a": "is better than", "b": "is worse than", "same": "is indistinguishable from"}
 
 
 def claims(cells: Sequence[Cell], family: Family) -> Iterator[str]:
@@ -90,7 +90,7 @@ def _effect(effect: MainEffect, largest: Interval, name: str, several: bool) -> 
         )
     elif high.level != low.level:
         yield (
-            f"{name}: levels can't be told apart{over}; the largest difference is {setting(high.level)} less "
+            f"{name}: levels are indistinguishable{over}; the largest difference is {setting(high.level)} less "
             f"{setting(low.level)}, {gap}."
         )
 
@@ -103,13 +103,13 @@ def _interaction(table: Interaction, row: str, column: str) -> Iterator[str]:
     given, p = (f" ({table.given})" if table.given else ""), p_value(table.p)
     if table.p < SIGNIFICANT:
         yield (
-            f"{row} and {column} do not just add up{given} (F test, {p}): {setting(table.rows[i])} with {column}="
-            f"{setting(table.columns[j])} is {100 * residual:+.1f} points from what both would give alone."
+            f"{row} and {column} interact{given} (F test, {p}): {setting(table.rows[i])} with {column}="
+            f"{setting(table.columns[j])} is {100 * residual:+.1f} points from the sum of both effects."
         )
     else:
         yield (
-            f"{row} and {column} add up{given}, as far as can be told (F test, {p}): no combination is more than "
-            f"{100 * size:.1f} points from it."
+            f"{row} and {column} have no significant interaction{given} (F test, {p}): no combination is more than "
+            f"{100 * size:.1f} points from the sum of both effects."
         )
 
 
@@ -125,7 +125,7 @@ def _against(reference: Cell, labels: Mapping[str, str], pairs: Sequence[Pair]) 
             yield f"{name} {words} {others}."
     unknown = {pair.b for pair in own if pair.verdict == "unknown"}
     if names := [label for cell, label in labels.items() if cell in unknown]:
-        yield f"Whether {name} differs from {named(names)} can't be told: that takes two finished seeds of each."
+        yield f"{name} cannot be compared with {named(names)}: that needs two finished seeds of each."
 
 
 def _gap(label: str, pair: Pair) -> str:

@@ -56,7 +56,7 @@ class ReportRequest(ConfigModel):
 
 
 def validate_report(config: DictConfig) -> ReportRequest:
-    """Check a composed config and return it typed.
+    """Validate a composed config.
 
     Raises:
         ConfigError: with a sentence for each thing that is wrong.

@@ -122,11 +122,13 @@ def read_store(store: Store, experiments: str | Iterable[str] | None) -> Results
         raise ResultsError(f"there is no store {path}; train something first, or name another output_dir or store")
     with _refused(f"the store {store.uri} can't be read"):
         ids = _chosen(store, experiments)
-        found = [run for run in store.runs(list(ids.values())) if run.info.lifecycle_stage == "active"]
-    kept = [run for run in found if _is_ours(run)]
+        stored = [run for run in store.runs(list(ids.values())) if run.info.lifecycle_stage == "active"]
+    kept = [run for run in stored if _is_ours(run)]
     if not kept:
         asked = store.uri if experiments is None else f"experiment={','.join(ids)}"
-        raise ResultsError(f"{asked}: it has no runs of parking_exp{f', but {len(found)} by others' if found else ''}")
+        raise ResultsError(
+            f"{asked}: it has no runs of parking_exp{f', but {len(stored)} by others' if stored else ''}"
+        )
     runs = _runs(kept, {experiment_id: name for name, experiment_id in ids.items()}, store.run_dir)
     logs, log_problems = _contents(store, runs, "metrics.jsonl")
     points, damaged = _points(logs)
@@ -136,7 +138,7 @@ def read_store(store: Store, experiments: str | Iterable[str] | None) -> Results
     episodes, unread = read_episodes(tables, runs["run_id"].to_list())
     table_problems |= {run_id: f"episodes.csv can't be read: {what}" for run_id, what in unread.items()}
     problems = (*_twice(runs), *_sentences(runs, log_problems | damaged), *_sentences(runs, table_problems))
-    return Results(runs, _curves(points), episodes, store.uri, problems, len(found) - len(kept), store)
+    return Results(runs, _curves(points), episodes, store.uri, problems, len(stored) - len(kept), store)
 
 
 @contextmanager
@@ -172,9 +174,9 @@ def _is_ours(run: "Run") -> bool:
     return all(name in tags for name in OURS) and tags["status"] in STATUSES and bool(SEED.fullmatch(tags["seed"]))
 
 
-def _runs(found: Sequence["Run"], names: Mapping[str, str], run_dir: Callable[["Run"], Path | None]) -> pd.DataFrame:
-    infos = [run.info for run in found]
-    tags, params, metrics = ([getattr(run.data, what) for run in found] for what in ("tags", "params", "metrics"))
+def _runs(stored: Sequence["Run"], names: Mapping[str, str], run_dir: Callable[["Run"], Path | None]) -> pd.DataFrame:
+    infos = [run.info for run in stored]
+    tags, params, metrics = ([getattr(run.data, what) for run in stored] for what in ("tags", "params", "metrics"))
     done = np.array([tag["status"] == "done" for tag in tags])
 
     def numbers(key: str) -> np.ndarray:
@@ -195,12 +197,12 @@ def _runs(found: Sequence["Run"], names: Mapping[str, str], run_dir: Callable[["
         "status": pd.Categorical([tag["status"] for tag in tags], STATUSES),
         "error": text(tag.get("error") or None for tag in tags),
         **{name: integers(param.get(key) for param in params) for key, name in CONFIGURED.items()},
-        "steps": np.zeros(len(found), dtype="int64"),
+        "steps": np.zeros(len(stored), dtype="int64"),
         **{name: np.where(done, numbers(key), np.nan) for key, name in FINAL.items()},
         **{name: numbers(key) for key, name in COST.items()},
         "started": times(info.start_time for info in infos),
         "ended": times(info.end_time for info in infos),
-        "run_dir": text(str(place) if (place := run_dir(run)) else None for run in found),
+        "run_dir": text(str(place) if (place := run_dir(run)) else None for run in stored),
         "artifact_uri": text(info.artifact_uri for info in infos),
         "git_commit": tagged("git_commit"),
         "git_dirty": tagged("git_dirty").map({"true": True, "false": False}).astype("boolean"),

@@ -10,8 +10,8 @@ from parking_exp.runs.directory import STATUS_FILE, RunDirectory
 
 def find_runs(output_dir: Path, experiment: str | None = None) -> list[Path]:
     """Return the run directories under an output directory, of one experiment or of all, sorted."""
-    found = (file.parent for file in output_dir.glob(f"*/*/seed=*/{STATUS_FILE}"))
-    return sorted(path for path in found if experiment in (None, path.parents[1].name))  # a name is no pattern
+    directories = (file.parent for file in output_dir.glob(f"*/*/seed=*/{STATUS_FILE}"))
+    return sorted(path for path in directories if experiment in (None, path.parents[1].name))  # a name is no pattern
 
 
 def find_run(name: str, output_dir: Path, having: str, others: Sequence[str] = ()) -> RunDirectory:

@@ -44,8 +44,8 @@ def read_config(directory: Path, output_dir: Path) -> RunConfig:
         raise ConfigError(f"{path} can't be read: {str(error).splitlines()[0]}") from error
     if not isinstance(stored, dict):
         raise ConfigError(f"{path} can't be read: it is no config, but a {type(stored).__name__}")
-    if found := re.search(r'[^"]*\$\{[^"]*', json.dumps(stored)):
-        raise ConfigError(f"{path} has the interpolation {found[0]}; stored configs have values only")
+    if interpolation := re.search(r'[^"]*\$\{[^"]*', json.dumps(stored)):
+        raise ConfigError(f"{path} has the interpolation {interpolation[0]}; stored configs have values only")
     try:
         config = check(RunConfig, stored)
     except ConfigError as error:

@@ -79,13 +79,13 @@ def describe(runs: Sequence[PlannedRun], launch: Launch, out: Console) -> None:
     out.print(cell_table(states))
     for line in damaged_lines(states):
         out.print(line)
-    found, due = counts(states), [run for run in runs if run.is_due and run.state.stage != "running"]
+    by_stage, due = counts(states), [run for run in runs if run.is_due and run.state.stage != "running"]
     n_cells, n_seeds = len({run.path.parent for run in runs}), len({run.config.seed for run in runs})
     product = plural(n_cells, "cell")
     if n_cells * n_seeds == len(runs):
         product += f" x {plural(n_seeds, 'seed')}"
-    failed = found["failed"] - sum(run.state.stage == "failed" for run in due)
-    parts = [f"{found['done']} done", f"{found['running']} running elsewhere" if found["running"] else ""]
+    failed = by_stage["failed"] - sum(run.state.stage == "failed" for run in due)
+    parts = [f"{by_stage['done']} done", f"{by_stage['running']} running elsewhere" if by_stage["running"] else ""]
     parts += [f"{failed} failed before (retry=failed runs them again)" if failed else "", f"{len(due)} to run"]
     estimate = duration_estimate(states, due, launch.n_jobs) if due else ""
     out.print(f"{product} = {plural(len(runs), 'run')}: {', '.join(filter(None, parts))}{estimate}")

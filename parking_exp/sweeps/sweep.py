@@ -80,12 +80,12 @@ def _check_all_done(states: Sequence[RunState]) -> None:
     Raises:
         FailedRunError: some are not.
     """
-    found = counts(states)
-    if found["done"] == len(states):
+    by_stage = counts(states)
+    if by_stage["done"] == len(states):
         return
     words: dict[Stage, str] = {"failed": "failed", "pending": "not done", "running": "still running"}
-    parts = [f"{found[stage]} {word}" for stage, word in words.items() if found[stage]]
-    resumable = found["pending"] or any(state.killed for state in states)
+    parts = [f"{by_stage[stage]} {word}" for stage, word in words.items() if by_stage[stage]]
+    resumable = by_stage["pending"] or any(state.killed for state in states)
     retry = any(state.stage == "failed" and not state.killed for state in states)
     advice = "; rerun the same command to resume" if resumable else ""
     advice += "; retry=failed runs failed ones again" if retry else ""

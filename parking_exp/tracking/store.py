@@ -60,32 +60,32 @@ class Store:
 
     def experiments(self) -> dict[str, str]:
         """Return the ids of all experiments that are not deleted, by name."""
-        found, token = dict[str, str](), None
+        ids, token = dict[str, str](), None
         while True:
             page = self.client.search_experiments(page_token=token)
-            found |= {experiment.name: experiment.experiment_id for experiment in page}
+            ids |= {experiment.name: experiment.experiment_id for experiment in page}
             if not (token := page.token):
-                return found
+                return ids
 
     def runs(self, experiment_ids: Sequence[str]) -> "list[Run]":
         """Return all runs of some experiments, deleted ones too. They are searched again after this has written."""
         if unknown := [each for each in experiment_ids if each not in self._runs]:
-            found = self.search(unknown)
-            self._runs |= {each: [run for run in found if run.info.experiment_id == each] for each in unknown}
+            runs = self.search(unknown)
+            self._runs |= {each: [run for run in runs if run.info.experiment_id == each] for each in unknown}
         return [run for each in experiment_ids for run in self._runs[each]]
 
     def search(self, experiment_ids: Sequence[str], condition: str = "") -> "list[Run]":
         """Return the runs of some experiments that fulfil a condition in MLflow's language of filters."""
         from mlflow.entities import ViewType
 
-        found, token = list["Run"](), None
+        runs, token = list["Run"](), None
         while True:
             page = self.client.search_runs(
                 experiment_ids, condition, ViewType.ALL, RUNS_A_PAGE, ["attributes.start_time"], token
             )
-            found += page
+            runs += page
             if not (token := page.token):
-                return found
+                return runs
 
     def run_dir(self, run: "Run") -> Path | None:
         """Return the run directory that a run's tag means: a relative one lies beside an embedded store."""

@@ -300,7 +300,7 @@ def test_a_crossing_without_effects_claims_none():
     rates = {(label, seed): rng.choice([0.4, 0.6, 0.8]) for label in crossed() for seed in range(4)}
     claims = content(crossed(), range(4), lambda label, seed: Run(success=rates[label, seed])).claims
     assert sum(claim.startswith(("buffer: levels", "n_sampled_goal: levels")) for claim in claims) == 2
-    assert any("add up, as far as can be told (F test, p = " in claim for claim in claims)
+    assert any("have no significant interaction (F test, p = " in claim for claim in claims)
     assert not any("is better than" in claim for claim in claims)
 
 

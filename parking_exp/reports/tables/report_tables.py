@@ -23,7 +23,7 @@ from parking_exp.reports.tables.table import (
 from parking_exp.statistics import Interval, Proportion
 
 RATES = ("success", "parked", "crash", "timeout")
-VERDICTS = {"same": "can't be told apart", "unknown": "too few seeds to tell"}
+VERDICTS = {"same": "indistinguishable", "unknown": "too few seeds"}
 
 
 def headline(report: ReportData) -> Iterator[Table]:
