@@ -23,7 +23,7 @@ class ConfigError(ParkingError, ValueError):
 
 
 class RunNotFoundError(ParkingError, LookupError):
-    """No run answers to a name."""
+    """No run matches the given name."""
 
 
 class UntrustedError(ParkingError):
@@ -51,7 +51,7 @@ class ResultsError(ParkingError, LookupError):
 
 
 class DamagedFileError(ParkingError):
-    """A file of a run directory that has lost something, or is not what it has to be."""
+    """A file of a run directory is corrupt."""
 
 
 class StoreError(ParkingError):

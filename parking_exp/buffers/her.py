@@ -90,7 +90,7 @@ class HerBuffer(HerReplayBuffer):
         if goal_selection_strategy not in (*STRATEGIES, None):
             raise ValueError(f"{goal_selection_strategy=} is not one of {', '.join(STRATEGIES)}")
         if reward is None and (relabel_collision, relabel_terminated, goal_velocity) != ("sb3", "sb3", "achieved"):
-            raise ValueError("relabel_collision, relabel_terminated and goal_velocity need an env with a goal_reward")
+            raise ValueError("relabel_collision, relabel_terminated and goal_velocity need a reward")
         self.env, self.reward = env, reward
         self.handle_timeout_termination = handle_timeout_termination
         self.goal_selection_strategy = goal_selection_strategy  # type: ignore[assignment]

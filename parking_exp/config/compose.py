@@ -228,4 +228,5 @@ def _unknown_key(error: ConfigKeyError | ConfigAttributeError) -> str:
         hint = did_you_mean(name, known, cutoff=0.8) or f"; write +{key}=VALUE to add it"
     else:
         hint = suggestion(name, known)
-    return f"{key}: there is no such key" + (f" in {section}={known['name']}" if "name" in known else "") + hint
+    option = f" in {section}={known['name']}" if section and "name" in known else ""
+    return f"{key}: there is no such key{option}{hint}"

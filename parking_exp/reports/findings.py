@@ -90,7 +90,7 @@ def _effect(effect: MainEffect, largest: Interval, name: str, several: bool) -> 
         )
     elif high.level != low.level:
         yield (
-            f"{name}: levels are indistinguishable{over}; the largest difference is {setting(high.level)} less "
+            f"{name}: levels are indistinguishable{over}; the largest difference is {setting(high.level)} minus "
             f"{setting(low.level)}, {gap}."
         )
 

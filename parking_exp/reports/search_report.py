@@ -43,7 +43,7 @@ class Tuning:
         n_seeds: number of tuning seeds of each trial.
         parameters: name -> Optuna's distribution, as `optuna.distributions.distribution_to_json` describes it.
         trials: those that have begun or are enqueued, by number.
-        retested: trials that were trained again on fresh seeds, best first.
+        retested: trials that were trained again on test seeds, best first.
     """
 
     experiment: str
@@ -76,11 +76,11 @@ def with_search(report: ReportData, output_dir: Path, storage: str | None = None
 
 def with_tuning(report: ReportData, tuning: Tuning) -> ReportData:
     """Return a report with a search, what its retrained trials say, and a warning about comparing its cells."""
-    claims, fair = [*report.claims], "none was retrained on fresh seeds"
+    claims, fair = [*report.claims], "none was retrained on test seeds"
     if tuning.retested:
-        best, fair = tuning.retested[0], "compare the trials retrained on fresh seeds"
+        best, fair = tuning.retested[0], "compare the trials retrained on test seeds"
         claim = (
-            f"On {plural(len(best.test), 'fresh seed')}, “{best.label}” is the best of "
+            f"On {plural(len(best.test), 'test seed')}, “{best.label}” is the best of "
             f"{plural(len(tuning.retested), 'retrained trial')}: {tuning.objectives[0]} "
             f"{formats.rate_interval(mean_interval(best.test))}; "
             f"tuning minus test {formats.points_interval(_loss(best))}."
@@ -128,7 +128,7 @@ def _described(distribution: Any) -> Mapping[str, Any]:
 
 
 def _loss(trial: RetestedTrial) -> Interval:
-    """Return the mean on tuning seeds minus that on fresh seeds, with Welch's interval."""
+    """Return the mean on tuning seeds minus that on test seeds, with Welch's interval."""
     return welch(trial.tuning, trial.test).clipped(-1, 1)
 
 
@@ -191,7 +191,7 @@ def _parameter(value: Any) -> str:
 
 
 def retest_table(report: ReportData) -> Iterator[Table]:
-    """Yield the table of the trials that were trained again on fresh seeds."""
+    """Yield the table of the trials that were trained again on test seeds."""
     tuning = report.tuning
     if tuning is None or not tuning.retested:
         return

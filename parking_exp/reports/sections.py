@@ -89,7 +89,7 @@ def what_was_run(report: ReportData) -> Iterable[str]:
 
 
 SECTIONS = (
-    Section("retest", "The best on fresh seeds", tables=[retest_table]),
+    Section("retest", "The best on test seeds", tables=[retest_table]),
     Section(
         "tuning",
         "The search",

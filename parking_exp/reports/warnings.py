@@ -67,7 +67,7 @@ def missing(cells: Sequence[Cell], experiments: Iterable[str], having: Iterable[
     total: Counter[str] = Counter()
     for cell in cells:
         total.update(cell.counts)
-    waiting = {"running": "under way", "failed": "failed", "pending": "cut off or not begun"}
+    waiting = {"running": "under way", "failed": "failed", "pending": "interrupted or not started"}
     if stages := [f"{total[stage]} {words}" for stage, words in waiting.items() if total[stage]]:
         everything = sum(total.values()) - total["pruned"]
         are = "is" if everything == 1 else "are"

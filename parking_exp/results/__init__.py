@@ -10,7 +10,7 @@
     run_id, name, experiment, cell, run_key    str       MLflow run id and name; what it belongs to; hash of all that
                                                          can change its result
     seed                                       int64
-    status                                     category  done, running, failed, interrupted: as far as the store knows
+    status                                     category  done, running, failed, interrupted, pruned: in the store
     error                                      str       why it failed, in one line; missing for others
     total_timesteps, n_scenes, first_scene,    Int64     as configured: env steps; scenes of the final evaluation, from
     eval_n_scenes                                        which on; scenes of the evaluations during training

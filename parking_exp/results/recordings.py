@@ -85,7 +85,7 @@ def _parse(texts: Mapping[str, bytes], run_ids: Sequence[str]) -> pd.DataFrame:
         ValueError: one of them is not a whole table of episodes.
     """
     if not all(text.endswith(b"\n") for text in texts.values()):
-        raise ValueError("it is cut off")
+        raise ValueError("the file is truncated")
     header = next(iter(texts.values())).partition(b"\n")[0] + b"\n"
     bodies = [text[len(header) :] for text in texts.values()]
     content = io.BytesIO(b"".join([header, *bodies]))

@@ -2,7 +2,8 @@
 
     outputs/<experiment_name>/<cell>/seed=<n>/
         config.yaml  status.json  result.json  metrics.jsonl  episodes.csv  monitor.csv  progress.csv
-        provenance.json  checkpoints/  models/  evaluations/  tensorboard/  video.mp4  curves.png  log.txt
+        provenance.json  trajectories.npz  checkpoints/  models/  evaluations/  exports/  tensorboard/  video.mp4
+        curves.png  log.txt  beat.json  traceback.txt
 
 The run directory is the truth; MLflow is its index. Two locks keep processes apart: `.claim` is held by the process
 that is responsible for the run (its supervisor, or the one that trains it without any), `.lock` by the one that trains.
@@ -151,7 +152,7 @@ class RunDirectory:
         keep: bool = False,
         entries: Mapping[str, Any] | None = None,
     ) -> None:
-        """Write down what is going to run, under which name in tables; nothing that is typed later changes it.
+        """Freeze the config and the label of a pending run; later edits to the config do not affect it.
 
         A run that another process has taken up meanwhile is left as it is: one that is under way, or was begun at
         another time than `started`; with `keep`, also one that waits with a config. Nothing is waited for until it is

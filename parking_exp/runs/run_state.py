@@ -25,7 +25,7 @@ class RunState(StatusEntries):
         experiment, cell, seed: what it belongs to.
         label: what sets its cell apart from the others of its sweep, or from all of its experiment (`labelled`); before
             its first plan, the cell's name.
-        stage: done, running (a process holds one of its locks), failed, pending, also after it was cut off, or
+        stage: done, running (a process holds one of its locks), failed, pending, also after it was interrupted, or
             pruned by a search.
         step: env steps done (pending: saved).
         steps_per_s: while training.

@@ -18,7 +18,7 @@ class _Entries(BaseModel):
 
 
 class StatusEntries(_Entries):
-    """How far a run is; `state.RunState` says what the entries mean."""
+    """How far a run is; `run_state.RunState` says what the entries mean."""
 
     status: Status | None = None
     label: str | None = None

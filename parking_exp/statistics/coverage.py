@@ -3,6 +3,7 @@
 import numpy as np
 from numpy.typing import ArrayLike
 
+from parking_exp.errors import plural
 from parking_exp.statistics.checks import finite
 
 FEWEST_SEEDS = 5
@@ -28,7 +29,7 @@ def coverage_note(values: ArrayLike, other: ArrayLike | None = None) -> str | No
     fewest = min(len(side) for side in sides)
     if fewest < FEWEST_SEEDS:
         return (
-            f"{fewest} seed{' makes' if fewest == 1 else 's make'} hardly an interval: from fewer than {FEWEST_SEEDS}, "
+            f"{plural(fewest, 'seed')}: too few for a reliable interval; with fewer than {FEWEST_SEEDS}, "
             "95 % intervals covered 89 % where rates scatter widely below the ceiling, and 59 % where one in ten "
             "collapses."
         )

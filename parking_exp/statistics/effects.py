@@ -82,7 +82,7 @@ def main_effects(
 
     The response is a rate in 0 ... 1. The interval is that of a linear contrast of independent means with their own
     variances (Welch 1947; Satterthwaite 1946 for the degrees of freedom), cut where rates end; where a cell of the
-    level has a single seed, the pooled variance of all cells stands in for all; where nothing scatters, there is none.
+    level has a single seed, the pooled variance of all cells stands in for all; None if all values are equal.
     """
     cells = _cells(frame, factors, response)
     levels = [_levels(cells, place) for place in range(len(factors))]

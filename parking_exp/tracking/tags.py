@@ -23,15 +23,15 @@ def experiment_tags(name: str) -> dict[str, str]:
 
 
 def run_note(directory: RunDirectory, config: RunConfig) -> str:
-    """Return the description of a run: what it is, how it went, the command that was typed."""
+    """Return the description of a run: what it is, how it went, its command line."""
     status, result = directory.read_status(), directory.result()
     how = str(status.get("status", "pending"))
     if result is not None:
         rates = {name: result.metrics.get(f"final/{name}_rate") for name in ("success", "crash", "parked")}
         words = ", ".join(f"{name} {rate:.1%}" for name, rate in rates.items() if rate is not None)
-        scenes = f"{config.evaluation.final_n_scenes} scenes, {config.n_certified_scenes} of them certified"
+        scenes = f"{config.evaluation.final_n_scenes} scenes, {config.n_certified_scenes} of them cross-checked"
         how = f"{words} on {scenes} on highway-env, after {result.steps:,} env steps"
     lines = [f"{config.algorithm.name}, {config.buffer.name} on {config.env.name}, seed {config.seed}: {how}."]
     if command := status.get("command"):
-        lines.append(f"Typed: `{command}`")
+        lines.append(f"Command: `{command}`")
     return "\n\n".join(lines)

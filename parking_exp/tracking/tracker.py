@@ -37,10 +37,10 @@ class Tracker:
         now = time.monotonic()
         self._next_attempt = now + max(SHORTEST_PAUSE_S, PAUSE_TO_ATTEMPT * (now - start)) if self.problem else 0.0
         if before and self.problem is None:
-            self.say("the store has everything now")
+            self.say("the store is complete again")
         elif self.problem and before is None:
             what_to_do = later(self.directory.output_dir, self.uri)
-            self.say(f"the store {self.uri} has not got everything ({self.problem}); the run goes on, and {what_to_do}")
+            self.say(f"the store {self.uri} is incomplete ({self.problem}); training continues, and {what_to_do}")
 
 
 def open_tracker(config: RunConfig, directory: RunDirectory, say: Callable[[str], None] = print) -> Tracker:

@@ -1,4 +1,4 @@
-"""Retrain trial 0 and the best trials on fresh seeds, and write the winner as an experiment file."""
+"""Retrain trial 0 and the best trials on test seeds, and write the winner as an experiment file."""
 
 import itertools
 import shlex
@@ -31,7 +31,7 @@ Rates = Annotated[list[Annotated[float, Field(ge=0, le=1)]], Field(min_length=1)
 
 @dataclass(frozen=True)
 class RetestedTrial:
-    """A trial that was trained again on fresh seeds.
+    """A trial that was trained again on test seeds.
 
     Attributes:
         number, label, changes: of the trial.
@@ -95,12 +95,12 @@ def chosen_trials(trials: Sequence[TrialRow], n_retest: int) -> list[TrialRow]:
 
 
 def write_winner(search: Search, retested: Sequence[RetestedTrial], out: Console) -> None:
-    """Print the results on fresh seeds, and write the best trial as an experiment file."""
+    """Print the results on test seeds, and write the best trial as an experiment file."""
     if not retested:
-        out.print("search.n_retest=0: no trial is trained on fresh seeds, and no experiment file is written")
+        out.print("search.n_retest=0: no trial is trained on test seeds, and no experiment file is written")
         return
     winner, name = retested[0], search.folder.name
-    table = Table("trial", "tuning seeds", "fresh seeds", "difference", box=None, pad_edge=False)
+    table = Table("trial", "tuning seeds", "test seeds", "difference", box=None, pad_edge=False)
     for trial in retested:
         tuning, test = mean(trial.tuning), mean(trial.test)
         table.add_row(trial.label, f"{tuning:.1%}", f"{test:.1%}", f"{100 * (tuning - test):+.1f} points")
@@ -113,10 +113,10 @@ def write_winner(search: Search, retested: Sequence[RetestedTrial], out: Console
         "experiment_name": f"tuned_{name}",
         **config,
     }
-    head = f"# @package _global_\n# Trial {winner.number} of search {name}, best of {len(retested)} on fresh seeds.\n"
+    head = f"# @package _global_\n# Trial {winner.number} of search {name}, best of {len(retested)} on test seeds.\n"
     path = search.folder / f"tuned_{name}.yaml"
     write_atomically(path, head + yaml.safe_dump(experiment, sort_keys=False))
-    seeds = plural(len(winner.test), "fresh seed")
+    seeds = plural(len(winner.test), "test seed")
     out.print(f"the winner is {winner.label}: {search.request.search.objective} {mean(winner.test):.1%} on {seeds}")
     out.print(f"experiment     {path}")
     config_dir = ["--config-dir", search.extra_config_dir] if search.extra_config_dir else []

@@ -1,4 +1,4 @@
-"""Run a search: print its plan, train its trials, retrain the best on fresh seeds, write the winner."""
+"""Run a search: print its plan, train its trials, retrain the best on test seeds, write the winner."""
 
 import time
 from pathlib import Path
@@ -27,7 +27,7 @@ POLL_S = 1.0
 
 
 def tune(search: Search, launch: Launch) -> None:
-    """Train the remaining trials of a search, retrain the best on fresh seeds, and write the winner.
+    """Train the remaining trials of a search, retrain the best on test seeds, and write the winner.
 
     Raises:
         ConfigError: the space, the study or the launcher does not fit.
@@ -80,7 +80,7 @@ def _describe(search: Search, trials: list[TrialRow], n_workers: int, out: Conso
     out.print(
         f"{plural(request.n_trials, 'trial')} x {plural(len(settings.tuning_seeds), 'seed')} x "
         f"{search.base.total_timesteps:,} env steps at most, {plural(n_workers, 'trial')} at a time; at the end "
-        f"{plural(retested * len(settings.test_seeds), 'run')} on fresh seeds: {request.n_trials - left} trials over, "
+        f"{plural(retested * len(settings.test_seeds), 'run')} on test seeds: {request.n_trials - left} trials over, "
         f"{left} to do"
     )
 

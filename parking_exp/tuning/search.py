@@ -72,9 +72,17 @@ class Search:
     def config(self, changes: Mapping[str, Any]) -> RunConfig:
         """Return the checked config of a trial.
 
+        Changes may come from a study that somebody else made: those that the search does not make itself are refused,
+        since a config may name classes and places.
+
         Raises:
-            ConfigError: it can't run.
+            ConfigError: it can't run, or a change is not in the search's space.
         """
+        settings = self.request.search
+        if changes and changes not in settings.enqueue:
+            for key, value in changes.items():
+                if key not in settings.space or not settings.space[key].allows(value):
+                    raise ConfigError(f"{key}={value!r} is not in search.space")
         plain = cast(dict[str, Any], OmegaConf.to_container(self.compose(changes).cell, resolve=True))
         return validate({key: value for key, value in plain.items() if key not in TuneRequest.model_fields})
 

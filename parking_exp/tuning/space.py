@@ -70,6 +70,10 @@ class Dimension(ConfigModel):
         low, high = self.ends
         return value if low <= value <= high else None
 
+    def allows(self, value: Any) -> bool:
+        """Return whether a trial may have a value: one of the choices, or any number, since samples are rounded."""
+        return isinstance(value, int | float) if self.choices is None else self.to_parameter(value) is not None
+
     def to_value(self, parameter: Any) -> Any:
         """Return Optuna's parameter as a config's value."""
         if self.choices is not None:

@@ -145,6 +145,6 @@ def test_the_examples_of_the_extending_page_run_and_appear_in_results(tmp_path):
     words = {name: shlex.split(name) + ([] if "mine" in name else ["dry_run=true"]) for name in commands(EXTENDING)}
     outcomes = run_commands(words, tmp_path, tmp_path)
     assert {command: outcome for command, outcome in outcomes.items() if outcome[0] != 0} == {}
-    (result,) = tmp_path.glob("outputs/mine/parking_crowded-fading_sac-her_late-*/seed=0/result.json")
+    (result,) = tmp_path.glob("outputs/mine/parking_dense_lot-fading_sac-her_late-*/seed=0/result.json")
     assert "final/centred_rate" in result.read_text()
     assert "How many seeds" in (tmp_path / "outputs/reports/mine/index.html").read_text()

@@ -106,7 +106,7 @@ def test_a_quick_report_shows_what_there_is_and_says_what_is_missing(output_dir)
 
     make_store(output_dir, "one", ALGORITHMS, range(2), look)
     done = report(output_dir, "experiment=one", "report=quick")
-    assert "1 of 4 runs are done: 3 cut off or not begun." in done.stdout
+    assert "1 of 4 runs are done: 3 interrupted or not started." in done.stdout
     assert "No run is done of td3." in done.stdout
     folder = output_dir / "reports" / "one"
     assert {path.suffix for path in (folder / "figures").iterdir()} == {".png"}

@@ -162,7 +162,7 @@ def test_unfinished_runs_are_missing_and_quick_shows_their_curves():
     looks = [Run(), Run(status="interrupted", curve=(0, 0.5)), Run(status="interrupted", curve=(0, 0.5))]
     looks[1:] = [replace(look, config={}) for look in looks[1:]]
     report = content({"sac": {}}, range(3), lambda _, seed: looks[seed])
-    assert report.missing == ["1 of 3 runs are done: 2 cut off or not begun."]
+    assert report.missing == ["1 of 3 runs are done: 2 interrupted or not started."]
     assert [seed for seed, _, _ in report.cells[0].curve.seeds] == [0]
     quick = content({"sac": {}}, range(3), lambda _, seed: looks[seed], quick=True)
     assert [seed for seed, _, _ in quick.cells[0].curve.seeds] == [0, 1, 2]

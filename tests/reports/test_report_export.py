@@ -87,7 +87,7 @@ def test_a_report_from_an_export_is_the_same_but_for_places_and_rounding(source,
     assert from_export.provenance.uri == str(folder)
     assert [run.reason for run in from_export.provenance.unfinished if run.status == "failed"] == ["no file x.zip"]
     assert {run.status for run in from_export.provenance.unfinished} == {"failed", "interrupted"}
-    assert from_export.missing == ["10 of 12 runs are done: 1 failed, 1 cut off or not begun."]
+    assert from_export.missing == ["10 of 12 runs are done: 1 failed, 1 interrupted or not started."]
     assert f"The store lacks {store}/x: no." in from_store.warnings
     assert sorted(from_export.warnings) == sorted(one.replace(f"{store}/x", "x") for one in from_store.warnings)
     assert any("trajectories.npz can't be read" in one for one in from_export.warnings)

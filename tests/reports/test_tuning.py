@@ -144,9 +144,9 @@ def test_retrained_trials_have_intervals_and_welchs_for_tuning_minus_test(folder
     tuned, test = [0.9, 0.8], [0.7, 0.6, 0.8]
     write_retest(folder, (1, tuned, test), (0, [0.5, 0.4], [0.5, 0.4, 0.6]))
     whole = report(tuning=tuning(folder, [trial(0.45), trial(0.85)]))
-    assert whole.claims[0].startswith("On 3 fresh seeds, “trial 1: unchanged” is the best of 2 retrained trials: ")
+    assert whole.claims[0].startswith("On 3 test seeds, “trial 1: unchanged” is the best of 2 retrained trials: ")
     assert "success_auc 70.0 % [" in whole.claims[0] and "tuning minus test +15.0 points [" in whole.claims[0]
-    assert whole.warnings[-1].endswith("; compare the trials retrained on fresh seeds.")
+    assert whole.warnings[-1].endswith("; compare the trials retrained on test seeds.")
     best, other = written(whole, tmp_path / "tables")["retest"]
     row = {key: float(value) for key, value in best.items() if key != "label"}
     welch = scipy.stats.ttest_ind(tuned, test, equal_var=False).confidence_interval()
@@ -217,7 +217,7 @@ def test_a_report_has_the_first_search_in_the_folders_of_its_experiments(begun):
     assert [one.values for one in found.tuning.trials] == [[0.5], [0.25]]
     assert (found.tuning.experiment, found.tuning.n_trials) == ("smoke", 3)
     (warning,) = found.warnings
-    assert warning.endswith("; none was retrained on fresh seeds.")
+    assert warning.endswith("; none was retrained on test seeds.")
 
 
 @pytest.mark.parametrize(

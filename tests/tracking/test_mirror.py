@@ -319,7 +319,7 @@ def test_a_store_that_has_just_failed_is_left_alone_until_the_end(fresh_dir):
     assert directory.unsynced == problem
     tracker.close()
     assert directory.unsynced is None
-    assert messages[1:] == ["the store has everything now"]
+    assert messages[1:] == ["the store is complete again"]
 
 
 def test_a_server_that_is_down_is_asked_once_for_all_runs(fresh_dir):

@@ -34,6 +34,7 @@ def test_a_trial_has_the_config_that_train_composes_from_the_same_keys(tmp_path)
         "algorithm=td3", "algorithm.net_arch=[8,8]", "algorithm.policy_ema_half_life=null",
         "buffer.goal_selection_strategy=final", f"algorithm.learning_rate={{{','.join(lines)}}}",
     )  # fmt: skip
+    search.request.search.enqueue.append(changes)
     plain = make_config("experiment=smoke", "total_timesteps=200", "evaluation.every_n_steps=50", *keys)
     assert search.config(changes).run_key == plain.run_key
     assert search.config(changes).algorithm.name == "td3"
@@ -87,6 +88,21 @@ def test_every_search_of_the_package_is_valid(name):
     search = Search([f"search={name}"])
     search.check()
     assert search.folder.name == name
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        ("algorithm.action_noise", {"_target_": "subprocess.Popen"}),
+        ("output_dir", "elsewhere"),
+        ("algorithm.gamma", {"_target_": "subprocess.Popen"}),
+    ],
+)
+def test_a_trial_of_somebody_elses_study_changes_nothing_but_the_space(key, value):
+    search = Search(SMOKE)
+    assert search.config({"algorithm.gamma": 0.95}).algorithm.arguments["gamma"] == 0.95
+    with pytest.raises(ConfigError, match=rf"^{key}=.* is not in search\.space$"):
+        search.config({key: value})
 
 
 @pytest.mark.parametrize(

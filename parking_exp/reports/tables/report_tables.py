@@ -57,13 +57,13 @@ def times(report: ReportData) -> Iterator[Table]:
     columns = [cell_column(), Column("Reached", lambda row: Entry(f"{row['survival_k']}/{row['survival_n']}"))]
     for unit, clock in (("steps", "survival"), ("CPU-s", "survival_cpu")):
         horizon = next((row[f"{clock}_horizon"] for row in rows if row.get(f"{clock}_horizon")), None)
-        mean = f"Mean up to {formats.number(horizon)} ({unit})"
+        mean = f"Restricted mean, up to {formats.number(horizon)} ({unit})"
         columns.append(_median(f"Median ({unit})", clock))
         columns.append(interval_column(mean, f"{clock}_restricted_mean", formats.number_interval))
     yield Table(
         "times",
         rows,
-        [*columns, interval_column("Area (%)", "area")],
+        [*columns, interval_column("AUC (%)", "area")],
         "Time until three evaluations in a row have 90 %, with the mean up to a time that all seeds were watched; area "
         f"under the learning curve in % of the highest possible; means {PERCENT}.",
         csv=False,
@@ -358,7 +358,7 @@ def _reaching_90(row: Row) -> Entry:
 def _median(title: str, clock: str) -> Column:
     def entry(row: Row) -> Entry:
         median = row.get(f"{clock}_median")
-        unknown = "fewer than half" if f"{clock}_n" in row else ""
+        unknown = "not reached" if f"{clock}_n" in row else ""
         return Entry(unknown if median is None else formats.number(median), median)
 
     return Column(title, entry)
