@@ -156,7 +156,7 @@ def _searches_plain(request: StatusRequest) -> list[dict[str, Any]]:
         if isinstance(search, ParkingError):
             plain.append({"experiment": name, "error": str(search)})
         else:
-            about: dict[str, Any] = {"n_trials": search.n_trials, "objectives": [search.search.objective]}
+            about: dict[str, Any] = {"n_trials": search.n_trials, "objective": search.search.objective}
             about |= {str(stage): number for stage, number in counts(search.trials).items()}
             plain.append({"experiment": name, **about, "trials": [asdict(trial) for trial in search.trials]})
     return plain

@@ -78,6 +78,15 @@ def find_factors(
     return factors, [{key: values[cell] for key, values in columns.items()} for cell in range(len(configs))]
 
 
+def label_by_experiment(configs: Mapping[tuple[str, str], Config]) -> dict[tuple[str, str], str]:
+    """Return the label of each cell among those of its experiment, given configs by (experiment, cell)."""
+    labels: dict[tuple[str, str], str] = {}
+    for experiment in dict.fromkeys(experiment for experiment, _ in configs):
+        own = [key for key in configs if key[0] == experiment]
+        labels |= zip(own, label_cells([configs[key] for key in own], [cell for _, cell in own]), strict=True)
+    return labels
+
+
 def label_cells(configs: Sequence[Config], names: Sequence[str]) -> list[str]:
     """Return the labels of the cells of an experiment, given their configs and names.
 

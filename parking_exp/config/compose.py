@@ -36,13 +36,11 @@ class Composed:
     Attributes:
         cell: shared by all runs of the cell.
         seed: replaces the cell's; None: the cell's own.
-        label: of its cell; empty: derived from the configs of all cells.
         options: group -> chosen option.
     """
 
     cell: DictConfig
     seed: int | None = None
-    label: str = ""
     options: Mapping[str, str] = field(default_factory=dict)
 
     @property
@@ -138,7 +136,7 @@ def _runs(compose_point: Callable[[Point], Composed], axes: dict[str, list[str]]
     all_seeds: list[int] | list[None] = seeds or [None]
     composed_points = map(compose_point, points(blocks, axes, has, axes.get("experiment", [""])[0]))
     cells = {OmegaConf.to_yaml(run.cell): run for run in composed_points}  # blocks may come to the same
-    return [Composed(run.cell, seed, "", run.options) for seed in all_seeds for run in cells.values()]
+    return [Composed(run.cell, seed, run.options) for seed in all_seeds for run in cells.values()]
 
 
 def _container(node: object) -> Any:

@@ -13,8 +13,8 @@ from parking_exp.reports.cell_selection import CellRuns, choose, group, one_cell
 from parking_exp.reports.cell_summaries import real_share, shared_horizons, summarise
 from parking_exp.reports.lot_map import sample
 from parking_exp.reports.report_data import Cell, ReportData
+from parking_exp.reports.report_provenance import provenance
 from parking_exp.reports.run_evaluations import RunEvaluations
-from parking_exp.reports.run_origin import provenance
 from parking_exp.results.frames import Results
 
 MOST_PROBLEMS = 5

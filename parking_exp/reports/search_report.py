@@ -27,7 +27,7 @@ from parking_exp.reports.tables.table import (
 from parking_exp.statistics import Interval, mean_interval, welch
 from parking_exp.tuning.retest import RetestedTrial, read_retest
 from parking_exp.tuning.search import SEARCH_FILE, study_in
-from parking_exp.tuning.trials import TrialRow, plain_choice
+from parking_exp.tuning.trials import TrialRow, plain_choice, ranked
 
 if TYPE_CHECKING:
     from parking_exp.tuning.search import StoredSearch
@@ -39,7 +39,7 @@ class Tuning:
 
     Attributes:
         n_trials: number of trials requested.
-        objectives: names; all are maximised.
+        objective: its name; it is maximised.
         n_seeds: number of tuning seeds of each trial.
         parameters: name -> Optuna's distribution, as `optuna.distributions.distribution_to_json` describes it.
         trials: those that have begun or are enqueued, by number.
@@ -50,7 +50,7 @@ class Tuning:
     sampler: str
     pruner: str | None
     n_trials: int
-    objectives: Sequence[str]
+    objective: str
     n_seeds: int
     parameters: Mapping[str, Mapping[str, Any]]
     trials: Sequence[TrialRow]
@@ -81,7 +81,7 @@ def with_tuning(report: ReportData, tuning: Tuning) -> ReportData:
         best, fair = tuning.retested[0], "compare the trials retrained on test seeds"
         claim = (
             f"On {plural(len(best.test), 'test seed')}, “{best.label}” is the best of "
-            f"{plural(len(tuning.retested), 'retrained trial')}: {tuning.objectives[0]} "
+            f"{plural(len(tuning.retested), 'retrained trial')}: {tuning.objective} "
             f"{formats.rate_interval(mean_interval(best.test))}; "
             f"tuning minus test {formats.points_interval(_loss(best))}."
         )
@@ -109,7 +109,7 @@ def tuning_of(folder: Path, stored: "StoredSearch") -> Tuning:
         sampler=search.sampler,
         pruner=search.pruner,
         n_trials=stored.n_trials,
-        objectives=[search.objective],
+        objective=search.objective,
         n_seeds=len(search.tuning_seeds),
         parameters={name: _described(distribution) for name, distribution in distributions.items()},
         trials=stored.trials,
@@ -142,12 +142,10 @@ def search_text(report: ReportData) -> Iterator[str]:
     counts = ", ".join(f"{number} {state}" for state, number in states.items() if number)
     text = (
         f"{plural(tuning.n_trials, 'trial')} (sampler {tuning.sampler}, pruner {tuning.pruner or 'none'}): {counts}. "
-        f"Objective: {' and '.join(tuning.objectives)}, mean over {plural(tuning.n_seeds, 'tuning seed')}."
+        f"Objective: {tuning.objective}, mean over {plural(tuning.n_seeds, 'tuning seed')}."
     )
-    done = [trial for trial in tuning.trials if trial.values]
-    if done and len(tuning.objectives) == 1:
-        best = max(done, key=lambda trial: trial.values[0])
-        text += f" The best is “{best.label}” with {formats.rate_text(best.values[0])}."
+    for best in ranked(tuning.trials)[:1]:
+        text += f" The best is “{best.label}” with {formats.rate_text(best.value)}."
     yield text
 
 
@@ -158,8 +156,8 @@ def trial_table(report: ReportData) -> Iterator[Table]:
         return
     rows = [
         {
-            **dict.fromkeys([*tuning.objectives, *tuning.parameters]),
-            **dict(zip(tuning.objectives, trial.values, strict=False)),  # no values: it is not done
+            tuning.objective: trial.value,
+            **dict.fromkeys(tuning.parameters),
             **trial.parameters,
             **record(trial),
             "label": trial.label,
@@ -173,7 +171,7 @@ def trial_table(report: ReportData) -> Iterator[Table]:
         [
             column("Trial", "number", formats.number, numeric=False),
             column("State", "state", numeric=False),
-            *(column(name, name, formats.percent) for name in tuning.objectives),
+            column(tuning.objective, tuning.objective, formats.percent),
             *(column(name, name, _parameter, numeric=is_number[name]) for name in tuning.parameters),
             column("Env steps", "env_steps", formats.number),
             column("CPU (s)", "cpu_s", formats.number),
@@ -217,7 +215,7 @@ def retest_table(report: ReportData) -> Iterator[Table]:
             interval_column("Tuning minus test", "difference", formats.points_interval),
         ],
         f"The best trials and trial 0, the unchanged config, trained again on seeds that no trial was selected by: "
-        f"{tuning.objectives[0]} (%), with 95 % intervals. Values on tuning seeds are optimistic for the best of many.",
+        f"{tuning.objective} (%), with 95 % intervals. Values on tuning seeds are optimistic for the best of many.",
         latex=True,
         noun="trials",
     )

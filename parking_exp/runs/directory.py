@@ -26,9 +26,9 @@ from parking_exp.config.schema import RunConfig
 from parking_exp.errors import OutputDirectoryError, RunLockedError
 from parking_exp.runs.atomic_files import read_object, replacing, write_json
 from parking_exp.runs.locks import hold, is_held
-from parking_exp.runs.run_provenance import typed_command
+from parking_exp.runs.run_provenance import command_line
 from parking_exp.runs.status_schema import Status, StatusEntries, read_entries
-from parking_exp.runs.stored_config import CONFIG_FILE, OUTPUT_DIR, read_config, write_config
+from parking_exp.runs.stored_config import OUTPUT_DIR, read_config, write_config
 
 STATUS_FILE, RESULT_FILE, HEARTBEAT_FILE = "status.json", "result.json", "beat.json"
 MODEL, BUFFER, MANIFEST = "model.zip", "replay_buffer.npz", "manifest.json"  # of a checkpoint
@@ -148,16 +148,13 @@ class RunDirectory:
         config: RunConfig,
         label: str,
         started: float | None,
-        *,
-        keep: bool = False,
         entries: Mapping[str, Any] | None = None,
     ) -> None:
         """Freeze the config and the label of a pending run; later edits to the config do not affect it.
 
         A run that another process has taken up meanwhile is left as it is: one that is under way, or was begun at
-        another time than `started`; with `keep`, also one that waits with a config. Nothing is waited for until it is
-        on the disk: after a power cut, the sweep that is typed again writes it anew. `entries` go
-        into status.json as well.
+        another time than `started`. Nothing is synced to the disk: after a power cut, rerunning the sweep writes it
+        again. `entries` go into status.json as well.
 
         Raises:
             OutputDirectoryError: the directory can't be written.
@@ -166,14 +163,11 @@ class RunDirectory:
             return
         with suppress(RunLockedError), self._held(SUPERVISOR_LOCK, LOCK_PATIENCE_S):
             known = self.read_status()
-            status = known.get("status")
-            if status == "done" or known.get("started") != started:
-                return
-            if keep and status == "pending" and (self.path / CONFIG_FILE).exists():
+            if known.get("status") == "done" or known.get("started") != started:
                 return
             with self._writable():
                 write_config(self.path, config, durable=False)
-            known = {"label": label, "total_timesteps": config.total_timesteps, "command": typed_command()}
+            known = {"label": label, "total_timesteps": config.total_timesteps, "command": command_line()}
             uri = store_uri(config) if config.tracking.mlflow else None
             fresh = {"status": "pending", "error": None, "killed": None, "tracking_uri": uri}
             self.update(False, **fresh, **known, **(entries or {}))

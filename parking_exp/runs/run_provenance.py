@@ -29,7 +29,7 @@ def provenance() -> dict[str, str]:
     return tags | _git() | {"cpu": _cpu()}
 
 
-def typed_command() -> str | None:
+def command_line() -> str | None:
     """Return the command line of this process where it is one of ours, without passwords."""
     name = Path(sys.argv[0]).name
     if name.startswith("parking-"):

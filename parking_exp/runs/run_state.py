@@ -7,7 +7,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any, Literal
 
-from parking_exp.config.cell_labels import label_cells, settings_of
+from parking_exp.config.cell_labels import label_by_experiment, settings_of
 from parking_exp.runs.atomic_files import fingerprint, read_plain_yaml
 from parking_exp.runs.directory import HEARTBEAT_FILE, STATUS_FILE, RunDirectory
 from parking_exp.runs.status_schema import HeartbeatEntries, StatusEntries, read_entries
@@ -94,10 +94,7 @@ def labelled(states: Sequence[RunState]) -> list[RunState]:
             config = _read_config(path, *fingerprint(path))
             if isinstance(config, dict) and runs[0].trial is None:
                 configs[key] = settings_of(config)
-    labels: dict[tuple[str, str], str] = {}
-    for experiment in {experiment for experiment, _ in configs}:
-        own = [key for key in configs if key[0] == experiment]
-        labels |= zip(own, label_cells([configs[key] for key in own], [cell for _, cell in own]), strict=True)
+    labels = label_by_experiment(configs)
     return [
         state.model_copy(update={"label": labels.get((state.experiment, state.cell), state.label)}) for state in states
     ]

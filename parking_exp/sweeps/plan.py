@@ -7,7 +7,7 @@ from typing import Any
 
 from rich.console import Console
 
-from parking_exp.config.cell_labels import label_cells, settings_of
+from parking_exp.config.cell_labels import label_by_experiment, settings_of
 from parking_exp.config.compose import Composed
 from parking_exp.config.schema import RunConfig
 from parking_exp.config.validate import validate_all
@@ -51,7 +51,8 @@ def plan(composed: Sequence[Composed], retry: str | None = None) -> list[Planned
     cells = {
         key: (config, config.run_dir.parent) for key, config in zip(unique, validate_all(unique.values()), strict=True)
     }
-    labels = _labels({folder: config for config, folder in cells.values()})
+    names = {folder: (folder.parent.name, folder.name) for _, folder in cells.values()}
+    labels = label_by_experiment({names[folder]: settings_of(config.plain()) for config, folder in cells.values()})
     runs: dict[Path, PlannedRun] = {}
     for run in composed:
         config, folder = cells[id(run.cell)]
@@ -59,18 +60,8 @@ def plan(composed: Sequence[Composed], retry: str | None = None) -> list[Planned
             config = config.model_copy(update={"seed": run.seed})
         path = folder / f"seed={config.seed}"
         if path not in runs:
-            runs[path] = PlannedRun(config, path, labels[folder], read_state(path), retry is not None)
+            runs[path] = PlannedRun(config, path, labels[names[folder]], read_state(path), retry is not None)
     return list(runs.values())
-
-
-def _labels(cells: Mapping[Path, RunConfig]) -> dict[Path, str]:
-    """Return what distinguishes each cell from the others of its experiment."""
-    labels: dict[Path, str] = {}
-    for experiment in {folder.parent for folder in cells}:
-        own = [folder for folder in cells if folder.parent == experiment]
-        configs = [settings_of(cells[folder].plain()) for folder in own]
-        labels |= zip(own, label_cells(configs, [folder.name for folder in own]), strict=True)
-    return labels
 
 
 def describe(runs: Sequence[PlannedRun], launch: Launch, out: Console) -> None:

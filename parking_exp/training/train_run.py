@@ -22,7 +22,7 @@ from parking_exp.evaluation.description import describe
 from parking_exp.runs.atomic_files import write_atomically
 from parking_exp.runs.directory import RunDirectory, RunResult
 from parking_exp.runs.metric_logs import restore_logs
-from parking_exp.runs.run_provenance import typed_command
+from parking_exp.runs.run_provenance import command_line
 from parking_exp.terminal import say
 from parking_exp.tracking.mirror import later
 from parking_exp.tracking.tracker import Tracker, open_tracker
@@ -65,7 +65,7 @@ def train(config: DictConfig | Mapping[str, Any] | RunConfig, *, supervised: boo
 def _train(config: RunConfig, directory: RunDirectory, stop: StopRequest) -> RunResult:
     (directory.path / "traceback.txt").unlink(missing_ok=True)
     process: dict[str, Any] = {"pid": os.getpid(), "host": socket.gethostname(), "started": time.time()}
-    if command := typed_command():  # a supervised run has the sweep's
+    if command := command_line():  # a supervised run has the sweep's
         process["command"] = command
     directory.update(status="running", error=None, killed=None, total_timesteps=config.total_timesteps, **process)
     tracker = Tracker(directory)

@@ -30,7 +30,7 @@ class TrialRow:
         state: done, pruned, failed, running, or pending; pending again after its worker was killed.
         changes: what it changes in the search's config.
         parameters: name -> value, a number or the text of a choice.
-        values: the objective, mean over seeds; empty unless it is done.
+        value: the objective, mean over seeds; None unless it is done.
         by_seed: the objective of each seed.
         runs: run directories, relative to the output directory.
         env_steps, cpu_s: total of its runs; None if unknown.
@@ -41,7 +41,7 @@ class TrialRow:
     state: TrialState
     changes: Mapping[str, Any] = field(default_factory=dict)
     parameters: Mapping[str, int | FiniteFloat | str] = field(default_factory=dict)
-    values: Sequence[FiniteFloat] = field(default_factory=list)
+    value: FiniteFloat | None = None
     by_seed: Sequence[FiniteFloat] = field(default_factory=list)
     runs: Sequence[str] = field(default_factory=list)
     env_steps: int | None = None
@@ -80,7 +80,7 @@ def _row(trial: "FrozenTrial", folder: Path) -> TrialRow:
         "number": trial.number,
         "state": states.get(trial.state.name, "running" if held else "pending"),
         # Optuna takes the last intermediate value of a pruned trial for its value.
-        "values": trial.values if trial.state.name == "COMPLETE" else [],
+        "value": trial.value if trial.state.name == "COMPLETE" else None,
     }
     try:
         parameters = {name: plain_choice(value) for name, value in trial.params.items()}
@@ -100,7 +100,7 @@ def plain_choice(value: Any) -> float | str:
 
 def ranked(trials: Sequence[TrialRow]) -> list[TrialRow]:
     """Return the trials that are done, best first."""
-    return sorted((trial for trial in trials if trial.values), key=lambda trial: (-trial.values[0], trial.number))
+    return [trial for _, _, trial in sorted((-t.value, t.number, t) for t in trials if t.value is not None)]
 
 
 def counts(trials: Sequence[TrialRow]) -> dict[TrialState, int]:
@@ -114,7 +114,7 @@ def trial_table(trials: Sequence[TrialRow], objective: str) -> Table:
     table = Table("trial", "state", objective, "changes", box=None, pad_edge=False)
     best, others = ranked(trials), [trial for trial in trials if trial.state in ("running", "failed")]
     for trial in [*best[: max(1, SHOWN - len(others))], *others[:SHOWN]]:
-        value = f"{trial.values[0]:.1%}" if trial.values else ""
+        value = "" if trial.value is None else f"{trial.value:.1%}"
         table.add_row(str(trial.number), trial.state, value, trial.reason or trial.label.partition(": ")[2])
     return table
 
@@ -126,4 +126,4 @@ def progress_lines(trials: Sequence[TrialRow], objective: str, n_trials: int) ->
     states = ", ".join(f"{number} {state}" for state, number in by_state.items() if number)
     yield f"{plural(n_trials, 'trial')}: {states}"
     for best in ranked(trials)[:1]:
-        yield f"best so far: {best.label} ({objective} {best.values[0]:.1%})"
+        yield f"best so far: {best.label} ({objective} {best.value:.1%})"

@@ -37,12 +37,11 @@ def changed(values, *options):
     return plain
 
 
-def refused(plain, key, hint=""):
-    with pytest.raises(ConfigError) as refusal:
+def refusal(plain):
+    """The first sentence with which a plain config is refused."""
+    with pytest.raises(ConfigError) as refused:
         validate(plain)
-    sentence = str(refusal.value).splitlines()[0]
-    assert sentence.startswith(key)
-    assert hint in sentence
+    return str(refused.value).splitlines()[0]
 
 
 @pytest.mark.parametrize(
@@ -111,7 +110,9 @@ def refused(plain, key, hint=""):
     ],
 )
 def test_a_wrong_value_is_refused_in_a_sentence_that_names_its_key(key, value, hint):
-    refused(changed({key: value}), key, hint)
+    sentence = refusal(changed({key: value}))
+    assert sentence.startswith(key)
+    assert hint in sentence
 
 
 @pytest.mark.parametrize(
@@ -129,11 +130,13 @@ def test_a_wrong_value_is_refused_in_a_sentence_that_names_its_key(key, value, h
     ],
 )  # fmt: skip
 def test_what_contradicts_another_key_is_refused(values, key):
-    refused(changed(values), key)
+    assert refusal(changed(values)).startswith(key)
 
 
 def test_features_that_a_policy_would_ignore_are_refused():
-    refused(changed({"algorithm._target_": "sb3_contrib.TQC"}, "algorithm=sac"), "algorithm.features", "ego_fine")
+    sentence = refusal(changed({"algorithm._target_": "sb3_contrib.TQC"}, "algorithm=sac"))
+    assert sentence.startswith("algorithm.features=")
+    assert "ego_fine" in sentence
 
 
 @pytest.mark.parametrize(
@@ -205,14 +208,14 @@ def own_algorithm(tmp_path, monkeypatch):
 
 
 def test_a_class_of_the_users_own_takes_what_its_signature_says(own_algorithm):
-    validate(own_algorithm(beta=1))
-    validate(own_algorithm(beta=0.5, tag=None, layers=2))
-    refused(own_algorithm(), "algorithm.beta", "missing")
+    assert validate(own_algorithm(beta=1)).algorithm.arguments["beta"] == 1
+    assert validate(own_algorithm(beta=0.5, tag=None, layers=2)).algorithm.arguments["layers"] == 2
+    assert refusal(own_algorithm()).startswith("algorithm.beta is missing")
     for values, key in (
         ({"beta": "fast"}, "beta"), ({"beta": True}, "beta"), ({"beta": 1, "layers": None}, "layers"),
         ({"beta": 1, "layers": 1.5}, "layers"), ({"beta": 1, "tag": 3}, "tag"),
     ):  # fmt: skip
-        refused(own_algorithm(**values), f"algorithm.{key}")
+        assert refusal(own_algorithm(**values)).startswith(f"algorithm.{key}")
 
 
 @pytest.mark.parametrize(

@@ -214,7 +214,7 @@ def test_without_a_search_there_is_nothing_of_it_and_optuna_is_not_imported(tmp_
 def test_a_report_has_the_first_search_in_the_folders_of_its_experiments(begun):
     write_search(begun.parent / "later")
     found = with_search(report("none", "smoke", "later"), begun.parent)
-    assert [one.values for one in found.tuning.trials] == [[0.5], [0.25]]
+    assert [trial.value for trial in found.tuning.trials] == [0.5, 0.25]
     assert (found.tuning.experiment, found.tuning.n_trials) == ("smoke", 3)
     (warning,) = found.warnings
     assert warning.endswith("; none was retrained on test seeds.")
@@ -251,7 +251,7 @@ def test_a_study_is_read_from_the_storage_that_is_passed_and_from_no_other(folde
     assert not (tmp_path / "elsewhere.db").exists()
     study = optuna.create_study(study_name="smoke", storage=storage_of(folder, uri), direction="maximize")
     study.add_trial(trial(0.5))
-    assert [one.values for one in with_search(plain, folder.parent, uri).tuning.trials] == [[0.5]]
+    assert [trial.value for trial in with_search(plain, folder.parent, uri).tuning.trials] == [0.5]
 
 
 def test_a_storage_that_fails_is_a_warning_without_passwords(folder):

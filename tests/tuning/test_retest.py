@@ -15,8 +15,8 @@ from parking_exp.tuning.trials import TrialRow
 
 
 def trial(number, value, *runs, state="done"):
-    values = [value] if state == "done" else []
-    return TrialRow(number, state, values=values, by_seed=values, runs=runs or [str(number)])
+    done = state == "done"
+    return TrialRow(number, state, value=value if done else None, by_seed=[value] * done, runs=runs or [str(number)])
 
 
 def chosen(n_retest, *trials):

@@ -37,7 +37,7 @@ def test_a_search_of_one_trial_has_runs_with_tags_a_status_and_goes_on_when_type
     done = tune(tmp_path, "n_trials=1", *options)
     assert done.returncode == 0, done.stderr
     (trial,) = trials(tmp_path)
-    assert (trial.state, trial.changes, trial.values, trial.env_steps) == ("done", {}, [0.0], 60)
+    assert (trial.state, trial.changes, trial.value, trial.env_steps) == ("done", {}, 0.0, 60)
     (run,) = store(tmp_path).search_runs(["1"])
     assert {name: run.data.tags[name] for name in ("search", "trial", "seed")} == {
         "search": "smoke", "trial": "0", "seed": "1001",
@@ -140,5 +140,5 @@ def test_every_launcher_trains_trials_of_a_study_in_a_database(tmp_path, launche
     done = tune(tmp_path, *options, f"storage={uri}", f"hydra/launcher={launcher}", *executor, objective)
     assert done.returncode == 0, done.stderr
     found = study_in(tmp_path / "smoke", uri).trials
-    assert [(trial.state, trial.values) for trial in found] == [("done", [0.0])] * 2
+    assert [(trial.state, trial.value) for trial in found] == [("done", 0.0)] * 2
     assert not (tmp_path / "smoke" / "study.journal").exists()

@@ -164,7 +164,7 @@ def test_files_of_a_search_that_are_links_out_of_its_folder_are_refused(tmp_path
         ("COMPLETE", [0.5], {"changes": ["x"]}, "changes"),
         ("COMPLETE", [0.5], {"by_seed": 0.5}, "by_seed"),
         ("FAIL", None, {"cpu_s": float("nan")}, "cpu_s"),
-        ("COMPLETE", [float("inf")], {}, "values"),
+        ("COMPLETE", [float("inf")], {}, "value"),
     ],
 )
 def test_a_wrong_value_in_a_study_is_named_with_its_trial(tmp_path, state, values, attributes, entry):

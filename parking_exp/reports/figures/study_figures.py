@@ -30,20 +30,20 @@ def study_of(tuning: Tuning) -> Any:
 
     try:
         kinds = {name: json_to_distribution(json.dumps(kind)) for name, kind in tuning.parameters.items()}
-        return _study(kinds, [(trial.parameters, trial.values[:1]) for trial in tuning.trials if trial.values])
+        return _study(kinds, [(trial.parameters, trial.value) for trial in tuning.trials if trial.value is not None])
     except (ValueError, KeyError, TypeError) as error:
         raise ResultsError(f"the search of {tuning.experiment} can't be drawn: {error}") from error
 
 
-def _study(distributions: Mapping[str, Any], trials: Sequence[tuple[Mapping[str, Any], Sequence[float]]]) -> Any:
-    """Return a study of trials, given by their parameters and values, in which every objective is maximised."""
+def _study(distributions: Mapping[str, Any], trials: Sequence[tuple[Mapping[str, Any], float]]) -> Any:
+    """Return a study of trials, given by their parameters and values, which are maximised."""
     import optuna
 
     optuna.logging.set_verbosity(optuna.logging.ERROR)
-    study = optuna.create_study(directions=["maximize"] * len(trials[0][1]))
-    for parameters, values in trials:
+    study = optuna.create_study(direction="maximize")
+    for parameters, value in trials:
         used = {name: distributions[name] for name in parameters}
-        study.add_trial(optuna.trial.create_trial(values=[*values], params={**parameters}, distributions=used))
+        study.add_trial(optuna.trial.create_trial(value=value, params={**parameters}, distributions=used))
     return study
 
 
@@ -72,7 +72,7 @@ def _plot(name: str, study: Any, height: float = 3.0, **arguments: Any) -> Any:
 
 def _varied(tuning: Tuning) -> list[str]:
     """Return the parameters of which the finished trials of a search have several values."""
-    done = [trial.parameters for trial in tuning.trials if trial.values]
+    done = [trial.parameters for trial in tuning.trials if trial.value is not None]
     names = dict.fromkeys(name for parameters in done for name in parameters)
     return [name for name in names if len({parameters[name] for parameters in done if name in parameters}) > 1]
 
@@ -80,7 +80,7 @@ def _varied(tuning: Tuning) -> list[str]:
 def draw_history(report: ReportData) -> Iterator[Drawing]:
     """Draw the value of each trial and the best so far."""
     if (tuning := report.tuning) and _varied(tuning):
-        objective = tuning.objectives[0]
+        objective = tuning.objective
         figure = _plot("plot_optimization_history", study_of(tuning), target_name=objective)
         yield figure, f"{objective} of each trial that is done, and the best so far."
 
@@ -88,9 +88,9 @@ def draw_history(report: ReportData) -> Iterator[Drawing]:
 def draw_parameter_importance(report: ReportData) -> Iterator[Drawing]:
     """Draw the importance of parameters, if enough trials differ in their values."""
     if (tuning := report.tuning) and _varied(tuning):
-        values = [trial.values[0] for trial in tuning.trials if trial.values]
+        values = [trial.value for trial in tuning.trials if trial.value is not None]
         if len(values) >= FEWEST_TRIALS and len(set(values)) > 1:
-            objective, height = tuning.objectives[0], 1.0 + 0.3 * len(tuning.parameters)
+            objective, height = tuning.objective, 1.0 + 0.3 * len(tuning.parameters)
             figure = _plot("plot_param_importances", study_of(tuning), height, target_name=objective)
             yield figure, f"Importance of each parameter for the best tenth of trials by {objective} (PED-ANOVA)."
 
@@ -99,7 +99,7 @@ def draw_slices(report: ReportData) -> Iterator[Drawing]:
     """Draw the objective against each parameter, some parameters to a figure."""
     if (tuning := report.tuning) is None or not (names := _varied(tuning)):
         return
-    objective = tuning.objectives[0]
+    objective = tuning.objective
     for begin in range(0, len(names), MOST_SLICES):
         chosen = names[begin : begin + MOST_SLICES]
         figure = _plot("plot_slice", study_of(tuning), params=chosen, target_name=objective)
@@ -109,7 +109,7 @@ def draw_slices(report: ReportData) -> Iterator[Drawing]:
 def draw_trial_coordinates(report: ReportData) -> Iterator[Drawing]:
     """Draw each trial as a line across its values and parameters."""
     if (tuning := report.tuning) and (names := _varied(tuning)):
-        yield _coordinates("trial", study_of(tuning), names, tuning.objectives[0])
+        yield _coordinates("trial", study_of(tuning), names, tuning.objective)
 
 
 def draw_cell_coordinates(report: ReportData) -> Iterator[Drawing]:
@@ -117,7 +117,7 @@ def draw_cell_coordinates(report: ReportData) -> Iterator[Drawing]:
     order = {item.factor: rank for rank, item in enumerate(report.importance)}
     factors = sorted(report.factors, key=lambda factor: order.get(factor.key, len(order)))
     trials = [
-        ({clean(factor.name): value for factor in factors if (value := _level(factor, cell)) is not None}, [success])
+        ({clean(factor.name): value for factor in factors if (value := _level(factor, cell)) is not None}, success)
         for cell in report.cells
         if (success := cell.success.value) is not None
     ]

@@ -1,4 +1,4 @@
-"""What exactly was run: versions, commits, machines, configs, and the runs without a result."""
+"""Provenance of a report: versions, commits, machines and configs of its runs, and runs without a result."""
 
 from collections import Counter
 from collections.abc import Sequence
@@ -15,7 +15,7 @@ REASONS = {"running": "under way", "interrupted": "interrupted or not begun; rer
 
 
 def provenance(cells: Sequence[CellRuns], left_out: Sequence[str], uri: str) -> Provenance:
-    """Return what exactly was run in the cells of a report; `left_out` are labels of the experiments' other cells."""
+    """Return the provenance of the cells of a report; `left_out` are labels of the experiments' other cells."""
     runs = pd.concat([cell.runs for cell in cells])
     versions = {
         str(column).removeprefix(VERSION): _counts(runs[column]) for column in runs if str(column).startswith(VERSION)
