@@ -25,9 +25,8 @@ from parking_exp.reports.tables.table import (
     spread,
 )
 from parking_exp.statistics import Interval, mean_interval, welch
-from parking_exp.tuning.retest import RetestedTrial, read_retest
 from parking_exp.tuning.search import SEARCH_FILE, study_in
-from parking_exp.tuning.trials import TrialRow, plain_choice, ranked
+from parking_exp.tuning.trials import RetestedTrial, TrialRow, plain_choice, ranked, read_retest
 
 if TYPE_CHECKING:
     from parking_exp.tuning.search import StoredSearch

@@ -2,7 +2,6 @@
 
 import os
 import queue
-import threading
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
@@ -15,15 +14,11 @@ from parking_exp.terminal import say
 from parking_exp.training.signals import stop_on_signal
 
 Train = Callable[[Path, Stop], WorkerResult | None]
-"""Trains the run of a directory with a worker's resources; returns None if the pool was stopped before it began."""
+"""Trains the run of a directory; returns None if the pool was stopped before it began."""
 
 
 def launch(paths: Sequence[Path], n_jobs: int | None = None) -> dict[Path, WorkerResult]:
-    """Train the runs of directories, `n_jobs` at a time (None: one per core); return how each run ended that was begun.
-
-    Raises:
-        InterruptedRunError: a signal stopped it.
-    """
+    """Train the runs of directories, `n_jobs` at a time (None: one per core); see `launch_workers`."""
     waiting = queue.SimpleQueue[Path | None]()
     n_workers = min(n_jobs or len(cores()), len(paths))
     for path in (*paths, *[None] * n_workers):
@@ -37,28 +32,27 @@ def launch(paths: Sequence[Path], n_jobs: int | None = None) -> dict[Path, Worke
 
 
 def launch_workers(work: Callable[[Train], None], n_workers: int) -> dict[Path, WorkerResult]:
-    """Have workers train what they choose; return how each run ended that was begun.
+    """Call `work` in a thread for each worker, with a function that trains; return how each run ended that was begun.
 
     Each worker has its own cores, and CUDA devices in turn where there are any. The first SIGINT or SIGTERM stops them
-    all, with their states saved; a second one leaves at once. `work` is called in a thread for each worker, with the
-    function that trains.
+    all, with their states saved; a second one leaves at once.
 
     Raises:
         InterruptedRunError: a signal stopped it.
     """
-    stop, results, devices = threading.Event(), dict[Path, WorkerResult](), cuda_devices()
+    results, devices = dict[Path, WorkerResult](), cuda_devices()
 
     def train(worker: WorkerResources, path: Path, stop_run: Stop) -> WorkerResult | None:
-        if stop.is_set():
+        if request.is_made:
             return None
         try:
-            results[path] = supervise(path, worker, lambda: stop.is_set() or stop_run())
+            results[path] = supervise(path, worker, lambda: request.is_made or stop_run())
         except Exception as error:  # e.g. its directory can't be written; the other runs go on
             say(f"error: {path}: {type(error).__name__}: {error}", stderr=True)
             results[path] = "failed"
         return results[path]
 
-    with stop_on_signal(stop.set, _leave) as request, ThreadPoolExecutor(n_workers) as pool:
+    with stop_on_signal(_leave) as request, ThreadPoolExecutor(n_workers) as pool:
         futures = []
         for number, some_cores in enumerate(shares(cores(), n_workers)):
             worker = WorkerResources(some_cores, [devices[number % len(devices)]] if devices else None)
@@ -70,5 +64,5 @@ def launch_workers(work: Callable[[Train], None], n_workers: int) -> dict[Path, 
     return results
 
 
-def _leave(number: int) -> None:
+def _leave(number: int, _: object) -> None:
     os._exit(128 + number)  # workers die with their supervisor

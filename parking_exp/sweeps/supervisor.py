@@ -1,7 +1,6 @@
-"""Supervise a run: start its worker process, wait for it, and record how it ended.
+"""Supervise a run: start its worker process, wait for it, and record in the run directory how it ended.
 
-All launchers train runs like this. If the worker dies, hangs or ends without a result, its supervisor marks the run as
-failed, with the reason. If the supervisor dies, its worker dies with it. All results are in the run directory.
+All launchers train runs like this. If the supervisor dies, its worker dies with it.
 """
 
 import os
@@ -9,24 +8,24 @@ import signal
 import socket
 import subprocess
 import sys
-import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, Any, Literal
+from typing import IO, Literal
 
 from parking_exp.config.paths import directory_path, store_uri
 from parking_exp.errors import ConfigError, OutputDirectoryError, RunLockedError
 from parking_exp.resources import THREAD_VARIABLES
 from parking_exp.runs.directory import RunDirectory
 from parking_exp.sweeps.worker import LOCKED_EXIT
+from parking_exp.training.signals import stop_on_signal
 
 LOG_FILE = "log.txt"
 GRACE_S = 8.0  # to save a checkpoint after a signal, before the process is killed
 POLL_S = 0.05
-# Signals that come from outside, and say nothing about the run; the others are its own crashes.
+# Signals that come from outside and say nothing about the run; the others are its own crashes.
 KILLS = {signal.SIGKILL, signal.SIGTERM, signal.SIGINT, signal.SIGHUP}
 
 WorkerResult = Literal["done", "failed", "stopped", "elsewhere"]
@@ -36,7 +35,7 @@ Stop = Callable[[], bool]
 
 @dataclass(frozen=True)
 class WorkerResources:
-    """What a worker may use: cores to be pinned to (none: all), as many threads, CUDA devices (None: all)."""
+    """What a worker may use: cores (none: all) with a thread each, and CUDA devices (None: all)."""
 
     cores: Sequence[int] = ()
     devices: Sequence[str] | None = None
@@ -155,20 +154,13 @@ def _start(path: Path, resources: WorkerResources, log: IO[bytes]) -> subprocess
 
 @contextmanager
 def stop_of_job() -> Iterator[Stop]:
-    """Yield a function that tells whether a signal has asked this job to stop.
+    """Yield a function that returns whether a signal has asked this job to stop.
 
     Raises:
         KeyboardInterrupt: at the end, if one has; no Exception, so that a launcher with one job after the other stops.
     """
-    asked = threading.Event()
-    before: dict[int, Any] = {}
-    if threading.current_thread() is threading.main_thread():
-        for signal_number in (signal.SIGTERM, signal.SIGINT, signal.SIGUSR2):  # the last is submitit's: time is short
-            before[signal_number] = signal.signal(signal_number, lambda *_: asked.set())
-    try:
-        yield asked.is_set
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
-    if asked.is_set():
+    signals = (signal.SIGINT, signal.SIGTERM, signal.SIGUSR2)  # submitit sends the last when the time is nearly up
+    with stop_on_signal(None, signals) as request:
+        yield lambda: request.is_made
+    if request.is_made:
         raise KeyboardInterrupt

@@ -2,14 +2,13 @@
 
 A checkpoint is a directory `step=<n>` with the model (policy, target networks, optimizers: Stable-Baselines3's zip),
 the filled part of the replay buffer, counters and rollout state as JSON and arrays, the logs so far, and a manifest of
-hashes. It is written under another name and renamed when all of it is on the disk. A training that is restored from it
-is bit-identical to one that was not interrupted. Nothing in it is unpickled on restoring.
+hashes. A training that is restored from it is bit-identical to one that was not interrupted. Nothing is unpickled.
 """
 
 import logging
 import shutil
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -26,7 +25,7 @@ from parking_exp.buffers import HerBuffer
 from parking_exp.runs.atomic_files import fsync, read_json, read_object, sha256, write_json
 from parking_exp.runs.directory import BUFFER, MANIFEST, MODEL
 from parking_exp.runs.metric_logs import copy_logs
-from parking_exp.training import rollout_state, serialization
+from parking_exp.training import rollout_state
 
 log = logging.getLogger(__name__)
 
@@ -35,6 +34,7 @@ STATE, ARRAYS = "state.json", "state.npz"
 COUNTERS = ("num_timesteps", "_n_updates", "_episode_num", "_current_progress_remaining")
 LAST = ("_last_obs", "_last_episode_starts")
 RECENT = ("ep_info_buffer", "ep_success_buffer")
+ARRAY, SCALAR = "__array__", "__scalar__"  # keys of the dicts that stand for an array and for a NumPy scalar
 
 
 @dataclass
@@ -56,9 +56,7 @@ def save(
     keep_last: int,
     average: PolicyEMA | None = None,
 ) -> Path:
-    """Write a checkpoint, then delete all but the last `keep_last`.
-
-    The logs beside `directory` and the best model are copied into it; the average is saved as a second model.
+    """Write a checkpoint, with copies of the logs and the best model, then delete all but the last `keep_last`.
 
     Raises:
         OSError: the disk is full; earlier checkpoints are untouched.
@@ -76,7 +74,7 @@ def save(
         attributes = {name: getattr(model, name) for name in (*COUNTERS, *LAST)}
         recent = {name: list(getattr(model, name) or ()) for name in RECENT}
         state = {"model": attributes | recent, "streams": rollout_state.get_state(model)}
-        plain, arrays = serialization.split(state)
+        plain, arrays = split_state(state)
         _write_arrays(folder / ARRAYS, arrays)
         write_json(folder / STATE, {"progress": asdict(progress), **plain})
     folders = _folders(directory)
@@ -115,9 +113,6 @@ def restore(folder: Path, model: OffPolicyAlgorithm, best: Path, average: Policy
 
     Returns:
         The rollout state, for `rollout_state.set_state` when the next rollout begins.
-
-    Raises:
-        ModelError: its weights are not those of the model.
     """
     load_weights(folder / MODEL, model)
     if (folder / BEST).exists():
@@ -125,7 +120,7 @@ def restore(folder: Path, model: OffPolicyAlgorithm, best: Path, average: Policy
     else:
         best.unlink(missing_ok=True)
     with np.load(folder / ARRAYS, allow_pickle=False) as arrays:
-        state = serialization.join(read_json(folder / STATE), arrays)
+        state = join_state(read_json(folder / STATE), arrays)
     for name in (*COUNTERS, *LAST):
         setattr(model, name, state["model"][name])
     for name in RECENT:
@@ -199,3 +194,46 @@ def _arrays(buffer: ReplayBuffer) -> Iterator[tuple[str, np.ndarray]]:
         for key, entry in entries:
             if isinstance(entry, np.ndarray) and entry.dtype != object:
                 yield (name if key is None else f"{name}/{key}"), entry
+
+
+def split_state(state: Any, name: str = "") -> tuple[Any, dict[str, np.ndarray]]:
+    """Split nested dicts and sequences into what JSON holds, and arrays by the path to them (`a/b/0`).
+
+    NumPy scalars keep their type, since a mean of float32 is not a mean of float64. Sequences become lists.
+    (`torch.load(weights_only=True)` would need NumPy's private constructors on its allow-list.)
+
+    Raises:
+        TypeError: something is of another kind.
+    """
+    if isinstance(state, np.ndarray) and state.dtype != object:
+        return {ARRAY: name}, {name: state}
+    if isinstance(state, np.generic):
+        return {SCALAR: [state.dtype.str, state.item()]}, {}
+    if state is None or isinstance(state, bool | int | float | str):
+        return state, {}
+    arrays: dict[str, np.ndarray] = {}
+
+    def part(key: object, value: Any) -> Any:
+        plain, its_arrays = split_state(value, f"{name}/{key}" if name else str(key))
+        arrays.update(its_arrays)
+        return plain
+
+    if isinstance(state, Mapping):
+        return {str(key): part(key, value) for key, value in state.items()}, arrays
+    if isinstance(state, Iterable):
+        return [part(number, value) for number, value in enumerate(state)], arrays
+    raise TypeError(f"{name} is a {type(state).__name__}, which can't be saved without pickling it")
+
+
+def join_state(plain: Any, arrays: Mapping[str, np.ndarray]) -> Any:
+    """Return the state that `split_state` took apart."""
+    if isinstance(plain, list):
+        return [join_state(value, arrays) for value in plain]
+    if not isinstance(plain, dict):
+        return plain
+    if ARRAY in plain:
+        return arrays[plain[ARRAY]]
+    if SCALAR in plain:
+        dtype, value = plain[SCALAR]
+        return np.dtype(dtype).type(value)
+    return {key: join_state(value, arrays) for key, value in plain.items()}

@@ -10,9 +10,8 @@ from parking_exp.evaluation.description import success_line
 from parking_exp.evaluation.evaluate_policy import differences
 from parking_exp.evaluation.trajectories import TRAJECTORIES_FILE, Recorder
 from parking_exp.evaluation.video import record
-from parking_exp.training.loop import TrainingLoop
+from parking_exp.training.loop import TrainingLoop, derive_seeds
 from parking_exp.training.plot_curves import learning_curves
-from parking_exp.training.seeding import derive_seeds
 
 
 def finish(loop: TrainingLoop) -> pd.DataFrame:

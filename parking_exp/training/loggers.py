@@ -14,10 +14,7 @@ from parking_exp.runs.metric_logs import MetricsLog
 
 
 def make_logger(tracking: TrackingConfig, run_dir: Path, metrics: MetricsLog, step: int) -> Logger:
-    """Make a run's logger: `metrics.jsonl` always, progress.csv, TensorBoard and stdout as configured.
-
-    progress.csv begins with the rows of `metrics`; TensorBoard discards what it has of steps after `step`.
-    """
+    """Make a run's logger, which goes on after `step` of a run that is resumed."""
     formats: list[KVWriter] = [_MetricsWriter(metrics, run_dir / "progress.csv" if tracking.csv else None)]
     if tracking.tensorboard:
         formats.append(_TensorBoardWriter(run_dir / "tensorboard", step))
@@ -27,7 +24,7 @@ def make_logger(tracking: TrackingConfig, run_dir: Path, metrics: MetricsLog, st
 
 
 class _MetricsWriter(KVWriter):
-    """Writes the logger's rows to a MetricsLog, and the values that it accepts to progress.csv as well."""
+    """Writes to metrics.jsonl, and what that accepts to progress.csv, which is written anew from metrics.jsonl."""
 
     def __init__(self, metrics: MetricsLog, csv: Path | None) -> None:
         self.metrics = metrics
@@ -39,7 +36,6 @@ class _MetricsWriter(KVWriter):
         self._add_row(self.metrics.append(step, key_values), step)
 
     def close(self) -> None:
-        """Close the table; the log's rows are on the disk already."""
         if self.table is not None:
             self.table.close()
 
@@ -49,7 +45,7 @@ class _MetricsWriter(KVWriter):
 
 
 class _TensorBoardWriter(KVWriter):
-    """Writes the numbers of the logger's rows to TensorBoard; Stable-Baselines3's own writer knows no `purge_step`."""
+    """Writes to TensorBoard, with `purge_step`, which Stable-Baselines3's own writer lacks."""
 
     def __init__(self, folder: Path, step: int) -> None:
         # Also at step 0: a run that was killed before its first checkpoint starts anew beside its old events.
@@ -63,7 +59,6 @@ class _TensorBoardWriter(KVWriter):
         self.writer.flush()
 
     def close(self) -> None:
-        """Close the file; its rows are on the disk already."""
         self.writer.close()
 
 

@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,7 @@ from parking_exp.algorithms.build_model import build_model, greedy_policy
 from parking_exp.algorithms.model_files import save_model
 from parking_exp.algorithms.policy_ema import PolicyEMA
 from parking_exp.buffers import HerBuffer
-from parking_exp.config.schema import RunConfig, Simulation
+from parking_exp.config.schema import TRAINING_SCENES_START, RunConfig, Simulation
 from parking_exp.envs.training_envs import make_training_envs
 from parking_exp.errors import InterruptedRunError
 from parking_exp.evaluation.description import success_line
@@ -26,10 +27,24 @@ from parking_exp.training import checkpoints, rollout_state
 from parking_exp.training.checkpoints import Progress
 from parking_exp.training.loggers import make_logger
 from parking_exp.training.progress import TrainingProgress
-from parking_exp.training.seeding import derive_seeds
 from parking_exp.training.signals import StopRequest
 
 BAR_UPDATES_PER_S = 5
+
+
+@dataclass(frozen=True)
+class Seeds:
+    """Seeds of one run's random generators."""
+
+    policy: int  # weights, exploration and minibatches (Python, NumPy and torch), below 2**31
+    training_scenes: int  # of the first training env; env i gets this + i. At least 2**31: no evaluation scene
+    certified_scenes: int  # draws the scenes of the final evaluation that are certified
+
+
+def derive_seeds(seed: int) -> Seeds:
+    """Derive the seeds of a run's independent random generators from its one seed."""
+    policy, scenes, certified = np.random.SeedSequence(seed).generate_state(3).tolist()
+    return Seeds(policy % 2**31, TRAINING_SCENES_START + scenes % 2**31, certified)
 
 
 class TrainingLoop:
@@ -117,9 +132,8 @@ class TrainingLoop:
     def stop_if_asked(self) -> None:
         """Raise InterruptedRunError if a signal has asked to stop; the checkpoint is saved when this is caught."""
         if self.stop.signal_number is not None:
-            step = self.model.num_timesteps
-            words = f"stopped at step {step}; rerun the same command to resume"
-            raise InterruptedRunError(words, self.stop.signal_number)
+            sentence = f"stopped at step {self.model.num_timesteps}; rerun the same command to resume"
+            raise InterruptedRunError(sentence, self.stop.signal_number)
 
     def times(self) -> tuple[float, float]:
         """Return CPU and wall seconds of the run, earlier processes included."""
@@ -184,7 +198,6 @@ class RolloutCallback(BaseCallback):
         self._update_bar()
 
     def _update_bar(self) -> None:
-        """Show success rate and mean return of the last training episodes."""
         successes, episodes = self.model.ep_success_buffer, self.model.ep_info_buffer
         success_rate = float(np.mean(successes)) if successes else None
         mean_return = float(np.mean([episode["r"] for episode in episodes])) if episodes else None

@@ -20,13 +20,7 @@ class TrainingProgress:
         heartbeat: called every second with how far the run is, whatever is shown.
     """
 
-    def __init__(
-        self,
-        total_steps: int,
-        start: int,
-        enabled: bool,
-        heartbeat: Callable[..., None] = lambda **_: None,
-    ) -> None:
+    def __init__(self, total_steps: int, start: int, enabled: bool, heartbeat: Callable[..., None]) -> None:
         self.console = Screen(stderr=True)
         self.total, self.start, self.enabled = total_steps, start, enabled
         self._started = time.monotonic()
@@ -51,7 +45,7 @@ class TrainingProgress:
         self._bar.stop()
 
     def update(self, step: int, success_rate: float | None, episode_return: float | None) -> None:
-        """Show the step, and the mean of the last training episodes."""
+        """Show the step, and the means over the last training episodes."""
         self._step = step
         rate = (step - self.start) / max(time.monotonic() - self._started, 1e-9)
         if time.monotonic() >= self._next_heartbeat:

@@ -1,7 +1,6 @@
 """State outside the model that exact resume needs: random generators, envs, exploration noise, the logger.
 
-Envs are in the middle of their episodes, and metrics wait in the logger for its next row. The state is saved and
-restored at the same point, the beginning of a rollout. There restoring comes last: `learn` resets action noise, and
+It is saved and restored at the beginning of a rollout. Restoring comes last there: `learn` resets action noise, and
 gSDE draws its matrices just before.
 """
 

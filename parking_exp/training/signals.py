@@ -3,7 +3,7 @@
 import os
 import signal
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from types import FrameType
@@ -15,17 +15,18 @@ class StopRequest:
 
     signal_number: int | None = None
 
-
-def interrupt(number: int) -> None:
-    """Raise KeyboardInterrupt."""
-    raise KeyboardInterrupt
+    @property
+    def is_made(self) -> bool:
+        """Whether a signal has arrived."""
+        return self.signal_number is not None
 
 
 @contextmanager
 def stop_on_signal(
-    at_first: Callable[[], None] = lambda: None, at_second: Callable[[int], None] = interrupt
+    at_second: Callable[[int, FrameType | None], object] | None = signal.default_int_handler,
+    signals: Sequence[int] = (signal.SIGINT, signal.SIGTERM),
 ) -> Iterator[StopRequest]:
-    """Turn the first SIGINT or SIGTERM into a StopRequest; a second one interrupts at once.
+    """Turn the first of some signals into a StopRequest; `at_second` handles later ones, None ignores them.
 
     Outside the main thread signals can't be caught, and nothing changes.
     """
@@ -34,16 +35,16 @@ def stop_on_signal(
         yield request
         return
 
-    def handle(number: int, _: FrameType | None) -> None:
-        if request.signal_number is not None:
-            at_second(number)
-            return
-        request.signal_number = number
-        at_first()
-        # Not print: the signal may have come in the middle of one.
-        os.write(2, b"\nsaving a checkpoint before leaving; interrupt again to leave at once\n")
+    def handle(number: int, frame: FrameType | None) -> None:
+        if not request.is_made:
+            request.signal_number = number
+            hint = b"; interrupt again to leave at once" if at_second else b""
+            # Not print: the signal may have come in the middle of one.
+            os.write(2, b"\nsaving a checkpoint before leaving" + hint + b"\n")
+        elif at_second:
+            at_second(number, frame)
 
-    before = {number: signal.signal(number, handle) for number in (signal.SIGINT, signal.SIGTERM)}
+    before = {number: signal.signal(number, handle) for number in signals}
     try:
         yield request
     finally:

@@ -2,6 +2,7 @@
 
 import os
 import resource
+import signal
 import socket
 import sys
 import time
@@ -29,14 +30,13 @@ from parking_exp.tracking.tracker import Tracker, open_tracker
 from parking_exp.training import checkpoints
 from parking_exp.training.finish import finish
 from parking_exp.training.loop import TrainingLoop
-from parking_exp.training.signals import StopRequest, interrupt, stop_on_signal
+from parking_exp.training.signals import StopRequest, stop_on_signal
 
 
 def train(config: DictConfig | Mapping[str, Any] | RunConfig, *, supervised: bool = False) -> RunResult:
-    """Train, evaluate and track one run, or finish what is left of it.
+    """Train, evaluate and track one run, or resume it from its latest whole checkpoint.
 
-    A run that is done returns its stored result. One that was interrupted resumes from its latest whole checkpoint.
-    `supervised` is true where the process that started this one holds the run's supervisor lock.
+    A run that is done returns its stored result. `supervised`: the parent process holds the run's supervisor lock.
 
     Raises:
         ConfigError: the config cannot run; nothing was made on disk.
@@ -57,8 +57,8 @@ def train(config: DictConfig | Mapping[str, Any] | RunConfig, *, supervised: boo
             return result
         directory.create(config)
         # Slurm signals every process of a job, and the supervisor passes its own signal on: the checkpoint comes first.
-        at_second = (lambda _: None) if supervised else interrupt
-        with stop_on_signal(at_second=at_second) as stop, torch_settings(config):
+        at_second = None if supervised else signal.default_int_handler
+        with stop_on_signal(at_second) as stop, torch_settings(config):
             return _train(config, directory, stop)
 
 

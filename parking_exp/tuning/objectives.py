@@ -12,13 +12,10 @@ FINAL_METRICS = {"final_success": "final/success_rate", "final_parked": "final/p
 
 
 def success_curve(directory: RunDirectory) -> tuple[list[int], list[float]]:
-    """Return the env steps of a run's evaluations so far, and their success rates; the last may be the final one.
-
-    Raises:
-        DamagedFileError: the run's log is damaged.
-    """
-    records = [(record["step"], record["metrics"]) for record in read_metrics(directory.path / "metrics.jsonl")]
-    rates = {step: metrics["eval/success_rate"] for step, metrics in records if "eval/success_rate" in metrics}
+    """Return the env steps of a run's evaluations so far, and their success rates; the last may be the final one."""
+    records = read_metrics(directory.path / "metrics.jsonl")
+    name = "eval/success_rate"
+    rates = {record["step"]: record["metrics"][name] for record in records if name in record["metrics"]}
     result = directory.result()
     if result is not None and "final/success_rate" in result.metrics:
         rates[result.steps] = result.metrics["final/success_rate"]

@@ -1,24 +1,45 @@
 """Run a search: print its plan, train its trials, retrain the best on test seeds, write the winner."""
 
+import itertools
+import shlex
 import time
+from collections.abc import Sequence
+from dataclasses import asdict
 from pathlib import Path
+from statistics import mean
 from typing import TYPE_CHECKING
 
+import yaml
 from rich.console import Console
+from rich.table import Table
 
 from parking_exp.config.overrides import in_quotes
 from parking_exp.config.paths import store_uri
+from parking_exp.config.run_key import result_part
 from parking_exp.errors import ConfigError, FailedRunError, plural
+from parking_exp.runs.atomic_files import write_atomically, write_json
 from parking_exp.runs.directory import RunDirectory
 from parking_exp.runs.lookup import find_runs
+from parking_exp.runs.run_state import read_state
 from parking_exp.sweeps.hydra_launcher import Launch
 from parking_exp.sweeps.monitor import Monitor
+from parking_exp.sweeps.plan import PlannedRun
+from parking_exp.sweeps.sweep import sweep
 from parking_exp.terminal import console
 from parking_exp.tracking.mirror import mirror_problem
 from parking_exp.tracking.store import Store
-from parking_exp.tuning.retest import retest, write_winner
+from parking_exp.tuning.objectives import objective_value
 from parking_exp.tuning.search import Search, study_in
-from parking_exp.tuning.trials import TrialRow, counts, progress_lines, rows, trial_table
+from parking_exp.tuning.trials import (
+    RETEST_FILE,
+    RetestedTrial,
+    TrialRow,
+    counts,
+    progress_lines,
+    ranked,
+    rows,
+    trial_table,
+)
 
 if TYPE_CHECKING:
     from optuna import Study
@@ -37,7 +58,7 @@ def tune(search: Search, launch: Launch) -> None:
     """
     search.check()
     out, request = console(), search.request
-    n_trials = request.n_trials
+    n_trials, objective = request.n_trials, request.search.objective
     if (n_workers := request.n_workers or launch.n_jobs) is None:
         raise ConfigError(f"hydra/launcher={launch.name}: set the number of parallel trials, n_workers=N")
     if request.dry_run:
@@ -50,25 +71,24 @@ def tune(search: Search, launch: Launch) -> None:
     search.save()
     if _n_left(trials, n_trials):
         trials = _train(search, study, launch, n_workers)
-    out.print(
-        trial_table(trials, request.search.objective),
-        *progress_lines(trials, request.search.objective, n_trials),
-        sep="\n",
-    )
+    out.print(trial_table(trials, objective), *progress_lines(trials, objective, n_trials), sep="\n")
     if left := _n_left(trials, n_trials):
         raise FailedRunError(f"{plural(left, 'trial')} not over; rerun the same command to resume")
     if not counts(trials)["done"]:
         reason = next((trial.reason for trial in trials if trial.reason), "all were pruned")
         raise FailedRunError(f"no trial is done; the first reason: {reason}")
-    write_winner(search, retest(search, trials, launch), out)
+    if request.search.n_retest:
+        write_winner(search, _retest(search, trials, launch), out)
+    else:
+        out.print("search.n_retest=0: no trial is trained on test seeds, and no experiment file is written")
 
 
-def _n_left(trials: list[TrialRow], n_trials: int) -> int:
+def _n_left(trials: Sequence[TrialRow], n_trials: int) -> int:
     """Return how many trials are not over."""
     return n_trials - sum(trial.state in ("done", "pruned", "failed") for trial in trials)
 
 
-def _describe(search: Search, trials: list[TrialRow], n_workers: int, out: Console) -> None:
+def _describe(search: Search, trials: Sequence[TrialRow], n_workers: int, out: Console) -> None:
     """Print the space, the budget and the progress."""
     request, settings = search.request, search.request.search
     for key, dimension in settings.space.items():
@@ -117,3 +137,61 @@ def _train(search: Search, study: "Study", launch: Launch, n_workers: int) -> li
             if base.tracking.mlflow and (unsent := mirror_problem(directories, store)):
                 monitor.say(unsent)
     return trials
+
+
+def _retest(search: Search, trials: Sequence[TrialRow], launch: Launch) -> list[RetestedTrial]:
+    """Train trial 0 and the best trials on the test seeds, as a sweep, and store the results, best first."""
+    request, settings, retested = search.request, search.request.search, []
+    chosen = chosen_trials(trials, settings.n_retest)
+    configs = {trial.number: search.config(trial.changes) for trial in chosen}
+    planned: list[PlannedRun] = []
+    for seed, trial in itertools.product(settings.test_seeds, chosen):
+        config = configs[trial.number].model_copy(update={"seed": seed})
+        entries = {"search": search.folder.name, "trial": trial.number}
+        state = read_state(config.run_dir)
+        planned.append(PlannedRun(config, config.run_dir, trial.label, state, request.retry is not None, entries))
+    sweep(planned, launch)
+    for trial in chosen:
+        directories = [RunDirectory(run.path) for run in planned if run.entries["trial"] == trial.number]
+        test = [objective_value(directory, settings.objective) for directory in directories]
+        retested.append(RetestedTrial(trial.number, trial.label, trial.changes, list(trial.by_seed), test))
+    retested.sort(key=lambda trial: (-mean(trial.test), trial.number))
+    seeds = {"tuning_seeds": settings.tuning_seeds, "test_seeds": settings.test_seeds}
+    stored = {"objective": settings.objective, **seeds, "trials": [asdict(trial) for trial in retested]}
+    write_json(search.folder / RETEST_FILE, stored)
+    return retested
+
+
+def chosen_trials(trials: Sequence[TrialRow], n_retest: int) -> list[TrialRow]:
+    """Return trial 0, if it is done, and the best `n_retest` others, without trials that share the runs of another."""
+    distinct: dict[tuple[str, ...], TrialRow] = {}
+    for trial in ranked(trials):
+        distinct.setdefault(tuple(trial.runs), trial)
+    others = [trial for trial in distinct.values() if trial.number != 0]
+    return [*(trial for trial in distinct.values() if trial.number == 0), *others[:n_retest]]
+
+
+def write_winner(search: Search, retested: Sequence[RetestedTrial], out: Console) -> None:
+    """Print the results on test seeds, and write the best trial as an experiment file."""
+    winner, name = retested[0], search.folder.name
+    table = Table("trial", "tuning seeds", "test seeds", "difference", box=None, pad_edge=False)
+    for trial in retested:
+        tuning, test = mean(trial.tuning), mean(trial.test)
+        table.add_row(trial.label, f"{tuning:.1%}", f"{test:.1%}", f"{100 * (tuning - test):+.1f} points")
+    out.print(table)
+    config = result_part(search.config(winner.changes).plain())
+    del config["seed"]
+    options = search.compose(winner.changes).options
+    experiment = {
+        "defaults": [{f"override /{group}": options[group]} for group in ("env", "algorithm", "buffer")],
+        "experiment_name": f"tuned_{name}",
+        **config,
+    }
+    head = f"# @package _global_\n# Trial {winner.number} of search {name}, best of {len(retested)} on test seeds.\n"
+    path = search.folder / f"tuned_{name}.yaml"
+    write_atomically(path, head + yaml.safe_dump(experiment, sort_keys=False))
+    seeds = plural(len(winner.test), "test seed")
+    out.print(f"the winner is {winner.label}: {search.request.search.objective} {mean(winner.test):.1%} on {seeds}")
+    out.print(f"experiment     {path}")
+    config_dir = ["--config-dir", search.extra_config_dir] if search.extra_config_dir else []
+    out.print(f"train it with  {shlex.join(['python', 'scripts/train.py', f'experiment={path}', *config_dir])}")

@@ -1,18 +1,90 @@
-"""The schema of a search: its space, objective, sampler, pruner and seeds."""
+"""The schema of a search: its space in the config and in Optuna, its objective, sampler, pruner and seeds."""
 
-from typing import Annotated, Literal, Self
+import json
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 from pydantic import AfterValidator, Field, model_validator
 
 from parking_exp.config.credentials import keep_password, strip_password
 from parking_exp.config.paths import absolute
 from parking_exp.config.schema import ConfigModel, Count, Name, Positive, SweepOptions
-from parking_exp.tuning.space import Dimension, Value
 
+if TYPE_CHECKING:
+    from optuna.trial import BaseTrial
+
+DIGITS = 6  # of sampled numbers, so that configs stay readable
+Value = bool | int | float | str | None | list[Any] | dict[str, Any]
+Range = Annotated[list[float], Field(min_length=2, max_length=2)]
 Objective = Literal["success_auc", "final_success", "final_parked"]
 Seeds = Annotated[list[Annotated[int, Field(ge=0, lt=2**32)]], Field(min_length=1)]
 Storage = Annotated[str, AfterValidator(lambda uri: absolute(keep_password(uri)))]
 """URI of Optuna's storage without the password, which `with_password` adds where the storage is opened."""
+
+
+class Dimension(ConfigModel):
+    """The range or choices of one key, in one of four forms.
+
+    Attributes:
+        log: lowest and highest value, on a log scale.
+        uniform: lowest and highest value.
+        whole: lowest and highest integer; `int` in YAML.
+        choices: values, or options of a group.
+    """
+
+    log: Range | None = None
+    uniform: Range | None = None
+    whole: Annotated[list[int], Field(min_length=2, max_length=2)] | None = Field(default=None, alias="int")
+    choices: Annotated[list[Value], Field(min_length=1)] | None = None
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        forms = [form for form in (self.log, self.uniform, self.whole, self.choices) if form is not None]
+        if len(forms) != 1:
+            raise ValueError("takes one of log, uniform, int and choices")
+        if self.choices is None and self.ends[0] >= self.ends[1]:
+            raise ValueError(f"{self.ends} is empty; write [lowest, highest]")
+        if self.log and self.log[0] <= 0:
+            raise ValueError(f"is on a log scale, and {self.log[0]} is not above 0")
+        return self
+
+    @property
+    def ends(self) -> list[Any]:
+        """Values to validate: both ends of a range, or every choice."""
+        return self.choices or self.log or self.uniform or self.whole or []
+
+    def __str__(self) -> str:
+        """Describe the dimension as the YAML does: `log [0.001, 0.01]`."""
+        ((form, ends),) = self.model_dump(by_alias=True, exclude_none=True).items()
+        return f"{form} {ends}"
+
+    def suggest(self, trial: "BaseTrial", key: str) -> Any:
+        """Return a trial's parameter, sampled if it has none; choices are JSON, since Optuna takes no lists."""
+        if self.choices is not None:
+            return trial.suggest_categorical(key, [json.dumps(choice) for choice in self.choices])
+        low, high = self.ends
+        if self.whole is not None:
+            return trial.suggest_int(key, low, high)
+        return trial.suggest_float(key, low, high, log=self.log is not None)
+
+    def to_parameter(self, value: Any) -> Any:
+        """Return a config's value as Optuna's parameter, or None if it is outside the dimension."""
+        if self.choices is not None:
+            same = (c for c in self.choices if c == value and isinstance(c, bool) == isinstance(value, bool))
+            return next(map(json.dumps, same), None)
+        if isinstance(value, bool) or not isinstance(value, int | float) or (self.whole and value != int(value)):
+            return None
+        low, high = self.ends
+        return value if low <= value <= high else None
+
+    def allows(self, value: Any) -> bool:
+        """Return whether a trial may have a value: one of the choices, or any number, since samples are rounded."""
+        return isinstance(value, int | float) if self.choices is None else self.to_parameter(value) is not None
+
+    def to_value(self, parameter: Any) -> Any:
+        """Return Optuna's parameter as a config's value."""
+        if self.choices is not None:
+            return json.loads(parameter)
+        return parameter if self.whole else float(f"{parameter:.{DIGITS}g}")
 
 
 class SearchConfig(ConfigModel):

@@ -1,9 +1,8 @@
 """The study of a search: Optuna's record of its trials, and which process works on which trial.
 
-The study is a journal file in the experiment's folder, or is in the database of `storage`. Trials are numbered from 0;
-those from 0 to n_trials - 1 are trained. A process holds a lock file while it works on a trial. The system releases it
-when the process dies, so that the next process to look resumes the trial. (Optuna's own heartbeat is for
-`study.optimize` on databases only.)
+The study is a journal file in the experiment's folder, or is in the database of `storage`. A process holds a lock file
+while it works on a trial; once that process has died, another one resumes the trial. Optuna's own heartbeat is for
+`study.optimize` on databases only.
 """
 
 import json
@@ -38,7 +37,7 @@ CHANGES, RUNS, REASON, SEED_VALUES, STEPS, CPU_S = "changes", "runs", "reason", 
 
 @dataclass(frozen=True)
 class OpenStudy:
-    """A study that trials are claimed from: Optuna's study, its storage, and the folder of the search."""
+    """A study that trials are claimed from, its storage, and the folder of the search."""
 
     study: "Study"
     storage: Any
@@ -46,13 +45,13 @@ class OpenStudy:
 
 
 class _JournalLock:
-    """Lock of the journal for Optuna: the system releases it when its process dies."""
+    """Lock of the journal, for Optuna; released by the system when its process dies."""
 
     def __init__(self, path: Path) -> None:
         self._path, self._lock = path, FileLock(f"{path}.lock")
 
     def acquire(self) -> bool:
-        """Wait for the lock, and remove an incomplete last line, which a kill or a full disk leaves."""
+        """Wait for the lock, and remove an incomplete last line, left by a kill or a full disk."""
         self._lock.acquire()
         with self._path.open("r+b") as file:
             file.seek(max(0, file.seek(0, os.SEEK_END) - 1))
@@ -68,11 +67,7 @@ class _JournalLock:
 
 @contextmanager
 def storage_errors(name: str) -> Iterator[None]:
-    """Raise errors of a study's storage, which may be of any database driver, as one sentence.
-
-    Raises:
-        StoreError: the storage fails, or its content is damaged.
-    """
+    """Turn all other errors, which may come from any database driver, into a StoreError."""
     try:
         yield
     except ParkingError:
@@ -109,10 +104,8 @@ def open_study(folder: Path, search: SearchConfig, base: RunConfig, values: Valu
 
     Args:
         folder: of the experiment.
-        search: the search.
         base: the config that trials change.
-        values: changes -> values of the keys of the space in the config with these changes.
-        storage: see `storage_of`.
+        values: changes -> value of each key of the space in the config with these changes.
 
     Raises:
         ConfigError: the study was made with another space, objective, seeds or base config.
@@ -162,16 +155,12 @@ def _enqueue(study: "Study", search: SearchConfig, changes: Mapping[str, Any], v
 
 
 def trial_lock_path(folder: Path, number: int) -> Path:
-    """Return the lock file of a trial, held by the process that works on it."""
+    """Return the path of a trial's lock file."""
     return folder / TRIALS_FOLDER / f"{number:05d}.lock"
 
 
 def claim(opened: OpenStudy, search: SearchConfig, n_trials: int) -> "tuple[Trial, FileLock] | None":
-    """Resume an abandoned trial or begin the next one.
-
-    Returns:
-        The trial, with its changes as a user attribute, and the lock to release afterwards; None if no trial is left.
-    """
+    """Resume an abandoned trial or begin the next one; return it and the lock to release, or None if none is left."""
     import optuna
 
     study, folder = opened.study, opened.folder

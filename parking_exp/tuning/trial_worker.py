@@ -3,14 +3,12 @@
 import errno
 import os
 import time
-from collections.abc import Sequence
 from pathlib import Path
 from statistics import mean
 from typing import TYPE_CHECKING, Literal
 
-from parking_exp.config.credentials import strip_password
 from parking_exp.config.schema import RunConfig
-from parking_exp.errors import ConfigError, OutputDirectoryError, StoreError
+from parking_exp.errors import ConfigError, OutputDirectoryError
 from parking_exp.runs.directory import RunDirectory
 from parking_exp.runs.metric_logs import read_metrics
 from parking_exp.runs.run_state import read_state
@@ -19,7 +17,7 @@ from parking_exp.sweeps.local import Train
 from parking_exp.sweeps.supervisor import Stop, WorkerResult, stop_of_job, supervise
 from parking_exp.tuning.objectives import objective_value, success_curve, updates_at, values_so_far
 from parking_exp.tuning.search import Search
-from parking_exp.tuning.study import CHANGES, CPU_S, REASON, RUNS, SEED_VALUES, STEPS, claim
+from parking_exp.tuning.study import CHANGES, CPU_S, REASON, RUNS, SEED_VALUES, STEPS, claim, storage_errors
 
 if TYPE_CHECKING:
     from omegaconf import DictConfig
@@ -38,10 +36,10 @@ def do_job(config: "DictConfig") -> WorkerResult | None:
     """
     if not config.get("study"):
         return train_run(config)
-    with stop_of_job() as asked:
+    with stop_of_job() as is_stopped:
 
         def train(path: Path, stop: Stop) -> WorkerResult | None:
-            return None if asked() else supervise(path, stop=lambda: asked() or stop())
+            return None if is_stopped() else supervise(path, stop=lambda: is_stopped() or stop())
 
         work(Path(config.study), config.n_trials, train, config.get("storage"))
     return None
@@ -55,14 +53,12 @@ def work(folder: Path, n_trials: int, train: Train, storage: str | None = None) 
     Raises:
         StoreError: the study can't be read or written.
     """
-    from optuna.exceptions import OptunaError
     from optuna.pruners import MedianPruner, NopPruner
-    from sqlalchemy.exc import SQLAlchemyError
 
     search = Search.load(folder, storage)
     opened, settings = search.open(), search.request.search
     opened.study.pruner = MedianPruner(n_startup_trials=5) if settings.pruner else NopPruner()
-    try:
+    with storage_errors(folder.name):
         while (claimed := claim(opened, settings, n_trials)) is not None:
             trial, lock = claimed
             try:
@@ -70,11 +66,6 @@ def work(folder: Path, n_trials: int, train: Train, storage: str | None = None) 
                     return
             finally:
                 lock.release()
-    except (OptunaError, SQLAlchemyError) as error:
-        line = strip_password(str(error).splitlines()[0])
-        raise StoreError(
-            f"the study {folder.name} can't be written: {line}; rerun the same command to resume"
-        ) from error
 
 
 class _TrialTraining:
@@ -93,27 +84,27 @@ class _TrialTraining:
         except ConfigError as error:  # values that can't be combined
             return self._end("failed", [], reason=str(error).replace("\n", "; "))
         runs = [config.model_copy(update={"seed": seed}) for seed in self.settings.tuning_seeds]
-        folders = [str(run.run_dir.relative_to(run.output_path)) for run in runs]
         values: list[float] = []
         for number, run in enumerate(runs, 1):
-            self.trial.set_user_attr(RUNS, folders[:number])
-            was_done = read_state(run.run_dir).stage == "done"
+            begun, directory = runs[:number], RunDirectory(run.run_dir)
+            self.trial.set_user_attr(RUNS, [str(each.run_dir.relative_to(run.output_path)) for each in begun])
+            was_done = directory.status == "done"
             outcome = self._train_run(run)
             if outcome == "stopped":
                 return outcome
             if outcome == "failed":
-                reason = f"seed {run.seed}: {read_state(run.run_dir).reason or 'it failed'}"
-                return self._end("failed", runs[:number], reason)
+                reason = read_state(run.run_dir).reason or "it failed"
+                return self._end("failed", begun, reason=f"seed {run.seed}: {reason}")
             # A run of an earlier process was judged before the next one began.
             if outcome == "pruned" or (self._is_worse(run) and number < len(runs) and not was_done):
-                return self._end("pruned", runs[:number])
-            self.areas.append(objective_value(RunDirectory(run.run_dir), "success_auc"))
-            values.append(objective_value(RunDirectory(run.run_dir), self.settings.objective))
+                return self._end("pruned", begun)
+            self.areas.append(objective_value(directory, "success_auc"))
+            values.append(objective_value(directory, self.settings.objective))
         self.trial.set_user_attr(SEED_VALUES, values)
         return self._end("done", runs, value=mean(values))
 
     def _end(
-        self, outcome: Outcome, runs: Sequence[RunConfig], reason: str | None = None, value: float | None = None
+        self, outcome: Outcome, runs: list[RunConfig], *, reason: str | None = None, value: float | None = None
     ) -> Outcome:
         """Record the resources that the trial used and how it ended."""
         from optuna.trial import TrialState
@@ -128,13 +119,13 @@ class _TrialTraining:
 
     def _train_run(self, config: RunConfig) -> Outcome:
         """Train a run until it is over, or until its trial is to be pruned."""
-        directory, looked, pruned = RunDirectory(config.run_dir), time.monotonic(), False
+        directory, last_check, is_pruned = RunDirectory(config.run_dir), time.monotonic(), False
 
         def stop() -> bool:
-            nonlocal looked, pruned
-            if not pruned and time.monotonic() - looked > POLL_S:
-                looked, pruned = time.monotonic(), self._is_worse(config)
-            return pruned
+            nonlocal last_check, is_pruned
+            if not is_pruned and time.monotonic() - last_check > POLL_S:
+                last_check, is_pruned = time.monotonic(), self._is_worse(config)
+            return is_pruned
 
         attempts = 0
         while True:
@@ -152,7 +143,7 @@ class _TrialTraining:
             entries = {"search": self.search.folder.name, "trial": self.trial.number}
             directory.freeze(config, f"trial {self.trial.number}", state.started, entries=entries)
             result = self.train(directory.path, stop)
-            if result == "stopped" and pruned:
+            if result == "stopped" and is_pruned:
                 directory.update(status="pruned")
             elif result in (None, "stopped"):
                 return "stopped"

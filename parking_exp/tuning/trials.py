@@ -1,15 +1,16 @@
-"""The trials of a search as tables show them: state, parameters, values, and resources used."""
+"""The trials of a search as validated rows, their results on test seeds, and the tables that show them."""
 
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, get_args
+from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args
 
-from pydantic import FiniteFloat, TypeAdapter, ValidationError
+from pydantic import Field, FiniteFloat, TypeAdapter, ValidationError
 from rich.table import Table
 
 from parking_exp.errors import ConfigError, plural
+from parking_exp.runs.atomic_files import read_object
 from parking_exp.runs.locks import is_held
 from parking_exp.tuning.study import storage_errors, trial_lock_path
 
@@ -18,7 +19,10 @@ if TYPE_CHECKING:
     from optuna.trial import FrozenTrial
 
 TrialState = Literal["done", "pruned", "failed", "running", "pending"]
-SHOWN = 15
+STATES: Mapping[str, TrialState] = {"COMPLETE": "done", "PRUNED": "pruned", "FAIL": "failed", "WAITING": "pending"}
+Rates = Annotated[list[Annotated[float, Field(ge=0, le=1)]], Field(min_length=1)]
+RETEST_FILE = "retest.json"
+MOST_SHOWN = 15
 
 
 @dataclass(frozen=True)
@@ -27,10 +31,10 @@ class TrialRow:
 
     Attributes:
         number: 0 is the unchanged config.
-        state: done, pruned, failed, running, or pending; pending again after its worker was killed.
-        changes: what it changes in the search's config.
-        parameters: name -> value, a number or the text of a choice.
-        value: the objective, mean over seeds; None unless it is done.
+        state: `pending` again after its worker was killed.
+        changes: to the search's config.
+        parameters: name -> a number or the text of a choice.
+        value: mean of the objective over seeds; None unless it is done.
         by_seed: the objective of each seed.
         runs: run directories, relative to the output directory.
         env_steps, cpu_s: total of its runs; None if unknown.
@@ -57,7 +61,15 @@ class TrialRow:
         return f"trial {self.number}: {', '.join(changed) or 'unchanged'}"
 
 
-ROW = TypeAdapter(TrialRow)
+@dataclass(frozen=True)
+class RetestedTrial:
+    """A trial that was trained again on test seeds, with its objective on each tuning seed and on each test seed."""
+
+    number: int
+    label: str
+    changes: Mapping[str, Any]
+    tuning: Rates
+    test: Rates
 
 
 def rows(study: "Study", folder: Path, n_trials: int) -> list[TrialRow]:
@@ -73,29 +85,37 @@ def rows(study: "Study", folder: Path, n_trials: int) -> list[TrialRow]:
 
 
 def _row(trial: "FrozenTrial", folder: Path) -> TrialRow:
-    states = {"COMPLETE": "done", "PRUNED": "pruned", "FAIL": "failed", "WAITING": "pending"}
     held = trial.state.name == "RUNNING" and is_held(trial_lock_path(folder, trial.number))
     entries = {
         **trial.user_attrs,
         "number": trial.number,
-        "state": states.get(trial.state.name, "running" if held else "pending"),
+        "state": STATES.get(trial.state.name, "running" if held else "pending"),
         # Optuna takes the last intermediate value of a pruned trial for its value.
         "value": trial.value if trial.state.name == "COMPLETE" else None,
     }
     try:
         parameters = {name: plain_choice(value) for name, value in trial.params.items()}
-        return ROW.validate_python({**entries, "parameters": parameters})
+        return TypeAdapter(TrialRow).validate_python({**entries, "parameters": parameters})
     except ValueError as error:
         entry = error.errors()[0]["loc"][0] if isinstance(error, ValidationError) else "parameters"
         raise ConfigError(f"the study is damaged: trial {trial.number} has no valid {entry}") from error
 
 
 def plain_choice(value: Any) -> float | str:
-    """Return a parameter as people read it: Optuna knows choices as JSON texts."""
+    """Return a parameter as people read it: Optuna stores choices as JSON."""
     if not isinstance(value, str):
         return value
     choice = json.loads(value)
     return choice if isinstance(choice, str | int | float) and not isinstance(choice, bool) else value
+
+
+def read_retest(folder: Path) -> list[RetestedTrial]:
+    """Return the trials that were trained again, best first; none before that.
+
+    Raises:
+        ValidationError: the file is damaged.
+    """
+    return TypeAdapter(list[RetestedTrial]).validate_python(read_object(folder / RETEST_FILE).get("trials", []))
 
 
 def ranked(trials: Sequence[TrialRow]) -> list[TrialRow]:
@@ -113,7 +133,7 @@ def trial_table(trials: Sequence[TrialRow], objective: str) -> Table:
     """Return the best trials, then running and failed ones: state, value and changes."""
     table = Table("trial", "state", objective, "changes", box=None, pad_edge=False)
     best, others = ranked(trials), [trial for trial in trials if trial.state in ("running", "failed")]
-    for trial in [*best[: max(1, SHOWN - len(others))], *others[:SHOWN]]:
+    for trial in [*best[: max(1, MOST_SHOWN - len(others))], *others[:MOST_SHOWN]]:
         value = "" if trial.value is None else f"{trial.value:.1%}"
         table.add_row(str(trial.number), trial.state, value, trial.reason or trial.label.partition(": ")[2])
     return table

@@ -26,7 +26,7 @@ from parking_exp.evaluation.evaluate_policy import evaluate, summarise
 from parking_exp.runs.atomic_files import read_object, write_json
 from parking_exp.runs.run_provenance import provenance
 from parking_exp.statistics.survival import steps_to
-from parking_exp.training.seeding import derive_seeds
+from parking_exp.training.loop import derive_seeds
 
 N_SCENES = 200
 THRESHOLD, HOLD = 0.95, 3  # success rate, and number of consecutive evaluations that have to reach it

@@ -16,7 +16,7 @@ from parking_exp.envs.reward import GoalReward
 from parking_exp.envs.scenes import Scenes
 from parking_exp.envs.simulator import Simulator
 from parking_exp.envs.training_envs import make_training_envs
-from parking_exp.training.seeding import derive_seeds
+from parking_exp.training.loop import derive_seeds
 
 gym.register_envs(highway_env)
 SCALES = [100, 100, 5, 5, 1, 1]

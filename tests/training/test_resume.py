@@ -24,7 +24,7 @@ from parking_exp.errors import FailedRunError, InterruptedRunError
 from parking_exp.evaluation.evaluate_policy import evaluate
 from parking_exp.evaluation.video import record
 from parking_exp.runs.atomic_files import read_json
-from parking_exp.training import checkpoints, finish, loop, rollout_state, serialization
+from parking_exp.training import checkpoints, finish, loop, rollout_state
 from parking_exp.training.loop import RolloutCallback, TrainingLoop
 from parking_exp.training.train_run import train
 
@@ -221,7 +221,7 @@ def test_evaluations_and_videos_draw_none_of_the_trainings_random_numbers(tmp_pa
 
 
 def comparable(tree):
-    plain, arrays = serialization.split(tree)
+    plain, arrays = checkpoints.split_state(tree)
     return plain, {name: exact(array) for name, array in arrays.items()}
 
 
@@ -240,11 +240,11 @@ def test_rollout_state_is_restored_as_it_was_saved(kind):
     model.logger.record("train/loss", 0.5, exclude="tensorboard")
     model.logger.record_mean("train/mean", 0.25)
     saved = rollout_state.get_state(model)
-    plain, arrays = serialization.split(copy.deepcopy(saved))
+    plain, arrays = checkpoints.split_state(copy.deepcopy(saved))
     expected = draws(model)
     other.learn(30)
     disturb()
-    rollout_state.set_state(other, serialization.join(json.loads(json.dumps(plain)), arrays))
+    rollout_state.set_state(other, checkpoints.join_state(json.loads(json.dumps(plain)), arrays))
     assert comparable(rollout_state.get_state(other)) == comparable(saved)
     assert list(other.logger.name_to_excluded["train/loss"]) == ["tensorboard"]
     assert draws(other) == expected
@@ -285,8 +285,10 @@ def test_a_tree_comes_back_with_its_types():
         "float32": np.float32(0.1), "float64": np.float64(0.1), "int": np.int32(3), "bool": np.True_, "big": 2**127,
         "inf": float("inf"), "none": None, "word": "a", "flag": True,
     }  # fmt: skip
-    plain, arrays = serialization.split({"values": values, "list": [{"array": np.arange(3, dtype=np.uint8)}, (1, 2)]})
-    again = serialization.join(json.loads(json.dumps(plain)), arrays)
+    plain, arrays = checkpoints.split_state(
+        {"values": values, "list": [{"array": np.arange(3, dtype=np.uint8)}, (1, 2)]}
+    )
+    again = checkpoints.join_state(json.loads(json.dumps(plain)), arrays)
     assert again["values"] == values
     assert {name: type(value) for name, value in again["values"].items()} == {
         name: type(value) for name, value in values.items()
@@ -294,4 +296,4 @@ def test_a_tree_comes_back_with_its_types():
     assert again["list"][0]["array"].dtype == np.uint8
     assert again["list"][1] == [1, 2]
     with pytest.raises(TypeError, match="a/0 is a Box"):
-        serialization.split({"a": [spaces.Box(0, 1)]})
+        checkpoints.split_state({"a": [spaces.Box(0, 1)]})

@@ -10,8 +10,8 @@ from support.searches import user_search
 from parking_exp.config.compose import composed_runs
 from parking_exp.config.overrides import in_quotes
 from parking_exp.config.validate import validate
-from parking_exp.tuning.retest import RetestedTrial, chosen_trials, write_winner
-from parking_exp.tuning.trials import TrialRow
+from parking_exp.tuning.run_search import chosen_trials, write_winner
+from parking_exp.tuning.trials import RetestedTrial, TrialRow
 
 
 def trial(number, value, *runs, state="done"):
@@ -27,7 +27,6 @@ def test_trial_0_and_the_best_of_the_others_are_trained_again():
     trials = [trial(0, 0.1), trial(1, 0.9), trial(2, 0.0, state="pruned"), trial(3, 0.5), trial(4, 0.9)]
     assert chosen(2, *trials) == [0, 1, 4]
     assert chosen(9, *trials) == [0, 1, 4, 3]
-    assert chosen(0, *trials) == []
     assert chosen(1, trial(0, 0.0, state="failed"), trial(1, 0.9)) == [1]
     same = [trial(0, 0.5, "a"), trial(1, 0.9, "b"), trial(2, 0.9, "c"), trial(3, 0.9, "b"), trial(4, 0.5, "a")]
     assert chosen(3, *same) == [0, 1, 2]  # the first of the trials with the same runs

@@ -8,8 +8,7 @@ from support.searches import SETTINGS, settings
 
 from parking_exp.config.validate import check
 from parking_exp.errors import ConfigError
-from parking_exp.tuning.search_config import SearchConfig
-from parking_exp.tuning.space import Dimension
+from parking_exp.tuning.search_config import Dimension, SearchConfig
 
 
 @pytest.mark.parametrize(
