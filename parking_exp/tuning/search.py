@@ -32,7 +32,7 @@ _COMPOSING = threading.Lock()  # Hydra's state is global, and workers are thread
 class Search:
     """A search: the overrides of its command, and Hydra's `--config-dir`.
 
-    The changes of a trial map keys and groups to values: `{"algorithm": "td3", "algorithm.gamma": 0.97}`.
+    A trial's changes map keys and groups to values: `{"algorithm": "td3", "algorithm.gamma": 0.97}`.
     """
 
     overrides: Sequence[str]
@@ -42,7 +42,7 @@ class Search:
         """Return the config of a trial as Hydra composes it, with the keys of scripts/tune.py.
 
         Raises:
-            ConfigError: it does not compose, has no such key, or the overrides are a sweep.
+            ConfigError: it does not compose, or the overrides are a sweep.
         """
         with _COMPOSING, hydra_ready():
             groups = self._compose_options(()).options
@@ -88,11 +88,8 @@ class Search:
     def config(self, changes: Mapping[str, Any]) -> RunConfig:
         """Return the checked config of a trial.
 
-        Changes may come from a study that somebody else made: those that the search does not make itself are refused,
-        since a config may name classes and paths.
-
         Raises:
-            ConfigError: it can't run, or a change is not in the search's space.
+            ConfigError: it can't run, or a change is not in the space: a study of somebody else may name any class.
         """
         settings = self.request.search
         if changes and changes not in settings.enqueue:

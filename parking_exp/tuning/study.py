@@ -11,9 +11,8 @@ import warnings
 import zlib
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 from filelock import FileLock
 
@@ -35,8 +34,7 @@ DEFINITION = "definition"  # attribute of a study
 CHANGES, RUNS, REASON, SEED_VALUES, STEPS, CPU_S = "changes", "runs", "reason", "by_seed", "env_steps", "cpu_s"
 
 
-@dataclass(frozen=True)
-class OpenStudy:
+class OpenStudy(NamedTuple):
     """A study that trials are claimed from, its storage, and the folder of the search."""
 
     study: "Study"
@@ -120,8 +118,7 @@ def open_study(folder: Path, search: SearchConfig, base: RunConfig, values: Valu
         known = study.user_attrs.get(DEFINITION)
         if known is None:
             study.set_user_attr(DEFINITION, definition)
-        elif known != definition:
-            differing = [key for key in {**known, **definition} if known.get(key) != definition.get(key)]
+        elif differing := [key for key in {**known, **definition} if known.get(key) != definition.get(key)]:
             raise ConfigError(
                 f"the study {name} was made with another {', '.join(differing)}; restore that to resume it, or start "
                 "another study with experiment_name=OTHER"
@@ -140,7 +137,7 @@ def _definition(search: SearchConfig, base: RunConfig) -> dict[str, Any]:
 
 
 def _enqueue(study: "Study", search: SearchConfig, changes: Mapping[str, Any], values: Mapping[str, Any]) -> None:
-    """Add a trial that waits, with the parameters that are inside the space, so that samplers know them."""
+    """Add a waiting trial, with the parameters that are inside the space, so that samplers know them."""
     from optuna.trial import FixedTrial, TrialState, create_trial
 
     parameters = {key: dimension.to_parameter(values[key]) for key, dimension in search.space.items()}

@@ -1,4 +1,4 @@
-"""One contract for all launchers: what runs, what fails, and that the same command goes on."""
+"""One contract for all launchers: what runs, what fails, and what a rerun resumes."""
 
 import os
 import pickle
@@ -64,7 +64,7 @@ def launcher(request):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("launcher", LAUNCHERS, indirect=True, ids=":".join)
-def test_every_run_is_trained_a_failure_is_told_and_nothing_is_done_twice(tmp_path, launcher):
+def test_every_run_is_trained_failures_are_reported_and_nothing_is_done_twice(tmp_path, launcher):
     targets = "algorithm._target_=parking_exp.algorithms.SAC,support.failing_algorithms.Raises,support.failing_algorithms.IsKilled"
     done = sweep(tmp_path, targets, *launcher, timeout=300)
     assert done.returncode == 2
@@ -79,7 +79,7 @@ def test_every_run_is_trained_a_failure_is_told_and_nothing_is_done_twice(tmp_pa
 
 @pytest.mark.parametrize("launcher", [BASIC, SLURM, SLURM_CLUSTER], indirect=True, ids=":".join)
 @pytest.mark.slow
-def test_a_sweep_that_is_killed_goes_on_when_typed_again(tmp_path, launcher):
+def test_a_rerun_resumes_a_sweep_that_was_killed(tmp_path, launcher):
     process = begin(tmp_path, "seeds=3", *SLOW, *launcher)
     wait_until(lambda: any(tmp_path.glob("*/*/*/checkpoints/step=*")))
     process.kill()

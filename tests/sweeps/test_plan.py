@@ -5,9 +5,7 @@ from support.sweep_processes import QUICK
 
 from parking_exp.config.compose import composed_runs
 from parking_exp.runs.directory import RunDirectory, RunResult
-from parking_exp.sweeps.plan import plan
-
-SWEEP = ("experiment=smoke", "algorithm.gamma=0.9,0.95", "seeds=2")
+from parking_exp.sweeps.plan import duration_estimate, plan
 
 
 def finish(output_dir, wall_s, *overrides):
@@ -16,13 +14,6 @@ def finish(output_dir, wall_s, *overrides):
     directory = RunDirectory(config.run_dir)
     directory.create(config)
     directory.finish(RunResult(str(directory.path), None, config.total_timesteps, {}), wall_s=wall_s)
-
-
-def estimate(output_dir, *overrides):
-    """What a dry run says after `N to run`."""
-    done = type_here("train", *overrides, f"output_dir={output_dir}", "dry_run=true")
-    assert done.returncode == 0, done.stderr
-    return " ".join(done.stdout.split()).partition(" to run")[2]
 
 
 def test_a_dry_run_prints_the_plan_and_makes_nothing(tmp_path):
@@ -48,11 +39,18 @@ def test_labels_of_a_sweep_are_what_differs_between_its_cells(tmp_path):
 
 
 def test_a_run_is_timed_by_its_cell_else_by_the_other_cells_of_the_sweep(tmp_path):
+    composed = composed_runs(
+        "config", ["experiment=smoke", "algorithm.gamma=0.9,0.95", "seeds=2", f"output_dir={tmp_path}"]
+    )
+
+    def estimate(n_jobs):
+        runs = plan(composed)
+        return duration_estimate([run.state for run in runs], [run for run in runs if run.is_due], n_jobs)
+
     finish(tmp_path, 99, "experiment=smoke", "experiment_name=another", "algorithm.gamma=0.8")
-    assert estimate(tmp_path, *SWEEP).startswith("; no run has finished yet")
+    assert estimate(1).startswith("; no run has finished yet")
     finish(tmp_path, 20, "experiment=smoke", "algorithm.gamma=0.9")
-    assert estimate(tmp_path, *SWEEP, "hydra.launcher.n_jobs=1") == ", about 60 s"
+    assert estimate(1) == ", about 60 s"
     finish(tmp_path, 30, "experiment=smoke", "algorithm.gamma=0.95")
-    assert estimate(tmp_path, *SWEEP, "hydra.launcher.n_jobs=1") == ", about 50 s"
-    assert estimate(tmp_path, *SWEEP, "hydra.launcher.n_jobs=2") == ", about 25 s with 2 at a time"
-    assert estimate(tmp_path, *SWEEP, "hydra.launcher.n_jobs=8") == ", about 25 s with 8 at a time"
+    assert estimate(1) == ", about 50 s"
+    assert estimate(2) == estimate(8).replace("8", "2") == ", about 25 s with 2 at a time"

@@ -1,4 +1,4 @@
-"""Sweeps: planned, frozen, launched, cut off in every way, typed again."""
+"""Sweeps: planned, frozen, launched, interrupted in every way, rerun."""
 
 import io
 import json
@@ -23,23 +23,22 @@ from parking_exp.terminal import Screen
 TWO = ("hydra.launcher.n_jobs=2",)  # at a time, on however many cores
 
 
-def test_typed_again_a_sweep_does_only_what_is_missing(tmp_path):
-    first = sweep(tmp_path, "seeds=2", *TWO)
+def test_a_rerun_sweep_does_only_what_is_missing(tmp_path):
+    first = type_here("train", *QUICK, f"output_dir={tmp_path}", "seeds=2", *TWO)
     assert first.returncode == 0, first.stderr
     assert [line.split()[0] for line in first.stderr.splitlines()] == ["started", "started", "done", "done"]
     assert trained(tmp_path) == [1, 1]
     before = statuses(tmp_path)
-    again = type_here("train", *QUICK, f"output_dir={tmp_path}", "seeds=2")
-    assert again.returncode == 0
-    assert again.stderr == ""
-    assert "1 cell x 2 seeds = 2 runs: 2 done, 0 to run" in again.stdout
+    rerun = type_here("train", *QUICK, f"output_dir={tmp_path}", "seeds=2")
+    assert (rerun.returncode, rerun.stderr) == (0, "")
+    assert "1 cell x 2 seeds = 2 runs: 2 done, 0 to run" in rerun.stdout
     assert statuses(tmp_path) == before
     planned = type_here("train", *QUICK, f"output_dir={tmp_path}", "seeds=3", "algorithm=sac,td3", "dry_run=true")
     assert re.search(r"6 runs: 2 done, 4 to run, about \d+ s", planned.stdout)
 
 
 @pytest.mark.slow
-def test_every_way_to_fail_is_told_and_the_others_go_on(tmp_path):
+def test_every_way_to_fail_is_reported_and_the_other_runs_go_on(tmp_path):
     kinds = ["Raises", "Exits", "IsKilled", "Vanishes"]
     targets = ",".join(["parking_exp.algorithms.SAC", *(f"support.failing_algorithms.{kind}" for kind in kinds)])
     done = sweep(tmp_path, f"algorithm._target_={targets}")
@@ -65,10 +64,11 @@ def test_retry_runs_a_failed_run_again(tmp_path):
     directory = RunDirectory(run.path)
     directory.freeze(run.config, run.label, None)
     directory.update(status="failed", error="a bad day")
-    left = type_here("train", *QUICK, f"output_dir={tmp_path}", "seeds=1", "hydra/launcher=local")
-    assert left.returncode == 2
-    assert left.stderr == "error: of 1 run, 1 failed; retry=failed runs failed ones again\n"
-    done = sweep(tmp_path, "seeds=1", "hydra/launcher=local", "retry=failed")
+    command = ("train", *QUICK, f"output_dir={tmp_path}", "seeds=1", "hydra/launcher=local")
+    without = type_here(*command)
+    assert without.returncode == 2
+    assert without.stderr == "error: of 1 run, 1 failed; retry=failed runs failed ones again\n"
+    done = type_here(*command, "retry=failed")
     assert done.returncode == 0, done.stderr
     assert stages(tmp_path) == ["done"]
 
@@ -84,7 +84,7 @@ def test_a_run_that_hangs_past_its_time_is_failed(tmp_path):
 
 
 @pytest.mark.slow
-def test_no_worker_outlives_a_sweep_that_is_killed_and_typed_again_it_goes_on(tmp_path):
+def test_no_worker_outlives_a_sweep_that_is_killed_and_a_rerun_resumes_it(tmp_path):
     process = begin(tmp_path, "seeds=3", *SLOW, *TWO)
     wait_until(lambda: len({path.parents[1] for path in tmp_path.glob("*/*/*/checkpoints/step=*")}) == 2)
     assert len(workers(tmp_path)) == 2
@@ -92,11 +92,9 @@ def test_no_worker_outlives_a_sweep_that_is_killed_and_typed_again_it_goes_on(tm
     process.communicate()
     time.sleep(5)
     assert workers(tmp_path) == []
-    told = json.loads(run_script("status", "--json", f"output_dir={tmp_path}").stdout)
-    assert {stage: told[stage] for stage in ("done", "running", "failed", "pending")} == {
-        "done": 0, "running": 0, "failed": 0, "pending": 3
-    }  # fmt: skip
-    assert max(run["step"] for run in told["cells"][0]["runs"]) >= 50
+    status = json.loads(run_script("status", "--json", f"output_dir={tmp_path}").stdout)
+    assert [status[stage] for stage in ("done", "running", "failed", "pending")] == [0, 0, 0, 3]
+    assert max(run["step"] for run in status["cells"][0]["runs"]) >= 50
     done = sweep(tmp_path, "seeds=3", *SLOW, *TWO)
     assert done.returncode == 0, done.stderr
     assert stages(tmp_path) == ["done"] * 3
@@ -145,7 +143,7 @@ def test_a_sweep_takes_over_what_another_one_leaves(tmp_path):
     assert trained(tmp_path) == [2, 2]
 
 
-def test_a_run_that_was_stopped_before_its_first_checkpoint_is_said_so(tmp_path):
+def test_the_monitor_tells_whether_a_stopped_run_has_a_checkpoint(tmp_path):
     (run,) = plan(composed_runs("config", [*QUICK, "seeds=1", f"output_dir={tmp_path}"]))
     directory, out = RunDirectory(run.path), Screen(file=io.StringIO(), width=200)
     directory.freeze(run.config, "her", None)
@@ -177,7 +175,7 @@ def test_a_run_whose_frozen_config_is_broken_or_of_another_run_fails(tmp_path):
 
 
 @pytest.mark.slow
-def test_what_waits_is_frozen(tmp_path):
+def test_the_configs_of_queued_runs_are_frozen(tmp_path):
     """The experiment file changes while the sweep runs: its queued runs do not, new ones would."""
     (tmp_path / "mine" / "experiment").mkdir(parents=True)
     file = tmp_path / "mine" / "experiment" / "mine.yaml"
@@ -233,7 +231,7 @@ def test_keys_of_submitit_that_the_yaml_lists_or_that_are_added_are_accepted(tmp
 
 
 @pytest.mark.slow
-def test_a_worker_that_is_signalled_twice_as_slurm_does_saves_its_checkpoint_all_the_same(tmp_path):
+def test_a_worker_that_slurm_signals_twice_still_saves_its_checkpoint(tmp_path):
     process = begin(tmp_path, "seeds=[0]", *SLOW[:2], "checkpoint.every_n_steps=null", "hydra/launcher=local")
     wait_until(lambda: any(tmp_path.glob("*/*/*/metrics.jsonl")))
     (worker,) = workers(tmp_path)

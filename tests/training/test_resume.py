@@ -225,7 +225,7 @@ def comparable(tree):
     return plain, {name: exact(array) for name, array in arrays.items()}
 
 
-RESTORED = ["sac, by episodes, in one highway_env, replay", "td3, EMA, random goals, a full buffer", "tqc", "crossq"]
+RESTORED = ["sac, by episodes, in one highway_env, replay", "td3, EMA, random goals, a full buffer", "crossq"]
 
 
 @pytest.mark.parametrize("kind", slow_but(RESTORED, KINDS))

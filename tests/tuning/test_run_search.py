@@ -1,19 +1,27 @@
-"""Whole searches in processes of their own: from the first call to the tuned config, cut off in every way."""
+"""Whole searches: from the first call to the tuned config, interrupted in every way."""
 
+import io
 import os
 import random
+import shlex
 import signal
 import time
 
 import pytest
 import yaml
-from support.runs import run_script, store
-from support.searches import QUICK
+from rich.console import Console
+from support.runs import run_script, store, type_here
+from support.searches import QUICK, user_search
 from support.sweep_processes import FAILING, begin, statuses, wait_until, workers
 
+from parking_exp.config.compose import composed_runs
+from parking_exp.config.overrides import in_quotes
+from parking_exp.config.validate import validate
 from parking_exp.runs.atomic_files import read_json
 from parking_exp.runs.run_state import read_state
+from parking_exp.tuning.run_search import chosen_trials, write_winner
 from parking_exp.tuning.search import study_in
+from parking_exp.tuning.trials import RetestedTrial, TrialRow
 
 TWO = "n_workers=2"
 TUNE = {"name": "tune", "options": QUICK}
@@ -32,34 +40,64 @@ def states(output_dir):
     return [trial.state for trial in trials(output_dir)]
 
 
-def test_a_search_of_one_trial_has_runs_with_tags_a_status_and_goes_on_when_typed_again(tmp_path):
-    options = ("search.tuning_seeds=[1001]", "tracking.mlflow=true")
-    done = tune(tmp_path, "n_trials=1", *options)
+def test_a_search_trains_its_trials_tags_their_runs_and_a_rerun_does_nothing(output_dir):
+    options = (*QUICK, f"output_dir={output_dir}", "n_trials=1", "search.tuning_seeds=[1001]")
+    done = type_here("tune", *options)
     assert done.returncode == 0, done.stderr
-    (trial,) = trials(tmp_path)
+    (trial,) = trials(output_dir)
     assert (trial.state, trial.changes, trial.value, trial.env_steps) == ("done", {}, 0.0, 60)
-    (run,) = store(tmp_path).search_runs(["1"])
-    assert {name: run.data.tags[name] for name in ("search", "trial", "seed")} == {
-        "search": "smoke", "trial": "0", "seed": "1001",
-    }  # fmt: skip
-    again = tune(tmp_path, "n_trials=1", *options)
-    assert again.returncode == 0, again.stderr
-    assert "1 trials over, 0 to do" in again.stdout
-    shown = run_script("status", "experiment=smoke", f"output_dir={tmp_path}")
-    assert "best so far: trial 0: unchanged (success_auc 0.0%)" in shown.stdout
-    other = tune(tmp_path, "n_trials=1", *options, "total_timesteps=80")
+    (run,) = store(output_dir).search_runs(["1"])
+    tags = {"search": "smoke", "trial": "0", "seed": "1001"}
+    assert {name: run.data.tags[name] for name in tags} == tags
+    rerun = type_here("tune", *options)
+    assert rerun.returncode == 0, rerun.stderr
+    assert "1 trials over, 0 to do" in rerun.stdout
+    status = type_here("status", "experiment=smoke", f"output_dir={output_dir}")
+    assert "best so far: trial 0: unchanged (success_auc 0.0%)" in status.stdout
+    other = type_here("tune", *options, "total_timesteps=80")
     assert other.returncode == 2
     assert "base config" in other.stderr
 
 
+def test_trial_0_and_the_best_of_the_others_are_retested():
+    def chosen(n_retest, *values, runs="abcde"):
+        states = ["pruned" if value is None else "done" for value in values]
+        zipped = zip(range(9), states, values, runs, strict=False)
+        trials = [TrialRow(number, state, value=value, runs=[run]) for number, state, value, run in zipped]
+        return [trial.number for trial in chosen_trials(trials, n_retest)]
+
+    assert chosen(2, 0.1, 0.9, None, 0.5, 0.9) == [0, 1, 4]
+    assert chosen(9, 0.1, 0.9, None, 0.5, 0.9) == [0, 1, 4, 3]
+    assert chosen(1, None, 0.9) == [1]
+    assert chosen(3, 0.5, 0.9, 0.9, 0.9, 0.5, runs="abcba") == [0, 1, 2]  # the first of the trials with the same runs
+
+
+def test_the_winner_becomes_an_experiment_file_that_composes_to_its_config(tmp_path):
+    """Also with options from a user's directory whose name has a space."""
+    folder, out = tmp_path / "my conf", io.StringIO()
+    (folder / "algorithm").mkdir(parents=True)
+    (folder / "algorithm" / "mine.yaml").write_text("defaults:\n  - sac\n  - _self_\ntau: 0.03\n")
+    search = user_search(folder, ["algorithm=mine", f"output_dir={tmp_path / 'out'}"])
+    search.folder.mkdir(parents=True)
+    winner = RetestedTrial(3, "trial 3: gamma=0.97", {"algorithm.gamma": 0.97}, [0.5, 0.7], [0.4, 0.6])
+    write_winner(search, [winner], Console(file=out, width=400))
+    path = search.folder / "tuned_mine.yaml"
+    content = yaml.safe_load(path.read_text())
+    assert content["defaults"][1] == {"override /algorithm": "mine"}
+    assert content["experiment_name"] == "tuned_mine"
+    (run,) = composed_runs("config", [f"experiment={in_quotes(str(path))}"], str(folder))
+    assert validate(run.cell).cell_key == search.config({"algorithm.gamma": 0.97}).cell_key
+    assert shlex.split(out.getvalue().splitlines()[-1])[-3:] == [f"experiment={path}", "--config-dir", str(folder)]
+
+
 @pytest.mark.slow
-def test_a_whole_search_ends_with_a_config_that_train_takes_and_that_reproduces_the_winner(tmp_path):
+def test_training_the_written_experiment_reproduces_the_winner(tmp_path):
     done = tune(tmp_path, "n_trials=3", "search.n_retest=1", TWO)
     assert done.returncode == 0, done.stderr
     assert states(tmp_path) == ["done"] * 3
     tested = read_json(tmp_path / "smoke" / "retest.json")
-    assert [len(one["test"]) for one in tested["trials"]] == [2, 2]
-    assert 0 in [one["number"] for one in tested["trials"]]
+    assert [len(trial["test"]) for trial in tested["trials"]] == [2, 2]
+    assert 0 in [trial["number"] for trial in tested["trials"]]
     path = tmp_path / "smoke" / "tuned_smoke.yaml"
     assert yaml.safe_load(path.read_text())["experiment_name"] == "tuned_smoke"
     trained = run_script("train", f"experiment={path}", "seed=1001", f"output_dir={tmp_path}", "tracking.mlflow=false")
@@ -75,7 +113,7 @@ def test_a_whole_search_ends_with_a_config_that_train_takes_and_that_reproduces_
 def test_ctrl_c_leaves_everything_resumable(tmp_path):
     options = ("n_trials=3", "search.tuning_seeds=[1001]", "tracking.mlflow=false", TWO, *LONGER)
     process = begin(tmp_path, *options, **TUNE)
-    wait_until(lambda: any(one["status"] == "running" for one in statuses(tmp_path).values()))
+    wait_until(lambda: any(status["status"] == "running" for status in statuses(tmp_path).values()))
     time.sleep(3)
     os.kill(process.pid, signal.SIGINT)
     _, stderr = process.communicate(timeout=30)
@@ -88,14 +126,14 @@ def test_ctrl_c_leaves_everything_resumable(tmp_path):
 
 
 @pytest.mark.slow
-def test_kills_at_random_moments_lose_no_trial_and_do_none_twice(tmp_path):
+def test_kills_at_random_moments_lose_no_trial_and_repeat_none(tmp_path):
     options = ("n_trials=16", "search.tuning_seeds=[1001]", "tracking.mlflow=false", TWO)
     dice = random.Random(0)
     for attempt in range(30):
         process = begin(tmp_path, *options, **TUNE)
         if attempt % 2:  # one worker
             time.sleep(dice.uniform(4, 12))
-            for pid in dice.sample(found, 1) if (found := workers(tmp_path)) else []:
+            for pid in workers(tmp_path)[:1]:
                 os.kill(pid, signal.SIGKILL)
         time.sleep(dice.uniform(2, 12))
         if process.poll() is None:  # the whole tuning
@@ -106,10 +144,9 @@ def test_kills_at_random_moments_lose_no_trial_and_do_none_twice(tmp_path):
     done = tune(tmp_path, *options)
     assert done.returncode == 0, done.stderr
     assert attempt > 1
-    found = trials(tmp_path)
-    assert [trial.number for trial in found] == list(range(16))
-    assert {trial.state for trial in found} <= {"done", "pruned"}
-    paths = [tmp_path / path for trial in found for path in trial.runs]
+    assert [trial.number for trial in trials(tmp_path)] == list(range(16))
+    assert set(states(tmp_path)) <= {"done", "pruned"}
+    paths = [tmp_path / path for trial in trials(tmp_path) for path in trial.runs]
     assert len(set(paths)) == len(list(tmp_path.glob("smoke/*/seed=*")))
     assert {read_state(path).stage for path in paths} <= {"done", "pruned"}
     for path in paths:  # every env step once
@@ -139,6 +176,6 @@ def test_every_launcher_trains_trials_of_a_study_in_a_database(tmp_path, launche
     objective = "search.objective=final_parked"
     done = tune(tmp_path, *options, f"storage={uri}", f"hydra/launcher={launcher}", *executor, objective)
     assert done.returncode == 0, done.stderr
-    found = study_in(tmp_path / "smoke", uri).trials
-    assert [(trial.state, trial.value) for trial in found] == [("done", 0.0)] * 2
+    in_database = study_in(tmp_path / "smoke", uri).trials
+    assert [(trial.state, trial.value) for trial in in_database] == [("done", 0.0)] * 2
     assert not (tmp_path / "smoke" / "study.journal").exists()
