@@ -17,8 +17,7 @@ def train(overrides: list[str], extra_config_dir: str | None) -> None:
     """Train what the overrides stand for: a single run here, several as a sweep."""
     gc.disable()  # importing torch without it takes 0.8 s less
     from parking_exp.sweeps.hydra_launcher import Launch
-    from parking_exp.sweeps.plan import plan
-    from parking_exp.sweeps.sweep import sweep
+    from parking_exp.sweeps.sweep import plan, sweep
 
     runs = composed_runs("config", overrides, extra_config_dir)
     first = runs[0].cell  # keys of a sweep are the same in all

@@ -21,16 +21,12 @@ EXTRAS = {"slurm", "ray"}
 
 
 class Launch:
-    """A Hydra launcher, as the command line sets it up.
+    """A Hydra launcher, as the command line sets it up: its name and `hydra.launcher`.
 
     Any launcher works: each job of a sweep has one override, `run=PATH`. A search has jobs and a task of its own.
 
     Raises:
         ConfigError: the launcher is not installed, or its config is wrong.
-
-    Attributes:
-        name: value of `hydra/launcher`.
-        config: `hydra.launcher`.
     """
 
     def __init__(
@@ -55,7 +51,7 @@ class Launch:
 
     @property
     def n_jobs(self) -> int | None:
-        """Number of jobs at a time; None if the launcher's config does not set it."""
+        """Number of jobs at a time; None if unknown."""
         if self.name == "basic":
             return 1
         return self.config.get("n_jobs") or (len(cores()) if self.name == "local" else None)
@@ -77,13 +73,11 @@ class Launch:
                 raise self._unusable(error) from error
             except ParkingError:
                 raise
-            except Exception as error:  # of a third party; run directories tell what became of the runs
+            except Exception as error:  # of a third party; the run directories have the states of the runs
                 return [], f"hydra/launcher={self.name} broke: {_first_line(error).rstrip('.')}"
-        errors = [value for value in values if isinstance(value, Exception)]
-        problem = (
-            f"{len(errors)} of {plural(len(values), 'job')} ended early; the first: {errors[0]}" if errors else None
-        )
-        return values, problem
+        if not (errors := [value for value in values if isinstance(value, Exception)]):
+            return values, None
+        return values, f"{len(errors)} of {plural(len(values), 'job')} ended early; the first: {errors[0]}"
 
     def _unusable(self, error: Exception) -> ConfigError:
         extra = f"; pip install 'parking-exp[{self.name}]'" if self.name in EXTRAS else ""

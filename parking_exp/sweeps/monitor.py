@@ -1,7 +1,4 @@
-"""Live view of runs: a table on a terminal, a line for each event elsewhere.
-
-It only reads run directories, so that it is the same for sweeps and searches, whichever the launcher.
-"""
+"""Live view of runs, read from their directories: a table on a terminal, a line for each event elsewhere."""
 
 import threading
 import time
@@ -27,7 +24,7 @@ class Monitor:
 
     Args:
         find: returns the run directories that exist now.
-        n_runs: how many there will be in the end, at most.
+        n_runs: how many there will be at most.
         console: None: the standard error stream.
     """
 

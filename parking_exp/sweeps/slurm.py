@@ -1,7 +1,7 @@
 """The slurm launcher: jobs of submitit, on a Slurm cluster or as processes of this machine.
 
-Judged by `squeue` and result files: without accounting, Slurm only says of a job that was cancelled, ran out of time or
-lost its node that it is gone.
+The end of a job is judged by `squeue` and result files: without accounting, submitit does not notice that a job was
+cancelled, ran out of time or lost its node.
 """
 
 import os
@@ -32,11 +32,11 @@ def make_executor(executor: str, folder: Path, parameters: Mapping[str, Any]) ->
     import submitit
 
     try:
-        made = submitit.AutoExecutor(folder=folder / "%j", cluster=executor)
-        made.update_parameters(**{key: value for key, value in parameters.items() if value is not None})
+        auto_executor = submitit.AutoExecutor(folder=folder / "%j", cluster=executor)
+        auto_executor.update_parameters(**{key: value for key, value in parameters.items() if value is not None})
     except (NameError, TypeError, ValueError, AssertionError, RuntimeError) as error:
         raise ConfigError(f"hydra.launcher: {str(error).splitlines()[0]}") from error
-    return made
+    return auto_executor
 
 
 def launch(
@@ -49,37 +49,34 @@ def launch(
 ) -> list[Any]:
     """Run jobs, wait for them, and return what each returned, or its error.
 
-    Ctrl-C cancels the jobs, which save their states. Jobs outlive a launcher that is killed; the same command leaves
-    their runs to them.
+    Ctrl-C cancels the jobs, which save their states. Jobs outlive a launcher that is killed; a rerun leaves their runs
+    to them.
 
     Args:
-        task: called with a job's argument, in the job.
-        jobs: the arguments. Paths in them must be on a file system that the nodes share.
+        task: called with each of `jobs`, whose paths must be on a file system that the nodes share.
         executor: `slurm`, or `local` for processes of this machine.
         n_jobs: how many at a time; None: as many as the cluster takes, or this machine has cores.
-        folder, parameters: see `make_executor`.
 
     Raises:
-        ConfigError: submitit refuses a parameter.
         FailedRunError: jobs cannot be submitted.
     """
     import submitit
 
     if executor == "slurm":  # of an array; submitit's own limit is 256
         parameters = {"slurm_array_parallelism": n_jobs or len(jobs), **parameters}
-    made = make_executor(executor, folder, parameters)
+    submitter = make_executor(executor, folder, parameters)
     submitted: list[Any] = []
     try:
         if executor == "slurm":
             while len(submitted) < len(jobs):
                 with _sigint_blocked():  # Ctrl-C has to find all that was submitted
-                    submitted += made.map_array(task, jobs[len(submitted) :][:MAX_ARRAY_SIZE])
+                    submitted += submitter.map_array(task, jobs[len(submitted) :][:MAX_ARRAY_SIZE])
                 _wait(submitted)  # n_jobs holds within an array only
         else:
             while len(submitted) < len(jobs) or any(not job.done() for job in submitted):
                 if len(submitted) < len(jobs) and sum(not job.done() for job in submitted) < (n_jobs or len(cores())):
                     with _sigint_blocked():  # also in the job; `_cancel` asks it to stop
-                        submitted.append(made.submit(task, jobs[len(submitted)]))
+                        submitted.append(submitter.submit(task, jobs[len(submitted)]))
                 else:
                     time.sleep(POLL_S)
     except submitit.core.utils.FailedJobError as error:

@@ -1,27 +1,119 @@
-"""Run a sweep: print its plan, freeze configs, launch what is due, watch it, sync the store, sum up.
+"""Plan and run a sweep: describe what is due, freeze configs, launch, watch, sync the store, sum up.
 
-All that is known is in the run directories: the same command resumes a sweep in whatever state it was left, and
-several sweeps can share one experiment.
+Its whole state is in the run directories: the same command resumes it, and several sweeps can share one experiment.
 """
 
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
+from rich.console import Console
+
+from parking_exp.config.cell_labels import label_by_experiment, settings_of
+from parking_exp.config.compose import Composed
 from parking_exp.config.overrides import in_quotes
 from parking_exp.config.paths import store_uri
+from parking_exp.config.schema import RunConfig
+from parking_exp.config.validate import validate_all
 from parking_exp.errors import FailedRunError, plural
 from parking_exp.runs.directory import RunDirectory
-from parking_exp.runs.run_state import RunState, Stage, counts, read_state
-from parking_exp.runs.state_tables import cell_table, failure_lines, stopped_lines
+from parking_exp.runs.run_state import RunState, Stage, by_cell, counts, read_state
+from parking_exp.runs.state_tables import cell_table, damaged_lines, duration, failure_lines, stopped_lines
 from parking_exp.sweeps.hydra_launcher import Launch
 from parking_exp.sweeps.monitor import Monitor
-from parking_exp.sweeps.plan import PlannedRun, describe
 from parking_exp.terminal import console
 from parking_exp.tracking.mirror import mirror_problem
 from parking_exp.tracking.store import Store
 
 POLL_S = 1.0
+
+
+@dataclass(frozen=True)
+class PlannedRun:
+    """One run of a sweep: its directory, the label of its cell, and its state when the sweep began.
+
+    Attributes:
+        retried: whether it is run again if it has failed.
+        entries: additional entries of its status.json.
+    """
+
+    config: RunConfig
+    path: Path
+    label: str
+    state: RunState
+    retried: bool = False
+    entries: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def is_due(self) -> bool:
+        """Whether this sweep runs it, unless another process does."""
+        if self.state.stage == "failed":
+            return self.state.killed or self.retried
+        return self.state.stage != "done"
+
+
+def plan(composed: Sequence[Composed], retry: str | None = None) -> list[PlannedRun]:
+    """Check every run of a sweep, and read its state; with `retry`, failed runs are due as well.
+
+    Raises:
+        ConfigError: a config is wrong.
+    """
+    unique = {id(run.cell): run.cell for run in composed}  # a cell is checked once for all its seeds
+    cells = {
+        key: (config, config.run_dir.parent) for key, config in zip(unique, validate_all(unique.values()), strict=True)
+    }
+    names = {folder: (folder.parent.name, folder.name) for _, folder in cells.values()}
+    labels = label_by_experiment({names[folder]: settings_of(config.plain()) for config, folder in cells.values()})
+    runs: dict[Path, PlannedRun] = {}
+    for run in composed:
+        config, folder = cells[id(run.cell)]
+        if run.seed is not None:
+            config = config.model_copy(update={"seed": run.seed})
+        path = folder / f"seed={config.seed}"
+        if path not in runs:
+            runs[path] = PlannedRun(config, path, labels[names[folder]], read_state(path), retry is not None)
+    return list(runs.values())
+
+
+def describe(runs: Sequence[PlannedRun], launch: Launch, out: Console) -> None:
+    """Print the plan: cells x seeds, what is done, what will run, and how long that may take."""
+    states = [run.state.model_copy(update={"label": run.label}) for run in runs]
+    out.print(cell_table(states))
+    for line in damaged_lines(states):
+        out.print(line)
+    by_stage, due = counts(states), [run for run in runs if run.is_due and run.state.stage != "running"]
+    n_cells, n_seeds = len({run.path.parent for run in runs}), len({run.config.seed for run in runs})
+    product = plural(n_cells, "cell")
+    if n_cells * n_seeds == len(runs):
+        product += f" x {plural(n_seeds, 'seed')}"
+    failed = by_stage["failed"] - sum(run.state.stage == "failed" for run in due)
+    parts = [f"{by_stage['done']} done", f"{by_stage['running']} running elsewhere" if by_stage["running"] else ""]
+    parts += [f"{failed} failed before (retry=failed runs them again)" if failed else "", f"{len(due)} to run"]
+    estimate = duration_estimate(states, due, launch.n_jobs) if due else ""
+    out.print(f"{product} = {plural(len(runs), 'run')}: {', '.join(filter(None, parts))}{estimate}")
+
+
+def duration_estimate(states: Sequence[RunState], due: Sequence[PlannedRun], n_jobs: int | None) -> str:
+    """Return how long the due runs may take, judged by the finished runs of their cell, or else of the sweep."""
+    finished = [state for state in states if state.stage == "done" and state.wall_s and state.step]
+    if not finished:
+        return "; no run has finished yet to estimate the time from"
+    rates = {key: _seconds_per_step(runs) for key, runs in by_cell(finished)}
+    rate = _seconds_per_step(finished)
+    seconds = sum(
+        rates.get((run.state.experiment, run.state.cell), rate) * (run.config.total_timesteps - run.state.step)
+        for run in due
+    )
+    if n_jobs is None:
+        return f", about {duration(seconds)} of work"
+    parallel = f" with {n_jobs} at a time" if n_jobs > 1 else ""
+    return f", about {duration(seconds / min(n_jobs, len(due)))}{parallel}"
+
+
+def _seconds_per_step(states: Sequence[RunState]) -> float:
+    return sum(state.wall_s or 0 for state in states) / sum(state.step for state in states)
 
 
 def sweep(runs: Sequence[PlannedRun], launch: Launch, *, dry_run: bool = False) -> None:
@@ -42,7 +134,7 @@ def sweep(runs: Sequence[PlannedRun], launch: Launch, *, dry_run: bool = False) 
         if due:
             with Monitor(lambda: paths, len(paths)) as monitor:
                 _launch_all([run.path for run in due], launch, monitor)
-                _sync(runs, monitor)
+                sync_store(paths, [run.config for run in runs], monitor)
     finally:
         states = [read_state(path) for path in paths]
         if due:
@@ -67,19 +159,16 @@ def _launch_all(due: list[Path], launch: Launch, monitor: Monitor) -> None:
         due = [path for path in due if read_state(path).stage in ("running", "pending")]
 
 
-def _sync(runs: Sequence[PlannedRun], monitor: Monitor) -> None:
-    """Send to the store what workers could not, because they were killed or the store was down."""
-    for uri in {store_uri(run.config) for run in runs if run.config.tracking.mlflow}:
-        if problem := mirror_problem([RunDirectory(run.path) for run in runs], Store(uri, runs[0].config.output_path)):
+def sync_store(paths: Sequence[Path], configs: Sequence[RunConfig], monitor: Monitor) -> None:
+    """Send to the stores of configs what workers could not, because they were killed or the store was down."""
+    directories = [RunDirectory(path) for path in paths]
+    for uri in {store_uri(config) for config in configs if config.tracking.mlflow}:
+        if problem := mirror_problem(directories, Store(uri, configs[0].output_path)):
             monitor.say(problem)
 
 
 def _check_all_done(states: Sequence[RunState]) -> None:
-    """Check that every run is done.
-
-    Raises:
-        FailedRunError: some are not.
-    """
+    """Raise FailedRunError unless every run is done."""
     by_stage = counts(states)
     if by_stage["done"] == len(states):
         return

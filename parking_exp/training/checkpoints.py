@@ -39,7 +39,7 @@ ARRAY, SCALAR = "__array__", "__scalar__"  # keys of the dicts that stand for an
 
 @dataclass
 class Progress:
-    """Progress of a run, besides its model and buffer."""
+    """Progress of a run."""
 
     step: int = 0  # env steps at the last checkpoint
     evaluated: int = 0  # env steps at the last evaluation
@@ -86,16 +86,15 @@ def save(
 
 
 def latest(directory: Path) -> Path | None:
-    """Return the newest whole checkpoint, or None. Damaged ones are skipped."""
+    """Return the newest whole checkpoint, or None."""
     for folder in reversed(_folders(directory)):
-        problem = check(folder)
-        if problem is None:
+        if (problem := _problem(folder)) is None:
             return folder
         log.warning("checkpoint %s is skipped (%s); trying the one before it", folder, problem)
     return None
 
 
-def check(folder: Path) -> str | None:
+def _problem(folder: Path) -> str | None:
     """Return what is wrong with a checkpoint; None if all files have their hashes."""
     for name, digest in (read_object(folder / MANIFEST) or {MANIFEST: None}).items():
         if not (folder / name).is_file() or sha256(folder / name) != digest:

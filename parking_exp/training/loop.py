@@ -130,7 +130,7 @@ class TrainingLoop:
         self.tracker.sync()
 
     def stop_if_asked(self) -> None:
-        """Raise InterruptedRunError if a signal has asked to stop; the checkpoint is saved when this is caught."""
+        """Raise InterruptedRunError if a signal has asked to stop."""
         if self.stop.signal_number is not None:
             sentence = f"stopped at step {self.model.num_timesteps}; rerun the same command to resume"
             raise InterruptedRunError(sentence, self.stop.signal_number)
@@ -169,7 +169,7 @@ class TrainingLoop:
 class RolloutCallback(BaseCallback):
     """Evaluates, saves checkpoints and stops as configured, before each rollout.
 
-    There Stable-Baselines3's state is complete: within a step the transition is counted already and not yet stored.
+    Within a step Stable-Baselines3's state is incomplete: the transition is counted, but not stored yet.
     """
 
     def __init__(self, loop: TrainingLoop) -> None:

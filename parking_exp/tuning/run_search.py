@@ -14,7 +14,6 @@ from rich.console import Console
 from rich.table import Table
 
 from parking_exp.config.overrides import in_quotes
-from parking_exp.config.paths import store_uri
 from parking_exp.config.run_key import result_part
 from parking_exp.errors import ConfigError, FailedRunError, plural
 from parking_exp.runs.atomic_files import write_atomically, write_json
@@ -23,11 +22,8 @@ from parking_exp.runs.lookup import find_runs
 from parking_exp.runs.run_state import read_state
 from parking_exp.sweeps.hydra_launcher import Launch
 from parking_exp.sweeps.monitor import Monitor
-from parking_exp.sweeps.plan import PlannedRun
-from parking_exp.sweeps.sweep import sweep
+from parking_exp.sweeps.sweep import PlannedRun, sweep, sync_store
 from parking_exp.terminal import console
-from parking_exp.tracking.mirror import mirror_problem
-from parking_exp.tracking.store import Store
 from parking_exp.tuning.objectives import objective_value
 from parking_exp.tuning.search import Search, study_in
 from parking_exp.tuning.trials import (
@@ -131,11 +127,7 @@ def _train(search: Search, study: "Study", launch: Launch, n_workers: int) -> li
                 if free > 0 and before == trials:  # the launcher did nothing
                     break
         finally:
-            # What was not sent, because a run was pruned or killed, or its store was down.
-            directories = [RunDirectory(path) for path in runs()]
-            store = Store(store_uri(base), base.output_path)
-            if base.tracking.mlflow and (unsent := mirror_problem(directories, store)):
-                monitor.say(unsent)
+            sync_store(runs(), [base], monitor)
     return trials
 
 

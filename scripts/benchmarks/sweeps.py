@@ -13,7 +13,7 @@ from parking_exp.config.compose import composed_runs
 from parking_exp.runs.atomic_files import write_json
 from parking_exp.runs.directory import STATUS_FILE, RunDirectory
 from parking_exp.sweeps.local import launch
-from parking_exp.sweeps.plan import plan
+from parking_exp.sweeps.sweep import plan
 
 BARE = (
     "evaluation.every_n_steps=null",

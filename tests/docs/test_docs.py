@@ -16,7 +16,7 @@ from support.store_factory import make_store
 
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", ROOT / "CHANGELOG.md", *sorted((ROOT / "docs").rglob("*.md"))]
 EXTENDING = ROOT / "docs" / "extending.md"
-LARGE = re.compile(r"train\.py.* experiment=(her|algorithms|variants)|tune\.py search=recipe .*experiment_name")
+LARGE = re.compile(r"train\.py.* experiment=(her|algorithms|variants)|tune\.py search=recipe (?!.*dry_run)")
 FENCE = re.compile(r"^```(\w*)(?: title=\"([^\"]+)\")?\n(.*?)^```", re.MULTILINE | re.DOTALL)
 
 # Run scripts in one process, since importing torch takes seconds. Argument: {command: [script, ...]}.

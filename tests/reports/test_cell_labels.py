@@ -11,7 +11,7 @@ from parking_exp.config.compose import composed_runs
 from parking_exp.reports.cell_selection import group
 from parking_exp.reports.factor_effects import design
 from parking_exp.results.dtypes import column, typed
-from parking_exp.sweeps.plan import plan
+from parking_exp.sweeps.sweep import plan
 
 
 def cell(env="parking", algorithm="sac", buffer="her_future", **others):

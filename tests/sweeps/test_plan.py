@@ -5,7 +5,7 @@ from support.sweep_processes import QUICK
 
 from parking_exp.config.compose import composed_runs
 from parking_exp.runs.directory import RunDirectory, RunResult
-from parking_exp.sweeps.plan import duration_estimate, plan
+from parking_exp.sweeps.sweep import duration_estimate, plan
 
 
 def finish(output_dir, wall_s, *overrides):

@@ -17,7 +17,7 @@ from parking_exp.runs.directory import RunDirectory
 from parking_exp.runs.run_state import read_state
 from parking_exp.sweeps.local import launch
 from parking_exp.sweeps.monitor import Monitor
-from parking_exp.sweeps.plan import plan
+from parking_exp.sweeps.sweep import plan
 from parking_exp.terminal import Screen
 
 TWO = ("hydra.launcher.n_jobs=2",)  # at a time, on however many cores

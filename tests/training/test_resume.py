@@ -1,4 +1,4 @@
-"""A run that was cut off and resumed is the run that was not: every number, to the last bit."""
+"""A run that was interrupted and resumed equals one that was not: every number, to the last bit."""
 
 import copy
 import json
@@ -17,7 +17,6 @@ from support.run_equality import differences, exact
 from support.runs import make_config, only_run
 
 from parking_exp.algorithms.build_model import greedy_policy
-from parking_exp.algorithms.fast.base import FastTraining
 from parking_exp.envs.action_replay import ReplayActions
 from parking_exp.envs.highway import make_env
 from parking_exp.errors import FailedRunError, InterruptedRunError
@@ -64,18 +63,18 @@ KINDS = {
 }  # fmt: skip
 
 
-class CutOffError(BaseException):
+class InterruptionError(BaseException):
     """Stands for a kill in a run of this process."""
 
 
 @contextmanager
 def cut(owner, name, when):
-    """Raise in a method, or a function, at the first call for whose arguments `when` is true."""
+    """Raise at the first call of a method or function for whose arguments `when` is true."""
     original = getattr(owner, name)
 
     def cutting(*arguments, **keywords):
         if when(*arguments):
-            raise CutOffError
+            raise InterruptionError
         return original(*arguments, **keywords)
 
     with pytest.MonkeyPatch.context() as patch:
@@ -98,8 +97,8 @@ def configured(output_dir, *overrides):
 
 
 @pytest.fixture(autouse=True)
-def no_picture(monkeypatch):
-    """Which would take longer than all the rest of a run."""
+def without_curves(monkeypatch):
+    """Drawing them takes longer than all the rest of a run."""
     monkeypatch.setattr(finish, "learning_curves", lambda *_: None)
 
 
@@ -110,7 +109,7 @@ def run(output_dir, *overrides, cuts=()):
         disturb()
         with interruption, pytest.raises(FailedRunError) as failure:
             train(config)
-        assert isinstance(failure.value.__cause__, CutOffError)
+        assert isinstance(failure.value.__cause__, InterruptionError)
     disturb()
     train(config)
     return only_run(output_dir).path
@@ -129,7 +128,7 @@ def uninterrupted(tmp_path_factory):
 
 
 @pytest.mark.parametrize("kind", slow_but(["sac", "td3, EMA, random goals, a full buffer"], KINDS))
-def test_a_run_that_was_cut_off_twice_is_the_one_that_was_not(tmp_path, kind):
+def test_a_run_that_was_interrupted_twice_equals_one_that_was_not(tmp_path, kind):
     """Between checkpoints, in the middle of episodes; before the first update and later."""
     whole = run(tmp_path / "whole", *KINDS[kind])
     pieces = run(tmp_path / "pieces", *KINDS[kind], cuts=[cut_at(71), cut_at(137)])
@@ -137,7 +136,7 @@ def test_a_run_that_was_cut_off_twice_is_the_one_that_was_not(tmp_path, kind):
 
 
 def test_the_comparison_sees_everything(uninterrupted, tmp_path):
-    """Another seed differs in every kind of thing that is compared, else nothing would be shown above."""
+    """Another seed differs in every kind of state that is compared."""
     other = run(tmp_path, "seed=1")
     different = " ".join(differences(uninterrupted, other))
     for name in (
@@ -150,22 +149,22 @@ def test_the_comparison_sees_everything(uninterrupted, tmp_path):
         assert name in different
 
 
-def test_a_run_that_was_cut_off_in_an_evaluation(uninterrupted, tmp_path):
-    """The third one; a checkpoint at each, and evaluations only then."""
+def cut_in_the_third_evaluation():
     calls = iter(range(100))
-    in_evaluation = cut(loop, "evaluate", lambda *_: next(calls) == 2)
-    assert differences(uninterrupted, run(tmp_path, cuts=[in_evaluation])) == []
+    return cut(loop, "evaluate", lambda *_: next(calls) == 2)
 
 
-def test_a_run_that_was_cut_off_between_its_end_and_its_result(uninterrupted, tmp_path):
-    """Nothing is left to be learned then."""
-    cuts = [cut(finish, "learning_curves", lambda *_: True) for _ in range(2)]
-    assert differences(uninterrupted, run(tmp_path, cuts=cuts)) == []
-
-
-def test_a_run_that_was_cut_off_while_it_wrote_a_checkpoint(uninterrupted, tmp_path):
-    writing = cut(checkpoints, "fsync", lambda path: path.name == "state.json" and "100" in path.parent.name)
-    assert differences(uninterrupted, run(tmp_path, cuts=[writing])) == []
+@pytest.mark.parametrize(
+    "cuts",
+    [
+        [cut_in_the_third_evaluation],
+        [lambda: cut(checkpoints, "fsync", lambda path: path.name == "state.json" and "100" in path.parent.name)],
+        [lambda: cut(finish, "learning_curves", lambda *_: True)] * 2,
+    ],
+    ids=["in an evaluation", "in a checkpoint", "between its end and its result, twice"],
+)
+def test_a_run_that_was_interrupted_elsewhere(uninterrupted, tmp_path, cuts):
+    assert differences(uninterrupted, run(tmp_path, cuts=[make() for make in cuts])) == []
 
 
 def test_a_run_whose_logs_and_newest_checkpoint_were_damaged(uninterrupted, tmp_path):
@@ -183,18 +182,18 @@ def test_a_run_whose_logs_and_newest_checkpoint_were_damaged(uninterrupted, tmp_
 
 
 @pytest.mark.parametrize("in_evaluation", [False, True])
-def test_a_run_that_a_signal_stopped_at_an_odd_step(uninterrupted, tmp_path, in_evaluation):
-    """What a signal does: a checkpoint where none is due, without the evaluation that is, and metrics wait for their row."""
+def test_a_run_that_a_signal_stopped_between_checkpoints(uninterrupted, tmp_path, in_evaluation):
+    """A checkpoint where none is due, without the evaluation that is, and with pending metrics."""
     config = configured(tmp_path)
-    asked = TrainingLoop.evaluate if in_evaluation else RolloutCallback._on_step
+    original = TrainingLoop.evaluate if in_evaluation else RolloutCallback._on_step
 
     def ask(self, *rest):
         if in_evaluation or self.num_timesteps >= 133:
             (self if in_evaluation else self.loop).stop.signal_number = signal.SIGTERM
-        return asked(self, *rest)
+        return original(self, *rest)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(TrainingLoop if in_evaluation else RolloutCallback, asked.__name__, ask)
+        patch.setattr(TrainingLoop if in_evaluation else RolloutCallback, original.__name__, ask)
         with pytest.raises(InterruptedRunError):
             train(config)
     step = 60 if in_evaluation else 134
@@ -210,7 +209,7 @@ def built(*overrides):
 
 
 @pytest.mark.parametrize("overrides", [(), ("algorithm.use_sde=true",), ("algorithm=crossq",)])
-def test_evaluations_and_videos_draw_none_of_the_trainings_random_numbers(tmp_path, overrides):
+def test_evaluations_and_videos_leave_the_random_generators_of_the_training_alone(tmp_path, overrides):
     env, model = composed_once(*overrides).env, built(*overrides).learn(20)
     before = comparable(rollout_state.get_state(model))
     evaluate(greedy_policy(model), env, range(3), simulator="vectorized")
@@ -230,7 +229,7 @@ RESTORED = ["sac, by episodes, in one highway_env, replay", "td3, EMA, random go
 
 @pytest.mark.parametrize("kind", slow_but(RESTORED, KINDS))
 def test_rollout_state_is_restored_as_it_was_saved(kind):
-    """In a model that has gone another way since; and what draws then draws the same."""
+    """In a model that was trained otherwise since; the next random numbers are the same."""
 
     def draws(model):
         return np.random.normal(), random.random(), torch.rand(1).item(), model.action_space.sample().tolist()
@@ -269,18 +268,7 @@ def test_an_env_of_highway_env_continues_from_its_state():
     assert env.unwrapped.np_random.bit_generator.state == other.unwrapped.np_random.bit_generator.state
 
 
-def test_restored_networks_lie_in_memory_as_training_lays_them(tmp_path):
-    """Otherwise actions before the next update could be rounded differently."""
-    model, fresh = built(), built()
-    model.learn(100)
-    folder = checkpoints.save(tmp_path, model, checkpoints.Progress(step=100), tmp_path / "none.zip", 1)
-    checkpoints.restore(folder, fresh, tmp_path / "none.zip")
-    assert isinstance(fresh, FastTraining)
-    assert fresh._update.is_bound(fresh)
-    assert fresh._update.flat.is_whole
-
-
-def test_a_tree_comes_back_with_its_types():
+def test_nested_state_comes_back_with_its_types():
     values = {
         "float32": np.float32(0.1), "float64": np.float64(0.1), "int": np.int32(3), "bool": np.True_, "big": 2**127,
         "inf": float("inf"), "none": None, "word": "a", "flag": True,

@@ -1,7 +1,4 @@
-"""Launchers that Hydra finds: `hydra/launcher=local` and `hydra/launcher=slurm`.
-
-Hydra imports every module here at each start: what they need is imported when they launch.
-"""
+"""The launchers `local` and `slurm`. Hydra imports this module at each start: other imports wait for a launch."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -15,7 +12,7 @@ from omegaconf import DictConfig
 
 
 class _JobLauncher(Launcher):
-    """Base of both launchers: a job is a run, `run=PATH`, or a search's worker, `study=PATH n_trials=N storage=URI`."""
+    """Base of both: a job is a run, `run=PATH`, or a worker of a search, `study=PATH n_trials=N storage=URI`."""
 
     def __init__(self, n_jobs: int | None) -> None:
         if n_jobs is not None and (type(n_jobs) is not int or n_jobs <= 0):
@@ -47,7 +44,7 @@ class _JobLauncher(Launcher):
 
 
 class LocalLauncher(_JobLauncher):
-    """Fresh processes side by side on this machine; see `parking_exp.sweeps.local`."""
+    """Processes of this machine, with cores of their own; see `parking_exp.sweeps.local`."""
 
     def run(self, jobs: Sequence[DictConfig]) -> Sequence[Any]:
         """Train the runs of the jobs, or have as many workers as there are jobs train the trials of a search."""
