@@ -34,8 +34,8 @@ def launch(paths: Sequence[Path], n_jobs: int | None = None) -> dict[Path, Worke
 def launch_workers(work: Callable[[Train], None], n_workers: int) -> dict[Path, WorkerResult]:
     """Call `work` in a thread for each worker, with a function that trains; return how each run ended that was begun.
 
-    Each worker has its own cores, and CUDA devices in turn where there are any. The first SIGINT or SIGTERM stops them
-    all, with their states saved; a second one leaves at once.
+    Each worker has its own cores and, in turn, a CUDA device. The first SIGINT or SIGTERM stops them all, with their
+    states saved; a second one exits at once.
 
     Raises:
         InterruptedRunError: a signal stopped it.
@@ -47,7 +47,7 @@ def launch_workers(work: Callable[[Train], None], n_workers: int) -> dict[Path, 
             return None
         try:
             results[path] = supervise(path, worker, lambda: request.is_made or stop_run())
-        except Exception as error:  # e.g. its directory can't be written; the other runs go on
+        except Exception as error:  # e.g. its directory can't be written; the other runs continue
             say(f"error: {path}: {type(error).__name__}: {error}", stderr=True)
             results[path] = "failed"
         return results[path]

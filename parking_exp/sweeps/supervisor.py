@@ -77,9 +77,9 @@ def _run(directory: RunDirectory, resources: WorkerResources, stop: Stop) -> Wor
     except (ConfigError, OutputDirectoryError) as error:
         directory.update(status="failed", error=str(error))
         return "failed"
-    # Before there is a worker: what that one writes is later, and must not be overwritten.
+    # Written before the worker starts, whose entries must not be overwritten.
     started_at = {"host": socket.gethostname(), "started": time.time()}
-    # With the store, so that it hears of a run that fails before it tracks anything.
+    # The store hears of a run even if that fails before it tracks anything.
     uri = store_uri(config) if config.tracking.mlflow else None
     directory.update(status="running", error=None, killed=None, tracking_uri=uri, **started_at)
     with (directory.path / LOG_FILE).open("ab") as log:
@@ -111,7 +111,7 @@ def _wait(process: subprocess.Popen[bytes], timeout_s: float | None, stop: Stop)
 
 
 def _kill(process: subprocess.Popen[bytes]) -> None:
-    """Kill a worker with everything that it has started, and wait for its end."""
+    """Kill a worker with its children, and wait for it."""
     with suppress(ProcessLookupError):
         os.killpg(process.pid, signal.SIGKILL)  # it leads a session of its own
     process.wait()
@@ -146,7 +146,7 @@ def _start(path: Path, resources: WorkerResources, log: IO[bytes]) -> subprocess
     environment = {**os.environ, **resources.environment(), "PYTHONPATH": os.pathsep.join(paths)}
     cores = ",".join(map(str, resources.cores))
     command = [sys.executable, "-m", "parking_exp.sweeps.worker", str(path), str(os.getpid()), cores]
-    # A session of its own: Ctrl-C in the terminal reaches the supervisor alone, who passes it on in good order.
+    # A session of its own: Ctrl-C in the terminal reaches the supervisor alone, which passes it on.
     return subprocess.Popen(
         command, env=environment, stdin=subprocess.DEVNULL, stdout=log, stderr=subprocess.STDOUT, start_new_session=True
     )
@@ -157,7 +157,7 @@ def stop_of_job() -> Iterator[Stop]:
     """Yield a function that returns whether a signal has asked this job to stop.
 
     Raises:
-        KeyboardInterrupt: at the end, if one has; no Exception, so that a launcher with one job after the other stops.
+        KeyboardInterrupt: at the end, if one has; not an Exception, so that launchers start no further job.
     """
     signals = (signal.SIGINT, signal.SIGTERM, signal.SIGUSR2)  # submitit sends the last when the time is nearly up
     with stop_on_signal(None, signals) as request:

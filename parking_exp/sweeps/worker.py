@@ -19,7 +19,7 @@ from parking_exp.runs.directory import RunDirectory
 from parking_exp.terminal import say
 from parking_exp.tracking.client import import_mlflow
 
-LOCKED_EXIT = 75  # exit status if another worker, one that takes long to die, still holds the training lock
+LOCKED_EXIT = 75  # exit status if another worker, which is about to die, still holds the training lock
 PARENT_POLL_S = 0.5
 PR_SET_PDEATHSIG = 1
 
@@ -56,7 +56,7 @@ def main() -> None:
 
 
 def _die_with(supervisor: int) -> None:
-    """Have this process killed when its supervisor is gone, whatever it is doing then."""
+    """Kill this process when its supervisor is gone."""
     if sys.platform == "linux":
         ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
 

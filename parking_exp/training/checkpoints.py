@@ -1,4 +1,4 @@
-"""Checkpoints: the whole training state, written atomically, restored only if every file has its hash.
+"""Checkpoints: the whole training state, written atomically, restored only if all hashes match.
 
 A checkpoint is a directory `step=<n>` with the model (policy, target networks, optimizers: Stable-Baselines3's zip),
 the filled part of the replay buffer, counters and rollout state as JSON and arrays, the logs so far, and a manifest of
@@ -134,7 +134,7 @@ def restore(folder: Path, model: OffPolicyAlgorithm, best: Path, average: Policy
 
 @contextmanager
 def _new_directory(target: Path) -> Iterator[Path]:
-    """Yield a directory that takes its name, with a manifest, only when all of it is on the disk."""
+    """Yield a directory that gets its manifest and its name only when all of it is on the disk."""
     target.parent.mkdir(parents=True, exist_ok=True)
     for leftover in target.parent.glob(".tmp-*"):  # of a process that was killed
         shutil.rmtree(leftover)

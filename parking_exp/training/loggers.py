@@ -14,7 +14,7 @@ from parking_exp.runs.metric_logs import MetricsLog
 
 
 def make_logger(tracking: TrackingConfig, run_dir: Path, metrics: MetricsLog, step: int) -> Logger:
-    """Make a run's logger, which goes on after `step` of a run that is resumed."""
+    """Make a run's logger, which continues after `step` if the run is resumed."""
     formats: list[KVWriter] = [_MetricsWriter(metrics, run_dir / "progress.csv" if tracking.csv else None)]
     if tracking.tensorboard:
         formats.append(_TensorBoardWriter(run_dir / "tensorboard", step))
@@ -24,7 +24,7 @@ def make_logger(tracking: TrackingConfig, run_dir: Path, metrics: MetricsLog, st
 
 
 class _MetricsWriter(KVWriter):
-    """Writes to metrics.jsonl, and what that accepts to progress.csv, which is written anew from metrics.jsonl."""
+    """Writes to metrics.jsonl, and what that accepts to progress.csv, which starts as a copy of metrics.jsonl."""
 
     def __init__(self, metrics: MetricsLog, csv: Path | None) -> None:
         self.metrics = metrics
@@ -48,7 +48,7 @@ class _TensorBoardWriter(KVWriter):
     """Writes to TensorBoard, with `purge_step`, which Stable-Baselines3's own writer lacks."""
 
     def __init__(self, folder: Path, step: int) -> None:
-        # Also at step 0: a run that was killed before its first checkpoint starts anew beside its old events.
+        # Also at step 0: a run that was killed before its first checkpoint has old events.
         self.writer = SummaryWriter(str(folder), purge_step=step + 1)
         threading.excepthook = _print_thread_error
 
@@ -63,6 +63,6 @@ class _TensorBoardWriter(KVWriter):
 
 
 def _print_thread_error(arguments: threading.ExceptHookArgs) -> None:
-    """Print the traceback of a thread; TensorBoard's error, of a full disk, is raised by `flush` as well."""
+    """Print the traceback of a thread, except TensorBoard's on a full disk, which `flush` raises as well."""
     if not type(arguments.thread).__module__.startswith("tensorboard."):
         threading.__excepthook__(arguments)

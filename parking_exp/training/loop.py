@@ -119,7 +119,7 @@ class TrainingLoop:
             self._rollout_state = None
 
     def save_checkpoint(self) -> None:
-        """Save the whole state, then send what is known so far to the store."""
+        """Save the whole state, then sync the store."""
         step = self.model.num_timesteps
         if step == self.progress.step:
             return
@@ -153,7 +153,7 @@ class TrainingLoop:
         return summary
 
     def dump_metrics(self) -> None:
-        """Write the row of metrics that the logger has gathered."""
+        """Write the logger's row of metrics."""
         cpu_s, wall_s = self.times()
         if isinstance(buffer := self.model.replay_buffer, HerBuffer) and buffer.real_share is not None:
             self.model.logger.record("buffer/real_share", buffer.real_share)
@@ -205,5 +205,5 @@ class RolloutCallback(BaseCallback):
 
 
 def _is_due(step: int, last: int, every: int | None) -> bool:
-    """Whether a multiple of `every` lies in (last, step]."""
+    """Return whether a multiple of `every` lies in (last, step]."""
     return every is not None and step // every > last // every

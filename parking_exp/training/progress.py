@@ -1,4 +1,4 @@
-"""Progress of a training: a rich bar on a terminal, ten lines a run elsewhere, and the heartbeat."""
+"""Progress of a training: a rich bar on a terminal, ten lines elsewhere, and the heartbeat."""
 
 import time
 from collections.abc import Callable
@@ -7,7 +7,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from parking_exp.terminal import Screen
 
-LINES = 10  # lines a run, where there is no terminal
+LINES = 10  # per run, without a terminal
 HEARTBEAT_S = 1.0
 
 
@@ -58,12 +58,12 @@ class TrainingProgress:
             self.say(f"train  {step}/{self.total} steps  {success}{mean_return}{rate:.0f} steps/s")
 
     def busy(self, what: str) -> None:
-        """Show what the run does besides training."""
+        """Show an activity other than training."""
         self._send_heartbeat(what, 0.0)
         self._bar.update(self._task, description=what, figures="")
 
     def say(self, text: str) -> None:
-        """Print a line, above the bar where there is one."""
+        """Print a line, above the bar if there is one."""
         if self.enabled:
             self._bar.console.print(text, highlight=False, soft_wrap=True)
 

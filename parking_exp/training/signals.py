@@ -39,7 +39,7 @@ def stop_on_signal(
         if not request.is_made:
             request.signal_number = number
             hint = b"; interrupt again to leave at once" if at_second else b""
-            # Not print: the signal may have come in the middle of one.
+            # Not print: the signal may have interrupted one.
             os.write(2, b"\nsaving a checkpoint before leaving" + hint + b"\n")
         elif at_second:
             at_second(number, frame)

@@ -39,7 +39,7 @@ def train(config: DictConfig | Mapping[str, Any] | RunConfig, *, supervised: boo
     A run that is done returns its stored result. `supervised`: the parent process holds the run's supervisor lock.
 
     Raises:
-        ConfigError: the config cannot run; nothing was made on disk.
+        ConfigError: the config cannot run; nothing is on disk.
         OutputDirectoryError: the run directory can't be written.
         RunLockedError: another process is working on the same run.
         InterruptedRunError: SIGINT or SIGTERM; the state is saved.
@@ -107,13 +107,13 @@ def _train(config: RunConfig, directory: RunDirectory, stop: StopRequest) -> Run
 
 
 def _record_failure(error: BaseException, directory: RunDirectory, tracker: Tracker) -> None:
-    """Write down status and traceback, as far as a full disk allows."""
+    """Record status and traceback, as far as a full disk allows."""
     try:
         directory.update(status="failed", error=f"{type(error).__name__}: {error}")
         write_atomically(directory.path / "traceback.txt", "".join(traceback.format_exception(error)))
         tracker.close()
-    except Exception as another:  # the first error is the one to report
-        error.add_note(f"while recording the failure: {type(another).__name__}: {another}")
+    except Exception as second_error:  # the first is reported
+        error.add_note(f"while recording the failure: {type(second_error).__name__}: {second_error}")
 
 
 def _closing_lines(result: RunResult, directory: RunDirectory) -> list[str]:

@@ -187,6 +187,6 @@ def study_in(folder: Path, storage: str | None = None) -> StoredSearch | None:
     with storage_errors(folder.name):
         try:
             study = optuna.load_study(study_name=folder.name, storage=storage_of(folder, stored.storage))
-        except KeyError:  # it was never begun
+        except KeyError:  # it has not started yet
             return None
     return StoredSearch(stored.search, stored.n_trials, study, rows(study, folder, stored.n_trials))

@@ -86,18 +86,18 @@ class _TrialTraining:
         runs = [config.model_copy(update={"seed": seed}) for seed in self.settings.tuning_seeds]
         values: list[float] = []
         for number, run in enumerate(runs, 1):
-            begun, directory = runs[:number], RunDirectory(run.run_dir)
-            self.trial.set_user_attr(RUNS, [str(each.run_dir.relative_to(run.output_path)) for each in begun])
+            started, directory = runs[:number], RunDirectory(run.run_dir)
+            self.trial.set_user_attr(RUNS, [str(each.run_dir.relative_to(run.output_path)) for each in started])
             was_done = directory.status == "done"
             outcome = self._train_run(run)
             if outcome == "stopped":
                 return outcome
             if outcome == "failed":
                 reason = read_state(run.run_dir).reason or "it failed"
-                return self._end("failed", begun, reason=f"seed {run.seed}: {reason}")
-            # A run of an earlier process was judged before the next one began.
+                return self._end("failed", started, reason=f"seed {run.seed}: {reason}")
+            # A run of an earlier process was judged by that process.
             if outcome == "pruned" or (self._is_worse(run) and number < len(runs) and not was_done):
-                return self._end("pruned", begun)
+                return self._end("pruned", started)
             self.areas.append(objective_value(directory, "success_auc"))
             values.append(objective_value(directory, self.settings.objective))
         self.trial.set_user_attr(SEED_VALUES, values)

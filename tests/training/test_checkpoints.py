@@ -1,4 +1,4 @@
-"""Checkpoints are whole or not there, and bring everything back."""
+"""Checkpoints are complete or absent, and restore everything."""
 
 import errno
 
@@ -17,6 +17,11 @@ from parking_exp.training.checkpoints import Progress
 def trained(*overrides, steps=100):
     model = make_model("experiment=smoke", "algorithm.learning_starts=40", *overrides)
     return model.learn(steps) if steps else model
+
+
+@pytest.fixture(scope="module")
+def model():
+    return trained(steps=0)
 
 
 def save(directory, model, step, keep_last=2, best=None):
@@ -40,10 +45,7 @@ def sampled(buffer):
 @pytest.mark.parametrize("size", ["buffer.buffer_size=60", "buffer.buffer_size=1000"])
 @pytest.mark.parametrize("overrides", [(), ("buffer=replay",), SB3_HER])
 def test_buffer_and_counters_come_back(tmp_path, overrides, size, monkeypatch):
-    """A buffer of ours or of Stable-Baselines3, full or not; tests/algorithms shows it of every model.
-
-    Nothing is unpickled.
-    """
+    """A buffer of ours or of Stable-Baselines3, full or not; nothing is unpickled."""
     model, fresh = trained(size, *overrides, steps=105), trained(size, *overrides, steps=0)
     folder = save(tmp_path, model, step=105)
     for name in ("pickle.load", "pickle.loads", "cloudpickle.load", "cloudpickle.loads"):
@@ -73,9 +75,8 @@ def test_only_the_filled_part_of_the_buffer_is_saved(tmp_path):
     assert (folder / checkpoints.BUFFER).stat().st_size < 100 * 500
 
 
-def test_keep_last_bounds_what_is_on_disk_by_step_not_by_name(tmp_path):
+def test_keep_last_limits_the_checkpoints_on_disk_by_step(tmp_path, model):
     (tmp_path / ".tmp-step=0000000005").mkdir()  # of a process that was killed
-    model = trained(steps=0)
     for step in (10, 900, 1000, 100_000):
         save(tmp_path, model, step, keep_last=2)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["step=0000001000", "step=0000100000"]
@@ -87,8 +88,7 @@ def test_keep_last_bounds_what_is_on_disk_by_step_not_by_name(tmp_path):
 
 @pytest.mark.parametrize("name", ["model.zip", "replay_buffer.npz", "state.json", "state.npz", "manifest.json"])
 @pytest.mark.parametrize("damage", ["truncated", "changed", "missing"])
-def test_a_damaged_checkpoint_is_skipped_and_does_not_outlive_a_whole_one(tmp_path, name, damage):
-    model = trained(steps=0)
+def test_a_damaged_checkpoint_is_skipped_and_deleted_with_the_next_save(tmp_path, model, name, damage):
     older, newer = save(tmp_path, model, 10), save(tmp_path, model, 20)
     assert checkpoints.latest(tmp_path) == newer
     content = bytearray((newer / name).read_bytes())
@@ -105,9 +105,7 @@ def test_a_damaged_checkpoint_is_skipped_and_does_not_outlive_a_whole_one(tmp_pa
 
 
 @pytest.mark.parametrize("written", range(5))
-def test_a_full_disk_at_any_file_leaves_the_earlier_checkpoint_and_no_rest(tmp_path, monkeypatch, written):
-    """Each of the files meets the disk when it is synced."""
-    model = trained(steps=0)
+def test_a_full_disk_at_any_file_leaves_only_the_earlier_checkpoint(tmp_path, model, monkeypatch, written):
     older, synced = save(tmp_path, model, 10), []
 
     def fsync(path):
@@ -122,8 +120,8 @@ def test_a_full_disk_at_any_file_leaves_the_earlier_checkpoint_and_no_rest(tmp_p
     assert checkpoints.latest(tmp_path) == older
 
 
-def test_the_best_model_and_the_logs_go_back_to_the_checkpoint(tmp_path):
-    model, best = trained(steps=0), tmp_path / "best.zip"
+def test_the_best_model_and_the_logs_go_back_to_the_checkpoint(tmp_path, model):
+    best = tmp_path / "best.zip"
     best.write_bytes(b"best so far")
     for name in ("metrics.jsonl", "episodes.csv"):
         (tmp_path / name).write_text(f"{name}: kept\n")

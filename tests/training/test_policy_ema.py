@@ -1,4 +1,4 @@
-"""Moving averages of the actor: what they are, what is evaluated and saved; test_resume.py resumes them."""
+"""The exponential moving average of the actor, in evaluations and in files; test_resume.py resumes it."""
 
 import pytest
 import torch
@@ -32,8 +32,8 @@ def values(model):
     return {weight.unique().item() for weight in actor(model)}
 
 
-def begun(updates):
-    """A model, and an average that has begun with weights of 8."""
+def started_average(updates):
+    """A model, and an average that has started with weights of 8."""
     model = make_model()
     average = PolicyEMA(model, half_life=10)
     set_actor(model, 8.0, updates=updates)
@@ -41,8 +41,8 @@ def begun(updates):
     return model, average
 
 
-def test_the_share_of_old_weights_halves_in_a_half_life_of_updates():
-    model, average = begun(updates=4)
+def test_the_weight_of_old_parameters_halves_in_a_half_life_of_updates():
+    model, average = started_average(updates=4)
     set_actor(model, 0.0, updates=14)
     with average.applied():
         assert values(model) == {4.0}
@@ -70,8 +70,8 @@ def weights(path):
     return {name: value for name, value in policy.items() if name.startswith("actor.")}
 
 
-def test_the_average_is_what_is_saved_and_training_goes_on_from_the_trained_weights(tmp_path):
-    train(make_config(*SMOKE, "tracking.mlflow=false", f"output_dir={tmp_path}"))
+def test_the_average_is_saved_as_the_final_model_and_not_trained_further(tmp_path):
+    train(make_config(*SMOKE, "total_timesteps=200", "tracking.mlflow=false", f"output_dir={tmp_path}"))
     run = only_run(tmp_path)
     last = checkpoints.latest(run.checkpoints)
     files = (run.models / "final.zip", last / checkpoints.AVERAGED, last / checkpoints.MODEL)

@@ -1,4 +1,4 @@
-"""Objectives of runs, on curves that are written by hand."""
+"""Objectives of runs, on hand-written curves."""
 
 import json
 
@@ -33,7 +33,7 @@ def test_each_objective_of_a_run(tmp_path, objective, value):
     assert objective_value(directory, objective) == pytest.approx(value)
 
 
-def test_pruning_compares_the_mean_area_so_far_weighted_by_what_is_over_of_the_run():
+def test_pruning_compares_mean_areas_with_the_current_run_weighted_by_its_progress():
     half = ([1000, 2000], [0.0, 0.5])
     assert values_so_far([], *half, 2000) == [0.0, 0.25]
     assert values_so_far([0.75], *half, 2000) == [0.75 / 1.5, (0.75 + 0.25) / 2]

@@ -1,4 +1,4 @@
-"""A search and the configs of its trials: as Hydra composes them, and checked before anything starts."""
+"""A search and the configs of its trials, validated before anything starts."""
 
 import json
 
@@ -54,7 +54,7 @@ def test_trial_0_is_the_config_with_the_overrides():
     }
 
 
-def test_a_worker_finds_the_search_from_another_directory(tmp_path, monkeypatch):
+def test_a_worker_loads_the_search_from_another_working_directory(tmp_path, monkeypatch):
     (tmp_path / "here").mkdir()
     monkeypatch.chdir(tmp_path / "here")
     for n_trials in (7, 3):
@@ -90,19 +90,12 @@ def test_every_search_of_the_package_is_valid(name):
     assert search.folder.name == name
 
 
-@pytest.mark.parametrize(
-    ("key", "value"),
-    [
-        ("algorithm.action_noise", {"_target_": "subprocess.Popen"}),
-        ("output_dir", "elsewhere"),
-        ("algorithm.gamma", {"_target_": "subprocess.Popen"}),
-    ],
-)
-def test_a_trial_of_somebody_elses_study_changes_nothing_but_the_space(key, value):
-    search = Search(SMOKE)
+def test_a_trial_of_somebody_elses_study_changes_nothing_but_the_space():
+    search, command = Search(SMOKE), {"_target_": "subprocess.Popen"}
     assert search.config({"algorithm.gamma": 0.95}).algorithm.arguments["gamma"] == 0.95
-    with pytest.raises(ConfigError, match=rf"^{key}=.* is not in search\.space$"):
-        search.config({key: value})
+    for key, value in [("algorithm.action_noise", command), ("output_dir", "elsewhere"), ("algorithm.gamma", command)]:
+        with pytest.raises(ConfigError, match=rf"^{key}=.* is not in search\.space$"):
+            search.config({key: value})
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""The study of a search: who works on which trial, after kills, with several processes, and with other searches."""
+"""The study of a search: who works on which trial, after kills, in several processes, with changed searches."""
 
 import json
 import multiprocessing

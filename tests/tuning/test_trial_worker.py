@@ -1,4 +1,4 @@
-"""Workers of a search: which trials they train, and what they do about runs that fail, are killed or pruned."""
+"""Workers of a search: how many trials they train, and how they handle runs that fail, are killed or pruned."""
 
 import errno
 import os
@@ -23,8 +23,8 @@ def search(tmp_path):
     return search
 
 
-def ends(calls, **status):
-    """A function that trains nothing and leaves a status."""
+def training_that_ends_with(calls, **status):
+    """A function that trains nothing and writes a status."""
 
     def train(path, stop):
         calls.append(path)
@@ -39,7 +39,7 @@ def trials(search):
 
 
 def test_a_failed_run_fails_its_trial_and_no_more_trials_are_trained_than_the_job_says(search):
-    work(search.folder, 1, ends([], status="failed", error="broken"))
+    work(search.folder, 1, training_that_ends_with([], status="failed", error="broken"))
     assert [(trial.state, trial.reason) for trial in trials(search)] == [
         ("failed", "seed 1001: broken"),
         ("pending", None),
@@ -48,16 +48,20 @@ def test_a_failed_run_fails_its_trial_and_no_more_trials_are_trained_than_the_jo
 
 def test_a_run_that_is_killed_is_tried_three_times(search):
     calls = []
-    work(search.folder, 1, ends(calls, status="failed", error="killed by SIGKILL", killed=True))
+    work(search.folder, 1, training_that_ends_with(calls, status="failed", error="killed by SIGKILL", killed=True))
     assert len(calls) == 3
     assert trials(search)[0].state == "failed"
 
 
 def test_a_full_disk_stops_the_search_and_leaves_its_trial_open(search):
     with pytest.raises(OutputDirectoryError, match=r"trial 0: .*No space left"):
-        work(search.folder, 1, ends([], status="failed", error=f"OSError: {os.strerror(errno.ENOSPC)}"))
+        work(
+            search.folder,
+            1,
+            training_that_ends_with([], status="failed", error=f"OSError: {os.strerror(errno.ENOSPC)}"),
+        )
     assert trials(search)[0].state == "pending"
-    work(search.folder, 1, ends([], status="failed", error="broken"))
+    work(search.folder, 1, training_that_ends_with([], status="failed", error="broken"))
     assert trials(search)[0].reason == "seed 1001: broken"
 
 
