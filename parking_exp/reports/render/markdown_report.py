@@ -37,7 +37,7 @@ def markdown(report: ReportData, contents: Sequence[SectionContent], ending: str
 def _body(content: SectionContent, shown: Sequence[str], ending: str | None) -> Iterator[str]:
     yield from map(escape, content.text)
     for table in content.readable_tables:
-        text = table_text(table.only(shown))
+        text = table_text(table, shown)
         if table.folded:
             yield from (f"<details><summary>{len(table.rows)} {table.noun}</summary>", text, "</details>")
         else:

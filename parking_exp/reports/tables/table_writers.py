@@ -1,5 +1,7 @@
 """Any table as Markdown, LaTeX and CSV. The page's writer is `templates/macros.html.j2`."""
 
+from collections.abc import Collection
+
 import numpy as np
 import pandas as pd
 
@@ -12,17 +14,16 @@ LATEX_ROWS = 60
 """A longer table is of no use on paper."""
 
 
-def markdown(table: Table) -> str:
-    """Return a table for GitHub's Markdown under its caption; the first rows of a long one."""
-    escape, rows = formats.markdown, table.entries(MARKDOWN_ROWS)
+def markdown(table: Table, shown: Collection[str]) -> str:
+    """Return a table for GitHub's Markdown under its caption: the cells `shown`, and the first rows of a long one."""
+    escape, rows = formats.markdown, table.only(shown).entries(MARKDOWN_ROWS)
     lines = [
         [escape(column.title) for column in table.columns],
         ["---:" if column.numeric else ":---" for column in table.columns],
         *([escape(entry.text) or "–" for entry in row] for row in rows),  # noqa: RUF001
     ]
-    total = max(table.total, len(table.rows))
-    left = f" {len(rows)} of {total} rows; `tables/` holds them all." if len(rows) < total else ""
-    return "\n".join([escape(table.caption) + left, "", *(f"| {' | '.join(line)} |" for line in lines)])
+    cut = f" {len(rows)} of {len(table.rows)} rows; `tables/` holds them all." if len(rows) < len(table.rows) else ""
+    return "\n".join([escape(table.caption) + cut, "", *(f"| {' | '.join(line)} |" for line in lines)])
 
 
 def latex(table: Table) -> str:
