@@ -24,9 +24,10 @@ def slot_rates(runs: Sequence[pd.DataFrame]) -> list[SlotRate]:
     if not runs:
         return []
     episodes = pd.concat(runs)
-    slots = episodes["scene"].map({scene: _goal(scene) for scene in episodes["scene"].unique().tolist()})
-    counts = pd.crosstab(slots, episodes["outcome"]).reindex(columns=list(OUTCOMES), fill_value=0)
-    return [SlotRate(int(slot), sum(row), *(k / sum(row) for k in row)) for slot, *row in counts.itertuples()]
+    slots = [_goal(scene) for scene in episodes["scene"].tolist()]
+    counts = np.zeros((N_SLOTS, len(OUTCOMES)), int)
+    np.add.at(counts, (slots, episodes["outcome"].cat.codes), 1)
+    return [SlotRate(slot, int(row.sum()), *(row / row.sum()).tolist()) for slot, row in enumerate(counts) if row.any()]
 
 
 @cache

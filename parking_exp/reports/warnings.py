@@ -49,8 +49,8 @@ def warnings(
     yield from _grouped(notes)
     for cell in runs:
         label = quoted_label(cell.label)
-        if cell.repeated:
-            yield f"{label}: {_runs(cell.repeated)} left out, since another one has the same seed."
+        if cell.n_repeated:
+            yield f"{label}: {_runs(cell.n_repeated)} left out, since another one has the same seed."
         if blank := int(cell.done["success_rate"].isna().sum()):
             yield f"{label}: {_runs(blank)} finished without a final success rate, and left out."
     # What ends a cell's name is a hash of its config.

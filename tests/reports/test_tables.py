@@ -10,12 +10,11 @@ import pytest
 from support import report_factory
 
 from parking_exp.reports import formats
-from parking_exp.reports.render.markdown_report import markdown
-from parking_exp.reports.report_files import write_tables
+from parking_exp.reports.render.markdown_report import escaped, markdown
+from parking_exp.reports.report_files import csv_text, latex, latex_text, write_tables
 from parking_exp.reports.sections import section_contents
 from parking_exp.reports.tables import report_tables
 from parking_exp.reports.tables.table import Table, cell_column, column
-from parking_exp.reports.tables.table_writers import latex
 from parking_exp.statistics import Interval
 
 EXAMPLES = [
@@ -56,7 +55,7 @@ def test_percentages_with_intervals(interval, text):
 
 
 @pytest.mark.parametrize(
-    ("text", "escaped"),
+    ("text", "expected"),
     [
         ("a&b%c$d#e_f{g}", r"a\&b\%c\$d\#e\_f\{g\}"),
         ("~^\\", r"\textasciitilde{}\textasciicircum{}\textbackslash{}"),
@@ -66,12 +65,12 @@ def test_percentages_with_intervals(interval, text):
         ("Größe α 学習", "Größe α 学習"),  # noqa: RUF001
     ],
 )
-def test_latex_is_escaped(text, escaped):
-    assert formats.latex(text) == escaped
+def test_latex_is_escaped(text, expected):
+    assert latex_text(text) == expected
 
 
 @pytest.mark.parametrize(
-    ("text", "escaped"),
+    ("text", "expected"),
     [
         ("[c](javascript:alert(1))", r"\[c\](javascript:alert(1))"),
         ("<b>&lt; a|b", r"\<b\>\&lt; a\|b"),
@@ -83,14 +82,14 @@ def test_latex_is_escaped(text, escaped):
         ("two\n\nlines", "two lines"),
     ],
 )
-def test_markdown_is_escaped(text, escaped):
-    assert formats.markdown(text) == escaped
+def test_markdown_is_escaped(text, expected):
+    assert escaped(text) == expected
 
 
 @pytest.mark.parametrize("text", ["=1+1", "+1", "-1", "@SUM(1)", "\t=1", "\r=1"])
 def test_spreadsheets_run_no_formula(text):
-    assert formats.csv(text) == f"'{text}"
-    assert [formats.csv(value) for value in (-0.5, "a=1", "", None)] == [-0.5, "a=1", "", None]
+    assert csv_text(text) == f"'{text}"
+    assert [csv_text(value) for value in (-0.5, "a=1", "", None)] == [-0.5, "a=1", "", None]
 
 
 def test_tables_have_every_number(tmp_path):
@@ -225,7 +224,7 @@ def test_markdown_says_what_the_page_says():
         "- Mixed.",
         "![Final success](figures/final_success.png)\n\nEach point is a seed.",
         "| Cell | Seeds | Success (%) |",
-        formats.markdown(report.claims[0]),
+        escaped(report.claims[0]),
         "    python scripts/report.py experiment=algorithms",
         "| highway-env | 1.12.1 | 15 |",
     ):

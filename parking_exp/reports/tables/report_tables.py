@@ -152,7 +152,7 @@ def pairs(report: ReportData) -> Iterator[Table]:
         [
             cell_column("A", "a", "a_label"),
             cell_column("B", "b", "b_label"),
-            interval_column("A − B (points)", "difference", partial(formats.percent_interval, signed=True)),  # noqa: RUF001
+            interval_column("A − B (points)", "difference", formats.signed_percent_interval),  # noqa: RUF001
             column("p (Holm)", "p_holm", formats.probability),
             interval_column("A better than B (%)", "improvement"),
             column("p, time to 90 % (Holm)", "log_rank_p_holm", formats.probability),
