@@ -3,8 +3,10 @@
 from collections.abc import Mapping, Sequence
 from functools import cache
 
+import numpy as np
 import pandas as pd
 
+from parking_exp.envs.geometry import N_SLOTS
 from parking_exp.envs.outcomes import OUTCOMES
 from parking_exp.envs.scenes import Scenes
 from parking_exp.errors import ResultsError
@@ -24,9 +26,9 @@ def slot_rates(runs: Sequence[pd.DataFrame]) -> list[SlotRate]:
     if not runs:
         return []
     episodes = pd.concat(runs)
-    slots = [_goal(scene) for scene in episodes["scene"].tolist()]
+    slots = np.array([_goal(scene) for scene in episodes["scene"].tolist()])
     counts = np.zeros((N_SLOTS, len(OUTCOMES)), int)
-    np.add.at(counts, (slots, episodes["outcome"].cat.codes), 1)
+    np.add.at(counts, (slots, episodes["outcome"].cat.codes.to_numpy()), 1)
     return [SlotRate(slot, int(row.sum()), *(row / row.sum()).tolist()) for slot, row in enumerate(counts) if row.any()]
 
 

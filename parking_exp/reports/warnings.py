@@ -64,9 +64,7 @@ def warnings(
 
 def missing(cells: Sequence[Cell], experiments: Iterable[str], having: Iterable[str]) -> Iterator[str]:
     """Yield which runs have no result, and which experiments have no runs. Pruned runs are over, and do not count."""
-    total: Counter[str] = Counter()
-    for cell in cells:
-        total.update(cell.counts)
+    total = sum((Counter(cell.counts) for cell in cells), Counter())
     waiting = {"running": "under way", "failed": "failed", "pending": "interrupted or not started"}
     if stages := [f"{total[stage]} {words}" for stage, words in waiting.items() if total[stage]]:
         everything = sum(total.values()) - total["pruned"]

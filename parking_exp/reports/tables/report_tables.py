@@ -1,12 +1,12 @@
 """The tables of a report. Each function yields what it has; columns of rows are those of `tables/*.csv`."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from functools import partial
 from typing import Any
 
 from parking_exp.reports import formats
 from parking_exp.reports.cell_summaries import FURTHER, REPORTED
-from parking_exp.reports.report_data import Cell, Curve, Interaction, ReportData
+from parking_exp.reports.report_data import Cell, Interaction, ReportData
 from parking_exp.reports.tables.table import (
     PERCENT,
     Column,
@@ -109,14 +109,12 @@ def seeds(report: ReportData) -> Iterator[Table]:
 
 def curves(report: ReportData) -> Iterator[Table]:
     """Yield the CSV of the learning curves."""
-    yield Table("curves", [row for cell in report.cells if cell.curve for row in _points(cell, cell.curve)])
-
-
-def _points(cell: Cell, curve: Curve) -> Iterator[Row]:
-    points = zip(curve.step, curve.n, curve.mean, curve.low, curve.high, curve.crash, strict=True)
-    for step, n, mean, low, high, crash in points:
-        rates = {**spread("success", Interval(mean, low, high)), "crash": crash}
-        yield {**cell_record(cell), "step": step, "n": n, **rates}
+    rows: list[Row] = []
+    for cell in report.cells:
+        if curve := cell.curve:
+            success = {"success": curve.mean, "success_low": curve.low, "success_high": curve.high}
+            rows += _series(cell, step=curve.step, n=curve.n, **success, crash=curve.crash)
+    yield Table("curves", rows)
 
 
 def survival(report: ReportData) -> Iterator[Table]:
@@ -124,12 +122,20 @@ def survival(report: ReportData) -> Iterator[Table]:
     rows: list[Row] = []
     for cell in report.cells:
         for clock in filter(None, (cell.survival, cell.survival_cpu)):
-            which = {**cell_record(cell), "unit": clock.unit}
-            for time, reached, low, high in zip(clock.time, clock.reached, clock.low, clock.high, strict=True):
-                share = spread("reached", Interval(reached, low, high))
-                rows.append({**which, "time": time, **share, "censored": False})
-            rows += [{**which, "time": time, "censored": True} for time in clock.censored]
+            n = len(clock.time)
+            reached = {"reached": clock.reached, "reached_low": clock.low, "reached_high": clock.high}
+            rows += _series(cell, unit=[clock.unit] * n, time=clock.time, **reached, censored=[False] * n)
+            rows += [
+                {**cell_record(cell), "unit": clock.unit, "time": time, "censored": True} for time in clock.censored
+            ]
     yield Table("survival", rows)
+
+
+def _series(cell: Cell, **columns: Sequence[Any]) -> list[Row]:
+    """Return a row for each position of some columns."""
+    return [
+        {**cell_record(cell), **dict(zip(columns, row, strict=True))} for row in zip(*columns.values(), strict=True)
+    ]
 
 
 def slots(report: ReportData) -> Iterator[Table]:
@@ -277,32 +283,24 @@ def versions(report: ReportData) -> Iterator[Table]:
     ]
     for kind, counts in (("commit", origin.commits), ("machine", origin.machines)):
         rows += [{"kind": kind, "name": name, "version": None, "runs": runs} for name, runs in counts.items()]
-    yield Table(
-        "versions",
-        rows,
-        [
-            text_column("What", lambda row: row["name"] if row["version"] else row["kind"]),
-            text_column("Version", lambda row: row["version"] or row["name"]),
-            column("Runs", "runs", formats.number),
-        ],
-        "Versions, commits and machines.",
-    )
+    columns = [
+        text_column("What", lambda row: row["name"] if row["version"] else row["kind"]),
+        text_column("Version", lambda row: row["version"] or row["name"]),
+        column("Runs", "runs", formats.number),
+    ]
+    yield Table("versions", rows, columns, "Versions, commits and machines.")
 
 
 def unfinished(report: ReportData) -> Iterator[Table]:
     """Yield the table of the runs without a result, and why."""
-    yield Table(
-        "unfinished",
-        [record(run) for run in report.provenance.unfinished],
-        [
-            column("Cell", "label", numeric=False),
-            column("Seed", "seed"),
-            column("Status", "status", numeric=False),
-            column("Reason", "reason", numeric=False),
-        ],
-        "Runs without a result, and why.",
-        file="failed",
-    )
+    rows = [record(run) for run in report.provenance.unfinished]
+    columns = [
+        column("Cell", "label", numeric=False),
+        column("Seed", "seed"),
+        column("Status", "status", numeric=False),
+        column("Reason", "reason", numeric=False),
+    ]
+    yield Table("unfinished", rows, columns, "Runs without a result, and why.", file="failed")
 
 
 def common(report: ReportData) -> Iterator[Table]:
