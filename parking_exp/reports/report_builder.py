@@ -29,7 +29,7 @@ class Selection(NamedTuple):
     cells: list[CellRuns]
     factors: list[Factor]
     baseline: str | None  # id of the cell
-    left_out: list[str]  # labels of cells that were not asked for
+    left_out: list[str]  # labels of the other cells
     n_pruned: int  # trials of a search without a finished run
 
 
@@ -129,10 +129,10 @@ def _select(
     )
 
 
-def _refuse_unfinished(cells: Sequence[CellRuns], asked: str, hint: str = "") -> None:
+def _refuse_unfinished(cells: Sequence[CellRuns], override: str, hint: str = "") -> None:
     if not any(len(cell.done) for cell in cells):
         runs = sum(len(cell.runs) for cell in cells)
-        raise RunNotFoundError(f"{asked}: of its {plural(runs, 'run')}, none is done{hint}")
+        raise RunNotFoundError(f"{override}: of its {plural(runs, 'run')}, none is done{hint}")
 
 
 def _with_lot_map(

@@ -165,11 +165,11 @@ def test_latex_table_is_exact():
 
 
 def test_paper_and_markdown_have_the_cells_of_the_figures(tmp_path):
-    report = report_factory.report(80, 3)
+    report = report_factory.report(20, 3)
     tables = written(report, tmp_path)
     assert (tmp_path / "headline.tex").read_text().count("\\\\\n") == 1 + 12
-    assert len(tables["headline"]) == 80
-    assert "12 of 80 rows; `tables/` holds them all." in markdown(report, section_contents(report), None)
+    assert len(tables["headline"]) == 20
+    assert "12 of 20 rows; `tables/` holds them all." in markdown(report, section_contents(report), None)
 
 
 def test_the_config_table_has_more_rows_than_columns():

@@ -336,8 +336,8 @@ def _further_column(name: str) -> Column:
 
 
 def _finished(row: Row) -> Entry:
-    done, asked = row["seeds"], sum(count or 0 for key, count in row.items() if key.startswith("runs_"))
-    return Entry(str(done) if done == asked else f"{done} of {asked}", done)
+    done, total = row["seeds"], sum(count or 0 for key, count in row.items() if key.startswith("runs_"))
+    return Entry(str(done) if done == total else f"{done} of {total}", done)
 
 
 def _reaching_90(row: Row) -> Entry:
