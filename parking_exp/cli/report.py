@@ -8,7 +8,6 @@ from parking_exp.config.compose import composed
 from parking_exp.config.overrides import in_quotes
 from parking_exp.errors import ConfigError
 from parking_exp.reports.report_request import validate_report
-from parking_exp.reports.report_run import report
 
 KEYS = {"experiment_name", "from", "export", "cells", "baseline", "output_dir", "name", "storage", "tracking", "report"}
 
@@ -27,9 +26,11 @@ def report_once(overrides: list[str], extra_config_dir: str | None) -> None:
     configs = composed("report", overrides, extra_config_dir)
     if len(configs) > 1:
         raise ConfigError("a report takes one value for each key; name=... makes another one beside it")
-    validate_report(configs[0])
+    request = validate_report(configs[0])
+    from parking_exp.reports.report_run import report  # imports pandas and matplotlib: after the check
+
     gc.disable()  # a third of the time of a large report, whose objects all stay to its end
-    report(configs[0])
+    report(request)
     gc.freeze()
 
 

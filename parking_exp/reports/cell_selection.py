@@ -2,7 +2,7 @@
 
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from functools import cached_property
@@ -30,22 +30,15 @@ REPORT_KEYS = ("experiment", "baseline", "cells", "name", "output_dir", "trackin
 
 @dataclass(frozen=True, eq=False)
 class CellRuns:
-    """The runs of one cell.
-
-    Attributes:
-        label: what sets it apart from the others of the report.
-        settings: value of each factor.
-        runs: rows of `Results.runs`, by seed; of two runs with the same seed, the one that is done, or is newer.
-        repeated: how many runs were left out for another one with the same seed.
-    """
+    """The runs of one cell."""
 
     experiment: str
     name: str
-    label: str
-    settings: dict[str, Setting]
+    label: str  # what distinguishes it from the others of the report
+    settings: dict[str, Setting]  # value of each factor
     config: Config
-    runs: pd.DataFrame
-    repeated: int
+    runs: pd.DataFrame  # rows of `Results.runs` by seed; of runs with equal seeds, the one that is done, or is newer
+    n_repeated: int  # runs left out for another one with the same seed
 
     @cached_property
     def done(self) -> pd.DataFrame:
@@ -60,29 +53,27 @@ def group(runs: pd.DataFrame) -> list[CellRuns]:
     """
     keys = [str(column) for column in runs if str(column).startswith(CONFIG)]
     begun = runs.sort_values("started", kind="stable", ignore_index=True)
-    narrow = begun.drop(columns=keys)  # a third of the time of selecting rows of all columns
-    values = dict(zip(keys, begun[keys].astype(object).to_numpy().T, strict=True))
+    configs = begun[keys].astype(object)
     cells = []
-    for (experiment, name), table in narrow.groupby(["experiment", "cell"], sort=False):
-        once = _one_a_seed(table)
-        config = _config(values, table.index[0])
+    for (experiment, name), table in begun.drop(columns=keys).groupby(["experiment", "cell"], sort=False):
+        newest = table.assign(done=table["status"] == "done").sort_values(["seed", "done", "started"], kind="stable")
+        once = newest.drop_duplicates("seed", keep="last").drop(columns="done")
+        config = _config(configs.loc[table.index[0]])
         cells.append(CellRuns(str(experiment), str(name), "", {}, config, once, len(table) - len(once)))
     if len(cells) == 1:
         (label,) = label_cells([cells[0].config], [cells[0].name])
         return [replace(cells[0], label=label)]
     labelled, factors = relabelled(cells)
-    levels = {factor.key: list(factor.levels) for factor in factors}
 
     def place(cell: CellRuns) -> list[int]:
-        return [
-            len(known) if (level := cell.settings[key]) is None else known.index(level) for key, known in levels.items()
-        ]
+        levels = [(list(factor.levels), cell.settings[factor.key]) for factor in factors]
+        return [len(known) if level is None else known.index(level) for known, level in levels]
 
     return sorted(labelled, key=place)
 
 
 def relabelled(cells: Sequence[CellRuns]) -> tuple[list[CellRuns], list[Factor]]:
-    """Return cells with labels that say only what sets these apart, and the factors."""
+    """Return cells with labels that distinguish these alone, and the factors."""
     factors, settings = find_factors([cell.config for cell in cells], [cell.experiment for cell in cells])
     if len(cells) == 1:
         return [replace(cells[0], settings=settings[0])], factors
@@ -92,40 +83,39 @@ def relabelled(cells: Sequence[CellRuns]) -> tuple[list[CellRuns], list[Factor]]
     ], factors
 
 
-def choose(cells: Sequence[CellRuns], asked: Sequence[str], key: str = "cells") -> list[CellRuns]:
-    """Return the cells that were asked for.
+def choose(cells: Sequence[CellRuns], wanted: Sequence[str], key: str = "cells") -> list[CellRuns]:
+    """Return the cells that fit any of the labels, names or patterns of them (`her_*`), and all `KEY=VALUE,VALUE`.
 
-    `asked` are labels, names or patterns of them (`her_*`), any of which may fit; and `KEY=VALUE,VALUE`, all of which
-    have to: a group, a config key or the end of one, and the values it may have.
+    KEY is a group, a config key or the end of one; the values are those it may have.
 
     Raises:
         ConfigError: one of them fits nothing.
     """
-    patterns = [text for text in asked if "=" not in text or _named(cells, text)]
+    patterns = [text for text in wanted if "=" not in text or _named(cells, text)]
     chosen = list(cells)
     if patterns:
         fitting = [cell for pattern in patterns for cell in _matching(cells, pattern, key)]
         chosen = [cell for cell in cells if cell in fitting]
-    for condition in asked:
+    for condition in wanted:
         if condition not in patterns:
             chosen = _narrowed(chosen, cells, condition)
     if not chosen:
-        raise ConfigError(f"{key}: no cell fits all of {', '.join(asked)}")
+        raise ConfigError(f"{key}: no cell fits all of {', '.join(wanted)}")
     return chosen
 
 
-def one_cell(cells: Sequence[CellRuns], asked: str, preferred: Sequence[CellRuns] = ()) -> CellRuns:
+def one_cell(cells: Sequence[CellRuns], baseline: str, preferred: Sequence[CellRuns] = ()) -> CellRuns:
     """Return the one cell that fits a label, a name or a pattern; where several do, the one that is preferred.
 
     Raises:
         ConfigError: none does, or several do.
     """
-    fitting = _named(cells, asked) or choose(cells, [asked], "baseline")
+    fitting = _named(cells, baseline) or choose(cells, [baseline], "baseline")
     if len(fitting) > 1:
         fitting = [cell for cell in fitting if cell in preferred] or fitting
     if len(fitting) > 1:
         few = ", ".join(repr(cell.label) for cell in fitting[:5])
-        raise ConfigError(f"baseline={asked}: {len(fitting)} cells fit, e.g. {few}; name one")
+        raise ConfigError(f"baseline={baseline}: {len(fitting)} cells fit, e.g. {few}; name one")
     return fitting[0]
 
 
@@ -144,19 +134,19 @@ def _matching(cells: Sequence[CellRuns], pattern: str, key: str) -> list[CellRun
 
 def _narrowed(chosen: Sequence[CellRuns], cells: Sequence[CellRuns], condition: str) -> list[CellRuns]:
     """Return the chosen cells whose config fits `KEY=VALUE,VALUE`."""
-    asked_key, _, text = condition.partition("=")
+    name, _, text = condition.partition("=")
     keys = dict.fromkeys(key for cell in cells for key in cell.config if can_matter(key))
-    exact = f"{asked_key}.name" if asked_key in GROUPS else asked_key
-    fitting = [key for key in keys if key == exact] or [key for key in keys if key.endswith(f".{asked_key}")]
+    exact = f"{name}.name" if name in GROUPS else name
+    fitting = [exact] if exact in keys else [key for key in keys if key.endswith(f".{name}")]
     if len(fitting) != 1:
-        hint = suggestion(asked_key, {*GROUPS, *REPORT_KEYS, *keys})
-        raise ConfigError(f"{asked_key}: neither a key of this command nor of these runs' configs{hint}")
-    key = fitting[0]
+        hint = suggestion(name, {*GROUPS, *REPORT_KEYS, *keys})
+        raise ConfigError(f"{name}: neither a key of this command nor of these runs' configs{hint}")
+    (key,) = fitting
     values = {setting(cell.config[key]) for cell in cells if key in cell.config}
     wanted: set[str] = set()
     for value in [text] if _same(values, text) else _listed(text):
         if not (same := _same(values, value)):
-            raise ConfigError(f"{asked_key}={value}: no run has that{suggestion(value, values)}")
+            raise ConfigError(f"{name}={value}: no run has that{suggestion(value, values)}")
         wanted |= same
     return [cell for cell in chosen if key in cell.config and setting(cell.config[key]) in wanted]
 
@@ -180,20 +170,11 @@ def _listed(text: str) -> list[str]:
     return [value.strip() for value in re.split(r",(?![^\[]*\])", inner)]
 
 
-def _config(columns: Mapping[str, np.ndarray], row: int) -> dict[str, Setting]:
+def _config(row: pd.Series) -> dict[str, Setting]:
     """Return the config of a run. Frames do not distinguish a key that is null from one that is not there."""
-    values = {key.removeprefix(CONFIG): column[row] for key, column in columns.items()}
-    return {key: _plain(value) for key, value in values.items() if not pd.isna(value)}
+    return {str(key).removeprefix(CONFIG): _plain(value) for key, value in row.dropna().items()}
 
 
 def _plain(value: Any) -> Setting:
     plain = value.item() if isinstance(value, np.generic) else value
     return str(plain) if isinstance(plain, float) and math.isinf(plain) else plain  # JSON has no infinity
-
-
-def _one_a_seed(table: pd.DataFrame) -> pd.DataFrame:
-    done = (table["status"] == "done").rename("done")
-    order = pd.concat([table[["seed", "started"]], done], axis=1).sort_values(
-        ["seed", "done", "started"], kind="stable"
-    )
-    return table.loc[order.drop_duplicates("seed", keep="last").index]

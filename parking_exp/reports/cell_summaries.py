@@ -1,7 +1,7 @@
-"""Summary of a cell over its seeds: means, learning curve, times to 90 %, scene map."""
+"""Summary of a cell over its seeds: means, learning curve, times to 90 %, rates by slot."""
 
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import fields
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
@@ -11,7 +11,7 @@ from parking_exp.evaluation.metrics import METRICS, Metric
 from parking_exp.reports.cell_selection import CellRuns
 from parking_exp.reports.lot_map import slot_rates
 from parking_exp.reports.report_data import Cell, Curve, Seed, Survival
-from parking_exp.reports.run_evaluations import EvaluationCurve, RunEvaluations
+from parking_exp.results.frames import Results
 from parking_exp.statistics import (
     Interval,
     Proportion,
@@ -28,7 +28,7 @@ from parking_exp.statistics import (
 from parking_exp.statistics.checks import finite_or_none
 
 GOOD = 0.9
-HOLD = 3
+HOLD = 3  # evaluations in a row
 STAGES = {"interrupted": "pending"}
 REPORTED: dict[str, Metric] = {
     metric.name if metric.is_rate else metric.run_column: metric for metric in METRICS if metric.in_reports
@@ -37,6 +37,27 @@ REPORTED: dict[str, Metric] = {
 FURTHER = [name for name in REPORTED if name not in {field.name for field in fields(Seed)}]
 """Those without a field of their own."""
 RUN_COLUMNS = ["run_id", "run_dir", "seed", "n_scenes", "cpu_s", *(metric.run_column for metric in REPORTED.values())]
+CURVE_COLUMNS = ["run_id", "step", "success_rate", "crash_rate", "cpu_s", "real_share"]
+
+
+@dataclass(frozen=True)
+class RunEvaluations:
+    """Rows of `Results.curves` and `Results.episodes` by run id: selecting them for each run is slow."""
+
+    curves: dict[str, pd.DataFrame]  # of the runs that have a success rate
+    final: dict[str, pd.DataFrame]  # scene and outcome of the final episodes
+
+    @staticmethod
+    def of(results: Results) -> "RunEvaluations":
+        """Split the frames of some results."""
+        rated = results.curves.loc[results.curves["success_rate"].notna(), "run_id"].unique()
+        curves = results.curves.loc[results.curves["run_id"].isin(rated), CURVE_COLUMNS]
+        final = results.episodes.loc[results.episodes["phase"] == "final", ["run_id", "scene", "outcome"]]
+        by_run = [
+            {str(run): rows for run, rows in frame.groupby("run_id", sort=False, observed=True)}
+            for frame in (curves, final)
+        ]
+        return RunEvaluations(*by_run)
 
 
 def summarise(
@@ -46,13 +67,13 @@ def summarise(
     horizons: tuple[float | None, float | None],
     unfinished: bool,
 ) -> Cell:
-    """Return a cell's numbers; with `unfinished`, learning curves show runs that are not done, too.
+    """Return a cell's numbers; with `unfinished`, learning curves include runs that are not done.
 
-    `horizons`: up to which env step, and CPU second, times to 90 % are averaged; see `shared_horizons`.
+    Restricted means of times to 90 % are up to the env step and the CPU second `horizons`, see `shared_horizons`.
     """
     runs: list[dict[str, Any]] = cell.done[RUN_COLUMNS].to_dict("records")  # type: ignore[assignment]
     seeds = [_seed(run, evaluations) for run in runs]
-    success = _known(seed.success for seed in seeds)
+    success = [seed.success for seed in seeds if seed.success is not None]
     means = {
         name: _mean([finite_or_none(run[metric.run_column]) for run in runs], (0.0, 1.0) if metric.is_rate else None)
         for name, metric in REPORTED.items()
@@ -74,26 +95,25 @@ def summarise(
         survival_cpu=_survival("CPU-seconds", [(seed.cpu_s_to_90, seed.reached_90) for seed in seeds], horizons[1]),
         slots=slot_rates([evaluations.final[seed.run_id] for seed in seeds if seed.run_id in evaluations.final]),
         note=coverage_note(success) if success else None,
-        **_fields(means),
+        **_metric_fields(means),
     )
 
 
 def shared_horizons(cells: Sequence[CellRuns], evaluations: RunEvaluations) -> tuple[float | None, float | None]:
-    """Return the env step and the CPU second up to which every finished run was watched."""
-    curves = [evaluations.curves[run] for cell in cells for run in cell.done["run_id"] if run in evaluations.curves]
-    ends = [curve.watched(HOLD) for curve in curves]
+    """Return the env step and the CPU second up to which every finished run was observed."""
+    ends = [_last_start(curve) for cell in cells for curve in _curves(cell.done, evaluations).values()]
     cpu_s = [seconds for _, seconds in ends if np.isfinite(seconds)]
     return min((step for step, _ in ends), default=None), min(cpu_s, default=None)
 
 
 def real_share(cell: CellRuns, evaluations: RunEvaluations) -> float | None:
     """Return the mean share of real transitions in a cell's batches, as the buffer measured it."""
-    curves = [evaluations.curves[run].real_share for run in cell.done["run_id"] if run in evaluations.curves]
-    last = [float(known[-1]) for curve in curves if len(known := curve[~np.isnan(curve)])]
+    curves = [curve["real_share"].dropna() for curve in _curves(cell.done, evaluations).values()]
+    last = [float(known.iloc[-1]) for known in curves if len(known)]
     return float(np.mean(last)) if last else None
 
 
-def _fields(values: Mapping[str, Any]) -> dict[str, Any]:
+def _metric_fields(values: Mapping[str, Any]) -> dict[str, Any]:
     """Return the fields of a seed or a cell that hold these metrics."""
     own = {name: value for name, value in values.items() if name not in FURTHER}
     return {**own, "further": {name: values[name] for name in FURTHER}}
@@ -102,7 +122,7 @@ def _fields(values: Mapping[str, Any]) -> dict[str, Any]:
 def _seed(run: dict[str, Any], evaluations: RunEvaluations) -> Seed:
     metrics = {name: finite_or_none(run[metric.run_column]) for name, metric in REPORTED.items()}
     episodes, curve = evaluations.final.get(run["run_id"]), evaluations.curves.get(run["run_id"])
-    n_scenes = len(episodes.scene) if episodes is not None else _whole(run["n_scenes"])
+    n_scenes = len(episodes) if episodes is not None else _whole(run["n_scenes"])
     success, low, high = metrics["success"], None, None
     if success is not None and n_scenes:
         low, high = wilson_interval(round(success * n_scenes), n_scenes)
@@ -119,29 +139,42 @@ def _seed(run: dict[str, Any], evaluations: RunEvaluations) -> Seed:
         reached_90=reached,
         cpu_s_to_90=cpu_s,
         area=area,
-        **_fields(metrics),
+        **_metric_fields(metrics),
     )
 
 
-def _evaluation_curve(curve: EvaluationCurve) -> tuple[float, bool, float | None, float | None]:
+def _evaluation_curve(curve: pd.DataFrame) -> tuple[float, bool, float | None, float | None]:
     """Return time to 90 % in env steps, whether it was reached, the same in CPU seconds, and the area."""
-    time, reached = steps_to(curve.step, curve.success, GOOD, HOLD)
-    cpu_s = curve.cpu_s[np.searchsorted(curve.step, time)] if reached else curve.watched(HOLD)[1]
-    area = normalised_area(curve.step, curve.success) if np.count_nonzero(~np.isnan(curve.success)) > 1 else None
+    step, success = curve["step"].to_numpy(), curve["success_rate"].to_numpy()
+    time, reached = steps_to(step, success, GOOD, HOLD)
+    cpu_s = curve["cpu_s"].iloc[np.searchsorted(step, time)] if reached else _last_start(curve)[1]
+    area = normalised_area(step, success) if np.count_nonzero(~np.isnan(success)) > 1 else None
     return time, reached, finite_or_none(cpu_s), area
+
+
+def _last_start(curve: pd.DataFrame) -> tuple[float, float]:
+    """Return env step and CPU second of the last evaluation that HOLD in a row can begin with; 0 without one."""
+    if len(curve) < HOLD:
+        return 0.0, 0.0
+    return float(curve["step"].iloc[-HOLD]), float(curve["cpu_s"].iloc[-HOLD])
+
+
+def _curves(runs: pd.DataFrame, evaluations: RunEvaluations) -> dict[int, pd.DataFrame]:
+    """Return the evaluations of each seed that has some."""
+    pairs = zip(runs["run_id"], runs["seed"], strict=True)
+    return {int(seed): evaluations.curves[run] for run, seed in pairs if run in evaluations.curves}
 
 
 def _curve(runs: pd.DataFrame, evaluations: RunEvaluations) -> Curve | None:
     """Return the learning curve over all runs that have one."""
-    pairs = zip(runs["run_id"], runs["seed"], strict=True)
-    curves = {int(seed): evaluations.curves[run] for run, seed in pairs if run in evaluations.curves}
+    curves = _curves(runs, evaluations)
     if not curves:
         return None
-    steps = np.unique(np.concatenate([curve.step for curve in curves.values()]))
+    steps = np.unique(np.concatenate([curve["step"] for curve in curves.values()]))
     success, crash = np.full((2, len(curves), len(steps)), np.nan)
     for row, curve in enumerate(curves.values()):
-        at = np.searchsorted(steps, curve.step)
-        success[row, at], crash[row, at] = curve.success, curve.crash
+        at = np.searchsorted(steps, curve["step"])
+        success[row, at], crash[row, at] = curve["success_rate"], curve["crash_rate"]
     band = mean_band(success)
     return Curve(
         step=steps.tolist(),
@@ -151,7 +184,7 @@ def _curve(runs: pd.DataFrame, evaluations: RunEvaluations) -> Curve | None:
         n=[point.n for point in band],
         crash=[float(known.mean()) if len(known := rates[~np.isnan(rates)]) else None for rates in crash.T],
         seeds=[
-            (seed, curve.step.tolist(), [finite_or_none(rate) for rate in curve.success])
+            (seed, curve["step"].tolist(), [finite_or_none(rate) for rate in curve["success_rate"]])
             for seed, curve in curves.items()
         ],
     )
@@ -180,12 +213,8 @@ def _survival(unit: str, times: Sequence[tuple[float | None, bool]], horizon: fl
 
 
 def _mean(values: Sequence[float | None], bounds: tuple[float, float] | None = None) -> Interval:
-    present = _known(values)
-    return mean_interval(present, bounds=bounds) if present else Interval(None)
-
-
-def _known(values: Iterable[float | None]) -> list[float]:
-    return [value for value in values if value is not None]
+    known = [value for value in values if value is not None]
+    return mean_interval(known, bounds=bounds) if known else Interval(None)
 
 
 def _counts(status: pd.Series) -> dict[str, int]:

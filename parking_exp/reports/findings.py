@@ -2,17 +2,18 @@
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 
+from parking_exp.config.cell_labels import Factor
 from parking_exp.errors import plural, quoted_label
 from parking_exp.reports.cell_pairs import SIGNIFICANT, Family
 from parking_exp.reports.formats import p_value, points_interval, rate_interval, setting
-from parking_exp.reports.report_data import Cell, Design, Factor, Interaction, Pair
+from parking_exp.reports.report_data import Cell, Interaction, Pair, Survival
 from parking_exp.reports.warnings import FEW_NAMES, named
-from parking_exp.statistics import Interval, MainEffect, ParameterImportance
+from parking_exp.statistics import Interval, MainEffect, ParameterImportance, Proportion
 
 VERDICTS = {"a": "is better than", "b": "is worse than", "same": "is indistinguishable from"}
 
 
-def claims(cells: Sequence[Cell], family: Family) -> Iterator[str]:
+def about_cells(cells: Sequence[Cell], family: Family) -> Iterator[str]:
     """Yield the findings on cells, the most important first: which is better, by how much, how sure, the cost."""
     rated = sorted(
         (cell for cell in cells if cell.success.value is not None),
@@ -31,20 +32,22 @@ def claims(cells: Sequence[Cell], family: Family) -> Iterator[str]:
         yield f"{named(first)} have the same final success, the highest: {rate}."
     else:
         yield f"{quoted_label(best.label)} has the highest final success: {rate} of the scenes, {seeds}."
-    if len(rated) > 1:
-        reference = next((cell for cell in rated if cell.id == family.reference), best)
-        yield from _against(reference, {cell.id: cell.label for cell in rated}, family.pairs)
-    if shares := [f"{quoted_label(cell.label)} {_at_90(cell)}" for cell in rated if cell.reaching_90.n > 1]:
+    reference = next((cell for cell in rated if cell.id == family.reference), best)
+    yield from _comparisons(reference, {cell.id: cell.label for cell in rated}, family.pairs)
+    if shares := [f"{quoted_label(cell.label)} {_at_90(cell.reaching_90)}" for cell in rated if cell.reaching_90.n > 1]:
         yield f"Seeds that end at 90 % or above: {_first(shares)}."
-    yield from _range("Crashes end {} of the episodes.", rated, lambda cell: cell.crash, rate_interval)
-    yield from _range("A run took {} CPU-seconds on average.", rated, lambda cell: cell.cpu_s, _rounded)
-    times = [f"{quoted_label(cell.label)} {_median(cell)}" for cell in rated if cell.survival and cell.survival.n > 1]
-    if times:
+    yield from _range("Crashes end {} of the episodes.", {cell.label: cell.crash for cell in rated}, rate_interval)
+    yield from _range(
+        "A run took {} CPU-seconds on average.",
+        {cell.label: cell.cpu_s for cell in rated},
+        lambda cpu_s: f"{cpu_s.value:,.0f}",
+    )
+    timed = [(cell, cell.survival) for cell in rated if cell.survival and cell.survival.n > 1]
+    if times := [f"{quoted_label(cell.label)} {_median(steps, cell.survival_cpu)}" for cell, steps in timed]:
         yield f"Median time to hold 90 %: {_first(times)}."
 
 
 def about_factors(
-    design: Design,
     factors: Sequence[Factor],
     effects: Sequence[MainEffect],
     interactions: Sequence[Interaction],
@@ -59,7 +62,7 @@ def about_factors(
             yield from _effect(effect, effect.largest, names[effect.factor], len(effects) > 1)
     for table in interactions:
         yield from _interaction(table, names[table.row], names[table.column])
-    if design == "search" and importance:
+    if importance:
         yield from _importance(importance, names)
 
 
@@ -113,9 +116,9 @@ def _interaction(table: Interaction, row: str, column: str) -> Iterator[str]:
         )
 
 
-def _against(reference: Cell, labels: Mapping[str, str], pairs: Sequence[Pair]) -> Iterator[str]:
-    """Compare one cell with all others: the smallest difference first."""
-    own = [pair if pair.a == reference.id else pair.turned() for pair in pairs if reference.id in (pair.a, pair.b)]
+def _comparisons(reference: Cell, labels: Mapping[str, str], pairs: Sequence[Pair]) -> Iterator[str]:
+    """Yield how one cell compares with the others, by verdict: the smallest difference first."""
+    own = [pair if pair.a == reference.id else pair.reversed() for pair in pairs if reference.id in (pair.a, pair.b)]
     own.sort(key=lambda pair: abs(pair.difference.value or 0.0))
     name = quoted_label(reference.label)
     for verdict, words in VERDICTS.items():
@@ -139,30 +142,23 @@ def _first(parts: Sequence[str]) -> str:
     return "; ".join(parts[:FEW_NAMES]) + more
 
 
-def _at_90(cell: Cell) -> str:
-    share = cell.reaching_90
+def _at_90(share: Proportion) -> str:
     interval = "" if share.low is None or share.high is None else f" [{100 * share.low:.0f}, {100 * share.high:.0f} %]"
     return f"{share.k} of {share.n}{interval}"
 
 
-def _range(
-    sentence: str, cells: Sequence[Cell], of: Callable[[Cell], Interval], write: Callable[[Interval], str]
-) -> Iterator[str]:
-    """Yield a sentence on the lowest and the highest mean, where any is known."""
-    known = sorted((cell for cell in cells if of(cell).value is not None), key=lambda cell: of(cell).value or 0.0)
+def _range(sentence: str, means: Mapping[str, Interval], write: Callable[[Interval], str]) -> Iterator[str]:
+    """Yield a sentence on the lowest and the highest of the known means, given by label."""
+    known = {label: mean for label, mean in means.items() if mean.value is not None}
     if known:
-        low, high = (write(of(cell)) for cell in (known[0], known[-1]))
-        both = f"{low} ({quoted_label(known[0].label)}) to {high} ({quoted_label(known[-1].label)})"
+        ordered = sorted(known, key=lambda label: known[label].value or 0.0)
+        low, high = (write(known[label]) for label in (ordered[0], ordered[-1]))
+        both = f"{low} ({quoted_label(ordered[0])}) to {high} ({quoted_label(ordered[-1])})"
         yield sentence.format(both if low != high else low)
 
 
-def _rounded(interval: Interval) -> str:
-    return f"{interval.value:,.0f}"
-
-
-def _median(cell: Cell) -> str:
-    assert cell.survival is not None
-    if cell.survival.median is None:
-        return f"unknown ({cell.survival.k} of {plural(cell.survival.n, 'seed')} did)"
-    cpu_s = cell.survival_cpu.median if cell.survival_cpu else None
-    return f"{cell.survival.median:,.0f} env steps" + ("" if cpu_s is None else f", {cpu_s:,.0f} CPU-seconds")
+def _median(steps: Survival, cpu_s: Survival | None) -> str:
+    if steps.median is None:
+        return f"unknown ({steps.k} of {plural(steps.n, 'seed')} did)"
+    seconds = "" if cpu_s is None or cpu_s.median is None else f", {cpu_s.median:,.0f} CPU-seconds"
+    return f"{steps.median:,.0f} env steps{seconds}"

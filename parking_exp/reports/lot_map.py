@@ -11,7 +11,6 @@ from parking_exp.envs.outcomes import OUTCOMES
 from parking_exp.envs.scenes import Scenes
 from parking_exp.errors import ResultsError
 from parking_exp.reports.report_data import Path, SlotRate
-from parking_exp.reports.run_evaluations import FinalEpisodes
 from parking_exp.results.frames import Results
 
 PATHS_AN_OUTCOME = 4
@@ -22,14 +21,14 @@ COLUMNS = ["scene", "step", "x_m", "y_m", "heading_rad"]
 ADDED = ["run_id", "seed", "outcome", "end", "rank", "failed"]
 
 
-def slot_rates(runs: Sequence[FinalEpisodes]) -> list[SlotRate]:
-    """Return what happened in the scenes with each goal slot, over the episodes of several runs."""
+def slot_rates(runs: Sequence[pd.DataFrame]) -> list[SlotRate]:
+    """Return the rates of outcomes by goal slot, over the final episodes (scene, outcome) of several runs."""
     if not runs:
         return []
-    scenes, place = np.unique(np.concatenate([run.scene for run in runs]), return_inverse=True)
-    slots = np.array([_goal(scene) for scene in scenes.tolist()])[place]
+    episodes = pd.concat(runs)
+    slots = np.array([_goal(scene) for scene in episodes["scene"].tolist()])
     counts = np.zeros((N_SLOTS, len(OUTCOMES)), int)
-    np.add.at(counts, (slots, np.concatenate([run.outcome for run in runs])), 1)
+    np.add.at(counts, (slots, episodes["outcome"].cat.codes.to_numpy()), 1)
     return [SlotRate(slot, int(row.sum()), *(row / row.sum()).tolist()) for slot, row in enumerate(counts) if row.any()]
 
 
@@ -39,7 +38,7 @@ def _goal(scene: int) -> int:
 
 
 def sample(
-    runs: Sequence[tuple[int, str]], results: Results, final: Mapping[str, FinalEpisodes], vehicles_count: int
+    runs: Sequence[tuple[int, str]], results: Results, final: Mapping[str, pd.DataFrame], vehicles_count: int
 ) -> tuple[list[Path], list[tuple[float, float, str]], list[str]]:
     """Return some trajectories of each outcome, where crashes and timeouts ended [m], and unreadable recordings.
 
@@ -55,7 +54,7 @@ def sample(
 
 
 def sampled_rows(
-    runs: Sequence[tuple[int, str]], results: Results, final: Mapping[str, FinalEpisodes]
+    runs: Sequence[tuple[int, str]], results: Results, final: Mapping[str, pd.DataFrame]
 ) -> tuple[dict[str, pd.DataFrame], list[str]]:
     """Return the rows of trajectories that `sample` needs, by run id, and its problems.
 
@@ -67,7 +66,7 @@ def sampled_rows(
 
 
 def _sampled(
-    runs: Sequence[tuple[int, str]], results: Results, final: Mapping[str, FinalEpisodes]
+    runs: Sequence[tuple[int, str]], results: Results, final: Mapping[str, pd.DataFrame]
 ) -> tuple[pd.DataFrame, list[str]]:
     """Return rows of trajectories, thinned ones of the episodes to draw and the last one of failed ones, and problems.
 
@@ -82,7 +81,7 @@ def _sampled(
             problems.append(str(error))
             continue
         if run_id in final and len(rows):
-            outcome = pd.Series(np.array(OUTCOMES)[final[run_id].outcome], final[run_id].scene)
+            outcome = final[run_id].set_index("scene")["outcome"].astype(object)
             tables.append(rows.assign(run_id=run_id, seed=seed, outcome=rows["scene"].map(outcome)))
     if not tables:
         return pd.DataFrame(columns=[*COLUMNS, *ADDED]), problems

@@ -3,22 +3,34 @@
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from datetime import UTC, datetime
+from itertools import chain
+from typing import NamedTuple
 
 from parking_exp import __version__
+from parking_exp.config.cell_labels import Factor
 from parking_exp.envs.geometry import N_SLOTS
 from parking_exp.errors import RunNotFoundError, plural
 from parking_exp.reports import factor_effects, findings, warnings
 from parking_exp.reports.cell_pairs import compare_pairs
 from parking_exp.reports.cell_selection import CellRuns, choose, group, one_cell, relabelled
-from parking_exp.reports.cell_summaries import real_share, shared_horizons, summarise
+from parking_exp.reports.cell_summaries import RunEvaluations, real_share, shared_horizons, summarise
 from parking_exp.reports.lot_map import sample
 from parking_exp.reports.report_data import Cell, ReportData
 from parking_exp.reports.report_provenance import provenance
-from parking_exp.reports.run_evaluations import RunEvaluations
 from parking_exp.results.frames import Results
 
 MOST_PROBLEMS = 5
 SHOWN_WHOLE, SHOWN = 16, 12  # cells in figures: all of up to 16, else the 12 best
+
+
+class Selection(NamedTuple):
+    """The cells of a report, labelled by what distinguishes them."""
+
+    cells: list[CellRuns]
+    factors: list[Factor]
+    baseline: str | None  # id of the cell
+    left_out: list[str]  # labels of the other cells
+    n_pruned: int  # trials of a search without a finished run
 
 
 def build_report(
@@ -30,37 +42,26 @@ def build_report(
     quick: bool = False,
     command: str = "",
 ) -> ReportData:
-    """Return everything that a report says.
+    """Return the content of a report.
 
     Args:
         results: of the experiments.
         experiments: their names.
         cells: labels, names, patterns and conditions, see `cell_selection.choose`; none: all.
         baseline: label of the cell that the others are compared with.
-        quick: whether unfinished runs count, as far as they are.
+        quick: whether the curves of unfinished runs are included.
         command: the command line that makes the report.
 
     Raises:
         ConfigError: there is no such cell or baseline.
-        RunNotFoundError: none of the runs is done, and `quick` is not asked for.
+        RunNotFoundError: no run is done, and `quick` is not set.
     """
-    all_cells = group(results.runs)
-    asked = choose(all_cells, cells) if cells else all_cells
-    reference = one_cell(all_cells, baseline, preferred=asked) if baseline else None
-    asked = asked if reference is None or reference in asked else [reference, *asked]
-    if not quick:
-        _refuse_unfinished(asked, f"experiment={','.join(experiments)}", "; report=quick shows what there is so far")
-        if reference is not None:
-            _refuse_unfinished([reference], f"baseline={baseline}")
-    kept = [cell for cell in asked if cell is reference or set(cell.runs["status"]) != {"pruned"}] or asked
-    groups, factors = relabelled(kept)
-    base = None if reference is None else f"c{kept.index(reference)}"
-    left_out = [cell.label for cell in all_cells if cell not in asked]
-
+    selection = _select(results, experiments, cells, baseline, quick=quick)
+    groups, factors = selection.cells, selection.factors
     evaluations = RunEvaluations.of(results)
     horizons = shared_horizons(groups, evaluations)
     summaries = [summarise(cell, number, evaluations, horizons, quick) for number, cell in enumerate(groups)]
-    shown = _shown(summaries, base)
+    shown = _shown(summaries, selection.baseline)
     problems = [*results.problems]
     for number, cell in enumerate(summaries):
         if cell.id in shown:
@@ -73,8 +74,8 @@ def build_report(
         shares = {cell.id: real_share(runs, evaluations) for cell, runs in zip(summaries, groups, strict=True)}
         effects = factor_effects.main_effects(summaries, factors)
         interactions = factor_effects.interactions(summaries, factors, shares)
-    family = compare_pairs(summaries, base)
-    origin = provenance(groups, left_out, results.uri)
+    family = compare_pairs(summaries, selection.baseline)
+    origin = provenance(groups, selection.left_out, results.uri)
     return ReportData(
         title=" and ".join(experiments),
         experiments=list(experiments),
@@ -86,32 +87,52 @@ def build_report(
         factors=factors,
         cells=summaries,
         shown=shown,
-        baseline=base,
+        baseline=selection.baseline,
         family=family.sentence,
         pairs=family.pairs,
         effects=effects,
         interactions=interactions,
         importance=importance,
         exploratory=any(cell.success.n < warnings.ENOUGH_SEEDS for cell in summaries),
-        claims=_once(
-            findings.claims(summaries, family),
-            findings.about_factors(design, factors, effects, interactions, importance),
+        claims=_unique(
+            findings.about_cells(summaries, family),
+            findings.about_factors(factors, effects, interactions, importance),
         ),
-        warnings=_once(warnings.warnings(groups, summaries, family.pairs, origin), _first(problems)),
-        missing=_once(warnings.missing(summaries, experiments, results.runs["experiment"])),
+        warnings=_unique(warnings.warnings(groups, summaries, family.pairs, origin), _first(problems)),
+        missing=_unique(warnings.missing(summaries, experiments, results.runs["experiment"])),
         provenance=origin,
-        notes=[
-            *_notes_on_cells(summaries, shown, bool(effects)),
-            *_notes_on_others(len(left_out), len(asked) - len(kept), results.ignored),
-        ],
+        notes=list(_notes(summaries, shown, selection, results.ignored, crossed=bool(effects))),
         reference=family.reference,
     )
 
 
-def _refuse_unfinished(cells: Sequence[CellRuns], asked: str, hint: str = "") -> None:
+def _select(
+    results: Results, experiments: Sequence[str], wanted: Sequence[str], baseline: str | None, *, quick: bool
+) -> Selection:
+    """Return the wanted cells, all without any, and the baseline; both must have a finished run unless `quick`."""
+    cells = group(results.runs)
+    chosen = choose(cells, wanted) if wanted else cells
+    reference = one_cell(cells, baseline, preferred=chosen) if baseline else None
+    chosen = chosen if reference is None or reference in chosen else [reference, *chosen]
+    if not quick:
+        _refuse_unfinished(chosen, f"experiment={','.join(experiments)}", "; report=quick shows what there is so far")
+        if reference is not None:
+            _refuse_unfinished([reference], f"baseline={baseline}")
+    kept = [cell for cell in chosen if cell is reference or set(cell.runs["status"]) != {"pruned"}] or chosen
+    labelled, factors = relabelled(kept)
+    return Selection(
+        labelled,
+        factors,
+        baseline=None if reference is None else f"c{kept.index(reference)}",
+        left_out=[cell.label for cell in cells if cell not in chosen],
+        n_pruned=len(chosen) - len(kept),
+    )
+
+
+def _refuse_unfinished(cells: Sequence[CellRuns], override: str, hint: str = "") -> None:
     if not any(len(cell.done) for cell in cells):
         runs = sum(len(cell.runs) for cell in cells)
-        raise RunNotFoundError(f"{asked}: of its {plural(runs, 'run')}, none is done{hint}")
+        raise RunNotFoundError(f"{override}: of its {plural(runs, 'run')}, none is done{hint}")
 
 
 def _with_lot_map(
@@ -135,9 +156,9 @@ def _shown(cells: Sequence[Cell], baseline: str | None) -> list[str]:
     return [cell.id for cell in cells if cell.id in best]
 
 
-def _once(*parts: Iterable[str]) -> list[str]:
+def _unique(*parts: Iterable[str]) -> list[str]:
     """Return all sentences, each once."""
-    return list(dict.fromkeys(sentence for part in parts for sentence in part))
+    return list(dict.fromkeys(chain(*parts)))
 
 
 def _first(problems: Sequence[str]) -> list[str]:
@@ -147,7 +168,10 @@ def _first(problems: Sequence[str]) -> list[str]:
     return [*problems[:MOST_PROBLEMS], *rest]
 
 
-def _notes_on_cells(cells: Sequence[Cell], shown: Sequence[str], crossed: bool) -> Iterator[str]:
+def _notes(
+    cells: Sequence[Cell], shown: Sequence[str], selection: Selection, n_foreign: int, *, crossed: bool
+) -> Iterator[str]:
+    """Yield notes on what figures and main effects, or the report as a whole, leave out."""
     if len(shown) < len(cells):
         best = f"the {len(shown)} with the highest success"
         yield f"Pictures show {best} of {len(cells)} cells; tables have all."
@@ -158,20 +182,19 @@ def _notes_on_cells(cells: Sequence[Cell], shown: Sequence[str], crossed: bool) 
         )
     if outside := [cell.label for cell in cells if None in cell.settings.values()] if crossed else []:
         yield f"Not part of the main effects, without a value of every factor: {warnings.named(outside)}."
-
-
-def _notes_on_others(left_out: int, pruned: int, ignored: int) -> Iterator[str]:
-    """Yield notes on what the report leaves out: cells not asked for, pruned trials, runs of other packages."""
-    if left_out:
-        were = "was" if left_out == 1 else "were"
+    if n_left_out := len(selection.left_out):
+        were = "was" if n_left_out == 1 else "were"
         yield (
-            f"By what was asked for, {plural(left_out, 'more cell')} of the experiments {were} left out; "
+            f"By what was asked for, {plural(n_left_out, 'more cell')} of the experiments {were} left out; "
             "fewer pairs make smaller p."
         )
-    if pruned:
-        were, are = ("was", "it is") if pruned == 1 else ("were", "they are")
-        trials = plural(pruned, "trial")
-        yield f"{trials} of the search {were} pruned before a run was done; {are} not among the cells."
-    if ignored:
-        others = plural(ignored, "more run")
-        yield f"The store has {others} that this package did not make, and that the report leaves out."
+    if n_pruned := selection.n_pruned:
+        were, are = ("was", "it is") if n_pruned == 1 else ("were", "they are")
+        yield (
+            f"{plural(n_pruned, 'trial')} of the search {were} pruned before a run was done; {are} not among the cells."
+        )
+    if n_foreign:
+        yield (
+            f"The store has {plural(n_foreign, 'more run')} that this package did not make, and that the report "
+            "leaves out."
+        )

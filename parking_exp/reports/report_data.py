@@ -1,6 +1,6 @@
 """Dataclasses of a report's content, which `report.json` holds as it is; `report_builder` makes them.
 
-Rates are shares in 0 ... 1, and None where they are not known.
+Rates are in 0 ... 1. None: not known.
 """
 
 from collections.abc import Mapping, Sequence
@@ -21,11 +21,7 @@ Design = Literal["single", "list", "factorial", "search"]
 
 @dataclass(frozen=True)
 class Seed:
-    """One finished run: rates over its `n_scenes` final episodes, and `low`, `high`: Wilson's interval of `success`.
-
-    `steps_to_90` is the first env step from which three evaluations in a row had 90 %; where `reached_90` is False, the
-    last one from which that could have been seen. `area` is that under its curve.
-    """
+    """One finished run, with rates over its `n_scenes` final episodes."""
 
     seed: int
     run_id: str
@@ -35,62 +31,50 @@ class Seed:
     timeout: float | None
     parked: float | None
     n_scenes: int | None
-    low: float | None
+    low: float | None  # Wilson's interval of `success`
     high: float | None
     episode_steps: float | None
     cpu_s: float | None
-    steps_to_90: float | None
+    steps_to_90: float | None  # first env step from which 90 % were held, or the last from which they could have been
     reached_90: bool
     cpu_s_to_90: float | None
-    area: float | None
-    further: Mapping[str, float | None] = field(default_factory=dict)
+    area: float | None  # under the learning curve
+    further: Mapping[str, float | None] = field(default_factory=dict)  # other metrics that reports have
 
 
 @dataclass(frozen=True)
 class Curve:
-    """Evaluations during training: mean success with its interval at each env step, over the `n` seeds that have it.
+    """Evaluations during training over the seeds that have them, shape (steps,) each."""
 
-    `seeds` are (seed, steps, rates) of each run, unfinished ones included in a quick report. Other shapes: (steps,).
-    """
-
-    step: Sequence[int]
-    mean: Sequence[float | None]
+    step: Sequence[int]  # env steps
+    mean: Sequence[float | None]  # success, with its interval
     low: Sequence[float | None]
     high: Sequence[float | None]
-    n: Sequence[int]
+    n: Sequence[int]  # seeds
     crash: Sequence[float | None]
-    seeds: Sequence[tuple[int, Sequence[int], Sequence[float | None]]]
+    seeds: Sequence[tuple[int, Sequence[int], Sequence[float | None]]]  # (seed, steps, rates) of each run
 
 
 @dataclass(frozen=True)
 class Survival:
-    """Time until 90 % of the scenes succeed in three evaluations in a row, over seeds: Kaplan and Meier's estimate.
+    """Kaplan and Meier's estimate of the time until three evaluations in a row have 90 %, over seeds."""
 
-    Attributes:
-        unit: `env steps` or `CPU-seconds`.
-        time, reached, low, high: share of seeds that have reached it by then, and its interval; from 0 on, shape (n,).
-        censored: times at which the observation of a seed that has not reached it ended.
-        n, k: seeds, and how many of them have reached it.
-        median: None where fewer than half have.
-        restricted_mean: mean time up to `horizon`, the shortest observation of all cells.
-    """
-
-    unit: str
-    time: Sequence[float]
-    reached: Sequence[float]
+    unit: str  # `env steps` or `CPU-seconds`
+    time: Sequence[float]  # from 0 on, shape (n,)
+    reached: Sequence[float]  # share of the seeds that have reached it by then, with its interval
     low: Sequence[float | None]
     high: Sequence[float | None]
-    censored: Sequence[float]
-    n: int
-    k: int
-    median: float | None
-    restricted_mean: Interval
-    horizon: float | None
+    censored: Sequence[float]  # ends of the observation of seeds that have not reached it
+    n: int  # seeds
+    k: int  # seeds that have reached it
+    median: float | None  # None where fewer than half have
+    restricted_mean: Interval  # mean time up to `horizon`
+    horizon: float | None  # the shortest observation of all cells
 
 
 @dataclass(frozen=True)
 class SlotRate:
-    """Shares of outcomes in the `n` episodes of all seeds whose goal is one slot, 0 ... 27."""
+    """Rates of the `n` episodes of all seeds whose goal is one slot, 0 ... 27."""
 
     slot: int
     n: int
@@ -116,26 +100,14 @@ class Path:
 
 @dataclass(frozen=True)
 class Cell:
-    """One cell of the comparison.
+    """One cell of the comparison."""
 
-    Attributes:
-        id: `c0`, `c1`, ... in the order of the report; also what its colour follows from.
-        label: what sets it apart from the others, e.g. `her_final, n_sampled_goal=8`; may hold any text.
-        name: the folder of its runs.
-        settings: the value of each factor.
-        counts: how many runs are done, running, failed, pending; and pruned, if a search has pruned some.
-        curve, survival, survival_cpu: None without evaluations during training.
-        failures: (x_m, y_m, outcome) where crashes and timeouts ended, of runs that keep trajectories.
-        note: a sentence about an interval that is too narrow or missing; None if all is well.
-        further: means of other metrics that reports have, by name.
-    """
-
-    id: str
-    label: str
+    id: str  # `c0`, `c1`, ... in the order of the report; colours follow from it
+    label: str  # e.g. `her_final, n_sampled_goal=8`; may hold any text
     experiment: str
-    name: str
-    settings: Mapping[str, Setting]
-    counts: Mapping[str, int]
+    name: str  # folder of its runs
+    settings: Mapping[str, Setting]  # value of each factor
+    counts: Mapping[str, int]  # number of runs done, running, failed, pending and, if there are any, pruned
     total_timesteps: int | None
     success: Interval
     crash: Interval
@@ -146,42 +118,33 @@ class Cell:
     area: Interval
     reaching_90: Proportion
     seeds: Sequence[Seed] = ()
-    curve: Curve | None = None
+    curve: Curve | None = None  # None without evaluations during training, as `survival` and `survival_cpu`
     survival: Survival | None = None
     survival_cpu: Survival | None = None
     slots: Sequence[SlotRate] = ()
-    failures: Sequence[tuple[float, float, str]] = ()
+    failures: Sequence[tuple[float, float, str]] = ()  # (x_m, y_m, outcome) at the end of crashes and timeouts
     paths: Sequence[Path] = ()
-    note: str | None = None
-    further: Mapping[str, Interval] = field(default_factory=dict)
+    note: str | None = None  # a sentence about an interval that is too narrow or missing
+    further: Mapping[str, Interval] = field(default_factory=dict)  # other metrics that reports have
 
 
 @dataclass(frozen=True)
 class Pair:
-    """Two cells compared on final success.
+    """Two cells compared on final success."""
 
-    Attributes:
-        a, b: ids of the cells.
-        difference, p, p_holm: mean of a minus mean of b, by Welch's test; corrected for the report's family.
-        improvement: probability that a seed of a is better than one of b, ties counted half.
-        log_rank_p, log_rank_p_holm: of the times to 90 %; None where none was reached.
-        verdict: `a` or `b` is better (p_holm below 0.05), `same`: not significant, `unknown`: too few seeds.
-        note: a sentence about an interval that is too narrow; None if all is well.
-    """
-
-    a: str
+    a: str  # ids of the cells
     b: str
-    difference: Interval
-    p: float | None
-    p_holm: float | None
-    improvement: Interval
-    log_rank_p: float | None
+    difference: Interval  # mean of a minus mean of b
+    p: float | None  # of Welch's test
+    p_holm: float | None  # corrected for the pairs of the report
+    improvement: Interval  # probability that a seed of a is better than one of b, ties counted half
+    log_rank_p: float | None  # of the times to 90 %; None where none was reached
     log_rank_p_holm: float | None
-    verdict: Verdict
-    note: str | None = None
+    verdict: Verdict  # `a` or `b` is better (p_holm < 0.05), `same`: not significant, `unknown`: too few seeds
+    note: str | None = None  # a sentence about an interval that is too narrow
 
-    def turned(self) -> "Pair":
-        """Return the same pair the other way round."""
+    def reversed(self) -> "Pair":
+        """Return the comparison of b with a."""
 
         def mirrored(interval: Interval, total: float) -> Interval:
             ends = (interval.value, interval.high, interval.low)
@@ -195,27 +158,20 @@ class Pair:
 
 @dataclass(frozen=True)
 class Interaction:
-    """Two factors crossed; grids have the shape (rows, columns), and None without runs.
+    """Two factors crossed; grids have the shape (rows, columns), and None where there are no runs."""
 
-    Attributes:
-        given: settings of the other factors that this table is for, e.g. `env=parking_sparse`; None for all.
-        residual: what the two main effects do not explain.
-        real_share: measured share of real transitions in batches, where a factor is n_sampled_goal.
-        p: of the F test of interaction, with Holm's correction for the tables; None where it can't be made.
-    """
-
-    row: str
+    row: str  # keys of the factors
     column: str
-    given: str | None
+    given: str | None  # settings of the other factors, e.g. `env=parking_sparse`; None: all of them
     rows: Sequence[Setting]
     columns: Sequence[Setting]
     mean: Sequence[Sequence[float | None]]
     low: Sequence[Sequence[float | None]]
     high: Sequence[Sequence[float | None]]
     n: Sequence[Sequence[int]]
-    residual: Sequence[Sequence[float | None]]
-    real_share: Sequence[Sequence[float | None]] | None = None
-    p: float | None = None
+    residual: Sequence[Sequence[float | None]]  # what the two main effects do not explain
+    real_share: Sequence[Sequence[float | None]] | None = None  # fraction not relabelled, by n_sampled_goal
+    p: float | None = None  # of the F test of interaction, with Holm's correction for the tables
 
 
 @dataclass(frozen=True)
@@ -231,72 +187,47 @@ class FailedRun:
 
 @dataclass(frozen=True)
 class Provenance:
-    """What exactly was run.
+    """What exactly was run."""
 
-    Attributes:
-        versions: package -> version -> number of runs.
-        commits: commit (with `+` where files differed from it) -> number of runs; `machines`: CPU -> number of runs.
-        difference: config key -> value in each cell, in the order of the cells; only keys that differ.
-        common: the rest of the config, dotted key -> value.
-        uri: of the store, without passwords.
-        left_out: labels of the experiments' other cells.
-        first, last: when the first run began and the last one ended, as ISO 8601 in UTC.
-    """
-
-    versions: Mapping[str, Mapping[str, int]]
-    commits: Mapping[str, int]
-    machines: Mapping[str, int]
-    difference: Mapping[str, Sequence[Setting]]
-    common: Mapping[str, Setting]
+    versions: Mapping[str, Mapping[str, int]]  # package -> version -> number of runs
+    commits: Mapping[str, int]  # commit, with `+` where files differed from it -> number of runs
+    machines: Mapping[str, int]  # CPU -> number of runs
+    difference: Mapping[str, Sequence[Setting]]  # config keys that differ -> value in each cell
+    common: Mapping[str, Setting]  # the other config keys -> value
     unfinished: Sequence[FailedRun]
-    uri: str
-    left_out: Sequence[str] = ()
-    first: str | None = None
+    uri: str  # of the store, without passwords
+    left_out: Sequence[str] = ()  # labels of the experiments' other cells
+    first: str | None = None  # start of the first run and end of the last one, as ISO 8601 in UTC
     last: str | None = None
 
 
 @dataclass(frozen=True)
 class ReportData:
-    """A whole report.
-
-    Attributes:
-        made: when, as ISO 8601 in UTC; `version` of this package.
-        quick: whether it was made while a sweep may be under way.
-        command: how to make it again.
-        shown: ids of the cells in figures: all of them, or the first ones by success where there are too many.
-        baseline: id of the cell that others are to be compared with.
-        reference: id of the cell that all others are compared with: the baseline or, where cells are many, the one with
-            the highest mean; None: all pairs.
-        family: a sentence: which pairs were compared, and how p was corrected.
-        pairs, effects, interactions, importance: empty where they make no sense.
-        exploratory: fewer than 10 seeds somewhere.
-        claims, warnings, missing, notes: sentences: findings, the most important first; what makes numbers hard to
-            compare; what is not there (yet).
-    """
+    """A whole report. Claims, warnings, missing and notes are sentences."""
 
     title: str
     experiments: Sequence[str]
-    made: str
-    version: str
-    quick: bool
-    command: str
+    made: str  # when, as ISO 8601 in UTC
+    version: str  # of this package
+    quick: bool  # whether it was made while runs may be under way
+    command: str  # makes it again
     design: Design
     factors: Sequence[Factor]
     cells: Sequence[Cell]
-    shown: Sequence[str]
-    baseline: str | None
-    family: str
-    pairs: Sequence[Pair]
+    shown: Sequence[str]  # ids of the cells in figures: all or, of many, the best
+    baseline: str | None  # id of the cell that the user asked to compare with
+    family: str  # a sentence: which pairs were compared, and how p was corrected
+    pairs: Sequence[Pair]  # empty where they make no sense, as the next three
     effects: Sequence[MainEffect]
     interactions: Sequence[Interaction]
     importance: Sequence[ParameterImportance]
-    exploratory: bool
-    claims: Sequence[str]
-    warnings: Sequence[str]
-    missing: Sequence[str]
+    exploratory: bool  # fewer than 10 seeds in some cell
+    claims: Sequence[str]  # findings, the most important first
+    warnings: Sequence[str]  # what makes numbers hard to compare
+    missing: Sequence[str]  # what has no result (yet)
     provenance: Provenance
     notes: Sequence[str] = field(default_factory=tuple)
-    reference: str | None = None
+    reference: str | None = None  # id of the cell in all pairs: the baseline or, of many cells, the best; None: none
     tuning: "Tuning | None" = None
 
     def cell(self, cell_id: str) -> Cell:

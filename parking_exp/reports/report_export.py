@@ -8,9 +8,9 @@ from typing import Any, NamedTuple
 from pydantic import TypeAdapter, ValidationError
 
 from parking_exp.errors import ResultsError
+from parking_exp.reports.cell_summaries import RunEvaluations
 from parking_exp.reports.lot_map import sampled_rows
 from parking_exp.reports.report_data import ReportData
-from parking_exp.reports.run_evaluations import RunEvaluations
 from parking_exp.reports.search_report import Tuning
 from parking_exp.results.frame_export import REPORT, read_export, without_paths, write_export
 from parking_exp.results.frames import Results

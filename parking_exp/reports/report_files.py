@@ -5,15 +5,33 @@ import shutil
 from collections.abc import Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+import pandas as pd
 
 from parking_exp.reports.figures.figure_files import draw
 from parking_exp.reports.figures.figure_style import cell_style
 from parking_exp.reports.render.html_page import page
-from parking_exp.reports.render.markdown_report import markdown
+from parking_exp.reports.render.markdown_report import markdown, one_line
 from parking_exp.reports.report_data import ReportData
 from parking_exp.reports.sections import SectionContent, section_contents
-from parking_exp.reports.tables.table_writers import csv, latex
+from parking_exp.reports.tables.table import Table
 from parking_exp.runs.atomic_files import write_atomically
+
+LATEX_ROWS = 60  # a longer table does not fit on a page
+LATEX = {
+    **{character: f"\\{character}" for character in "&%$#_{}"},
+    "\\": r"\textbackslash{}",
+    "~": r"\textasciitilde{}",
+    "^": r"\textasciicircum{}",
+    "<": r"\textless{}",
+    ">": r"\textgreater{}",
+    "|": r"\textbar{}",
+    "−": "$-$",  # noqa: RUF001
+    "≥": r"$\geq$",
+    "×": r"$\times$",  # noqa: RUF001
+}
 
 
 def write_report(report: ReportData, folder: Path, formats: Sequence[str]) -> None:
@@ -44,3 +62,42 @@ def write_tables(contents: Sequence[SectionContent], shown: Sequence[str], folde
             texts[name] = "\n".join(filter(None, (texts.get(name), latex(table.only(shown)))))
     for name, text in texts.items():
         (folder / name).write_text(text, encoding="utf-8")
+
+
+def csv(table: Table) -> str:
+    """Return a table as CSV: rates in 0 ... 1, nothing where nothing is known."""
+    frame = pd.DataFrame(list(table.rows)).rename(columns=csv_text).replace([np.inf, -np.inf], np.nan)
+    texts = frame.select_dtypes(exclude="number").columns
+    frame[texts] = frame[texts].map(csv_text)
+    return str(frame.to_csv(index=False, lineterminator="\n", float_format="%.10g"))
+
+
+def csv_text(value: Any) -> Any:
+    """Keep spreadsheets from running a text as a formula: an apostrophe before `=`, `+`, `-`, `@`, tab and return."""
+    return f"'{value}" if isinstance(value, str) and value.startswith(("=", "+", "-", "@", "\t", "\r")) else value
+
+
+def latex(table: Table) -> str:
+    """Return a table for LaTeX with booktabs; `--` where nothing is known."""
+    rows = table.entries(LATEX_ROWS)
+    cut = f" The first {LATEX_ROWS} of {len(table.rows)} rows." if len(rows) < len(table.rows) else ""
+    frame = pd.DataFrame(
+        [[latex_text(entry.text) or "--" for entry in row] for row in rows],
+        columns=[latex_text(column.title) for column in table.columns],
+    )
+    return str(
+        frame.style.hide(axis="index").to_latex(
+            hrules=True,
+            position="htbp",
+            position_float="centering",
+            caption=latex_text(table.caption + cut),
+            label=f"tab:{table.name}",
+            column_format="".join("r" if column.numeric else "l" for column in table.columns),
+        )
+    )
+
+
+def latex_text(text: str) -> str:
+    """Escape a text for LaTeX; `[` at its start would otherwise be an argument of the line break before it."""
+    escaped = "".join(LATEX.get(character, character) for character in one_line(text))
+    return "{}" + escaped if escaped.startswith(("[", "*")) else escaped

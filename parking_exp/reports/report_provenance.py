@@ -20,14 +20,13 @@ def provenance(cells: Sequence[CellRuns], left_out: Sequence[str], uri: str) -> 
     versions = {
         str(column).removeprefix(VERSION): _counts(runs[column]) for column in runs if str(column).startswith(VERSION)
     }
-    committed = runs[runs["git_commit"].notna()]
-    marks = committed["git_dirty"].fillna(False).map({True: "+", False: ""}).astype(str)
+    marks = runs["git_dirty"].fillna(False).map({True: "+", False: ""})
     configs = [cell.config for cell in cells]
     difference = {key: [config.get(key) for config in configs] for key in differing(configs)}
     started, ended = runs["started"].dropna(), runs["ended"].dropna()
     return Provenance(
         versions={package: counts for package, counts in versions.items() if counts},
-        commits=_counts(committed["git_commit"].astype(str).str[:SHORT_COMMIT] + marks),
+        commits=_counts(runs["git_commit"].str[:SHORT_COMMIT] + marks),
         machines=_counts(runs["cpu"]),
         difference=difference,
         common={key: value for key, value in configs[0].items() if key not in difference and can_matter(key)},

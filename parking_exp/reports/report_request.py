@@ -59,7 +59,7 @@ def validate_report(config: DictConfig) -> ReportRequest:
     """Validate a composed config.
 
     Raises:
-        ConfigError: with a sentence for each thing that is wrong.
+        ConfigError: with a sentence for each mistake.
     """
     request = parse(ReportRequest, config)
     of_stores = {
@@ -76,11 +76,7 @@ def validate_report(config: DictConfig) -> ReportRequest:
 
 
 def _refuse_misspelt(keys: Sequence[str]) -> None:
-    """Refuse what is nearly a key of this command or of a run's config. A run's own class may have any arguments.
-
-    Raises:
-        ConfigError: a key that is misspelt, with the closest one.
-    """
+    """Refuse what is nearly a key of this command or of a run's config; the class of a run may have any arguments."""
     run = settings_of(OmegaConf.to_container(composed("config", [])[0]))  # type: ignore[arg-type]
     known = {"experiment", *(field.alias or name for name, field in ReportRequest.model_fields.items())}
     for path in (key.split(".") for key in run):

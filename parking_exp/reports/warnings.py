@@ -18,7 +18,7 @@ MIXED = {
     "evaluation.every_n_steps": "Evaluations are mixed: every {} env steps, which changes times to 90 %.",
     "env.name": "Tasks are mixed: cells belong to the envs {}; their rates are not of the same scenes.",
 }
-"""Config keys that should be the same in all cells, and what is said where they are not."""
+"""Config keys that should be the same in all cells, and the warning where they are not."""
 
 
 def named(names: Sequence[str]) -> str:
@@ -44,13 +44,12 @@ def warnings(
         yield f"Exploratory: {some} fewer than {ENOUGH_SEEDS} finished seeds (the fewest: {min(few)})."
     yield from _mixed(runs, origin)
     labels = {cell.id: quoted_label(cell.label) for cell in cells}
-    notes = [(cell.note, labels[cell.id]) for cell in cells]
     cell_notes = {cell.note for cell in cells}
-    yield from _grouped(notes)
+    yield from _grouped((cell.note, labels[cell.id]) for cell in cells)
     for cell in runs:
         label = quoted_label(cell.label)
-        if cell.repeated:
-            yield f"{label}: {_runs(cell.repeated)} left out, since another one has the same seed."
+        if cell.n_repeated:
+            yield f"{label}: {_runs(cell.n_repeated)} left out, since another one has the same seed."
         if blank := int(cell.done["success_rate"].isna().sum()):
             yield f"{label}: {_runs(blank)} finished without a final success rate, and left out."
     # What ends a cell's name is a hash of its config.
@@ -62,11 +61,9 @@ def warnings(
     )
 
 
-def missing(cells: Sequence[Cell], experiments: Iterable[str], having: Iterable[str]) -> Iterator[str]:
+def missing(cells: Sequence[Cell], experiments: Iterable[str], stored: Iterable[str]) -> Iterator[str]:
     """Yield which runs have no result, and which experiments have no runs. Pruned runs are over, and do not count."""
-    total: Counter[str] = Counter()
-    for cell in cells:
-        total.update(cell.counts)
+    total = sum((Counter(cell.counts) for cell in cells), Counter())
     waiting = {"running": "under way", "failed": "failed", "pending": "interrupted or not started"}
     if stages := [f"{total[stage]} {words}" for stage, words in waiting.items() if total[stage]]:
         everything = sum(total.values()) - total["pruned"]
@@ -74,7 +71,7 @@ def missing(cells: Sequence[Cell], experiments: Iterable[str], having: Iterable[
         yield f"{total['done']} of {plural(everything, 'run')} {are} done: {', '.join(stages)}."
     if empty := [cell.label for cell in cells if not cell.counts["done"]]:
         yield f"No run is done of {named(empty)}."
-    known = set(having)
+    known = set(stored)
     yield from (f"Experiment {name} has no runs." for name in experiments if name not in known)
 
 

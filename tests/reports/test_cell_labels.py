@@ -37,14 +37,14 @@ def described(configs, experiments=None):
     return [factor.key for factor in factors], cell_labels(factors, settings, names), design(factors, settings)
 
 
-def test_what_follows_from_a_groups_option_is_no_factor_of_its_own():
+def test_keys_that_follow_from_a_groups_option_are_no_factors():
     keys, labels, kind = described([cell(algorithm="sac"), cell(algorithm="td3"), cell(algorithm="ddpg")])
     assert keys == ["algorithm"]
     assert labels == ["sac", "td3", "ddpg"]
     assert kind == "list"
 
 
-def test_a_her_ablation_is_a_crossing_and_its_control_stands_outside():
+def test_a_her_ablation_is_factorial_and_its_control_has_no_n_sampled_goal():
     crossed = [
         cell(buffer=f"her_{strategy}", buffer__n_sampled_goal=n)
         for strategy, n in product(["future", "final", "random"], [1, 4, 8])
@@ -71,7 +71,7 @@ def test_keys_that_always_change_together_count_once():
     assert labels[3] == "parking_sparse, total_timesteps=60000"
 
 
-def test_in_a_search_every_cell_has_values_of_its_own_and_all_of_them_are_factors():
+def test_all_sampled_keys_of_a_search_are_factors():
     configs = [
         cell(
             algorithm__gamma=0.9 + number / 100,
@@ -85,14 +85,9 @@ def test_in_a_search_every_cell_has_values_of_its_own_and_all_of_them_are_factor
     assert kind == "search"
 
 
-def test_seed_store_and_checkpoints_set_nothing_apart():
-    ours = cell() | {
-        "seed": 3,
-        "tracking.uri": "http://there",
-        "checkpoint.keep_last": 1,
-        "evaluation.video_episodes": 3,
-    }
-    assert differing([cell(), ours]) == []
+def test_seed_store_and_checkpoints_do_not_distinguish_cells():
+    changes = {"seed": 3, "tracking.uri": "http://x", "checkpoint.keep_last": 1, "evaluation.video_episodes": 3}
+    assert differing([cell(), cell() | changes]) == []
 
 
 def test_null_is_a_level_where_the_same_option_has_a_value_elsewhere():
@@ -107,7 +102,7 @@ def test_experiments_come_first_and_take_what_follows_from_them():
     assert labels == ["one, gamma=0.95", "one, gamma=0.8", "two, gamma=0.95"]
 
 
-def test_names_that_end_alike_are_told_apart():
+def test_factors_with_the_same_last_part_have_longer_names():
     factors, _ = find_factors(
         [
             cell(env__duration=1, algorithm__duration=1),
@@ -136,33 +131,34 @@ def test_labels_that_are_the_same_get_the_key_of_their_cell():
             None,
         ),
         (["++algorithm.policy_kwargs={},{n_critics:3}", "algorithm.gamma=0.9,0.95"], None),
-        (["experiment=her_relabelling", "algorithm.learning_rate=1e-5,3e-3", "seeds=1"], None),
+        pytest.param(
+            ["experiment=her_relabelling", "algorithm.learning_rate=1e-5,3e-3", "seeds=1"],
+            None,
+            marks=pytest.mark.slow,
+        ),
     ],
 )
 def test_plans_and_reports_label_the_same_cells_alike(overrides, expected, tmp_path):
     runs = plan(composed_runs("config", [*overrides, f"output_dir={tmp_path}"]))
-    params = [stored_params(run.config) for run in runs]
-    found = group(
-        pd.DataFrame(
-            {
-                "experiment": "parking",
-                "cell": [run.config.cell for run in runs],
-                "seed": [run.config.seed for run in runs],
-                "status": "done",
-                "started": range(len(runs)),
-                **{
-                    f"config.{key}": column([typed(one.get(key)) for one in params])
-                    for key in {*params[0], *params[-1]}
-                },
-            }
-        )
+    configs = [stored_params(run.config) for run in runs]
+    keys = {*configs[0], *configs[-1]}
+    columns = {f"config.{key}": column([typed(config.get(key)) for config in configs]) for key in keys}
+    frame = pd.DataFrame(
+        {
+            "experiment": "parking",
+            "cell": [run.config.cell for run in runs],
+            "seed": [run.config.seed for run in runs],
+            "status": "done",
+            "started": range(len(runs)),
+            **columns,
+        }
     )
     planned = {run.config.cell: run.label for run in runs}
-    assert planned == {one.name: one.label for one in found}
+    assert planned == {cell.name: cell.label for cell in group(frame)}
     assert expected is None or set(planned.values()) == expected
 
 
-def test_one_numeric_factor_is_worth_a_curve_and_a_few_words_are_a_list():
+def test_one_factor_with_three_numbers_is_factorial_and_with_two_a_list():
     assert described([cell(buffer__n_sampled_goal=n) for n in (1, 2, 4)])[2] == "factorial"
     assert described([cell(buffer__n_sampled_goal=n) for n in (1, 2)])[2] == "list"
     assert described([cell()])[2] == "single"

@@ -2,12 +2,13 @@
 
 import os
 import shutil
-from typing import NamedTuple
 
 import pytest
 from support import report_factory
 from support.marks import slow_but
 
+from parking_exp.reports.figures.figure_files import Picture
+from parking_exp.reports.figures.figure_style import cell_style
 from parking_exp.reports.render.html_page import page
 from parking_exp.reports.sections import section_contents
 
@@ -20,19 +21,6 @@ ARGUMENTS = [
     "--disable-component-update",
     "--disable-sync",
 ]
-
-
-class Picture(NamedTuple):
-    name: str
-    title: str
-    caption: str
-    svg: bytes
-    section: str
-
-
-class Style(NamedTuple):
-    colour: str
-    marker: str
 
 
 SECTIONS = {
@@ -70,7 +58,7 @@ def files(tmp_path_factory):
         path = folder / f"{name}.html"
         if not path.exists():
             report = getattr(report_factory, name)(*arguments)
-            styles = {cell: Style("#0072B2", "s") for cell in report.shown}
+            styles = {cell: cell_style(cell) for cell in report.shown}
             path.write_text(page(report, section_contents(report, PICTURES), styles), encoding="utf-8")
         return path
 
@@ -185,7 +173,7 @@ def test_hostile_names_are_text(show):
     assert tab.evaluate("document.scrollingElement.scrollWidth") <= 360
 
 
-def test_inline_script_that_got_in_would_not_run(browser, files):
+def test_an_injected_inline_script_does_not_run(browser, files):
     tab = browser.new_page()
     tab.goto(files("report").as_uri())
     tab.evaluate("document.body.append(Object.assign(document.createElement('script'), {text: 'window.pwned = 1'}))")
@@ -221,7 +209,7 @@ def test_print_is_light_and_without_controls(show):
         assert tab.locator(selector).first.is_hidden()
 
 
-def test_everything_is_there_without_javascript(show):
+def test_the_page_is_complete_without_javascript(show):
     tab = show("her_ablation", java_script_enabled=False)
     assert tab.locator("#table-headline tbody tr").count() == 20
     assert tab.locator("#theme").count() == 0
@@ -236,5 +224,5 @@ def test_sections_without_data_are_left_out(show):
     assert tab.locator("#factors, #search, #table-config, #table-unfinished, #table-pairs").count() == 0
     targets = tab.locator("nav a").evaluate_all("links => links.map(link => link.hash)")
     assert all(tab.locator(target).count() == 1 for target in targets)
-    ids = tab.locator("[id]").evaluate_all("found => found.map(one => one.id)")
+    ids = tab.locator("[id]").evaluate_all("elements => elements.map(element => element.id)")
     assert len(ids) == len(set(ids))

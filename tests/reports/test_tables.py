@@ -3,30 +3,25 @@
 import csv
 import re
 from dataclasses import replace
-from typing import NamedTuple
 
 import pandas as pd
 import pytest
 from support import report_factory
 
 from parking_exp.reports import formats
-from parking_exp.reports.render.markdown_report import markdown
-from parking_exp.reports.report_files import write_tables
+from parking_exp.reports.figures.figure_files import Picture
+from parking_exp.reports.render.markdown_report import escaped, markdown
+from parking_exp.reports.report_files import csv_text, latex, latex_text, write_tables
 from parking_exp.reports.sections import section_contents
 from parking_exp.reports.tables import report_tables
 from parking_exp.reports.tables.table import Table, cell_column, column
-from parking_exp.reports.tables.table_writers import latex
 from parking_exp.statistics import Interval
 
 EXAMPLES = [
-    report_factory.report,
     report_factory.one_seed,
-    report_factory.all_succeed,
     report_factory.with_failed_cell,
-    report_factory.her_ablation,
     report_factory.search,
     report_factory.hostile,
-    report_factory.non_ascii,
 ]
 
 
@@ -56,7 +51,7 @@ def test_percentages_with_intervals(interval, text):
 
 
 @pytest.mark.parametrize(
-    ("text", "escaped"),
+    ("text", "expected"),
     [
         ("a&b%c$d#e_f{g}", r"a\&b\%c\$d\#e\_f\{g\}"),
         ("~^\\", r"\textasciitilde{}\textasciicircum{}\textbackslash{}"),
@@ -66,12 +61,12 @@ def test_percentages_with_intervals(interval, text):
         ("Größe α 学習", "Größe α 学習"),  # noqa: RUF001
     ],
 )
-def test_latex_is_escaped(text, escaped):
-    assert formats.latex(text) == escaped
+def test_latex_is_escaped(text, expected):
+    assert latex_text(text) == expected
 
 
 @pytest.mark.parametrize(
-    ("text", "escaped"),
+    ("text", "expected"),
     [
         ("[c](javascript:alert(1))", r"\[c\](javascript:alert(1))"),
         ("<b>&lt; a|b", r"\<b\>\&lt; a\|b"),
@@ -83,14 +78,14 @@ def test_latex_is_escaped(text, escaped):
         ("two\n\nlines", "two lines"),
     ],
 )
-def test_markdown_is_escaped(text, escaped):
-    assert formats.markdown(text) == escaped
+def test_markdown_is_escaped(text, expected):
+    assert escaped(text) == expected
 
 
-@pytest.mark.parametrize("text", ["=1+1", "+1", "-1", "@SUM(1)", "\t=1", "\r=1"])
-def test_spreadsheets_run_no_formula(text):
-    assert formats.csv(text) == f"'{text}"
-    assert [formats.csv(value) for value in (-0.5, "a=1", "", None)] == [-0.5, "a=1", "", None]
+def test_spreadsheets_run_no_formula():
+    for text in ("=1+1", "+1", "-1", "@SUM(1)", "\t=1", "\r=1"):
+        assert csv_text(text) == f"'{text}"
+    assert [csv_text(value) for value in (-0.5, "a=1", "", None)] == [-0.5, "a=1", "", None]
 
 
 def test_tables_have_every_number(tmp_path):
@@ -150,11 +145,6 @@ def test_files_are_written_and_read_again(example, tmp_path):
             assert not unescaped(line, "%#_")
 
 
-def test_hostile_names_in_csv_keep_their_text(tmp_path):
-    labels = [row["label"] for row in written(report_factory.hostile(), tmp_path)["headline"]]
-    assert labels == [*report_factory.HOSTILE[:4], f"'{report_factory.HOSTILE[4]}"]
-
-
 def test_latex_table_is_exact():
     rows = [{"cell": "c0", "label": "a_b", "success": "94.4 [91.2, 97.1]"}, {"cell": "c1", "label": "[c]"}]
     assert latex(Table("pairs", rows, [cell_column(), column("Success (%)", "success")], "Gain of 5 %.")) == (
@@ -175,32 +165,24 @@ def test_latex_table_is_exact():
 
 
 def test_paper_and_markdown_have_the_cells_of_the_figures(tmp_path):
-    report = report_factory.report(80, 3)
+    report = report_factory.report(20, 3)
     tables = written(report, tmp_path)
     assert (tmp_path / "headline.tex").read_text().count("\\\\\n") == 1 + 12
-    assert len(tables["headline"]) == 80
-    assert "12 of 80 rows; `tables/` holds them all." in markdown(report, section_contents(report), None)
+    assert len(tables["headline"]) == 20
+    assert "12 of 20 rows; `tables/` holds them all." in markdown(report, section_contents(report), None)
 
 
-def test_config_goes_down_the_page_along_its_longer_side():
+def test_the_config_table_has_more_rows_than_columns():
     def config(report):
         return next(table for table in report_tables.config(report) if table.readable)
 
-    wide, long = report_factory.report(3), report_factory.her_ablation()
+    wide = report_factory.report(3)
     assert [column.title for column in config(wide).columns] == ["Cell", "algorithm.name"]
     two = replace(wide.provenance, difference={f"key{i}": [1, None, True] for i in range(4)})
-    turned = config(replace(wide, provenance=two))
-    assert [column.title for column in turned.columns] == ["Setting", "sac", "td3", "ddpg"]
-    assert [entry.text for entry in turned.entries()[0]] == ["key0", "1", "null", "true"]
-    assert len(config(long).rows) == 20
-
-
-class Picture(NamedTuple):
-    name: str
-    title: str
-    caption: str
-    svg: str = ""
-    section: str = "results"
+    long = config(replace(wide, provenance=two))
+    assert [column.title for column in long.columns] == ["Setting", "sac", "td3", "ddpg"]
+    assert [entry.text for entry in long.entries()[0]] == ["key0", "1", "null", "true"]
+    assert len(config(report_factory.her_ablation()).rows) == 20
 
 
 def test_markdown_tables_have_as_many_cells_in_every_row():
@@ -216,7 +198,7 @@ def test_markdown_tables_have_as_many_cells_in_every_row():
 
 def test_markdown_says_what_the_page_says():
     report = replace(report_factory.report(3, 5), quick=True, missing=["7 runs are under way."], warnings=["Mixed."])
-    picture = Picture("final_success", "Final success", "Each point is a seed.")
+    picture = Picture("final_success", "Final success", "Each point is a seed.", b"", "results")
     text = markdown(report, section_contents(report, [picture]), "png")
     assert text.startswith("# algorithms\n\n**Preliminary**")
     for part in (
@@ -225,7 +207,7 @@ def test_markdown_says_what_the_page_says():
         "- Mixed.",
         "![Final success](figures/final_success.png)\n\nEach point is a seed.",
         "| Cell | Seeds | Success (%) |",
-        formats.markdown(report.claims[0]),
+        escaped(report.claims[0]),
         "    python scripts/report.py experiment=algorithms",
         "| highway-env | 1.12.1 | 15 |",
     ):

@@ -28,7 +28,7 @@ Pairs = Mapping[tuple[str, str], Pair]
 def draw_pairs(report: ReportData) -> Iterator[Drawing]:
     """Draw differences of final success: from the one cell that all are compared with, or between all cells."""
     known = [pair for pair in report.pairs if pair.difference.value is not None]
-    both_ways = {(pair.a, pair.b): pair for found in known for pair in (found, found.turned())}
+    both_ways = {(pair.a, pair.b): pair for found in known for pair in (found, found.reversed())}
     return _matrix(report, both_ways) if report.reference is None else _from_reference(report, both_ways)
 
 

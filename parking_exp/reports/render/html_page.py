@@ -50,9 +50,7 @@ def page(
     )
     environment.filters |= {"number": formats.number, "base64": lambda data: base64.b64encode(data).decode()}
     style, script = (TEMPLATES.joinpath(name).read_text(encoding="utf-8") for name in ("page.css", "page.js"))
-    stages: Counter[str] = Counter()
-    for cell in report.cells:
-        stages.update(cell.counts)
+    stages = sum((Counter(cell.counts) for cell in report.cells), Counter())
     return environment.get_template("index.html.j2").render(
         report=report,
         style=Markup(style),
@@ -62,7 +60,7 @@ def page(
         shortened=lambda table: _shortened(table, report.shown),
         swatches={cell: _swatch(style) for cell, style in (styles or {}).items()},
         badges=badges(report),
-        stages={stage: count for stage, count in stages.items() if count},
+        stages=stages,
     )
 
 

@@ -1,12 +1,12 @@
 """The tables of a report. Each function yields what it has; columns of rows are those of `tables/*.csv`."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator, Sequence
 from functools import partial
-from operator import itemgetter
+from typing import Any
 
 from parking_exp.reports import formats
 from parking_exp.reports.cell_summaries import FURTHER, REPORTED
-from parking_exp.reports.report_data import Interaction, ReportData
+from parking_exp.reports.report_data import Cell, Interaction, ReportData
 from parking_exp.reports.tables.table import (
     PERCENT,
     Column,
@@ -18,6 +18,7 @@ from parking_exp.reports.tables.table import (
     column,
     interval_column,
     record,
+    spread,
     text_column,
 )
 from parking_exp.statistics import Interval, Proportion
@@ -58,8 +59,10 @@ def times(report: ReportData) -> Iterator[Table]:
     for unit, clock in (("steps", "survival"), ("CPU-s", "survival_cpu")):
         horizon = next((row[f"{clock}_horizon"] for row in rows if row.get(f"{clock}_horizon")), None)
         mean = f"Restricted mean, up to {formats.number(horizon)} ({unit})"
-        columns.append(_median(f"Median ({unit})", clock))
-        columns.append(interval_column(mean, f"{clock}_restricted_mean", formats.number_interval))
+        columns += [
+            _median(f"Median ({unit})", clock),
+            interval_column(mean, f"{clock}_restricted_mean", formats.number_interval),
+        ]
     yield Table(
         "times",
         rows,
@@ -83,8 +86,7 @@ def seeds(report: ReportData) -> Iterator[Table]:
             {
                 **cell_record(cell),
                 **record(seed, without=("low", "high")),
-                "success_low": seed.low,
-                "success_high": seed.high,
+                **spread("success", Interval(seed.success, seed.low, seed.high)),
             }
             for cell in report.cells
             for seed in cell.seeds
@@ -107,29 +109,33 @@ def seeds(report: ReportData) -> Iterator[Table]:
 
 def curves(report: ReportData) -> Iterator[Table]:
     """Yield the CSV of the learning curves."""
-    keys = ("step", "n", "success", "success_low", "success_high", "crash")
-    rows = [
-        {**cell_record(cell), **dict(zip(keys, point, strict=True))}
-        for cell in report.cells
-        if (curve := cell.curve)
-        for point in zip(curve.step, curve.n, curve.mean, curve.low, curve.high, curve.crash, strict=True)
-    ]
+    rows: list[Row] = []
+    for cell in report.cells:
+        if curve := cell.curve:
+            success = {"success": curve.mean, "success_low": curve.low, "success_high": curve.high}
+            rows += _series(cell, step=curve.step, n=curve.n, **success, crash=curve.crash)
     yield Table("curves", rows)
 
 
 def survival(report: ReportData) -> Iterator[Table]:
     """Yield the CSV of the times to 90 %: steps of the estimate, and censored seeds."""
-    keys = ("time", "reached", "reached_low", "reached_high", "censored")
-    rows = []
+    rows: list[Row] = []
     for cell in report.cells:
         for clock in filter(None, (cell.survival, cell.survival_cpu)):
-            points = [
-                *zip(clock.time, clock.reached, clock.low, clock.high, [False] * len(clock.time), strict=True),
-                *((time, None, None, None, True) for time in clock.censored),
+            n = len(clock.time)
+            reached = {"reached": clock.reached, "reached_low": clock.low, "reached_high": clock.high}
+            rows += _series(cell, unit=[clock.unit] * n, time=clock.time, **reached, censored=[False] * n)
+            rows += [
+                {**cell_record(cell), "unit": clock.unit, "time": time, "censored": True} for time in clock.censored
             ]
-            which = {**cell_record(cell), "unit": clock.unit}
-            rows += [{**which, **dict(zip(keys, point, strict=True))} for point in points]
     yield Table("survival", rows)
+
+
+def _series(cell: Cell, **columns: Sequence[Any]) -> list[Row]:
+    """Return a row for each position of some columns."""
+    return [
+        {**cell_record(cell), **dict(zip(columns, row, strict=True))} for row in zip(*columns.values(), strict=True)
+    ]
 
 
 def slots(report: ReportData) -> Iterator[Table]:
@@ -152,7 +158,7 @@ def pairs(report: ReportData) -> Iterator[Table]:
         [
             cell_column("A", "a", "a_label"),
             cell_column("B", "b", "b_label"),
-            interval_column("A − B (points)", "difference", partial(formats.percent_interval, signed=True)),  # noqa: RUF001
+            interval_column("A − B (points)", "difference", formats.signed_percent_interval),  # noqa: RUF001
             column("p (Holm)", "p_holm", formats.probability),
             interval_column("A better than B (%)", "improvement"),
             column("p, time to 90 % (Holm)", "log_rank_p_holm", formats.probability),
@@ -198,27 +204,24 @@ def interactions(report: ReportData) -> Iterator[Table]:
 
 
 def _crossed(crossed: Interaction, name: str) -> Table:
-    places = range(len(crossed.columns))
-
-    def entry(j: int) -> Callable[[Row], Entry]:
-        return lambda row: row["entries"][j]
-
+    keys = [f"column_{j}" for j in range(len(crossed.columns))]
     rows: list[Row] = []
     for i, level in enumerate(crossed.rows):
-        means = [Interval(crossed.mean[i][j], crossed.low[i][j], crossed.high[i][j]) for j in places]
-        rates = [Entry(formats.percent_interval(mean), mean.value) for mean in means]
-        rows.append({"level": Entry(formats.setting(level), formats.setting(level)), "entries": rates})
-    for level, shares in zip(crossed.rows, crossed.real_share or [()] * len(crossed.rows), strict=True):
-        if shares:
-            title = Entry(f"{formats.level(level)}: real transitions (%)")
-            rows.append({"level": title, "entries": [Entry(formats.percent(share), share) for share in shares]})
+        row: dict[str, Any] = {"level": formats.setting(level)}
+        for j, key in enumerate(keys):
+            row |= spread(key, Interval(crossed.mean[i][j], crossed.low[i][j], crossed.high[i][j]))
+        rows.append(row)
+    for level, shares in zip(crossed.rows, crossed.real_share or (), strict=False):
+        title = f"{formats.level(level)}: real transitions (%)"
+        rows.append({"level": title, **dict(zip(keys, shares, strict=True))})
     given = f" for {crossed.given}" if crossed.given else ""
+    levels = zip(crossed.columns, keys, strict=True)
     return Table(
         name,
         rows,
         [
-            Column(crossed.row, itemgetter("level"), numeric=False),
-            *(Column(formats.level(crossed.columns[j]), entry(j)) for j in places),
+            column(crossed.row, "level", numeric=False),
+            *(interval_column(formats.level(level), key) for level, key in levels),
         ],
         f"Mean final success (%) by {crossed.row} (rows) and {crossed.column} (columns){given}, {PERCENT}.",
         file="interactions",
@@ -230,9 +233,6 @@ def _crossed(crossed: Interaction, name: str) -> Table:
 def importance(report: ReportData) -> Iterator[Table]:
     """Yield the table of the hyperparameters of a search."""
 
-    def share(row: Row) -> Entry:
-        return Entry(formats.percent(row["share"]), row["share"], bar=(None, row["share"], None))
-
     def signed(direction: float | None) -> str:
         return "" if direction is None else f"{direction:+.2f}"
 
@@ -241,7 +241,7 @@ def importance(report: ReportData) -> Iterator[Table]:
         [record(parameter) for parameter in report.importance],
         [
             column("Hyperparameter", "factor", numeric=False),
-            Column("Variance explained alone (%)", share),
+            interval_column("Variance explained alone (%)", "share", bar=True),
             column("Rank correlation", "direction", signed),
             column("p (permutations)", "p", formats.probability),
         ],
@@ -255,24 +255,22 @@ def config(report: ReportData) -> Iterator[Table]:
     difference = report.provenance.difference
     if not difference:
         return
-    values = zip(*difference.values(), strict=True)
-    rows = [
-        {**cell_record(cell), **dict(zip(difference, row, strict=True))}
-        for cell, row in zip(report.cells, values, strict=True)
+    by_cell = [
+        {**cell_record(cell), **{key: values[i] for key, values in difference.items()}}
+        for i, cell in enumerate(report.cells)
     ]
-    caption = "Settings that are not the same in all cells."
-    if len(rows) > len(difference):
-        columns = [column(key, key, formats.setting, numeric=False) for key in difference]
-        yield Table("config", rows, [cell_column(), *columns], caption, latex=True)
-        return
-    yield Table("config", rows)
-    columns = [column(cell.label, cell.id, formats.setting, numeric=False) for cell in report.cells]
-    turned = [
-        {"key": key, **{cell.id: value for cell, value in zip(report.cells, line, strict=True)}}
-        for key, line in difference.items()
+    by_key = [
+        {"key": key, **{cell.id: value for cell, value in zip(report.cells, values, strict=True)}}
+        for key, values in difference.items()
     ]
-    key = column("Setting", "key", numeric=False)
-    yield Table("config", turned, [key, *columns], caption, csv=False, latex=True)
+    cell_first = [cell_column(), *(column(key, key, formats.setting, numeric=False) for key in difference)]
+    key_first = [
+        column("Setting", "key", numeric=False),
+        *(column(cell.label, cell.id, formats.setting, numeric=False) for cell in report.cells),
+    ]
+    rows, columns = (by_cell, cell_first) if len(by_cell) > len(by_key) else (by_key, key_first)
+    yield Table("config", by_cell)
+    yield Table("config", rows, columns, "Settings that are not the same in all cells.", csv=False, latex=True)
 
 
 def versions(report: ReportData) -> Iterator[Table]:
@@ -285,32 +283,24 @@ def versions(report: ReportData) -> Iterator[Table]:
     ]
     for kind, counts in (("commit", origin.commits), ("machine", origin.machines)):
         rows += [{"kind": kind, "name": name, "version": None, "runs": runs} for name, runs in counts.items()]
-    yield Table(
-        "versions",
-        rows,
-        [
-            text_column("What", lambda row: row["name"] if row["version"] else row["kind"]),
-            text_column("Version", lambda row: row["version"] or row["name"]),
-            column("Runs", "runs", formats.number),
-        ],
-        "Versions, commits and machines.",
-    )
+    columns = [
+        text_column("What", lambda row: row["name"] if row["version"] else row["kind"]),
+        text_column("Version", lambda row: row["version"] or row["name"]),
+        column("Runs", "runs", formats.number),
+    ]
+    yield Table("versions", rows, columns, "Versions, commits and machines.")
 
 
 def unfinished(report: ReportData) -> Iterator[Table]:
     """Yield the table of the runs without a result, and why."""
-    yield Table(
-        "unfinished",
-        [record(run) for run in report.provenance.unfinished],
-        [
-            column("Cell", "label", numeric=False),
-            column("Seed", "seed"),
-            column("Status", "status", numeric=False),
-            column("Reason", "reason", numeric=False),
-        ],
-        "Runs without a result, and why.",
-        file="failed",
-    )
+    rows = [record(run) for run in report.provenance.unfinished]
+    columns = [
+        column("Cell", "label", numeric=False),
+        column("Seed", "seed"),
+        column("Status", "status", numeric=False),
+        column("Reason", "reason", numeric=False),
+    ]
+    yield Table("unfinished", rows, columns, "Runs without a result, and why.", file="failed")
 
 
 def common(report: ReportData) -> Iterator[Table]:
@@ -346,8 +336,8 @@ def _further_column(name: str) -> Column:
 
 
 def _finished(row: Row) -> Entry:
-    done, asked = row["seeds"], sum(count or 0 for key, count in row.items() if key.startswith("runs_"))
-    return Entry(str(done) if done == asked else f"{done} of {asked}", done)
+    done, total = row["seeds"], sum(count or 0 for key, count in row.items() if key.startswith("runs_"))
+    return Entry(str(done) if done == total else f"{done} of {total}", done)
 
 
 def _reaching_90(row: Row) -> Entry:

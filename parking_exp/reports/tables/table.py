@@ -17,23 +17,16 @@ Row = Mapping[str, Any]
 
 
 class Entry(NamedTuple):
-    """What people read in one place of a table.
+    """What people read in one place of a table."""
 
-    Attributes:
-        text: what is read; empty where nothing is known.
-        value: what it is sorted by; None comes last.
-        bar: (low, value, high) in 0 ... 1 for a small drawing; low and high may be None.
-        cell: id of the cell that it names.
-    """
-
-    text: str
-    value: float | str | None = None
-    bar: tuple[float | None, float, float | None] | None = None
-    cell: str | None = None
+    text: str  # empty where nothing is known
+    value: float | str | None = None  # what it is sorted by; None comes last
+    bar: tuple[float | None, float, float | None] | None = None  # (low, value, high) in 0 ... 1 to be drawn
+    cell: str | None = None  # id of the cell that it names
 
 
 class Column(NamedTuple):
-    """A column that people read: its heading, what it says of a row, and whether that is a number."""
+    """A column that people read: its heading, what it shows of a row, and whether that is a number."""
 
     title: str
     entry: Callable[[Row], Entry]
@@ -42,30 +35,17 @@ class Column(NamedTuple):
 
 @dataclass(frozen=True)
 class Table:
-    """A table of a report.
+    """A table of a report."""
 
-    Attributes:
-        name: unique among the tables that people read; for anchors.
-        rows: all that is known. `cell`, or `a` and `b`, are the ids of the cells that a row is about.
-        columns: what people read; none: the table is for CSV alone.
-        caption: one sentence: what it shows.
-        file: stem of its files; empty: `name`.
-        csv, latex: whether it is written as such.
-        folded: whether the page folds it away; None: if it is long.
-        noun: what its rows are.
-        total: how many rows there are, if these are some of them.
-    """
-
-    name: str
-    rows: Sequence[Row]
-    columns: Sequence[Column] = ()
-    caption: str = ""
-    file: str = ""
-    csv: bool = True
-    latex: bool = False
-    folded: bool | None = None
-    noun: str = "rows"
-    total: int = 0
+    name: str  # unique among the tables that people read; for anchors
+    rows: Sequence[Row]  # all values; `cell`, or `a` and `b`, are the ids of the cells that a row is about
+    columns: Sequence[Column] = ()  # what people read; none: the table is for CSV alone
+    caption: str = ""  # one sentence
+    file: str = ""  # stem of its files; empty: `name`
+    csv: bool = True  # whether it is written as CSV
+    latex: bool = False  # whether it is written as LaTeX
+    folded: bool | None = None  # whether the page folds it away; None: if it is long
+    noun: str = "rows"  # what its rows are
 
     @property
     def stem(self) -> str:
@@ -89,8 +69,7 @@ class Table:
     def only(self, cells: Collection[str]) -> "Table":
         """Return the rows that are about these cells alone, or about none."""
         keys = ("cell", "a", "b")
-        rows = [row for row in self.rows if all(row[key] in cells for key in keys if key in row)]
-        return replace(self, rows=rows, total=max(self.total, len(self.rows)))
+        return replace(self, rows=[row for row in self.rows if all(row[key] in cells for key in keys if key in row)])
 
 
 def record(item: Any, prefix: str = "", *, without: Collection[str] = ()) -> dict[str, Any]:
@@ -115,7 +94,7 @@ def spread(name: str, interval: Interval) -> dict[str, float | None]:
 
 
 def cell_record(cell: Cell) -> dict[str, str]:
-    """Return the columns of a row that say which cell it is about."""
+    """Return the columns of a row that name its cell."""
     return {"cell": cell.id, "label": cell.label}
 
 
@@ -130,8 +109,8 @@ def column(title: str, key: str, write: Callable[[Any], str] = formats.words, *,
 
 
 def text_column(title: str, write: Callable[[Row], str]) -> Column:
-    """Return a column of a text that is made of each row."""
-    return Column(title, lambda row: Entry(write(row), write(row)), numeric=False)
+    """Return a column of a text that is made from each row."""
+    return Column(title, lambda row: Entry(text := write(row), text), numeric=False)
 
 
 def cell_column(title: str = "Cell", cell: str = "cell", label: str = "label") -> Column:
