@@ -127,5 +127,5 @@ def draw_importance(report: ReportData) -> Iterator[Drawing]:
     yield (
         figure,
         "Share of the variance of final success over the cells of the search that each hyperparameter explains "
-        "alone, with p of a permutation test; ↑: larger values do better, ↓: worse.",
+        "alone, with p of an F test; ↑: larger values do better, ↓: worse.",
     )
