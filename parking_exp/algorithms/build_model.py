@@ -30,8 +30,7 @@ def build_model(config: RunConfig, env: VecEnv, seed: int, *, for_training: bool
 
     Args:
         config: the run.
-        env: training envs, or one env of the same spaces. Where they have a `goal_reward`, the HER buffer relabels
-            with it.
+        env: training envs, or one env of the same spaces; the HER buffer relabels with their `goal_reward`, if any.
         seed: of weights, exploration and minibatches.
         for_training: False skips the replay buffer, for a model that only predicts.
 
@@ -53,7 +52,7 @@ def build_model(config: RunConfig, env: VecEnv, seed: int, *, for_training: bool
     }
     for name in ("policy_kwargs", "train_freq", "action_noise"):
         node.pop(name, None)
-    # Objects are given to the partial afterwards: Hydra would copy them into its config.
+    # Hydra would copy objects into its config.
     build = instantiate(node)
     objects: dict[str, Any] = {"env": env, "train_freq": train_freq, "policy_kwargs": _policy_kwargs(config)}
     if config.algorithm.features == "ego_mirrored":
@@ -85,8 +84,8 @@ def greedy_policy(model: OffPolicyAlgorithm) -> Policy:
 def _skip_compiler_import() -> None:
     """Keep torch from importing its compiler when the first optimizer is made: 1.1 to 4 s of CPU time of every run.
 
-    torch imports it to mark some methods of optimizers as never to be compiled, at their first call, unless they are
-    marked: `torch._compile._disable_dynamo`. The mark set here is the plain method. Another torch ignores it.
+    torch imports it to exclude some methods of optimizers from compilation unless they have this mark, see
+    `torch._compile._disable_dynamo`.
     """
     for name in ("add_param_group", "load_state_dict", "state_dict", "zero_grad"):
         plain = getattr(getattr(torch.optim.Optimizer, name), "__wrapped__", None)
@@ -135,7 +134,7 @@ def _class(value: Any) -> Any:
 
 
 def _action_noise(node: Mapping[str, Any], n_envs: int) -> ActionNoise:
-    """Make action noise; it wants arrays where YAML has lists."""
+    """Make action noise, with arrays where YAML has lists."""
     arrays = {name: np.array(value, np.float64) for name, value in node.items() if isinstance(value, list)}
     rest = {name: value for name, value in node.items() if name not in arrays}
     noise: ActionNoise = instantiate({**rest, "_partial_": True, "_convert_": "all"})(**arrays)

@@ -5,12 +5,7 @@ from stable_baselines3.common.noise import NormalActionNoise, VectorizedActionNo
 
 
 class VectorizedNormalNoise(VectorizedActionNoise):
-    """Stable-Baselines3's `VectorizedActionNoise` of normal noise: the same numbers in one call instead of `n_envs`.
-
-    Args:
-        base_noise: of each env.
-        n_envs: how many.
-    """
+    """Stable-Baselines3's `VectorizedActionNoise` of normal noise: the same numbers in one call instead of `n_envs`."""
 
     base_noise: NormalActionNoise
 

@@ -36,8 +36,7 @@ def evaluate(
     The policy sees the scenes in batches, without those that are finished: the same batches in either simulator.
 
     Args:
-        policy, env: what is evaluated, and where; episodes last the env's `duration`.
-        scenes: seeds of `env.reset`.
+        policy, env, scenes: what is evaluated, and where; scenes are seeds of `env.reset`.
         on_step: called after each step of a batch with the number of finished episodes; may raise to stop.
         simulator: what simulates the scenes; None: the env's own.
         recorder: is given the cars of all scenes at the start and after each step.

@@ -445,23 +445,23 @@ def test_a_contrast_of_one_factor_is_welchs_test():
     table = pd.DataFrame(
         {"strategy": ["a"] * 4 + ["b"] * 5, "success": [0.9, 0.8, 0.95, 0.7, 0.5, 0.6, 0.2, 0.4, 0.55]}
     )
-    found = contrast(table, ["strategy"], "success", ("strategy", "a", "b"))
+    difference = contrast(table, ["strategy"], "success", ("strategy", "a", "b"))
     a, b = (table.loc[table["strategy"] == name, "success"] for name in "ab")
     known = stats.ttest_ind(a, b, equal_var=False)
     interval = known.confidence_interval()
-    assert (found.value, found.p) == pytest.approx((a.mean() - b.mean(), known.pvalue))
-    assert (found.low, found.high) == pytest.approx((interval.low, interval.high))
+    assert (difference.value, difference.p) == pytest.approx((a.mean() - b.mean(), known.pvalue))
+    assert (difference.low, difference.high) == pytest.approx((interval.low, interval.high))
 
 
 def test_a_contrast_over_another_factor_weighs_cells_the_same():
     cells = {("a", 1): [0.9, 0.7], ("a", 2): [0.5, 0.3], ("b", 1): [0.4, 0.2], ("b", 2): [0.2, 0.0]}
-    found = contrast(frame(cells), ["strategy", "goals"], "success", ("strategy", "a", "b"))
+    difference = contrast(frame(cells), ["strategy", "goals"], "success", ("strategy", "a", "b"))
     # (.8 + .4) / 2 - (.3 + .1) / 2; each mean has the variance .02 / 2, a quarter of which counts, four times: .01,
     # on 4 degrees of freedom, as all are the same: t = .4 / .1
-    assert found.value == pytest.approx(0.4)
-    assert found.df == pytest.approx(4)
-    assert found.p == pytest.approx(2 * stats.t.sf(4, 4))
-    assert found.high - found.value == pytest.approx(stats.t.ppf(0.975, 4) * 0.1)
+    assert difference.value == pytest.approx(0.4)
+    assert difference.df == pytest.approx(4)
+    assert difference.p == pytest.approx(2 * stats.t.sf(4, 4))
+    assert difference.high - difference.value == pytest.approx(stats.t.ppf(0.975, 4) * 0.1)
 
 
 def test_the_f_test_of_interaction_is_that_of_a_two_way_table():

@@ -17,7 +17,7 @@ from support.run_equality import differences, exact
 from support.runs import make_config, only_run
 
 from parking_exp.algorithms.build_model import greedy_policy
-from parking_exp.algorithms.fast.base import FastTraining
+from parking_exp.algorithms.fast.fast_training import FastTraining
 from parking_exp.envs.action_replay import ReplayActions
 from parking_exp.envs.highway import make_env
 from parking_exp.errors import FailedRunError, InterruptedRunError
