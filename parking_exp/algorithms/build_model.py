@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import torch
 from hydra.utils import get_class, instantiate
-from stable_baselines3.common.noise import ActionNoise, NormalActionNoise
+from stable_baselines3.common.noise import ActionNoise, NormalActionNoise, VectorizedActionNoise
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from stable_baselines3.common.save_util import recursive_getattr
 from stable_baselines3.common.torch_layers import CombinedExtractor
@@ -17,7 +17,6 @@ from torch import nn
 
 from parking_exp.algorithms.features import EgoFrameExtractor, FineEgoFrameExtractor, MirroredEgoFrameExtractor
 from parking_exp.algorithms.mirrored_policies import MIRRORED
-from parking_exp.algorithms.noise import VectorizedNormalNoise
 from parking_exp.buffers import HerBuffer
 from parking_exp.config.constructor_arguments import CLASS_ARGUMENTS, POLICY, not_mirrored, policy_class, takes
 from parking_exp.config.schema import RunConfig
@@ -139,6 +138,17 @@ def _action_noise(node: Mapping[str, Any], n_envs: int) -> ActionNoise:
     rest = {name: value for name, value in node.items() if name not in arrays}
     noise: ActionNoise = instantiate({**rest, "_partial_": True, "_convert_": "all"})(**arrays)
     return VectorizedNormalNoise(noise, n_envs) if n_envs > 1 and type(noise) is NormalActionNoise else noise
+
+
+class VectorizedNormalNoise(VectorizedActionNoise):
+    """Stable-Baselines3's `VectorizedActionNoise` of normal noise: the same numbers in one call instead of `n_envs`."""
+
+    base_noise: NormalActionNoise
+
+    def __call__(self) -> np.ndarray:
+        """Return noise of shape (n_envs, actions)."""
+        base = self.base_noise
+        return np.random.normal(base._mu, base._sigma, (self.n_envs, len(base._mu))).astype(base._dtype)
 
 
 @contextmanager
