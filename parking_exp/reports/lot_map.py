@@ -57,10 +57,7 @@ def sample(
 def sampled_rows(
     runs: Sequence[tuple[int, str]], results: Results, final: Mapping[str, FinalEpisodes]
 ) -> tuple[dict[str, pd.DataFrame], list[str]]:
-    """Return the rows of trajectories that `sample` needs, by run id, and its problems.
-
-    From these alone it draws the same ones again.
-    """
+    """Return the rows of trajectories that `sample` needs to draw the same ones, by run id, and its problems."""
     rows, problems = _sampled(runs, results, final)
     columns = rows.columns.difference(ADDED, sort=False)
     return {str(run_id): part[columns].reset_index(drop=True) for run_id, part in rows.groupby("run_id")}, problems

@@ -11,8 +11,6 @@ from parking_exp.algorithms.features import EgoFrameExtractor, FineEgoFrameExtra
 from parking_exp.envs.highway import make_env
 
 SCALES = [100, 100, 5, 5, 1, 1]
-
-
 WEIGHTS = [1, 0.3, 0, 0, 0.02, 0.02]
 
 

@@ -490,4 +490,4 @@ def test_the_f_test_of_interaction_holds_its_level_with_unequal_variances():
             for goals in (1, 2, 4, 8)
         }
         rejected.append(interaction(frame(cells), "strategy", "goals", "success").p < 0.05)
-    assert 0.02 <= np.mean(rejected) <= 0.08  # Fisher's, with a pooled variance, rejects 11 of 100 of the unequal ones
+    assert 0.02 <= np.mean(rejected) <= 0.08
