@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import torch
 from hydra.utils import get_class, instantiate
-from stable_baselines3.common.noise import ActionNoise, NormalActionNoise
+from stable_baselines3.common.noise import ActionNoise, NormalActionNoise, VectorizedActionNoise
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from stable_baselines3.common.save_util import recursive_getattr
 from stable_baselines3.common.torch_layers import CombinedExtractor
@@ -17,7 +17,6 @@ from torch import nn
 
 from parking_exp.algorithms.features import EgoFrameExtractor, FineEgoFrameExtractor, MirroredEgoFrameExtractor
 from parking_exp.algorithms.mirrored_policies import MIRRORED
-from parking_exp.algorithms.noise import VectorizedNormalNoise
 from parking_exp.buffers import HerBuffer
 from parking_exp.config.constructor_arguments import CLASS_ARGUMENTS, POLICY, not_mirrored, policy_class, takes
 from parking_exp.config.schema import RunConfig
@@ -30,8 +29,7 @@ def build_model(config: RunConfig, env: VecEnv, seed: int, *, for_training: bool
 
     Args:
         config: the run.
-        env: training envs, or one env of the same spaces. Where they have a `goal_reward`, the HER buffer relabels
-            with it.
+        env: training envs, or one env of the same spaces; the HER buffer relabels with their `goal_reward`, if any.
         seed: of weights, exploration and minibatches.
         for_training: False skips the replay buffer, for a model that only predicts.
 
@@ -53,7 +51,7 @@ def build_model(config: RunConfig, env: VecEnv, seed: int, *, for_training: bool
     }
     for name in ("policy_kwargs", "train_freq", "action_noise"):
         node.pop(name, None)
-    # Objects are given to the partial afterwards: Hydra would copy them into its config.
+    # Hydra would copy objects into its config.
     build = instantiate(node)
     objects: dict[str, Any] = {"env": env, "train_freq": train_freq, "policy_kwargs": _policy_kwargs(config)}
     if config.algorithm.features == "ego_mirrored":
@@ -85,8 +83,8 @@ def greedy_policy(model: OffPolicyAlgorithm) -> Policy:
 def _skip_compiler_import() -> None:
     """Keep torch from importing its compiler when the first optimizer is made: 1.1 to 4 s of CPU time of every run.
 
-    torch imports it to mark some methods of optimizers as never to be compiled, at their first call, unless they are
-    marked: `torch._compile._disable_dynamo`. The mark set here is the plain method. Another torch ignores it.
+    torch imports it to exclude some methods of optimizers from compilation unless they have this mark, see
+    `torch._compile._disable_dynamo`.
     """
     for name in ("add_param_group", "load_state_dict", "state_dict", "zero_grad"):
         plain = getattr(getattr(torch.optim.Optimizer, name), "__wrapped__", None)
@@ -135,11 +133,22 @@ def _class(value: Any) -> Any:
 
 
 def _action_noise(node: Mapping[str, Any], n_envs: int) -> ActionNoise:
-    """Make action noise; it wants arrays where YAML has lists."""
+    """Make action noise, with arrays where YAML has lists."""
     arrays = {name: np.array(value, np.float64) for name, value in node.items() if isinstance(value, list)}
     rest = {name: value for name, value in node.items() if name not in arrays}
     noise: ActionNoise = instantiate({**rest, "_partial_": True, "_convert_": "all"})(**arrays)
     return VectorizedNormalNoise(noise, n_envs) if n_envs > 1 and type(noise) is NormalActionNoise else noise
+
+
+class VectorizedNormalNoise(VectorizedActionNoise):
+    """Stable-Baselines3's `VectorizedActionNoise` of normal noise: the same numbers in one call instead of `n_envs`."""
+
+    base_noise: NormalActionNoise
+
+    def __call__(self) -> np.ndarray:
+        """Return noise of shape (n_envs, actions)."""
+        base = self.base_noise
+        return np.random.normal(base._mu, base._sigma, (self.n_envs, len(base._mu))).astype(base._dtype)
 
 
 @contextmanager

@@ -61,16 +61,11 @@ class FineEgoFrameExtractor(EgoFrameExtractor):
     and the reward has a cusp there: positions and reward come at that scale, too. To enter a slot the car must be in
     line with it: from the ego frame alone networks would have to learn products of features to see that.
 
-    Output, shape (batch, 19), or (batch, 20) where the reward weighs velocity: the features of `EgoFrameExtractor`;
+    Output, shape (batch, 19), or (batch, 20) if `reward_weights` weigh velocity: the features of `EgoFrameExtractor`;
     the car's position along and across the goal's heading, seen from the goal (10 m), and its velocity in these
     directions (observation units); the goal ahead and to the side, and the car along and across, as tanh of their
     distance / 2 m; the root of the weighted distance, which is minus the dense reward; the goal's signed speed
     (observation units).
-
-    Args:
-        observation_space: parking-v0's, with the features x, y, vx, vy, cos_h, sin_h.
-        scales: metres (or m/s) that stand for 1 in each of them: `env.observation.scales`.
-        reward_weights: of each of them in the reward: `env.reward_weights`.
     """
 
     def __init__(
@@ -78,7 +73,7 @@ class FineEgoFrameExtractor(EgoFrameExtractor):
     ) -> None:
         super().__init__(observation_space, scales)
         self.reward_weights = [float(weight) for weight in reward_weights]
-        # Virtual goals may move and real ones stand: without need, networks had better not see that.
+        # Virtual goals may move, real ones never do: networks see the difference only if the reward depends on it.
         self.moving_goals = any(self.reward_weights[2:4])
         self._features_dim = 20 if self.moving_goals else 19
 
@@ -110,11 +105,8 @@ class MirroredEgoFrameExtractor(FineEgoFrameExtractor):
     A mirrored lot is the same but for the sign of the steering. Networks then learn one of two mirror images; the
     policies in `mirrored_policies` turn the steering around with them.
 
-    Output: that of `FineEgoFrameExtractor`; where the goal is to the right, all that lies to a side has the other sign.
-
-    Args:
-        observation_space, scales, reward_weights: those of `FineEgoFrameExtractor`.
-        steering: whether the last action is steering: `env.action.lateral`.
+    Output: that of `FineEgoFrameExtractor`; if the goal is to the right, all lateral features have the other sign.
+    `steering` is whether the last action is steering, `env.action.lateral`.
     """
 
     ACROSS = (1, 3, 6, 8, 11, 13, 15, 17)  # features that a mirror turns around

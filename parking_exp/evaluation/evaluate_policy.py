@@ -1,4 +1,4 @@
-"""Evaluate a policy on scenes and return one row per episode.
+"""Evaluate a policy on scenes, one row per episode, and summarise episodes in numbers and sentences.
 
 Scene s is what `env.reset(seed=s)` of highway-env makes.
 """
@@ -17,9 +17,11 @@ from parking_exp.envs.scenes import Scenes
 from parking_exp.envs.simulator import Simulator
 from parking_exp.evaluation.metrics import EPISODE_COLUMNS, METRICS, RANKING, Episode
 from parking_exp.evaluation.trajectories import Recorder
+from parking_exp.statistics import wilson_interval
 
 BATCH_SIZE = 250  # scenes that are stepped together; more are no faster, and a signal is noticed between two steps
 TOLERANCE = 1e-9  # of numbers, between two simulators
+RATES = [metric for metric in METRICS if metric.is_rate]
 SceneBatch = HighwayBatch | Simulator
 
 
@@ -36,8 +38,7 @@ def evaluate(
     The policy sees the scenes in batches, without those that are finished: the same batches in either simulator.
 
     Args:
-        policy, env: what is evaluated, and where; episodes last the env's `duration`.
-        scenes: seeds of `env.reset`.
+        policy, env, scenes: what is evaluated, and where; scenes are seeds of `env.reset`.
         on_step: called after each step of a batch with the number of finished episodes; may raise to stop.
         simulator: what simulates the scenes; None: the env's own.
         recorder: is given the cars of all scenes at the start and after each step.
@@ -76,6 +77,29 @@ def rank(summary: dict[str, float]) -> tuple[float, ...]:
     metrics = {metric.name: metric for metric in METRICS}
     ranked = [metrics[name] for name in RANKING]
     return tuple(summary[metric.key] if metric.higher_is_better else -summary[metric.key] for metric in ranked)
+
+
+def intervals(episodes: pd.DataFrame) -> dict[str, tuple[float, float]]:
+    """Return the Wilson 95 % interval of each rate: of success_rate, crash_rate, timeout_rate and parked_rate."""
+    return {rate.key: wilson_interval(int(rate.values(episodes).sum()), len(episodes)) for rate in RATES}
+
+
+def describe(episodes: pd.DataFrame) -> str:
+    """Return rates with Wilson 95 % intervals, and means of the rest, as lines of text."""
+    n, summary, lines = len(episodes), summarise(episodes), []
+    for rate, (low, high) in zip(RATES, intervals(episodes).values(), strict=True):
+        value = summary[rate.key]
+        note = "  (strict: inside the lines, within 10 degrees, stationary)" if rate.name == "parked" else ""
+        count = f"{value * n:.0f} of {n}"
+        lines.append(f"{rate.name:<8}{value:7.1%}   95 % interval {low:.1%} to {high:.1%}   {count}{note}")
+    means = [metric for metric in METRICS if not metric.is_rate]
+    texts = [f"{mean.label.lower()} {summary[mean.key]:.3g} {mean.unit}".rstrip() for mean in means]
+    return "\n".join([*lines, f"mean     {', '.join(texts)}"])
+
+
+def success_line(summary: dict[str, float], step: int) -> str:
+    """Return one line about an evaluation during training."""
+    return f"evaluation at step {step}: {', '.join(f'{rate.name} {summary[rate.key]:.0%}' for rate in RATES)}"
 
 
 def _run_batch(

@@ -97,8 +97,7 @@ def _evaluate(request: EvaluationRequest, agent: Agent, env: EnvConfig, folder: 
     from rich.progress import Progress
 
     from parking_exp.algorithms.build_model import greedy_policy, torch_settings
-    from parking_exp.evaluation.description import describe, intervals
-    from parking_exp.evaluation.evaluate_policy import evaluate, summarise
+    from parking_exp.evaluation.evaluate_policy import describe, evaluate, intervals, summarise
     from parking_exp.evaluation.video import record
 
     policy, scenes, screen = greedy_policy(agent.model(env)), request.scenes, Screen(stderr=True)

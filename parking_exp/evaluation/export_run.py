@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from parking_exp.envs.interface import Observation, Policy
 
 N_OBSERVATIONS = 1000  # on which a file is compared with the model
-N_SCENES = 50  # evaluated at a time
+N_SCENES = 50  # that they come from
 RANDOM_FRACTION = 0.1  # of actions, so that the file is also compared where the policy would not go
 SUFFIXES = {"onnx": ".onnx", "torchscript": ".pt", "safetensors": ".safetensors"}
 
@@ -98,10 +98,7 @@ def sample_observations(policy: "Policy", env: EnvConfig, number: int) -> "Obser
         is_random = rng.random((len(actions), 1)) < RANDOM_FRACTION
         return np.where(is_random, rng.uniform(-1, 1, actions.shape), actions)
 
-    first = 0
-    while sum(len(batch["observation"]) for batch in batches) < number:
-        evaluate(explore, env, range(first, first + N_SCENES))
-        first += N_SCENES
+    evaluate(explore, env, range(N_SCENES))
     stacked = {name: np.concatenate([batch[name] for batch in batches]) for name in batches[0]}
     drawn = np.linspace(0, len(stacked["observation"]) - 1, number).astype(int)
     return {name: values[drawn] for name, values in stacked.items()}

@@ -7,7 +7,7 @@ import numpy as np
 from parking_exp.runs.atomic_files import replacing
 
 TRAJECTORIES_FILE = "trajectories.npz"
-CAR_COLUMNS = ("x_m", "y_m", "heading_rad", "speed_mps")
+CAR_COLUMNS = ("x_m", "y_m", "heading_rad", "speed_mps")  # speed is signed
 
 
 class Recorder:
@@ -18,21 +18,12 @@ class Recorder:
         self._cars: list[np.ndarray] = []
 
     def add(self, scenes: np.ndarray, cars: np.ndarray) -> None:
-        """Add the start, or a step, of the scenes still under way.
-
-        Args:
-            scenes: their numbers, shape (n,).
-            cars: x [m], y [m], heading [rad] and signed speed [m/s], shape (n, 4).
-        """
+        """Add the start, or a step, of unfinished scenes: their numbers, shape (n,), and CAR_COLUMNS, shape (n, 4)."""
         self._scenes.append(scenes.copy())
         self._cars.append(cars.astype(np.float32))
 
     def save(self, path: Path) -> None:
-        """Write a file that is whole or not there, without pickles.
-
-        It has `scene`, sorted, and `length`, the rows of each, the start included, both of shape (n,), and an array for
-        each of CAR_COLUMNS with the rows of all scenes one after the other, float32.
-        """
+        """Write an npz file: `scene`, sorted, and `length`, shape (n,), and CAR_COLUMNS of all scenes in turn."""
         rows, cars = np.concatenate(self._scenes), np.concatenate(self._cars)
         order = np.argsort(rows, kind="stable")  # rows of a scene stay in the order of time
         scene, length = np.unique(rows, return_counts=True)

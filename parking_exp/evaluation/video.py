@@ -24,10 +24,7 @@ def record(policy: Policy, env: EnvConfig, scenes: Sequence[int], path: Path, gi
     """Record one episode of each scene in one mp4 (and, besides it, a GIF of the same name).
 
     A second of video is a second of driving: one frame for the start of each episode, one for each simulation frame,
-    and one second of its end. Episodes are cut after `LONGEST_EPISODE_S` seconds.
-
-    Returns:
-        The number of frames.
+    and one second of its end. Episodes are cut after `LONGEST_EPISODE_S` seconds. Return the number of frames.
     """
     # SDL draws without a display; with its `dummy` driver highway-env would draw nothing at all.
     os.environ["SDL_VIDEODRIVER"] = "offscreen"

@@ -23,6 +23,7 @@ from parking_exp.statistics import (
     restricted_mean,
     share_reaching,
     steps_to,
+    student_interval,
     wilson_interval,
 )
 from parking_exp.statistics.checks import finite_or_none
@@ -75,7 +76,7 @@ def summarise(
     seeds = [_seed(run, evaluations) for run in runs]
     success = [seed.success for seed in seeds if seed.success is not None]
     means = {
-        name: _mean([finite_or_none(run[metric.run_column]) for run in runs], (0.0, 1.0) if metric.is_rate else None)
+        name: _mean([finite_or_none(run[metric.run_column]) for run in runs], is_rate=metric.is_rate)
         for name, metric in REPORTED.items()
     }
     return Cell(
@@ -87,7 +88,7 @@ def summarise(
         counts=_counts(cell.runs["status"]),
         total_timesteps=_whole(cell.config.get("total_timesteps")),
         cpu_s=_mean([seed.cpu_s for seed in seeds]),
-        area=_mean([seed.area for seed in seeds], (0.0, 1.0)),
+        area=_mean([seed.area for seed in seeds], is_rate=True),
         reaching_90=share_reaching(success, GOOD) if success else Proportion(0, 0, None, None),
         seeds=seeds,
         curve=_curve(cell.runs if unfinished else cell.done, evaluations),
@@ -212,9 +213,9 @@ def _survival(unit: str, times: Sequence[tuple[float | None, bool]], horizon: fl
     )
 
 
-def _mean(values: Sequence[float | None], bounds: tuple[float, float] | None = None) -> Interval:
-    known = [value for value in values if value is not None]
-    return mean_interval(known, bounds=bounds) if known else Interval(None)
+def _mean(values: Sequence[float | None], *, is_rate: bool = False) -> Interval:
+    known, interval = [value for value in values if value is not None], mean_interval if is_rate else student_interval
+    return interval(known) if known else Interval(None)
 
 
 def _counts(status: pd.Series) -> dict[str, int]:

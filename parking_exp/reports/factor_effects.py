@@ -14,6 +14,7 @@ from parking_exp.config.cell_labels import FEW_CELLS, Factor, Setting, hashable,
 from parking_exp.reports.report_data import Cell, Design, Interaction
 from parking_exp.statistics import MainEffect
 from parking_exp.statistics.checks import finite_or_none
+from parking_exp.statistics.effects import FEWEST_ROWS
 
 RESPONSE = "success"
 SEARCH_CELLS = 8
@@ -74,7 +75,7 @@ def interactions(
 def importance(cells: Sequence[Cell], factors: Sequence[Factor]) -> list[statistics.ParameterImportance]:
     """Return the share of the variance between cells that each factor explains alone, the largest first."""
     rows = [{**cell.settings, RESPONSE: cell.success.value} for cell in cells if cell.success.value is not None]
-    if len(rows) < statistics.FEWEST_ROWS:
+    if len(rows) < FEWEST_ROWS:
         return []
     frame = pd.DataFrame(rows)
     usable = [factor.key for factor in factors if not (factor.numeric and frame[factor.key].isna().any())]
@@ -89,8 +90,7 @@ def _interaction(
         return None
     table = statistics.interaction(frame, row.key, column.key, RESPONSE)
     entries: dict[tuple[Setting, Setting], Sequence[float | int | None]] = {
-        (cell.row, cell.column): (cell.mean.value, cell.mean.low, cell.mean.high, cell.mean.n, cell.residual)
-        for cell in table.cells
+        place: (mean.value, mean.low, mean.high, mean.n, residual) for place, (mean, residual) in table.cells.items()
     }
     rows, columns = list(table.rows), list(table.columns)
     for control in cells:

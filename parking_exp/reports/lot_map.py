@@ -1,4 +1,4 @@
-"""The scene map: outcomes by goal slot, where failed episodes ended, sampled trajectories."""
+"""The map of the lot: outcomes by goal slot, where failed episodes ended, sampled trajectories."""
 
 from collections.abc import Mapping, Sequence
 from functools import cache
@@ -56,10 +56,7 @@ def sample(
 def sampled_rows(
     runs: Sequence[tuple[int, str]], results: Results, final: Mapping[str, pd.DataFrame]
 ) -> tuple[dict[str, pd.DataFrame], list[str]]:
-    """Return the rows of trajectories that `sample` needs, by run id, and its problems.
-
-    From these alone it draws the same ones again.
-    """
+    """Return the rows of trajectories that `sample` needs to draw the same ones, by run id, and its problems."""
     rows, problems = _sampled(runs, results, final)
     columns = rows.columns.difference(ADDED, sort=False)
     return {str(run_id): part[columns].reset_index(drop=True) for run_id, part in rows.groupby("run_id")}, problems
@@ -68,10 +65,10 @@ def sampled_rows(
 def _sampled(
     runs: Sequence[tuple[int, str]], results: Results, final: Mapping[str, pd.DataFrame]
 ) -> tuple[pd.DataFrame, list[str]]:
-    """Return rows of trajectories, thinned ones of the episodes to draw and the last one of failed ones, and problems.
+    """Return the rows of trajectories that figures show, and problems.
 
-    They have the columns ADDED besides: `rank` of an episode to draw among those of its outcome, NaN of others;
-    `failed` where its end is shown.
+    These are the thinned rows of episodes to draw, and the last row of failed ones. They also have the columns ADDED:
+    `rank` of an episode to draw among those of its outcome, else NaN; `failed` where its end is shown.
     """
     tables, problems = [], []
     for seed, run_id in runs[:SEEDS]:
@@ -96,7 +93,7 @@ def _sampled(
 def _chosen(episodes: pd.DataFrame) -> pd.DataFrame:
     """Return `rank` and `failed` of episodes, given by their first rows.
 
-    Both are drawn at random, but by a hash of the episode: from a part of the episodes, the same ones are drawn again.
+    Episodes are ordered by a hash, so the same ones are drawn again from a part of them.
     """
     episodes = episodes.iloc[pd.util.hash_pandas_object(episodes[["seed", "scene"]], index=False).argsort()]
     whole = episodes[episodes["step"] == 0]
@@ -112,5 +109,14 @@ def _path(rows: pd.DataFrame, vehicles_count: int) -> Path:
     last = rows.iloc[-1]
     start = Scenes.from_seeds([int(last["scene"])], vehicles_count)
     x, y, heading = (rows[name].astype(float).round(2).tolist() for name in ("x_m", "y_m", "heading_rad"))
-    which = int(last["seed"]), int(last["scene"]), last["outcome"], int(start.goal[0])
-    return Path(*which, x, y, heading, int(last["step"]), start.parked[0].tolist())
+    return Path(
+        seed=int(last["seed"]),
+        scene=int(last["scene"]),
+        outcome=last["outcome"],
+        slot=int(start.goal[0]),
+        x_m=x,
+        y_m=y,
+        heading_rad=heading,
+        steps=int(last["step"]),
+        parked_slots=start.parked[0].tolist(),
+    )

@@ -13,7 +13,7 @@ INTERVALS = {
     "variance between seeds amounts to.",
     EXACT: "Where all seeds ended alike, as with 0 % or 100 %, the interval is a bound that holds whatever "
     "the distribution.",
-    T: "Intervals of CPU-seconds and of the length of episodes are Student's below 20 seeds.",
+    T: "Intervals of CPU-seconds and of the length of episodes are Student's.",
     NONE: "A single seed has no interval.",
 }
 REFERENCES = (
@@ -68,6 +68,6 @@ def methods(report: ReportData) -> Iterator[str]:
     if report.importance:
         yield (
             "Importance is the share of the variance between cells that a quadratic in the ranks of one parameter, or "
-            "its groups, explains alone, adjusted for chance; p by permutation."
+            "its groups, explains alone, adjusted for chance; p by the F test."
         )
     yield REFERENCES

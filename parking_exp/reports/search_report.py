@@ -1,6 +1,6 @@
-"""The hyperparameter search of a report: read from its experiment's folder, and said in sentences and tables.
+"""The hyperparameter search of a report: read from its experiment's folder, in sentences and tables.
 
-Nothing here imports Optuna unless an experiment has a search.
+Optuna is imported only if an experiment has a search.
 """
 
 import json
@@ -17,13 +17,7 @@ from parking_exp.config.schema import NAME
 from parking_exp.errors import ParkingError, ResultsError, plural
 from parking_exp.reports import formats
 from parking_exp.reports.report_data import ReportData
-from parking_exp.reports.tables.table import (
-    Table,
-    column,
-    interval_column,
-    record,
-    spread,
-)
+from parking_exp.reports.tables.table import Table, column, interval_column, record, spread
 from parking_exp.statistics import Interval, mean_interval, welch
 from parking_exp.tuning.search import SEARCH_FILE, study_in
 from parking_exp.tuning.trials import RetestedTrial, TrialRow, plain_choice, ranked, read_retest
@@ -57,12 +51,9 @@ class Tuning:
 
 
 def with_search(report: ReportData, output_dir: Path, storage: str | None = None) -> ReportData:
-    """Return a report with the search of its experiment, or a warning where that cannot be read.
-
-    Of several searches it is the first one.
-    """
-    named = [output_dir / name for name in report.experiments if re.fullmatch(NAME, name)]
-    folder = next((folder for folder in named if (folder / SEARCH_FILE).exists()), None)
+    """Return a report with the first search of its experiments, or a warning where that cannot be read."""
+    folders = [output_dir / name for name in report.experiments if re.fullmatch(NAME, name)]
+    folder = next((folder for folder in folders if (folder / SEARCH_FILE).exists()), None)
     if folder is None:
         return report
     try:
@@ -74,27 +65,23 @@ def with_search(report: ReportData, output_dir: Path, storage: str | None = None
 
 
 def with_tuning(report: ReportData, tuning: Tuning) -> ReportData:
-    """Return a report with a search, what its retrained trials say, and a warning about comparing its cells."""
-    claims, fair = [*report.claims], "none was retrained on test seeds"
+    """Return a report with a search, a claim on its retrained trials, and a warning about comparing its cells."""
+    claims, remedy = [*report.claims], "none was retrained on test seeds"
     if tuning.retested:
-        best, fair = tuning.retested[0], "compare the trials retrained on test seeds"
-        claim = (
+        best, remedy = tuning.retested[0], "compare the trials retrained on test seeds"
+        claims.insert(
+            0,
             f"On {plural(len(best.test), 'test seed')}, “{best.label}” is the best of "
             f"{plural(len(tuning.retested), 'retrained trial')}: {tuning.objective} "
             f"{formats.rate_interval(mean_interval(best.test))}; "
-            f"tuning minus test {formats.points_interval(_loss(best))}."
+            f"tuning minus test {formats.points_interval(_loss(best))}.",
         )
-        claims.insert(0, claim)
-    warning = f"Cells of a search include runs on the tuning seeds that trials were selected by; {fair}."
+    warning = f"Cells of a search include runs on the tuning seeds that trials were selected by; {remedy}."
     return replace(report, tuning=tuning, claims=claims, warnings=[*report.warnings, warning])
 
 
 def tuning_of(folder: Path, stored: "StoredSearch") -> Tuning:
-    """Return the search in an experiment's folder as reports show it.
-
-    Raises:
-        ResultsError: the file of the retrained trials is damaged.
-    """
+    """Return the search in an experiment's folder ; ResultsError if its retrained trials are damaged."""
     try:
         retested = read_retest(folder)
     except ValidationError as error:
@@ -110,13 +97,13 @@ def tuning_of(folder: Path, stored: "StoredSearch") -> Tuning:
         n_trials=stored.n_trials,
         objective=search.objective,
         n_seeds=len(search.tuning_seeds),
-        parameters={name: _described(distribution) for name, distribution in distributions.items()},
+        parameters={name: _plain(distribution) for name, distribution in distributions.items()},
         trials=stored.trials,
         retested=retested,
     )
 
 
-def _described(distribution: Any) -> Mapping[str, Any]:
+def _plain(distribution: Any) -> Mapping[str, Any]:
     """Return a distribution as JSON, with readable choices."""
     from optuna.distributions import distribution_to_json
 
@@ -153,14 +140,9 @@ def trial_table(report: ReportData) -> Iterator[Table]:
     tuning = report.tuning
     if tuning is None:
         return
+    parameters = dict.fromkeys(tuning.parameters)
     rows = [
-        {
-            tuning.objective: trial.value,
-            **dict.fromkeys(tuning.parameters),
-            **trial.parameters,
-            **record(trial),
-            "label": trial.label,
-        }
+        {tuning.objective: trial.value, **parameters, **trial.parameters, **record(trial), "label": trial.label}
         for trial in tuning.trials
     ]
     is_number = {name: kind.get("name") != "CategoricalDistribution" for name, kind in tuning.parameters.items()}

@@ -1,36 +1,34 @@
-"""Statistics of runs: intervals, comparisons, effects, survival. Pure functions without I/O.
+"""Statistics of runs: intervals, comparisons, effects, survival. Pure functions without I/O; all intervals are at 95 %.
 
-Every training imports this package, and scipy.stats takes half a second to import: functions that need it import it
-when they are called. Wilson's interval, which a training needs, is computed here; a test compares it with scipy's.
+Every training imports this package, so scipy.stats, which takes half a second to import, is imported by the functions
+that need it.
 """
 
 from parking_exp.statistics.comparisons import Difference, holm, probability_of_improvement, welch
 from parking_exp.statistics.coverage import coverage_note
-from parking_exp.statistics.curves import normalised_area
 from parking_exp.statistics.effects import (
-    InteractionCell,
     InteractionTable,
     Level,
     MainEffect,
+    ParameterImportance,
     contrast,
+    importance,
     interaction,
     main_effects,
 )
-from parking_exp.statistics.hyperparameters import FEWEST_ROWS, ParameterImportance, importance
-from parking_exp.statistics.intervals import Interval, mean_band, mean_interval
+from parking_exp.statistics.intervals import Interval, mean_band, mean_interval, student_interval
 from parking_exp.statistics.rates import Proportion, share_reaching, unseen_share, wilson_interval
 from parking_exp.statistics.survival import (
     SurvivalCurve,
     kaplan_meier,
     log_rank,
+    normalised_area,
     restricted_mean,
     steps_to,
 )
 
 __all__ = [
-    "FEWEST_ROWS",
     "Difference",
-    "InteractionCell",
     "InteractionTable",
     "Interval",
     "Level",
@@ -53,6 +51,7 @@ __all__ = [
     "restricted_mean",
     "share_reaching",
     "steps_to",
+    "student_interval",
     "unseen_share",
     "welch",
     "wilson_interval",

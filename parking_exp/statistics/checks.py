@@ -8,11 +8,7 @@ from numpy.typing import ArrayLike
 
 
 def finite(values: ArrayLike, purpose: str) -> np.ndarray:
-    """Return `values` as a flat float array, shape (n,) with n >= 1.
-
-    Raises:
-        ValueError: it is empty, not one-dimensional, or holds NaN or infinity.
-    """
+    """Return `values` as a float array of shape (n,), n >= 1; raise ValueError for other shapes, NaN and infinity."""
     array = np.asarray(values, dtype=float)
     if array.ndim != 1 or array.size == 0 or not np.isfinite(array).all():
         raise ValueError(f"{purpose} takes a flat array of one or more finite values")

@@ -7,14 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.special import ndtri
 
 from parking_exp.statistics.checks import finite
 from parking_exp.statistics.intervals import Interval
-
-WELCH = "Welch"
-PERMUTATION = "permutation, no scatter"
-NEWCOMBE = "Newcombe 5"
+from parking_exp.statistics.rates import Z
 
 
 @dataclass(frozen=True)
@@ -25,17 +21,17 @@ class Difference(Interval):
     df: float | None = None
 
 
-def welch(a: ArrayLike, b: ArrayLike, confidence: float = 0.95) -> Difference:
+def welch(a: ArrayLike, b: ArrayLike) -> Difference:
     """Return the difference of two means over seeds, shapes (n_a,) and (n_b,), by Welch's test (Welch 1947).
 
-    With fewer than two seeds on a side, there are neither interval nor p. Where neither side scatters, Welch is
-    undefined: there is no interval; p is 1 for equal values and else that of the exact permutation test,
+    With fewer than two seeds on a side, there is neither an interval nor p. Where neither side scatters, Welch's test
+    is undefined: there is no interval, and p is 1 for equal values, else that of the exact permutation test,
     2 / binom(n_a + n_b, n_a): 10 against 10 seeds give 0.00001, 2 against 2 only 0.33.
 
     Raises:
         ValueError: a side is empty or holds NaN.
     """
-    from scipy import stats  # half a second that only reports pay
+    from scipy import stats
 
     first, second = finite(a, "a difference of means"), finite(b, "a difference of means")
     m, n = len(first), len(second)
@@ -44,49 +40,45 @@ def welch(a: ArrayLike, b: ArrayLike, confidence: float = 0.95) -> Difference:
         return Difference(difference, n=min(m, n))
     if np.ptp(first) == 0 and np.ptp(second) == 0:
         p = 1.0 if first[0] == second[0] else 2 / math.comb(m + n, m)
-        return Difference(float(first[0] - second[0]), n=min(m, n), method=PERMUTATION, p=p)
+        return Difference(float(first[0] - second[0]), n=min(m, n), method="permutation, no scatter", p=p)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)  # of one side without scatter
         test = stats.ttest_ind(first, second, equal_var=False)
-    low, high = map(float, test.confidence_interval(confidence))
-    return Difference(difference, low, high, min(m, n), WELCH, float(test.pvalue), float(test.df))
+    low, high = map(float, test.confidence_interval())
+    return Difference(difference, low, high, min(m, n), "Welch", float(test.pvalue), float(test.df))
 
 
-def probability_of_improvement(a: ArrayLike, b: ArrayLike, confidence: float = 0.95) -> Interval:
+def probability_of_improvement(a: ArrayLike, b: ArrayLike) -> Interval:
     """Return how probable it is that a seed of `a`, shape (n_a,), beats one of `b`, (n_b,); ties count one half.
 
-    Newcombe's method 5 (Newcombe 2006, Statistics in Medicine 25:559-573): a score interval whose variance is Hanley
-    & McNeil's at the bound itself, with the mean of n_a and n_b in the place of both. It stays within 0 ... 1 and has
-    width at either end. With one seed on both sides it is nearly 0 ... 1.
+    The interval is `newcombe`. With one seed on both sides it is nearly 0 ... 1.
 
     Raises:
         ValueError: a side is empty or holds NaN.
     """
     first, second = finite(a, "a probability of improvement"), finite(b, "a probability of improvement")
     m, n = len(first), len(second)
-    theta = (1 + np.sign(first[:, None] - second[None])).mean() / 2
-    low, high = newcombe(theta, m, n, confidence)
-    return Interval(float(theta), float(low), float(high), min(m, n), NEWCOMBE)
+    theta = float((1 + np.sign(first[:, None] - second[None])).mean() / 2)
+    return Interval(theta, *newcombe(theta, m, n), min(m, n), "Newcombe 5")
 
 
-def newcombe(theta: ArrayLike, m: int, n: int, confidence: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return where |theta - x| = z sqrt(V(x)) below and above `theta`, by bisection; any shape."""
-    at = np.asarray(theta, dtype=float)
-    z, size = float(ndtri(0.5 + confidence / 2)), (m + n) / 2
+def newcombe(theta: float, m: int, n: int) -> tuple[float, float]:
+    """Return the ends where |theta - x| = z sqrt(V(x)): Newcombe's method 5 (2006, Statistics in Medicine 25:559-573).
 
-    def inside(x: np.ndarray) -> np.ndarray:
+    V is Hanley & McNeil's variance with the mean of m and n in the place of both. The interval stays within 0 ... 1 and
+    has width at either end.
+    """
+    from scipy.optimize import brentq
+
+    size = (m + n) / 2
+
+    def excess(x: float) -> float:
         variance = x * (1 - x) * (1 + (size - 1) * ((1 - x) / (2 - x) + x / (1 + x))) / (m * n)
-        return np.abs(at - x) <= z * np.sqrt(variance)
+        return abs(theta - x) - Z * math.sqrt(variance)
 
-    def edge(outside: np.ndarray) -> np.ndarray:
-        near, far = at.copy(), outside
-        for _ in range(60):
-            middle = (near + far) / 2
-            within = inside(middle)
-            near, far = np.where(within, middle, near), np.where(within, far, middle)
-        return near
-
-    return edge(np.zeros_like(at)), edge(np.ones_like(at))
+    low = brentq(excess, 0, theta - 1e-9) if theta > 0 else 0.0
+    high = brentq(excess, theta + 1e-9, 1) if theta < 1 else 1.0
+    return low, high
 
 
 def holm(p_values: Sequence[float | None] | np.ndarray) -> np.ndarray:

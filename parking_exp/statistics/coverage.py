@@ -7,7 +7,7 @@ from parking_exp.errors import plural
 from parking_exp.statistics.checks import finite
 
 FEWEST_SEEDS = 5
-GAP = 0.3  # between neighbouring seeds: hardly ever so wide without a collapse, nearly always with one
+GAP = 0.3  # between neighbouring seeds: rare without a collapse, nearly certain with one
 COLLAPSED_COVERS = ((10, 62), (20, 66), (30, 86))  # below so many seeds, percent; 95 from 30
 IMBALANCE = 4.0  # ratio of the squared errors of two means
 CEILING = 0.97
@@ -16,11 +16,9 @@ CEILING = 0.97
 def coverage_note(values: ArrayLike, other: ArrayLike | None = None) -> str | None:
     """Return a sentence where seeds look like those whose 95 % interval covered less than 93 % in simulation, or None.
 
-    `values`, shape (seeds,), are rates in 0 ... 1. With `other`, a second cell's, it speaks of the two together as
-    well: of Welch's interval of their difference. The percentages are those of
-    `tests/support/coverage_simulation.py`. It cannot speak of what left no trace: ten good seeds of a recipe that
-    collapses one time in ten look like ten of one that never does, as 35 % of draws are. `unseen_share` says
-    how much room they leave. For `restricted_mean`, give it min(time, horizon) / horizon.
+    `values`, shape (seeds,), are rates in 0 ... 1. With a second cell's, `other`, the note is also about Welch's
+    interval of their difference. The percentages are those of `tests/support/coverage_simulation.py`. Collapses that no
+    seed shows go unnoticed (see `unseen_share`).
 
     Raises:
         ValueError: a side is empty or holds NaN.

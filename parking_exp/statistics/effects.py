@@ -1,4 +1,4 @@
-"""Main effects, contrasts and interactions of crossed factors. Frames have one row per seed."""
+"""Main effects, contrasts and interactions of crossed factors, importance of hyperparameters."""
 
 from __future__ import annotations
 
@@ -13,15 +13,14 @@ from parking_exp.statistics.checks import finite_or_none
 from parking_exp.statistics.comparisons import Difference
 from parking_exp.statistics.intervals import Interval, mean_interval
 
-if TYPE_CHECKING:  # a training imports this package and needs no frames of ours
+if TYPE_CHECKING:  # a training imports this package, but not pandas
     from collections.abc import Mapping, Sequence
 
     import pandas as pd
 
     Cells = Mapping[tuple[Any, ...], np.ndarray]  # levels of the factors -> responses
 
-CELLS = "cells' own variances"
-POOLED = "pooled variance"
+FEWEST_ROWS = 5  # for importances
 
 
 @dataclass(frozen=True)
@@ -53,36 +52,39 @@ class MainEffect:
 
 
 @dataclass(frozen=True)
-class InteractionCell:
-    """One combination of two levels: its mean, and what is left of it beside the sum of two effects."""
-
-    row: Any
-    column: Any
-    mean: Interval
-    residual: float
-
-
-@dataclass(frozen=True)
 class InteractionTable:
-    """The combinations that there are, row by row.
+    """Two factors crossed.
 
-    `p` says how well a sum of two effects explains them all: None where seeds do not scatter or nothing is left.
+    Attributes:
+        cells: mean and residual of each (row, column); combinations without runs are not there.
+        p: of the test that a sum of two effects explains them all; None without scatter or degrees of freedom.
     """
 
     rows: Sequence[Any]
     columns: Sequence[Any]
-    cells: Sequence[InteractionCell]
+    cells: Mapping[tuple[Any, Any], tuple[Interval, float]]
     p: float | None
 
 
-def main_effects(
-    frame: pd.DataFrame, factors: Sequence[str], response: str, confidence: float = 0.95
-) -> list[MainEffect]:
-    """Return the mean of cell means for every level of every factor: cells weigh the same, whatever their seeds.
+@dataclass(frozen=True)
+class ParameterImportance:
+    """The share of the variance, 0 ... 1, that one parameter explains alone, and p of the F test.
 
-    The response is a rate in 0 ... 1. The interval is that of a linear contrast of independent means with their own
-    variances (Welch 1947; Satterthwaite 1946 for the degrees of freedom), cut where rates end; where a cell of the
-    level has a single seed, the pooled variance of all cells stands in for all; None if all values are equal.
+    `direction` is Spearman's rank correlation; None of a category or a constant.
+    """
+
+    factor: str
+    share: float
+    p: float
+    direction: float | None
+
+
+def main_effects(frame: pd.DataFrame, factors: Sequence[str], response: str) -> list[MainEffect]:
+    """Return the mean of cell means for every level of every factor; `frame` has a row per seed.
+
+    Cells have equal weights. The response is a rate in 0 ... 1. The interval is that of a linear contrast of
+    independent means with their own variances (Welch 1947; Satterthwaite 1946 for the degrees of freedom), clipped to
+    0 ... 1. There is no interval if a cell of the level has a single seed or all values are equal.
     """
     cells = _cells(frame, factors, response)
     levels = [_levels(cells, place) for place in range(len(factors))]
@@ -90,29 +92,25 @@ def main_effects(
     effects = []
     for place, factor in enumerate(factors):
         own = {level: [values for key, values in cells.items() if key[place] == level] for level in levels[place]}
-        effects.append(_main_effect(factor, own, cells, complete, confidence))
+        effects.append(_main_effect(factor, own, complete))
     return effects
 
 
-def _main_effect(
-    name: str, own: Mapping[Any, Sequence[np.ndarray]], cells: Cells, complete: bool, confidence: float
-) -> MainEffect:
-    means = {level: _contrast(values, [], cells, confidence) for level, values in own.items()}
+def _main_effect(name: str, own: Mapping[Any, Sequence[np.ndarray]], complete: bool) -> MainEffect:
+    means = {level: _contrast(values, []) for level, values in own.items()}
     levels = [Level(level, mean.clipped(0, 1), len(own[level])) for level, mean in means.items()]
     if len(levels) < 2:
         return MainEffect(name, levels, complete)
     highest, lowest = (choose(means, key=lambda level: means[level].value or 0.0) for choose in (max, min))
-    largest = _contrast(own[highest], own[lowest], cells, confidence)
+    largest = _contrast(own[highest], own[lowest])
     p = None if largest.p is None else min(1.0, largest.p * math.comb(len(levels), 2))
     return MainEffect(name, levels, complete, largest.clipped(-1, 1), p)
 
 
-def contrast(
-    frame: pd.DataFrame, factors: Sequence[str], response: str, levels: tuple[str, Any, Any], confidence: float = 0.95
-) -> Difference:
-    """Return how far two levels of a factor are apart: the difference of the means that `main_effects` gives.
+def contrast(frame: pd.DataFrame, factors: Sequence[str], response: str, levels: tuple[str, Any, Any]) -> Difference:
+    """Return the difference between two levels' means in `main_effects`; `levels` is (factor, level, other level).
 
-    `levels` is (factor, level, other level). Interval and p are as described there, not cut, None without scatter.
+    Interval and p are as described there, but not clipped.
 
     Raises:
         ValueError: there is no such level.
@@ -123,105 +121,111 @@ def contrast(
     side, other = ([values for key, values in cells.items() if key[place] == level] for level in two)
     if not (side and other):
         raise ValueError(f"{factor} has no level {two[1] if side else two[0]!r}")
-    return _contrast(side, other, cells, confidence)
+    return _contrast(side, other)
 
 
-def interaction(
-    frame: pd.DataFrame,
-    row_factor: str,
-    column_factor: str,
-    response: str,
-    confidence: float = 0.95,
-    bounds: tuple[float, float] | None = (0.0, 1.0),
-) -> InteractionTable:
-    """Return the mean of every combination of two factors, by `mean_interval`, and what is left of it beside their sum.
+def interaction(frame: pd.DataFrame, row_factor: str, column_factor: str, response: str) -> InteractionTable:
+    """Return the mean rate of every combination of two factors, by `mean_interval`, and its residual.
 
-    Other factors are averaged over. The residual is cell mean - row mean - column mean + grand mean, every cell
-    weighing the same; in an incomplete design, what is left of the additive fit by least squares.
-
-    Raises:
-        ValueError: a response lies outside `bounds`.
+    `frame` has a row per seed; other factors are averaged over. The residual is cell mean - row mean - column mean +
+    grand mean with equal weights; in an incomplete design, that of the additive fit by least squares.
     """
     cells = _cells(frame, (row_factor, column_factor), response)
     rows, columns = _levels(cells, 0), _levels(cells, 1)
     means = np.array([values.mean() for values in cells.values()])
     design = np.array([[row == r for r in rows] + [column == c for c in columns] for row, column in cells], dtype=float)
     residuals = means - design @ np.linalg.lstsq(design, means, rcond=None)[0]
-    combinations = [
-        InteractionCell(key[0], key[1], mean_interval(values, confidence, bounds=bounds), float(residual))
-        for (key, values), residual in zip(cells.items(), residuals, strict=True)
-    ]
-    combinations.sort(key=lambda cell: (rows.index(cell.row), columns.index(cell.column)))
+    combinations = {
+        (row, column): (mean_interval(values), float(residual))
+        for ((row, column), values), residual in zip(cells.items(), residuals, strict=True)
+    }
     return InteractionTable(rows, columns, combinations, finite_or_none(_interaction_p(cells, design)))
 
 
-def _contrast(side: Sequence[np.ndarray], other: Sequence[np.ndarray], cells: Cells, confidence: float) -> Difference:
+def importance(frame: pd.DataFrame, parameters: Sequence[str], response: str) -> list[ParameterImportance]:
+    """Return the share of the response's variance that every parameter explains alone, in the order given.
+
+    `frame` has one row per cell, at least FEWEST_ROWS, without NaN in the response. For numbers the share is the
+    adjusted R^2 of a quadratic in their ranks, so that a log scale does not matter; for booleans and words it is the
+    adjusted correlation ratio (Kelley 1935); both are at least 0. p is that of the F test, not corrected for the number
+    of parameters. Shares ignore interactions and need not add up. A constant explains 0 with p 1.
+    """
+    return [_importance(frame[name], frame[response]) for name in parameters]
+
+
+def _importance(column: pd.Series, response: pd.Series) -> ParameterImportance:
+    name, n, y = str(column.name), len(column), response.to_numpy(dtype=float)
+    total = float(((y - y.mean()) ** 2).sum())
+    if column.nunique(dropna=False) < 2 or total <= 1e-24 * n:
+        return ParameterImportance(name, 0.0, 1.0, None)
+    direction = None
+    if column.dtype.kind in "iuf":
+        ranks = column.rank()
+        direction = float(ranks.corr(response.rank()))
+        design = np.vander(ranks.to_numpy() / n, 3)
+    else:
+        codes = column.astype("category").cat.codes.to_numpy()
+        design = (codes[:, None] == np.unique(codes)).astype(float)
+    coefficients, _, rank, _ = np.linalg.lstsq(design, y, rcond=None)
+    left, df = float(((y - design @ coefficients) ** 2).sum()) / total, n - int(rank)
+    if df == 0:
+        return ParameterImportance(name, 0.0, 1.0, direction)
+    share = min(max(1 - left * (n - 1) / df, 0.0), 1.0)
+    p = float(fdtrc(rank - 1, df, (1 - left) / (rank - 1) / max(left / df, 1e-12)))
+    return ParameterImportance(name, share, p, direction)
+
+
+def _contrast(side: Sequence[np.ndarray], other: Sequence[np.ndarray]) -> Difference:
     """Return the mean of cell means of one side minus that of the other, which may be empty."""
     weights = np.array([1 / len(side) for _ in side] + [-1 / len(other) for _ in other])
     both = [*side, *other]
     sizes = np.array([len(values) for values in both])
     difference = float(weights @ [values.mean() for values in both])
     n = min(sum(map(len, values)) for values in (side, other) if values)
-    if sizes.min() > 1:
-        squares, method = weights**2 * [_variance(values) for values in both] / sizes, CELLS
-        spread = float((squares**2 / (sizes - 1)).sum())
-        df = float(squares.sum()) ** 2 / spread if spread > 0 else 0.0
-    else:
-        pooled, df = _pooled(cells)
-        squares, method = weights**2 * pooled / sizes, POOLED
-    if not (df > 0 and squares.sum() > 0):
+    squares = weights**2 * [_variance(values) for values in both] / sizes
+    if not (sizes.min() > 1 and squares.sum() > 0):
         return Difference(difference, n=n)
+    df = float(squares.sum()) ** 2 / float((squares**2 / (sizes - 1)).sum())
     error = math.sqrt(squares.sum())
-    half = float(stdtrit(df, 0.5 + confidence / 2)) * error
+    half = float(stdtrit(df, 0.975)) * error
     p = 2 * float(stdtr(df, -abs(difference) / error))
-    return Difference(difference, difference - half, difference + half, n, method, p, df)
+    return Difference(difference, difference - half, difference + half, n, "cells' own variances", p, df)
 
 
 def _variance(values: np.ndarray) -> float:
-    """Return the variance between seeds, 0 where they are all the same: numpy's is some 1e-32 there."""
+    """Return the variance between seeds, exactly 0 without scatter (numpy's is some 1e-32) and for a single seed."""
     return float(values.var(ddof=1)) if np.ptp(values) > 0 else 0.0
-
-
-def _pooled(cells: Cells) -> tuple[float, float]:
-    """Return the pooled variance of all cells with two seeds or more, and its degrees of freedom; NaN and 0 without."""
-    several = [values for values in cells.values() if len(values) > 1]
-    df = float(sum(len(values) - 1 for values in several))
-    return (sum(_variance(values) * (len(values) - 1) for values in several) / df if df else math.nan), df
 
 
 def _interaction_p(cells: Cells, design: np.ndarray) -> float:
     """Return the p of the ANOVA-type test of interaction (Brunner, Dette and Munk 1997).
 
-    Cell means are tested against the sum of two effects, with cells' own variances; where a cell has a single seed,
-    with the pooled one.
+    It compares cell means with the sum of two effects, by the cells' own variances; NaN if a cell has a single seed.
     """
     sizes = np.array([len(values) for values in cells.values()])
     means = np.array([values.mean() for values in cells.values()])
-    beside = np.eye(len(cells)) - design @ np.linalg.pinv(design)  # projects means on what the sum leaves of them
-    if np.trace(beside) < 0.5:  # a whole number but for rounding: its degrees of freedom
-        return math.nan
-    single, weights = sizes.min() < 2, beside.diagonal()
-    pooled, left = _pooled(cells)
-    variances = (pooled if single else np.array([_variance(values) for values in cells.values()])) / sizes
+    projection = np.eye(len(cells)) - design @ np.linalg.pinv(design)  # of means on the residuals
+    weights = projection.diagonal()
+    variances = np.array([_variance(values) for values in cells.values()]) / sizes
     expected = float(weights @ variances)
-    if not expected > 0:
+    # The trace, a whole number but for rounding, is the projection's degrees of freedom.
+    if sizes.min() < 2 or np.trace(projection) < 0.5 or expected <= 0:
         return math.nan
-    if not single:
-        left = expected**2 / float((weights**2 * variances**2 / (sizes - 1)).sum())
-    df = expected**2 / float(variances @ beside**2 @ variances)
-    return float(fdtrc(df, left, means @ beside @ means / expected))
+    df_error = expected**2 / float((weights**2 * variances**2 / (sizes - 1)).sum())
+    df = expected**2 / float(variances @ projection**2 @ variances)
+    return float(fdtrc(df, df_error, means @ projection @ means / expected))
 
 
 def _cells(frame: pd.DataFrame, factors: Sequence[str], response: str) -> dict[tuple[Any, ...], np.ndarray]:
     """Return the responses of every combination of levels that is there."""
-    cells: dict[tuple[Any, ...], list[float]] = {}
+    grouped: dict[tuple[Any, ...], list[float]] = {}
     for *key, value in zip(*(frame[name].tolist() for name in (*factors, response)), strict=True):
-        cells.setdefault(tuple(key), []).append(value)
-    return {key: np.array(values, dtype=float) for key, values in cells.items()}
+        grouped.setdefault(tuple(key), []).append(value)
+    return {key: np.array(values, dtype=float) for key, values in grouped.items()}
 
 
 def _levels(cells: Cells, place: int) -> list[Any]:
-    """Return the levels of a factor in order, numbers by size; those that can't be compared by their names."""
+    """Return the sorted levels of a factor; those that can't be compared are sorted as text."""
     levels = list(dict.fromkeys(key[place] for key in cells))
     try:
         return sorted(levels)

@@ -1,9 +1,8 @@
 """Confidence intervals of means over seeds.
 
-The replicate is the training seed. Rates of good cells pile up below 1 with a tail to the left, and there the
-t-interval covers far less than it says (81 % for 5 seeds around 0.9 with a deviation of 0.15) and BCa hardly more,
-with 20 seeds too (91 %). The studentised bootstrap holds its 95 % from 5 seeds on, except where seeds collapse
-(`coverage_note`); `tests/support/coverage_simulation.py` is the simulation.
+The replicate is the training seed. Rates of good cells pile up below 1 with a tail to the left. There the t-interval
+covers far less than 95 % (81 % for 5 seeds around 0.9 with a deviation of 0.15). The studentised bootstrap covers 95 %
+from 5 seeds on, except where seeds collapse (`coverage_note`); `tests/support/coverage_simulation.py` simulates it.
 """
 
 from dataclasses import dataclass
@@ -22,9 +21,8 @@ BOOTSTRAP = "bootstrap-t"
 EXACT = "exact bound, no scatter"
 
 FEWEST_TO_RESAMPLE = 5  # below, the resamples without scatter alone decide where the interval ends
-FEWEST_UNBOUNDED = 20  # without bounds, nothing catches a resample without scatter
-BEYOND = 1e9  # the studentised deviation of a resample that has no scatter
-ROUNDING = 1e-9  # how far a value may lie outside its bounds
+BAND_RESAMPLES = 1999
+ROUNDING = 1e-9  # how far a rate may lie outside 0 ... 1
 CHUNK = 256  # rows that are resampled at once: 256 x 9,999 floats are 20 MB
 
 
@@ -51,121 +49,86 @@ class Interval:
         return Interval(self.value, low, high, self.n, self.method)
 
 
-def mean_interval(
-    values: ArrayLike,
-    confidence: float = 0.95,
-    seed: int = 0,
-    bounds: tuple[float, float] | None = (0.0, 1.0),
-    resamples: int = 9999,
-) -> Interval:
-    """Return the mean of `values`, shape (seeds,), with an interval for the mean of all seeds there could be.
+def mean_interval(rates: ArrayLike, resamples: int = 9999) -> Interval:
+    """Return the mean of rates in 0 ... 1, shape (seeds,), with an interval for the mean of all possible seeds.
 
-    Methods, by what the data allow: one value has no interval ("none"). From 5 seeds, the studentised bootstrap
-    (Efron & Tibshirani 1993, 12.5), cut at the bound below. With 2 to 4, Wilson's interval with t's quantile and the
-    sample size that the variance between seeds amounts to (Korn & Graubard 1998; Dean & Pagano 2015). Seeds without
-    any scatter get the bound that holds for every distribution within `bounds`: if all `n` values are at least `c`
-    above the lower one, then by Markov's inequality the mean is at least c (alpha / 2)^(1/n) above it, and likewise
-    from above. Ten seeds at 100 % leave 0.69 ... 1. Without `bounds` it is t's interval below 20 seeds, the bootstrap
-    from there, and none without scatter.
+    The method depends on the data. One seed has no interval. From 5 seeds, it is the studentised bootstrap (Efron &
+    Tibshirani 1993, 12.5) within the bound below. With 2 to 4, it is Wilson's interval with t's quantile and the
+    effective sample size (Korn & Graubard 1998; Dean & Pagano 2015). Seeds without scatter get the bound that holds for
+    every distribution: if all `n` rates are at least c, then by Markov's inequality the mean is at least
+    c (alpha / 2)^(1/n), and likewise from above. Ten seeds at 100 % leave 0.69 ... 1.
 
     Raises:
-        ValueError: no values, NaN, or values outside `bounds`.
+        ValueError: no rates, NaN, or rates outside 0 ... 1.
     """
-    array = finite(values, "a mean over seeds")
-    low, high, methods = interval_rows(array[None], confidence, seed, bounds, resamples)
+    array = finite(rates, "a mean over seeds")
+    low, high, methods = interval_rows(array[None], resamples)
     return Interval(float(array.mean()), finite_or_none(low[0]), finite_or_none(high[0]), len(array), methods[0])
 
 
-def mean_band(
-    values: ArrayLike,
-    confidence: float = 0.95,
-    seed: int = 0,
-    bounds: tuple[float, float] | None = (0.0, 1.0),
-    resamples: int = 1999,
-) -> list[Interval]:
-    """Return `mean_interval` of every column of `values`, shape (seeds, points): the band around a learning curve.
+def student_interval(values: ArrayLike) -> Interval:
+    """Return the mean of any numbers, shape (seeds,), with Student's interval; none for one seed or without scatter."""
+    array = finite(values, "a mean over seeds")
+    mean, n = float(array.mean()), len(array)
+    if np.ptp(array) == 0:
+        return Interval(mean, n=n)
+    half = float(stdtrit(n - 1, 0.975) * array.std(ddof=1) / np.sqrt(n))
+    return Interval(mean, mean - half, mean + half, n, T)
 
-    The band holds point by point, not for the whole curve at once. NaN means that a run was not measured there (it
-    ended sooner): a point counts the seeds that it has, and a point without any has n = 0 and no value.
 
-    Raises:
-        ValueError: values lie outside `bounds`.
+def mean_band(rates: ArrayLike) -> list[Interval]:
+    """Return `mean_interval` of every column of `rates`, shape (seeds, points): the band around a learning curve.
+
+    The band holds point by point, not for the whole curve at once. NaN means that a run was not measured there: a point
+    counts the seeds that it has, and a point without any has n = 0 and no value.
     """
-    table = np.asarray(values, dtype=float)
+    table = np.asarray(rates, dtype=float)
     columns, counts = table.T, np.count_nonzero(~np.isnan(table), axis=0)
     band = [Interval(None)] * len(columns)
     for count in np.unique(counts[counts > 0]):
         where = np.flatnonzero(counts == count)
         rows = np.array([columns[i][~np.isnan(columns[i])] for i in where])
-        low, high, methods = interval_rows(rows, confidence, seed, bounds, resamples)
-        for i, row, a, b, method in zip(where, rows, low, high, methods, strict=True):
-            band[i] = Interval(float(row.mean()), finite_or_none(a), finite_or_none(b), int(count), method)
+        lows, highs, methods = interval_rows(rows, BAND_RESAMPLES)
+        for i, row, low, high, method in zip(where, rows, lows, highs, methods, strict=True):
+            band[i] = Interval(float(row.mean()), finite_or_none(low), finite_or_none(high), int(count), method)
     return band
 
 
-def interval_rows(
-    rows: np.ndarray, confidence: float, seed: int, bounds: tuple[float, float] | None, resamples: int
-) -> tuple[np.ndarray, np.ndarray, list[str]]:
-    """Return low and high of the mean of every row of `rows`, shape (r, n), as `mean_interval` does, and the
-    methods."""
-    if bounds is not None:
-        scaled = (rows - bounds[0]) / (bounds[1] - bounds[0])
-        if not ((scaled >= -ROUNDING) & (scaled <= 1 + ROUNDING)).all():
-            raise ValueError(f"values lie outside their bounds, {bounds[0]:g} ... {bounds[1]:g}")
-        low, high, methods = _bounded(np.clip(scaled, 0, 1), confidence, seed, resamples)
-        return bounds[0] + low * (bounds[1] - bounds[0]), bounds[0] + high * (bounds[1] - bounds[0]), methods
-    n = rows.shape[1]
-    scatter = np.ptp(rows, axis=1) > 0
-    low, high = np.full(len(rows), np.nan), np.full(len(rows), np.nan)
-    methods = [NONE] * len(rows)
-    if n > 1 and scatter.any():
-        live, method = rows[scatter], T
-        mean, error = live.mean(axis=1), live.std(axis=1, ddof=1) / np.sqrt(n)
-        quantile = stdtrit(n - 1, 0.5 + confidence / 2)
-        below, above = quantile * error, quantile * error
-        if n >= FEWEST_UNBOUNDED:
-            lower, upper = studentised(live, confidence, seed, resamples)
-            tame = (lower > -BEYOND / 2) & (upper < BEYOND / 2)
-            below, above = np.where(tame, upper * error, below), np.where(tame, -lower * error, above)
-            method = BOOTSTRAP
-        low[scatter], high[scatter] = mean - below, mean + above
-        methods = [method if scatters else NONE for scatters in scatter]
-    return low, high, methods
-
-
-def _bounded(
-    rows: np.ndarray, confidence: float, seed: int, resamples: int
-) -> tuple[np.ndarray, np.ndarray, list[str]]:
-    """Return the intervals of rows within 0 ... 1."""
-    n = rows.shape[1]
+def interval_rows(rows: np.ndarray, resamples: int) -> tuple[np.ndarray, np.ndarray, list[str]]:
+    """Return the ends of `mean_interval` for every row of `rows`, shape (r, n), NaN for none, and the methods."""
+    if not ((rows >= -ROUNDING) & (rows <= 1 + ROUNDING)).all():
+        raise ValueError("rates lie outside 0 ... 1")
+    rows, n = np.clip(rows, 0, 1), rows.shape[1]
     if n == 1:
-        nothing = np.full(len(rows), np.nan)
-        return nothing, nothing.copy(), [NONE] * len(rows)
-    factor = ((1 - confidence) / 2) ** (1 / n)
-    floor, ceiling = rows.min(axis=1) * factor, 1 - (1 - rows.max(axis=1)) * factor
+        return np.full(len(rows), np.nan), np.full(len(rows), np.nan), [NONE] * len(rows)
+    floor, ceiling = exact_bound(rows.min(axis=1), rows.max(axis=1), n)
     low, high = floor.copy(), ceiling.copy()
     scatter = np.ptp(rows, axis=1) > 0
     live = rows[scatter]
     mean, error = live.mean(axis=1), live.std(axis=1, ddof=1) / np.sqrt(n)
     if n < FEWEST_TO_RESAMPLE:
-        low[scatter], high[scatter] = score_interval(mean, error**2, n - 1, confidence)
+        low[scatter], high[scatter] = score_interval(mean, error**2, n - 1)
         method = SCORE
     else:
-        lower, upper = studentised(live, confidence, seed, resamples)
+        lower, upper = studentised(live, resamples)
         low[scatter] = np.maximum(mean - upper * error, floor[scatter])
         high[scatter] = np.minimum(mean - lower * error, ceiling[scatter])
         method = BOOTSTRAP
     return low, high, [method if scatters else EXACT for scatters in scatter]
 
 
-def score_interval(
-    mean: np.ndarray, variance: np.ndarray, df: ArrayLike, confidence: float
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return Wilson's interval of means in 0 ... 1 whose own variance is `variance` > 0, with t's quantile.
+def exact_bound(least: ArrayLike, most: ArrayLike, n: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return the bounds of a mean in 0 ... 1 that hold for every distribution, from the extremes of `n` draws."""
+    factor = 0.025 ** (1 / n)
+    return np.asarray(least) * factor, 1 - (1 - np.asarray(most)) * factor
 
-    The effective sample size is mean (1 - mean) / variance: as many trials of a coin would give this variance.
+
+def score_interval(mean: np.ndarray, variance: np.ndarray, df: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
+    """Return Wilson's interval of means in 0 ... 1 that have the variance `variance` > 0, with t's quantile.
+
+    The effective sample size is mean (1 - mean) / variance: that many trials of a coin would have this variance.
     """
-    quantile = stdtrit(df, 0.5 + confidence / 2)
+    quantile = stdtrit(df, 0.975)
     size = mean * (1 - mean) / variance
     scale = 1 / (1 + quantile**2 / size)
     centre = scale * (mean + quantile**2 / (2 * size))
@@ -173,14 +136,13 @@ def score_interval(
     return centre - half, centre + half
 
 
-def studentised(rows: np.ndarray, confidence: float, seed: int, resamples: int) -> tuple[np.ndarray, np.ndarray]:
+def studentised(rows: np.ndarray, resamples: int) -> tuple[np.ndarray, np.ndarray]:
     """Return two quantiles of (resampled mean - mean) / resampled error for every row of `rows`, shape (r, n).
 
-    A resample without scatter, drawn from rows that have some, counts as infinitely far off, on its side.
+    A resample without scatter counts as infinitely far off, on its side.
     """
     n = rows.shape[1]
-    weights = _weights(n, seed, resamples)
-    tails = (0.5 - confidence / 2, 0.5 + confidence / 2)
+    weights = _resample_weights(n, resamples)
     quantiles = np.empty((2, len(rows)))
     for start in range(0, len(rows), CHUNK):
         block = rows[start : start + CHUNK]
@@ -189,13 +151,13 @@ def studentised(rows: np.ndarray, confidence: float, seed: int, resamples: int) 
         variance = np.maximum(z**2 @ weights - shift**2, 0)
         flat = variance < 1e-12
         deviation = shift / np.sqrt(np.where(flat, 1, variance) / (n - 1))
-        deviation[flat] = np.sign(shift[flat]) * BEYOND
-        quantiles[:, start : start + CHUNK] = np.quantile(deviation, tails, axis=1)
+        deviation[flat] = np.sign(shift[flat]) * 1e9
+        quantiles[:, start : start + CHUNK] = np.quantile(deviation, (0.025, 0.975), axis=1)
     return quantiles[0], quantiles[1]
 
 
 @lru_cache(maxsize=32)
-def _weights(n: int, seed: int, resamples: int) -> np.ndarray:
+def _resample_weights(n: int, resamples: int) -> np.ndarray:
     """Return the share that each of `n` values has of each resample, shape (n, resamples)."""
-    drawn = np.random.default_rng(seed).multinomial(n, np.full(n, 1 / n), resamples)
+    drawn = np.random.default_rng(0).multinomial(n, np.full(n, 1 / n), resamples)
     return np.ascontiguousarray(drawn.T / n)

@@ -1,4 +1,4 @@
-"""Time to a threshold, with runs that never reach it as censored: Kaplan-Meier, log-rank, restricted mean."""
+"""Learning curves: the area under one, and the time to a threshold, where runs that never reach it are censored."""
 
 import warnings
 from collections.abc import Sequence
@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from parking_exp.statistics.checks import finite, finite_or_none
-from parking_exp.statistics.intervals import EXACT, SCORE, Interval, score_interval
+from parking_exp.statistics.intervals import EXACT, SCORE, Interval, exact_bound, score_interval
 from parking_exp.statistics.rates import wilson_interval
 
 if TYPE_CHECKING:
@@ -28,26 +28,40 @@ class SurvivalCurve:
     n: int
 
 
+def normalised_area(steps: ArrayLike, values: ArrayLike) -> float:
+    """Return the area under a learning curve over the range of its steps: 1 means always at 1.
+
+    The area is that of trapezoids between evaluations, divided by the range that they cover. NaN values are dropped. A
+    single evaluation is its own area.
+
+    Raises:
+        ValueError: no evaluation is a number, or the shapes differ.
+    """
+    at, value = _curve(steps, values)
+    at, value = at[~np.isnan(value)], value[~np.isnan(value)]
+    if not len(at):
+        raise ValueError("an area needs at least one evaluation that is a number")
+    return float(np.trapezoid(value, at) / (at[-1] - at[0])) if len(at) > 1 else float(value[0])
+
+
 def steps_to(steps: ArrayLike, rates: ArrayLike, threshold: float = 0.9, hold: int = 3) -> tuple[float, bool]:
     """Return the first step from which `hold` evaluations in a row are at least `threshold`, and True.
 
-    Where there is none, the run is censored: the last step from which that could have been seen, which is that of the
-    `hold`-th evaluation from the end (0 with fewer), and False. `steps`, shape (evaluations,), rises; NaN rates have
-    not reached anything.
+    Where there is none, the run is censored at the last step from which that could have been seen, that of the
+    `hold`-th evaluation from the end (0 with fewer): return that and False. `steps`, shape (evaluations,), rises; NaN
+    rates are below the threshold.
 
     Raises:
         ValueError: there are no evaluations, or the shapes differ.
     """
-    at, rate = finite(steps, "a time to a threshold"), np.asarray(rates, dtype=float)
-    if rate.shape != at.shape:
-        raise ValueError(f"{len(at)} steps and rates of shape {rate.shape} do not belong together")
+    at, rate = _curve(steps, rates)
     if len(at) < hold:
         return 0.0, False
     held = np.lib.stride_tricks.sliding_window_view(rate >= threshold, hold).all(axis=1)
     return (float(at[held.argmax()]), True) if held.any() else (float(at[-hold]), False)
 
 
-def kaplan_meier(times: ArrayLike, observed: ArrayLike, confidence: float = 0.95) -> SurvivalCurve:
+def kaplan_meier(times: ArrayLike, observed: ArrayLike) -> SurvivalCurve:
     """Return the product-limit estimate of the share that has reached (Kaplan & Meier 1958), at every distinct time.
 
     `times` and `observed`, shape (runs,), as `steps_to` gives them. The interval is Greenwood's on the log-log scale.
@@ -58,39 +72,32 @@ def kaplan_meier(times: ArrayLike, observed: ArrayLike, confidence: float = 0.95
     Raises:
         ValueError: there are no runs, or a time is not finite.
     """
-    from scipy import stats  # half a second that only reports pay
+    from scipy import stats
 
-    survival = stats.ecdf(_censored(times, observed)).sf
+    survival, n = stats.ecdf(_censored(times, observed)).sf, np.size(times)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)  # of undefined bounds
-        interval = survival.confidence_interval(confidence, method="log-log")
+        interval = survival.confidence_interval(method="log-log")
     at, reached = survival.quantiles, 1 - survival.probabilities
     low, high = 1 - interval.high.probabilities, 1 - interval.low.probabilities
     for i, share in enumerate(reached):
         if share == 0:
-            at_risk = int((np.asarray(times) >= at[i]).sum())
-            low[i], high[i] = 0.0, wilson_interval(0, at_risk, confidence)[1]
+            low[i], high[i] = wilson_interval(0, int((np.asarray(times) >= at[i]).sum()))
         elif share == 1:
-            n = np.size(times)
-            low[i], high[i] = low[i - 1] if i else wilson_interval(n, n, confidence)[0], 1.0
+            low[i], high[i] = low[i - 1] if i else wilson_interval(n, n)[0], 1.0
     halfway = np.flatnonzero(reached >= 0.5 - 1e-12)
+    median = float(at[halfway[0]]) if len(halfway) else None
     return SurvivalCurve(
-        times=tuple(at.tolist()),
-        reached=tuple(reached.tolist()),
-        low=tuple(low.tolist()),
-        high=tuple(high.tolist()),
-        median=float(at[halfway[0]]) if len(halfway) else None,
-        n=np.size(times),
+        tuple(at.tolist()), tuple(reached.tolist()), tuple(low.tolist()), tuple(high.tolist()), median, n
     )
 
 
-def restricted_mean(times: ArrayLike, observed: ArrayLike, horizon: float, confidence: float = 0.95) -> Interval:
+def restricted_mean(times: ArrayLike, observed: ArrayLike, horizon: float) -> Interval:
     """Return the area under S up to `horizon`: the mean time, where a run that needs longer counts as `horizon`.
 
     The variance is Greenwood's, sum of A_i^2 d_i / (r_i (r_i - d_i)) with A_i the area right of event i (Irwin 1949;
     Klein & Moeschberger 2003, 4.5), times n / (n - 1): without early censoring it is then the variance of a mean. The
-    interval is that of `mean_interval` for few seeds (Wilson's with the effective sample size, t's quantile with n -
-    1), and its exact bound where no time differs, within 0 ... `horizon`. One run has none.
+    interval is that of `mean_interval` for few seeds, on times divided by `horizon`. One run has none.
 
     Raises:
         ValueError: as `kaplan_meier`, or a run is censored last of all and before `horizon`, so that S is unknown
@@ -111,13 +118,12 @@ def restricted_mean(times: ArrayLike, observed: ArrayLike, horizon: float, confi
     counted = (events > 0) & (at < horizon) & (at_risk > events)
     d, r = events[counted].astype(float), at_risk[counted]
     square = float((right[counted] ** 2 * d / (r * (r - d))).sum()) * n / (n - 1)
+    share = np.array(mean / horizon)
     if square == 0:
-        factor, share = ((1 - confidence) / 2) ** (1 / n), mean / horizon
-        low, high, method = share * factor, 1 - (1 - share) * factor, EXACT
+        (low, high), method = exact_bound(share, share, n), EXACT
     else:
-        bounds = score_interval(np.array(mean / horizon), np.array(square / horizon**2), n - 1, confidence)
-        low, high, method = float(bounds[0]), float(bounds[1]), SCORE
-    return Interval(mean, low * horizon, high * horizon, n, method)
+        (low, high), method = score_interval(share, np.array(square / horizon**2), n - 1), SCORE
+    return Interval(mean, float(low) * horizon, float(high) * horizon, n, method)
 
 
 def log_rank(a: Sequence[ArrayLike], b: Sequence[ArrayLike]) -> float | None:
@@ -132,6 +138,13 @@ def log_rank(a: Sequence[ArrayLike], b: Sequence[ArrayLike]) -> float | None:
         return None
     with np.errstate(invalid="ignore", divide="ignore"):
         return finite_or_none(stats.logrank(_censored(*a), _censored(*b)).pvalue)
+
+
+def _curve(steps: ArrayLike, values: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
+    at, value = finite(steps, "a learning curve"), np.asarray(values, dtype=float)
+    if value.shape != at.shape:
+        raise ValueError(f"{len(at)} steps and values of shape {value.shape} do not belong together")
+    return at, value
 
 
 def _censored(times: ArrayLike, observed: ArrayLike) -> "CensoredData":

@@ -18,7 +18,7 @@ import numpy as np
 from stable_baselines3.common.buffers import ReplayBuffer
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 
-from parking_exp.algorithms.fast.base import FastTraining
+from parking_exp.algorithms.fast.fast_training import FastTraining
 from parking_exp.algorithms.model_files import load_weights
 from parking_exp.algorithms.policy_ema import PolicyEMA
 from parking_exp.buffers import HerBuffer

@@ -19,7 +19,7 @@ from parking_exp.algorithms.build_model import torch_settings
 from parking_exp.config.schema import RunConfig
 from parking_exp.config.validate import validate
 from parking_exp.errors import ConfigError, FailedRunError, InterruptedRunError
-from parking_exp.evaluation.description import describe
+from parking_exp.evaluation.evaluate_policy import describe
 from parking_exp.runs.atomic_files import write_atomically
 from parking_exp.runs.directory import RunDirectory, RunResult
 from parking_exp.runs.metric_logs import restore_logs

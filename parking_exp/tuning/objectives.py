@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from parking_exp.config.schema import RunConfig
 from parking_exp.runs.directory import RunDirectory
 from parking_exp.runs.metric_logs import read_metrics
-from parking_exp.statistics.curves import normalised_area
+from parking_exp.statistics import normalised_area
 from parking_exp.tuning.search_config import Objective
 
 FINAL_METRICS = {"final_success": "final/success_rate", "final_parked": "final/parked_rate"}

@@ -14,8 +14,7 @@ from support.models import make_model
 from support.reach import Reach
 from support.runs import make_config, options
 
-from parking_exp.algorithms.build_model import build_model, torch_settings
-from parking_exp.algorithms.noise import VectorizedNormalNoise
+from parking_exp.algorithms.build_model import VectorizedNormalNoise, build_model, torch_settings
 from parking_exp.buffers import HerBuffer
 from parking_exp.envs.training_envs import make_training_envs
 from parking_exp.errors import ConfigError

@@ -21,7 +21,6 @@ ALGORITHMS = {option: (f"algorithm={option}",) for option in options("algorithm"
     "Stable-Baselines3's ddpg": ("algorithm=ddpg", "algorithm._target_=stable_baselines3.DDPG"),
     "sac with gSDE": ("algorithm=sac", "algorithm.use_sde=true"),
     "sac with a fixed entropy coefficient": ("algorithm=sac", "algorithm.ent_coef=0.1"),
-    "tqc with a fixed entropy coefficient": ("algorithm=tqc", "algorithm.ent_coef=0.1"),
     "sac from raw observations": ("algorithm=sac", "algorithm.features=raw"),
     "a user's with an extra network": (f"{USER}.SavesExtraNetwork",),
 }

@@ -16,8 +16,8 @@ from support.runs import make_config
 
 from parking_exp.algorithms import fast
 from parking_exp.algorithms.build_model import torch_settings
+from parking_exp.algorithms.fast.fast_training import is_supported
 from parking_exp.algorithms.fast.minibatches import sample_minibatches
-from parking_exp.algorithms.fast.supported import is_supported
 from parking_exp.envs.training_envs import make_training_envs
 
 ALGORITHMS = ("SAC", "TD3", "DDPG")
@@ -64,8 +64,8 @@ def feed(model, samples):
 
 def furthest(ours, theirs):
     """Largest difference between two models' parameters, targets included."""
-    mine, other = dict(ours.policy.named_parameters()), dict(theirs.policy.named_parameters())
-    return max((mine[name] - other[name]).abs().max().item() for name in other)
+    pairs = zip(ours.policy.parameters(), theirs.policy.parameters(), strict=True)
+    return max((our - their).abs().max().item() for our, their in pairs)
 
 
 def update(model, samples, calls=100, seed=0):
@@ -129,7 +129,7 @@ def test_medium_precision_is_the_same_update_but_for_rounding():
     with torch_settings(make_config("precision=medium")):
         update(ours, samples, calls=1)
     pairs = zip(ours.policy.parameters(), theirs.policy.parameters(), strict=True)
-    close = torch.cat([((mine - other).abs() < 1e-5).flatten() for mine, other in pairs])
+    close = torch.cat([((our - their).abs() < 1e-5).flatten() for our, their in pairs])
     assert close.float().mean() > 0.95
 
 
@@ -139,13 +139,11 @@ def test_what_is_logged_is_what_stable_baselines3_logs(name):
     samples = batches(6, 64, 0)
     for model in (theirs, ours):
         update(model, samples, calls=1)
-    mine, other = ours.logger.name_to_value, theirs.logger.name_to_value
-    assert set(mine) == set(other)
-    assert mine == {key: pytest.approx(value, abs=1e-5) for key, value in other.items()}
+    logged = theirs.logger.name_to_value
+    assert ours.logger.name_to_value == {key: pytest.approx(value, abs=1e-5) for key, value in logged.items()}
 
 
-def test_what_is_replaced_meanwhile_is_noticed():
-    """Weights and optimizer state that are loaded, and a parameter that is moved elsewhere."""
+def test_weights_that_are_loaded_or_moved_between_updates_are_used():
     theirs, ours = pair("SAC", seed=0)
     donor = make_model("SAC", seed=1)
     samples = batches(30, 64, 0)
@@ -168,7 +166,7 @@ def test_what_is_replaced_meanwhile_is_noticed():
         {"policy_kwargs": {"net_arch": []}},
     ],
 )
-def test_what_it_does_not_know_is_trained_by_stable_baselines3(arguments):
+def test_unsupported_models_are_trained_by_stable_baselines3(arguments):
     env = make_training_envs(make_config().env, 2)
     theirs, ours = (module.SAC("MultiInputPolicy", env, seed=0, buffer_size=10, **arguments) for module in (sb3, fast))
     assert not is_supported(ours)
@@ -196,7 +194,7 @@ class OtherExtractor(CombinedExtractor):
     """Features that may do anything."""
 
 
-def test_policies_of_others_are_not_mistaken_for_known_ones():
+def test_subclasses_and_partly_trained_actors_are_not_supported():
     env = make_training_envs(make_config().env, 2)
     extractor = {"features_extractor_class": OtherExtractor}
     assert not is_supported(fast.SAC(TimidPolicy, env, buffer_size=10))
@@ -232,15 +230,14 @@ def test_minibatches_sampled_together_have_each_their_share_of_virtual_goals():
 @pytest.mark.parametrize(("low", "high"), [([-1, -1], [1, 1]), ([-2, 0.5], [0.1, 7])])
 def test_random_actions_are_those_that_stable_baselines3_draws_one_by_one(name, low, high):
     space = Box(np.float32(low), np.float32(high))
-    found = []
+    drawn = []
     for module in (fast, sb3):
         model = make_model(name, module=module)
         model.action_space = model.policy.action_space = space
         space.seed(5)
         np.random.seed(7)
-        found.append([model._sample_action(1000, model.action_noise, n_envs=8) for _ in range(3)])
-    for ours, theirs in zip(*found, strict=True):
-        for one, other in zip(ours, theirs, strict=True):
-            assert one.shape == (8, 2)
-            assert one.dtype == other.dtype
-            np.testing.assert_array_equal(one, other)
+        drawn.append([model._sample_action(1000, model.action_noise, n_envs=8) for _ in range(3)])
+    for ours, theirs in zip(*drawn, strict=True):
+        for our, their in zip(ours, theirs, strict=True):
+            assert (our.shape, our.dtype) == ((8, 2), their.dtype)
+            np.testing.assert_array_equal(our, their)

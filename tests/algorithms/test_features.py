@@ -11,8 +11,6 @@ from parking_exp.algorithms.features import EgoFrameExtractor, FineEgoFrameExtra
 from parking_exp.envs.highway import make_env
 
 SCALES = [100, 100, 5, 5, 1, 1]
-
-
 WEIGHTS = [1, 0.3, 0, 0, 0.02, 0.02]
 
 
@@ -50,12 +48,12 @@ def test_the_goal_in_the_cars_frame_its_speed_and_its_pose_in_the_lot(car, goal,
 
 
 def test_goal_features_do_not_depend_on_where_the_scene_lies():
-    here = features(car=(0, 0, 0.4, 1), goal=(7, 3, 1.0))
+    original = features(car=(0, 0, 0.4, 1), goal=(7, 3, 1.0))
     turn, shift = 0.9, np.array([4.0, -2.0])
     rotation = np.array([[math.cos(turn), -math.sin(turn)], [math.sin(turn), math.cos(turn)]])
     goal = rotation @ [7, 3] + shift
-    there = features(car=(*shift, 0.4 + turn, 1), goal=(*goal, 1.0 + turn))
-    assert there[:6] == pytest.approx(here[:6], abs=1e-5)
+    moved = features(car=(*shift, 0.4 + turn, 1), goal=(*goal, 1.0 + turn))
+    assert moved[:6] == pytest.approx(original[:6], abs=1e-5)
 
 
 def fine(weights=WEIGHTS):
@@ -64,29 +62,29 @@ def fine(weights=WEIGHTS):
 
 def test_the_goal_at_the_scale_of_a_slot():
     # 1 m before a slot, 0.5 m beside it, at the same heading.
-    found = features((0, 0, 0, 5), (1, 0.5, 0), fine())
-    assert found[:6] == pytest.approx(features((0, 0, 0, 5), (1, 0.5, 0))[:6], abs=1e-6)
+    computed = features((0, 0, 0, 5), (1, 0.5, 0), fine())
+    assert computed[:6] == pytest.approx(features((0, 0, 0, 5), (1, 0.5, 0))[:6], abs=1e-6)
     near = [math.tanh(0.5), math.tanh(0.25), -math.tanh(0.5), -math.tanh(0.25)]
-    assert found[14:] == pytest.approx([*near, math.sqrt(0.01 + 0.3 * 0.005)], abs=1e-6)
+    assert computed[14:] == pytest.approx([*near, math.sqrt(0.01 + 0.3 * 0.005)], abs=1e-6)
 
 
 def test_the_car_in_the_goals_frame():
     # The slot looks along +y; the car is 6 m before it and 3 m to its right, and drives along -x.
-    found = features((3, 8, math.pi, 2.5), (0, 14, math.pi / 2), fine())
-    assert found[10:14] == pytest.approx([-0.6, -0.3, 0.0, 0.5], abs=1e-6)
-    assert found[16:18] == pytest.approx([math.tanh(-3), math.tanh(-1.5)], abs=1e-6)
+    computed = features((3, 8, math.pi, 2.5), (0, 14, math.pi / 2), fine())
+    assert computed[10:14] == pytest.approx([-0.6, -0.3, 0.0, 0.5], abs=1e-6)
+    assert computed[16:18] == pytest.approx([math.tanh(-3), math.tanh(-1.5)], abs=1e-6)
 
 
 def test_a_scene_turned_by_180_degrees_has_the_same_features():
-    here = features((3, -2, 0.4, 1), (10, 14, math.pi / 2), fine())
-    there = features((-3, 2, 0.4 + math.pi, 1), (-10, -14, -math.pi / 2), fine())
-    assert there == pytest.approx(here, abs=1e-5)
+    original = features((3, -2, 0.4, 1), (10, 14, math.pi / 2), fine())
+    moved = features((-3, 2, 0.4 + math.pi, 1), (-10, -14, -math.pi / 2), fine())
+    assert moved == pytest.approx(original, abs=1e-5)
     plain = features((3, -2, 0.4, 1), (10, 14, math.pi / 2))
-    assert here[:10] == pytest.approx(plain, abs=1e-6)
+    assert original[:10] == pytest.approx(plain, abs=1e-6)
 
 
 def test_the_speed_of_a_goal_is_seen_where_the_reward_weighs_velocity():
     weights = [1, 0.3, 0.1, 0.1, 0.02, 0.02]
-    found = features((0, 0, 0, 0), (0, 0, 0, -2.5), fine(weights))
-    assert found[18:] == pytest.approx([math.sqrt(0.1 * 0.5), -0.5], abs=1e-6)
+    computed = features((0, 0, 0, 0), (0, 0, 0, -2.5), fine(weights))
+    assert computed[18:] == pytest.approx([math.sqrt(0.1 * 0.5), -0.5], abs=1e-6)
     assert len(features((0, 0, 0, 0), (0, 0, 0, -2.5), fine())) == 19

@@ -9,7 +9,7 @@ from support.reach import CHANCE, Reach, success_rate
 from support.runs import make_config
 
 from parking_exp.algorithms.build_model import build_model, greedy_policy
-from parking_exp.algorithms.fast.supported import is_supported
+from parking_exp.algorithms.fast.fast_training import is_supported
 
 # The bound and four standard deviations of a rate over 200 episodes: 1 %.
 UNTRAINED = CHANCE + 4 * (CHANCE * (1 - CHANCE) / 200) ** 0.5

@@ -48,8 +48,8 @@ def test_the_mirror_image_of_a_scene_gets_the_mirror_image_of_the_action(algorit
         assert action.std(0).min() > 0.01
         given = torch.rand(len(car), 2) * 2 - 1
         values = model.critic(scene, given), model.critic(mirrored, given * torch.tensor([1.0, -1.0]))
-        for one, two in zip(*values, strict=True):
-            torch.testing.assert_close(one, two)
+        for value, mirrored_value in zip(*values, strict=True):
+            torch.testing.assert_close(value, mirrored_value)
         assert torch.equal(model.critic.q1_forward(scene, given), values[0][0])
         assert not torch.allclose(model.critic.q1_forward(scene, given * torch.tensor([1.0, -1.0])), values[0][0])
 
@@ -57,12 +57,12 @@ def test_the_mirror_image_of_a_scene_gets_the_mirror_image_of_the_action(algorit
 def test_sampled_actions_are_mirrored_and_their_probabilities_are_not():
     model = make_model("sac")
     car, goal = scenes()
-    found = []
+    sampled = []
     for entries in (tensors(car, goal), tensors(car * MIRROR, goal * MIRROR)):
         torch.manual_seed(0)
         with torch.no_grad():
-            found.append(model.actor.action_log_prob(entries))
-    (action, log_prob), (other, same) = found
+            sampled.append(model.actor.action_log_prob(entries))
+    (action, log_prob), (other, same) = sampled
     torch.testing.assert_close(other, action * torch.tensor([1.0, -1.0]))
     torch.testing.assert_close(same, log_prob)
 
@@ -85,8 +85,8 @@ def test_without_steering_there_is_nothing_to_mirror():
     model = make_model("td3", "env.action.lateral=false", "algorithm.action_noise=null")
     car, goal = scenes()
     with torch.no_grad():
-        one, other = model.actor(tensors(car, goal)), model.actor(tensors(car * MIRROR, goal * MIRROR))
-    torch.testing.assert_close(one, other)
+        action, other = model.actor(tensors(car, goal)), model.actor(tensors(car * MIRROR, goal * MIRROR))
+    torch.testing.assert_close(action, other)
 
 
 def test_a_policy_that_mirrors_no_steering_is_refused():

@@ -59,11 +59,11 @@ def trial(*values, state="done", rate=1e-3, buffer="her_future", **attributes):
 
 def tuning(folder, trials, n_trials=None, **changes):
     """What a report has of a search with these trials."""
-    search = settings(**changes)
+    config = settings(**changes)
     study = optuna.create_study(direction="maximize")
     study.add_trials(trials)
     total = n_trials or len(trials)
-    return tuning_of(folder, StoredSearch(search, total, study, rows(study, folder, total)))
+    return tuning_of(folder, StoredSearch(config, total, study, rows(study, folder, total)))
 
 
 def many(folder):
@@ -121,12 +121,12 @@ def written(whole, folder):
 
 
 def test_the_study_of_an_export_has_the_importances_of_the_study(folder):
-    found = many(folder)
-    assert found.parameters["buffer"]["attributes"]["choices"] == ["her_future", "replay"]
+    search = many(folder)
+    assert search.parameters["buffer"]["attributes"]["choices"] == ["her_future", "replay"]
     write_retest(folder, (0, [0.5], [0.5]))  # one seed: no interval
-    plain = json.loads(json.dumps(report(tuning=found).plain(), allow_nan=False))
+    plain = json.loads(json.dumps(report(tuning=search).plain(), allow_nan=False))
     exported = TypeAdapter(Tuning).validate_python(plain["tuning"])
-    assert exported == found
+    assert exported == search
     importances = optuna.importance.get_param_importances(study_of(exported))
     assert next(iter(importances)) == "algorithm.learning_rate"
     assert importances["algorithm.learning_rate"] > 0.5
@@ -162,8 +162,8 @@ def test_retrained_trials_have_intervals_and_welchs_for_tuning_minus_test(folder
 
 
 def test_figures_and_tables_show_the_trials(folder, tmp_path):
-    found = tuning(folder, [trial(0.45), trial(0.85, rate=2e-3, buffer="replay"), trial(state="pruned", env_steps=8)])
-    whole = report(tuning=found)
+    search = tuning(folder, [trial(0.45), trial(0.85, rate=2e-3, buffer="replay"), trial(state="pruned", env_steps=8)])
+    whole = report(tuning=search)
     assert drawn(whole, tmp_path / "figures") == ["optimisation_history", "slices_1", "trial_coordinates"]
     (text,) = search_text(whole)
     assert "3 trials (sampler tpe, pruner none): 2 done, 1 pruned." in text
@@ -177,23 +177,23 @@ def test_figures_and_tables_show_the_trials(folder, tmp_path):
 
 
 def test_a_search_of_an_export_that_does_not_fit_together_gets_a_sentence(folder, tmp_path):
-    found = tuning(folder, [trial(0.5), trial(0.6, rate=2e-3)])
-    wrong = {**found.parameters, "algorithm.learning_rate": {"name": "os.system", "attributes": {}}}
+    search = tuning(folder, [trial(0.5), trial(0.6, rate=2e-3)])
+    wrong = {**search.parameters, "algorithm.learning_rate": {"name": "os.system", "attributes": {}}}
     with pytest.raises(ResultsError, match="the search of smoke"):
-        draw(report(tuning=replace(found, parameters=wrong)), tmp_path, [], OWN)
+        draw(report(tuning=replace(search, parameters=wrong)), tmp_path, [], OWN)
 
 
 def test_names_in_a_search_can_do_no_harm(folder, tmp_path):
     bad = "<script>window.pwned = 1</script> $x_1$ | =1+1"
     write_retest(folder, (0, [0.5, 0.6], [0.5, 0.7]))
-    found = tuning(folder, [trial(0.5, reason=bad, changes={bad: bad}), trial(0.6, changes={"x": bad}, rate=2e-3)])
-    found = replace(
-        found,
-        parameters={bad: found.parameters["algorithm.learning_rate"]},
-        trials=[replace(one, parameters={bad: one.parameters["algorithm.learning_rate"]}) for one in found.trials],
-        retested=[replace(found.retested[0], label=bad)],
+    search = tuning(folder, [trial(0.5, reason=bad, changes={bad: bad}), trial(0.6, changes={"x": bad}, rate=2e-3)])
+    search = replace(
+        search,
+        parameters={bad: search.parameters["algorithm.learning_rate"]},
+        trials=[replace(t, parameters={bad: t.parameters["algorithm.learning_rate"]}) for t in search.trials],
+        retested=[replace(search.retested[0], label=bad)],
     )
-    whole = report(tuning=found)
+    whole = report(tuning=search)
     pictures = draw(whole, tmp_path, ["svg"], OWN)
     assert "slices_1" in [picture.name for picture in pictures]
     contents = section_contents(whole, pictures)
@@ -213,10 +213,10 @@ def test_without_a_search_there_is_nothing_of_it_and_optuna_is_not_imported(tmp_
 
 def test_a_report_has_the_first_search_in_the_folders_of_its_experiments(begun):
     write_search(begun.parent / "later")
-    found = with_search(report("none", "smoke", "later"), begun.parent)
-    assert [trial.value for trial in found.tuning.trials] == [0.5, 0.25]
-    assert (found.tuning.experiment, found.tuning.n_trials) == ("smoke", 3)
-    (warning,) = found.warnings
+    whole = with_search(report("none", "smoke", "later"), begun.parent)
+    assert [trial.value for trial in whole.tuning.trials] == [0.5, 0.25]
+    assert (whole.tuning.experiment, whole.tuning.n_trials) == ("smoke", 3)
+    (warning,) = whole.warnings
     assert warning.endswith("; none was retrained on test seeds.")
 
 
@@ -232,10 +232,10 @@ def test_a_report_has_the_first_search_in_the_folders_of_its_experiments(begun):
 def test_a_search_that_is_damaged_is_left_out_with_a_warning(begun, damage, words):
     damage(begun)
     plain = report("smoke")
-    found = with_search(plain, begun.parent)
-    (warning,) = found.warnings
+    whole = with_search(plain, begun.parent)
+    (warning,) = whole.warnings
     assert warning.startswith("The search of smoke is left out: ") and words in warning
-    assert replace(found, warnings=plain.warnings) == plain
+    assert replace(whole, warnings=plain.warnings) == plain
 
 
 def add(folder, trial):
@@ -271,11 +271,11 @@ def test_pruned_runs_are_neither_missing_nor_unfinished_and_cells_of_them_alone_
     make_store(output_dir, "one", cells, range(2), look)
     make_store(output_dir, "one", {"far": compose("algorithm.gamma=0.5")}, [0], lambda *_: Look(status="pruned"))
     results = load("one", output_dir=output_dir)
-    found = build_report(results, ["one"])
-    assert {cell.label: cell.counts for cell in found.cells} == {
+    whole = build_report(results, ["one"])
+    assert {cell.label: cell.counts for cell in whole.cells} == {
         "sac": {"done": 2, "running": 0, "failed": 0, "pending": 0},
         "ddpg": {"done": 1, "running": 0, "failed": 0, "pending": 0, "pruned": 1},
     }
-    assert found.missing == []
-    assert list(found.provenance.unfinished) == []
-    assert found.notes[0] == ("2 trials of the search were pruned before a run was done; they are not among the cells.")
+    assert whole.missing == []
+    assert list(whole.provenance.unfinished) == []
+    assert whole.notes[0].startswith("2 trials of the search were pruned ")

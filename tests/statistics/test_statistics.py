@@ -29,6 +29,7 @@ from parking_exp.statistics import (
     restricted_mean,
     share_reaching,
     steps_to,
+    student_interval,
     unseen_share,
     welch,
     wilson_interval,
@@ -72,20 +73,19 @@ def test_seeds_without_scatter_get_the_exact_bound_and_where_there_is_none_no_in
     assert estimate.low == pytest.approx(stats.binomtest(10, 10).proportion_ci().low)  # 0.69
     assert (estimate.high, estimate.method) == (1.0, "exact bound, no scatter")
     assert mean_interval([0.7]) == Interval(0.7, None, None, 1, "none")
-    assert mean_interval([12.0] * 3, bounds=None) == Interval(12.0, None, None, 3, "none")
+    assert student_interval([12.0] * 3) == Interval(12.0, None, None, 3, "none")
     assert unseen_share(10) == pytest.approx(0.2589, abs=1e-4)  # 0.7411 ** 10 = 0.05
 
 
-def test_interval_without_bounds_is_that_of_t_below_twenty_seeds():
-    estimate = mean_interval(FIRST, bounds=None)
+def test_interval_of_any_numbers_is_students():
+    estimate = student_interval(FIRST)
     expected = stats.ttest_1samp(FIRST, 0).confidence_interval()
     assert [estimate.low, estimate.high] == pytest.approx([expected.low, expected.high])
     assert estimate.method == "t"
-    assert mean_interval([*FIRST, *SECOND], bounds=None).method == "bootstrap-t"
 
 
 def test_score_interval_with_a_coins_variance_is_wilsons():
-    low, high = score_interval(np.array(0.9), np.array(0.9 * 0.1 / 10), 1e12, 0.95)
+    low, high = score_interval(np.array(0.9), np.array(0.9 * 0.1 / 10), 1e12)
     assert (float(low), float(high)) == pytest.approx(wilson_interval(9, 10))
 
 
@@ -112,7 +112,7 @@ def test_bootstrap_t_agrees_with_drawing_indices():
 
 @pytest.mark.parametrize(
     ("values", "words"),
-    [([], "finite"), ([0.5, math.nan], "finite"), ([0.5, 1.5], "outside their bounds")],
+    [([], "finite"), ([0.5, math.nan], "finite"), ([0.5, 1.5], "outside 0 ... 1")],
 )
 def test_mean_interval_refuses_what_is_no_rate(values, words):
     with pytest.raises(ValueError, match=words):
@@ -121,9 +121,9 @@ def test_mean_interval_refuses_what_is_no_rate(values, words):
 
 def test_band_is_the_interval_of_every_point_and_counts_the_seeds_that_it_has():
     curves = np.array([TEN, TEN[::-1], [0.5] * 10, [0.6] * 9 + [math.nan], [0.7] * 9 + [math.nan]])
-    band = mean_band(curves, resamples=500)
+    band = mean_band(curves)
     for point, column in ((band[0], curves[:, 0]), (band[9], curves[:3, 9])):
-        alone = mean_interval(column, resamples=500)
+        alone = mean_interval(column, resamples=1999)
         assert (point.value, point.low, point.high) == pytest.approx((alone.value, alone.low, alone.high))
     assert [estimate.n for estimate in band] == [5] * 9 + [3]
     assert mean_band(np.full((2, 1), math.nan))[0].n == 0
@@ -232,7 +232,7 @@ def test_log_rank_agrees_with_the_published_leukaemia_trial_and_needs_an_event()
 )
 def test_restricted_mean_by_hand(times, observed, horizon, mean, error):
     result = restricted_mean(times, observed, horizon)
-    ends = score_interval(np.array(mean / horizon), np.array((error / horizon) ** 2), len(times) - 1, 0.95)
+    ends = score_interval(np.array(mean / horizon), np.array((error / horizon) ** 2), len(times) - 1)
     assert result.value == pytest.approx(mean)
     assert [result.low / horizon, result.high / horizon] == pytest.approx([float(end) for end in ends])
 
@@ -293,28 +293,26 @@ def test_main_effect_interval_by_hand():
     assert (future.cells, future.effect.n) == (2, 5)
 
 
-def test_missing_combination_is_flagged_and_single_seeds_take_the_pooled_variance():
+def test_effects_flag_missing_combinations_and_have_no_interval_without_scatter():
     cells = {key: values for key, values in CELLS.items() if key != ("final", 4)} | {("future", 2): [0.3]}
     effect = main_effects(frame(cells), ["strategy", "goals"], "success")[0]
-    future = effect.levels[1].effect
     assert not effect.complete
-    assert future.method == "pooled variance"
-    # pooled: (2 * 0.01 + 1 * 0) / 3 = 1/150; of the mean of two cells: (1 + 1/3) / 4 of it
-    assert future.high - future.value == pytest.approx(stats.t.ppf(0.975, 3) * math.sqrt(1 / 450))
+    assert (effect.levels[1].effect.value, effect.levels[1].effect.low) == (pytest.approx(0.5), None)  # a single seed
     # Three times 0.8 has a variance of 1e-32 in floats.
     (same,) = main_effects(frame({("a", 1): [0.8] * 3, ("b", 1): [0.4] * 3}), ["strategy"], "success")
     assert (same.levels[0].effect.low, same.largest.low, same.p) == (None, None, None)
+    with pytest.raises(ValueError, match="strategy has no level 'c'"):
+        contrast(frame(), ["strategy"], "success", ("strategy", "final", "c"))
 
 
 def test_interaction_residuals_by_hand():
     table = interaction(frame(), "strategy", "goals", "success")
-    residuals = {(cell.row, cell.column): cell.residual for cell in table.cells}
+    residuals = {place: residual for place, (_, residual) in table.cells.items()}
     # future, 2: 0.3 - 0.5 - 0.2 + 0.375 = -0.025
     assert residuals == pytest.approx(
         {("final", 2): 0.025, ("final", 4): -0.025, ("future", 2): -0.025, ("future", 4): 0.025}
     )
-    cell = next(cell for cell in table.cells if (cell.row, cell.column) == ("future", 4))
-    assert cell.mean == mean_interval([0.6, 0.8, 0.7])
+    assert table.cells["future", 4][0] == mean_interval([0.6, 0.8, 0.7])
 
 
 # Hyperparameters
@@ -337,8 +335,10 @@ def sweep():
 
 def test_importance_finds_what_matters_and_its_direction():
     shares = {row.factor: row for row in importance(sweep(), ["lr", "width", "her", "seed"], "success")}
-    assert shares["lr"].share > 0.3
-    assert shares["lr"].p == 0.001
+    quadratic = np.polyfit(stats.rankdata(sweep()["lr"]), sweep()["success"], 2, full=True)[1][0]
+    explained = 1 - quadratic / (39 * sweep()["success"].var())
+    assert shares["lr"].share == pytest.approx(1 - (1 - explained) * 39 / 37)
+    assert shares["lr"].p == pytest.approx(stats.f.sf(explained / (1 - explained) * 37 / 2, 2, 37))
     assert shares["lr"].direction == pytest.approx(stats.spearmanr(sweep()["lr"], sweep()["success"]).statistic)
     assert shares["her"].share > 0.1
     assert shares["her"].direction is None
@@ -350,7 +350,9 @@ def test_importance_finds_what_matters_and_its_direction():
 def test_importance_of_a_category_is_the_adjusted_correlation_ratio():
     table = pd.DataFrame({"kind": list("aaabbb"), "success": [1.0, 2, 3, 4, 5, 6]})
     # total 17.5, between 2 * 3 * 1.5^2 = 13.5; adjusted 1 - 4 / 17.5 * 5 / 4 = 0.7142857
-    assert importance(table, ["kind"], "success")[0].share == pytest.approx(1 - 4 / 17.5 * 5 / 4)
+    (kind,) = importance(table, ["kind"], "success")
+    assert kind.share == pytest.approx(1 - 4 / 17.5 * 5 / 4)
+    assert kind.p == pytest.approx(stats.f_oneway([1, 2, 3], [4, 5, 6]).pvalue)
 
 
 # Coverage
@@ -394,11 +396,9 @@ def test_welch_falls_below_93_percent_where_the_noisier_cell_has_a_tail_and_the_
     assert simulation.speaks(first, 10, second).mean() > 0.85
 
 
-def test_students_interval_and_bca_cover_too_little_where_rates_pile_up_below_one():
-    # Why `mean_interval` takes neither.
+def test_students_interval_covers_too_little_where_rates_pile_up_below_one():
     assert simulation.of_mean_by_student(Rates(0.9, 0.15), 5).mean() < 0.85
     assert simulation.of_mean_by_student(Rates(0.99, 0.03), 10).mean() < 0.85
-    assert simulation.of_mean_by_bca(Rates(0.95, 0.1), 20, draws=1000).mean() < 0.93
 
 
 def test_note_is_silent_on_healthy_seeds_and_names_the_coverage_on_others():
@@ -445,38 +445,23 @@ def test_a_contrast_of_one_factor_is_welchs_test():
     table = pd.DataFrame(
         {"strategy": ["a"] * 4 + ["b"] * 5, "success": [0.9, 0.8, 0.95, 0.7, 0.5, 0.6, 0.2, 0.4, 0.55]}
     )
-    found = contrast(table, ["strategy"], "success", ("strategy", "a", "b"))
+    difference = contrast(table, ["strategy"], "success", ("strategy", "a", "b"))
     a, b = (table.loc[table["strategy"] == name, "success"] for name in "ab")
     known = stats.ttest_ind(a, b, equal_var=False)
     interval = known.confidence_interval()
-    assert (found.value, found.p) == pytest.approx((a.mean() - b.mean(), known.pvalue))
-    assert (found.low, found.high) == pytest.approx((interval.low, interval.high))
+    assert (difference.value, difference.p) == pytest.approx((a.mean() - b.mean(), known.pvalue))
+    assert (difference.low, difference.high) == pytest.approx((interval.low, interval.high))
 
 
 def test_a_contrast_over_another_factor_weighs_cells_the_same():
     cells = {("a", 1): [0.9, 0.7], ("a", 2): [0.5, 0.3], ("b", 1): [0.4, 0.2], ("b", 2): [0.2, 0.0]}
-    found = contrast(frame(cells), ["strategy", "goals"], "success", ("strategy", "a", "b"))
+    difference = contrast(frame(cells), ["strategy", "goals"], "success", ("strategy", "a", "b"))
     # (.8 + .4) / 2 - (.3 + .1) / 2; each mean has the variance .02 / 2, a quarter of which counts, four times: .01,
     # on 4 degrees of freedom, as all are the same: t = .4 / .1
-    assert found.value == pytest.approx(0.4)
-    assert found.df == pytest.approx(4)
-    assert found.p == pytest.approx(2 * stats.t.sf(4, 4))
-    assert found.high - found.value == pytest.approx(stats.t.ppf(0.975, 4) * 0.1)
-
-
-def test_a_contrast_of_single_seeds_takes_the_pooled_variance_and_has_none_without_scatter():
-    cells = {("a", 1): [0.9, 0.7], ("a", 2): [0.5], ("b", 1): [0.4], ("b", 2): [0.2]}
-    found = contrast(frame(cells), ["strategy", "goals"], "success", ("strategy", "a", "b"))
-    # pooled variance .02 on 1 degree of freedom; .02 * (1/2 + 1 + 1 + 1) / 4 = .0175
-    assert found.p == pytest.approx(2 * stats.t.sf(0.35 / math.sqrt(0.0175), 1))
-    alone = contrast(
-        frame({key: values[:1] for key, values in cells.items()}), ["strategy"], "success", ("strategy", "a", "b")
-    )
-    assert math.isfinite(alone.p)  # two goals are two seeds of a strategy
-    single = contrast(frame({("a", 1): [0.9], ("b", 1): [0.4]}), ["strategy"], "success", ("strategy", "a", "b"))
-    assert (single.value, single.p) == (0.5, None)
-    with pytest.raises(ValueError, match="strategy has no level 'c'"):
-        contrast(frame(cells), ["strategy"], "success", ("strategy", "a", "c"))
+    assert difference.value == pytest.approx(0.4)
+    assert difference.df == pytest.approx(4)
+    assert difference.p == pytest.approx(2 * stats.t.sf(4, 4))
+    assert difference.high - difference.value == pytest.approx(stats.t.ppf(0.975, 4) * 0.1)
 
 
 def test_the_f_test_of_interaction_is_that_of_a_two_way_table():
@@ -495,11 +480,14 @@ def test_the_f_test_of_interaction_is_that_of_a_two_way_table():
     assert interaction(frame(once), "strategy", "goals", "success").p is None
 
 
-@pytest.mark.parametrize("deviations", [(0.1, 0.1, 0.1, 0.1), (0.02, 0.05, 0.1, 0.24)], ids=["equal", "unequal"])
-def test_the_f_test_of_interaction_holds_its_level_with_unequal_variances(deviations):
-    rng = np.random.default_rng(0)
+def test_the_f_test_of_interaction_holds_its_level_with_unequal_variances():
+    rng, deviations = np.random.default_rng(0), (0.02, 0.05, 0.1, 0.24)
     rejected = []
     for _ in range(400):
-        cells = {(str(row), goals): rng.normal(0, deviations[row], 10) for row in range(4) for goals in (1, 2, 4, 8)}
-        rejected.append(interaction(frame(cells), "strategy", "goals", "success", bounds=None).p < 0.05)
-    assert 0.02 <= np.mean(rejected) <= 0.08  # Fisher's, with a pooled variance, rejects 11 of 100 of the unequal ones
+        cells = {
+            (str(row), goals): np.clip(rng.normal(0.5, deviations[row], 4), 0, 1)
+            for row in range(4)
+            for goals in (1, 2, 4, 8)
+        }
+        rejected.append(interaction(frame(cells), "strategy", "goals", "success").p < 0.05)
+    assert 0.02 <= np.mean(rejected) <= 0.08

@@ -24,7 +24,7 @@ class Critics:
         self.adam = Adam(model.critic.optimizer, self.flat)
 
     def is_bound(self, model: Any) -> bool:
-        """Whether these are still the model's."""
+        """Return whether these are still the model's networks and optimizer."""
         return self.adam.optimizer is model.critic.optimizer and self.adam.is_bound and self.flat_target.is_whole
 
     def target_value(self, features: torch.Tensor, actions: torch.Tensor) -> torch.Tensor:
@@ -50,15 +50,9 @@ class Critics:
     def action_gradient(
         self, features: torch.Tensor, actions: torch.Tensor, first: bool
     ) -> tuple[torch.Tensor, torch.Tensor]:
-        """Return the values of actions, and the gradient of minus their mean by the actions.
+        """Return the values of actions, shape (batch, 1), and the gradient of minus their mean, shape (batch, actions).
 
-        Args:
-            features: shape (batch, features).
-            actions: shape (batch, actions).
-            first: the value of the first critic (TD3) instead of the smallest (SAC).
-
-        Returns:
-            Values, shape (batch, 1); gradient, shape (batch, actions).
+        The value is the first critic's (TD3) or the smallest (SAC).
         """
         inputs = torch.cat((features, actions), 1)
         networks = self.networks[:1] if first else self.networks

@@ -19,11 +19,7 @@ _onednn: Any = getattr(torch.ops.mkldnn, "_linear_pointwise", None) if torch.bac
 
 
 class MLP:
-    """Linear layers with ReLU between them, as `stable_baselines3.common.torch_layers.create_mlp` makes them.
-
-    Args:
-        tensors: weight, bias, weight, ..., from input to output.
-    """
+    """Linear layers with ReLU between them, from weight, bias, weight, ..., as SB3's `create_mlp` makes them."""
 
     def __init__(self, tensors: Sequence[torch.Tensor]) -> None:
         self.layers = list(zip(tensors[::2], tensors[1::2], strict=True))
@@ -37,12 +33,9 @@ class MLP:
         return values
 
     def backward(self, values: list[torch.Tensor], gradient: torch.Tensor, out: list[torch.Tensor]) -> None:
-        """Write the gradients by the weights and biases.
+        """Write the gradients by weights and biases into `out`: weight, bias, weight, ..., layer by layer.
 
-        Args:
-            values: what `forward` returned.
-            gradient: of the loss by the output, shape (batch, outputs).
-            out: where the gradients go: weight, bias, weight, ..., layer by layer.
+        `values` are what `forward` returned, `gradient` is that of the loss by the output, shape (batch, outputs).
         """
         for index in range(len(self.layers) - 1, -1, -1):
             _outer(gradient, values[index], out[2 * index])
@@ -62,12 +55,7 @@ class MLP:
 
 
 def linear_layers(module: nn.Sequential, last: type[nn.Module] | None = None) -> list[nn.Linear] | None:
-    """Return the layers of an MLP with ReLU between them, or None if the module is something else.
-
-    Args:
-        module: the network.
-        last: the activation that must stand at its end, if any.
-    """
+    """Return the layers of an MLP with ReLU between them, and `last` at its end; None if the module is another."""
     children = list(module)
     if last is not None and (not children or type(children.pop()) is not last):
         return None

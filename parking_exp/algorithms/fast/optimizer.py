@@ -13,9 +13,6 @@ class FlatTensors:
     They stay the same objects, in place: what reads, saves or loads them notices nothing. Torch computes in blocks of
     32 and rounds the rest of a vector otherwise; so tensors that fill whole blocks come first, and the small rest of a
     usual network (biases of its outputs) last. Then every element is rounded as it would be in its own tensor.
-
-    Args:
-        tensors: their data moves into the vector.
     """
 
     def __init__(self, tensors: Sequence[torch.Tensor]) -> None:
@@ -99,7 +96,7 @@ def polyak_update(target: FlatTensors, source: FlatTensors, tau: float) -> None:
 
 
 def is_plain_adam(optimizer: torch.optim.Optimizer) -> bool:
-    """Whether an optimizer is Adam as Stable-Baselines3 makes it by default: one group, on the CPU, no variants."""
+    """Return whether an optimizer is Adam as SB3 makes it by default: one group, on the CPU, no variants."""
     if type(optimizer) is not torch.optim.Adam or len(optimizer.param_groups) != 1:
         return False
     group = optimizer.param_groups[0]

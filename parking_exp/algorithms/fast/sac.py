@@ -8,8 +8,8 @@ import torch
 from stable_baselines3.sac.policies import LOG_STD_MAX, LOG_STD_MIN
 from torch import nn
 
-from parking_exp.algorithms.fast.base import FastTraining
 from parking_exp.algorithms.fast.critics import Critics
+from parking_exp.algorithms.fast.fast_training import FastTraining
 from parking_exp.algorithms.fast.minibatches import Minibatch, sample_minibatches
 from parking_exp.algorithms.fast.mlp import MLP, parameters
 from parking_exp.algorithms.fast.optimizer import Adam, FlatTensors
@@ -35,7 +35,7 @@ class _Update:
             self.ent_coef_adam = Adam(model.ent_coef_optimizer, FlatTensors([model.log_ent_coef]))
 
     def is_bound(self, model: Any) -> bool:
-        """Whether the networks and optimizers are still the model's."""
+        """Return whether the networks and optimizers are still the model's."""
         pairs = [(self.adam, model.actor.optimizer), (self.ent_coef_adam, model.ent_coef_optimizer)]
         actor_is_bound = all(
             adam.optimizer is optimizer and adam.is_bound for adam, optimizer in pairs if adam is not None
@@ -130,10 +130,8 @@ class _SquashedGaussian:
     ) -> tuple[torch.Tensor, torch.Tensor]:
         """Return the gradients by mean and raw log standard deviation of the first rows, shape (rows, actions).
 
-        Args:
-            rows: how many.
-            by_action: gradient of the loss by the actions, besides through log_prob, shape (rows, actions).
-            by_log_prob: gradient of the loss by each log probability, one number.
+        `by_action` is the loss's gradient by the actions without log_prob, shape (rows, actions); `by_log_prob` that by
+        each log probability, one number.
         """
         noise, std, actions, offset, double_variance, raw_log_std = (
             tensor[:rows]
@@ -150,9 +148,6 @@ class _SquashedGaussian:
 
 
 class SAC(FastTraining, stable_baselines3.SAC):
-    """Stable-Baselines3's SAC, whose `train` does the same arithmetic in a fraction of the time.
-
-    Same constructor, `save`, `load`, `predict` and logger keys.
-    """
+    """Stable-Baselines3's SAC with a faster `train`: same arithmetic, constructor, `save`, `load`, `predict`, logs."""
 
     update_class = _Update

@@ -5,8 +5,8 @@ from typing import Any
 import stable_baselines3
 import torch
 
-from parking_exp.algorithms.fast.base import FastTraining
 from parking_exp.algorithms.fast.critics import Critics
+from parking_exp.algorithms.fast.fast_training import FastTraining
 from parking_exp.algorithms.fast.minibatches import sample_minibatches
 from parking_exp.algorithms.fast.mlp import MLP, parameters
 from parking_exp.algorithms.fast.optimizer import Adam, FlatTensors, polyak_update
@@ -23,7 +23,7 @@ class _Update:
         self.adam = Adam(model.actor.optimizer, self.flat)
 
     def is_bound(self, model: Any) -> bool:
-        """Whether the networks and optimizers are still the model's."""
+        """Return whether the networks and optimizers are still the model's."""
         actor_is_bound = (
             self.adam.optimizer is model.actor.optimizer and self.adam.is_bound and self.flat_target.is_whole
         )
@@ -60,10 +60,7 @@ class _Update:
 
 
 class TD3(FastTraining, stable_baselines3.TD3):
-    """Stable-Baselines3's TD3, whose `train` does the same arithmetic in a fraction of the time.
-
-    Same constructor, `save`, `load`, `predict` and logger keys.
-    """
+    """Stable-Baselines3's TD3 with a faster `train`: same arithmetic, constructor, `save`, `load`, `predict`, logs."""
 
     update_class = _Update
 

@@ -1,28 +1,30 @@
 """Figures of cells and their seeds: final success, learning curves, time to 90 %."""
 
 from collections.abc import Iterator, Sequence
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.ticker import EngFormatter
 
 from parking_exp.errors import plural
 from parking_exp.reports.figures.figure_style import (
+    INK,
     SMALL_PT,
     Drawing,
     cell_labels,
     cell_style,
-    line_90,
     new_figure,
     percentages,
     row_axes,
+    time_axis,
 )
 from parking_exp.reports.report_data import Cell, Curve, ReportData, Survival
 
 _GOLDEN = 0.6180339887498949  # its multiples, modulo 1, are spread evenly
 _MOST_SEED_LINES = 4  # cells; with more, lines of seeds hide the means
+_LINE_90: dict[str, Any] = {"color": INK, "linewidth": 0.7, "linestyle": (0, (2, 2)), "alpha": 0.7, "zorder": 1}
 
 
 def _seed_counts(cells: Sequence[Cell]) -> str:
@@ -39,7 +41,7 @@ def draw_final_success(report: ReportData) -> Iterator[Drawing]:
         return
     figure, axes = row_axes(cell_labels(cells, 36, lines=2))
     axes.set_xlabel("final success (% of scenes)")
-    line_90(axes, vertical=True)
+    axes.axvline(90, **_LINE_90)
     for row, cell in enumerate(cells):
         _seeds_and_mean(axes, row, cell)
     left, right = axes.dataLim.intervalx
@@ -76,13 +78,11 @@ def draw_learning_curves(report: ReportData) -> Iterator[Drawing]:
     success, crash = figure.subplots(2, sharex=True, height_ratios=(2, 1))
     for cell, curve in curves:
         _curve(success, crash, cell, curve, with_seeds=with_seeds)
-    line_90(success)
+    success.axhline(90, **_LINE_90)
+    time_axis(success, "")
+    time_axis(crash, "env steps")
     success.set(ylim=(-2, 103), ylabel="success (%)")
-    crash.set(ylim=(0, max(10, crash.get_ylim()[1])), ylabel="crash (%)", xlabel="env steps")
-    crash.set_xlim(left=0)
-    crash.xaxis.set_major_formatter(EngFormatter(sep=""))
-    for axes in (success, crash):
-        axes.grid(axis="y")
+    crash.set(ylim=(0, max(10, crash.get_ylim()[1])), ylabel="crash (%)")
     lines = "thin lines: seeds; " if with_seeds else ""
     yield (
         figure,
@@ -100,16 +100,16 @@ def _curve(success: Axes, crash: Axes, cell: Cell, curve: Curve, *, with_seeds: 
     low, high = (np.clip(percentages(bound), 0, 100) for bound in (curve.low, curve.high))
     success.fill_between(step, low, high, color=style.colour, alpha=0.13, linewidth=0)
     complete = np.arange(len(step)) <= np.flatnonzero(n == n.max())[-1]
+    between = max(1, len(step) // 7)
+    markers: dict[str, Any] = {"marker": style.marker, "markevery": (int(cell.id[1:]) % between, between)}
     for axes, rates in ((success, curve.mean), (crash, curve.crash)):
         rate, line = percentages(rates), {"color": style.colour, "linestyle": style.line}
         axes.plot(step, rate, alpha=0.4, **line)
-        every = (int(cell.id[1:]) % max(1, len(step) // 7), max(1, len(step) // 7))
-        whole = np.where(complete, rate, np.nan)
-        axes.plot(step, whole, marker=style.marker, markevery=every, **line)
+        axes.plot(step, np.where(complete, rate, np.nan), **line, **markers)
 
 
 def _figure_with_legend(height: float, cells: Sequence[Cell]) -> Figure:
-    """Return a figure, at least as high as its legend of the lines and markers of cells at the right."""
+    """Return a figure with a legend of the cells at the right, at least as high as that."""
     labels = cell_labels(cells, 32, lines=2)
     figure = new_figure(max(height, 0.4 + sum(0.14 + 0.12 * label.count("\n") for label in labels)))
     styles = [cell_style(cell.id) for cell in cells]
@@ -121,11 +121,8 @@ def _figure_with_legend(height: float, cells: Sequence[Cell]) -> Figure:
 def draw_time_to_90(report: ReportData) -> Iterator[Drawing]:
     """Draw the share of seeds that have reached 90 %, by env steps and by CPU-seconds."""
     panels = [
-        [(cell, survival) for cell, survival in pairs if survival is not None and survival.n]
-        for pairs in (
-            [(cell, cell.survival) for cell in report.shown_cells],
-            [(cell, cell.survival_cpu) for cell in report.shown_cells],
-        )
+        [(cell, survival) for cell in report.shown_cells if (survival := getattr(cell, clock)) and survival.n]
+        for clock in ("survival", "survival_cpu")
     ]
     panels = [pairs for pairs in panels if pairs]
     if not panels:
@@ -136,7 +133,6 @@ def draw_time_to_90(report: ReportData) -> Iterator[Drawing]:
     for axes, pairs in zip(row, panels, strict=True):
         _survival_panel(axes, pairs)
     row[0].set(ylim=(-3, 103), ylabel="seeds at 90 % (%)")
-    row[0].xaxis.set_major_formatter(EngFormatter(sep=""))
     yield (
         figure,
         "Share of seeds whose success has reached 90 % in three evaluations in a row (Kaplan–Meier estimate; "  # noqa: RUF001
@@ -156,17 +152,8 @@ def _survival_panel(axes: Axes, pairs: Sequence[tuple[Cell, Survival]]) -> None:
         )
         if survival.k:
             axes.fill_between(time, low, high, step="post", color=style.colour, alpha=0.07, linewidth=0)
-        axes.plot(
-            time,
-            share,
-            drawstyle="steps-post",
-            color=style.colour,
-            linestyle=style.line,
-            marker=style.marker,
-            markevery=slice(1, -1),
-        )
+        line = {"color": style.colour, "linestyle": style.line, "marker": style.marker}
+        axes.plot(time, share, drawstyle="steps-post", markevery=slice(1, -1), **line)
         reached = share[np.searchsorted(time[:-1], survival.censored, side="right") - 1]
         axes.plot(survival.censored, reached, linestyle="", marker="+", markersize=6, color=style.colour)
-    axes.set(xlabel=pairs[0][1].unit)
-    axes.set_xlim(left=0)
-    axes.grid(axis="y")
+    time_axis(axes, pairs[0][1].unit)

@@ -1,6 +1,6 @@
 """Figures of factors: levels of one, two of them crossed, and how much each hyperparameter explains."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -53,7 +53,7 @@ def draw_main_effects(report: ReportData) -> Iterator[Drawing]:
 
 
 def _effect_panel(axes: Axes, factor: Factor, effect: MainEffect, characters: int) -> None:
-    """Draw one factor; levels stand side by side, with upright labels where `characters` are too few for all."""
+    """Draw one factor; labels are upright if `characters` are too few for all of them side by side."""
     place = np.arange(len(effect.levels))
     mean, low, high = (
         percentages([getattr(v.effect, name) for v in effect.levels]) for name in ("value", "low", "high")
@@ -70,44 +70,50 @@ def _effect_panel(axes: Axes, factor: Factor, effect: MainEffect, characters: in
 
 def draw_interactions(report: ReportData) -> Iterator[Drawing]:
     """Draw two factors crossed, one figure per table, all on the same scale."""
-    means = np.concatenate([[], *(percentages(row) for table in report.interactions for row in table.mean)])
-    if np.isnan(means).all():
+    means = [100 * mean for table in report.interactions for row in table.mean for mean in row if mean is not None]
+    if not means:
         return
-    low, high = 5 * np.floor(np.nanmin(means) / 5), 5 * np.ceil(np.nanmax(means) / 5)
-    scale = (float(min(low, max(0.0, high - 10))), float(max(10.0, high)))
+    high = max(10.0, 5 * np.ceil(max(means) / 5))
+    scale = (min(5 * np.floor(min(means) / 5), high - 10), high)
     names = {factor.key: clean(factor.name) for factor in report.factors}
     for table in report.interactions:
         if any(mean is not None for row in table.mean for mean in row):
             yield _heat_map(table, names, scale)
 
 
-def _heat_map(table: Interaction, names: dict[str, str], scale: tuple[float, float]) -> Drawing:
+def _heat_map(table: Interaction, names: Mapping[str, str], scale: tuple[float, float]) -> Drawing:
     mean = np.array([percentages(row) for row in table.mean])
-    counts = set(np.asarray(table.n)[np.isfinite(mean)].tolist())
-    row_name, column_name = names.get(table.row, clean(table.row)), names.get(table.column, clean(table.column))
-    shares = any(share is not None for row in table.real_share or [] for share in row)
-    texts = {}
-    for (row, column), value in np.ndenumerate(mean):
-        if np.isfinite(value):
-            low, high = percentages([table.low[row][column], table.high[row][column]])
-            share = table.real_share[row][column] if table.real_share else None
-            lines = [f"{value:.1f}", f"[{low:.0f}, {high:.0f}]" if np.isfinite([low, high]).all() else ""]
-            lines += [f"n={table.n[row][column]}" if len(counts) > 1 else ""]
-            lines += [f"{100 * share:.0f} % real" if share is not None else ""]
-            texts[row, column] = "\n".join(filter(None, lines))
+    places = [(row, column) for row, column in np.argwhere(np.isfinite(mean)).tolist()]
+    counts = {table.n[row][column] for row, column in places}
+    texts = {place: _cell_text(table, *place, with_n=len(counts) > 1) for place in places}
     figure = new_figure(0.8 + 0.14 * len(table.rows) * (1 + max(text.count("\n") for text in texts.values())))
     axes, bar = heat_map(figure, mean, texts, ("cividis", *scale))
+    row_name, column_name = names.get(table.row, clean(table.row)), names.get(table.column, clean(table.column))
     axes.set_xticks(range(len(table.columns)), [_level(level, 90 // len(table.columns)) for level in table.columns])
     axes.set_yticks(range(len(table.rows)), [_level(level) for level in table.rows])
     axes.set(xlabel=column_name, ylabel=row_name, title=clean(table.given or ""))
     bar.set_label("success (%)")
     given = f" for {table.given}" if table.given else ""
-    real = " Last in each: measured share of real transitions in batches." if shares else ""
+    has_shares = any(share is not None for row in table.real_share or [] for share in row)
+    real = " Last in each: measured share of real transitions in batches." if has_shares else ""
     each = f"{plural(counts.pop(), 'seed')} each" if len(counts) == 1 else "seeds as written"
     return (
         figure,
         f"Mean final success by {row_name} and {column_name}{given}, in %, with 95 % intervals; {each}.{real}",
     )
+
+
+def _cell_text(table: Interaction, row: int, column: int, *, with_n: bool) -> str:
+    """Return the lines in a square: mean, interval, number of seeds, share of real transitions."""
+    mean, low, high = percentages([grid[row][column] for grid in (table.mean, table.low, table.high)])
+    share = table.real_share[row][column] if table.real_share else None
+    lines = [
+        f"{mean:.1f}",
+        f"[{low:.0f}, {high:.0f}]" if np.isfinite([low, high]).all() else "",
+        f"n={table.n[row][column]}" if with_n else "",
+        f"{100 * share:.0f} % real" if share is not None else "",
+    ]
+    return "\n".join(filter(None, lines))
 
 
 def draw_importance(report: ReportData) -> Iterator[Drawing]:
@@ -127,5 +133,5 @@ def draw_importance(report: ReportData) -> Iterator[Drawing]:
     yield (
         figure,
         "Share of the variance of final success over the cells of the search that each hyperparameter explains "
-        "alone, with p of a permutation test; ↑: larger values do better, ↓: worse.",
+        "alone, with p of an F test; ↑: larger values do better, ↓: worse.",
     )

@@ -1,4 +1,4 @@
-"""The style of figures: matplotlib's settings, the look of each cell, and labels that fit and can be drawn."""
+"""The style of figures: the look of each cell, labels that fit, and axes that several figures share."""
 
 import textwrap
 import unicodedata
@@ -12,8 +12,8 @@ import matplotlib.style
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colorbar import Colorbar
-from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
+from matplotlib.ticker import EngFormatter
 
 from parking_exp.reports.report_data import Cell
 
@@ -21,7 +21,7 @@ Drawing = tuple[Figure, str]
 """A figure and its caption."""
 
 WIDTH_IN = 6.8  # of every figure: both columns of a paper
-SMALL_PT, TINY_PT = 7.0, 6.0
+SMALL_PT = 7.0
 INK, GRID = "#1c1e21", "#d5d8dc"
 
 # Okabe and Ito's palette without black and yellow, and two of Paul Tol's `muted`.
@@ -29,22 +29,20 @@ _COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#
 _MARKERS = ("o", "s", "^", "D", "v", "P", "X")  # one less than colours: no pair repeats in 56 cells
 _LINES: tuple[Any, ...] = ("-", (0, (4, 1.5)), (0, (1.2, 1.2)), (0, (5, 1.2, 1.2, 1.2)))
 
-_STYLE = Path(__file__).with_name("report.mplstyle")
-
 
 def report_style() -> AbstractContextManager[None]:
-    """Return a context that draws with our settings and matplotlib's defaults, whatever the user's settings are."""
-    return matplotlib.style.context(["default", _STYLE])
+    """Return a context that draws with the style of reports and matplotlib's defaults, not the user's settings."""
+    return matplotlib.style.context(["default", Path(__file__).with_name("report.mplstyle")])
 
 
 def new_figure(height: float) -> Figure:
-    """Return an empty figure of the full width that arranges its axes and labels itself; `height` in inches."""
+    """Return an empty figure of the full width; `height` in inches."""
     return Figure((WIDTH_IN, height))
 
 
 @dataclass(frozen=True)
 class CellStyle:
-    """The look of a cell, which colour vision is not needed to recognise: a colour, a marker and a line style."""
+    """The look of a cell: a colour, a marker and a line style, so that colour vision is not needed."""
 
     colour: str
     marker: str
@@ -57,7 +55,7 @@ class CellStyle:
 
 
 def cell_style(cell_id: str) -> CellStyle:
-    """Return the style that follows from a cell's id, `c0`, `c1`, ..., alone: it is the same in all figures."""
+    """Return the style of a cell by its id, `c0`, `c1`, ...: it is the same in all figures."""
     number = int(cell_id[1:])
     line = _LINES[number // len(_COLOURS) % len(_LINES)]
     return CellStyle(_COLOURS[number % len(_COLOURS)], _MARKERS[number % len(_MARKERS)], line)
@@ -78,10 +76,7 @@ def elided(text: str, length: int) -> str:
 
 
 def cell_labels(cells: Sequence[Cell], width: int, lines: int = 1) -> list[str]:
-    """Return a label for each cell, wrapped into lines of `width` characters; ambiguous ones end in the cell's id.
-
-    Longer ones than some `lines` of that width are shortened.
-    """
+    """Return a label for each cell of at most `lines` lines of `width` characters; ambiguous ones end in the id."""
     length = width * lines
     texts = [elided(cell.label, length) for cell in cells]
     unique = [
@@ -103,10 +98,18 @@ def row_axes(texts: Sequence[str]) -> tuple[Figure, Axes]:
     return figure, axes
 
 
+def time_axis(axes: Axes, label: str) -> None:
+    """Let the x axis begin at 0, with engineering prefixes, and draw horizontal grid lines."""
+    axes.set_xlim(left=0)
+    axes.set_xlabel(label)
+    axes.xaxis.set_major_formatter(EngFormatter(sep=""))
+    axes.grid(axis="y")
+
+
 def heat_map(
     figure: Figure, values: np.ndarray, texts: Mapping[tuple[int, int], str], colours: tuple[str, float, float]
 ) -> tuple[Axes, Colorbar]:
-    """Draw values, shape (rows, columns), as coloured squares with a text in each, and a colour bar; NaN stays white.
+    """Draw values, shape (rows, columns), as coloured squares with texts, and a colour bar; NaN stays white.
 
     `colours` are the name of a colour map, and the values at its ends.
     """
@@ -118,25 +121,18 @@ def heat_map(
     axes.invert_yaxis()
     axes.spines[:].set_visible(False)
     axes.tick_params(length=0)
-    size = SMALL_PT if columns < 8 else 5.5 if columns < 13 else 4.8
+    size = SMALL_PT if columns < 8 else 5.0
     for (row, column), text in texts.items():
-        colour = text_colour(mesh.to_rgba(values[row, column])[:3])
+        colour = text_colour(mesh.to_rgba(values[row, column]))
         axes.text(column, row, text, color=colour, ha="center", va="center", linespacing=1.1, fontsize=size)
     bar = figure.colorbar(mesh, ax=axes, pad=0.02, aspect=30)
     bar.outline.set_visible(False)
     return axes, bar
 
 
-def line_90(axes: Axes, *, vertical: bool = False) -> None:
-    """Draw the line of 90 % success."""
-    draw = axes.axvline if vertical else axes.axhline
-    draw(90, color=INK, linewidth=0.7, linestyle=(0, (2, 2)), alpha=0.7, zorder=1)
-
-
 def text_colour(background: Any) -> str:
-    """Return black or white, whichever is readable on a colour (WCAG's relative luminance)."""
-    red, green, blue = (c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4 for c in to_rgb(background))
-    return "black" if 0.2126 * red + 0.7152 * green + 0.0722 * blue > 0.18 else "white"
+    """Return black or white, whichever is readable on an RGB(A) colour (luma of ITU-R BT.601)."""
+    return "black" if np.dot(background[:3], (0.299, 0.587, 0.114)) > 0.5 else "white"
 
 
 def percentages(values: Sequence[float | None]) -> np.ndarray:

@@ -21,7 +21,6 @@ from parking_exp.envs.outcomes import OUTCOMES
 from parking_exp.reports.figures.figure_style import (
     GRID,
     INK,
-    TINY_PT,
     WIDTH_IN,
     Drawing,
     cell_labels,
@@ -86,8 +85,8 @@ def draw_scene_map(report: ReportData) -> Iterator[Drawing]:
         if columns < 3:
             for (x, y), rate in zip(SLOT_POSITIONS, rates, strict=True):
                 if np.isfinite(rate):
-                    style = {"color": text_colour(slots.to_rgba(rate)[:3]), "fontsize": TINY_PT - columns / 2}
-                    axes.text(x, y, f"{rate:.0f}", ha="center", va="center", **style)
+                    colour = text_colour(slots.to_rgba(rate))
+                    axes.text(x, y, f"{rate:.0f}", ha="center", va="center", color=colour, fontsize=5.2)
         for outcome, marker in (("crash", "x"), ("timeout", "o")):
             ends = np.array([(x, y) for x, y, ended in cell.failures if ended == outcome]).reshape(-1, 2)
             style = {"color": COLOURS[outcome], "markerfacecolor": "none", "markeredgewidth": 0.6, "alpha": 0.6}
@@ -113,10 +112,10 @@ def _failures(cell: Cell) -> np.ndarray:
 def draw_trajectories(report: ReportData) -> Iterator[Drawing]:
     """Draw sampled episodes from above, a row per cell, a column per outcome."""
     sampled = [cell for cell in report.shown_cells if cell.paths]
+    if not sampled:
+        return
     best = sorted(sampled, key=lambda cell: -(cell.success.value or 0))[:_MOST_ROWS]
     cells = [cell for cell in sampled if cell in best]
-    if not cells:
-        return
     figure, lots = _lots(3 * len(cells), 3, head=0.24)
     rows = lots.reshape(-1, 3)
     for axes, outcome in zip(rows[0], OUTCOMES, strict=True):
@@ -150,7 +149,7 @@ def _paths(axes: Axes, paths: Sequence[Path], colour: str) -> None:
 
 
 def _placed(shape: np.ndarray, pose: np.ndarray) -> np.ndarray:
-    """Return a shape (n, 2) turned and moved to a pose (x, y, heading)."""
+    """Return a shape (n, 2) rotated and moved to a pose (x, y, heading)."""
     x, y, heading = pose
     cos, sin = np.cos(heading), np.sin(heading)
     return shape @ np.array([(cos, sin), (-sin, cos)]) + (x, y)

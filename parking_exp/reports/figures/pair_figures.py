@@ -16,7 +16,7 @@ from parking_exp.reports.figures.figure_style import (
     percentages,
     row_axes,
 )
-from parking_exp.reports.formats import p_value, points, points_interval
+from parking_exp.reports.formats import p_value, points, points_interval, probability
 from parking_exp.reports.report_data import Pair, ReportData
 
 _VERDICTS = {"a": "▲", "b": "▼", "same": "≈", "unknown": "?"}
@@ -28,22 +28,22 @@ Pairs = Mapping[tuple[str, str], Pair]
 def draw_pairs(report: ReportData) -> Iterator[Drawing]:
     """Draw differences of final success: from the one cell that all are compared with, or between all cells."""
     known = [pair for pair in report.pairs if pair.difference.value is not None]
-    both_ways = {(pair.a, pair.b): pair for found in known for pair in (found, found.reversed())}
+    both_ways = {(pair.a, pair.b): pair for one_way in known for pair in (one_way, one_way.reversed())}
     return _matrix(report, both_ways) if report.reference is None else _from_reference(report, both_ways)
 
 
 def _matrix(report: ReportData, pairs: Pairs) -> Iterator[Drawing]:
-    cells = [cell for cell in report.shown_cells if any(cell.id in ids for ids in pairs)]
+    cells = [cell for cell in report.shown_cells if any(cell.id in pair for pair in pairs)]
     if not cells:
         return
     n = len(cells)
-    place = {cell.id: number for number, cell in enumerate(cells)}
-    shown = {(place[a], place[b]): pair for (a, b), pair in pairs.items() if a in place and b in place}
+    ids = [cell.id for cell in cells]
+    shown = {(ids.index(a), ids.index(b)): pair for (a, b), pair in pairs.items() if a in ids and b in ids}
     difference, texts = np.full((n, n), np.nan), {}
-    for at, pair in shown.items():
-        (difference[at],) = percentages([pair.difference.value])
-        second = f"\n{_VERDICTS[pair.verdict]} {_short_p(pair.p_holm)}" if n <= _MOST_WITH_P else ""
-        texts[at] = points(pair.difference.value) + second
+    for place, pair in shown.items():
+        (difference[place],) = percentages([pair.difference.value])
+        second = f"\n{_VERDICTS[pair.verdict]} {probability(pair.p_holm)}" if n <= _MOST_WITH_P else ""
+        texts[place] = points(pair.difference.value) + second
     most = max(5.0, np.nanmax(np.abs(difference)))
     figure = new_figure(1.0 + 0.3 * n)
     axes, bar = heat_map(figure, difference, texts, ("PuOr", -most, most))
@@ -59,13 +59,6 @@ def _matrix(report: ReportData, pairs: Pairs) -> Iterator[Drawing]:
         figure,
         f"Final success of the row's cell minus the column's, in percentage points. {second}{report.family}",
     )
-
-
-def _short_p(p: float | None) -> str:
-    """Return e.g. `<.001`, `.012` or `1`."""
-    if p is None:
-        return ""
-    return "<.001" if p < 0.001 else "1" if p >= 0.995 else f"{p:.3f}"[1:] if p < 0.1 else f"{p:.2f}"[1:]
 
 
 def _from_reference(report: ReportData, pairs: Pairs) -> Iterator[Drawing]:

@@ -21,7 +21,7 @@ FEWEST_TRIALS = 20  # for importances: PED-ANOVA looks at the best tenth
 
 
 def study_of(tuning: Tuning) -> Any:
-    """Return an in-memory study of the finished trials of a report, which may be from an export.
+    """Return an in-memory Optuna study of the finished trials of a report, which may be from an export.
 
     Raises:
         ResultsError: the trials do not fit the parameters.
@@ -48,7 +48,7 @@ def _study(distributions: Mapping[str, Any], trials: Sequence[tuple[Mapping[str,
 
 
 def _plot(name: str, study: Any, height: float = 3.0, **arguments: Any) -> Any:
-    """Return the figure that a function of `optuna.visualization.matplotlib` draws of a study."""
+    """Return the figure that the named function of `optuna.visualization.matplotlib` draws of a study."""
     import optuna.visualization.matplotlib
     from matplotlib import pyplot
     from optuna.exceptions import ExperimentalWarning
@@ -72,9 +72,11 @@ def _plot(name: str, study: Any, height: float = 3.0, **arguments: Any) -> Any:
 
 def _varied(tuning: Tuning) -> list[str]:
     """Return the parameters of which the finished trials of a search have several values."""
-    done = [trial.parameters for trial in tuning.trials if trial.value is not None]
-    names = dict.fromkeys(name for parameters in done for name in parameters)
-    return [name for name in names if len({parameters[name] for parameters in done if name in parameters}) > 1]
+    values: dict[str, set[Any]] = {}
+    for trial in tuning.trials:
+        for name, value in trial.parameters.items() if trial.value is not None else ():
+            values.setdefault(name, set()).add(value)
+    return [name for name in values if len(values[name]) > 1]
 
 
 def draw_history(report: ReportData) -> Iterator[Drawing]:
@@ -114,16 +116,17 @@ def draw_trial_coordinates(report: ReportData) -> Iterator[Drawing]:
 
 def draw_cell_coordinates(report: ReportData) -> Iterator[Drawing]:
     """Draw each cell of a sweep over many hyperparameters as a line, the most important ones first."""
-    order = {item.factor: rank for rank, item in enumerate(report.importance)}
-    factors = sorted(report.factors, key=lambda factor: order.get(factor.key, len(order)))
+    rated = [cell for cell in report.cells if cell.success.value is not None]
+    if report.design != "search" or report.tuning is not None or not rated:
+        return
+    order = [item.factor for item in report.importance]
+    factors = sorted(report.factors, key=lambda f: order.index(f.key) if f.key in order else len(order))
+    distributions = {clean(factor.name): _distribution(factor) for factor in factors}
     trials = [
-        ({clean(factor.name): value for factor in factors if (value := _level(factor, cell)) is not None}, success)
-        for cell in report.cells
-        if (success := cell.success.value) is not None
+        ({clean(f.name): level for f in factors if (level := _level(f, cell)) is not None}, cell.success.value or 0.0)
+        for cell in rated
     ]
-    if report.design == "search" and report.tuning is None and trials:
-        distributions = {clean(factor.name): _distribution(factor) for factor in factors}
-        yield _coordinates("cell", _study(distributions, trials), [*distributions], "success")
+    yield _coordinates("cell", _study(distributions, trials), [*distributions], "success")
 
 
 def _level(factor: Factor, cell: Cell) -> Any:

@@ -243,7 +243,7 @@ def importance(report: ReportData) -> Iterator[Table]:
             column("Hyperparameter", "factor", numeric=False),
             interval_column("Variance explained alone (%)", "share", bar=True),
             column("Rank correlation", "direction", signed),
-            column("p (permutations)", "p", formats.probability),
+            column("p (F test)", "p", formats.probability),
         ],
         "Hyperparameters: share of the variance of final success that each explains alone.",
         latex=True,
