@@ -8,7 +8,7 @@ from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 
 from benchmarks.timing import interleave
 from parking_exp.algorithms.build_model import build_model, torch_settings
-from parking_exp.config.her_options import RELABEL_OPTIONS
+from parking_exp.config.argument_limits import RELABEL_OPTIONS
 from parking_exp.config.schema import RunConfig
 from parking_exp.envs.training_envs import make_training_envs
 

@@ -8,7 +8,7 @@ from support.runs import make_config, options
 
 from parking_exp.buffers import HerBuffer
 from parking_exp.buffers.strategies import STRATEGIES
-from parking_exp.config.her_options import GOAL_STRATEGIES, HER_OPTIONS
+from parking_exp.config.argument_limits import GOAL_STRATEGIES, HER_OPTIONS
 from parking_exp.config.run_key import changes_results
 
 
