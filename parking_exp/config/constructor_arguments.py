@@ -33,6 +33,7 @@ DEFAULT_CLASSES = {
     "features_extractor": "stable_baselines3.common.torch_layers.CombinedExtractor",
 }
 POLICY = "MultiInputPolicy"
+MIRRORED_POLICIES = ("stable_baselines3.sac.MultiInputPolicy", "stable_baselines3.td3.MultiInputPolicy")
 HYDRA_KEYS = {"_target_", "_partial_", "_convert_", "_recursive_", "_args_"}
 # May be null although the library's annotation has no None: the run computes them.
 NULLABLE = {"train_freq", "gradient_steps"}
@@ -96,11 +97,6 @@ def check_arguments(run: RunConfig) -> Iterator[str]:
             yield from _check_policy(section, find(section.target))
 
 
-def not_mirrored(algorithm: AlgorithmConfig) -> str:
-    """Return the error that an algorithm's policy cannot mirror its steering."""
-    return f"algorithm.features=ego_mirrored: {algorithm.class_name}'s policy mirrors no steering; use ego_fine"
-
-
 def policy_class(algorithm: type) -> type | None:
     """Return the policy class that an algorithm has for goal observations; None where it does not say."""
     return getattr(algorithm, "policy_aliases", {}).get(POLICY)
@@ -122,15 +118,11 @@ def _check_policy(algorithm: AlgorithmConfig, algorithm_class: type) -> Iterator
         yield f"{key}.net_arch takes the place of algorithm.net_arch; use algorithm.net_arch"
     elif features != "raw" and (own := [name for name in given if name.startswith("features_extractor")]):
         yield f"{key}.{own[0]} takes the place of algorithm.features; set algorithm.features=raw"
-    elif policy is None:
-        return
-    elif features != "raw" and not takes(policy, "features_extractor_class"):
+    elif features != "raw" and policy is not None and not takes(policy, "features_extractor_class"):
         yield f"algorithm.features={features}: {algorithm.class_name}'s policy ignores it; use raw"
-    elif features == "ego_mirrored" and not issubclass(
-        algorithm_class, (find("stable_baselines3.SAC"), find("stable_baselines3.TD3"))
-    ):
-        yield not_mirrored(algorithm)
-    else:
+    elif features == "ego_mirrored" and policy not in map(find, MIRRORED_POLICIES):
+        yield f"algorithm.features={features}: {algorithm.class_name}'s policy can't mirror its steering; use ego_fine"
+    elif policy is not None:
         problems = list(_check_call(key, policy, given))
         yield from problems
         for name, default in DEFAULT_CLASSES.items() if not problems else ():

@@ -23,14 +23,14 @@ def points(
 ) -> list[Point]:
     """Return the overrides of every cell.
 
-    Values on the command line narrow the blocks that list them, and a block that is left with none is left out. A value
-    that no block lists takes the place of the values of every block where the key is an axis. A key that a block does
-    not name goes to it as an axis of its own, if its configs have such a key.
+    Values on the command line select from the blocks that list them; blocks without any of them are dropped. A value
+    that no block lists replaces the values of each block that sweeps over its key. Any other key becomes an axis of
+    each block whose configs have it.
 
     Args:
         blocks: of the experiment file; none: a single cell.
         axes: the values of each key on the command line, in Hydra's syntax.
-        has: whether the config that a point composes to has a key.
+        has: whether the config of a point has a key.
         experiment: its name, for the error.
 
     Raises:
