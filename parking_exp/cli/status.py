@@ -109,7 +109,7 @@ def _sync(request: StatusRequest) -> None:
     uris = {default_uri(request.output_path), *filter(None, [request.tracking.uri])}
     for uri in {directory.tracking_uri for directory in directories}:
         if uri and not any(is_same_store(uri, absolute(named)) for named in uris):
-            say(f"left out: runs that are tracked in {uri}; tracking.uri={uri} sends them there", stderr=True)
+            say(f"left out: runs that are tracked in {uri}; pass tracking.uri={uri} to send them", stderr=True)
     n_failed = 0
     stores = [Store(uri, request.output_path) for uri in uris]
     for directory, problem in (pair for store in stores for pair in mirror_missing(directories, store)):

@@ -23,7 +23,7 @@ from parking_exp.errors import ConfigError
 Model = TypeVar("Model", bound=BaseModel)
 Config = DictConfig | Mapping[str, Any]
 
-# Keys of a composed config that say which runs there are, and nothing about any of them.
+# Keys that define a sweep, not a run.
 SWEEP_KEYS = {"seeds", "cells", *SweepOptions.model_fields}
 LARGEST_NUMBER = 1e15  # of any key: its square is a float, and its digits can be printed
 MOST_ERRORS = 5

@@ -30,8 +30,8 @@ def test_cells_are_labelled_among_all_cells_of_their_experiment(tmp_path):
         RunDirectory(config.run_dir).freeze(config, label, None)
     states = [read_state(path) for path in find_runs(tmp_path)]
     assert {state.label for state in labelled(states[:1])} == {"sac, her_future"}
-    found = {(state.label, state.seed) for state in labelled(states)}
-    assert found == {("updates_per_step=0.01", 0), ("updates_per_step=0.1", 0), ("updates_per_step=0.1", 1)}
+    labels = {(state.label, state.seed) for state in labelled(states)}
+    assert labels == {("updates_per_step=0.01", 0), ("updates_per_step=0.1", 0), ("updates_per_step=0.1", 1)}
 
 
 def test_the_stage_follows_from_status_lock_and_heartbeat(tmp_path):
@@ -102,8 +102,7 @@ def test_control_characters_of_a_foreign_run_are_escaped(tmp_path):
     assert f"running  b seed=1: 1 of 1000 steps, {escaped}   {escaped}\n" in shown.stdout
     assert plain.stdout.isascii()
     assert "\x7f" not in plain.stdout
-    found = json.loads(plain.stdout)["cells"]
-    assert {cell["runs"][0]["host"] for cell in found} == {evil}
+    assert {cell["runs"][0]["host"] for cell in json.loads(plain.stdout)["cells"]} == {evil}
 
 
 def test_a_heartbeat_of_an_earlier_process_is_ignored(tmp_path):
@@ -128,11 +127,11 @@ def test_status_shows_every_cell_in_a_table_and_as_json(tmp_path):
         ["stopped", "b", "seed=1:", "resumes", "at", "step", "300", "of", "1000"],
         ["failed", "b", "seed=0:", "killed", "by", "SIGKILL", str(failed)],
     ]
-    found = json.loads(type_here("status", f"output_dir={tmp_path}", "--json").stdout)
-    assert [found[stage] for stage in ("done", "running", "failed", "pending")] == [2, 0, 1, 1]
-    counted = [(cell["cell"], cell["done"], cell["failed"]) for cell in found["cells"]]
+    plain = json.loads(type_here("status", f"output_dir={tmp_path}", "--json").stdout)
+    assert [plain[stage] for stage in ("done", "running", "failed", "pending")] == [2, 0, 1, 1]
+    counted = [(cell["cell"], cell["done"], cell["failed"]) for cell in plain["cells"]]
     assert counted == [("cell-a", 2, 0), ("cell-b", 0, 1)]
-    assert found["cells"][1]["runs"][0]["reason"] == "killed by SIGKILL"
+    assert plain["cells"][1]["runs"][0]["reason"] == "killed by SIGKILL"
 
 
 @pytest.mark.parametrize(
@@ -166,7 +165,7 @@ def test_a_running_run_shows_step_rate_time_left_and_host(tmp_path):
 
 
 def search_in(folder, uri, **stored):
-    """Write a search whose study, with one trial, lies in a storage."""
+    """Write a search whose study, with one trial, is in a storage."""
     study = optuna.create_study(study_name=folder.name, storage=storage_of(folder, uri), direction="maximize")
     study.add_trial(optuna.trial.create_trial(value=0.5))
     write_json(folder / "search.json", {"n_trials": 3, "search": SETTINGS, "storage": uri, **stored})

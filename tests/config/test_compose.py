@@ -1,5 +1,7 @@
 """Tests of composing: options, overrides in Hydra's grammar, and what is refused before any value is checked."""
 
+from pathlib import Path
+
 import hydra
 import pytest
 from hydra import initialize_config_dir
@@ -7,6 +9,7 @@ from hydra.core.global_hydra import GlobalHydra
 from omegaconf import OmegaConf
 from support.runs import GROUPS, make_config, options
 
+from parking_exp.config.allowlist import check_trust
 from parking_exp.config.compose import composed, config_dir
 from parking_exp.config.overrides import in_quotes, quoted, with_absolute_path
 from parking_exp.config.validate import validate
@@ -21,9 +24,10 @@ from parking_exp.errors import ConfigError
         for option in options(group)
     ],
 )
-def test_every_option_of_every_group_composes_and_validates(group, option):
+def test_every_option_of_every_group_composes_validates_and_is_trusted(group, option):
     for composed_config in composed("config", [f"{group}={option}"]):
         config = validate(composed_config)
+        check_trust(config, Path("config.yaml"))  # raises for a class outside the allow-list
         if group in ("env", "algorithm", "buffer"):
             assert getattr(config, group).name == option
         if group == "experiment":
@@ -102,7 +106,7 @@ def test_paths_that_hydras_grammar_cannot_parse_are_quoted(argument, expected):
     assert quoted(argument) == expected
 
 
-def test_a_users_own_options_are_found_in_that_call_only(tmp_path):
+def test_a_users_own_options_apply_to_that_call_only(tmp_path):
     (tmp_path / "evaluation").mkdir()
     for value in (50, 51):
         (tmp_path / "evaluation" / "long.yaml").write_text(f"defaults: [default]\nn_scenes: {value}\n")
