@@ -1,13 +1,10 @@
-"""Errors that a user can meet, and phrases that their messages share.
-
-A message is a sentence, and the command line prints it without a traceback.
-"""
+"""Errors that the command line prints as a sentence, without a traceback, and phrases for their messages."""
 
 import difflib
 import errno
 from collections.abc import Iterable
 
-# What the system says of a disk and of rights on it. Any other `OSError` may be a bug, and keeps its traceback.
+# Problems of disks and permissions. Any other `OSError` may be a bug, and keeps its traceback.
 DISK_ERRORS = {
     errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EROFS, errno.EACCES, errno.EPERM, errno.EEXIST,
     errno.ENOTDIR, errno.EISDIR, errno.ENAMETOOLONG, errno.ELOOP, errno.ESTALE, errno.ENOLCK,
@@ -27,19 +24,19 @@ class RunNotFoundError(ParkingError, LookupError):
 
 
 class UntrustedError(ParkingError):
-    """A stored config would execute something that may come from anywhere."""
+    """Foreign data that would execute code, or read and write files elsewhere."""
 
 
 class ModelError(ParkingError):
-    """A model file that is not of the model it is loaded into, or a class whose files do not hold all weights."""
+    """A model file that does not fit the model, or a class whose files do not contain all weights."""
 
 
 class DamagedModelError(ModelError):
-    """A model file that can't be read, or holds something else than weights."""
+    """A model file that can't be read, or contains anything but weights."""
 
 
 class OutputDirectoryError(ParkingError):
-    """A run directory cannot be made."""
+    """A run directory cannot be created."""
 
 
 class RunLockedError(ParkingError):
@@ -47,7 +44,7 @@ class RunLockedError(ParkingError):
 
 
 class ResultsError(ParkingError, LookupError):
-    """Results of runs that are not where they were looked for, or that can't be read."""
+    """Results that do not exist, or that can't be read."""
 
 
 class DamagedFileError(ParkingError):
@@ -55,19 +52,15 @@ class DamagedFileError(ParkingError):
 
 
 class StoreError(ParkingError):
-    """A store that can't take a run as it is, or has not got all that the run directories have."""
+    """A store that rejects a run, or is behind the run directories."""
 
 
 class CertificationError(ParkingError):
-    """The simulator that evaluated a run and highway-env itself do not agree."""
+    """The simulator and highway-env disagree on an episode."""
 
 
 class InterruptedRunError(ParkingError):
-    """A run was stopped by a signal, after its state was saved.
-
-    Attributes:
-        signal_number: the signal, e.g. `signal.SIGINT`.
-    """
+    """A run was stopped by a signal, e.g. `signal.SIGINT`, after its state was saved."""
 
     def __init__(self, message: str, signal_number: int) -> None:
         super().__init__(message)
@@ -75,7 +68,7 @@ class InterruptedRunError(ParkingError):
 
 
 class FailedRunError(ParkingError):
-    """A run that broke. The cause is its `__cause__`, and its traceback is in the run directory."""
+    """A run that failed. The cause is its `__cause__`; the traceback is in the run directory."""
 
 
 def plural(number: int, noun: str) -> str:
@@ -84,7 +77,7 @@ def plural(number: int, noun: str) -> str:
 
 
 def quoted_label(label: str) -> str:
-    """Return a label as it stands in a sentence: in quotes if it has commas, so that it reads as one name."""
+    """Return a label for a sentence: in quotes if it contains commas."""
     return f"“{label}”" if "," in label or ";" in label else label
 
 
@@ -97,8 +90,5 @@ def did_you_mean(word: str, choices: Iterable[str], cutoff: float = 0.5) -> str:
 def suggestion(word: str, choices: Iterable[str]) -> str:
     """Return `; did you mean 'x'?`, or the choices when none is close and they are few, or nothing."""
     names = sorted(set(choices))
-    if match := did_you_mean(word, names):
-        return match
-    if names and len(names) <= 30:
-        return "; choose from " + ", ".join(names)
-    return ""
+    few = f"; choose from {', '.join(names)}" if 0 < len(names) <= 30 else ""
+    return did_you_mean(word, names) or few

@@ -16,10 +16,7 @@ def cores() -> list[int]:
 
 
 def shares(all_cores: Sequence[int], n_workers: int) -> list[list[int]]:
-    """Divide cores: each worker gets as many as any other, give or take one, and at least one.
-
-    Where there are more workers than cores, several share one.
-    """
+    """Divide cores evenly between workers; if there are more workers than cores, several share one."""
     if n_workers >= len(all_cores):
         return [[all_cores[worker % len(all_cores)]] for worker in range(n_workers)]
     bounds = [len(all_cores) * worker // n_workers for worker in range(n_workers + 1)]
@@ -27,7 +24,7 @@ def shares(all_cores: Sequence[int], n_workers: int) -> list[list[int]]:
 
 
 def pin(some_cores: Sequence[int]) -> None:
-    """Keep this process to some cores, where the system can."""
+    """Pin this process to some cores, where the system supports it."""
     if hasattr(os, "sched_setaffinity"):
         os.sched_setaffinity(0, some_cores)
 

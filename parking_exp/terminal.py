@@ -1,8 +1,4 @@
-"""Text on a terminal.
-
-What is read from a run directory or a store may be anyone's. Characters that would do something to the terminal (escape
-sequences, line breaks, directions of writing) are shown as Python would write them, and not sent.
-"""
+"""Print text on a terminal, with control characters escaped: text from a run directory or store may be hostile."""
 
 import logging
 import sys
@@ -11,11 +7,11 @@ from typing import Any
 from rich.console import Console
 from rich.text import Text
 
-WIDE = 1000  # columns of what is no terminal: lines are not broken there
+WIDE = 1000  # columns of a file or pipe, where lines are not wrapped
 
 
 def printable(line: str) -> str:
-    r"""Return a line with escapes such as `\x1b`, `\n`, `\u202e` for what is not printable or can't be encoded."""
+    r"""Return a line with unprintable or unencodable characters escaped, e.g. `\x1b`, `\n`, `\u202e`."""
     if not line.isprintable():
         line = "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in line)
     encoding = sys.stdout.encoding or "utf-8"
@@ -28,18 +24,18 @@ def say(*lines: str, stderr: bool = False) -> None:
 
 
 class Screen(Console):
-    """A console that prints names and reasons as they are: brackets and colons in them mean nothing."""
+    """A console without markup: brackets and colons are printed as they are."""
 
     def __init__(self, **options: Any) -> None:
         super().__init__(**{"highlight": False, "markup": False, "emoji": False, **options})
 
     def render_str(self, text: str, **options: Any) -> Text:
-        """Convert a string, be it a line or a cell of a table, as rich does for all that it prints."""
+        """Escape a string; rich calls this for every line and table cell."""
         return super().render_str(printable(text), **options)
 
 
 def console(*, stderr: bool = False) -> Console:
-    """Return a console that breaks no lines."""
+    """Return a console that does not wrap lines."""
     out = Screen(stderr=stderr, soft_wrap=True)
     return out if out.is_terminal else Screen(stderr=stderr, width=WIDE)
 

@@ -6,8 +6,6 @@ evaluation.*           seconds to evaluate a trained policy on 500 scenes
 update.*               updates/s, sampling included, against Stable-Baselines3's train(); 3x256 with precision=medium
 update.*.sbx.ratio     the same with raw features against sbx (JAX) on our replay buffer; n1, n8: updates per round
 run.tutorial.ratio     env steps/s of the tutorial's recipe against plain Stable-Baselines3 + highway-env
-run.to_95.ratio        CPU time of training to 95 % success: the tutorial's recipe / the default, medians of three seeds
-run.whole.ratio        CPU time of the tutorial's recipe to 95 % / CPU time of a whole default run
 run.default.overhead   wall time of the default run / of its training without tracking, checkpoints, evaluation
 her.sample.*           time of a HER minibatch: large buffer / small one; samples/s against Stable-Baselines3
 her.*bytes*            bytes per transition, in memory and in a saved buffer
@@ -17,19 +15,16 @@ sweep.resume_scan_*    seconds to read the state of 1,000 runs
 
 Arguments:
   output_dir=outputs   benchmark.json is written there
-  only=[PREFIX,...]    figures to measure; default: all except run.to_95 and run.whole, whose peer trains for two hours
-                       (once per machine)
-  rounds=5             measurements per figure
+  only=[PREFIX,...]    figures to measure; default: all
+  rounds=5             measurements per figure; of whole runs at most 3
   core=first           core to pin to: a number, first (the first allowed core), or null
   --quick              check in two to three minutes that everything runs; the figures are not meaningful
 
 update.*.sbx.ratio needs: pip install 'parking-exp[bench]'
 """
 
-import importlib.util
 import os
 import sys
-from collections.abc import Callable
 from dataclasses import dataclass
 from importlib.metadata import distributions
 from pathlib import Path
@@ -39,7 +34,6 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
-from rich.console import Console
 
 from parking_exp.resources import cores
 from parking_exp.runs.atomic_files import read_json, write_json
@@ -76,55 +70,41 @@ def main() -> None:
             os.sched_setaffinity(0, {min(all_cores) if settings.core == "first" else int(settings.core)})
     except (ValueError, OSError):
         sys.exit(f"error: core={settings.core} is not one of {', '.join(map(str, all_cores))}")
-    from benchmarks import figures  # imports torch, which reads the available cores
-
     if settings.rounds < 1:
         sys.exit(f"error: rounds={settings.rounds} is less than 1")
+    import torch  # reads the available cores
+
+    from benchmarks.figures import figures
+
+    torch.set_num_threads(1)
+    rounds = min(settings.rounds, 2) if settings.quick else settings.rounds
+    all_figures = figures(rounds, all_cores, quick=settings.quick)
     for prefix in settings.only or []:
-        if not any(key.startswith(prefix) for key in figures.TARGETS):
+        if not any(key.startswith(prefix) for key in all_figures):
             sys.exit(f"error: only={prefix}: no figure starts with this; see --help")
-    prefixes = tuple(settings.only or (key for key in figures.TARGETS if key not in figures.SLOW))
-    chosen = {
-        key: measure for key, measure in figures.all_figures(settings, all_cores).items() if key.startswith(prefixes)
-    }
-    results = _measure(chosen)
+    chosen = {key: all_figures[key] for key in all_figures if key.startswith(tuple(settings.only or [""]))}
     path = Path(settings.output_dir) / "benchmark.json"
     path.parent.mkdir(parents=True, exist_ok=True)
-    about = {"quick": settings.quick, "core": settings.core, "versions": _versions()}
-    earlier = read_json(path) or {}  # figures that are not measured this time are kept
-    write_json(path, {**earlier, **{key: {**entry, "about": about} for key, entry in results.items()}})
-    print(*_table(results, figures.TARGETS), f"written to {path}", sep="\n")
-
-
-def _measure(chosen: dict[str, Callable[[], dict[str, Any]]]) -> dict[str, dict[str, Any]]:
-    results = {}
-    with Console(stderr=True).status("starting") as status:
-        for key, measure in chosen.items():
-            status.update(key)
-            missing = ".sbx." in key and importlib.util.find_spec("sbx") is None
-            results[key] = {"missing": "sbx not installed"} if missing else measure()
-    return results
-
-
-def _versions() -> dict[str, str]:
+    results = read_json(path) or {}  # figures that are not measured this time are kept
     installed = {str(item.metadata["Name"]).lower(): item.version for item in distributions()}
-    return {name: installed[name] for name in VERSIONS if name in installed}
-
-
-def _table(results: dict[str, dict[str, Any]], targets: dict[str, tuple[str, float]]) -> list[str]:
-    lines = [f"{'figure':<30}{'median':>9}  {'spread':<19}{'target':<10}  peer"]
-    for key, entry in results.items():
-        sign, bound = targets[key]
-        target = f"{sign} {bound:g}"
-        if "missing" in entry:
-            lines.append(f"{key:<30}{'-':>9}  {'':<19}{target:<10}  {entry['missing']}")
+    versions = {name: installed[name] for name in VERSIONS if name in installed}
+    about = {"quick": settings.quick, "core": settings.core, "versions": versions}
+    print(f"{'figure':<30}{'median':>9}  {'range':<19}{'target':<10}  peer")
+    for key, figure in chosen.items():
+        if ".sbx." in key and "sbx-rl" not in installed:
+            print(f"{key:<30}{'-':>9}  sbx is not installed")
             continue
-        value = next(entry[name] for name in ("ratio", "wall_s", "bytes", "seconds") if name in entry)
-        met = value >= bound if sign == ">=" else value <= bound
-        spread = f"{entry['lowest']:.4g} to {entry['highest']:.4g}"
-        remark = f"{target:<10}  {entry.get('peer', '')}{'' if met else '   MISSED'}"
-        lines.append(f"{key:<30}{value:>9.4g}  {spread:<19}{remark}")
-    return lines
+        results[key] = {**figure.measure(), "about": about}
+        print(_row(key, figure.sign, figure.bound, results[key]), flush=True)
+        write_json(path, results)
+    print(f"written to {path}")
+
+
+def _row(key: str, sign: str, bound: float, entry: dict[str, Any]) -> str:
+    value, values = entry["value"], f"{entry['lowest']:.4g} to {entry['highest']:.4g}"
+    met = value >= bound if sign == ">=" else value <= bound
+    target = f"{sign} {bound:g}"
+    return f"{key:<30}{value:>9.4g}  {values:<19}{target:<10}  {entry.get('peer', '')}{'' if met else '   MISSED'}"
 
 
 if __name__ == "__main__":

@@ -18,7 +18,7 @@ from torch import nn
 from parking_exp.algorithms.features import EgoFrameExtractor, FineEgoFrameExtractor, MirroredEgoFrameExtractor
 from parking_exp.algorithms.mirrored_policies import MIRRORED
 from parking_exp.buffers import HerBuffer
-from parking_exp.config.constructor_arguments import CLASS_ARGUMENTS, POLICY, not_mirrored, policy_class, takes
+from parking_exp.config.constructor_arguments import CLASS_ARGUMENTS, POLICY, policy_class, takes
 from parking_exp.config.schema import RunConfig
 from parking_exp.envs.interface import Policy
 from parking_exp.errors import ConfigError
@@ -55,9 +55,7 @@ def build_model(config: RunConfig, env: VecEnv, seed: int, *, for_training: bool
     build = instantiate(node)
     objects: dict[str, Any] = {"env": env, "train_freq": train_freq, "policy_kwargs": _policy_kwargs(config)}
     if config.algorithm.features == "ego_mirrored":
-        objects["policy"] = MIRRORED.get(policy_class(get_class(target)) or object)
-        if objects["policy"] is None:
-            raise ConfigError(not_mirrored(config.algorithm))
+        objects["policy"] = MIRRORED[policy_class(get_class(target)) or object]
     if (noise := arguments.get("action_noise")) is not None:
         objects["action_noise"] = _action_noise(noise, env.num_envs)
     if for_training:

@@ -16,7 +16,7 @@ from stable_baselines3.common.vec_env import VecEnv, VecNormalize
 from parking_exp.buffers.episode_index import NONE
 from parking_exp.buffers.storage import Observation, Storage, Transitions
 from parking_exp.buffers.strategies import STRATEGIES
-from parking_exp.config.her_options import GoalStrategy, GoalVelocity, RelabelCollision, RelabelTerminated
+from parking_exp.config.argument_limits import GoalStrategy, GoalVelocity, RelabelCollision, RelabelTerminated
 
 NO_GOALS = np.empty(0, np.int64)
 

@@ -1,7 +1,7 @@
-"""The shell of every command: parse its line, run it, and turn errors into sentences and exit statuses.
+"""Run a command: parse its command line, call it, and turn errors into sentences and exit statuses.
 
-The parser takes Hydra's flags, flags of ours, and `key=value` words. Hydra answers `--help`, `--cfg job` and the like.
-Commands import torch and mlflow once our own keys are known to be good.
+The parser accepts Hydra's flags, our own flags and `key=value` words; Hydra itself shows `--help` and `--cfg job`.
+Commands import torch and mlflow after our own keys are validated.
 """
 
 import argparse
@@ -34,7 +34,7 @@ from parking_exp.terminal import LogFormatter, say
 HYDRA_FLAGS = {"--help", "--cfg", "--resolve", "--multirun", "--config-dir"}
 
 Command = Callable[[list[str], str | None], None]
-"""What a command does with its overrides and Hydra's `--config-dir`."""
+"""A function of the overrides and Hydra's `--config-dir`."""
 
 
 def run_command(
@@ -44,21 +44,21 @@ def run_command(
     flags: Mapping[str, str] | None = None,
     read: Callable[[list[str]], list[str]] = list,
 ) -> None:
-    """Run the command of this process, or let Hydra show what is asked for.
+    """Run the command of this process, or let Hydra show help or the config.
 
     Args:
         config_name: root of the command's config.
-        command: what to do.
-        flags: `--quick` and such, and the override that each stands for.
-        read: writes the words of the command line as Hydra's overrides.
+        command: the function to call.
+        flags: flag, e.g. `--quick`, -> equivalent override.
+        read: turns the words of the command line into Hydra's overrides.
     """
-    if logging.lastResort is not None:  # what warnings go through
+    if logging.lastResort is not None:  # handles warnings
         logging.lastResort.setFormatter(LogFormatter())
     with errors_as_sentences():
         options, words = _parse(sys.argv[1:], flags or {})
         overrides = [quoted(override) for override in read(words)]
         if options.cfg:
-            composed(config_name, overrides, options.config_dir)  # for its sentences
+            composed(config_name, overrides, options.config_dir)  # for its error messages
         if options.cfg or options.help:
             _show(config_name, options, overrides)
         else:
@@ -66,7 +66,7 @@ def run_command(
 
 
 def for_each(config_name: str, check: Callable[[DictConfig], object], task: Callable[[DictConfig], object]) -> Command:
-    """Make a command of a task for each config that the overrides stand for; all are checked first."""
+    """Return a command that runs a task for each config of the overrides, after all are checked."""
 
     def command(overrides: list[str], extra_config_dir: str | None) -> None:
         configs = composed(config_name, overrides, extra_config_dir)
@@ -80,7 +80,7 @@ def for_each(config_name: str, check: Callable[[DictConfig], object], task: Call
 
 @contextmanager
 def errors_as_sentences() -> Iterator[None]:
-    """Print errors that a user can meet without their traceback, and leave with an exit status."""
+    """Print a `ParkingError` without its traceback, and exit with a status."""
     try:
         try:
             yield
@@ -101,11 +101,11 @@ def errors_as_sentences() -> Iterator[None]:
 
 
 def fail(error: ParkingError) -> NoReturn:
-    """Print an error's sentences, and leave with its exit status."""
+    """Print an error's sentences, and exit with its status."""
     if os.environ.get("HYDRA_FULL_ERROR") == "1":
         raise error
     prefix = "" if isinstance(error, InterruptedRunError) else "error: "
-    # Only a ConfigError has lines of its own; in others they stand in a name or a library's words.
+    # Only the lines of a ConfigError are ours; in others, line breaks come from names or libraries.
     text = strip_password(str(error).strip())
     lines = text.split("\n") if isinstance(error, ConfigError) else [text]
     say(*(f"{prefix}{line}" for line in lines), stderr=True)
@@ -113,17 +113,13 @@ def fail(error: ParkingError) -> NoReturn:
 
 
 def _parse(words: list[str], flags: Mapping[str, str]) -> tuple[argparse.Namespace, list[str]]:
-    """Return Hydra's flags, and the overrides, those of our flags last.
-
-    Raises:
-        ConfigError: there is no such flag, or its value is missing or wrong.
-    """
+    """Return Hydra's flags, and the overrides, those of our flags last."""
     parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False, exit_on_error=False)
     parser.add_argument("overrides", nargs="*")
     parser.add_argument("--help", "-h", action="store_true")
     parser.add_argument("--cfg", "-c", choices=["job", "hydra", "all"])
     parser.add_argument("--resolve", action="store_true")
-    parser.add_argument("--multirun", "-m", action="store_true")  # several values make a sweep anyway
+    parser.add_argument("--multirun", "-m", action="store_true")  # not needed: several values make a sweep
     parser.add_argument("--config-dir", "-cd")
     for flag, override in flags.items():
         parser.add_argument(flag, action="append_const", dest="flags", const=override, default=[])
@@ -146,9 +142,9 @@ def _show(config_name: str, options: argparse.Namespace, overrides: list[str]) -
     if options.config_dir is not None:
         flags.append(f"--config-dir={options.config_dir}")
     sys.argv[1:] = [*flags, *overrides]
-    shown = io.StringIO()
+    output = io.StringIO()
     try:
-        with redirect_stdout(shown):
+        with redirect_stdout(output):
             hydra.main(str(config_dir()), config_name, VERSION_BASE)(lambda config: None)()
     finally:
-        sys.stdout.write(strip_password(shown.getvalue()))
+        sys.stdout.write(strip_password(output.getvalue()))

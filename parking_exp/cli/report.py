@@ -18,37 +18,29 @@ def main() -> None:
 
 
 def report_once(overrides: list[str], extra_config_dir: str | None) -> None:
-    """Write the report that the overrides stand for.
-
-    Raises:
-        ConfigError: they stand for several.
-    """
+    """Write one report."""
     configs = composed("report", overrides, extra_config_dir)
     if len(configs) > 1:
         raise ConfigError("a report takes one value for each key; name=... makes another one beside it")
     request = validate_report(configs[0])
     from parking_exp.reports.report_run import report  # imports pandas and matplotlib: after the check
 
-    gc.disable()  # a third of the time of a large report, whose objects all stay to its end
+    gc.disable()  # saves a third of the time of a large report, whose objects all live to its end
     report(request)
     gc.freeze()
 
 
 def report_overrides(words: list[str]) -> list[str]:
-    """Write the words after `report.py` as Hydra's overrides: words that are no key of this command name cells.
+    """Return Hydra's overrides for the words after `report.py`: words that are not a key of this command name cells.
 
-    Labels of cells have commas, equal signs and spaces in them, which mean something else to Hydra.
-
-    Raises:
-        ConfigError: cells are named both ways.
+    Labels of cells have commas, equal signs and spaces, which have another meaning for Hydra.
     """
     overrides, cells = [], []
     for word in words:
         key, equals, value = word.partition("=")
         if key == "experiment" and equals:
             names = value.removeprefix("[").removesuffix("]").split(",")
-            quoted = f"[{','.join(map(in_quotes, names))}]" if value != "null" else value
-            overrides.append(f"experiment_name={quoted}")
+            overrides.append(f"experiment_name={value if value == 'null' else _list(names)}")
         elif key in {"baseline", "from", "export"} and value not in {"", "null"}:
             is_quoted = len(value) > 1 and value[0] == value[-1] and value[0] in "'\""
             overrides.append(f"{key}={in_quotes(value[1:-1] if is_quoted else value)}")
@@ -60,7 +52,12 @@ def report_overrides(words: list[str]) -> list[str]:
             cells += [word] if equals else _labels(word)
     if cells and any(override.startswith("cells=") for override in overrides):
         raise ConfigError(f"{cells[0]}: name cells either as words or as cells=[...]")
-    return [*overrides, *([f"cells=[{','.join(map(in_quotes, cells))}]"] if cells else [])]
+    return [*overrides, f"cells={_list(cells)}"] if cells else overrides
+
+
+def _list(values: list[str]) -> str:
+    """Write a list of strings in Hydra's grammar."""
+    return f"[{','.join(map(in_quotes, values))}]"
 
 
 def _labels(text: str) -> list[str]:

@@ -1,6 +1,7 @@
 """`scripts/status.py` and `parking-status`: show the progress of runs, read from their directories."""
 
 import json
+import re
 import time
 from collections.abc import Iterator
 from dataclasses import asdict
@@ -38,8 +39,8 @@ def main() -> None:
 
 
 def status_overrides(words: list[str]) -> list[str]:
-    """Write `experiment=NAME`, here what was run, as `experiment_name=NAME`: in our tree it is a group."""
-    return [f"experiment_name={word[11:]}" if word.startswith("experiment=") else word for word in words]
+    """Replace `experiment=NAME` by `experiment_name=NAME`: in `conf/`, `experiment` is a group."""
+    return [re.sub(r"^experiment=", "experiment_name=", word) for word in words]
 
 
 class StatusRequest(ConfigModel):
@@ -60,19 +61,15 @@ class StatusRequest(ConfigModel):
 
 
 def validate_status(config: DictConfig) -> StatusRequest:
-    """Validate a composed config.
-
-    Raises:
-        ConfigError: with a sentence for each thing that is wrong.
-    """
+    """Validate a composed config."""
     request = parse(StatusRequest, config)
     if request.watch and request.as_json:
-        raise ConfigError("watch=true shows tables; ask for json=true again and again instead")
+        raise ConfigError("watch=true shows tables; repeat the command with json=true instead")
     return request
 
 
 def show(config: DictConfig) -> None:
-    """Print how far the runs are, again and again with `watch`.
+    """Print the progress of runs, repeatedly with `watch`.
 
     Raises:
         RunNotFoundError: there are none.
@@ -82,20 +79,21 @@ def show(config: DictConfig) -> None:
     if request.sync:
         _sync(request)
     if request.as_json:
-        say(*json.dumps(as_plain(_look(request)) | {"searches": _searches_plain(request)}, indent=2).split("\n"))
+        content = as_plain(_read_states(request)) | {"searches": _searches_plain(request)}
+        say(*json.dumps(content, indent=2).split("\n"))
     elif request.watch and out.is_terminal:
-        with Live(_picture(request), console=out, auto_refresh=False) as live:
+        with Live(_tables(request), console=out, auto_refresh=False) as live:
             while True:
                 time.sleep(WATCH_S)
-                live.update(_picture(request), refresh=True)
+                live.update(_tables(request), refresh=True)
     else:
-        out.print(_picture(request))
+        out.print(_tables(request))
         while request.watch:
             time.sleep(WATCH_S)
-            out.print(_picture(request))
+            out.print(_tables(request))
 
 
-def _look(request: StatusRequest) -> list[RunState]:
+def _read_states(request: StatusRequest) -> list[RunState]:
     experiment, folder = request.experiment_name, request.output_path
     if states := labelled([read_state(path) for path in find_runs(folder, experiment)]):
         return states
@@ -106,16 +104,12 @@ def _look(request: StatusRequest) -> list[RunState]:
 
 
 def _sync(request: StatusRequest) -> None:
-    """Send what stores have not got.
-
-    Raises:
-        StoreError: one of them still fails.
-    """
+    """Send to the stores whatever they lack."""
     directories = [RunDirectory(path) for path in find_runs(request.output_path, request.experiment_name)]
     uris = {default_uri(request.output_path), *filter(None, [request.tracking.uri])}
     for uri in {directory.tracking_uri for directory in directories}:
         if uri and not any(is_same_store(uri, absolute(named)) for named in uris):
-            say(f"left out: runs that are tracked in {uri}; tracking.uri={uri} sends them there", stderr=True)
+            say(f"left out: runs that are tracked in {uri}; pass tracking.uri={uri} to send them", stderr=True)
     n_failed = 0
     stores = [Store(uri, request.output_path) for uri in uris]
     for directory, problem in (pair for store in stores for pair in mirror_missing(directories, store)):
@@ -125,8 +119,8 @@ def _sync(request: StatusRequest) -> None:
         raise StoreError(f"the store has not got all of {plural(n_failed, 'run')}; sync=true tries again")
 
 
-def _picture(request: StatusRequest) -> RenderableType:
-    states = _look(request)
+def _tables(request: StatusRequest) -> RenderableType:
+    states = _read_states(request)
     parts: list[RenderableType] = [cell_table(states)]
     for lines in (running_lines, stopped_lines, failure_lines, damaged_lines):
         parts += lines(states)
@@ -140,7 +134,7 @@ def _picture(request: StatusRequest) -> RenderableType:
 
 
 def _searches(request: StatusRequest) -> Iterator[tuple[str, StoredSearch | ParkingError]]:
-    """Yield the name of each experiment that is a search, and the search, or why it can't be read."""
+    """Yield the name of each search, and the search or the error of reading it."""
     for file in sorted(request.output_path.glob(f"{request.experiment_name or '*'}/{SEARCH_FILE}")):
         try:
             if (search := study_in(file.parent, request.storage)) is not None:
@@ -150,13 +144,13 @@ def _searches(request: StatusRequest) -> Iterator[tuple[str, StoredSearch | Park
 
 
 def _searches_plain(request: StatusRequest) -> list[dict[str, Any]]:
-    """Return the searches and their trials as JSON can hold them."""
-    plain = list[dict[str, Any]]()
+    """Return the searches and their trials for JSON."""
+    plain: list[dict[str, Any]] = []
     for name, search in _searches(request):
         if isinstance(search, ParkingError):
             plain.append({"experiment": name, "error": str(search)})
         else:
             about: dict[str, Any] = {"n_trials": search.n_trials, "objective": search.search.objective}
-            about |= {str(stage): number for stage, number in counts(search.trials).items()}
+            about |= {str(state): number for state, number in counts(search.trials).items()}
             plain.append({"experiment": name, **about, "trials": [asdict(trial) for trial in search.trials]})
     return plain

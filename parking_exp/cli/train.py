@@ -14,17 +14,17 @@ def main() -> None:
 
 
 def train(overrides: list[str], extra_config_dir: str | None) -> None:
-    """Train what the overrides stand for: a single run here, several as a sweep."""
-    gc.disable()  # importing torch without it takes 0.8 s less
+    """Train a single run in this process, several as a sweep."""
+    gc.disable()  # imports torch 0.8 s faster
     from parking_exp.sweeps.hydra_launcher import Launch
     from parking_exp.sweeps.sweep import plan, sweep
 
     runs = composed_runs("config", overrides, extra_config_dir)
-    first = runs[0].cell  # keys of a sweep are the same in all
+    first = runs[0].cell  # all runs have the same keys of the sweep
     options = parse(SweepOptions, {name: first[name] for name in SweepOptions.model_fields})
     planned = plan(runs, options.retry)
     launcher_named = any(override.lstrip("+~").startswith("hydra/launcher") for override in overrides)
-    # What only a supervisor can do makes a sweep of a single run.
+    # These need a supervisor, so that even a single run becomes a sweep.
     supervised = launcher_named or options.dry_run or options.retry or planned[0].config.timeout_s
     if len(planned) > 1 or supervised:
         gc.enable()

@@ -9,7 +9,7 @@ def main() -> None:
 
 
 def tune(overrides: list[str], extra_config_dir: str | None) -> None:
-    """Run the search that the overrides stand for."""
+    """Run a search."""
     from parking_exp.sweeps.hydra_launcher import Launch
     from parking_exp.tuning.run_search import tune as run_search
     from parking_exp.tuning.search import Search

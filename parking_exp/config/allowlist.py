@@ -1,6 +1,6 @@
 """Allow-list of classes that a stored config may instantiate, since it may come from anywhere.
 
-Names decide alone: nothing is imported to judge them.
+Only names are compared: nothing is imported.
 """
 
 from collections.abc import Iterator, Mapping
@@ -11,7 +11,7 @@ from parking_exp.config.constructor_arguments import CLASS_ARGUMENTS, class_path
 from parking_exp.config.schema import RunConfig
 from parking_exp.errors import UntrustedError
 
-# Module -> classes in it, under each name that a config may use. To construct one of them only makes an object.
+# Module -> classes, under each name that a config may use. Their constructors have no side effects.
 CLASSES = {
     "highway_env.vehicle.behavior": ["IDMVehicle", "LinearVehicle", "AggressiveVehicle", "DefensiveVehicle"],
     "highway_env.vehicle.controller": ["ControlledVehicle", "MDPVehicle"],
@@ -40,19 +40,19 @@ ALLOWED = frozenset(f"{module}.{name}" for module, names in CLASSES.items() for 
 
 
 def check_trust(config: RunConfig, source: Path) -> None:
-    """Refuse a stored config that would execute something else than the classes that runs are made of.
+    """Refuse a stored config that would execute anything but the classes of the allow-list.
 
     Raises:
-        UntrustedError: it has a `_target_` that is no such class.
+        UntrustedError: a class or `_target_` is not on the list.
     """
-    vehicles = ("env.other_vehicles_type", config.env.other_vehicles_type)  # highway-env imports and calls it, too
+    vehicles = ("env.other_vehicles_type", config.env.other_vehicles_type)  # imported and called by highway-env
     for key, target in [*_targets(config.plain()), vehicles]:
         if not isinstance(target, str) or target not in ALLOWED:
             raise UntrustedError(f"{key}={target} in {source} is not on the allow-list (trust=true allows it)")
 
 
 def _targets(node: Any, key: str = "") -> Iterator[tuple[str, Any]]:
-    """Yield everything in nested containers that is imported: each `_target_` and each class argument, with its key."""
+    """Yield what nested containers would import, with its key: each `_target_` and each class argument."""
     is_sequence = isinstance(node, list | tuple | set)
     children = node.items() if isinstance(node, Mapping) else enumerate(node) if is_sequence else ()
     for name, value in children:

@@ -1,7 +1,7 @@
-"""Labels of cells: what differs in their configs, in plans, status and reports alike.
+"""Label cells by the differences between their resolved configs, in plans, status and reports alike.
 
-Only resolved configs count, not what was passed. A group's option (`algorithm=td3`) changes many keys at once:
-those that follow from it alone are no factors of their own. Keys that always change together count once.
+A group's option (`algorithm=td3`) changes many keys at once: keys that it determines are no factors of their own. Keys
+that always change together count once.
 """
 
 from collections.abc import Collection, Hashable, Iterable, Mapping, Sequence
@@ -16,8 +16,7 @@ Config = Mapping[str, Setting]
 
 GROUPS = ("env", "algorithm", "buffer")
 EXPERIMENT = "experiment"
-# As many distinct values as cells is what drawing from a range gives; below this many cells it says nothing.
-FEW_CELLS = 5
+FEW_CELLS = 5  # with fewer, as many distinct values as cells does not mean that they were drawn from a range
 
 
 @dataclass(frozen=True)
@@ -32,7 +31,7 @@ class Factor:
 
 
 def settings_of(config: Mapping[str, Any], prefix: str = "") -> dict[str, Setting]:
-    """Return a nested config as dotted keys, with lists as text, as stores have it."""
+    """Return a nested config as dotted keys; lists become text, as in stores."""
     flat: dict[str, Setting] = {}
     for key, value in config.items():
         if isinstance(value, Mapping) and value:
@@ -43,12 +42,12 @@ def settings_of(config: Mapping[str, Any], prefix: str = "") -> dict[str, Settin
 
 
 def can_matter(key: str) -> bool:
-    """Whether a key can change a result, and is no seed."""
+    """Return whether a key other than the seed can change a result."""
     return key != "seed" and changes_results(key)
 
 
 def differing(configs: Sequence[Config]) -> list[str]:
-    """Return the keys that can change a result and are not the same in all configs."""
+    """Return the keys that can change a result and differ between configs."""
     keys = sorted({key for config in configs for key in config if can_matter(key)})
     return [key for key in keys if len({hashable(config.get(key)) for config in configs}) > 1]
 
@@ -56,9 +55,9 @@ def differing(configs: Sequence[Config]) -> list[str]:
 def find_factors(
     configs: Sequence[Config], experiments: Sequence[str]
 ) -> tuple[list[Factor], list[dict[str, Setting]]]:
-    """Return the factors of cells, given the config and the experiment of each, and each cell's settings.
+    """Return the factors of cells, given the config and the experiment of each, and the value of each factor by cell.
 
-    Settings are factor's key -> value; None where a cell has no such key.
+    The value is None if a cell's config has no such key.
     """
     varying, columns = differing(configs), dict[str, list[Setting]]()
     if len(set(experiments)) > 1:
@@ -68,8 +67,8 @@ def find_factors(
             columns[group] = [config.get(f"{group}.name") for config in configs]
             varying.remove(f"{group}.name")
     options = list(columns.values())
-    # How a run was evaluated is no factor unless there is nothing else. Of keys that change together, one of the run
-    # itself stands for those of a group: `n_envs` for the warm-up that it needs.
+    # Evaluation keys come last. Of keys that change together, a top-level one represents those of groups: `n_envs` for
+    # the warm-up that it requires.
     for key in sorted(varying, key=lambda key: (key.startswith("evaluation."), "." in key)):
         values = [config.get(key) for config in configs]
         if not any(_follows(values, column) for column in options) and not _doubles(values, columns.values()):
@@ -79,7 +78,7 @@ def find_factors(
 
 
 def label_by_experiment(configs: Mapping[tuple[str, str], Config]) -> dict[tuple[str, str], str]:
-    """Return the label of each cell among those of its experiment, given configs by (experiment, cell)."""
+    """Return the label of each cell within its experiment, given configs by (experiment, cell)."""
     labels: dict[tuple[str, str], str] = {}
     for experiment in dict.fromkeys(experiment for experiment, _ in configs):
         own = [key for key in configs if key[0] == experiment]
@@ -88,10 +87,7 @@ def label_by_experiment(configs: Mapping[tuple[str, str], Config]) -> dict[tuple
 
 
 def label_cells(configs: Sequence[Config], names: Sequence[str]) -> list[str]:
-    """Return the labels of the cells of an experiment, given their configs and names.
-
-    A cell that is alone is called after its algorithm and buffer.
-    """
+    """Return the labels of the cells of an experiment; a single cell is named after its algorithm and buffer."""
     if len(configs) == 1:
         options = [str(configs[0][f"{group}.name"]) for group in GROUPS[1:] if f"{group}.name" in configs[0]]
         return [", ".join(options) or names[0]]
@@ -101,10 +97,7 @@ def label_cells(configs: Sequence[Config], names: Sequence[str]) -> list[str]:
 def cell_labels(
     factors: Sequence[Factor], settings: Sequence[Mapping[str, Setting]], names: Sequence[str]
 ) -> list[str]:
-    """Return what sets each cell apart, e.g. `her_final, n_sampled_goal=8`: groups by their option alone.
-
-    Labels that would be the same get the key that ends their cell's name.
-    """
+    """Return labels such as `her_final, n_sampled_goal=8`; equal ones get the key at the end of the cell's name."""
     prefixes = {factor.key: "" if factor.key in (*GROUPS, EXPERIMENT) else f"{factor.name}=" for factor in factors}
     labels = [
         ", ".join(prefix + setting(cell[key]) for key, prefix in prefixes.items() if cell[key] is not None)
@@ -125,8 +118,7 @@ def setting(value: Any) -> str:
 
 
 def hashable(value: Setting) -> Hashable:
-    """Return a setting as a set can hold it."""
-    # 1 and True, 1 and 1.0 are the same to a dict; True is another setting than 1.
+    """Return a setting as a key of a dict, where True and 1 differ."""
     return (isinstance(value, bool), value)
 
 
@@ -139,27 +131,27 @@ def _factor(key: str, name: str, values: Sequence[Setting]) -> Factor:
 
 
 def _short_name(key: str, keys: Collection[str]) -> str:
-    """Return the shortest ending of a key that no other one has."""
+    """Return the shortest ending of a key that is unique among keys."""
     parts = key.split(".")
     endings = (".".join(parts[start:]) for start in reversed(range(len(parts))))
     return next((e for e in endings if sum(f".{other}".endswith(f".{e}") for other in keys) == 1), key)
 
 
 def _follows(values: Sequence[Setting], column: Sequence[Setting]) -> bool:
-    """Whether each value of a column comes with one value only."""
+    """Return whether a column determines the values."""
     options = list(map(hashable, column))
     return len(set(zip(options, map(hashable, values), strict=True))) == len(set(options))
 
 
 def _doubles(values: Sequence[Setting], columns: Iterable[Sequence[Setting]]) -> bool:
-    """Whether a key changes exactly where another does. In a search all do: every cell has values of its own."""
+    """Return whether a key changes exactly where another does; in a search, where all keys do, it does not count."""
     if len(set(map(hashable, values))) == len(values) >= FEW_CELLS:
         return False
     return any(_follows(values, column) and _follows(column, values) for column in columns)
 
 
 def _with_null(key: str, values: Sequence[Setting], configs: Sequence[Config]) -> list[Setting]:
-    """Tell null from not there: where the same option of the group has a value in another cell, it is null."""
+    """Return the values, with "null" where the group's option has the key, judged by other cells with this option."""
     options = [hashable(config.get(f"{key.partition('.')[0]}.name")) for config in configs]
     having = {option for option, value in zip(options, values, strict=True) if value is not None}
     return [

@@ -5,24 +5,24 @@ are imported for it, and torch with them, so everything that can be checked with
 """
 
 import inspect
-from collections.abc import Iterator, Mapping, Set
+from collections.abc import Iterator, Mapping
 from importlib import import_module
 from types import NoneType
-from typing import Annotated, Any, get_args
+from typing import Any, get_args
 
-from pydantic import AfterValidator, ConfigDict, Field, create_model
+from pydantic import ConfigDict, TypeAdapter, ValidationError
 
-from parking_exp.config.limits import limits_of
-from parking_exp.config.messages import problems_of
-from parking_exp.config.schema import AlgorithmConfig, RunConfig, ThirdParty
+from parking_exp.config.argument_limits import CLASS_LIMITS, LIMITS
+from parking_exp.config.messages import reason, sentence, unknown_key
+from parking_exp.config.schema import AlgorithmConfig, RunConfig
 from parking_exp.errors import suggestion
 
-# What the classes of the sections derive from.
+# Base classes of the sections' classes.
 BASES = {
     "algorithm": "stable_baselines3.common.off_policy_algorithm.OffPolicyAlgorithm",
     "buffer": "stable_baselines3.common.buffers.ReplayBuffer",
 }
-# Arguments that are classes, and the base that these must have. In a config they are dotted paths, or `_target_` nodes.
+# Arguments that are classes, as dotted paths or `_target_` nodes, and their base classes.
 CLASS_ARGUMENTS = {
     "activation_fn": "torch.nn.Module",
     "optimizer_class": "torch.optim.Optimizer",
@@ -33,20 +33,11 @@ DEFAULT_CLASSES = {
     "features_extractor": "stable_baselines3.common.torch_layers.CombinedExtractor",
 }
 POLICY = "MultiInputPolicy"
+MIRRORED_POLICIES = ("stable_baselines3.sac.MultiInputPolicy", "stable_baselines3.td3.MultiInputPolicy")
 HYDRA_KEYS = {"_target_", "_partial_", "_convert_", "_recursive_", "_args_"}
 # May be null although the library's annotation has no None: the run computes them.
 NULLABLE = {"train_freq", "gradient_steps"}
-
-
-def _refuse_null(value: Any) -> Any:
-    if value is None:
-        raise ValueError("a value is needed")
-    return value
-
-
-NotNull = Annotated[Any, AfterValidator(_refuse_null)]
-
-# Arguments that the run sets, by the key of the call, and the key that they come from.
+# By section, arguments that the run sets itself, and the key to use instead, if there is one.
 SET_BY_RUN: dict[str, dict[str, str | None]] = {
     "algorithm": {
         **dict.fromkeys(("policy", "n_steps", "optimize_memory_usage", "_init_setup_model")),
@@ -62,7 +53,7 @@ SET_BY_RUN: dict[str, dict[str, str | None]] = {
         **dict.fromkeys(("observation_space", "action_space")),
         **{"lr_schedule": "algorithm.learning_rate", "use_sde": "algorithm.use_sde"},
     },
-    "algorithm.policy_kwargs.optimizer_kwargs": {"params": "algorithm.net_arch", "lr": "algorithm.learning_rate"},
+    "algorithm.policy_kwargs.optimizer_kwargs": {"params": None, "lr": "algorithm.learning_rate"},
     "algorithm.policy_kwargs.features_extractor_kwargs": {"observation_space": "env"},
 }
 
@@ -84,13 +75,10 @@ def find(target: object) -> Any:
         module = import_module(path)
     except Exception as error:  # whatever a module does when it is imported
         extra = "; pip install 'parking-exp[contrib]'" if path.startswith("sb3_contrib") else ""
-        raise UnknownTarget(
-            f"{path} cannot be imported: {type(error).__name__}: {error}".splitlines()[0] + extra
-        ) from error
+        problem = f"{path} cannot be imported: {type(error).__name__}: {error}".splitlines()[0]
+        raise UnknownTarget(problem + extra) from error
     if not hasattr(module, name):
-        raise UnknownTarget(
-            f"there is no {name!r} in {path}{suggestion(name, [n for n in vars(module) if not n.startswith('_')])}"
-        )
+        raise UnknownTarget(f"there is no {name!r} in {path}{suggestion(name, vars(module))}")
     return getattr(module, name)
 
 
@@ -102,18 +90,11 @@ def class_path(value: object) -> object:
 def check_arguments(run: RunConfig) -> Iterator[str]:
     """Yield what is wrong with the arguments of the algorithm, of its policy and of the buffer."""
     for key, base in BASES.items():
-        section: ThirdParty = getattr(run, key)
-        siblings = type(section).model_fields.keys() - {"target"}
-        node = {"_target_": section.target, **section.arguments}
-        problems = [*_check_target(key, node, base, siblings, partial=False)]
+        section = getattr(run, key)
+        problems = list(_check_target(key, {"_target_": section.target, **section.arguments}, base))
         yield from problems
         if not problems and isinstance(section, AlgorithmConfig):
             yield from _check_policy(section, find(section.target))
-
-
-def not_mirrored(algorithm: AlgorithmConfig) -> str:
-    """Return the error that an algorithm's policy cannot mirror its steering."""
-    return f"algorithm.features=ego_mirrored: {algorithm.class_name}'s policy mirrors no steering; use ego_fine"
 
 
 def policy_class(algorithm: type) -> type | None:
@@ -130,38 +111,32 @@ def takes(call: Any, name: str) -> bool:
 def _check_policy(algorithm: AlgorithmConfig, algorithm_class: type) -> Iterator[str]:
     """Check `policy_kwargs` against the policy's own constructor."""
     key, given = "algorithm.policy_kwargs", algorithm.arguments.get("policy_kwargs") or {}
-    policy = policy_class(algorithm_class)
+    features, policy = algorithm.features, policy_class(algorithm_class)
     if not isinstance(given, Mapping):
         yield f"{key}={given!r} is not a group of keys"
     elif "net_arch" in given and not isinstance(given["net_arch"], Mapping):  # a mapping sets actor and critic apart
         yield f"{key}.net_arch takes the place of algorithm.net_arch; use algorithm.net_arch"
-    elif algorithm.features != "raw" and (own := [name for name in given if name.startswith("features_extractor")]):
+    elif features != "raw" and (own := [name for name in given if name.startswith("features_extractor")]):
         yield f"{key}.{own[0]} takes the place of algorithm.features; set algorithm.features=raw"
-    elif policy is None:
-        return
-    elif algorithm.features != "raw" and not takes(policy, "features_extractor_class"):
-        yield f"algorithm.features={algorithm.features}: {algorithm.class_name}'s policy ignores it; use raw"
-    elif algorithm.features == "ego_mirrored" and not issubclass(
-        algorithm_class, (find("stable_baselines3.SAC"), find("stable_baselines3.TD3"))
-    ):
-        yield not_mirrored(algorithm)
-    else:
-        problems = [*_check_call(key, policy, given)]
+    elif features != "raw" and policy is not None and not takes(policy, "features_extractor_class"):
+        yield f"algorithm.features={features}: {algorithm.class_name}'s policy ignores it; use raw"
+    elif features == "ego_mirrored" and policy not in map(find, MIRRORED_POLICIES):
+        yield f"algorithm.features={features}: {algorithm.class_name}'s policy can't mirror its steering; use ego_fine"
+    elif policy is not None:
+        problems = list(_check_call(key, policy, given))
         yield from problems
-        for name, usual in DEFAULT_CLASSES.items() if not problems else ():
-            nested, target = given.get(f"{name}_kwargs") or {}, class_path(given.get(f"{name}_class", usual))
-            if isinstance(nested, Mapping):
-                yield from _check_target(f"{key}.{name}_kwargs", {**nested, "_target_": target}, partial=True)
+        for name, default in DEFAULT_CLASSES.items() if not problems else ():
+            arguments, target = given.get(f"{name}_kwargs") or {}, class_path(given.get(f"{name}_class", default))
+            if isinstance(arguments, Mapping):
+                yield from _check_target(f"{key}.{name}_kwargs", {**arguments, "_target_": target}, partial=True)
             else:
-                yield f"{key}.{name}_kwargs={nested!r} is not a group of keys"
+                yield f"{key}.{name}_kwargs={arguments!r} is not a group of keys"
 
 
-def _check_target(
-    key: str, value: Any, base: str | None = None, siblings: Set[str] = frozenset(), *, partial: bool
-) -> Iterator[str]:
-    """Check a dotted path, or a node with a `_target_` and its arguments; with a base that the class must have."""
-    is_node, target = isinstance(value, Mapping), class_path(value)
-    place = f"{key}._target_={target}" if is_node else f"{key}={target}"
+def _check_target(key: str, value: Any, base: str | None = None, *, partial: bool = False) -> Iterator[str]:
+    """Check a dotted path, or a node with a `_target_` and its arguments; the class must have the base."""
+    target = class_path(value)
+    place = f"{key}._target_={target}" if isinstance(value, Mapping) else f"{key}={target}"
     try:
         call = find(target)
     except UnknownTarget as error:
@@ -169,51 +144,51 @@ def _check_target(
         return
     if base is not None and not (isinstance(call, type) and issubclass(call, find(base))):
         yield f"{place} is not a subclass of {base}"
-    elif is_node:
+    elif isinstance(value, Mapping):
         given = {name: argument for name, argument in value.items() if name not in HYDRA_KEYS}
-        yield from _check_call(key, call, given, siblings, partial=partial)
+        yield from _check_call(key, call, given, partial=partial or bool(value.get("_partial_")) or "_args_" in value)
 
 
-def _check_call(
-    key: str, call: Any, given: Mapping[str, Any], siblings: Set[str] = frozenset(), *, partial: bool = False
-) -> Iterator[str]:
-    """Check the arguments of a call; a `partial` one gets more. `siblings` are the valid keys that are no arguments."""
+def _check_call(key: str, call: Any, given: Mapping[str, Any], *, partial: bool = False) -> Iterator[str]:
+    """Check the arguments of a call; a `partial` one gets others later."""
     parameters, is_open = _parameters(call)
-    set_by_run, plain = SET_BY_RUN.get(key, {}), {}
+    set_by_run = SET_BY_RUN.get(key, {})
+    own_names = [name for name in parameters if name not in set_by_run]
+    limits = CLASS_LIMITS.get(getattr(call, "__name__", ""), LIMITS)
     for name, value in given.items():
-        base = CLASS_ARGUMENTS.get(name)
+        path = f"{key}.{name}"
         if name in set_by_run:
-            yield f"{key}.{name} is set by the run itself" + (f"; use {set_by_run[name]}" if set_by_run[name] else "")
+            yield f"{path} is set by the run itself" + (f"; use {set_by_run[name]}" if set_by_run[name] else "")
+        elif name not in parameters and not is_open:
+            yield unknown_key(path, own_names)
         elif isinstance(value, Mapping) and "_target_" in value:
-            is_partial = base is not None or bool(value.get("_partial_")) or "_args_" in value
-            yield from _check_target(f"{key}.{name}", value, base, partial=is_partial)
-        elif isinstance(value, str) and base is not None:
-            yield from _check_target(f"{key}.{name}", value, base, partial=True)
-        else:
-            plain[name] = value
-    known = {name: p for name, p in parameters.items() if name not in (set_by_run.keys() | given.keys() - plain.keys())}
-    limits = limits_of(getattr(call, "__name__", ""))
-    fields: dict[str, Any] = {  # under names that pydantic takes
-        f"argument_{number}": (
-            _type_of(p, limits),
-            Field(None if partial or p.default is not p.empty else ..., alias=n),
-        )
-        for number, (n, p) in enumerate(known.items())
-    }
-    config = ConfigDict(extra="allow" if is_open else "forbid", strict=True)
-    yield from problems_of(create_model("Arguments", __config__=config, **fields), plain, key, known.keys() | siblings)
+            yield from _check_target(path, value, CLASS_ARGUMENTS.get(name), partial=name in CLASS_ARGUMENTS)
+        elif isinstance(value, str) and name in CLASS_ARGUMENTS:
+            yield from _check_target(path, value, CLASS_ARGUMENTS[name])
+        elif name in parameters:
+            yield from _check_value(path, value, parameters[name], limits.get(name))
+    if not partial:
+        for name in own_names:
+            if name not in given and parameters[name].default is inspect.Parameter.empty:
+                yield f"{key}.{name} is missing"
 
 
-def _type_of(parameter: inspect.Parameter, limits: Mapping[str, Any]) -> Any:
-    """Return the type that an argument must have, as far as its annotation is simple or its range is known."""
-    annotation = parameter.annotation
-    types = set(get_args(annotation)) or {annotation}
-    nullable = parameter.name in NULLABLE or annotation in (parameter.empty, Any) or NoneType in types
-    if parameter.name in limits:
-        return limits[parameter.name] | None if nullable else limits[parameter.name]
-    if types <= {int, float, bool, str, NoneType}:
-        return annotation
-    return Any if nullable else NotNull
+def _check_value(key: str, value: Any, parameter: inspect.Parameter, limit: Any) -> Iterator[str]:
+    """Check a value against its range, or else its annotation where that is a plain type."""
+    types = set(get_args(parameter.annotation)) or {parameter.annotation}
+    if value is None:
+        if types.isdisjoint({NoneType, inspect.Parameter.empty, Any}) and parameter.name not in NULLABLE:
+            yield f"{key}=null: a value is needed"
+        return
+    if limit is None and types <= {int, float, bool, str, NoneType}:
+        limit = parameter.annotation
+    if limit is not None:
+        try:
+            TypeAdapter(limit, config=ConfigDict(strict=True)).validate_python(value)
+        except ValidationError as error:
+            problems = error.errors()
+            is_union = len(problems) > 1
+            yield f"{key}={value!r}: {' or '.join(map(reason, problems))}" if is_union else sentence(problems[0], key)
 
 
 def _parameters(call: Any) -> tuple[dict[str, inspect.Parameter], bool]:

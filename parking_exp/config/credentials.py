@@ -1,21 +1,21 @@
 """Keep passwords of database and server URIs out of everything that is stored or shown.
 
-Configs, run directories and stores hold URIs without their password. The password that was passed on the command line
-stays in the environment of this process and of those that it starts.
+Configs, run directories and stores hold URIs without passwords. A password from the command line is kept in the
+environment of this process and of its children only.
 """
 
 import json
 import os
 import re
 
-VARIABLE = "PARKING_EXP_PASSWORDS"  # JSON: URI without password -> URI as passed
+VARIABLE = "PARKING_EXP_PASSWORDS"  # JSON: URI without password -> URI with password
 # Up to the last @: a password may have one, and spaces. `:5432/path` is a port.
 USERINFO = re.compile(r"(://[^:/@?\s]*):(?!\d+(?:[/?][^\s@]*)?(?:\s|$)).*@")
 QUERY = re.compile(r"([?&])(?:(?:ssl)?password|passwd)=[^&\s'\"]*(&?)")
 
 
 def strip_password(text: str) -> str:
-    """Return a URI, or a text with URIs in it, without passwords; users stay."""
+    """Return a URI, or a text with URIs, without passwords; user names stay."""
     return QUERY.sub(lambda match: match[1] if match[2] else "", USERINFO.sub(r"\1@", text))
 
 
@@ -36,5 +36,4 @@ def with_password(uri: str) -> str:
 
 
 def _kept() -> dict[str, str]:
-    """Return the URIs that were passed with a password, by the URI without it."""
     return json.loads(os.environ.get(VARIABLE, "{}"))

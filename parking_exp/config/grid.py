@@ -1,7 +1,7 @@
 """Expand the cells of an experiment from its axes.
 
-`cells` of a config is a list of blocks; a block maps keys or groups to values, and stands for their product. `seeds` is
-how many seeds, or which, each cell gets.
+`cells` of a config is a list of blocks; a block maps keys or groups to values, and expands to their product. `seeds` is
+the number or the list of seeds of each cell.
 """
 
 import itertools
@@ -23,24 +23,22 @@ def points(
 ) -> list[Point]:
     """Return the overrides of every cell.
 
-    Values on the command line narrow the blocks that list them, and a block that is left with none is left out. A value
-    that no block lists takes the place of the values of every block where the key is an axis. A key that a block does
-    not name goes to it as an axis of its own, if its configs have such a key.
+    Values on the command line select from the blocks that list them; blocks without any of them are dropped. A value
+    that no block lists replaces the values of each block that sweeps over its key. Any other key becomes an axis of
+    each block whose configs have it.
 
     Args:
         blocks: of the experiment file; none: a single cell.
         axes: the values of each key on the command line, in Hydra's syntax.
-        has: whether the config that a point composes to has a key.
+        has: whether the config of a point has a key.
         experiment: its name, for the error.
 
     Raises:
-        ConfigError: no cell is left, or there are too many.
+        ConfigError: no cell matches, or there are too many.
     """
-    listed: dict[str, set[str]] = {}
-    for block in blocks:
-        for key, value in block.items():
-            listed.setdefault(key, set()).update(_values(value))
-    swept = {key for block in blocks for key, value in block.items() if isinstance(value, list)}
+    items = [item for block in blocks for item in block.items()]
+    listed = {key: {value for k, values in items if k == key for value in _values(values)} for key, _ in items}
+    swept = {key for key, values in items if isinstance(values, list)}
     cells: dict[Point, None] = {}
     for block in blocks or [{}]:
         lines = []
@@ -64,22 +62,14 @@ def points(
 
 
 def check_blocks(value: Any) -> list[Block]:
-    """Return `cells`, checked.
-
-    Raises:
-        ConfigError: it is not a list of mappings.
-    """
+    """Return `cells` if it is a list of mappings."""
     if not isinstance(value or [], list) or not all(isinstance(block, dict) and block for block in value or []):
         raise ConfigError(f"cells={value!r} is not a list of {{key: [values]}}")
     return value or []
 
 
 def seeds_of(value: object) -> list[int] | None:
-    """Return the seeds that `seeds` means: n for 0 to n - 1, a list for these, None for the run's own.
-
-    Raises:
-        ConfigError: it is neither.
-    """
+    """Return the seeds that `seeds` defines: 0 to n - 1 for n, the seeds of a list, None for the run's own seed."""
     if type(value) is int and 0 < value <= MOST_SEEDS:
         return list(range(value))
     if isinstance(value, list) and value and all(type(seed) is int and 0 <= seed < 2**32 for seed in value):

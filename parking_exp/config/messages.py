@@ -1,47 +1,21 @@
-"""Error messages for what pydantic refuses."""
+"""One-sentence messages for values that pydantic refuses."""
 
-import itertools
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any, get_args
 
-from pydantic import BaseModel, ValidationError
+from pydantic import BaseModel
 
-from parking_exp.errors import ConfigError, suggestion
-
-MOST_ERRORS = 5
+from parking_exp.errors import suggestion
 
 
-def refuse(problems: Iterable[str]) -> None:
-    """Refuse a config that has problems.
-
-    Raises:
-        ConfigError: with the first five of them.
-    """
-    if first := list(itertools.islice(problems, MOST_ERRORS)):
-        raise ConfigError("\n".join(first))
-
-
-def problems_of(model: type[BaseModel], values: Mapping[str, Any], key: str, choices: Iterable[str]) -> Iterator[str]:
-    """Yield what is wrong with the values in a section, given its model and its keys."""
-    try:
-        model.model_validate(values)
-    except ValidationError as error:
-        for (name,), group in itertools.groupby(error.errors(), lambda item: item["loc"][:1]):
-            items = list(group)
-            if len(items) > 1:  # of a union
-                yield f"{key}.{name}={values[str(name)]!r}: {' or '.join(_lower(item['msg']) for item in items)}"
-            else:
-                yield sentence(items[0], choices, f"{key}.")
-
-
-def sentence(error: Any, choices: Iterable[str], prefix: str = "") -> str:
-    """Say what pydantic complains about: an item of `ValidationError.errors()`, of a section with some keys."""
-    parts, value = [str(part) for part in error["loc"]], error["input"]
-    key = prefix + ".".join(parts)
+def sentence(error: Any, section: str = "", choices: Iterable[str] = ()) -> str:
+    """Say what is wrong with a value: an item of `ValidationError.errors()`, of a section with some keys."""
+    key = ".".join([*filter(None, [section]), *map(str, error["loc"])])
+    value = error["input"]
     match error["type"]:
         case "extra_forbidden":
-            return f"{key}: there is no such key{suggestion(parts[-1], choices)}"
+            return unknown_key(key, choices)
         case "missing":
             return f"{key} is missing"
         case "model_type":
@@ -49,12 +23,18 @@ def sentence(error: Any, choices: Iterable[str], prefix: str = "") -> str:
         case "literal_error":
             options = re.findall(r"'([^']*)'", error["ctx"]["expected"])
             return f"{key}={value} is not a valid choice{suggestion(str(value), options)}"
-    return f"{key}={value!r}: {_lower(error['msg'])}"
+    return f"{key}={value!r}: {reason(error)}"
 
 
-def _lower(message: str) -> str:
-    message = message.removeprefix("Value error, ")
+def reason(error: Any) -> str:
+    """Return pydantic's message within a sentence."""
+    message = error["msg"].removeprefix("Value error, ")
     return message[0].lower() + message[1:]
+
+
+def unknown_key(key: str, choices: Iterable[str]) -> str:
+    """Say that a key does not exist, and which one may be meant."""
+    return f"{key}: there is no such key{suggestion(key.rpartition('.')[2], choices)}"
 
 
 def keys_at(model: type[BaseModel], path: Sequence[int | str]) -> list[str]:

@@ -16,13 +16,13 @@ from parking_exp.errors import ConfigError
 
 
 def in_quotes(value: str) -> str:
-    """Write a string so that Hydra's grammar reads it as it is."""
+    """Quote a string for Hydra's grammar."""
     escaped = value.replace("\\", "\\\\").replace("'", "\\'")
     return f"'{escaped}'"
 
 
 def quoted(argument: str) -> str:
-    """Quote a path that Hydra's grammar can't read as it stands, e.g. `run=outputs/.../seed=0`."""
+    """Quote a path that Hydra's grammar can't parse unquoted, e.g. `run=outputs/.../seed=0`."""
     key, equals, value = argument.partition("=")
     if not equals or "/" not in value or key.startswith("-"):
         return argument
@@ -33,43 +33,35 @@ def quoted(argument: str) -> str:
     return argument
 
 
-def is_hydras(line: str) -> bool:
-    """Whether an override is of Hydra itself, e.g. of its launcher."""
-    return re.match(r"[+~]*hydra\b", line) is not None
+def is_hydras(override: str) -> bool:
+    """Return whether an override changes Hydra's own config, e.g. its launcher."""
+    return re.match(r"[+~]*hydra\b", override) is not None
 
 
 def hydra_overrides(overrides: Iterable[str]) -> list[str]:
     """Return the overrides that choose and set up the launcher."""
     others = re.compile(r"[+~]*hydra[./](sweeper|mode|run|sweep|help)\b")
-    return [line for line in overrides if is_hydras(line) and not others.match(line)]
+    return [override for override in overrides if is_hydras(override) and not others.match(override)]
 
 
-def parse(lines: Iterable[str]) -> list[Override]:
-    """Parse overrides, while Hydra is ready.
-
-    Raises:
-        ConfigError: a number has more digits than Python reads.
-    """
+def parse(overrides: Iterable[str]) -> list[Override]:
+    """Parse overrides, within `hydra_ready`."""
     parser = OverridesParser.create(config_loader=GlobalHydra.instance().config_loader())
     parsed: list[Override] = []
-    for line in lines:
+    for override in overrides:
         try:
-            parsed += parser.parse_overrides([line])
-        except ValueError as error:
-            raise ConfigError(f"{line.partition('=')[0]}: a number has too many digits") from error
+            parsed += parser.parse_overrides([override])
+        except ValueError as error:  # int() of a long text
+            raise ConfigError(f"{override.partition('=')[0]}: a number has too many digits") from error
         if not parsed[-1].key_or_group:
-            raise ConfigError(f"{line}: there is no key before the equals sign; write KEY=VALUE")
+            raise ConfigError(f"{override}: there is no key before the equals sign; write KEY=VALUE")
     return parsed
 
 
-def axes_of(lines: Iterable[str]) -> dict[str, list[str]]:
-    """Return the values of each key, in Hydra's syntax; of a key that is overridden twice, the last.
-
-    Raises:
-        ConfigError: a key has no values or too many, or both `seed` and `seeds` are given.
-    """
+def axes_of(overrides: Iterable[str]) -> dict[str, list[str]]:
+    """Return the values of each key, in Hydra's syntax; of a key that is overridden twice, the last."""
     axes = {}
-    for override in parse(lines):
+    for override in parse(overrides):
         values = [] if override.is_sweep_override() else [override.get_value_element_as_str()]
         if override.is_discrete_sweep():
             values = list(islice(override.sweep_string_iterator(), MOST_CELLS + 1))
@@ -83,30 +75,25 @@ def axes_of(lines: Iterable[str]) -> dict[str, list[str]]:
     return axes
 
 
-def experiment_option(line: str, config_dir: Path) -> str:
-    """Replace `experiment=PATH.yaml` by the option that Hydra finds there: a path relative to its config group.
-
-    Raises:
-        ConfigError: there is no such file.
-    """
-    path = _experiment_path(line)
-    if path is None:
-        return line
+def experiment_option(override: str, config_dir: Path) -> str:
+    """Replace `experiment=PATH.yaml` by an option of Hydra's: a path relative to the config group."""
+    if (path := _experiment_path(override)) is None:
+        return override
     if not path.is_file():
         raise ConfigError(f"experiment={path}: there is no such file")
     return f"experiment={in_quotes(os.path.relpath(path.resolve().with_suffix(''), config_dir / 'experiment'))}"
 
 
-def with_absolute_path(line: str) -> str:
+def with_absolute_path(override: str) -> str:
     """Return an override, with the path of an experiment file made absolute."""
-    path = _experiment_path(line)
-    return line if path is None else f"experiment={in_quotes(str(path.absolute()))}"
+    path = _experiment_path(override)
+    return override if path is None else f"experiment={in_quotes(str(path.absolute()))}"
 
 
-def _experiment_path(line: str) -> Path | None:
+def _experiment_path(override: str) -> Path | None:
     """Return the path of an experiment file in an override; None where it has none."""
-    key, _, value = line.partition("=")
+    key, _, value = override.partition("=")
     if value[:1] in {"'", '"'}:
-        value = re.sub(r"\\(.)", r"\1", value[1:-1])  # what `in_quotes` has escaped
+        value = re.sub(r"\\(.)", r"\1", value[1:-1])  # undo `in_quotes`
     path = Path(value).expanduser()
     return path if key == "experiment" and path.suffix == ".yaml" else None

@@ -1,7 +1,4 @@
-"""Paths and URIs of output directories, run directories and stores, relative so that a directory can be moved.
-
-What lies below an output directory is written down relative to it, and found from where the directory is now.
-"""
+"""Paths and URIs of output directories, runs and stores, stored relative so that an output directory can be moved."""
 
 import os
 from collections.abc import Iterable
@@ -19,8 +16,8 @@ ARTIFACTS = "mlflow-artifacts"  # folder of an output directory
 
 
 def directory_path(text: str | Path) -> Path:
-    """Return the absolute path of a directory as the user wrote it, `~` and `..` resolved."""
-    # Not `Path.expanduser`, which raises for an unknown user; not `resolve`: links stay as they are.
+    """Return the absolute path of a directory, `~` and `..` resolved, but not symbolic links."""
+    # `Path.expanduser` raises for an unknown user.
     return Path(os.path.normpath(Path(os.path.expanduser(text)).absolute()))  # noqa: PTH111
 
 
@@ -35,19 +32,19 @@ def store_uri(config: "RunConfig") -> str:
 
 
 def absolute(uri: str, base: Path | None = None) -> str:
-    """Return a URI with its sqlite path made absolute, from a base directory or the working directory."""
+    """Return a URI with its sqlite path made absolute, relative to a base directory or the working directory."""
     path = database(uri)
     return uri if path is None else f"{SQLITE}{directory_path((base or Path()) / path)}"
 
 
 def relative(uri: str, base: Path) -> str:
-    """Return a URI with its sqlite path relative to a base directory, if it lies below that."""
+    """Return a URI with its sqlite path relative to a base directory, if it is below it."""
     path = database(absolute(uri))
     return uri if path is None else f"{SQLITE}{relative_path(path, base)}"
 
 
 def relative_path(path: Path, base: Path) -> str:
-    """Return a path relative to a base directory if it lies below that, else the absolute path."""
+    """Return a path relative to a base directory if it is below it, else the absolute path."""
     path, base = directory_path(path), directory_path(base)
     return str(path.relative_to(base) if path.is_relative_to(base) else path)
 
@@ -58,7 +55,7 @@ def database(uri: str) -> Path | None:
 
 
 def local_folder(uri: str) -> Path | None:
-    """Return the folder that a URI of artifacts means on this machine, None where they lie elsewhere."""
+    """Return the local folder of a URI of artifacts; None if they are on a server."""
     parts = urlparse(uri)
     if parts.scheme == "file" and parts.netloc in ("", "localhost"):
         return Path(unquote(parts.path))
@@ -66,18 +63,18 @@ def local_folder(uri: str) -> Path | None:
 
 
 def is_same_store(uri: str, other_uri: str) -> bool:
-    """Whether two URIs name the same store."""
+    """Return whether two URIs name the same store."""
     file, other = database(uri), database(other_uri)
     return uri == other_uri if file is None or other is None else file.resolve() == other.resolve()
 
 
 def lies_inside(path: Path, folder: Path) -> bool:
-    """Whether a path is below a folder once all symbolic links are followed."""
+    """Return whether a path is below a folder once all symbolic links are followed."""
     return path.resolve().is_relative_to(folder.resolve())
 
 
 def refuse_links(paths: Iterable[Path], folder: Path) -> None:
-    """Refuse symbolic links that lead out of a folder: files elsewhere would be read, written or sent to a store.
+    """Refuse symbolic links out of a folder: files elsewhere would be read, written or sent to a store.
 
     Raises:
         UntrustedError: one of the paths is such a link.

@@ -4,22 +4,22 @@ import re
 from collections.abc import Iterator, Mapping
 
 from parking_exp.config.allowlist import ALLOWED
+from parking_exp.config.argument_limits import HER_OPTIONS
 from parking_exp.config.constructor_arguments import UnknownTarget, find
-from parking_exp.config.her_options import HER_OPTIONS
 from parking_exp.config.schema import DEFAULT_FEATURES, DEFAULT_SCALES, TRAINING_SCENES_START, EnvConfig, RunConfig
 
 HER_CLASSES = ("HerBuffer", "HerReplayBuffer")
 
 
 def check_rules(run: RunConfig) -> Iterator[str]:
-    """Yield what is wrong with rules between keys."""
+    """Yield a sentence for each rule between keys that the config violates."""
     yield from check_env(run.env)
     for check in (_check_buffer, _check_algorithm, _check_evaluation, _check_tracking):
         yield from check(run)
 
 
 def check_env(env: EnvConfig) -> Iterator[str]:
-    """Yield what is wrong within the `env` group."""
+    """Yield a sentence for each rule of the `env` group that is violated."""
     observation, action = env.observation, env.action
     if len(observation.scales) != len(observation.features):
         yield "env.observation.scales has another length than env.observation.features; give one scale for each"
@@ -34,7 +34,7 @@ def check_env(env: EnvConfig) -> Iterator[str]:
         yield f"env.policy_frequency={env.policy_frequency} is above env.simulation_frequency"
     if env.simulator == "vectorized" and action.dynamical:
         yield "env.action.dynamical is not simulated by env.simulator=vectorized; use env.simulator=highway_env"
-    if env.other_vehicles_type not in ALLOWED:  # those take a second to import
+    if env.other_vehicles_type not in ALLOWED:  # the import takes a second
         try:
             find(env.other_vehicles_type)
         except UnknownTarget as error:
@@ -43,21 +43,17 @@ def check_env(env: EnvConfig) -> Iterator[str]:
 
 def _check_buffer(run: RunConfig) -> Iterator[str]:
     arguments, starts = run.buffer.arguments, run.algorithm.arguments.get("learning_starts")
+    her_options = [name for name in HER_OPTIONS if name in arguments]
     without_goals = arguments.get("goal_selection_strategy", "future") is None
-    is_her = run.buffer.class_name in HER_CLASSES or not arguments.keys().isdisjoint(
-        (*HER_OPTIONS, "goal_selection_strategy")
-    )
+    is_her = run.buffer.class_name in HER_CLASSES or bool(her_options) or "goal_selection_strategy" in arguments
     relabels = is_her and not without_goals
-    if without_goals and (idle := [name for name in HER_OPTIONS if name in arguments]):
-        yield f"buffer.{idle[0]} has no effect without virtual goals; leave it out, or use buffer=her_future"
+    if without_goals and her_options:
+        yield f"buffer.{her_options[0]} has no effect without virtual goals; leave it out, or use buffer=her_future"
     longest = run.env.for_training().episode_steps()
-    episodes = f"{longest} steps of the longest training episode x {run.n_envs} envs"
-    if relabels and not isinstance(starts, int):
-        yield f"algorithm.learning_starts is missing; give at least {longest * run.n_envs}: {episodes}"
-    elif relabels and isinstance(starts, int) and starts < longest * run.n_envs:
+    if relabels and (not isinstance(starts, int) or starts < longest * run.n_envs):
         yield (
-            f"algorithm.learning_starts={starts}: HER samples finished episodes only; "
-            f"give at least {longest * run.n_envs}: {episodes}"
+            f"algorithm.learning_starts={starts}: HER samples finished episodes only; give at least "
+            f"{longest * run.n_envs}: {longest} steps of the longest training episode x {run.n_envs} envs"
         )
     elif isinstance(starts, int) and run.total_timesteps <= starts:
         yield f"total_timesteps={run.total_timesteps} ends before the first update; give at least {starts + 1}"
@@ -104,7 +100,7 @@ def _check_evaluation(run: RunConfig) -> Iterator[str]:
 
 
 def _check_tracking(run: RunConfig) -> Iterator[str]:
-    """Yield what makes a store that can never work; one that is only down is none of these."""
+    """Yield what no store accepts; a server may also be down, which is no error of the config."""
     uri = run.tracking.uri
     if run.tracking.mlflow and run.experiment_name == "Default":
         yield "experiment_name=Default is MLflow's own, which keeps artifacts elsewhere; take another name"

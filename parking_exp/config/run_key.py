@@ -5,19 +5,16 @@ import json
 from collections.abc import Mapping
 from typing import Any
 
-WITHOUT_RESULT = frozenset(
-    {"experiment_name", "output_dir", "tracking", "checkpoint", "timeout_s", "evaluation.video_episodes"}
-)
+WITHOUT_RESULT = ("experiment_name", "output_dir", "tracking", "checkpoint", "timeout_s", "evaluation.video_episodes")
 
 
 def changes_results(key: str) -> bool:
-    """Whether a dotted key can change a result."""
-    parts = key.split(".")
-    return WITHOUT_RESULT.isdisjoint(".".join(parts[:length]) for length in range(1, len(parts) + 1))
+    """Return whether a dotted key can change a result."""
+    return not any(f"{key}.".startswith(f"{excluded}.") for excluded in WITHOUT_RESULT)
 
 
 def result_part(config: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    """Return a config as plain containers, without the keys that change no result."""
+    """Return a nested config without the keys that change no result."""
     return {
         name: result_part(value, f"{prefix}{name}.") if isinstance(value, Mapping) else value
         for name, value in config.items()

@@ -1,7 +1,6 @@
-"""The schema of a run's config: its keys, their types and ranges.
+"""The schema of a run's config: its keys, their types and ranges; `conf/` has the values, and a comment for each key.
 
-Values and their comments stand in `conf/`. Our own keys are typed fields; arguments of third-party classes stay under
-the library's own names, and `config.constructor_arguments` checks them.
+Arguments of third-party classes keep the library's names, and are checked by `config.constructor_arguments`.
 """
 
 import math
@@ -18,14 +17,13 @@ from parking_exp.config.run_key import result_part, short_hash
 ENV_ID = "parking-v0"
 DEFAULT_FEATURES = ["x", "y", "vx", "vy", "cos_h", "sin_h"]
 DEFAULT_SCALES = [100, 100, 5, 5, 1, 1]
-# Seeds of training scenes start here; evaluation scenes lie below, so the two never meet.
+# Seeds of training scenes start here; those of evaluation scenes are smaller.
 TRAINING_SCENES_START = 2**31
 
 
-def check_range(bounds: list[float]) -> list[float]:
-    """Refuse a range without values."""
-    if not bounds[0] < bounds[1]:
-        raise ValueError("the lower bound has to be below the upper one")
+def _check_range(bounds: list[float]) -> list[float]:
+    if bounds[0] >= bounds[1]:
+        raise ValueError("the lower bound must be below the upper one")
     return bounds
 
 
@@ -40,7 +38,7 @@ Duration = Annotated[float, Field(gt=0, le=100_000)]
 Pixels = Annotated[int, Field(ge=1, le=10_000)]
 Share = Annotated[float, Field(gt=0, le=1)]
 Bounds = Annotated[list[float], Field(min_length=2, max_length=2)]
-Range = Annotated[Bounds, AfterValidator(check_range)]
+Range = Annotated[Bounds, AfterValidator(_check_range)]
 Simulation = Literal["vectorized", "highway_env"]
 Scene = Annotated[int, Field(ge=0, lt=TRAINING_SCENES_START)]
 NumberOfScenes = Annotated[int, Field(ge=1, le=10_000_000)]
@@ -55,7 +53,7 @@ class ConfigModel(BaseModel):
 class ObservationConfig(ConfigModel):
     """highway-env's `observation` options."""
 
-    type: Literal["KinematicsGoal"]  # stored, so that highway-env takes the `env` section of a run's config as it is
+    type: Literal["KinematicsGoal"]  # stored, so that highway-env accepts the `env` section of a run's config
     features: Annotated[list[Literal["x", "y", "vx", "vy", "cos_h", "sin_h"]], Field(min_length=1)]
     scales: list[PositiveFloat]
     normalize: bool
@@ -106,20 +104,19 @@ class EnvConfig(ConfigModel):
     real_time_rendering: bool
 
     def for_training(self) -> Self:
-        """Return the config of training envs, in which `training_duration` and `training_success_goal_reward` apply."""
+        """Return the config of training envs: `training_duration` and `training_success_goal_reward` applied."""
         values = {"duration": self.training_duration, "success_goal_reward": self.training_success_goal_reward}
         return self.model_copy(update={key: value for key, value in values.items() if value is not None})
 
     def highway_options(self) -> dict[str, Any]:
         """Return the `config` for `gym.make(ENV_ID, config=...)`."""
-        ours = {"name", "simulator", "reward"}
-        training = {name for name in type(self).model_fields if name.startswith("training_")}
-        options = self.model_dump(exclude=ours | training)
+        ours = {"name", "simulator", "reward", "training_duration", "training_success_goal_reward"}
+        options = self.model_dump(exclude=ours)
         options["action"] = {key: value for key, value in options["action"].items() if value is not None}
         return options
 
     def episode_steps(self) -> int:
-        """Longest episode in policy steps, counted as highway-env counts time: by adding floats."""
+        """Return the longest episode in policy steps, counted like highway-env does: by adding floats."""
         time, steps = 0.0, 0
         while time < self.duration:
             time += 1 / self.policy_frequency
@@ -128,7 +125,7 @@ class EnvConfig(ConfigModel):
 
 
 class ThirdParty(BaseModel):
-    """A section with fields of ours and, besides them, constructor arguments of the class in `_target_`."""
+    """A section with our own keys and constructor arguments of the class in `_target_`."""
 
     model_config = ConfigDict(extra="allow", frozen=True, strict=True)
 
@@ -137,7 +134,7 @@ class ThirdParty(BaseModel):
 
     @property
     def arguments(self) -> dict[str, Any]:
-        """The constructor arguments, under the library's own names."""
+        """The constructor arguments."""
         return dict(self.model_extra or {})
 
     @property
@@ -197,7 +194,7 @@ class TrackingConfig(ConfigModel):
 
 
 class SweepOptions(ConfigModel):
-    """Keys beside a run's that say what a sweep does."""
+    """Keys of a sweep."""
 
     retry: Literal["failed"] | None
     dry_run: bool
@@ -207,13 +204,11 @@ class RunConfig(ConfigModel):
     """One run, seed included."""
 
     experiment_name: Name
-    # A sqlite URL ends at a question mark.
-    output_dir: Annotated[str, Field(pattern=r"^[^?]+$")]
+    output_dir: Annotated[str, Field(pattern=r"^[^?]+$")]  # a sqlite URI ends at a question mark
     seed: Annotated[int, Field(ge=0, lt=2**32)]
     total_timesteps: Positive
     n_envs: Annotated[int, Field(ge=1, le=100_000)]
-    # Below, a round would be longer than 1,000 steps of each env.
-    updates_per_step: Annotated[float, Field(ge=0.001, le=1000)]
+    updates_per_step: Annotated[float, Field(ge=0.001, le=1000)]  # 0.001: one update in 1,000 steps of each env
     device: Annotated[str, Field(pattern=r"^(cpu|auto|cuda(:\d{1,3})?)$")]
     torch_threads: Annotated[int, Field(ge=1, le=1024)] | None
     precision: Literal["highest", "medium"]
@@ -226,7 +221,7 @@ class RunConfig(ConfigModel):
     tracking: TrackingConfig
 
     def plain(self) -> dict[str, Any]:
-        """Return the config as plain containers, as it would stand in YAML."""
+        """Return the config as plain containers, for YAML."""
         return self.model_dump(by_alias=True)
 
     @property
@@ -236,7 +231,7 @@ class RunConfig(ConfigModel):
 
     @property
     def cell_key(self) -> str:
-        """Short hash of everything that can change a result, but the seed."""
+        """Short hash of everything that can change a result, except the seed."""
         return short_hash({key: value for key, value in result_part(self.plain()).items() if key != "seed"})
 
     @property
@@ -256,18 +251,17 @@ class RunConfig(ConfigModel):
 
     @property
     def n_certified_scenes(self) -> int:
-        """Number of final scenes that are repeated on highway-env; all of them where the run simulates on it anyway."""
-        asked, number = self.evaluation.n_certified_scenes, self.evaluation.final_n_scenes
-        return number if self.env.simulator == "highway_env" else min(asked, number)
+        """Number of final scenes that are cross-checked on highway-env; all of them if the run simulates on it."""
+        n_final = self.evaluation.final_n_scenes
+        return n_final if self.env.simulator == "highway_env" else min(self.evaluation.n_certified_scenes, n_final)
 
     def update_rounds(self) -> tuple[int | tuple[int, str], int]:
         """Return (`train_freq`, `gradient_steps`): the shortest round that makes `updates_per_step` exact.
 
-        Where the algorithm sets them by hand, these count: `train_freq: [1, episode]` comes with as many updates as
-        steps (-1) unless `gradient_steps` says otherwise.
+        Values of the `algorithm` section take precedence: `train_freq: [1, episode]` does as many updates as steps (-1)
+        unless `gradient_steps` is set.
         """
-        train_freq = self.algorithm.arguments.get("train_freq")
-        gradient_steps = self.algorithm.arguments.get("gradient_steps")
+        train_freq, gradient_steps = map(self.algorithm.arguments.get, ("train_freq", "gradient_steps"))
         if isinstance(train_freq, list):
             number, unit = train_freq
             return (number, unit), -1 if gradient_steps is None else gradient_steps

@@ -4,6 +4,7 @@ Every error is one sentence that names the key and what is wrong. Our own keys a
 mlflow; the third-party classes, and torch with them, are imported after that.
 """
 
+import itertools
 import math
 from collections.abc import Iterable, Iterator, Mapping, Set
 from typing import Any, TypeVar
@@ -14,7 +15,7 @@ from pydantic import BaseModel, ValidationError
 
 from parking_exp.config.constructor_arguments import check_arguments
 from parking_exp.config.credentials import keep_password
-from parking_exp.config.messages import MOST_ERRORS, keys_at, refuse, sentence
+from parking_exp.config.messages import keys_at, sentence
 from parking_exp.config.rules import check_rules
 from parking_exp.config.schema import RunConfig, SweepOptions
 from parking_exp.errors import ConfigError
@@ -22,9 +23,20 @@ from parking_exp.errors import ConfigError
 Model = TypeVar("Model", bound=BaseModel)
 Config = DictConfig | Mapping[str, Any]
 
-# Keys of a composed config that say which runs there are, and nothing about any of them.
+# Keys that define a sweep, not a run.
 SWEEP_KEYS = {"seeds", "cells", *SweepOptions.model_fields}
 LARGEST_NUMBER = 1e15  # of any key: its square is a float, and its digits can be printed
+MOST_ERRORS = 5
+
+
+def refuse(problems: Iterable[str]) -> None:
+    """Refuse a config that has problems.
+
+    Raises:
+        ConfigError: with the first five of them.
+    """
+    if first := list(itertools.islice(problems, MOST_ERRORS)):
+        raise ConfigError("\n".join(first))
 
 
 def validate(config: Config | RunConfig) -> RunConfig:
@@ -37,11 +49,7 @@ def validate(config: Config | RunConfig) -> RunConfig:
 
 
 def validate_all(configs: Iterable[Config]) -> list[RunConfig]:
-    """Validate composed configs: our own keys of all, then the arguments of their classes.
-
-    Raises:
-        ConfigError: with one sentence for each of the first five things that are wrong with one of them.
-    """
+    """Validate composed configs: our own keys of all, then the arguments of their classes; raises as `validate`."""
     runs = []
     for config in configs:
         runs.append(parse(RunConfig, config, without=SWEEP_KEYS))
@@ -52,11 +60,7 @@ def validate_all(configs: Iterable[Config]) -> list[RunConfig]:
 
 
 def parse(model: type[Model], config: Config, without: Set[str] = frozenset()) -> Model:
-    """Resolve interpolations and check a config, less some keys, against a schema.
-
-    Raises:
-        ConfigError: it doesn't fit.
-    """
+    """Resolve interpolations and check a config, less some keys, against a schema; raises as `validate`."""
     try:
         node = config if isinstance(config, DictConfig) else OmegaConf.create(dict(config))
         plain: Any = OmegaConf.to_container(node, resolve=True, throw_on_missing=True)
@@ -71,17 +75,13 @@ def parse(model: type[Model], config: Config, without: Set[str] = frozenset()) -
 
 
 def check(model: type[Model], plain: Mapping[str, Any]) -> Model:
-    """Check plain values against a schema.
-
-    Raises:
-        ConfigError: they don't fit.
-    """
-    if not (problems := list(_bad_numbers(plain))):
-        try:
-            return model.model_validate(plain)
-        except ValidationError as error:
-            problems = [sentence(item, keys_at(model, item["loc"][:-1])) for item in error.errors()]
-    raise ConfigError("\n".join(problems[:MOST_ERRORS]))
+    """Check plain values against a schema; raises as `validate`."""
+    refuse(_bad_numbers(plain))
+    try:
+        return model.model_validate(plain)
+    except ValidationError as error:
+        refuse(sentence(item, choices=keys_at(model, item["loc"][:-1])) for item in error.errors())
+        raise
 
 
 def _bad_numbers(value: object, key: str = "") -> Iterator[str]:

@@ -4,7 +4,6 @@ from pathlib import Path
 
 from omegaconf import DictConfig
 
-from parking_exp.config.messages import refuse
 from parking_exp.config.paths import default_uri, directory_path, is_same_store
 from parking_exp.config.rules import check_env
 from parking_exp.config.run_key import short_hash
@@ -18,7 +17,7 @@ from parking_exp.config.schema import (
     Simulation,
     StoreConfig,
 )
-from parking_exp.config.validate import parse
+from parking_exp.config.validate import parse, refuse
 from parking_exp.errors import ConfigError, plural
 from parking_exp.evaluation.agents import Agent, AgentRequest, is_pretrained
 from parking_exp.runs.atomic_files import write_json

@@ -9,34 +9,35 @@ Side = Callable[[], float]
 """A function that does some work and returns its number of units (steps, updates)."""
 
 
-def rates(side: Side) -> float:
+def rate(side: Side) -> float:
     """Return the units per second of one call."""
     start = time.perf_counter()
     units = side()
     return units / (time.perf_counter() - start)
 
 
+def seconds(task: Callable[[], object]) -> float:
+    """Return the wall time of one call."""
+    start = time.perf_counter()
+    task()
+    return time.perf_counter() - start
+
+
 def interleave(ours: Side, peer: Side, rounds: int) -> dict[str, Any]:
-    """Return median, lowest and highest ratio of the rates, ours / peer's, and the medians of both rates.
-
-    Both sides are called once before, as a warm-up.
-    """
+    """Return median, lowest and highest ratio of the rates, ours / peer's, after a warm-up call of both."""
     ours(), peer()
-    pairs = [(rates(ours), rates(peer)) for _ in range(rounds)]
-    entry = spread([our_rate / peer_rate for our_rate, peer_rate in pairs], "ratio")
-    our_rates, peer_rates = zip(*pairs, strict=True)
-    medians = {"ours_per_s": statistics.median(our_rates), "peer_per_s": statistics.median(peer_rates)}
-    return entry | {name: rounded(value) for name, value in medians.items()}
-
-
-def spread(values: Sequence[float], name: str) -> dict[str, Any]:
-    """Return the median (as `name`), lowest and highest of some values, and their number (as `rounds`)."""
-    return {
-        name: rounded(statistics.median(values)),
-        "lowest": rounded(min(values)),
-        "highest": rounded(max(values)),
-        "rounds": len(values),
+    pairs = [(rate(ours), rate(peer)) for _ in range(rounds)]
+    medians = [rounded(statistics.median(rates)) for rates in zip(*pairs, strict=True)]
+    return spread([our_rate / peer_rate for our_rate, peer_rate in pairs]) | {
+        "ours_per_s": medians[0],
+        "peer_per_s": medians[1],
     }
+
+
+def spread(values: Sequence[float]) -> dict[str, Any]:
+    """Return the median, lowest and highest of some values, and their number."""
+    entry = {"value": statistics.median(values), "lowest": min(values), "highest": max(values)}
+    return {name: rounded(value) for name, value in entry.items()} | {"rounds": len(values)}
 
 
 def rounded(value: float) -> float:

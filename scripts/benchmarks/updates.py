@@ -2,45 +2,71 @@
 
 from typing import Any
 
-import stable_baselines3
 from stable_baselines3.common.logger import Logger
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 
 from benchmarks.timing import interleave
+from parking_exp import compose
 from parking_exp.algorithms.build_model import build_model, torch_settings
-from parking_exp.config.her_options import RELABEL_OPTIONS
+from parking_exp.config.argument_limits import RELABEL_OPTIONS
 from parking_exp.config.schema import RunConfig
 from parking_exp.envs.training_envs import make_training_envs
 
-PEER = "stable-baselines3"
-SBX = "sbx, with our replay buffer"
 
+def updates(algorithm: str, net: str, rounds: int, *, peer: str, gradient_steps: int, quick: bool) -> dict[str, Any]:
+    """Compare updates per second with a peer, `stable-baselines3` or `sbx`.
 
-def updates(config: RunConfig, rounds: int, updates_a_slice: int, transitions: int = 10_000) -> dict[str, Any]:
-    """Compare updates per second with Stable-Baselines3, in rounds of the config's length.
-
-    Ours uses the config's matmul precision, the peer torch's default.
+    Our wide networks have precision=medium; the peer has torch's or JAX's default.
     """
-    ours, peer = filled(config, fast=True, transitions=transitions), filled(config, fast=False, transitions=transitions)
-    return _compare(config, ours, peer, rounds, updates_a_slice) | {"peer": PEER}
+    widths = [int(width) for width in net.split("x")]  # 3x256: three layers of 256 units
+    is_wide = widths[1] >= 128
+    options = [f"algorithm={algorithm}", f"algorithm.net_arch={[widths[1]] * widths[0]}", "algorithm.batch_size=256"]
+    options += ["n_envs=8", f"updates_per_step={gradient_steps / 8}", "algorithm.learning_starts=1000"]
+    options += ["precision=medium"] if is_wide else []
+    # As in experiment=tutorial; sbx has no other features.
+    options += ["algorithm.features=raw"] if is_wide or peer == "sbx" else []
+    config, transitions = compose(*options), 2000 if quick else 10_000
+    ours = _filled(config, transitions)
+    if peer == "sbx":
+        theirs = _sbx_model(config, ours, gradient_steps)
+    else:
+        theirs = _filled(compose(*options, *sb3_classes(algorithm)), transitions)
+    calls = (4 if quick else 16 if is_wide else 80) // gradient_steps or 1
+
+    def train(model: OffPolicyAlgorithm) -> float:
+        for _ in range(calls):
+            model.train(gradient_steps=gradient_steps, batch_size=ours.batch_size)
+        return calls * gradient_steps
+
+    def our_side() -> float:
+        with torch_settings(config):
+            return train(ours)
+
+    return interleave(our_side, lambda: train(theirs), rounds) | {"peer": peer, "unit": "updates"}
 
 
-def updates_against_sbx(
-    config: RunConfig, rounds: int, updates_a_slice: int, transitions: int = 10_000
-) -> dict[str, Any]:
-    """Compare updates per second with sbx (Stable-Baselines3 in JAX), which samples from our replay buffer.
+def sb3_classes(algorithm: str) -> list[str]:
+    """Return the overrides that select Stable-Baselines3's algorithm and HER buffer."""
+    deleted = [f"~buffer.{key}" for key in RELABEL_OPTIONS]
+    algorithm_class = f"algorithm._target_=stable_baselines3.{algorithm.upper()}"
+    return [algorithm_class, "buffer._target_=stable_baselines3.HerReplayBuffer", *deleted]
 
-    sbx concatenates the observation's parts, as `algorithm.features=raw` does. Options other than batch size, tau and
-    gamma are sbx's defaults.
 
-    Raises:
-        ImportError: the extra `bench` is not installed.
-    """
+def _filled(config: RunConfig, transitions: int) -> Any:
+    """Return a model with a filled replay buffer."""
+    model = build_model(config, make_training_envs(config.env, config.n_envs), seed=0)
+    model.set_logger(Logger(None, []))
+    model.learning_starts = transitions
+    model.learn(transitions)
+    model.learning_starts = 0
+    return model
+
+
+def _sbx_model(config: RunConfig, ours: Any, gradient_steps: int) -> Any:
+    """Return the model in sbx (Stable-Baselines3 in JAX), which samples from our replay buffer."""
     import sbx
 
-    ours = filled(config, fast=True, transitions=transitions)
-    _, gradient_steps = config.update_rounds()
-    peer = getattr(sbx, config.algorithm.name.upper())(
+    model = getattr(sbx, config.algorithm.name.upper())(
         "MultiInputPolicy",
         make_training_envs(config.env, config.n_envs),
         learning_rate=1e-3,
@@ -52,49 +78,6 @@ def updates_against_sbx(
         policy_kwargs={"net_arch": list(config.algorithm.net_arch)},
         seed=0,
     )
-    peer.set_logger(Logger(None, []))
-    peer.replay_buffer = ours.replay_buffer
-    return _compare(config, ours, peer, rounds, updates_a_slice) | {"peer": SBX}
-
-
-def _compare(
-    config: RunConfig, ours: OffPolicyAlgorithm, peer: OffPolicyAlgorithm, rounds: int, updates_a_slice: int
-) -> dict[str, Any]:
-    """Time `train` of both models with the same batch size; ours with the precision of the config."""
-    _, gradient_steps = config.update_rounds()
-    calls = max(1, updates_a_slice // gradient_steps)
-
-    def our_side() -> float:
-        with torch_settings(config):
-            return side(ours)
-
-    def side(model: OffPolicyAlgorithm) -> float:
-        for _ in range(calls):
-            model.train(gradient_steps=gradient_steps, batch_size=ours.batch_size)
-        return calls * gradient_steps
-
-    about = {"unit": "updates", "precision": config.precision, "peer_precision": "highest"}
-    return interleave(our_side, lambda: side(peer), rounds) | about
-
-
-def filled(config: RunConfig, fast: bool, transitions: int = 10_000) -> Any:
-    """Return a model with a filled replay buffer, of our classes (fast) or Stable-Baselines3's."""
-    if not fast:
-        config = with_sb3_classes(config)
-    model = build_model(config, make_training_envs(config.env, config.n_envs), seed=0)
-    assert isinstance(model, getattr(stable_baselines3, config.algorithm.target.rpartition(".")[2]))
     model.set_logger(Logger(None, []))
-    model.learning_starts = transitions
-    model.learn(transitions)
-    model.learning_starts = 0
+    model.replay_buffer = ours.replay_buffer
     return model
-
-
-def with_sb3_classes(config: RunConfig) -> RunConfig:
-    """Return the config with Stable-Baselines3's algorithm and HER buffer."""
-    algorithm = config.algorithm.model_copy(
-        update={"target": f"stable_baselines3.{config.algorithm.target.rpartition('.')[2]}"}
-    )
-    plain = config.buffer.model_dump(by_alias=True, exclude=set(RELABEL_OPTIONS))
-    buffer = type(config.buffer).model_validate(plain | {"_target_": "stable_baselines3.HerReplayBuffer"})
-    return config.model_copy(update={"algorithm": algorithm, "buffer": buffer})

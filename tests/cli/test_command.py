@@ -12,7 +12,7 @@ from support.runs import GROUPS, ROOT, options, script, type_here
 
 from parking_exp.cli.command import _parse, errors_as_sentences
 
-# One process for all command lines: what one of them imports is there in those behind it, too.
+# One process for all command lines; modules that one of them imports stay imported.
 IMPORTS = """
 import importlib, json, os, sys
 sys.path.insert(0, {root!r})
@@ -58,13 +58,13 @@ def test_a_bad_command_line_gets_a_sentence_and_leaves_nothing_behind(tmp_path, 
 
 @pytest.fixture(scope="module")
 def imported(tmp_path_factory):
-    """What command lines have imported, and what then lies in their directory: {command line: (modules, files)}."""
+    """Modules imported by each command line, and files in its directory: {command line: (modules, files)}."""
     command = [sys.executable, "-c", IMPORTS.format(root=str(ROOT)), json.dumps(LIGHT)]
     folder = tmp_path_factory.mktemp("light")
     done = subprocess.run(command, check=False, capture_output=True, text=True, cwd=folder)
     assert done.returncode == 0, done.stderr
-    found = json.loads(done.stderr.splitlines()[-1])
-    return {(name, argument): (heavy, files) for name, argument, heavy, files in found}
+    imports = json.loads(done.stderr.splitlines()[-1])
+    return {(name, argument): (heavy, files) for name, argument, heavy, files in imports}
 
 
 @pytest.mark.parametrize(("name", "argument"), LIGHT)
@@ -91,12 +91,12 @@ def test_help_lists_the_options_of_groups_and_examples(name):
         ({}, ["her_final, n_sampled_goal=8", "-1"], (None, False, ["her_final, n_sampled_goal=8", "-1"])),
     ],
 )
-def test_flags_stand_anywhere_between_the_words(flags, words, expected):
+def test_flags_may_be_anywhere_between_the_overrides(flags, words, expected):
     given, overrides = _parse(words, flags)
     assert (given.config_dir, given.multirun, overrides) == expected
 
 
-def test_what_is_shown_may_be_cut_off_by_a_pipe():
+def test_a_closed_pipe_ends_the_output_without_a_traceback():
     command, keywords = script("train", "--help")
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, **keywords)
     process.stdout.close()
@@ -104,7 +104,7 @@ def test_what_is_shown_may_be_cut_off_by_a_pipe():
     assert process.wait(60) == 1
 
 
-def test_an_error_of_the_disk_is_a_sentence(capsys):
+def test_a_disk_error_is_one_sentence(capsys):
     with pytest.raises(SystemExit), errors_as_sentences():
         raise OSError(errno.ENOSPC, "the disk says why", "file")
     assert capsys.readouterr().err == "error: the disk says why: file\n"
@@ -112,7 +112,7 @@ def test_an_error_of_the_disk_is_a_sentence(capsys):
         raise FileNotFoundError(errno.ENOENT, "No such file", "x")
 
 
-def test_an_output_directory_that_cannot_be_made_gets_a_sentence(tmp_path):
+def test_an_output_directory_that_cannot_be_created_is_one_sentence(tmp_path):
     (tmp_path / "file").touch()
     done = type_here("train", "experiment=smoke", f"output_dir={tmp_path / 'file' / 'outputs'}")
     assert done.returncode == 2
@@ -128,7 +128,7 @@ def test_showing_the_config_runs_nothing(tmp_path):
 
 
 @pytest.mark.parametrize("flag", [("--config-dir", "mine"), ("--config-dir=mine",)])
-def test_hydras_own_config_dir_adds_options(tmp_path, flag):
+def test_config_dir_adds_options(tmp_path, flag):
     (tmp_path / "mine" / "env").mkdir(parents=True)
     (tmp_path / "mine" / "env" / "short.yaml").write_text("defaults: [parking]\nname: short\nduration: 0.2\n")
     assert "name: short" in type_here("train", *flag, "env=short", "--cfg", "job", cwd=tmp_path).stdout

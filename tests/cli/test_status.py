@@ -10,8 +10,6 @@ from support.runs import make_config, run_script, type_here
 from support.searches import SETTINGS
 from support.sweep_processes import SLOW, begin, statuses, wait_until
 
-from parking_exp.cli.status import show
-from parking_exp.config.compose import composed
 from parking_exp.runs.atomic_files import read_json, write_json
 from parking_exp.runs.directory import RunDirectory
 from parking_exp.runs.lookup import find_runs
@@ -26,17 +24,17 @@ def run_dir(output_dir, cell="cell-a", seed=0, **status):
     return path
 
 
-def test_cells_are_labelled_by_all_of_their_experiment_whatever_was_planned_first(tmp_path):
+def test_cells_are_labelled_among_all_cells_of_their_experiment(tmp_path):
     for label, seed, rate in (("alone", 0, "0.01"), ("another", 0, "0.1"), ("another", 1, "0.1")):
         config = make_config("experiment=smoke", f"updates_per_step={rate}", f"seed={seed}", f"output_dir={tmp_path}")
         RunDirectory(config.run_dir).freeze(config, label, None)
     states = [read_state(path) for path in find_runs(tmp_path)]
     assert {state.label for state in labelled(states[:1])} == {"sac, her_future"}
-    found = {(state.label, state.seed) for state in labelled(states)}
-    assert found == {("updates_per_step=0.01", 0), ("updates_per_step=0.1", 0), ("updates_per_step=0.1", 1)}
+    labels = {(state.label, state.seed) for state in labelled(states)}
+    assert labels == {("updates_per_step=0.01", 0), ("updates_per_step=0.1", 0), ("updates_per_step=0.1", 1)}
 
 
-def test_stages_are_told_from_status_claim_and_beat(tmp_path):
+def test_the_stage_follows_from_status_lock_and_heartbeat(tmp_path):
     now = time.time()
     done = run_dir(tmp_path, seed=0, status="done", steps=1000, success_rate=0.9, wall_s=12.0)
     failed = run_dir(tmp_path, seed=1, status="failed", error="ValueError: x", host="there")
@@ -62,18 +60,15 @@ WRONG = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("name", ["status", "steps", "host", "total_timesteps"])
-def test_an_entry_of_the_wrong_type_reads_as_absent_and_is_told(tmp_path, name):
-    path = run_dir(tmp_path, **{"status": "done", "steps": 5, name: WRONG[name]})
+def test_an_entry_of_the_wrong_type_is_reported_and_ignored_until_the_next_update(tmp_path):
+    path = run_dir(tmp_path, status="done", steps="x")
     state = read_state(path)
-    assert state.damaged == f"status.json has no valid {name}"
-    assert state.stage == ("pending" if name == "status" else "done")
-    assert state.step == (0 if name in {"status", "steps"} else 5)
+    assert (state.stage, state.step, state.damaged) == ("done", 0, "status.json has no valid steps")
     RunDirectory(path).update(host="here")
     assert read_state(path).damaged is None
 
 
-def test_a_status_that_is_damaged_is_one_runs_alone(tmp_path):
+def test_a_damaged_status_affects_only_its_run(tmp_path):
     run_dir(tmp_path, "cell-a", 0, status="done", steps=1000, success_rate=0.5, run_id="abc")
     nan = json.dumps({"status": "done", "success_rate": math.nan})
     for number, content in enumerate([json.dumps(WRONG), "{", "[]", "[" * 100_000, nan, "\xff"]):
@@ -92,26 +87,25 @@ def test_a_status_that_is_damaged_is_one_runs_alone(tmp_path):
         assert (read_state(process.path).stage, read_state(process.path).step) == ("running", 0)
 
 
-def test_text_of_a_foreign_run_does_nothing_to_the_terminal(tmp_path):
+def test_control_characters_of_a_foreign_run_are_escaped(tmp_path):
     evil = "x\x1b]0;t\x07\x9b31m\r\x7f\u202e\nfailed   other"
     run_dir(tmp_path, "cell-\x1b[2J", 0, status="failed", error=evil, label=evil, host=evil)
     held = RunDirectory(run_dir(tmp_path, "cell-b", 1, status="running", host=evil, started=time.time() - 1))
     with held.supervisor_lock():
         held.heartbeat(step=1, steps_per_s=0.0, doing=evil)
-        told = type_here("status", f"output_dir={tmp_path}")
+        shown = type_here("status", f"output_dir={tmp_path}")
         plain = type_here("status", f"output_dir={tmp_path}", "--json")
-    assert told.returncode == plain.returncode == 0
-    shown = r"x\x1b]0;t\x07\x9b31m\r\x7f\u202e\nfailed   other"
-    assert all(line.isprintable() for line in told.stdout.split("\n"))
-    assert f"failed   “{shown}” seed=0: {shown}   {tmp_path}/mine/cell-\\x1b[2J/seed=0\n" in told.stdout
-    assert f"running  b seed=1: 1 of 1000 steps, {shown}   {shown}\n" in told.stdout
+    assert shown.returncode == plain.returncode == 0
+    escaped = r"x\x1b]0;t\x07\x9b31m\r\x7f\u202e\nfailed   other"
+    assert all(line.isprintable() for line in shown.stdout.split("\n"))
+    assert f"failed   “{escaped}” seed=0: {escaped}   {tmp_path}/mine/cell-\\x1b[2J/seed=0\n" in shown.stdout
+    assert f"running  b seed=1: 1 of 1000 steps, {escaped}   {escaped}\n" in shown.stdout
     assert plain.stdout.isascii()
     assert "\x7f" not in plain.stdout
-    found = json.loads(plain.stdout)["cells"]
-    assert {cell["runs"][0]["host"] for cell in found} == {evil}
+    assert {cell["runs"][0]["host"] for cell in json.loads(plain.stdout)["cells"]} == {evil}
 
 
-def test_a_beat_of_an_earlier_process_does_not_count(tmp_path):
+def test_a_heartbeat_of_an_earlier_process_is_ignored(tmp_path):
     path = run_dir(tmp_path, status="running")
     RunDirectory(path).heartbeat(step=400, steps_per_s=20.0, doing="train")
     RunDirectory(path).update(started=time.time() + 1)
@@ -119,13 +113,13 @@ def test_a_beat_of_an_earlier_process_does_not_count(tmp_path):
         assert (read_state(path).step, read_state(path).doing) == (0, "starting")
 
 
-def test_status_tells_every_cell_in_a_table_and_as_json(tmp_path):
+def test_status_shows_every_cell_in_a_table_and_as_json(tmp_path):
     run_dir(tmp_path, "cell-a", 0, status="done", success_rate=1.0)
     run_dir(tmp_path, "cell-a", 1, status="done", success_rate=0.5)
     failed = run_dir(tmp_path, "cell-b", 0, status="failed", error="killed by SIGKILL", killed=True)
     (run_dir(tmp_path, "cell-b", 1, status="interrupted") / "checkpoints" / "step=300").mkdir(parents=True)
-    told = run_script("status", f"output_dir={tmp_path}", "experiment=mine")
-    assert [line.split() for line in told.stdout.splitlines()] == [
+    shown = run_script("status", f"output_dir={tmp_path}", "experiment=mine")
+    assert [line.split() for line in shown.stdout.splitlines()] == [
         ["cell", "done", "running", "failed", "pending", "success"],
         ["a", "2", "75%"],
         ["b", "1", "1"],
@@ -133,11 +127,11 @@ def test_status_tells_every_cell_in_a_table_and_as_json(tmp_path):
         ["stopped", "b", "seed=1:", "resumes", "at", "step", "300", "of", "1000"],
         ["failed", "b", "seed=0:", "killed", "by", "SIGKILL", str(failed)],
     ]
-    found = json.loads(type_here("status", f"output_dir={tmp_path}", "--json").stdout)
-    assert [found[stage] for stage in ("done", "running", "failed", "pending")] == [2, 0, 1, 1]
-    counted = [(cell["cell"], cell["done"], cell["failed"]) for cell in found["cells"]]
+    plain = json.loads(type_here("status", f"output_dir={tmp_path}", "--json").stdout)
+    assert [plain[stage] for stage in ("done", "running", "failed", "pending")] == [2, 0, 1, 1]
+    counted = [(cell["cell"], cell["done"], cell["failed"]) for cell in plain["cells"]]
     assert counted == [("cell-a", 2, 0), ("cell-b", 0, 1)]
-    assert found["cells"][1]["runs"][0]["reason"] == "killed by SIGKILL"
+    assert plain["cells"][1]["runs"][0]["reason"] == "killed by SIGKILL"
 
 
 @pytest.mark.parametrize(
@@ -148,7 +142,7 @@ def test_status_tells_every_cell_in_a_table_and_as_json(tmp_path):
         (("experment=mine",), "error: experment: there is no such key; did you mean 'experiment_name'?"),
     ],
 )
-def test_status_refuses_in_a_sentence(tmp_path, arguments, message):
+def test_status_refuses_in_one_sentence(tmp_path, arguments, message):
     if arguments:
         run_dir(tmp_path, status="done")
     done = type_here("status", f"output_dir={tmp_path}", *arguments)
@@ -157,41 +151,40 @@ def test_status_refuses_in_a_sentence(tmp_path, arguments, message):
     assert done.stderr.count("\n") == 1
 
 
-def test_a_running_run_is_told_with_step_rate_time_left_and_host(tmp_path):
+def test_a_running_run_shows_step_rate_time_left_and_host(tmp_path):
     process = begin(tmp_path, "seeds=1", "hydra/launcher=local", *SLOW)
     wait_until(lambda: any(read_json(path).get("step", 0) > 60 for path in tmp_path.glob("*/*/*/beat.json")))
-    told = type_here("status", f"output_dir={tmp_path}").stdout
+    shown = type_here("status", f"output_dir={tmp_path}").stdout
     (status,) = statuses(tmp_path).values()
     process.kill()
     process.communicate()
-    (line,) = [line for line in told.splitlines() if line.startswith("running ")]
+    (line,) = [line for line in shown.splitlines() if line.startswith("running ")]
     assert "of 200 steps, " in line
     assert " steps/s, " in line
     assert line.endswith(f" left   {status['host']}")
 
 
 def search_in(folder, uri, **stored):
-    """Write a search whose study, with one trial, lies in a storage."""
+    """Write a search whose study, with one trial, is in a storage."""
     study = optuna.create_study(study_name=folder.name, storage=storage_of(folder, uri), direction="maximize")
     study.add_trial(optuna.trial.create_trial(value=0.5))
     write_json(folder / "search.json", {"n_trials": 3, "search": SETTINGS, "storage": uri, **stored})
     return study
 
 
-def test_no_database_is_opened_that_only_a_search_names(tmp_path):
+def test_a_database_that_only_a_stored_search_names_is_not_opened(tmp_path):
     folder, elsewhere = run_dir(tmp_path / "outputs", status="done").parents[1], tmp_path / "elsewhere.db"
     write_json(folder / "search.json", {"n_trials": 3, "search": SETTINGS, "storage": f"sqlite:///{elsewhere}"})
-    told = type_here("status", f"output_dir={tmp_path / 'outputs'}")
-    assert told.returncode == 0, told.stderr
+    shown = type_here("status", f"output_dir={tmp_path / 'outputs'}")
+    assert shown.returncode == 0, shown.stderr
     words = f"the study is in sqlite:///{elsewhere}; pass storage=sqlite:///{elsewhere} to read it"
-    assert told.stdout.splitlines()[-1] == f"search mine: {words}"
+    assert shown.stdout.splitlines()[-1] == f"search mine: {words}"
     assert not elsewhere.exists()
     search_in(folder, f"sqlite:///{elsewhere}")
-    told = type_here("status", f"output_dir={tmp_path / 'outputs'}", f"storage=sqlite:///{elsewhere}")
-    assert "3 trials: 1 done, 2 pending" in told.stdout
+    shown = type_here("status", f"output_dir={tmp_path / 'outputs'}", f"storage=sqlite:///{elsewhere}")
+    assert "3 trials: 1 done, 2 pending" in shown.stdout
 
 
-@pytest.mark.parametrize("as_json", [True, False])
 @pytest.mark.parametrize(
     ("stored", "attributes", "problem"),
     [
@@ -199,16 +192,13 @@ def test_no_database_is_opened_that_only_a_search_names(tmp_path):
         ({}, {"changes": ["x"]}, "trial 1 has no valid changes"),
     ],
 )
-def test_a_damaged_search_is_shown_beside_the_runs(tmp_path, capsys, as_json, stored, attributes, problem):
+def test_a_damaged_search_is_shown_beside_the_runs(tmp_path, stored, attributes, problem):
     folder = run_dir(tmp_path, status="done").parents[1]
     search_in(folder, None, **stored).add_trial(optuna.trial.create_trial(value=0.5, user_attrs=attributes))
-    (config,) = composed("status", [f"output_dir={tmp_path}", f"json={as_json}"])
-    show(config)
-    shown = capsys.readouterr().out
-    if as_json:
-        assert json.loads(shown)["done"] == 1
-        assert problem in json.loads(shown)["searches"][0]["error"]
-    else:
-        assert shown.splitlines()[1].split() == ["a", "1"]
-        assert shown.splitlines()[-1].startswith("search mine: ")
-        assert problem in shown.splitlines()[-1]
+    lines = type_here("status", f"output_dir={tmp_path}").stdout.splitlines()
+    assert lines[1].split() == ["a", "1"]
+    assert lines[-1].startswith("search mine: ")
+    assert problem in lines[-1]
+    plain = json.loads(type_here("status", f"output_dir={tmp_path}", "--json").stdout)
+    assert plain["done"] == 1
+    assert problem in plain["searches"][0]["error"]

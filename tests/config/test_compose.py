@@ -1,5 +1,7 @@
 """Tests of composing: options, overrides in Hydra's grammar, and what is refused before any value is checked."""
 
+from pathlib import Path
+
 import hydra
 import pytest
 from hydra import initialize_config_dir
@@ -7,6 +9,7 @@ from hydra.core.global_hydra import GlobalHydra
 from omegaconf import OmegaConf
 from support.runs import GROUPS, make_config, options
 
+from parking_exp.config.allowlist import check_trust
 from parking_exp.config.compose import composed, config_dir
 from parking_exp.config.overrides import in_quotes, quoted, with_absolute_path
 from parking_exp.config.validate import validate
@@ -21,9 +24,10 @@ from parking_exp.errors import ConfigError
         for option in options(group)
     ],
 )
-def test_every_option_of_every_group_composes_and_validates(group, option):
+def test_every_option_of_every_group_composes_validates_and_is_trusted(group, option):
     for composed_config in composed("config", [f"{group}={option}"]):
         config = validate(composed_config)
+        check_trust(config, Path("config.yaml"))  # raises for a class outside the allow-list
         if group in ("env", "algorithm", "buffer"):
             assert getattr(config, group).name == option
         if group == "experiment":
@@ -38,7 +42,7 @@ def test_every_option_of_every_group_composes_and_validates(group, option):
         ("env=parkin_sparse", "'parking_sparse'"),
         ("experiment=tutorail", "'tutorial'"),
         ("algorithm.learning_rat=1", "'learning_rate'"),
-        ("algorithm.policy_kwargs.n_critics=3", "+algorithm.policy_kwargs.n_critics"),
+        ("algorithm.policy_kwargs.n_critics=3", "++algorithm.policy_kwargs.n_critics="),
         ("tracking.mlfow=true", "'mlflow'"),
         ("algorithm.policy_kwargs=[1]", "algorithm.policy_kwargs"),
         ("hydra.launcher.n_job=2", "'n_jobs'"),
@@ -57,14 +61,14 @@ def test_every_option_of_every_group_composes_and_validates(group, option):
         ("experiment=nowhere.yaml", "nowhere.yaml"),
     ],
 )
-def test_what_does_not_compose_is_a_sentence_that_names_it(override, named):
+def test_an_invalid_override_is_refused_in_one_sentence(override, named):
     with pytest.raises(ConfigError, match=r"^[^\n]+$") as refusal:
         composed("config", [override])
     assert named in str(refusal.value)
 
 
 @pytest.mark.parametrize("override", ["seed=???", "seed=${seed}", "output_dir=${oc.env:NOT_SET}"])
-def test_a_missing_value_and_an_interpolation_without_one_name_their_key(override):
+def test_missing_values_and_broken_interpolations_name_their_key(override):
     with pytest.raises(ConfigError, match=rf"^{override.partition('=')[0]}[^\n]+$"):
         make_config(override)
 
@@ -82,7 +86,7 @@ def test_a_missing_value_and_an_interpolation_without_one_name_their_key(overrid
         ["algorithm.gamma=1", "algorithm.gamma=0.5", "experiment_name=${algorithm.name}"],
     ],
 )
-def test_a_config_is_what_hydra_composes(lines):
+def test_a_config_equals_what_hydra_composes(lines):
     (ours,) = composed("config", lines)
     with initialize_config_dir(version_base="1.3", config_dir=str(config_dir())):
         assert OmegaConf.to_yaml(ours) == OmegaConf.to_yaml(hydra.compose("config", lines))
@@ -98,11 +102,11 @@ def test_a_config_is_what_hydra_composes(lines):
         ("output_dir=/plain", "output_dir=/plain"),
     ],
 )
-def test_paths_that_hydras_grammar_cannot_read_are_quoted(argument, expected):
+def test_paths_that_hydras_grammar_cannot_parse_are_quoted(argument, expected):
     assert quoted(argument) == expected
 
 
-def test_a_users_own_options_are_found_in_that_call_alone(tmp_path):
+def test_a_users_own_options_apply_to_that_call_only(tmp_path):
     (tmp_path / "evaluation").mkdir()
     for value in (50, 51):
         (tmp_path / "evaluation" / "long.yaml").write_text(f"defaults: [default]\nn_scenes: {value}\n")
@@ -112,16 +116,16 @@ def test_a_users_own_options_are_found_in_that_call_alone(tmp_path):
         composed("config", ["evaluation=long"])
 
 
-def test_an_experiment_file_may_lie_anywhere(tmp_path):
-    path = tmp_path / 'it\'s "a b"' / "mine=1.yaml"
+def test_an_experiment_file_may_be_anywhere(tmp_path):
+    path = tmp_path / 'it\'s "a b"' / "own=1.yaml"
     path.parent.mkdir()
-    path.write_text("# @package _global_\ndefaults:\n  - override /algorithm: sac\nexperiment_name: mine\nn_envs: 2\n")
+    path.write_text("# @package _global_\ndefaults:\n  - override /algorithm: sac\nexperiment_name: own\nn_envs: 2\n")
     line = f"experiment={in_quotes(str(path))}"
     assert with_absolute_path(line) == line
     config = make_config(line, "n_envs=4")
-    assert (config.experiment_name, config.algorithm.name, config.n_envs) == ("mine", "sac", 4)
+    assert (config.experiment_name, config.algorithm.name, config.n_envs) == ("own", "sac", 4)
     path.write_text("n_envs: [")
-    with pytest.raises(ConfigError, match=r"mine=1.yaml"):
+    with pytest.raises(ConfigError, match=r"own=1.yaml"):
         make_config(line)
 
 

@@ -9,7 +9,7 @@ from parking_exp.config.credentials import VARIABLE, keep_password, strip_passwo
 
 
 @pytest.fixture(autouse=True)
-def nothing_kept(monkeypatch):
+def no_passwords(monkeypatch):
     monkeypatch.setenv(VARIABLE, "{}")
 
 
@@ -28,7 +28,7 @@ def test_a_uri_loses_its_password_and_keeps_its_user(uri, stripped):
     assert strip_password(uri) == stripped
 
 
-def test_the_password_that_was_passed_last_is_used():
+def test_the_latest_password_of_a_uri_is_used():
     assert with_password("postgresql://me@host/db") == "postgresql://me@host/db"  # the driver looks for one
     for password in ("old", "new"):
         assert keep_password(f"postgresql://me:{password}@host/db") == "postgresql://me@host/db"
@@ -36,14 +36,14 @@ def test_the_password_that_was_passed_last_is_used():
     assert with_password("postgresql://me@other/db") == "postgresql://me@other/db"
 
 
-def test_a_config_has_no_password_and_is_the_same_with_another():
+def test_a_config_has_no_password_and_does_not_depend_on_it():
     configs = [make_config(f"tracking.uri='postgresql://me:{password}@host/db'") for password in ("old", "se cret")]
     assert configs[0] == configs[1]
     assert configs[0].tracking.uri == "postgresql://me@host/db"
     assert with_password(configs[0].tracking.uri) == "postgresql://me:se cret@host/db"
 
 
-def test_no_file_and_no_message_of_a_run_has_the_password_of_its_store(tmp_path):
+def test_no_file_and_no_message_of_a_run_contains_the_password_of_its_store(tmp_path):
     uri = "http://me:se-cret@127.0.0.1:9/x"
     done = run_script("train", "experiment=smoke", "evaluation.video_episodes=0", f"tracking.uri={uri}", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
@@ -58,7 +58,7 @@ def test_no_file_and_no_message_of_a_run_has_the_password_of_its_store(tmp_path)
 @pytest.mark.parametrize(
     "argument", ["tracking.uri=[postgresql://me:se-cret@host/db]", "seed=postgresql://me:se-cret@host/db"]
 )
-def test_a_refusal_does_not_show_a_password(argument, tmp_path):
+def test_an_error_message_does_not_contain_a_password(argument, tmp_path):
     done = type_here("train", argument, cwd=tmp_path)
     assert done.returncode == 2
     assert "cret" not in done.stderr

@@ -41,11 +41,11 @@ def runs(*overrides):
     ],
 )
 def test_blocks_are_products_that_the_command_line_narrows(axes, expected):
-    """Replay has no n_sampled_goal, and is left alone by it."""
+    """The block of replay, which has no n_sampled_goal, is not changed by it."""
     assert points(BLOCKS, axes, has) == expected
 
 
-def test_values_that_no_cell_has_are_refused_by_name():
+def test_values_of_no_cell_are_refused_by_name():
     with pytest.raises(ConfigError, match=r"^a=x b=3: .*mine"):
         points([{"a": "x", "b": [1, 2]}, {"a": "y", "b": [3]}], {"a": ["x"], "b": ["3"]}, has, "mine")
 
@@ -80,8 +80,8 @@ def test_seeds_on_a_command_line():
     assert [(run.seed, run.algorithm.name) for run in runs("seeds=2", "algorithm=sac,td3")] == [
         (0, "sac"), (0, "td3"), (1, "sac"), (1, "td3"),
     ]  # fmt: skip
-    found = runs("cells=[{seed:[5,6],algorithm:[sac,td3]}]", "seeds=2")
-    assert {(run.seed, run.algorithm.name) for run in found} == {(5, "sac"), (5, "td3"), (6, "sac"), (6, "td3")}
+    crossed = runs("cells=[{seed:[5,6],algorithm:[sac,td3]}]", "seeds=2")
+    assert {(run.seed, run.algorithm.name) for run in crossed} == {(5, "sac"), (5, "td3"), (6, "sac"), (6, "td3")}
 
 
 @pytest.mark.parametrize(
@@ -95,47 +95,51 @@ def test_seeds_on_a_command_line():
         (("seed=range(0,1000)", "total_timesteps=range(1000,2000)"), "a sweep has at most 10000 cells"),
     ],
 )
-def test_what_is_no_sweep_is_refused_in_a_sentence(overrides, named):
+def test_an_invalid_sweep_is_refused_in_one_sentence(overrides, named):
     with pytest.raises(ConfigError, match=rf"^{named}[^\n]*$"):
         runs(*overrides)
 
 
 @pytest.mark.slow
-def test_an_override_applies_to_every_cell_that_has_it():
-    found = runs("experiment=her_relabelling", "seeds=1", "algorithm.features=raw")
-    assert {run.algorithm.features for run in found} == {"raw"}
-    assert len({run.run_key for run in found}) == len(found) == 21
-    found = runs("experiment=her_ablation", "seeds=1", "env=parking_crowded,parking_sparse", "buffer=her_final,replay")
-    assert Counter((run.env.name, run.buffer.name) for run in found) == {
+def test_an_override_applies_to_every_cell_with_the_key():
+    expanded = runs("experiment=her_relabelling", "seeds=1", "algorithm.features=raw")
+    assert {run.algorithm.features for run in expanded} == {"raw"}
+    assert len({run.run_key for run in expanded}) == len(expanded) == 21
+    expanded = runs(
+        "experiment=her_ablation", "seeds=1", "env=parking_crowded,parking_sparse", "buffer=her_final,replay"
+    )
+    assert Counter((run.env.name, run.buffer.name) for run in expanded) == {
         ("parking_crowded", "her_final"): 4, ("parking_crowded", "replay"): 1,
         ("parking_sparse", "her_final"): 4, ("parking_sparse", "replay"): 1,
     }  # fmt: skip
-    found = runs("experiment=her_ablation", "seeds=1", "env=parking", "++buffer.n_sampled_goal=3", "buffer=her_final")
-    assert [run.buffer.arguments["n_sampled_goal"] for run in found] == [3]
+    expanded = runs(
+        "experiment=her_ablation", "seeds=1", "env=parking", "++buffer.n_sampled_goal=3", "buffer=her_final"
+    )
+    assert [run.buffer.arguments["n_sampled_goal"] for run in expanded] == [3]
 
 
 @pytest.mark.slow
-def test_several_experiments_are_one_after_the_other():
-    found = runs("experiment=smoke,her_relabelling", "seeds=1")
-    assert Counter(run.experiment_name for run in found) == {"smoke": 1, "her_relabelling": 22}
+def test_several_experiments_run_one_after_the_other():
+    expanded = runs("experiment=smoke,her_relabelling", "seeds=1")
+    assert Counter(run.experiment_name for run in expanded) == {"smoke": 1, "her_relabelling": 22}
 
 
 @pytest.mark.slow
 def test_the_her_ablation_is_every_strategy_with_every_share_and_a_control_on_both_rewards():
-    found = runs("experiment=her_ablation", "seeds=2")
-    cells = Counter((run.env.reward, run.buffer.name, run.buffer.arguments.get("n_sampled_goal")) for run in found)
+    expanded = runs("experiment=her_ablation", "seeds=2")
+    cells = Counter((run.env.reward, run.buffer.name, run.buffer.arguments.get("n_sampled_goal")) for run in expanded)
     strategies = ("her_future", "her_final", "her_episode", "her_random")
     expected = {(r, s, n) for r in ("dense", "sparse") for s in strategies for n in (1, 2, 4, 8)}
     assert cells == dict.fromkeys(expected | {("dense", "replay", None), ("sparse", "replay", None)}, 2)
-    assert len({run.run_key for run in found}) == 68
+    assert len({run.run_key for run in expanded}) == 68
 
 
 @pytest.mark.parametrize("experiment", slow_but(["her_relabelling"], ["her_ablation", "her_relabelling"]))
 @pytest.mark.parametrize(("budget", "steps"), [("small", 96_000), ("full", 256_000)])
 def test_every_cell_has_as_many_env_steps_and_updates(experiment, budget, steps):
-    """Whatever differs, it is the buffer or the reward: the same steps, updates, networks and evaluation."""
-    found = runs(f"experiment={experiment}", f"budget={budget}", "seeds=1")
-    assert {run.total_timesteps for run in found} == {steps}
-    assert {run.update_rounds() for run in found} == {(1, 8)}
-    rest = [run.plain() | {"buffer": None, "env": None} for run in found if run.algorithm.features != "raw"]
+    """Cells differ in buffer and env only: the same steps, updates, networks and evaluation."""
+    expanded = runs(f"experiment={experiment}", f"budget={budget}", "seeds=1")
+    assert {run.total_timesteps for run in expanded} == {steps}
+    assert {run.update_rounds() for run in expanded} == {(1, 8)}
+    rest = [run.plain() | {"buffer": None, "env": None} for run in expanded if run.algorithm.features != "raw"]
     assert all(plain == rest[0] for plain in rest)

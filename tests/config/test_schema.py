@@ -8,7 +8,7 @@ from support.runs import make_config, options
 
 from parking_exp.buffers import HerBuffer
 from parking_exp.buffers.strategies import STRATEGIES
-from parking_exp.config.her_options import GOAL_STRATEGIES, HER_OPTIONS
+from parking_exp.config.argument_limits import GOAL_STRATEGIES, HER_OPTIONS
 from parking_exp.config.run_key import changes_results
 
 
@@ -21,7 +21,7 @@ def test_parking_has_highway_envs_own_options_and_values():
     assert ours == theirs
 
 
-def test_what_training_envs_have_otherwise_changes_them_only():
+def test_training_keys_change_training_envs_only():
     env = make_config("env.training_duration=2", "env.training_success_goal_reward=0.05").env
     own = env.highway_options()
     assert (own["duration"], own["success_goal_reward"]) == (100, 0.12)
@@ -42,7 +42,7 @@ def test_longest_episode_counts_time_as_highway_env_does(option, steps):
     ("updates_per_step", "n_envs", "expected"),
     [(1.0, 1, (1, 1)), (1.0, 8, (1, 8)), (0.5, 8, (1, 4)), (0.125, 8, (1, 1)), (0.125, 1, (8, 1)), (0.3, 1, (10, 3))],
 )
-def test_update_rounds_keep_updates_per_step_whatever_n_envs_is(updates_per_step, n_envs, expected):
+def test_update_rounds_keep_updates_per_step_for_any_n_envs(updates_per_step, n_envs, expected):
     config = make_config().model_copy(update={"updates_per_step": updates_per_step, "n_envs": n_envs})
     assert config.update_rounds() == expected
     train_freq, gradient_steps = expected
@@ -62,11 +62,11 @@ def test_train_freq_and_gradient_steps_can_be_set_by_hand(overrides, rounds):
 
 
 def test_the_cell_is_the_config_without_its_seed():
-    one, two = make_config("seed=1"), make_config("seed=2")
-    assert one.cell == two.cell
-    assert one.run_key != two.run_key
-    assert one.run_dir.parent == two.run_dir.parent
-    assert (one.run_dir.name, one.run_dir.is_absolute()) == ("seed=1", True)
+    first, second = (make_config(f"seed={seed}", "env=parking_stop_crowded") for seed in (1, 2))
+    assert first.cell == second.cell == f"parking_stop_crowded-td3-her_future-{first.cell_key}"
+    assert first.run_key != second.run_key
+    assert first.run_dir.parent == second.run_dir.parent
+    assert (first.run_dir.name, first.run_dir.is_absolute()) == ("seed=1", True)
 
 
 @pytest.mark.parametrize(
@@ -86,16 +86,3 @@ def test_strategies_and_their_options_have_one_name_everywhere():
     assert tuple(STRATEGIES) == GOAL_STRATEGIES
     assert {f"her_{strategy}" for strategy in GOAL_STRATEGIES} | {"replay"} == set(options("buffer"))
     assert set(HER_OPTIONS) <= set(inspect.signature(HerBuffer).parameters)
-
-
-@pytest.mark.parametrize(
-    ("override", "name"),
-    [
-        ("env=parking_stop_crowded", "parking_stop_crowded-td3-her_future"),
-        ("buffer.goal_selection_strategy=final", "parking-td3-her_future"),
-    ],
-)
-def test_a_cell_is_named_after_its_options_and_a_hash_of_all_keys(override, name):
-    config = make_config(override)
-    assert config.cell == f"{name}-{config.cell_key}"
-    assert config.cell_key != make_config().cell_key

@@ -1,4 +1,4 @@
-"""Tests of config validation: what is refused, and which key the sentence names."""
+"""Tests of config validation: what is refused, and which key the message names."""
 
 import contextlib
 import copy
@@ -61,23 +61,18 @@ def refusal(plain):
         ("experiment_name", "Default", ""),
         ("tracking.uri", "ftp://host/store", "sqlite:///PATH"),
         ("tracking.uri", "sqlite:///a.db?timeout=9", "sqlite:///PATH"),
-        ("env.duration", 1e9, "100000"),
         ("env.other_vehicles_type", "nowhere.Car", "nowhere"),
         ("env.action.speed_range", [5, -5], ""),
         ("env.action.dynamical", True, "highway_env"),
         ("env.observation.scales", [1], "env.observation.features"),
         ("algorithm.features", "egoo", "'ego'"),
-        ("algorithm.net_arch", [64, 1e300], ""),
         ("algorithm.gamma", 1.5, "1"),
         ("algorithm.gamma", None, ""),
         ("algorithm.gama", 1, "'gamma'"),
         ("algorithm.learning_rate", {}, ""),
         ("algorithm.learning_rate", SCHEDULE | {"start": -7}, ""),
         ("algorithm.learning_rate", SCHEDULE | {"_target_": 3}, ""),
-        ("algorithm.batch_size", 99999999999, ""),
         ("algorithm.net_arch", [9999999, 9999999], ""),
-        ("buffer.buffer_size", 99999999999, ""),
-        ("n_envs", 10**7, ""),
         ("algorithm.train_freq", [1, "episode"], "n_envs=1"),
         ("algorithm.action_noise", NOISE | {"sigma": [0.1]}, ""),
         ("algorithm.action_noise", NOISE | {"sigma": [-0.1, 0.1]}, "0"),
@@ -88,15 +83,14 @@ def refusal(plain):
         ("algorithm.learning_starts", DELETED, "25856"),
         ("algorithm.learning_starts", 100, "25856"),
         ("total_timesteps", 26000, "26001"),
-        ("algorithm._target_", "nowhere.SAC", "nowhere"),
         ("algorithm._target_", "stable_baselines3.PPO", "OffPolicyAlgorithm"),
-        ("algorithm._target_", "SAC", "dotted path"),
         ("buffer._target_", "stable_baselines3.SAC", "ReplayBuffer"),
         ("buffer.buffer_size", 800, "26112"),
         ("buffer.relabel_collision", "kep", "'keep'"),
         ("buffer.goal_selection_strategy", ["future"], "future"),
         (POLICY, [1], ""),
         (f"{POLICY}.n_critic", 3, "'n_critics'"),
+        (f"{POLICY}.n_critic", {"_target_": "torch.nn.ReLU"}, "'n_critics'"),
         (f"{POLICY}.n_critics", 0, "1"),
         (f"{POLICY}.use_sde", True, "algorithm.use_sde"),
         (f"{POLICY}.net_arch", [5], "algorithm.net_arch"),
@@ -129,7 +123,7 @@ def test_a_wrong_value_is_refused_in_a_sentence_that_names_its_key(key, value, h
         ({f"{POLICY}.optimizer_class": "torch.optim.Adamm", f"{POLICY}.optimizer_kwargs.eps": 1}, f"{POLICY}.optimizer_class"),
     ],
 )  # fmt: skip
-def test_what_contradicts_another_key_is_refused(values, key):
+def test_contradictory_keys_are_refused(values, key):
     assert refusal(changed(values)).startswith(key)
 
 
@@ -152,7 +146,7 @@ def test_features_that_a_policy_would_ignore_are_refused():
         {f"{POLICY}.n_critics": 3, f"{POLICY}.net_arch": {"pi": [8], "qf": [9]}},
     ],
 )
-def test_suggested_values_and_nested_arguments_are_taken(values):
+def test_suggested_values_and_nested_arguments_are_accepted(values):
     assert validate(changed(values)).plain() == changed(values)
 
 
@@ -168,7 +162,7 @@ def keys(node, path=()):
 
 
 @pytest.mark.parametrize("value", [1e300, 10**5000, -(10**5000), 0, [], {}, None, [None]], ids=range(8))
-def test_any_value_of_any_key_is_refused_in_a_sentence_or_taken(value):
+def test_any_value_of_any_key_is_accepted_or_refused_with_a_config_error(value):
     for path in keys(changed({})):
         plain = changed({})
         node = plain
@@ -181,7 +175,7 @@ def test_any_value_of_any_key_is_refused_in_a_sentence_or_taken(value):
             assert config.update_rounds()[0]
 
 
-def test_validating_leaves_the_config_as_it_was_and_can_be_repeated():
+def test_validation_does_not_change_the_config_and_can_be_repeated():
     (config,) = composed("config", ["experiment=smoke"])
     before = OmegaConf.to_yaml(config)
     run = validate(config)
@@ -194,20 +188,20 @@ def own_algorithm(tmp_path, monkeypatch):
     """The config of an algorithm of the user's own."""
     (tmp_path / "own_algorithm.py").write_text(
         "from stable_baselines3 import SAC\n"
-        "class Mine(SAC):\n"
+        "class OwnAlgorithm(SAC):\n"
         "    def __init__(self, policy, env, beta: float, layers: int = 1, tag: str | None = None, **rest):\n"
         "        super().__init__(policy, env, **rest)\n"
     )
     monkeypatch.syspath_prepend(tmp_path)
     yield lambda **arguments: changed(
-        {"algorithm.features": "raw", "algorithm._target_": "own_algorithm.Mine"}
+        {"algorithm.features": "raw", "algorithm._target_": "own_algorithm.OwnAlgorithm"}
         | {f"algorithm.{name}": value for name, value in arguments.items()},
         "algorithm=sac",
     )
     sys.modules.pop("own_algorithm", None)
 
 
-def test_a_class_of_the_users_own_takes_what_its_signature_says(own_algorithm):
+def test_a_users_own_class_is_checked_against_its_signature(own_algorithm):
     assert validate(own_algorithm(beta=1)).algorithm.arguments["beta"] == 1
     assert validate(own_algorithm(beta=0.5, tag=None, layers=2)).algorithm.arguments["layers"] == 2
     assert refusal(own_algorithm()).startswith("algorithm.beta is missing")
@@ -225,7 +219,7 @@ def test_a_class_of_the_users_own_takes_what_its_signature_says(own_algorithm):
         ("sb3_contrib.no.X", "parking-exp[contrib]"), ("stable_baselines3.", "dotted path"), (3, "dotted path"),
     ],
 )  # fmt: skip
-def test_why_a_class_is_not_found_is_said(target, reason, tmp_path, monkeypatch):
+def test_an_unknown_class_is_refused_with_the_reason(target, reason, tmp_path, monkeypatch):
     (tmp_path / "raises.py").write_text("raise RuntimeError('on import')\n")
     monkeypatch.syspath_prepend(tmp_path)
     with pytest.raises(UnknownTarget) as unknown:

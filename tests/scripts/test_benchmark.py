@@ -26,27 +26,11 @@ def test_chosen_figures_are_measured_printed_and_added_to_the_file(tmp_path):
     ]  # fmt: skip
     assert figures["simulator.n8.ratio"] == first["simulator.n8.ratio"]
     for key, entry in figures.items():
-        value = entry["bytes" if "bytes" in key else "seconds" if key.startswith("sweep") else "ratio"]
+        value = entry["value"]
         assert 0 < entry["lowest"] <= value <= entry["highest"]
         assert key in first or f"{value:.4g}" in printed
-    assert 112 < figures["her.bytes_per_transition"]["bytes"] < 120
-    assert 112 < figures["her.save.bytes_per_transition"]["bytes"] < 120
-
-
-@pytest.mark.slow
-def test_cost_to_95_percent_is_compared_with_the_tutorials_which_is_cached(tmp_path):
-    figures, _ = benchmark(tmp_path, "run.to_95", "run.whole")
-    cache = tmp_path / "benchmark_peer_quick.json"
-    (peer,) = json.loads(cache.read_text()).values()
-    (seed,) = peer["seeds"].values()
-    # 95 % is not held within 900 steps: the cost is a lower bound.
-    assert (seed["reached"], seed["steps"], seed["cost_s"]) == (False, [300, 600, 900], seed["cpu_s"][-1])
-    assert (figures["run.to_95.ratio"]["ratio"], figures["run.to_95.ratio"]["ours_cpu_s"]) == (0.0, [None])
-    whole = figures["run.whole.ratio"]
-    assert whole["ratio"] == pytest.approx(seed["cost_s"] / whole["ours_cpu_s"][0], rel=1e-3)
-    before = cache.stat().st_mtime_ns
-    benchmark(tmp_path, "run.whole")
-    assert cache.stat().st_mtime_ns == before
+    assert 112 < figures["her.bytes_per_transition"]["value"] < 120
+    assert 112 < figures["her.save.bytes_per_transition"]["value"] < 120
 
 
 @pytest.mark.parametrize("argument", ["only=[simulater]", "core=999", "rounds=0", "round=1"])

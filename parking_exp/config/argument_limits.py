@@ -1,24 +1,33 @@
-"""Ranges of well-known third-party arguments, which their signatures do not state.
+"""Ranges and choices of well-known arguments of third-party classes, which their signatures do not state."""
 
-They hold for any class.
-"""
-
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, get_args
 
 from pydantic import Field
 
-from parking_exp.config.her_options import RELABEL_OPTIONS, GoalStrategy
 from parking_exp.config.schema import Count, NonNegative, Positive, PositiveFloat, Share
 
-Decay = Annotated[float, Field(ge=0, lt=1)]
+GoalStrategy = Literal["future", "final", "episode", "random"]
+RelabelCollision = Literal["keep", "sb3", "exclude"]
+RelabelTerminated = Literal["sb3", "goal", "goal_and_crash", "env"]
+GoalVelocity = Literal["achieved", "zero"]
+GOAL_STRATEGIES: tuple[str, ...] = get_args(GoalStrategy)
+# Arguments of `HerBuffer` that say how transitions are relabelled, with their choices.
+RELABEL_OPTIONS: dict[str, Any] = {
+    "relabel_collision": RelabelCollision,
+    "relabel_terminated": RelabelTerminated,
+    "goal_velocity": GoalVelocity,
+}
+# Arguments that have no effect without virtual goals.
+HER_OPTIONS = ("n_sampled_goal", *RELABEL_OPTIONS)
 
+Decay = Annotated[float, Field(ge=0, lt=1)]
 LIMITS: dict[str, Any] = {
     "learning_rate": PositiveFloat,
     "learning_starts": Count,
     "batch_size": Annotated[int, Field(ge=1, le=1_000_000)],
     "tau": Share,
     "gamma": Share,
-    "train_freq": Positive | list,  # of a list, see rules
+    "train_freq": Positive | list,  # the entries of a list are checked in `config.rules`
     "gradient_steps": Annotated[int, Field(ge=-1)],  # -1: as many as steps
     "policy_delay": Positive,
     "target_update_interval": Positive,
@@ -37,7 +46,7 @@ LIMITS: dict[str, Any] = {
     "eps": NonNegative,
     "betas": Annotated[list[Decay], Field(min_length=2, max_length=2)],
 }
-# Arguments whose names mean something else elsewhere, by the class that takes them.
+# By class, arguments whose names mean something else elsewhere.
 NOISE = {"mean": float | list[float], "sigma": NonNegative | list[NonNegative]}
 CLASS_LIMITS: dict[str, dict[str, Any]] = {
     "LinearSchedule": {"start": PositiveFloat, "end": NonNegative, "end_fraction": Share},
@@ -45,8 +54,3 @@ CLASS_LIMITS: dict[str, dict[str, Any]] = {
     "NormalActionNoise": NOISE,
     "OrnsteinUhlenbeckActionNoise": {**NOISE, "theta": NonNegative, "dt": PositiveFloat},
 }
-
-
-def limits_of(class_name: str) -> dict[str, Any]:
-    """Return the types and ranges of arguments of a class."""
-    return CLASS_LIMITS.get(class_name, LIMITS)
