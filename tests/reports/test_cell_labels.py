@@ -10,7 +10,7 @@ from parking_exp.config.cell_labels import cell_labels, differing, find_factors
 from parking_exp.config.compose import composed_runs
 from parking_exp.reports.cell_selection import group
 from parking_exp.reports.factor_effects import design
-from parking_exp.results.dtypes import column, typed
+from parking_exp.results.frames import config_column
 from parking_exp.sweeps.plan import plan
 
 
@@ -150,10 +150,7 @@ def test_plans_and_reports_label_the_same_cells_alike(overrides, expected, tmp_p
                 "seed": [run.config.seed for run in runs],
                 "status": "done",
                 "started": range(len(runs)),
-                **{
-                    f"config.{key}": column([typed(one.get(key)) for one in params])
-                    for key in {*params[0], *params[-1]}
-                },
+                **{f"config.{key}": config_column(one.get(key) for one in params) for key in {*params[0], *params[-1]}},
             }
         )
     )

@@ -22,8 +22,7 @@ from parking_exp.config.paths import default_uri
 from parking_exp.errors import ResultsError
 from parking_exp.evaluation.metrics import EPISODE_COLUMNS
 from parking_exp.results import frames, load
-from parking_exp.results.dtypes import typed
-from parking_exp.results.recordings import EPISODES
+from parking_exp.results.recordings import CURVE, CURVE_TYPES, EPISODES
 
 HER = {"four": ["buffer.n_sampled_goal=4"], "none": ["buffer=replay"]}
 LOOKS = {
@@ -73,11 +72,11 @@ def test_a_finished_run_has_the_numbers_of_its_final_evaluation(ablation):
 
 def test_frames_have_the_columns_and_types_of_the_schema(ablation):
     found = load("her", output_dir=ablation[0])
-    assert tuple(found.runs.columns[: len(frames.RUN_COLUMNS)]) == frames.RUN_COLUMNS
-    others = [name for name in found.runs.columns if name not in frames.RUN_COLUMNS]
+    assert [*found.runs.columns[: len(frames.RUN_TYPES)]] == [*frames.RUN_TYPES]
+    others = [name for name in found.runs.columns if name not in frames.RUN_TYPES]
     assert all(name.startswith(("version.", "config.")) for name in others)
-    assert tuple(found.curves.columns) == frames.CURVE_COLUMNS
-    assert tuple(found.episodes.columns) == frames.EPISODE_COLUMNS
+    assert [*found.curves.columns] == [*CURVE_TYPES]
+    assert [*found.episodes.columns] == ["run_id", *EPISODES]
     assert ["phase", "step", *EPISODE_COLUMNS] == list(EPISODES)
     types = {name: str(dtype) for name, dtype in found.runs.dtypes.items()}
     integers = ("total_timesteps", "n_scenes", "first_scene", "eval_n_scenes")
@@ -96,7 +95,7 @@ def test_frames_have_the_columns_and_types_of_the_schema(ablation):
     assert [str(found.episodes[name].dtype) for name in ("run_id", "phase", "outcome", "parked", "steps", "return")] == [
         "category", "category", "category", "bool", "int64", "float64"]  # fmt: skip
     documented = parking_exp.results.__doc__
-    for name in (*frames.RUN_COLUMNS, *frames.CURVE_COLUMNS, *frames.EPISODE_COLUMNS):
+    for name in (*frames.RUN_TYPES, *CURVE_TYPES, *EPISODES):
         assert re.search(rf"\b{name}\b", documented), name
 
 
@@ -113,15 +112,14 @@ def test_config_columns_are_typed_and_what_a_cell_does_not_have_is_missing(ablat
     assert runs["config.timeout_s"].isna().all()
 
 
-PARAMS = [("3", 3), ("-3", -3), ("2.0", 2.0), ("5e-05", 5e-05), (".5", 0.5), ("inf", math.inf), ("True", True), ("None", None),
-          (None, None), ("auto", "auto"), ("[1, 2]", "[1, 2]"), ("", ""), ("1_000", "1_000"), ("1.2.3", "1.2.3"),
-          ("9" * 400, "9" * 400), ("x" * 6000, "x" * 6000)]  # fmt: skip
+PARAMS = [("3", 3), ("5e-05", 5e-05), ("inf", math.inf), ("True", True), ("None", None), (None, None), ("auto", "auto"),
+          ("[1, 2]", "[1, 2]"), ("", ""), ("1.2.3", "1.2.3")]  # fmt: skip
 
 
-@pytest.mark.parametrize(("word", "value"), PARAMS)
-def test_a_parameter_is_what_its_text_says(word, value):
-    assert typed(word) == value
-    assert type(typed(word)) is type(value)
+@pytest.mark.parametrize(("text", "value"), PARAMS)
+def test_a_parameter_has_the_value_that_was_logged(text, value):
+    assert frames.typed(text) == value
+    assert type(frames.typed(text)) is type(value)
 
 
 def test_damaged_and_odd_artifacts_spoil_nothing_else(output_dir):
@@ -333,7 +331,7 @@ def test_a_real_run_is_loaded_as_it_was_trained(smoke):
     assert (run["status"], run["seed"], run["cell"], run["steps"]) == ("done", config.seed, config.cell, 400)
     for key, name in {**frames.FINAL, **frames.COST}.items():
         assert run[name] == metrics[key][400]
-    for key, name in {**frames.CURVE, "time/cpu_s": "cpu_s"}.items():
+    for key, name in {**CURVE, "time/cpu_s": "cpu_s"}.items():
         assert dict(zip(found.curves["step"], found.curves[name], strict=True)) == {
             step: metrics[key][step] for step in metrics["eval/success_rate"]
         }
