@@ -35,23 +35,14 @@ DAMAGED = (ValueError, TypeError, KeyError, OSError, EOFError, OverflowError, Re
 
 @dataclass(frozen=True, eq=False)
 class Export(Results):
-    """Results that were read from an export; `uri` is its folder, as it was passed.
+    """Results that were read from an export; `uri` is its folder."""
 
-    Attributes:
-        recordings: rows of `trajectories`, with their run_id.
-        about: content of `report.json`.
-    """
-
-    recordings: pd.DataFrame = field(default_factory=pd.DataFrame)
-    about: Mapping[str, Any] = field(default_factory=dict)
+    recordings: pd.DataFrame = field(default_factory=pd.DataFrame)  # `trajectories` of all runs, with their run_id
+    about: Mapping[str, Any] = field(default_factory=dict)  # content of report.json
 
     def trajectories(self, run_id: str) -> pd.DataFrame:
-        """Return the trajectories of a run that the export has; `speed_mps` is missing.
-
-        Raises:
-            ResultsError: there is no such run.
-        """
-        self._refuse_unknown(run_id)
+        """Return the exported trajectories of a run; `speed_mps` is missing."""
+        self._check_run_id(run_id)
         rows = self.recordings[self.recordings["run_id"] == run_id]
         return rows[list(TRAJECTORIES)].astype(TRAJECTORIES).reset_index(drop=True)
 
@@ -68,11 +59,9 @@ def write_export(
     The same results give the same bytes. An export that is interrupted has no `report.json` and can't be read.
 
     Args:
-        results: to be exported.
-        folder: made if it is not there.
-        trajectories: rows of `Results.trajectories` to be kept, by run id.
+        trajectories: rows of `Results.trajectories` to export, by run id.
         about: further entries of `report.json`.
-        problems: sentences to be kept besides those of the results.
+        problems: sentences to export besides those of the results.
 
     Raises:
         ConfigError: the folder holds other files.
@@ -125,11 +114,7 @@ def read_export(folder: str | Path) -> Export:
 
 
 def refuse_foreign(folder: Path) -> None:
-    """Refuse to put an export where other files are.
-
-    Raises:
-        ConfigError: there are some.
-    """
+    """Raise ConfigError if a folder for an export holds other files."""
     if folder.exists() and not folder.is_dir():
         raise ConfigError(f"export={folder}: a file is in the way")
     others = sorted(path.name for path in folder.iterdir() if path.name not in FILES) if folder.exists() else []

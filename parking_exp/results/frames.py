@@ -58,23 +58,15 @@ TAGS = ("cell", "seed", "run_key", "run_dir", "status")
 
 @dataclass(frozen=True, eq=False)
 class Results:
-    """What a store knows of some experiments.
-
-    Attributes:
-        runs, curves, episodes: the frames that `help(parking_exp.results)` describes.
-        uri: the store.
-        problems: a sentence for each thing that is missing or broken; the frames have the rest.
-        ignored: how many runs were left out, as they are none of this package's.
-        store: a connection to it, for recordings; None: there are none.
-    """
+    """Runs of a store and what they logged, as the frames that `help(parking_exp.results)` describes."""
 
     runs: pd.DataFrame
     curves: pd.DataFrame
     episodes: pd.DataFrame
-    uri: str
-    problems: tuple[str, ...] = ()
-    ignored: int = 0
-    store: Store | None = None
+    uri: str  # the store
+    problems: tuple[str, ...] = ()  # a sentence for each thing that is missing or broken
+    ignored: int = 0  # number of runs by other programs
+    store: Store | None = None  # to read trajectories from
 
     def __repr__(self) -> str:
         sizes = ", ".join(f"{len(getattr(self, name))} {name}" for name in ("runs", "curves", "episodes"))
@@ -88,13 +80,13 @@ class Results:
         Raises:
             ResultsError: there is no such run, or its recording can't be read.
         """
-        self._refuse_unknown(run_id)
+        self._check_run_id(run_id)
         places = self.runs.loc[self.runs["run_id"] == run_id, "artifact_uri"]
         with _refused(f"run {run_id}: {TRAJECTORIES_FILE} can't be read"):
             stored = self.store.artifact(run_id, places.iloc[0], TRAJECTORIES_FILE) if self.store else None
             return read_trajectories(stored)
 
-    def _refuse_unknown(self, run_id: str) -> None:
+    def _check_run_id(self, run_id: str) -> None:
         if run_id not in set(self.runs["run_id"]):
             hint = suggestion(run_id, self.runs["run_id"])
             raise ResultsError(f"run_id={run_id}: it is none of {plural(len(self.runs), 'run')}{hint}")
@@ -113,16 +105,12 @@ def load(
     Raises:
         ResultsError: there is no such store, it can't be read, there is no such experiment, or it has no runs.
     """
-    here = directory_path(output_dir)
-    return read_store(Store(keep_password(uri), None) if uri else Store(default_uri(here), here), experiments)
+    folder = directory_path(output_dir)
+    return read_store(Store(keep_password(uri), None) if uri else Store(default_uri(folder), folder), experiments)
 
 
 def read_store(store: Store, experiments: str | Iterable[str] | None) -> Results:
-    """Read runs from a store that may have been asked for them already; see `load`.
-
-    Raises:
-        ResultsError: as `load`.
-    """
+    """Read runs from a store; see `load`."""
     if (path := database(store.uri)) is not None and not path.is_file():
         raise ResultsError(f"there is no store {path}; train something first, or name another output_dir or store")
     with _refused(f"the store {store.uri} can't be read"):
@@ -150,11 +138,7 @@ def read_store(store: Store, experiments: str | Iterable[str] | None) -> Results
 
 @contextmanager
 def _refused(what: str) -> Iterator[None]:
-    """Turn any error of a store or its files into a sentence.
-
-    Raises:
-        ResultsError: what can't be read, and why.
-    """
+    """Turn any error of a store or its files into a ResultsError."""
     try:
         yield
     except ParkingError:
@@ -164,7 +148,7 @@ def _refused(what: str) -> Iterator[None]:
 
 
 def _chosen(store: Store, experiments: str | Iterable[str] | None) -> dict[str, str]:
-    """Return the ids of the experiments that are meant, by name."""
+    """Return the ids of the chosen experiments by name."""
     known = store.experiments()
     if experiments is None:
         return known

@@ -1,4 +1,4 @@
-"""Provenance of a run: versions of packages, git commit, CPU, and the command line that was typed."""
+"""Provenance of a run: versions of packages, git commit, CPU, and the command line."""
 
 import platform
 import re
@@ -19,7 +19,7 @@ PACKAGES = ["torch", "stable-baselines3", "highway-env", "gymnasium", "numpy", "
 
 
 def provenance() -> dict[str, str]:
-    """Return tags: `version.<package>`, `git_commit`, `git_dirty`, `cpu`. What can't be known is left out."""
+    """Return the tags `version.<package>`, `git_commit`, `git_dirty` and `cpu`, as far as they are known."""
     tags = {"version.python": platform.python_version(), "version.parking-exp": __version__}
     for package in PACKAGES:
         try:
@@ -30,7 +30,7 @@ def provenance() -> dict[str, str]:
 
 
 def command_line() -> str | None:
-    """Return the command line of this process where it is one of ours, without passwords."""
+    """Return the command line of this process without passwords, None unless it is a command of this package."""
     name = Path(sys.argv[0]).name
     if name.startswith("parking-"):
         words = [name]
