@@ -1,8 +1,7 @@
 """Index of the episodes in a replay buffer, updated with each transition, so that sampling never searches.
 
-Every env writes into the same row of a ring at each step. Steps are counted from the start and never wrap; a step's
-row is its number modulo the capacity. In each env the whole episodes that are still stored lie one after another, so
-that the interval from `tail` to `head` says which transitions may be drawn.
+All envs write into the same row of a ring at each step. Steps are counted from the start; a step's row is its number
+modulo the capacity. In each env, the transitions of whole episodes are those from step `tail` to step `head`.
 """
 
 from collections.abc import Mapping
@@ -16,15 +15,13 @@ ARRAYS = ("tail", "head", "current", "table")
 class EpisodeIndex:
     """Episodes in a ring of `capacity` rows, one transition of each of `n_envs` envs in a row.
 
-    A transition's index is row * n_envs + env. An episode has a record in `table`, at its record id, which is used
-    again when the last of its transitions is overwritten.
+    A transition's index is row * n_envs + env. An episode has a record in `table` (the `start` row, the `length`, 0
+    while it is under way, and the first desired `goal`), which is reused when its last transition is overwritten.
 
     Attributes:
         steps: rows written since the start.
         tail, head: of each env, the steps between which its whole episodes lie, shape (n_envs,).
         current: record ids of the episodes under way, or NONE between two episodes, shape (n_envs,).
-        table: records: the `start` row of an episode, its `length`, 0 while it is under way, and its first desired
-            `goal`.
     """
 
     def __init__(self, capacity: int, n_envs: int, goal_dtype: np.dtype, goal_shape: tuple[int, ...]) -> None:
@@ -49,10 +46,7 @@ class EpisodeIndex:
         self.table[self.current[env]] = (self.steps % self.capacity, 0, goal)
 
     def overwrite(self, record_ids: np.ndarray) -> None:
-        """Forget the transitions that the next row overwrites; `record_ids` are that row's.
-
-        An episode is whole until its first transition is overwritten, and has its record until its last is.
-        """
+        """Remove the transitions that the next row overwrites; `record_ids` are that row's."""
         oldest = self.steps - self.capacity
         if oldest < 0:
             return

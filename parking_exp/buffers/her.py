@@ -40,28 +40,20 @@ class HerBuffer(HerReplayBuffer):
 
     Memory is 112 bytes for a transition of parking-v0, and 60 to 90 for an episode.
 
-    Args:
-        buffer_size: transitions, all envs together.
-        observation_space: Dict with `observation`, `achieved_goal` and `desired_goal`.
-        action_space: of the env.
-        env: the training envs; their `compute_reward` is asked where there is no `reward`.
-        device: where minibatches go.
-        n_envs: how many envs.
-        optimize_memory_usage: must be False, as in Stable-Baselines3.
-        handle_timeout_termination: whether values are bootstrapped where an episode ends by time alone.
-        n_sampled_goal: virtual transitions for each real one: a share of n / (n + 1) of every batch. Those that may
-            have no virtual goal, by the options below, keep their own, and count as real.
+    Args (others are those of `HerReplayBuffer`):
+        n_sampled_goal: virtual transitions for each real one: a share of n / (n + 1) of every batch. Those that the
+            options below allow no virtual goal keep their own, and count as real.
         goal_selection_strategy: `future`, `final`, `episode`, `random` (any goal achieved so far), or None: no
             virtual transitions, and transitions of episodes under way are drawn too.
-        relabel_collision: what becomes of the penalty when a crash gets a virtual goal. `keep`: it stays. `sb3`: it is
-            lost, since `compute_reward` knows no collision; at its own goal the crash is then the best there is.
-            `exclude`: crash transitions are neither relabelled nor used as goals; they keep the goal that they had.
+        relabel_collision: the collision penalty of a crash with a virtual goal. `keep`: it is added. `sb3`: it is not,
+            since `compute_reward` knows no collision. `exclude`: crash transitions are neither relabelled nor used as
+            goals.
         relabel_terminated: when a virtual transition ends its episode. `sb3`: when the real one did. `goal`: when the
             virtual goal is reached. `goal_and_crash`: also at a crash, as in the env (Stable-Baselines3 issue 627).
-            `env`: also, where the virtual goal was reached before the transition, it keeps the goal that it had: in the
-            env nothing comes after a goal. Otherwise the agent learns that standing still counts as success.
-        goal_velocity: `achieved`: a virtual goal moves as fast as the car did. `zero`: it stands, as real goals do.
-        reward: the env's reward, for relabelling without asking the env.
+            `env`: as `goal_and_crash`, and transitions that start at the virtual goal are not relabelled. Otherwise the
+            agent learns that standing still counts as success.
+        goal_velocity: of virtual goals: `achieved`, or `zero` as of real goals.
+        reward: the env's reward; None: the `compute_reward` of `env`.
 
     Raises:
         ValueError: there is no such strategy, or options other than the defaults need a `reward`.
@@ -105,7 +97,7 @@ class HerBuffer(HerReplayBuffer):
 
     @property
     def real_share(self) -> float | None:
-        """Share of real transitions among all that were sampled so far; None before the first."""
+        """Fraction of real transitions among all sampled so far; None before the first."""
         real, virtual = self.sampled
         return real / (real + virtual) if real else None
 
@@ -134,7 +126,7 @@ class HerBuffer(HerReplayBuffer):
         episodes, storage = self.episodes, self.storage
         obs, next_obs = storage.shaped(obs), storage.shaped(next_obs)
         for env in storage.other_goals(obs).tolist():
-            # The env was reset silently: SB3's `learn` does so when it is called again.
+            # SB3's `learn` resets the envs without notice when it is called again.
             if episodes.current[env] != NONE:
                 self._truncate(env)
         for env in np.flatnonzero(episodes.current == NONE).tolist():
@@ -169,9 +161,9 @@ class HerBuffer(HerReplayBuffer):
         return self._collect(transitions, goal_index, env)
 
     def select_goals(self, index: np.ndarray, record: np.ndarray) -> np.ndarray:
-        """Choose virtual goals: return the indices of the transitions whose next achieved goals they become.
+        """Return the indices of the transitions whose next achieved goals become virtual goals.
 
-        A subclass may override this with a strategy of its own. `self.rng` is saved in checkpoints: draw with it.
+        A subclass may override this with its own strategy, which should draw from `self.rng`: checkpoints save it.
 
         Args:
             index: of the transitions that get virtual goals, shape (n,).
@@ -192,7 +184,7 @@ class HerBuffer(HerReplayBuffer):
         self.episodes.finish(env)
 
     def get_state(self) -> dict[str, np.ndarray]:
-        """Return everything that the future depends on as arrays, the filled part of the rows uncopied."""
+        """Return the whole state as arrays, the filled part of the rows uncopied."""
         rng = np.frombuffer(json.dumps(self.rng.bit_generator.state).encode(), np.uint8)
         own = {"pos": np.array(self.pos), "full": np.array(self.full), "sampled": np.array(self.sampled), "rng": rng}
         return own | self.storage.get_state() | self.episodes.get_state()
@@ -210,7 +202,7 @@ class HerBuffer(HerReplayBuffer):
         return {name: value for name, value in vars(self).items() if name not in without} | {"state": self.get_state()}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        """Restore a pickled state; `set_env` is to be called before a reward is asked of the env."""
+        """Restore a pickled state; without a `reward`, call `set_env` before sampling."""
         stored = state.pop("state")
         vars(self).update(state, env=None)
         self._make_empty()
@@ -220,7 +212,7 @@ class HerBuffer(HerReplayBuffer):
         assert isinstance(self.observation_space, spaces.Dict)
         self.storage = Storage(self.buffer_size, self.n_envs, self.observation_space, self.action_space)
         self.episodes = self.storage.episodes
-        self.sampled = [0, 0]  # with the goal that they had, with a virtual one
+        self.sampled = [0, 0]  # real transitions, virtual ones
 
     def _collect(
         self, transitions: Transitions, goal_index: np.ndarray, env: VecNormalize | None = None
@@ -264,7 +256,7 @@ class HerBuffer(HerReplayBuffer):
         return int(allowed.sum())
 
     def _reward(self, achieved: np.ndarray, goals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the reward of goals and whether they are reached, as far as it is known."""
+        """Return the reward of goals, and whether they are reached if the reward function is known."""
         if self.reward is not None:
             return self.reward(achieved, goals)
         assert self.env is not None, "give the buffer its envs (set_env), whose compute_reward it asks"
@@ -273,9 +265,9 @@ class HerBuffer(HerReplayBuffer):
         return np.reshape(rewards, -1), np.zeros(len(goals), bool)
 
     def _tensors(self, entries: Observation) -> dict[str, torch.Tensor]:
-        """Make tensors, one for entries that are one and the same array."""
-        made: dict[int, torch.Tensor] = {}
-        return {key: made.setdefault(id(array), self._tensor(array)) for key, array in entries.items()}
+        """Return tensors, one for entries that are the same array."""
+        tensors: dict[int, torch.Tensor] = {}
+        return {key: tensors.setdefault(id(array), self._tensor(array)) for key, array in entries.items()}
 
     def _tensor(self, array: np.ndarray) -> torch.Tensor:
         return torch.as_tensor(np.ascontiguousarray(array), device=self.device)

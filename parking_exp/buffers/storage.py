@@ -17,32 +17,22 @@ Observation = dict[str, np.ndarray]
 
 @dataclass
 class Transitions:
-    """n transitions that were copied out of the storage.
+    """n transitions copied out of the storage; equal entries of an observation may be one array."""
 
-    Attributes:
-        obs, next_obs: Dict observations before and after; each entry has the shape (n, ...). Entries that are equal
-            in all transitions may be one array.
-        actions: shape (n, actions).
-        rewards: shape (n,).
-        terminated, crashed: booleans, shape (n,).
-        records: of their episodes, entries of `EpisodeIndex.table`, shape (n,).
-    """
-
-    obs: Observation
+    obs: Observation  # before, each entry of shape (n, ...)
     next_obs: Observation
-    actions: np.ndarray
-    rewards: np.ndarray
-    terminated: np.ndarray
+    actions: np.ndarray  # shape (n, actions)
+    rewards: np.ndarray  # shape (n,)
+    terminated: np.ndarray  # booleans, shape (n,)
     crashed: np.ndarray
-    records: np.ndarray
+    records: np.ndarray  # entries of `EpisodeIndex.table`, shape (n,)
 
 
 class Storage:
     """Ring buffer of `capacity` rows, each with one transition of each of `n_envs` envs, and the index of its episodes.
 
-    Storage is compact as long as it can be: it leaves out an achieved goal that is the observation itself, as in
-    parking-v0, and a desired goal that stays the same in an episode, which the episode's record has. The first
-    transition that is otherwise widens all rows.
+    Compact storage leaves out an achieved goal that equals the observation, as in parking-v0, and a desired goal that
+    is constant in an episode, which the episode's record has. The first other transition widens all rows.
 
     A transition of parking-v0 takes 112 bytes: 2 x 6 doubles, 2 + 1 floats, and a mark; its episode's record, 56.
     """

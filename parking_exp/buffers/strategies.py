@@ -10,16 +10,10 @@ Strategy = Callable[[np.random.Generator, EpisodeIndex, np.ndarray, np.ndarray],
 
 
 def future(rng: np.random.Generator, episodes: EpisodeIndex, index: np.ndarray, record: np.ndarray) -> np.ndarray:
-    """Take goals from the rest of the same episode, the transition itself included, as Stable-Baselines3 has it.
+    """Take goals from the rest of the same episode, the transition itself included, as Stable-Baselines3 does.
 
-    Args:
-        rng: to draw with.
-        episodes: what is stored.
-        index: transitions, shape (n,).
-        record: their episodes, entries of `episodes.table`, shape (n,).
-
-    Returns:
-        Indices of the transitions whose next achieved goals become the virtual goals, shape (n,).
+    `index` are transitions and `record` their episodes in `episodes.table`, both of shape (n,). Returns the indices of
+    the transitions whose next achieved goals become the virtual goals, shape (n,).
     """
     row, env = np.divmod(index, episodes.n_envs)
     passed = (row - record["start"]) % episodes.capacity
@@ -27,18 +21,18 @@ def future(rng: np.random.Generator, episodes: EpisodeIndex, index: np.ndarray, 
 
 
 def final(rng: np.random.Generator, episodes: EpisodeIndex, index: np.ndarray, record: np.ndarray) -> np.ndarray:
-    """Take the last goal of the same episode; arguments as for `future`."""
+    """Take the last goal of the same episode; see `future`."""
     last = record["length"].astype(np.int64) - 1
     return episodes.index(record["start"] + last, index % episodes.n_envs)
 
 
 def episode(rng: np.random.Generator, episodes: EpisodeIndex, index: np.ndarray, record: np.ndarray) -> np.ndarray:
-    """Take goals from anywhere in the same episode; arguments as for `future`."""
+    """Take goals from anywhere in the same episode; see `future`."""
     return episodes.index(record["start"] + rng.integers(record["length"]), index % episodes.n_envs)
 
 
 def random(rng: np.random.Generator, episodes: EpisodeIndex, index: np.ndarray, record: np.ndarray) -> np.ndarray:
-    """Take goals from everything that is stored, episodes under way included; arguments as for `future`."""
+    """Take goals from all stored transitions, episodes under way included; see `future`."""
     return episodes.draw_stored(rng, len(index))
 
 

@@ -4,11 +4,13 @@ import time
 from pathlib import Path
 from typing import Any
 
+import gymnasium as gym
+import numpy as np
+from gymnasium.utils import seeding
 from stable_baselines3.common.monitor import ResultsWriter
 from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv, VecMonitor
 
 from parking_exp.config.schema import ENV_ID, EnvConfig
-from parking_exp.envs.action_replay import ReplayActions
 from parking_exp.envs.highway import make_env
 from parking_exp.envs.vec_env import ParkingVecEnv
 
@@ -16,14 +18,51 @@ MONITORED = ("is_success", "crashed")
 MONITOR_STATE = ("episode_returns", "episode_lengths", "episode_count")
 
 
+class ReplayActions(gym.Wrapper):
+    """Save and restore a highway-env env, whose state can't be saved, by replaying its episode's actions.
+
+    Recorded are the random generator before `reset`, and the actions of the episode under way.
+    """
+
+    def __init__(self, env: gym.Env) -> None:
+        super().__init__(env)
+        self._start: dict[str, Any] | None = None
+        self._actions: list[np.ndarray] = []
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+        """Start an episode."""
+        rng = self.unwrapped.np_random if seed is None else seeding.np_random(seed)[0]
+        self._start, self._actions = rng.bit_generator.state, []
+        return self.env.reset(seed=seed, options=options)
+
+    def step(self, action: np.ndarray) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+        """Step the env."""
+        self._actions.append(np.array(action))
+        return self.env.step(action)
+
+    def get_state(self) -> dict[str, Any]:
+        """Return how the episode started, None before the first one, and the actions since, shape (steps, actions)."""
+        actions = np.reshape(np.array(self._actions, self.action_space.dtype), (-1, *self.action_space.shape))
+        return {"start": self._start, "actions": actions}
+
+    def set_state(self, state: dict[str, Any]) -> None:
+        """Replay a saved episode up to where it was; what follows is identical."""
+        if state["start"] is None:
+            return
+        self.unwrapped.np_random.bit_generator.state = state["start"]
+        self.reset()
+        for action in state["actions"]:
+            self.step(action)
+
+
 def make_training_envs(
     config: EnvConfig, n_envs: int, monitor: Path | None = None, elapsed_s: float = 0.0
 ) -> VecMonitor:
-    """Make the training envs of an `env` group, with what it has for training.
+    """Make the training envs of an `env` group.
 
     Args:
         monitor: file of finished training episodes (Stable-Baselines3's Monitor CSV). Rows are appended.
-        elapsed_s: time that the run has taken before, so that the file's clock continues.
+        elapsed_s: time that a resumed run has taken before, so that the file's clock continues.
     """
     simulated: VecEnv
     config = config.for_training()
@@ -40,7 +79,7 @@ def make_training_envs(
 
 
 def get_state(envs: VecEnv) -> dict[str, Any]:
-    """Return everything that the future of training envs depends on: nested dicts and lists of arrays and numbers."""
+    """Return the state of training envs as nested dicts and lists of arrays and numbers."""
     assert isinstance(envs, VecMonitor)
     simulated = envs.venv
     monitor = {name: getattr(envs, name) for name in MONITOR_STATE}

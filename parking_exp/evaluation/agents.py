@@ -12,7 +12,7 @@ from parking_exp.config.schema import ConfigModel, EnvConfig, RunConfig
 from parking_exp.errors import RunNotFoundError
 from parking_exp.runs.directory import RunDirectory
 from parking_exp.runs.lookup import find_run
-from parking_exp.runs.stored_config import CONFIG_FILE, read_config
+from parking_exp.runs.run_files import CONFIG_FILE, read_config
 
 if TYPE_CHECKING:
     from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm

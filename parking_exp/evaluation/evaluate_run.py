@@ -125,7 +125,7 @@ def _store(request: EvaluationRequest, directory: RunDirectory) -> None:
 
     A run directory may be somebody else's: nothing is sent to the store that it names.
     """
-    from parking_exp.tracking.mirror import later, try_mirror
+    from parking_exp.tracking.mirror import sync_hint, try_mirror
     from parking_exp.tracking.store import Store
 
     tracked_in, output_dir = directory.tracking_uri, directory_path(request.output_dir)
@@ -138,7 +138,7 @@ def _store(request: EvaluationRequest, directory: RunDirectory) -> None:
             )
         return
     if problem := try_mirror(directory, Store(uri, directory.output_dir)):
-        say(f"not stored     {problem}; {later(directory.output_dir, uri)}")
+        say(f"not stored     {problem}; {sync_hint(directory.output_dir, uri)}")
 
 
 def _env(request: EvaluationRequest, env: EnvConfig) -> EnvConfig:

@@ -24,9 +24,9 @@
     run_dir, artifact_uri                      str       where its files are
     git_commit, git_dirty, cpu                 str, boolean, str: of the process that trained; whether files differed
     version.PACKAGE                            str       as many as there are
-    config.KEY                                 the config by dotted keys: int64, float64, bool, str; Int64 and boolean
-                                               where it is missing or null in some runs; object where words and numbers
-                                               are mixed, or all is null. Lists are text. MLflow keeps 6,000 characters
+    config.KEY                                 the config by dotted keys: int64, float64, bool, str; object where it is
+                                               missing or null in some runs (None), or words and numbers are mixed.
+                                               Lists are text. MLflow keeps 6,000 characters
 
 `curves` has one row per evaluation during training and at its end, by run and step:
 

@@ -20,10 +20,9 @@ import pandas as pd
 
 from parking_exp.config.paths import directory_path
 from parking_exp.errors import ConfigError, ResultsError
-from parking_exp.results.dtypes import TEXT, column, typed
-from parking_exp.results.frames import CONFIGURED, COST, CURVE_COLUMNS, FINAL, RUN_COLUMNS, STATUSES, Results
-from parking_exp.results.recordings import EPISODES, REQUIRED, TRAJECTORIES
-from parking_exp.runs.atomic_files import replacing, write_atomically
+from parking_exp.results.frames import RUN_TYPES, TEXT, Results, config_column
+from parking_exp.results.recordings import CURVE_TYPES, EPISODES, REQUIRED, TRAJECTORIES, empty_frame
+from parking_exp.runs.atomic_files import replacing, write_json
 from parking_exp.tracking.client import reason
 
 REPORT = "report.json"
@@ -31,38 +30,19 @@ FILES = ("runs.csv.gz", "curves.csv.gz", "outcomes.csv.gz", "trajectories.csv.gz
 LOCAL_COLUMNS = ("run_dir", "artifact_uri", "config.output_dir", "config.tracking.uri")
 """Columns of runs that name a place on the machine; an export has none of them."""
 PATH = re.compile(r"(?<![\w.~:/])(?:(?:sqlite|file):/*)?~?/(?:[^\s/'\",:;)\]]+/)*([^\s/'\",:;)\]]+)/?")
-RUN_TYPES: dict[str, Any] = {
-    "seed": "int64",
-    "status": pd.CategoricalDtype([*STATUSES]),
-    "steps": "int64",
-    "git_dirty": "boolean",
-    **dict.fromkeys(CONFIGURED.values(), "Int64"),
-    **dict.fromkeys([*FINAL.values(), *COST.values()], "float64"),
-}
-"""Types of the columns of `runs.csv.gz` that are not text."""
-CURVE_TYPES = {**dict.fromkeys(CURVE_COLUMNS, "float64"), "step": "int64"}
 DAMAGED = (ValueError, TypeError, KeyError, OSError, EOFError, OverflowError, RecursionError, zlib.error)
 
 
 @dataclass(frozen=True, eq=False)
 class Export(Results):
-    """Results that were read from an export; `uri` is its folder, as it was passed.
+    """Results that were read from an export; `uri` is its folder."""
 
-    Attributes:
-        recordings: rows of `trajectories`, with their run_id.
-        about: content of `report.json`.
-    """
-
-    recordings: pd.DataFrame = field(default_factory=pd.DataFrame)
-    about: Mapping[str, Any] = field(default_factory=dict)
+    recordings: pd.DataFrame = field(default_factory=pd.DataFrame)  # `trajectories` of all runs, with their run_id
+    about: Mapping[str, Any] = field(default_factory=dict)  # content of report.json
 
     def trajectories(self, run_id: str) -> pd.DataFrame:
-        """Return the trajectories of a run that the export has; `speed_mps` is missing.
-
-        Raises:
-            ResultsError: there is no such run.
-        """
-        self._refuse_unknown(run_id)
+        """Return the exported trajectories of a run; `speed_mps` is missing."""
+        self._check_run_id(run_id)
         rows = self.recordings[self.recordings["run_id"] == run_id]
         return rows[list(TRAJECTORIES)].astype(TRAJECTORIES).reset_index(drop=True)
 
@@ -79,11 +59,9 @@ def write_export(
     The same results give the same bytes. An export that is interrupted has no `report.json` and can't be read.
 
     Args:
-        results: to be exported.
-        folder: made if it is not there.
-        trajectories: rows of `Results.trajectories` to be kept, by run id.
+        trajectories: rows of `Results.trajectories` to export, by run id.
         about: further entries of `report.json`.
-        problems: sentences to be kept besides those of the results.
+        problems: sentences to export besides those of the results.
 
     Raises:
         ConfigError: the folder holds other files.
@@ -92,16 +70,15 @@ def write_export(
     refuse_foreign(folder)
     folder.mkdir(parents=True, exist_ok=True)
     (folder / REPORT).unlink(missing_ok=True)
-    final = results.episodes[results.episodes["phase"] == "final"]
+    final = results.episodes[results.episodes["phase"] == "final"].astype({"run_id": str})
     recordings = [rows.assign(run_id=run_id) for run_id, rows in sorted((trajectories or {}).items())]
+    columns = ["run_id", *TRAJECTORIES]
     tables = {
         "runs.csv.gz": _exported_runs(results.runs),
         "curves.csv.gz": results.curves,
         # One column per run: equal columns compress to almost nothing.
-        "outcomes.csv.gz": final.astype({"run_id": str})
-        .pivot(index="scene", columns="run_id", values="outcome")
-        .reset_index(),
-        "trajectories.csv.gz": pd.concat([pd.DataFrame(columns=["run_id", *TRAJECTORIES]), *recordings])
+        "outcomes.csv.gz": final.pivot(index="scene", columns="run_id", values="outcome").reset_index(),
+        "trajectories.csv.gz": pd.concat([empty_frame(dict.fromkeys(columns, object)), *recordings])
         .astype(TRAJECTORIES)
         .drop(columns="speed_mps"),
     }
@@ -110,9 +87,7 @@ def write_export(
         with replacing(folder / name) as temporary:  # writes through no link
             temporary.write_bytes(gzip.compress(text.encode(), mtime=1))  # the same content gives the same bytes
     sentences = [without_paths(problem) for problem in dict.fromkeys([*problems, *results.problems])]
-    described = {"problems": sentences, "ignored": results.ignored, **(about or {})}
-    text = json.dumps(described, ensure_ascii=False, allow_nan=False, indent=1)
-    write_atomically(folder / REPORT, text + "\n")
+    write_json(folder / REPORT, {"problems": sentences, "ignored": results.ignored, **(about or {})})
     return folder
 
 
@@ -139,11 +114,7 @@ def read_export(folder: str | Path) -> Export:
 
 
 def refuse_foreign(folder: Path) -> None:
-    """Refuse to put an export where other files are.
-
-    Raises:
-        ConfigError: there are some.
-    """
+    """Raise ConfigError if a folder for an export holds other files."""
     if folder.exists() and not folder.is_dir():
         raise ConfigError(f"export={folder}: a file is in the way")
     others = sorted(path.name for path in folder.iterdir() if path.name not in FILES) if folder.exists() else []
@@ -159,27 +130,24 @@ def without_paths(words: str) -> str:
 def _exported_runs(runs: pd.DataFrame) -> pd.DataFrame:
     """Return runs without columns that name a place; the config is written as MLflow has parameters."""
     kept = runs.drop(columns=[name for name in LOCAL_COLUMNS if name in runs])
-    config = {str(name): kept[name].astype(object).map(_as_param) for name in kept if str(name).startswith("config.")}
-    texts = kept.assign(**config).select_dtypes(["object", "string"])
+    config = kept.filter(regex=r"^config\.").astype(object)
+    kept = kept.assign(**config.where(config.notna(), None).map(str))
+    texts = kept.select_dtypes(["object", "string"])
     return kept.assign(**{str(name): texts[name].map(without_paths, na_action="ignore") for name in texts})
 
 
-def _as_param(value: Any) -> str:
-    return "None" if pd.isna(value) else str(value)
-
-
 def _read_runs(path: Path) -> pd.DataFrame:
-    types = defaultdict(lambda: TEXT, RUN_TYPES)
+    in_two_steps = dict.fromkeys(("started", "ended"), TEXT)  # `read_csv` has no such type
+    types = defaultdict(lambda: TEXT, {**RUN_TYPES, **in_two_steps})
     runs = pd.read_csv(path, dtype=types, keep_default_na=False, na_values=[""])
-    for name in ("started", "ended"):
-        runs[name] = pd.to_datetime(runs[name], format="ISO8601", utc=True).dt.as_unit("ms")
-    names = sorted(map(str, runs))
-    config = [name for name in names if name.startswith("config.")]
-    versions = [name for name in names if name.startswith("version.")]
-    for name in config:
-        runs[name] = column([typed(value) for value in runs[name].astype(object).where(runs[name].notna(), None)])
-    local = {name: pd.Series(dtype=TEXT) for name in ("run_dir", "artifact_uri")}
-    return runs.assign(**local)[[*RUN_COLUMNS, *versions, *config]]
+    for name in in_two_steps:
+        runs[name] = pd.to_datetime(runs[name], format="ISO8601", utc=True)
+    others = sorted(name for name in map(str, runs) if name.startswith(("version.", "config.")))
+    for name in others:
+        if name.startswith("config."):
+            runs[name] = config_column(runs[name].astype(object).where(runs[name].notna(), None))
+    others.sort(key=lambda name: name.startswith("config."))
+    return runs.assign(run_dir=None, artifact_uri=None)[[*RUN_TYPES, *others]].astype(RUN_TYPES)
 
 
 def _read_table(path: Path, runs: pd.DataFrame, types: Mapping[str, Any]) -> pd.DataFrame:

@@ -1,15 +1,14 @@
 """Load the results of runs from an MLflow store."""
 
-import json
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
-import numpy as np
 import pandas as pd
 
 from parking_exp.config.credentials import keep_password
@@ -17,8 +16,7 @@ from parking_exp.config.paths import database, default_uri, directory_path
 from parking_exp.errors import ParkingError, ResultsError, plural, suggestion
 from parking_exp.evaluation.metrics import METRICS
 from parking_exp.evaluation.trajectories import TRAJECTORIES_FILE
-from parking_exp.results.dtypes import TEXT, column, integers, text, times, typed
-from parking_exp.results.recordings import EPISODES, read_episodes, read_trajectories
+from parking_exp.results.recordings import read_curves, read_episodes, read_trajectories
 from parking_exp.tracking.client import reason
 from parking_exp.tracking.store import Store
 
@@ -35,41 +33,40 @@ CONFIGURED = {
 }
 FINAL = {f"final/{metric.key}": metric.run_column for metric in METRICS}
 COST = {"time/cpu_s": "cpu_s", "time/wall_s": "wall_s"}
-CURVE = {f"eval/{metric.key}": metric.key for metric in METRICS if metric.in_curves}
-BESIDE_A_CURVE = {"time/cpu_s": "cpu_s", "buffer/real_share": "real_share"}
 
-RUN_COLUMNS = (
-    "run_id", "name", "experiment", "cell", "run_key", "seed", "status", "error", *CONFIGURED.values(), "steps",
-    *FINAL.values(), *COST.values(), "started", "ended", "run_dir", "artifact_uri", "git_commit", "git_dirty", "cpu",
-)  # fmt: skip
-"""Columns of `runs` before those of versions and config."""
-CURVE_COLUMNS = ("run_id", "step", *CURVE.values(), *BESIDE_A_CURVE.values())
-EPISODE_COLUMNS = ("run_id", *EPISODES)
+TEXT: Any = "str" if int(pd.__version__.partition(".")[0]) >= 3 else object
+RUN_TYPES: dict[str, Any] = {
+    **dict.fromkeys(("run_id", "name", "experiment", "cell", "run_key"), TEXT),
+    "seed": "int64",
+    "status": pd.CategoricalDtype([*STATUSES]),
+    "error": TEXT,
+    **dict.fromkeys(CONFIGURED.values(), "Int64"),
+    "steps": "int64",
+    **dict.fromkeys([*FINAL.values(), *COST.values()], "float64"),
+    **dict.fromkeys(("started", "ended"), "datetime64[ms, UTC]"),
+    **dict.fromkeys(("run_dir", "artifact_uri", "git_commit"), TEXT),
+    "git_dirty": "boolean",
+    "cpu": TEXT,
+}
+"""Columns of `runs` before those of versions and config, and their types."""
 
 DOWNLOADS_AT_ONCE = 16
 SEED = re.compile(r"\d{1,18}")
-OURS = ("cell", "seed", "run_key", "run_dir", "status")  # tags that make a run one of this package's
+TAGS = ("cell", "seed", "run_key", "run_dir", "status")
+"""Tags of every run of this package; other runs are ignored."""
 
 
 @dataclass(frozen=True, eq=False)
 class Results:
-    """What a store knows of some experiments.
-
-    Attributes:
-        runs, curves, episodes: the frames that `help(parking_exp.results)` describes.
-        uri: the store.
-        problems: a sentence for each thing that is missing or broken; the frames have the rest.
-        ignored: how many runs were left out, as they are none of this package's.
-        store: a connection to it, for recordings; None: there are none.
-    """
+    """Runs of a store and what they logged, as the frames that `help(parking_exp.results)` describes."""
 
     runs: pd.DataFrame
     curves: pd.DataFrame
     episodes: pd.DataFrame
-    uri: str
-    problems: tuple[str, ...] = ()
-    ignored: int = 0
-    store: Store | None = None
+    uri: str  # the store
+    problems: tuple[str, ...] = ()  # a sentence for each thing that is missing or broken
+    ignored: int = 0  # number of runs by other programs
+    store: Store | None = None  # to read trajectories from
 
     def __repr__(self) -> str:
         sizes = ", ".join(f"{len(getattr(self, name))} {name}" for name in ("runs", "curves", "episodes"))
@@ -83,13 +80,13 @@ class Results:
         Raises:
             ResultsError: there is no such run, or its recording can't be read.
         """
-        self._refuse_unknown(run_id)
+        self._check_run_id(run_id)
         places = self.runs.loc[self.runs["run_id"] == run_id, "artifact_uri"]
         with _refused(f"run {run_id}: {TRAJECTORIES_FILE} can't be read"):
             stored = self.store.artifact(run_id, places.iloc[0], TRAJECTORIES_FILE) if self.store else None
             return read_trajectories(stored)
 
-    def _refuse_unknown(self, run_id: str) -> None:
+    def _check_run_id(self, run_id: str) -> None:
         if run_id not in set(self.runs["run_id"]):
             hint = suggestion(run_id, self.runs["run_id"])
             raise ResultsError(f"run_id={run_id}: it is none of {plural(len(self.runs), 'run')}{hint}")
@@ -108,46 +105,40 @@ def load(
     Raises:
         ResultsError: there is no such store, it can't be read, there is no such experiment, or it has no runs.
     """
-    here = directory_path(output_dir)
-    return read_store(Store(keep_password(uri), None) if uri else Store(default_uri(here), here), experiments)
+    folder = directory_path(output_dir)
+    return read_store(Store(keep_password(uri), None) if uri else Store(default_uri(folder), folder), experiments)
 
 
 def read_store(store: Store, experiments: str | Iterable[str] | None) -> Results:
-    """Read runs from a store that may have been asked for them already; see `load`.
-
-    Raises:
-        ResultsError: as `load`.
-    """
+    """Read runs from a store; see `load`."""
     if (path := database(store.uri)) is not None and not path.is_file():
         raise ResultsError(f"there is no store {path}; train something first, or name another output_dir or store")
     with _refused(f"the store {store.uri} can't be read"):
         ids = _chosen(store, experiments)
         stored = [run for run in store.runs(list(ids.values())) if run.info.lifecycle_stage == "active"]
-    kept = [run for run in stored if _is_ours(run)]
+    kept = [run for run in stored if _is_from_this_package(run)]
     if not kept:
-        asked = store.uri if experiments is None else f"experiment={','.join(ids)}"
-        raise ResultsError(
-            f"{asked}: it has no runs of parking_exp{f', but {len(stored)} by others' if stored else ''}"
-        )
-    runs = _runs(kept, {experiment_id: name for name, experiment_id in ids.items()}, store.run_dir)
-    logs, log_problems = _contents(store, runs, "metrics.jsonl")
-    points, damaged = _points(logs)
-    runs["steps"] = runs["run_id"].map(points.groupby("run_id")["step"].max()).fillna(0).astype("int64")
-    over = runs[runs["status"] != "running"]
-    tables, table_problems = _contents(store, over, "episodes.csv")
-    episodes, unread = read_episodes(tables, runs["run_id"].to_list())
-    table_problems |= {run_id: f"episodes.csv can't be read: {what}" for run_id, what in unread.items()}
-    problems = (*_twice(runs), *_sentences(runs, log_problems | damaged), *_sentences(runs, table_problems))
-    return Results(runs, _curves(points), episodes, store.uri, problems, len(stored) - len(kept), store)
+        searched = store.uri if experiments is None else f"experiment={','.join(ids)}"
+        others = f", but {len(stored)} by others" if stored else ""
+        raise ResultsError(f"{searched}: it has no runs of parking_exp{others}")
+    with _refused(f"the store {store.uri} can't be read"):
+        runs = _runs(kept, {experiment_id: name for name, experiment_id in ids.items()}, store.run_dir)
+    logs, log_problems = _artifacts(store, runs, "metrics.jsonl")
+    curves, steps, damaged_logs = read_curves(logs)
+    runs["steps"] = runs["run_id"].map(steps).fillna(0).astype("int64")
+    tables, table_problems = _artifacts(store, runs[runs["status"] != "running"], "episodes.csv")
+    episodes, damaged_tables = read_episodes(tables, runs["run_id"].to_list())
+    problems = (
+        *_duplicates(runs),
+        *_sentences(runs, log_problems | damaged_logs),
+        *_sentences(runs, table_problems | damaged_tables),
+    )
+    return Results(runs, curves, episodes, store.uri, problems, len(stored) - len(kept), store)
 
 
 @contextmanager
 def _refused(what: str) -> Iterator[None]:
-    """Turn any error of a store or its files into a sentence.
-
-    Raises:
-        ResultsError: what can't be read, and why.
-    """
+    """Turn any error of a store or its files into a ResultsError."""
     try:
         yield
     except ParkingError:
@@ -157,63 +148,71 @@ def _refused(what: str) -> Iterator[None]:
 
 
 def _chosen(store: Store, experiments: str | Iterable[str] | None) -> dict[str, str]:
-    """Return the ids of the experiments that are meant, by name."""
-    known = store.experiments()
+    """Return the ids of the chosen experiments by name."""
+    ids = store.experiments()
     if experiments is None:
-        return known
+        return ids
     names = [experiments] if isinstance(experiments, str) else list(experiments)
     for name in names:
-        if name not in known:
-            hint = suggestion(name, set(known) - {"Default"})
+        if name not in ids:
+            hint = suggestion(name, set(ids) - {"Default"})
             raise ResultsError(f"experiment={name}: {store.uri} has none of that name{hint}")
-    return {name: known[name] for name in names}
+    return {name: ids[name] for name in names}
 
 
-def _is_ours(run: "Run") -> bool:
+def _is_from_this_package(run: "Run") -> bool:
     tags = run.data.tags
-    return all(name in tags for name in OURS) and tags["status"] in STATUSES and bool(SEED.fullmatch(tags["seed"]))
+    return all(name in tags for name in TAGS) and tags["status"] in STATUSES and bool(SEED.fullmatch(tags["seed"]))
+
+
+@lru_cache(maxsize=100_000)
+def parse_value(text: str | None) -> Any:
+    """Return the value that a parameter is the text of: None, a bool, a number. Lists, mappings and words stay text."""
+    if text in (None, "None", "True", "False"):
+        return {"True": True, "False": False}.get(text or "")
+    for number in (int, float):
+        try:
+            return number(text)
+        except ValueError:
+            pass
+    return text
+
+
+def config_column(texts: Iterable[str | None]) -> pd.Series:
+    """Return the typed values of a parameter; where some are None, all stay Python objects."""
+    values = [parse_value(text) for text in texts]
+    return pd.Series(values, dtype=object if None in values else None)
 
 
 def _runs(stored: Sequence["Run"], names: Mapping[str, str], run_dir: Callable[["Run"], Path | None]) -> pd.DataFrame:
-    infos = [run.info for run in stored]
-    tags, params, metrics = ([getattr(run.data, what) for run in stored] for what in ("tags", "params", "metrics"))
-    done = np.array([tag["status"] == "done" for tag in tags])
-
-    def numbers(key: str) -> np.ndarray:
-        return np.array([values.get(key, np.nan) for values in metrics], dtype="float64")
-
-    def tagged(name: str) -> Any:
-        return text(tag.get(name) for tag in tags)
-
-    versions = sorted({name for tag in tags for name in tag if name.startswith("version.")})
-    keys = sorted({key for param in params for key in param})
-    columns = {
-        "run_id": text(info.run_id for info in infos),
-        "name": text(info.run_name for info in infos),
-        "experiment": text(names[info.experiment_id] for info in infos),
-        "cell": tagged("cell"),
-        "run_key": tagged("run_key"),
-        "seed": np.array([int(tag["seed"]) for tag in tags], dtype="int64"),
-        "status": pd.Categorical([tag["status"] for tag in tags], STATUSES),
-        "error": text(tag.get("error") or None for tag in tags),
-        **{name: integers(param.get(key) for param in params) for key, name in CONFIGURED.items()},
-        "steps": np.zeros(len(stored), dtype="int64"),
-        **{name: np.where(done, numbers(key), np.nan) for key, name in FINAL.items()},
-        **{name: numbers(key) for key, name in COST.items()},
-        "started": times(info.start_time for info in infos),
-        "ended": times(info.end_time for info in infos),
-        "run_dir": text(str(place) if (place := run_dir(run)) else None for run in stored),
-        "artifact_uri": text(info.artifact_uri for info in infos),
-        "git_commit": tagged("git_commit"),
-        "git_dirty": tagged("git_dirty").map({"true": True, "false": False}).astype("boolean"),
-        "cpu": tagged("cpu"),
-        **{name: tagged(name) for name in versions},
-        **{f"config.{key}": column([typed(param.get(key)) for param in params]) for key in keys},
-    }
-    return pd.DataFrame(columns).sort_values(["experiment", "cell", "seed", "started"], ignore_index=True)
+    """Return `Results.runs` but for `steps`, which the store's files have."""
+    rows = []
+    for run in stored:
+        info, tags, params, metrics = run.info, run.data.tags, run.data.params, run.data.metrics
+        final = FINAL if tags["status"] == "done" else {}
+        place = run_dir(run)
+        rows.append(
+            {name: tags.get(name) for name in ("cell", "run_key", "seed", "status", "git_commit", "cpu")}
+            | {"run_id": info.run_id, "name": info.run_name, "experiment": names[info.experiment_id]}
+            | {"error": tags.get("error") or None, "steps": 0}
+            | {column: parse_value(params.get(key)) for key, column in CONFIGURED.items()}
+            | {column: metrics.get(key) for key, column in (final | COST).items()}
+            | {"started": info.start_time, "ended": info.end_time}
+            | {"run_dir": str(place) if place else None, "artifact_uri": info.artifact_uri}
+            | {"git_dirty": {"true": True, "false": False}.get(tags.get("git_dirty", ""))}
+        )
+    runs = pd.DataFrame(rows, columns=[*RUN_TYPES], dtype=object)
+    for name in ("started", "ended"):
+        runs[name] = pd.to_datetime(runs[name].astype("Int64"), unit="ms", utc=True)
+    versions = sorted({name for run in stored for name in run.data.tags if name.startswith("version.")})
+    keys = sorted({key for run in stored for key in run.data.params})
+    described = {name: pd.Series([run.data.tags.get(name) for run in stored], dtype=TEXT) for name in versions}
+    config = {f"config.{key}": config_column(run.data.params.get(key) for run in stored) for key in keys}
+    runs = pd.concat([runs.astype(RUN_TYPES), pd.DataFrame(described | config)], axis=1)
+    return runs.sort_values(["experiment", "cell", "seed", "started"], ignore_index=True)
 
 
-def _contents(store: Store, runs: pd.DataFrame, name: str) -> tuple[dict[str, bytes], dict[str, str]]:
+def _artifacts(store: Store, runs: pd.DataFrame, name: str) -> tuple[dict[str, bytes], dict[str, str]]:
     """Return an artifact of each run that has it, and what is wrong with the others', by run id."""
     contents, problems = {}, {}
 
@@ -233,41 +232,15 @@ def _contents(store: Store, runs: pd.DataFrame, name: str) -> tuple[dict[str, by
     return contents, problems
 
 
-def _points(logs: Mapping[str, bytes]) -> tuple[pd.DataFrame, dict[str, str]]:
-    """Return the metrics of curves as one row per point, and what is wrong with logs, by run id."""
-    names = {**CURVE, **BESIDE_A_CURVE}
-    rows, damaged = [], {}
-    for run_id, content in logs.items():
-        try:
-            for record in map(json.loads, content.splitlines()):
-                known = [(names[key], value) for key, value in record["metrics"].items() if key in names]
-                rows += [(name, run_id, np.int64(record["step"]), float(value)) for name, value in known]
-        except (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError):
-            damaged[run_id] = "metrics.jsonl can't be read: it is damaged"
-    return pd.DataFrame(rows, columns=["name", "run_id", "step", "value"]).astype(
-        {"name": TEXT, "run_id": TEXT, "step": "int64", "value": "float64"}
-    ), damaged
-
-
-def _curves(points: pd.DataFrame) -> pd.DataFrame:
-    evaluated = points.loc[points["name"].isin(list(CURVE.values())), ["run_id", "step"]].drop_duplicates()
-    # A step that was logged twice counts as it was logged last.
-    wide = points.drop_duplicates(["run_id", "step", "name"], keep="last").pivot(
-        index=["run_id", "step"], columns="name", values="value"
-    )
-    wide = wide.reindex(columns=[*CURVE.values(), *BESIDE_A_CURVE.values()]).rename_axis(columns=None).reset_index()
-    return wide.merge(evaluated, on=["run_id", "step"]).sort_values(["run_id", "step"], ignore_index=True)
-
-
 def _sentences(runs: pd.DataFrame, problems: Mapping[str, str]) -> Iterator[str]:
     for run_id, cell, seed in zip(runs["run_id"], runs["cell"], runs["seed"], strict=True):
         if run_id in problems:
             yield f"run {run_id} ({cell}, seed {seed}): {problems[run_id]}"
 
 
-def _twice(runs: pd.DataFrame) -> Iterator[str]:
+def _duplicates(runs: pd.DataFrame) -> Iterator[str]:
     """Yield a sentence for each run that is there more than once, e.g. from two output directories with one store."""
-    ids = runs.groupby(["experiment", "cell", "seed"], sort=False)["run_id"].agg(list)
-    for key, run_ids in ids[ids.map(len) > 1].items():
+    numbers = runs.groupby(["experiment", "cell", "seed"], sort=False).size()
+    for key, number in numbers[numbers > 1].items():
         experiment, cell, seed = cast(tuple[str, str, int], key)
-        yield f"{experiment}, {cell}, seed {seed}: {len(run_ids)} runs have it"
+        yield f"{experiment}, {cell}, seed {seed}: {number} runs have it"

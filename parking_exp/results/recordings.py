@@ -1,8 +1,7 @@
-"""Parsers of `episodes.csv` and `trajectories.npz`, into frames."""
+"""Parsers of a run's files, as the store has them, into frames: metrics, episodes, trajectories."""
 
 import io
-import zipfile
-import zlib
+import json
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -11,12 +10,19 @@ import pandas as pd
 
 from parking_exp.config.schema import TRAINING_SCENES_START
 from parking_exp.envs.outcomes import OUTCOMES
-from parking_exp.evaluation.metrics import DTYPES
+from parking_exp.evaluation.metrics import DTYPES, METRICS
 from parking_exp.evaluation.trajectories import CAR_COLUMNS
 
-PHASES = ("eval", "final", "certified")
+CURVE = {f"eval/{metric.key}": metric.key for metric in METRICS if metric.in_curves}
+BESIDE_A_CURVE = {"time/cpu_s": "cpu_s", "buffer/real_share": "real_share"}
+CURVE_TYPES: dict[str, Any] = {
+    "run_id": "str",
+    "step": "int64",
+    **dict.fromkeys([*CURVE.values(), *BESIDE_A_CURVE.values()], "float64"),
+}
+"""Columns of `Results.curves`, and their types."""
 REQUIRED: dict[str, Any] = {
-    "phase": pd.CategoricalDtype([*PHASES]),
+    "phase": pd.CategoricalDtype(["eval", "final", "certified"]),
     "step": "int64",
     "scene": "int64",
     "outcome": pd.CategoricalDtype([*OUTCOMES]),
@@ -27,83 +33,97 @@ EPISODES: dict[str, Any] = {**REQUIRED, **DTYPES}
 TRAJECTORIES: dict[str, Any] = {"scene": "int64", "step": "int64", **dict.fromkeys(CAR_COLUMNS, "float32")}
 
 
-def read_episodes(texts: Mapping[str, bytes], run_ids: Sequence[str]) -> tuple[pd.DataFrame, dict[str, str]]:
+def read_curves(logs: Mapping[str, bytes]) -> tuple[pd.DataFrame, dict[str, int], dict[str, str]]:
+    """Return the curves of many runs, their last steps, and what is wrong with the logs that can't be read.
+
+    Args:
+        logs: content of `metrics.jsonl` by run id.
+    """
+    names = {**CURVE, **BESIDE_A_CURVE}
+    points = dict[tuple[str, int], dict[str, Any]]()
+    steps, problems = dict[str, int](), dict[str, str]()
+    for run_id, content in logs.items():
+        try:
+            for record in map(json.loads, content.splitlines()):
+                values = {names[key]: float(value) for key, value in record["metrics"].items() if key in names}
+                if values:
+                    step = int(record["step"])
+                    points.setdefault((run_id, step), {"run_id": run_id, "step": step}).update(values)
+                    steps[run_id] = max(step, steps.get(run_id, 0))
+        except (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError):
+            problems[run_id] = "metrics.jsonl can't be read: it is damaged"
+    evaluated = [point for point in points.values() if any(name in point for name in CURVE.values())]
+    curves = pd.DataFrame(evaluated, columns=[*CURVE_TYPES]).astype(CURVE_TYPES)
+    return curves.sort_values(["run_id", "step"], ignore_index=True), steps, problems
+
+
+def read_episodes(tables: Mapping[str, bytes], run_ids: Sequence[str]) -> tuple[pd.DataFrame, dict[str, str]]:
     """Return the episodes of many runs as one table, and what is wrong with the texts that can't be read.
 
     Columns that EPISODES does not have are left out; those that a text does not have are missing in its rows.
 
     Args:
-        texts: content of `episodes.csv` by run id.
+        tables: content of `episodes.csv` by run id.
         run_ids: the categories of the column `run_id`, in the order of the table.
     """
-    tables, problems = [_empty({"run_id": _categories(run_ids), **EPISODES})], dict[str, str]()
-
-    def parse(alike: Mapping[str, bytes]) -> None:
+    frames, problems = [], dict[str, str]()
+    # Tables with the same header are parsed as one: the number of parses is what takes time.
+    by_header: dict[bytes, dict[str, bytes]] = {}
+    for run_id, content in tables.items():
+        by_header.setdefault(content.partition(b"\n")[0], {})[run_id] = content
+    batches = list(by_header.values())
+    for batch in batches:
         try:
-            tables.append(_parse(alike, run_ids))
+            frames.append(_parse(batch))
         except ValueError as error:
-            if len(alike) == 1:
-                problems[next(iter(alike))] = str(error).strip().partition("\n")[0]
+            if len(batch) == 1:
+                reason = str(error).strip().partition("\n")[0]
+                problems |= dict.fromkeys(batch, f"episodes.csv can't be read: {reason}")
             else:
-                for run_id, content in alike.items():
-                    parse({run_id: content})
-
-    # Texts with the same header are parsed as one: the number of parses is what takes time.
-    headers = {run_id: content.partition(b"\n")[0] for run_id, content in texts.items()}
-    for header in dict.fromkeys(headers.values()):
-        parse({run_id: content for run_id, content in texts.items() if headers[run_id] == header})
-    joined = pd.concat(tables[1:] or tables, ignore_index=True).reindex(columns=["run_id", *EPISODES])
-    return joined.sort_values("run_id", kind="stable", ignore_index=True), problems
+                batches += [{run_id: content} for run_id, content in batch.items()]  # find the damaged one
+    types = {"run_id": pd.CategoricalDtype(pd.Index(list(run_ids), dtype="str")), **EPISODES}
+    if not frames:
+        return empty_frame(types), problems
+    episodes = pd.concat(frames, ignore_index=True).reindex(columns=[*types]).astype({"run_id": types["run_id"]})
+    return episodes.sort_values("run_id", kind="stable", ignore_index=True), problems
 
 
 def read_trajectories(content: bytes | None) -> pd.DataFrame:
     """Return the rows of `trajectories.npz`, none for None.
 
     Raises:
-        ValueError: the content is no such file.
+        Exception: whatever NumPy and pandas raise if the content is no such file.
     """
     if content is None:
-        return _empty(TRAJECTORIES)
-    try:
-        with np.load(io.BytesIO(content), allow_pickle=False) as arrays:
-            scene, lengths = arrays["scene"], arrays["length"]
-            cars = {name: arrays[name] for name in CAR_COLUMNS}
-    except (AttributeError, KeyError, EOFError, zipfile.BadZipFile, zlib.error) as error:
-        raise ValueError(f"it is no recording of episodes ({error})") from error
-    if {lengths.sum()} != {len(values) for values in cars.values()} or len(scene) != len(lengths):
-        raise ValueError("its arrays are not of the same episodes")
-    if not all(np.isfinite(values).all() for values in cars.values()):
-        raise ValueError("it has positions that are not finite")
-    steps = np.concatenate([np.arange(0), *map(np.arange, lengths)])
-    return pd.DataFrame({"scene": np.repeat(scene, lengths), "step": steps, **cars}).astype(TRAJECTORIES)
+        return empty_frame(TRAJECTORIES)
+    with np.load(io.BytesIO(content), allow_pickle=False) as arrays:
+        lengths = arrays["length"]
+        steps = np.concatenate([np.arange(0), *map(np.arange, lengths)])
+        cars = {name: arrays[name] for name in CAR_COLUMNS}
+        rows = pd.DataFrame({"scene": np.repeat(arrays["scene"], lengths), "step": steps, **cars})
+    return rows.astype(TRAJECTORIES)
 
 
-def _parse(texts: Mapping[str, bytes], run_ids: Sequence[str]) -> pd.DataFrame:
-    """Return the rows of CSV texts with the same header, by run id.
+def empty_frame(types: Mapping[str, Any]) -> pd.DataFrame:
+    """Return a frame without rows."""
+    return pd.DataFrame(columns=[*types]).astype(types)
+
+
+def _parse(tables: Mapping[str, bytes]) -> pd.DataFrame:
+    """Return the rows of CSV texts with the same header, with the run id of each.
 
     Raises:
         ValueError: one of them is not a whole table of episodes.
     """
-    if not all(text.endswith(b"\n") for text in texts.values()):
+    if not all(text.endswith(b"\n") for text in tables.values()):
         raise ValueError("the file is truncated")
-    header = next(iter(texts.values())).partition(b"\n")[0] + b"\n"
-    bodies = [text[len(header) :] for text in texts.values()]
-    content = io.BytesIO(b"".join([header, *bodies]))
-    table = pd.read_csv(content, dtype=EPISODES, usecols=lambda name: name in EPISODES)
+    header = next(iter(tables.values())).partition(b"\n")[0] + b"\n"
+    bodies = [text.removeprefix(header) for text in tables.values()]
+    table = pd.read_csv(io.BytesIO(header + b"".join(bodies)), dtype=EPISODES, usecols=lambda name: name in EPISODES)
     if absent := [name for name in REQUIRED if name not in table]:
         raise ValueError(f"it has no column {absent[0]}")
-    rows = [body.count(b"\n") for body in bodies]
+    n_rows = [body.count(b"\n") for body in bodies]
     scenes = table["scene"].between(0, TRAINING_SCENES_START - 1)
-    if len(table) != sum(rows) or table[[*REQUIRED]].isna().any(axis=None) or not scenes.all():
+    if len(table) != sum(n_rows) or table[[*REQUIRED]].isna().any(axis=None) or not scenes.all():
         raise ValueError("it has rows that are no episodes")
-    codes = {run_id: code for code, run_id in enumerate(run_ids)}
-    owners = np.repeat([codes[run_id] for run_id in texts], rows)
-    return table.assign(run_id=pd.Categorical.from_codes(owners, dtype=_categories(run_ids)))
-
-
-def _categories(run_ids: Sequence[str]) -> pd.CategoricalDtype:
-    return pd.CategoricalDtype(pd.Index(list(run_ids), dtype="str"))
-
-
-def _empty(dtypes: Mapping[str, Any]) -> pd.DataFrame:
-    return pd.DataFrame({name: pd.Series(dtype=dtype) for name, dtype in dtypes.items()})
+    return table.assign(run_id=np.repeat(np.array([*tables], dtype=object), n_rows))

@@ -15,8 +15,7 @@ import yaml
 def replacing(path: Path, *, durable: bool = True) -> Iterator[Path]:
     """Yield a path to write to; at the end of the block that file replaces `path`.
 
-    A kill, an error or a full disk leaves the old content or the new, never a part. Without `durable` there is no
-    fsync: a power cut may then leave an empty file.
+    A kill, an error or a full disk leaves the old content or the new; without `durable` (fsync), a power cut may not.
     """
     temporary = path.with_name(f".tmp-{os.getpid()}-{path.name}")  # two processes may write at once; the last one wins
     try:
@@ -40,11 +39,7 @@ def write_json(path: Path, value: Any, *, durable: bool = True) -> None:
 
 
 def read_json(path: Path) -> Any:
-    """Read a JSON file; return None if it does not exist.
-
-    Raises:
-        ValueError: its content is not JSON, or nested too deeply.
-    """
+    """Read a JSON file; return None if it does not exist. Raises ValueError for other content."""
     try:
         return json.loads(path.read_text(encoding="utf-8")) if path.exists() else None
     except RecursionError as error:
@@ -52,12 +47,7 @@ def read_json(path: Path) -> Any:
 
 
 def read_plain_yaml(path: Path) -> Any:
-    """Read a YAML file that holds what JSON has: dicts, lists, texts, numbers, booleans and nulls.
-
-    Raises:
-        OSError: it can't be read.
-        ValueError: it holds anything else, such as a tag, a date or an alias.
-    """
+    """Read a YAML file that holds what JSON has; raises ValueError for a tag, a date or an alias."""
     try:
         return json.loads(json.dumps(yaml.load(path.read_text(encoding="utf-8"), _LoaderWithoutAliases)))
     except (yaml.YAMLError, RecursionError, LookupError, AttributeError, TypeError) as error:
@@ -89,7 +79,7 @@ def sha256(path: Path) -> str:
 
 
 def fingerprint(path: Path) -> list[int]:
-    """Return size and time of a file: both stay as they are while nobody writes to it."""
+    """Return size and time of a file, which change when it is written to."""
     status = path.stat()
     return [status.st_size, status.st_mtime_ns]
 

@@ -9,6 +9,7 @@ The run directory is the truth; MLflow is its index. Two locks keep processes ap
 that is responsible for the run (its supervisor, or the one that trains it without any), `.lock` by the one that trains.
 """
 
+import fcntl
 import os
 import time
 from collections.abc import Iterator, Mapping
@@ -17,7 +18,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from filelock import FileLock
+from filelock import FileLock, Timeout
 from pydantic import TypeAdapter, ValidationError
 
 from parking_exp.config.credentials import strip_password
@@ -25,54 +26,52 @@ from parking_exp.config.paths import absolute, directory_path, refuse_links, rel
 from parking_exp.config.schema import RunConfig
 from parking_exp.errors import OutputDirectoryError, RunLockedError
 from parking_exp.runs.atomic_files import read_object, replacing, write_json
-from parking_exp.runs.locks import hold, is_held
+from parking_exp.runs.run_files import (
+    HEARTBEAT_FILE,
+    OUTPUT_DIR,
+    RESULT_FILE,
+    STATUS_FILE,
+    Status,
+    StatusEntries,
+    read_config,
+    read_entries,
+    write_config,
+)
 from parking_exp.runs.run_provenance import command_line
-from parking_exp.runs.status_schema import Status, StatusEntries, read_entries
-from parking_exp.runs.stored_config import OUTPUT_DIR, read_config, write_config
 
-STATUS_FILE, RESULT_FILE, HEARTBEAT_FILE = "status.json", "result.json", "beat.json"
 MODEL, BUFFER, MANIFEST = "model.zip", "replay_buffer.npz", "manifest.json"  # of a checkpoint
 SUPERVISOR_LOCK, TRAINING_LOCK = ".claim", ".lock"
-# To see whether a lock is held, it is taken for a moment: who wants to hold it tries again for this long.
-LOCK_PATIENCE_S = 2.0
-# A supervisor that is killed takes its worker with it; until it is gone, the next one waits.
-WORKER_PATIENCE_S = 20.0
-# Space that a run keeps while it trains, so that its end can be written down on a disk that is full by then.
+LOCK_PATIENCE_S = 2.0  # another process takes a lock for a moment to see whether it is held
+WORKER_PATIENCE_S = 20.0  # the worker of a supervisor that was killed ends soon after it
+# Space that a run keeps while it trains, so that its end can be written on a disk that is full by then.
 RESERVE, RESERVE_BYTES = ".reserve", 64 * 1024
 ENDS = ("done", "failed", "interrupted", "pruned")
 
 
 @dataclass(frozen=True)
 class RunResult:
-    """What a finished run came to.
+    """The result of a finished run."""
 
-    Attributes:
-        run_dir: absolute run directory.
-        run_id: MLflow run id; None without MLflow.
-        steps: env steps trained.
-        metrics: last value of every metric, `final/success_rate` among them.
-    """
-
-    run_dir: str
-    run_id: str | None
-    steps: int
-    metrics: dict[str, float]
+    run_dir: str  # absolute
+    run_id: str | None  # of MLflow; None without it
+    steps: int  # env steps trained
+    metrics: dict[str, float]  # last value of every metric, `final/success_rate` among them
 
 
 class RunDirectory:
-    """The directory of one run; `models` holds the best and the final one."""
+    """The directory of one run."""
 
     def __init__(self, path: Path) -> None:
         self.path, self.checkpoints, self.models = path, path / "checkpoints", path / "models"
 
     @property
     def output_dir(self) -> Path:
-        """The output directory that the run is in now: it may have been moved since the run was written."""
+        """The output directory that the run is in now."""
         return directory_path(self.path / OUTPUT_DIR)
 
     @property
     def status(self) -> Status:
-        """Status in status.json. A run that was killed still says `running`; its lock is free."""
+        """Status in status.json; that of a run that was killed is still `running`."""
         return self.read_status().get("status", "pending")
 
     @property
@@ -88,12 +87,12 @@ class RunDirectory:
 
     @property
     def unsynced(self) -> str | None:
-        """Why the store lacks something of the run; None as far as is known."""
+        """Why the store lacks something of the run, or None."""
         return self.read_status().get("unsynced")
 
     @property
     def under_way(self) -> bool:
-        """Whether a process, be it this one, is responsible for the run now, or works on it."""
+        """Whether a process, this one included, holds one of the run's locks."""
         return any(is_held(self.path / name) for name in (SUPERVISOR_LOCK, TRAINING_LOCK))
 
     def update(self, durable: bool = True, /, **values: Any) -> None:
@@ -109,96 +108,72 @@ class RunDirectory:
             write_json(self.path / STATUS_FILE, kept, durable=durable)
 
     def result(self) -> RunResult | None:
-        """Return the stored result of a finished run, else None, also where it is damaged."""
-        stored = read_object(self.path / RESULT_FILE)
-        if not stored or self.status != "done":
+        """Return the stored result of a finished run; None if there is none, or it is damaged."""
+        if self.status != "done":
             return None
         # The store may have been down until later, and the directory moved.
-        known = {**stored, "run_dir": str(self.path.absolute()), "run_id": self.run_id}
-        with suppress(ValidationError):
-            return TypeAdapter(RunResult).validate_python(known)
-        return None
+        now = {"run_dir": str(self.path.absolute()), "run_id": self.run_id}
+        try:
+            return TypeAdapter(RunResult).validate_python(read_object(self.path / RESULT_FILE) | now)
+        except ValidationError:
+            return None
 
     def finish(self, result: RunResult, **values: Any) -> None:
-        """Store the result, and entries of status.json; from here on the run is done."""
+        """Write the result, then the status `done` with other entries of status.json."""
         write_json(self.path / RESULT_FILE, asdict(result))
         self.update(status="done", steps=result.steps, **values)
 
     def create(self, config: RunConfig) -> None:
-        """Make the directory, write the resolved config into it, and reserve space for the run's end.
-
-        Raises:
-            OutputDirectoryError: it can't be written.
-        """
+        """Make the directory, write the resolved config into it, and reserve space for the run's end."""
         with self._writable():
             write_config(self.path, config, durable=True)
         self.reserve()
 
     def reserve(self) -> None:
-        """Take up the space in which the run's end can be written, until that is done.
-
-        Raises:
-            OutputDirectoryError: there is not as much left.
-        """
+        """Occupy the space in which the run's end can be written, until that is done."""
         with self._writable(), replacing(self.path / RESERVE, durable=False) as temporary:
             temporary.write_bytes(os.urandom(RESERVE_BYTES))  # what can't be compressed
 
     def freeze(
-        self,
-        config: RunConfig,
-        label: str,
-        started: float | None,
-        entries: Mapping[str, Any] | None = None,
+        self, config: RunConfig, label: str, started: float | None, entries: Mapping[str, Any] | None = None
     ) -> None:
-        """Freeze the config and the label of a pending run; later edits to the config do not affect it.
+        """Write the config, the label and other entries of status.json of a pending run.
 
         A run that another process has taken up meanwhile is left as it is: one that is under way, or was begun at
-        another time than `started`. Nothing is synced to the disk: after a power cut, rerunning the sweep writes it
-        again. `entries` go into status.json as well.
-
-        Raises:
-            OutputDirectoryError: the directory can't be written.
+        another time than `started`. There is no fsync: after a power cut, rerunning the sweep writes it again.
         """
         if self.under_way:
             return
         with suppress(RunLockedError), self._held(SUPERVISOR_LOCK, LOCK_PATIENCE_S):
-            known = self.read_status()
-            if known.get("status") == "done" or known.get("started") != started:
+            status = self.read_status()
+            if status.get("status") == "done" or status.get("started") != started:
                 return
             with self._writable():
                 write_config(self.path, config, durable=False)
-            known = {"label": label, "total_timesteps": config.total_timesteps, "command": command_line()}
+            plan = {"label": label, "total_timesteps": config.total_timesteps, "command": command_line()}
             uri = store_uri(config) if config.tracking.mlflow else None
             fresh = {"status": "pending", "error": None, "killed": None, "tracking_uri": uri}
-            self.update(False, **fresh, **known, **(entries or {}))
+            self.update(False, **fresh, **plan, **(entries or {}))
 
     def heartbeat(self, **values: Any) -> None:
-        """Write down how far the run is, for processes that watch it."""
+        """Write how far the run is, for processes that watch it."""
         with suppress(OSError):  # a full disk: nothing depends on a heartbeat, and the next checkpoint will fail
             write_json(self.path / HEARTBEAT_FILE, {"time": time.time(), **values}, durable=False)
 
     def config(self) -> RunConfig:
-        """Read the run's config, with the output directory and store of where the run is now.
-
-        Raises:
-            ConfigError: it is missing, damaged, or does not fit the schema.
-        """
+        """Read the run's config; see `run_files.read_config`."""
         return read_config(self.path, self.output_dir)
 
     def check_links(self) -> None:
-        """Refuse a run directory with links to files elsewhere, which would be written to or sent to a store.
-
-        Raises:
-            UntrustedError: it has a symbolic link that leads out of it.
-        """
+        """Raise UntrustedError if a symbolic link leads out of the directory: it would be written to, or sent."""
         refuse_links(self.path.rglob("*"), self.path)
 
     @contextmanager
     def supervisor_lock(self) -> Iterator[None]:
-        """Be the process that is responsible for the run.
+        """Hold the lock of the process that is responsible for the run.
 
         Raises:
-            RunLockedError: another process is.
+            RunLockedError: another process holds it.
             OutputDirectoryError: the directory cannot be made.
             UntrustedError: a symbolic link leads out of it.
         """
@@ -207,7 +182,7 @@ class RunDirectory:
 
     @contextmanager
     def training_lock(self) -> Iterator[None]:
-        """Be the process that trains the run; raises what `supervisor_lock` does."""
+        """Hold the lock of the process that trains the run; see `supervisor_lock`."""
         with self._held(TRAINING_LOCK, WORKER_PATIENCE_S):
             yield
 
@@ -215,7 +190,11 @@ class RunDirectory:
     def _held(self, name: str, patience_s: float) -> Iterator[None]:
         with self._writable():
             self.path.mkdir(parents=True, exist_ok=True)
-        with hold(self.path / name, patience_s):
+        try:
+            lock = FileLock(self.path / name).acquire(timeout=patience_s)
+        except Timeout:
+            raise RunLockedError(f"another process is working on {self.path}; wait for it, or stop it first") from None
+        with lock:
             self.check_links()
             yield
 
@@ -227,5 +206,20 @@ class RunDirectory:
             raise OutputDirectoryError(f"output_dir: {self.path} cannot be written: {error.strerror}") from error
 
     def read_status(self) -> dict[str, Any]:
-        """Return the entries of status.json; one of the wrong type is none."""
+        """Return the valid entries of status.json."""
         return read_entries(self.path / STATUS_FILE, StatusEntries)[0]
+
+
+def is_held(path: Path) -> bool:
+    """Return whether a process holds a lock file; the system releases it when that ends."""
+    try:
+        handle = os.open(path, os.O_RDONLY)
+    except OSError:  # it was never locked
+        return False
+    try:
+        fcntl.flock(handle, fcntl.LOCK_SH | fcntl.LOCK_NB)  # shared, so that several may look at once
+    except BlockingIOError:
+        return True
+    finally:
+        os.close(handle)
+    return False

@@ -5,7 +5,8 @@ from pathlib import Path
 
 from parking_exp.config.paths import directory_path
 from parking_exp.errors import RunNotFoundError, did_you_mean, plural
-from parking_exp.runs.directory import STATUS_FILE, RunDirectory
+from parking_exp.runs.directory import RunDirectory
+from parking_exp.runs.run_files import STATUS_FILE
 
 
 def find_runs(output_dir: Path, experiment: str | None = None) -> list[Path]:
@@ -17,14 +18,8 @@ def find_runs(output_dir: Path, experiment: str | None = None) -> list[Path]:
 def find_run(name: str, output_dir: Path, having: str, others: Sequence[str] = ()) -> RunDirectory:
     """Find a run by its directory, its MLflow run id, or `latest`: the one whose file `having` was written last.
 
-    Args:
-        name: one of these.
-        output_dir: where runs are looked for.
-        having: path in a run directory.
-        others: what can be typed besides; errors suggest the closest, or the first.
-
     Raises:
-        RunNotFoundError: there is none.
+        RunNotFoundError: there is none; the message suggests the closest valid name, `others` among them.
     """
     folder = directory_path(name)
     if (folder / STATUS_FILE).exists():

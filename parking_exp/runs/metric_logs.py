@@ -14,11 +14,11 @@ if TYPE_CHECKING:
     import pandas as pd
 
 APPENDED = ("metrics.jsonl", "episodes.csv", "monitor.csv")
-"""Files of a run directory that only ever grow. Each checkpoint has a copy of them."""
+"""Files of a run directory that only grow; each checkpoint has a copy of them."""
 
 
 def copy_logs(run_dir: Path, checkpoint: Path) -> None:
-    """Copy the logs into a checkpoint; without any metrics yet, `metrics.jsonl` is an empty file there."""
+    """Copy the logs into a checkpoint, with an empty `metrics.jsonl` if there is none yet."""
     for name in APPENDED:
         if (run_dir / name).exists():
             shutil.copyfile(run_dir / name, checkpoint / name)
@@ -26,7 +26,7 @@ def copy_logs(run_dir: Path, checkpoint: Path) -> None:
 
 
 def restore_logs(run_dir: Path, checkpoint: Path | None) -> None:
-    """Set the logs back to a checkpoint, or to none: the steps after it are done again."""
+    """Reset the logs to those of a checkpoint, or delete them."""
     for name in APPENDED:
         (run_dir / name).unlink(missing_ok=True)
         if checkpoint is not None and (checkpoint / name).exists():
@@ -34,7 +34,7 @@ def restore_logs(run_dir: Path, checkpoint: Path | None) -> None:
 
 
 def read_metrics(path: Path) -> Iterator[dict[str, Any]]:
-    """Yield the rows of a `metrics.jsonl`, none where there is no file. A last line without its end is still written.
+    """Yield the rows of a `metrics.jsonl` if there is one, without a last line that is still being written.
 
     Raises:
         DamagedFileError: a line is not such a row.
@@ -56,8 +56,7 @@ def read_metrics(path: Path) -> Iterator[dict[str, Any]]:
 class MetricsLog:
     """`metrics.jsonl`: one line {"step", "time_ms", "metrics"} for each row of metrics.
 
-    A key has one value per step, the first: several training episodes that end in the same step make
-    Stable-Baselines3's logger write twice.
+    A key has one value per step, the first; Stable-Baselines3 logs twice if two episodes end in the same step.
     """
 
     def __init__(self, path: Path) -> None:
@@ -96,8 +95,7 @@ class MetricsLog:
 
 def append_episodes(path: Path, episodes: "pd.DataFrame", phase: str, step: int) -> None:
     """Append an evaluation's episodes to `episodes.csv`, with its phase (`eval` or `final`) and env step."""
-    table = episodes.assign(phase=phase, step=step)
-    table = table[["phase", "step", *episodes.columns]]
+    table = episodes.assign(phase=phase, step=step)[["phase", "step", *episodes.columns]]
     if path.exists():  # rows of a metric that was added since would not fit under the header
         with path.open(encoding="utf-8") as file:
             table = table.reindex(columns=file.readline().strip().split(","))

@@ -1,4 +1,4 @@
-"""Provenance of a run: versions of packages, git commit, CPU, and the command line that was typed."""
+"""Provenance of a run: versions of packages, git commit, CPU, and the command line."""
 
 import platform
 import re
@@ -19,7 +19,7 @@ PACKAGES = ["torch", "stable-baselines3", "highway-env", "gymnasium", "numpy", "
 
 
 def provenance() -> dict[str, str]:
-    """Return tags: `version.<package>`, `git_commit`, `git_dirty`, `cpu`. What can't be known is left out."""
+    """Return the tags `version.<package>`, `git_commit`, `git_dirty` and `cpu`, as far as they are known."""
     tags = {"version.python": platform.python_version(), "version.parking-exp": __version__}
     for package in PACKAGES:
         try:
@@ -30,7 +30,7 @@ def provenance() -> dict[str, str]:
 
 
 def command_line() -> str | None:
-    """Return the command line of this process where it is one of ours, without passwords."""
+    """Return the command line of this process without passwords, None unless it is a command of this package."""
     name = Path(sys.argv[0]).name
     if name.startswith("parking-"):
         words = [name]
@@ -45,12 +45,12 @@ def read_provenance(path: Path) -> tuple[int | None, dict[str, str]]:
     """Return when a run was started, in ms since 1970, and its tags; other tags are left out."""
     stored = read_object(path)
     started_ms, tags = stored.get("started_ms"), stored.get("tags")
-    known = {
+    valid_tags = {
         name: value
         for name, value in (tags.items() if isinstance(tags, dict) else ())
         if isinstance(value, str) and (name in TAGS or name.startswith("version."))
     }
-    return started_ms if type(started_ms) is int and 0 <= started_ms < 2**53 else None, known
+    return started_ms if type(started_ms) is int and 0 <= started_ms < 2**53 else None, valid_tags
 
 
 def _git() -> dict[str, str]:

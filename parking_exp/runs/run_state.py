@@ -9,56 +9,47 @@ from typing import Any, Literal
 
 from parking_exp.config.cell_labels import label_by_experiment, settings_of
 from parking_exp.runs.atomic_files import fingerprint, read_plain_yaml
-from parking_exp.runs.directory import HEARTBEAT_FILE, STATUS_FILE, RunDirectory
-from parking_exp.runs.status_schema import HeartbeatEntries, StatusEntries, read_entries
-from parking_exp.runs.stored_config import CONFIG_FILE
+from parking_exp.runs.directory import RunDirectory
+from parking_exp.runs.run_files import (
+    CONFIG_FILE,
+    HEARTBEAT_FILE,
+    STATUS_FILE,
+    HeartbeatEntries,
+    StatusEntries,
+    read_entries,
+)
 
 Stage = Literal["done", "running", "failed", "pending", "pruned"]
 STAGES: tuple[Stage, ...] = ("done", "running", "failed", "pending", "pruned")
 
 
 class RunState(StatusEntries):
-    """One run, as it is now: the entries of its status.json, and what other files and locks say.
+    """One run, as it is now: the entries of its status.json, and what other files and locks say."""
 
-    Attributes:
-        run_dir: absolute run directory.
-        experiment, cell, seed: what it belongs to.
-        label: what sets its cell apart from the others of its sweep, or from all of its experiment (`labelled`); before
-            its first plan, the cell's name.
-        stage: done, running (a process holds one of its locks), failed, pending, also after it was interrupted, or
-            pruned by a search.
-        step: env steps done (pending: saved).
-        steps_per_s: while training.
-        left_s: until the training is over, at that rate.
-        doing: what a running one is at, e.g. `train`, `certification on highway-env`.
-        reason: why it failed.
-        damaged: what is wrong with its status.json; None if nothing is.
-    """
-
-    run_dir: str
+    run_dir: str  # absolute
     experiment: str
     cell: str
     seed: int
-    label: str
-    stage: Stage
-    step: int
+    label: str  # how its cell differs from the others of its sweep, or of its experiment (`labelled`)
+    stage: Stage  # running: a process holds one of its locks; an interrupted one is pending
+    step: int  # env steps done (pending: saved)
     killed: bool = False
-    steps_per_s: float | None = None
-    left_s: float | None = None
-    doing: str | None = None
-    reason: str | None = None
-    damaged: str | None = None
+    steps_per_s: float | None = None  # while training
+    left_s: float | None = None  # until the training is over, at that rate
+    doing: str | None = None  # what a running one does, e.g. `train`, `certification on highway-env`
+    reason: str | None = None  # why it failed
+    damaged: str | None = None  # what is wrong with its status.json
 
     def plain(self) -> dict[str, Any]:
-        """Return everything as JSON can hold it, without what means something to this package alone."""
+        """Return the entries of public interest as JSON can hold them."""
         return self.model_dump(exclude={"status", "steps", "error", "run_id", "tracking_uri", "command", "search"})
 
 
 def read_state(path: Path) -> RunState:
-    """Read one run directory; one that is not there yet is pending, and so is one whose status.json can't be read."""
+    """Read one run directory; one that is missing or whose status.json can't be read is pending."""
     entries, damaged = read_entries(path / STATUS_FILE, StatusEntries)
     seed = path.name.removeprefix("seed=")
-    known: dict[str, Any] = {
+    fields: dict[str, Any] = {
         "label": path.parent.name,
         **entries,
         "run_dir": str(path),
@@ -70,22 +61,22 @@ def read_state(path: Path) -> RunState:
     }
     status = entries.get("status")
     if status == "done":
-        known |= {"stage": "done", "step": entries.get("steps", 0)}
+        fields |= {"stage": "done", "step": entries.get("steps", 0)}
     elif RunDirectory(path).under_way:
-        known |= {"stage": "running", **_under_way(path, entries)}
+        fields |= {"stage": "running", **_under_way(path, entries)}
     else:
-        known["step"] = _saved_step(path)
+        fields["step"] = _saved_step(path)
         if status == "failed":
-            known |= {"stage": "failed", "reason": entries.get("error")}
+            fields |= {"stage": "failed", "reason": entries.get("error")}
         elif status == "pruned":
-            known["stage"] = "pruned"
-    return RunState.model_construct(**known)  # `read_entries` has checked what may be damaged
+            fields["stage"] = "pruned"
+    return RunState.model_construct(**fields)  # `read_entries` has checked what may be damaged
 
 
 def labelled(states: Sequence[RunState]) -> list[RunState]:
-    """Label runs by what sets the config of their cell apart from the others of its experiment, as reports do.
+    """Label runs by how the config of their cell differs from the others of its experiment, as reports do.
 
-    Runs of a search keep the label of their trial, and so do runs whose config can't be read.
+    Runs of a search, and those whose config can't be read, keep their label.
     """
     configs: dict[tuple[str, str], Any] = {}
     for key, runs in by_cell(states):
@@ -102,7 +93,7 @@ def labelled(states: Sequence[RunState]) -> list[RunState]:
 
 @cache
 def _read_config(path: Path, size: int, time_ns: int) -> Any:
-    """Read a config once while it stays as it is: `status.py watch=true` asks for it every other second."""
+    """Read a config once while its file is unchanged, since `status.py watch=true` reads it every other second."""
     return read_plain_yaml(path)
 
 

@@ -30,14 +30,14 @@ def cell_table(states: Sequence[RunState]) -> Table:
 
 
 def failure_lines(states: Sequence[RunState]) -> Iterator[str]:
-    """Yield a line for every run that failed, with the reason and where to look."""
+    """Yield a line for every failed run, with the reason and the run directory."""
     for state in states:
         if state.stage == "failed":
             yield f"failed   {name(state)}: {state.reason or 'no reason is known'}   {state.run_dir}"
 
 
 def damaged_lines(states: Sequence[RunState]) -> Iterator[str]:
-    """Yield a line for every run whose status.json is damaged; what is not readable there counts as missing."""
+    """Yield a line for every run whose status.json is damaged."""
     for state in states:
         if state.damaged:
             yield f"damaged  {name(state)}: {state.damaged}; it counts as {state.stage}   {state.run_dir}"
@@ -51,7 +51,7 @@ def stopped_lines(states: Sequence[RunState]) -> Iterator[str]:
 
 
 def running_lines(states: Sequence[RunState]) -> Iterator[str]:
-    """Yield a line for every run that is under way: step, rate, time left, host."""
+    """Yield a line for every running run: step, rate, time left, host."""
     for state in states:
         if state.stage == "running":
             yield f"running  {name(state)}: {under_way(state)}   {state.host}"

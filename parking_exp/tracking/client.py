@@ -3,7 +3,7 @@
 The embedded store is a sqlite database. It takes one writer at a time, and MLflow has a second one wait for 20 s before
 it fails with "database is locked", so our writers queue for a lock file beside the database. Its journal stays sqlite's
 own rollback journal: a write-ahead log needs memory shared between processes, which network file systems lack.
-Readers (`mlflow ui`) need no lock of ours.
+Readers (`mlflow ui`) need no lock.
 """
 
 import logging
@@ -18,11 +18,12 @@ from filelock import FileLock
 from parking_exp.config.credentials import strip_password, with_password
 from parking_exp.config.paths import SQLITE, database
 from parking_exp.errors import ParkingError
-from parking_exp.tracking.relocation import relocate
 
 if TYPE_CHECKING:
     from mlflow import MlflowClient
 
+OUTPUT_DIR_TAG = "parking_exp.output_dir"
+"""Tag of experiments in an output directory's own store: the directory in which their artifacts are located."""
 WAIT_S = 120  # for other writers
 LONGEST_REASON = 200
 ENVIRONMENT = {
@@ -30,8 +31,7 @@ ENVIRONMENT = {
     "GIT_PYTHON_REFRESH": "quiet",
     "MLFLOW_SUPPRESS_PRINTING_URL_TO_STDOUT": "true",  # for each run that ends
     "MLFLOW_ENABLE_ARTIFACTS_PROGRESS_BAR": "false",
-    # MLflow's own 7 tries with doubling pauses take 4 minutes on a port where nobody listens. These take 2.3 s, and
-    # what they do not reach is sent later anyway.
+    # MLflow's 7 tries with doubling pauses take 4 minutes on a closed port; these take 2.3 s.
     "MLFLOW_HTTP_REQUEST_MAX_RETRIES": "2",
     "MLFLOW_HTTP_REQUEST_BACKOFF_FACTOR": "1",
     "MLFLOW_HTTP_REQUEST_TIMEOUT": "30",  # [s], of one answer
@@ -49,32 +49,33 @@ def import_mlflow() -> None:
 
 
 def connect(uri: str) -> "MlflowClient":
-    """Return a client of a store that has answered; an embedded store is made if it is not there.
+    """Return a client of a store that has answered, after making an embedded store if need be.
 
-    Raises:
-        Exception: whatever MLflow, SQLAlchemy or the disk raise; `reason` makes a sentence of it.
+    Raises whatever MLflow, SQLAlchemy or the disk raise; `reason` makes a sentence of it.
     """
     import_mlflow()
     for name in ("alembic", "mlflow"):
         logging.getLogger(name).setLevel(logging.WARNING)
     logging.getLogger("mlflow.store").setLevel(logging.CRITICAL)  # it prints the traceback of what it raises
     path = database(uri)
-    if path is not None:
-        path.parent.mkdir(parents=True, exist_ok=True)
+    if path is None:
+        return _open(uri)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    if not os.access(path.parent, os.W_OK):
+        return _open(uri)
     with write_lock(uri):  # processes that make the same store at once collide in MLflow's migrations
-        may_write = path is not None and os.access(path.parent, os.W_OK)
-        if path is not None and may_write and not path.exists():
+        if not path.exists():
             _make_database(path.resolve())
         try:
             client = _open(uri)
         except Exception:
-            if path is None or not may_write or not _is_half_made(path):
+            if not _is_half_made(path):
                 raise
             _make_database(path.resolve())
             client = _open(uri)
-        if path is not None and os.access(path, os.W_OK):
-            relocate(path)
-    return client
+        if os.access(path, os.W_OK):
+            _relocate_artifacts(path)
+        return client
 
 
 def write_lock(uri: str) -> AbstractContextManager[Any]:
@@ -87,22 +88,20 @@ def write_lock(uri: str) -> AbstractContextManager[Any]:
 
 def reason(error: BaseException) -> str:
     """Return why a store failed in one line, without passwords: what the system or sqlite said, if either did."""
-    if isinstance(error, ParkingError):
-        return strip_password(str(error))
     causes = [error]
     while (cause := causes[-1].__cause__ or causes[-1].__context__) and cause not in causes:
         causes.append(cause)
-    known = [cause for cause in causes if isinstance(cause, OSError | sqlite3.Error)]
-    cause = known[-1] if known else error
-    words = getattr(cause, "strerror", None) or str(cause) or type(cause).__name__
-    if isinstance(cause, OSError) and cause.filename:
-        words += f": {cause.filename}"
-    words = strip_password(" ".join(words.split()))
-    return words if len(words) <= LONGEST_REASON else f"{words[:LONGEST_REASON]}..."
+    if not isinstance(error, ParkingError):
+        error = next((cause for cause in reversed(causes) if isinstance(cause, OSError | sqlite3.Error)), error)
+    text = getattr(error, "strerror", None) or str(error) or type(error).__name__
+    if isinstance(error, OSError) and error.filename:
+        text += f": {error.filename}"
+    text = strip_password(" ".join(text.split()))
+    return text if len(text) <= LONGEST_REASON else f"{text[:LONGEST_REASON]}..."
 
 
 def _make_database(path: Path) -> None:
-    """Make an empty store: MLflow's migrations are not atomic in sqlite, so the whole file is renamed into place."""
+    """Make an empty store under another name and rename it, as MLflow's migrations are not atomic in sqlite."""
     from mlflow import MlflowClient
 
     new = path.with_name(f".{path.name}.new")
@@ -121,10 +120,7 @@ def _delete_database(path: Path) -> None:
 
 
 def _is_half_made(path: Path) -> bool:
-    """Return whether a database that can't be opened is a store that holds nothing: MLflow was interrupted making it.
-
-    MLflow can't complete such a database.
-    """
+    """Return whether a database is an empty store whose migrations were interrupted; MLflow can't complete it."""
     with closing(sqlite3.connect(path)) as connection:
         tables = {name for (name,) in connection.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
         for table in tables - {"alembic_version", "workspaces"}:
@@ -132,6 +128,28 @@ def _is_half_made(path: Path) -> bool:
             if connection.execute(f'SELECT 1 FROM "{table}" {user_made} LIMIT 1').fetchone():
                 return False
         return not tables or "experiments" in tables
+
+
+def _relocate_artifacts(path: Path) -> None:
+    """Point an embedded store to artifacts below the output directory that it is in now.
+
+    MLflow keeps absolute locations, which its client can't change: a moved store would go on writing to the old place,
+    a copied one to the original's. Experiments without the tag, of runs in other output directories, stay as they are.
+    """
+    with closing(sqlite3.connect(path)) as connection, connection:
+        tagged = "SELECT experiment_id, value FROM experiment_tags WHERE key = ?"
+        for experiment_id, earlier in connection.execute(tagged, (OUTPUT_DIR_TAG,)).fetchall():
+            if earlier == str(path.parent) or not Path(earlier).is_absolute():
+                continue
+            old, new = f"{Path(earlier).as_uri()}/", f"{path.parent.as_uri()}/"
+            for table, column in (("experiments", "artifact_location"), ("runs", "artifact_uri")):
+                connection.execute(
+                    f"UPDATE {table} SET {column} = ? || substr({column}, ?)"
+                    f" WHERE experiment_id = ? AND substr({column}, 1, ?) = ?",
+                    (new, len(old) + 1, experiment_id, len(old), old),
+                )
+            renamed = "UPDATE experiment_tags SET value = ? WHERE experiment_id = ? AND key = ?"
+            connection.execute(renamed, (str(path.parent), experiment_id, OUTPUT_DIR_TAG))
 
 
 def _open(uri: str) -> "MlflowClient":

@@ -1,8 +1,8 @@
 """Mirror run directories to an MLflow store; the directory is the truth, and the store its index.
 
 `mirror` needs nothing but a run directory, in any state that a kill can leave it in, and sends what the store lacks:
-after each checkpoint, at the end, and later for a run whose store was down or that was killed. The store itself says
-what it has: the tag `mirrored` of a run, a digest of the directory's files that is written last. A store that was lost
+after each checkpoint, at the end, and later for a run whose store was down or that was killed. The tag `mirrored`
+of a stored run, written last, is a digest of the files that the store has. A store that was lost
 or replaced, or an older copy of one, is filled again in the same way.
 
 Metrics are sent as soon as they are final: up to the last checkpoint, and all of them when the run is done. An
@@ -20,25 +20,23 @@ from typing import TYPE_CHECKING
 from filelock import FileLock
 
 from parking_exp.config.cell_labels import settings_of
-from parking_exp.config.paths import database, default_uri, is_same_store, relative_path
+from parking_exp.config.paths import default_uri, is_same_store
 from parking_exp.config.run_key import short_hash
-from parking_exp.config.schema import RunConfig
 from parking_exp.errors import plural
 from parking_exp.runs.atomic_files import fingerprint, read_object
 from parking_exp.runs.directory import BUFFER, MANIFEST, MODEL, RunDirectory, Status
 from parking_exp.runs.metric_logs import read_metrics
-from parking_exp.runs.run_provenance import PROVENANCE_FILE, read_provenance
+from parking_exp.runs.run_provenance import PROVENANCE_FILE
 from parking_exp.tracking.client import reason
 from parking_exp.tracking.store import Store
-from parking_exp.tracking.tags import NOTE, run_note
+from parking_exp.tracking.tags import NOTE, STARTED, run_note, run_tags
 
 if TYPE_CHECKING:
     from mlflow.entities import Metric, Run
 
-DIGEST, STARTED = "mirrored", "started_ms"  # tags
+DIGEST = "mirrored"  # a tag
 WAIT_S = 120  # for another process that mirrors the same run
-# MLflow cuts or refuses longer values; the whole config is an artifact besides.
-LONGEST_PARAM, LONGEST_ERROR = 6000, 500
+LONGEST_PARAM = 6000  # MLflow refuses longer values; the whole config is an artifact besides
 MLFLOW_STATUS = {"done": "FINISHED", "failed": "FAILED"}  # others: KILLED
 AT_THE_END = (
     "episodes.csv",
@@ -57,17 +55,14 @@ def mirror(directory: RunDirectory, store: Store) -> None:
     """Make a store agree with a run directory. Done again, it changes nothing.
 
     Raises:
-        ConfigError: the run's config can't be read.
-        DamagedFileError: the log of metrics can't be read.
-        UntrustedError: a symbolic link leads out of the run directory.
-        StoreError: the store can't take the run as it is.
+        ParkingError: the run directory can't be read, or the store can't take the run as it is.
         Exception: the store can't be reached, or does not take it all.
     """
     config = directory.config()
     directory.check_links()
     with FileLock(directory.path / ".sync.lock", timeout=WAIT_S):
         status, digest, files = _status(directory), _digest(directory), _files(directory)
-        tags = _tags(directory, config, store, status)
+        tags = run_tags(directory, config, store.uri, status)
         experiment_id = store.experiment_id(config)
         run = _find(directory, store, experiment_id, tags)
         if run is None:
@@ -95,10 +90,10 @@ def mirror(directory: RunDirectory, store: Store) -> None:
 
 
 def try_mirror(directory: RunDirectory, store: Store) -> str | None:
-    """Mirror as far as the store allows, and return what is in the way, or None.
+    """Mirror as far as the store allows; return the reason of a failure, or None.
 
-    Nothing that fails here stops a training, since the run directory has everything. The reason is noted in status.json
-    as `unsynced` until a later attempt succeeds.
+    A failure stops no training, since the run directory has everything. The reason is the entry `unsynced` of
+    status.json until a later attempt succeeds.
     """
     problem = None
     try:
@@ -112,10 +107,9 @@ def try_mirror(directory: RunDirectory, store: Store) -> str | None:
 
 
 def mirror_missing(directories: Iterable[RunDirectory], store: Store) -> Iterator[tuple[RunDirectory, str | None]]:
-    """Mirror every run that is tracked in a store and that the store lacks, or has an older state of.
+    """Mirror the runs that are tracked in a store and that it lacks or has an older state of, as one search tells.
 
-    The store is asked once which these are. Runs that a process is working on are left to it. What a run directory
-    names as its store is no reason to connect there: it may come from elsewhere.
+    Runs under way are skipped. The store that a run directory names is not connected to: it may come from elsewhere.
 
     Yields:
         Each run that the store lacked, and what kept it from being sent now, or None.
@@ -131,12 +125,12 @@ def mirror_missing(directories: Iterable[RunDirectory], store: Store) -> Iterato
     except Exception as error:
         yield from ((directory, reason(error)) for directory in idle)
         return
-    known = {(place.resolve(), run.data.tags.get(DIGEST)) for run in runs if (place := store.run_dir(run))}
+    mirrored = {(place.resolve(), run.data.tags.get(DIGEST)) for run in runs if (place := store.run_dir(run))}
     for directory in idle:
         digest = None
         with suppress(OSError):  # a file has vanished or can't be read, which `try_mirror` reports for this run
             digest = _digest(directory)
-        if (directory.path.resolve(), digest) not in known or digest is None:
+        if (directory.path.resolve(), digest) not in mirrored or digest is None:
             yield directory, try_mirror(directory, store)
 
 
@@ -146,18 +140,18 @@ def mirror_problem(directories: Iterable[RunDirectory], store: Store) -> str | N
     if not problems:
         return None
     directory, problem = problems[0]
-    lacking = f"the store has not got all of {plural(len(problems), 'run')}, e.g. {directory.path}"
-    return f"{lacking}: {problem}; {later(directory.output_dir, store.uri)}"
+    incomplete = f"the store has not got all of {plural(len(problems), 'run')}, e.g. {directory.path}"
+    return f"{incomplete}: {problem}; {sync_hint(directory.output_dir, store.uri)}"
 
 
-def later(output_dir: Path, uri: str | None) -> str:
+def sync_hint(output_dir: Path, uri: str | None) -> str:
     """Return the command that sends what a store lacks; `uri` is the store, None for the embedded one."""
-    words = ["python", "scripts/status.py", "sync=true"]
+    command = ["python", "scripts/status.py", "sync=true"]
     if output_dir != Path("outputs").absolute():
-        words.append(f"output_dir={output_dir}")
+        command.append(f"output_dir={output_dir}")
     if uri is not None and uri != default_uri(output_dir):
-        words.append(f"tracking.uri={uri}")
-    return f"`{shlex.join(words)}` sends what is missing"
+        command.append(f"tracking.uri={uri}")
+    return f"`{shlex.join(command)}` sends what is missing"
 
 
 def _status(directory: RunDirectory) -> Status:
@@ -193,29 +187,11 @@ def _files(directory: RunDirectory) -> dict[str, Path]:
     return {name: file for name, file in files.items() if file.exists()}
 
 
-def _tags(directory: RunDirectory, config: RunConfig, store: Store, status: Status) -> dict[str, str]:
-    path, entries = database(store.uri), directory.read_status()
-    started_ms, provenance = read_provenance(directory.path / PROVENANCE_FILE)
-    error = " ".join(str(entries.get("error", "")).split()) if status == "failed" else ""
-    return {
-        **provenance,
-        **({STARTED: str(started_ms)} if started_ms is not None else {}),
-        **{name: str(entries[name]) for name in ("search", "trial") if name in entries},
-        "experiment": config.experiment_name,
-        "cell": config.cell,
-        "seed": str(config.seed),
-        "run_key": config.run_key,
-        "run_dir": relative_path(directory.path, path.parent) if path else str(directory.path.absolute()),
-        "status": status,
-        "error": error if len(error) <= LONGEST_ERROR else f"{error[: LONGEST_ERROR - 3]}...",
-    }
-
-
 def _find(directory: RunDirectory, store: Store, experiment_id: str, tags: Mapping[str, str]) -> "Run | None":
-    """Return the store's run of a directory. One of an earlier training in the same place is deleted.
+    """Return the store's run of a directory; delete one of an earlier training in the same place.
 
-    The id in status.json is not enough: it may have been copied, or written by anybody. A run of another directory is
-    taken only if that is gone, so that this one is where it was moved to.
+    The id in status.json may have been copied, or written by anybody. A run of another directory is taken only if that
+    is gone: then it was moved here.
     """
     for run in store.search([experiment_id], f"tags.run_key = '{tags['run_key']}'"):
         place = store.run_dir(run)
@@ -252,10 +228,7 @@ def _buffer_record(manifest: Path) -> bytes:
 
 
 def _delete_stale(store: Store, run: "Run", directory: RunDirectory) -> None:
-    """Delete the store's models of old checkpoints, and the traceback of a failure that was overcome.
-
-    Where artifacts are not files of this machine they stay: MLflow's client has no means to delete them.
-    """
+    """Delete models of old checkpoints and the traceback of an earlier failure, which MLflow's client can't delete."""
     folder = store.artifact_path(run.info.artifact_uri, "checkpoints")
     kept = [checkpoint.name for checkpoint in directory.checkpoints.glob("step=*")]
     if folder is None:

@@ -11,8 +11,7 @@ from parking_exp.config.paths import ARTIFACTS, absolute, database, lies_inside,
 from parking_exp.config.schema import RunConfig
 from parking_exp.errors import StoreError
 from parking_exp.runs.atomic_files import replacing
-from parking_exp.tracking.client import connect, write_lock
-from parking_exp.tracking.relocation import OUTPUT_DIR_TAG
+from parking_exp.tracking.client import OUTPUT_DIR_TAG, connect, write_lock
 from parking_exp.tracking.tags import experiment_tags
 
 if TYPE_CHECKING:
@@ -24,12 +23,10 @@ RUNS_A_PAGE = 10_000  # one request for most stores; MLflow's limit is 50,000
 
 
 class Store:
-    """An MLflow store. It is connected to when it is asked first, with what `client.connect` raises.
+    """An MLflow store, connected to at the first use.
 
-    Args:
-        uri: the store.
-        output_dir: an output directory whose own store this may be. Such a store may come from elsewhere with the
-            directory, so it reads and writes artifacts below it only. None: artifacts may lie anywhere.
+    The store inside of `output_dir` may come from elsewhere with that directory: artifacts are read and written below
+    it only. Those of other stores may lie anywhere.
     """
 
     def __init__(self, uri: str, output_dir: Path | None) -> None:
@@ -40,11 +37,7 @@ class Store:
 
     @cached_property
     def client(self) -> "MlflowClient":
-        """MLflow's client of the store, to read; see `writing`.
-
-        Raises:
-            StoreError: the store's file is a link that leads out of the output directory.
-        """
+        """MLflow's client of the store, for reading; see `writing`. Raises what `client.connect` does."""
         path, own = self._database, self._own_directory
         if path and own and not lies_inside(path, own):
             raise StoreError(f"{path} is a symbolic link that leads out of {own}; name the store with tracking.uri=")
@@ -75,7 +68,7 @@ class Store:
         return [run for each in experiment_ids for run in self._runs[each]]
 
     def search(self, experiment_ids: Sequence[str], condition: str = "") -> "list[Run]":
-        """Return the runs of some experiments that fulfil a condition in MLflow's language of filters."""
+        """Return the runs of some experiments, deleted ones too, that match a filter string of MLflow."""
         from mlflow.entities import ViewType
 
         runs, token = list["Run"](), None
@@ -88,14 +81,14 @@ class Store:
                 return runs
 
     def run_dir(self, run: "Run") -> Path | None:
-        """Return the run directory that a run's tag means: a relative one lies beside an embedded store."""
+        """Return the run directory in a run's tag; a relative one is relative to the embedded store's folder."""
         tag = run.data.tags.get("run_dir")
         if not tag or not tag.isprintable():
             return None
         return (self._database.parent if self._database else Path()) / tag
 
     def experiment_id(self, config: RunConfig) -> str:
-        """Return the id of a run's experiment, made by one process of many."""
+        """Return the id of a run's experiment, which is made if need be."""
         from mlflow.exceptions import MlflowException
 
         name, location, tags = config.experiment_name, None, experiment_tags(config.experiment_name)
@@ -109,7 +102,7 @@ class Store:
             if experiment is None:
                 try:
                     return client.create_experiment(name, location, tags)
-                except MlflowException:  # without a lock of ours another process may have been first
+                except MlflowException:  # another process may have been first: servers have no such lock
                     experiment = client.get_experiment_by_name(name)
                     if experiment is None:
                         raise
@@ -119,10 +112,7 @@ class Store:
     def log(
         self, run: "Run", params: Mapping[str, str], tags: Mapping[str, str], metrics: Sequence["Metric"] = ()
     ) -> None:
-        """Log parameters that the run does not have yet (they can't be changed), tags that differ, and metrics.
-
-        A batch of metrics is stored as a whole or not at all.
-        """
+        """Log parameters that the run does not have yet (they can't be changed), tags that differ, and metrics."""
         from mlflow.entities import Param, RunTag
 
         missing = [Param(key, value) for key, value in params.items() if key not in run.data.params]
@@ -135,13 +125,8 @@ class Store:
                 client.log_batch(run.info.run_id, **batch)
 
     def put_artifact(self, run: "Run", name: str, content: bytes) -> None:
-        """Store an artifact of a run, in place of an earlier one of that name.
-
-        Raises:
-            StoreError: its place is outside of the output directory that the store is part of.
-        """
-        # Not by the client where artifacts are files: it keeps their folder by run id, whatever the store, so that in
-        # one process a copied output directory would write into the original's.
+        """Store an artifact of a run, in place of an earlier one of that name; see `artifact_path`."""
+        # MLflow's client caches folders by run id, whatever the store: a copied store would write to the original's.
         if (path := self.artifact_path(run.info.artifact_uri, name)) is not None:
             path.parent.mkdir(parents=True, exist_ok=True)
             with replacing(path, durable=False) as temporary:
@@ -154,12 +139,7 @@ class Store:
             self.client.log_artifact(run.info.run_id, str(file), folder or None)
 
     def artifact(self, run_id: str, folder_uri: str, name: str) -> bytes | None:
-        """Return the content of a run's artifact, None where it has none of that name.
-
-        Raises:
-            StoreError: its place is outside of the output directory that the store is part of.
-            Exception: it is there and can't be had; `client.reason` makes a sentence of it.
-        """
+        """Return the content of a run's artifact, None if it has none of that name; see `artifact_path`."""
         if (path := self.artifact_path(folder_uri, name)) is not None:
             try:
                 return path.read_bytes()
@@ -174,10 +154,10 @@ class Store:
                 return None
 
     def artifact_path(self, folder_uri: str, name: str) -> Path | None:
-        """Return the path of an artifact, None where artifacts are not files of this machine.
+        """Return the path of an artifact, None if artifacts are not files of this machine.
 
         Raises:
-            StoreError: it is outside of the output directory that the store is part of.
+            StoreError: it is outside of the output directory whose store this is.
         """
         folder = local_folder(folder_uri)
         if (own := self._own_directory) and not (folder and lies_inside(folder / name, own)):

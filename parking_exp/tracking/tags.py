@@ -1,37 +1,57 @@
-"""MLflow tags that describe experiments and runs in its UI: kind, description, command, headline result."""
+"""Tags of experiments and runs in MLflow: what identifies a run, its provenance, and descriptions for the UI."""
 
 import json
 
+from parking_exp.config.paths import database, relative_path
 from parking_exp.config.schema import RunConfig
-from parking_exp.runs.directory import RunDirectory
+from parking_exp.runs.directory import RunDirectory, Status
+from parking_exp.runs.run_provenance import PROVENANCE_FILE, read_provenance
 
-NOTE = "mlflow.note.content"
-KIND = "mlflow.experimentKind"
+NOTE, KIND = "mlflow.note.content", "mlflow.experimentKind"
 VIEW = "mlflow.sharedViewState.results"  # a saved view of the UI, whose own table of runs has no metric
 VIEW_COLUMNS = ["metrics.`final/success_rate`", "metrics.`final/crash_rate`", "metrics.`final/parked_rate`"]
-MODEL_TRAINING = "custom_model_development"  # without it, the UI opens an experiment as one of GenAI: traces, prompts
+STARTED = "started_ms"
+LONGEST_ERROR = 500
 
 
 def experiment_tags(name: str) -> dict[str, str]:
     """Return MLflow's own tags of an experiment: its kind, a description, and a view of its results."""
     report = f"`python scripts/report.py experiment={name}` compares its cells."
     return {
-        KIND: MODEL_TRAINING,
+        KIND: "custom_model_development",  # else the UI opens an experiment as one of GenAI: traces, prompts
         VIEW: json.dumps({"name": "results", "createdAt": 0, "state": json.dumps({"selectedColumns": VIEW_COLUMNS})}),
         NOTE: f"Parking agents, trained and evaluated on highway-env's `parking-v0`: one run a cell and seed. {report}",
     }
 
 
+def run_tags(directory: RunDirectory, config: RunConfig, uri: str, status: Status) -> dict[str, str]:
+    """Return the tags of a run; those that identify it overwrite others of the same name in its provenance."""
+    path, entries = database(uri), directory.read_status()
+    started_ms, provenance = read_provenance(directory.path / PROVENANCE_FILE)
+    error = " ".join(str(entries.get("error", "")).split()) if status == "failed" else ""
+    return {
+        **provenance,
+        **({STARTED: str(started_ms)} if started_ms is not None else {}),
+        **{name: str(entries[name]) for name in ("search", "trial") if name in entries},
+        "experiment": config.experiment_name,
+        "cell": config.cell,
+        "seed": str(config.seed),
+        "run_key": config.run_key,
+        "run_dir": relative_path(directory.path, path.parent) if path else str(directory.path.absolute()),
+        "status": status,
+        "error": error if len(error) <= LONGEST_ERROR else f"{error[: LONGEST_ERROR - 3]}...",
+    }
+
+
 def run_note(directory: RunDirectory, config: RunConfig) -> str:
-    """Return the description of a run: what it is, how it went, its command line."""
+    """Return the description of a run: what it is, its result or status, its command line."""
     status, result = directory.read_status(), directory.result()
-    how = str(status.get("status", "pending"))
+    summary: str = directory.status
     if result is not None:
         rates = {name: result.metrics.get(f"final/{name}_rate") for name in ("success", "crash", "parked")}
-        words = ", ".join(f"{name} {rate:.1%}" for name, rate in rates.items() if rate is not None)
+        percentages = ", ".join(f"{name} {rate:.1%}" for name, rate in rates.items() if rate is not None)
         scenes = f"{config.evaluation.final_n_scenes} scenes, {config.n_certified_scenes} of them cross-checked"
-        how = f"{words} on {scenes} on highway-env, after {result.steps:,} env steps"
-    lines = [f"{config.algorithm.name}, {config.buffer.name} on {config.env.name}, seed {config.seed}: {how}."]
-    if command := status.get("command"):
-        lines.append(f"Command: `{command}`")
-    return "\n\n".join(lines)
+        summary = f"{percentages} on {scenes} on highway-env, after {result.steps:,} env steps"
+    note = f"{config.algorithm.name}, {config.buffer.name} on {config.env.name}, seed {config.seed}: {summary}."
+    command = status.get("command")
+    return f"{note}\n\nCommand: `{command}`" if command else note

@@ -8,15 +8,15 @@ from parking_exp.config.schema import RunConfig
 from parking_exp.runs.atomic_files import write_json
 from parking_exp.runs.directory import RunDirectory
 from parking_exp.runs.run_provenance import PROVENANCE_FILE, provenance, read_provenance
-from parking_exp.tracking.mirror import later, try_mirror
+from parking_exp.tracking.mirror import sync_hint, try_mirror
 from parking_exp.tracking.store import Store
 
-# Between attempts at a store that fails: so that no more than a twentieth of a training's time goes there.
+# Between attempts at a store that fails: at most a twentieth of a training's time is spent on them.
 SHORTEST_PAUSE_S, PAUSE_TO_ATTEMPT = 30.0, 20.0
 
 
 class Tracker:
-    """Mirrors a run to its store, if it has one. After a failure the store is not tried again for a while."""
+    """Mirrors a run to its store, if it has one; after a failure, not again for a while."""
 
     def __init__(self, directory: RunDirectory, uri: str | None = None, say: Callable[[str], None] = print) -> None:
         self.directory, self.uri, self.say = directory, uri, say
@@ -24,12 +24,12 @@ class Tracker:
         self._next_attempt = 0.0
 
     def sync(self) -> None:
-        """Send what has become final, unless the store has just failed; to be called after each checkpoint."""
+        """Mirror a new checkpoint, unless the store has just failed."""
         if time.monotonic() >= self._next_attempt:
             self.close()
 
     def close(self) -> None:
-        """Send everything; to be called when the run's last status is written."""
+        """Mirror the run; to be called when its last status is written."""
         if self.uri is None:
             return
         start, before = time.monotonic(), self.problem
@@ -39,7 +39,7 @@ class Tracker:
         if before and self.problem is None:
             self.say("the store is complete again")
         elif self.problem and before is None:
-            what_to_do = later(self.directory.output_dir, self.uri)
+            what_to_do = sync_hint(self.directory.output_dir, self.uri)
             self.say(f"the store {self.uri} is incomplete ({self.problem}); training continues, and {what_to_do}")
 
 

@@ -25,7 +25,7 @@ from parking_exp.runs.directory import RunDirectory, RunResult
 from parking_exp.runs.metric_logs import restore_logs
 from parking_exp.runs.run_provenance import command_line
 from parking_exp.terminal import say
-from parking_exp.tracking.mirror import later
+from parking_exp.tracking.mirror import sync_hint
 from parking_exp.tracking.tracker import Tracker, open_tracker
 from parking_exp.training import checkpoints
 from parking_exp.training.finish import finish
@@ -123,6 +123,6 @@ def _closing_lines(result: RunResult, directory: RunDirectory) -> list[str]:
     if result.run_id:
         lines.append(f"MLflow run     {result.run_id}   (make ui)")
     if directory.unsynced:
-        what_to_do = later(directory.output_dir, directory.tracking_uri)
+        what_to_do = sync_hint(directory.output_dir, directory.tracking_uri)
         lines.append(f"not all of it is in the store ({directory.unsynced}); {what_to_do}")
     return lines

@@ -20,7 +20,7 @@ from parking_exp.config.credentials import strip_password, with_password
 from parking_exp.config.paths import refuse_links
 from parking_exp.config.schema import RunConfig
 from parking_exp.errors import ConfigError, ParkingError, StoreError
-from parking_exp.runs.locks import is_held
+from parking_exp.runs.directory import is_held
 from parking_exp.tuning.search_config import SearchConfig
 
 if TYPE_CHECKING:

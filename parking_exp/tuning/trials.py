@@ -11,7 +11,7 @@ from rich.table import Table
 
 from parking_exp.errors import ConfigError, plural
 from parking_exp.runs.atomic_files import read_object
-from parking_exp.runs.locks import is_held
+from parking_exp.runs.directory import is_held
 from parking_exp.tuning.study import storage_errors, trial_lock_path
 
 if TYPE_CHECKING:

@@ -12,7 +12,7 @@ from parking_exp.config.compose import composed
 from parking_exp.config.constructor_arguments import find
 from parking_exp.errors import UntrustedError
 from parking_exp.evaluation.evaluate_run import evaluate_run
-from parking_exp.runs.stored_config import read_config
+from parking_exp.runs.run_files import read_config
 
 SIDE_EFFECT = "from pathlib import Path\nPath({path!r}).touch()\ndef make(**_):\n    Path({path!r}).touch()\n    raise LookupError\nclass Made: pass\n"
 ACTIVATION = "algorithm.policy_kwargs.activation_fn"

@@ -10,7 +10,7 @@ from parking_exp.config.cell_labels import cell_labels, differing, find_factors
 from parking_exp.config.compose import composed_runs
 from parking_exp.reports.cell_selection import group
 from parking_exp.reports.factor_effects import design
-from parking_exp.results.dtypes import column, typed
+from parking_exp.results.frames import config_column
 from parking_exp.sweeps.sweep import plan
 
 
@@ -142,7 +142,7 @@ def test_plans_and_reports_label_the_same_cells_alike(overrides, expected, tmp_p
     runs = plan(composed_runs("config", [*overrides, f"output_dir={tmp_path}"]))
     configs = [stored_params(run.config) for run in runs]
     keys = {*configs[0], *configs[-1]}
-    columns = {f"config.{key}": column([typed(config.get(key)) for config in configs]) for key in keys}
+    columns = {f"config.{key}": config_column(config.get(key) for config in configs) for key in keys}
     frame = pd.DataFrame(
         {
             "experiment": "parking",

@@ -32,12 +32,9 @@ from parking_exp.runs.lookup import find_runs
 from parking_exp.runs.metric_logs import restore_logs
 from parking_exp.runs.run_provenance import provenance
 from parking_exp.tracking.client import connect, reason
-from parking_exp.tracking.mirror import later, mirror_missing, mirror_problem, try_mirror
+from parking_exp.tracking.mirror import mirror_missing, mirror_problem, sync_hint, try_mirror
 from parking_exp.tracking.store import Store
 from parking_exp.tracking.tracker import open_tracker
-from parking_exp.training.train_run import train
-
-QUICK = ("experiment=smoke", "evaluation.video_episodes=0", "tracking.tensorboard=false")
 
 
 def mirror_all(output_dir, uri=None):
@@ -78,6 +75,14 @@ def stored_run(directory):
     return store(directory.output_dir).get_run(directory.run_id)
 
 
+def assert_mirrored(*directories):
+    """The store has these finished runs, each number once, and no other run."""
+    output_dir = directories[0].output_dir
+    assert rows(output_dir, "SELECT status, count(*) FROM runs GROUP BY status") == [("FINISHED", len(directories))]
+    for directory in directories:
+        assert stored_points(output_dir, directory.run_id) == local_points(directory)
+
+
 def processes(command, paths, **env):
     arguments = [sys.executable, str(ROOT / "tests" / "support" / "sync_processes.py"), command, *map(str, paths)]
     return subprocess.run(
@@ -100,9 +105,8 @@ def test_sixteen_processes_write_into_a_fresh_store_at_once_and_each_number_arri
     assert (done.returncode, done.stderr) == (0, "")
     assert rows(fresh_dir, "SELECT count(*) FROM metrics") == [(16 * 2 * 180 * len(KEYS),)]
     assert rows(fresh_dir, "SELECT name FROM experiments ORDER BY name") == [("Default",), ("smoke",)]
-    assert rows(fresh_dir, "SELECT status, count(*) FROM runs GROUP BY status") == [("FINISHED", 16)]
+    assert_mirrored(*directories)
     for directory in directories:
-        assert stored_points(fresh_dir, directory.run_id) == local_points(directory)
         assert [path.split("/")[1] for path in artifacts(store(fresh_dir), directory.run_id, "checkpoints")] == [
             "step=0000000180", "step=0000000180", "step=0000000360", "step=0000000360"]  # fmt: skip
 
@@ -120,10 +124,9 @@ def test_a_mirror_that_is_killed_anywhere_is_completed_by_the_next_one(output_di
     assert mirror_all(output_dir) == [None] * 10
     assert mirror_all(output_dir) == []
     client = store(output_dir)
-    assert rows(output_dir, "SELECT status, count(*) FROM runs GROUP BY status") == [("FINISHED", 11)]
+    assert_mirrored(first, *directories)
     for directory in directories:
         run = client.get_run(directory.run_id)
-        assert stored_points(output_dir, directory.run_id) == local_points(directory)
         assert run.data.params == stored_params(directory.config())
         assert run.data.tags["status"] == "done"
         assert artifacts(client, directory.run_id) == artifacts(client, first.run_id)
@@ -139,19 +142,17 @@ def test_mirroring_again_changes_nothing(output_dir):
     assert directory.read_status() == status
 
 
-def test_a_store_that_was_lost_is_filled_again_also_after_another_run_was_sent_there(output_dir, empty):
-    directories = [finished_run(output_dir, seed) for seed in range(4)]
-    assert mirror_all(output_dir) == [None] * 4
-    shutil.copy(empty / "mlflow.db", output_dir)  # another one in its place
-    sync(directories[2])
+def test_a_lost_store_is_filled_again_even_after_another_run_was_sent_to_the_new_one(output_dir, empty):
+    directories = [finished_run(output_dir, seed) for seed in range(3)]
     assert mirror_all(output_dir) == [None] * 3
+    shutil.copy(empty / "mlflow.db", output_dir)
+    sync(directories[2])
+    assert mirror_all(output_dir) == [None] * 2
     assert mirror_all(output_dir) == []
-    assert rows(output_dir, "SELECT status, count(*) FROM runs GROUP BY status") == [("FINISHED", 4)]
-    for directory in directories:
-        assert stored_points(output_dir, directory.run_id) == local_points(directory)
+    assert_mirrored(*directories)
 
 
-def test_an_older_copy_of_a_store_gets_what_came_since(output_dir, tmp_path):
+def test_an_older_copy_of_a_store_is_completed(output_dir, tmp_path):
     first = written_run(output_dir)
     grow(first, rows=5)
     sync(first)
@@ -162,9 +163,7 @@ def test_an_older_copy_of_a_store_gets_what_came_since(output_dir, tmp_path):
     assert mirror_all(output_dir) == [None, None]
     shutil.copy(tmp_path / "mlflow.db", output_dir)
     assert mirror_all(output_dir) == [None, None]
-    for directory in (first, second):
-        assert stored_points(output_dir, directory.run_id) == local_points(directory)
-        assert stored_run(directory).info.status == "FINISHED"
+    assert_mirrored(first, second)
 
 
 def test_a_run_that_a_user_has_deleted_in_the_store_stays_deleted(output_dir):
@@ -174,7 +173,7 @@ def test_a_run_that_a_user_has_deleted_in_the_store_stays_deleted(output_dir):
     assert mirror_all(output_dir) == []
 
 
-def test_a_killed_run_sends_nothing_above_its_last_checkpoint_and_all_of_it_after_it_was_resumed(output_dir):
+def test_a_killed_run_is_mirrored_up_to_its_last_checkpoint_and_whole_once_resumed(output_dir):
     directory = written_run(output_dir)
     grow(directory, rows=20)
     grow(directory, rows=7, checkpoint=False)
@@ -197,8 +196,8 @@ def test_a_killed_run_sends_nothing_above_its_last_checkpoint_and_all_of_it_afte
     assert (stored_run(directory).info.status, stored_run(directory).data.tags["status"]) == ("FINISHED", "done")
 
 
-@pytest.mark.parametrize(("status", "theirs"), [("failed", "FAILED"), ("interrupted", "KILLED")])
-def test_a_run_that_broke_has_its_traceback_and_error_in_the_store_until_it_is_resumed(output_dir, status, theirs):
+@pytest.mark.parametrize(("status", "mlflow_status"), [("failed", "FAILED"), ("interrupted", "KILLED")])
+def test_an_unfinished_run_has_its_traceback_in_the_store_until_it_is_resumed(output_dir, status, mlflow_status):
     directory, client = written_run(output_dir), store(output_dir)
     grow(directory, rows=20)
     grow(directory, rows=7, checkpoint=False)
@@ -207,7 +206,7 @@ def test_a_run_that_broke_has_its_traceback_and_error_in_the_store_until_it_is_r
     sync(directory)
     assert stored_points(output_dir, directory.run_id) == local_points(directory, up_to=20)
     run = stored_run(directory)
-    assert (run.info.status, run.data.tags["status"]) == (theirs, status)
+    assert (run.info.status, run.data.tags["status"]) == (mlflow_status, status)
     assert run.data.tags["error"] == ("ValueError: a loss of NaN " + 471 * "x" + "..." if status == "failed" else "")
     assert "traceback.txt" in artifacts(client, directory.run_id)
     (directory.path / "traceback.txt").unlink()
@@ -218,7 +217,7 @@ def test_a_run_that_broke_has_its_traceback_and_error_in_the_store_until_it_is_r
     assert "traceback.txt" not in artifacts(client, directory.run_id)
 
 
-def test_a_planned_run_is_in_the_store_and_is_the_same_one_when_it_has_begun(output_dir):
+def test_a_planned_run_keeps_its_stored_run_when_it_starts(output_dir):
     config = make_config("experiment=smoke").model_copy(update={"output_dir": str(output_dir)})
     directory = RunDirectory(config.run_dir)
     directory.freeze(config, "sac", None)
@@ -231,7 +230,7 @@ def test_a_planned_run_is_in_the_store_and_is_the_same_one_when_it_has_begun(out
     assert (directory.run_id, stored_run(directory).data.tags["status"]) == (run_id, "running")
 
 
-def test_a_finished_run_whose_files_were_deleted_keeps_those_of_the_store(output_dir):
+def test_files_deleted_from_a_run_directory_stay_in_the_store(output_dir):
     directory = finished_run(output_dir)
     sync(directory)
     run_id, client = directory.run_id, store(output_dir)
@@ -245,7 +244,7 @@ def test_a_finished_run_whose_files_were_deleted_keeps_those_of_the_store(output
     assert artifacts(client, run_id) == names
 
 
-def test_a_run_that_is_trained_afresh_in_the_same_place_takes_the_place_of_the_old_one(output_dir):
+def test_a_new_training_in_the_same_directory_replaces_the_stored_run(output_dir):
     directory = finished_run(output_dir)
     sync(directory)
     old = directory.run_id
@@ -258,7 +257,7 @@ def test_a_run_that_is_trained_afresh_in_the_same_place_takes_the_place_of_the_o
     assert rows(output_dir, f"SELECT lifecycle_stage FROM runs WHERE run_uuid = '{old}'") == [("deleted",)]
 
 
-def test_what_others_log_to_a_run_is_left_alone(output_dir):
+def test_metrics_and_tags_of_other_programs_are_kept(output_dir):
     directory, client = written_run(output_dir), store(output_dir)
     grow(directory, rows=5)
     sync(directory)
@@ -272,39 +271,37 @@ def test_what_others_log_to_a_run_is_left_alone(output_dir):
     assert client.get_run(run_id).data.tags["starred"] == "yes"
 
 
-def test_a_run_that_another_process_works_on_is_left_to_it(output_dir):
+def test_a_run_under_way_in_another_process_is_skipped(output_dir):
     directory = written_run(output_dir)
     with directory.training_lock():
         assert mirror_all(output_dir) == []
     assert mirror_all(output_dir) == [None]
 
 
-def test_the_store_has_what_mlflows_ui_shows_and_keeps_a_users_own_description(output_dir):
+def test_a_run_has_its_provenance_and_a_description_that_a_user_may_replace(output_dir):
     directory, client = finished_run(output_dir, started_ms=1234567), store(output_dir)
     directory.update(command="python scripts/train.py experiment=smoke")
-    trained = {**provenance(), "version.torch": "1.2.3", "cpu": "another machine's"}
-    write_json(directory.path / "provenance.json", {"started_ms": 1234567, "tags": trained})
+    tags = {**provenance(), "version.torch": "1.2.3", "cpu": "another machine's"}
+    write_json(directory.path / "provenance.json", {"started_ms": 1234567, "tags": tags})
     rates = {f"final/{name}_rate": rate for name, rate in {"success": 0.94, "crash": 0.04, "parked": 0.0}.items()}
     write_json(directory.path / "result.json", {"run_dir": "", "run_id": None, "steps": 60000, "metrics": rates})
     sync(directory)
-    experiment, run = client.get_experiment_by_name("smoke"), stored_run(directory)
+    run = stored_run(directory)
+    experiment = client.get_experiment_by_name("smoke")
     assert experiment.tags["mlflow.experimentKind"] == "custom_model_development"
     view = json.loads(experiment.tags["mlflow.sharedViewState.results"])
     assert json.loads(view["state"])["selectedColumns"][0] == "metrics.`final/success_rate`"
-    assert trained.items() <= run.data.tags.items()
+    assert tags.items() <= run.data.tags.items()
     assert run.info.start_time == 1234567
     note = run.data.tags["mlflow.note.content"]
     assert all(words in note for words in ("seed 0: success 94.0%", "60,000", "train.py experiment=smoke"))
-    directory.update(command="python scripts/train.py seed=0")
-    sync(directory)
-    assert "train.py seed=0" in stored_run(directory).data.tags["mlflow.note.content"]
     client.set_tag(directory.run_id, "mlflow.note.content", "my own words")
     directory.update(command="python scripts/train.py")
     sync(directory)
     assert stored_run(directory).data.tags["mlflow.note.content"] == "my own words"
 
 
-def test_a_store_that_has_just_failed_is_left_alone_until_the_end(fresh_dir):
+def test_a_failed_store_is_not_tried_again_until_the_end_of_the_run(fresh_dir):
     blocked = fresh_dir / "blocked"
     blocked.touch()  # a file where the database's folder is to be
     uri = f"sqlite:///{blocked / 'mlflow.db'}"
@@ -313,7 +310,7 @@ def test_a_store_that_has_just_failed_is_left_alone_until_the_end(fresh_dir):
     problem = f"File exists: {blocked}"
     assert directory.unsynced == problem
     assert problem in messages[0]
-    assert later(fresh_dir, uri) in messages[0]
+    assert sync_hint(fresh_dir, uri) in messages[0]
     blocked.unlink()
     tracker.sync()
     assert directory.unsynced == problem
@@ -337,57 +334,32 @@ def test_reasons_have_no_password_and_are_short():
     assert len(reason(ValueError("x" * 1000))) < 210
 
 
-@pytest.mark.slow
-def test_a_store_that_fails_in_the_middle_gets_the_rest_later(output_dir, capsys):
-    with closing(sqlite3.connect(output_dir / "mlflow.db")) as database:
-        database.execute(
-            "CREATE TRIGGER full BEFORE INSERT ON metrics WHEN NEW.step > 200 "
-            "BEGIN SELECT RAISE(ABORT, 'database or disk is full'); END"
-        )
-    result = train(make_config(*QUICK, f"output_dir={output_dir}"))
-    directory, (out, err) = only_run(output_dir), capsys.readouterr()
-    assert (directory.status, directory.unsynced) == ("done", "database or disk is full")
-    assert later(output_dir, None) in out
-    assert err.count("database or disk is full") == 1
-    assert max(step for _, step, _, _ in stored_points(output_dir, result.run_id)) == 200
-    with closing(sqlite3.connect(output_dir / "mlflow.db")) as database:
-        database.execute("DROP TRIGGER full")
-    assert mirror_all(output_dir) == [None]
-    assert (directory.unsynced, directory.run_id) == (None, result.run_id)
-    assert_store_is_whole(output_dir, 400)
+def test_a_store_that_fails_in_the_middle_is_completed(output_dir):
+    directory = finished_run(output_dir)
+    change_store = "CREATE TRIGGER full BEFORE INSERT ON metrics BEGIN SELECT RAISE(ABORT, 'disk is full'); END"
+    for statement, problem in ((change_store, "disk is full"), ("DROP TRIGGER full", None)):
+        with closing(sqlite3.connect(output_dir / "mlflow.db")) as database:
+            database.execute(statement)
+        assert mirror_all(output_dir) == [problem]
+        assert directory.unsynced == problem
+    assert_mirrored(directory)
 
 
 @pytest.mark.slow
-def test_a_run_whose_store_is_down_is_done_and_the_store_gets_all_of_it_later(smoke, tmp_path):
-    """The same run as `smoke`, whose store was healthy."""
-    healthy, _, healthy_dir = smoke
+def test_a_run_whose_store_is_down_finishes_and_is_sent_later(tmp_path):
     blocked = tmp_path / "mlflow.db"
-    blocked.mkdir()  # a folder where the database is to be
+    blocked.mkdir()  # a folder in place of the database
     done = run_script("train", "experiment=smoke", f"output_dir={tmp_path}")
     assert done.returncode == 0, done.stderr
     directory, problem = only_run(tmp_path), "unable to open database file"
     assert (directory.status, directory.unsynced, directory.run_id) == ("done", problem, None)
     assert done.stderr.count(problem) == 1
     assert "Traceback" not in done.stderr
-    evaluated = run_script(
-        "evaluate", f"run={directory.path}", f"output_dir={tmp_path}", "episodes=2", "simulator=vectorized", "name=two"
-    )
-    assert evaluated.returncode == 0, evaluated.stderr
-    assert f"not stored     {problem}" in evaluated.stdout
-
     blocked.rmdir()
     assert mirror_all(tmp_path) == [None]
     assert directory.result().run_id == directory.run_id is not None
     assert_store_is_whole(tmp_path, 400)
-    ours, theirs = stored_run(directory), stored_run(healthy)
-    assert {**ours.data.params, "output_dir": ""} == {**theirs.data.params, "output_dir": ""}
-    own = dict.fromkeys(("run_dir", "mlflow.runName", "mlflow.note.content", "mirrored", "started_ms"), "")
-    assert {**ours.data.tags, **own} == {**theirs.data.tags, **own}
-    assert set(ours.data.metrics) == set(theirs.data.metrics)
-    stored = set(artifacts(store(tmp_path), directory.run_id))
-    known = set(artifacts(store(healthy_dir), healthy.run_id))
-    assert stored >= {path for path in known if not path.startswith(("evaluations/", "checkpoints/"))}
-    assert {"evaluations/two/episodes.csv", "evaluations/two/summary.json"} <= stored
+    assert_mirrored(directory)
 
 
 @needs_server

@@ -2,11 +2,10 @@
 
 import json
 import shutil
+import socket
 from contextlib import closing
-from http.server import BaseHTTPRequestHandler, HTTPServer
 from pathlib import Path
 from sqlite3 import connect as open_database
-from threading import Thread
 
 import pytest
 import yaml
@@ -56,60 +55,35 @@ def rows(output_dir, query):
         return database.execute(query).fetchall()
 
 
-@pytest.fixture
-def everything_moved(smoke, tmp_path):
-    """A function that moves or copies the output directory of a finished run: (the old one, the new one)."""
-
-    def move(how):
-        old, new = tmp_path / "old", tmp_path / "new"
-        shutil.copytree(smoke[2], old, symlinks=True)
-        (path,) = find_runs(old)
-        # As a training in `old` leaves it.
-        RunDirectory(path).update(run_id=smoke[0].run_id)
-        for table, column in (("experiments", "artifact_location"), ("runs", "artifact_uri")):
-            with closing(open_database(old / "mlflow.db")) as database, database:
-                database.execute(
-                    f"UPDATE {table} SET {column} = replace({column}, ?, ?)", (smoke[2].as_uri(), old.as_uri())
-                )
-                database.execute(
-                    "UPDATE experiment_tags SET value = ? WHERE key = 'parking_exp.output_dir'", (str(old),)
-                )
-        shutil.move(old, new) if how == "moved" else shutil.copytree(old, new)
-        return old, new
-
-    return move
-
-
 @pytest.mark.slow
-@pytest.mark.parametrize("how", ["moved", "copied"])
-def test_an_output_directory_elsewhere_works_there_and_touches_nothing_else(everything_moved, how):
-    old, new = everything_moved(how)
-    before = snapshot(old) if how == "copied" else None
+@pytest.mark.parametrize("move", [shutil.move, shutil.copytree])
+def test_a_moved_or_copied_output_directory_works_in_its_new_place_and_changes_nothing_else(tmp_path, move):
+    old, new = tmp_path / "old", tmp_path / "new"
+    assert run_script("train", "experiment=smoke", f"output_dir={old}").returncode == 0
+    move(old, new)
+    before = snapshot(tmp_path / "old")
     (path,) = find_runs(new)
     run_id = RunDirectory(path).run_id
     done = run_script("evaluate", f"run={path}", f"output_dir={new}", *EVALUATE)
     assert done.returncode == 0, done.stderr
     assert "not stored" not in done.stdout
-    assert snapshot(old) == before if how == "copied" else not old.exists()
+    assert snapshot(old) == before
     assert RunDirectory(path).run_id == run_id
     assert rows(new, "SELECT run_uuid, lifecycle_stage FROM runs") == [(run_id, "active")]
-    assert "evaluations/again/summary.json" in artifacts(store(new), run_id)
     assert (new / "mlflow-artifacts" / "smoke" / run_id / "artifacts" / "evaluations" / "again").is_dir()
     results = load("smoke", output_dir=new)
     assert results.runs["run_dir"].tolist() == [str(path)]
     assert results.problems == ()
-    assert len(results.episodes) > 0
     synced = run_script("status", f"output_dir={new}", "sync=true")
     assert (synced.returncode, synced.stderr) == (0, "")
 
 
-def test_nothing_that_a_run_directory_says_of_itself_names_the_output_directory(smoke):
+def test_files_of_a_run_directory_do_not_name_the_output_directory(smoke):
     directory, _, output_dir = smoke
-    # `typed` and what was printed are words; a result's place is where it is read from.
-    words = {"status.json": ("command",), "result.json": ("run_dir",)}
+    exceptions = {"status.json": ("command",), "result.json": ("run_dir",)}  # `result` replaces the latter
     for name in ("config.yaml", "status.json", "result.json", "provenance.json"):
         content = yaml.safe_load((directory.path / name).read_text())
-        rest = {key: value for key, value in content.items() if key not in words.get(name, ())}
+        rest = {key: value for key, value in content.items() if key not in exceptions.get(name, ())}
         assert str(output_dir) not in json.dumps(rest), name
     assert read_json(directory.path / "status.json")["tracking_uri"] == "sqlite:///mlflow.db"
     assert directory.tracking_uri == default_uri(output_dir)
@@ -152,7 +126,7 @@ def test_a_copy_of_a_run_that_is_tracked_elsewhere_gets_a_run_of_its_own(empty, 
     assert client.get_run(moved.run_id).data.tags["run_dir"] == str(moved.path.relative_to(tmp_path))
 
 
-def test_the_run_of_another_config_is_not_taken_for_ours(output_dir):
+def test_a_run_id_of_another_config_is_not_reused(output_dir):
     victim, directory = finished_run(output_dir, seed=1), finished_run(output_dir, seed=2)
     sync(victim, victim.tracking_uri)
     before = store(output_dir).get_run(victim.run_id)
@@ -163,30 +137,18 @@ def test_the_run_of_another_config_is_not_taken_for_ours(output_dir):
     assert (after.info.lifecycle_stage, after.data.tags) == ("active", before.data.tags)
 
 
-class Listener(BaseHTTPRequestHandler):
-    """Notes every request."""
-
-    def do_GET(self):
-        self.server.heard.append((self.path, self.headers.get("Authorization")))
-        self.send_error(404)
-
-    do_POST = do_GET
-
-    def log_message(self, *_):
-        """Print nothing."""
-
-
 @pytest.fixture
 def listener():
-    """A server of somebody else's: (its URI, what it has heard)."""
-    server = HTTPServer(("127.0.0.1", 0), Listener)
-    server.heard = []
-    thread = Thread(target=server.serve_forever)
-    thread.start()
-    yield f"http://127.0.0.1:{server.server_port}", server.heard
-    server.shutdown()
-    thread.join()
-    server.server_close()
+    """Somebody else's server: its socket, which is not to be connected to."""
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        server.setblocking(False)
+        yield server
+        with pytest.raises(BlockingIOError):
+            server.accept()
+
+
+def uri_of(server):
+    return f"http://127.0.0.1:{server.getsockname()[1]}"
 
 
 @pytest.fixture
@@ -197,52 +159,30 @@ def foreign(smoke, tmp_path):
     return RunDirectory(path)
 
 
-SECRETS = {"MLFLOW_TRACKING_TOKEN": "secret-token", "AWS_SECRET_ACCESS_KEY": "secret-key"}
-
-
-def stored_uri(directory, uri):
+def set_tracking_uri(directory, uri):
     write_json(directory.path / "status.json", {**directory.read_status(), "tracking_uri": uri})
 
 
-@pytest.fixture
-def secrets(monkeypatch):
-    """What must not get out, in the environment."""
-    for name, secret in SECRETS.items():
-        monkeypatch.setenv(name, secret)
-
-
-@pytest.mark.usefixtures("secrets")
-def test_evaluating_does_not_connect_to_where_a_run_directory_says(foreign, listener, tmp_path):
-    uri, heard = listener
-    stored_uri(foreign, uri)
+def test_evaluating_and_syncing_do_not_connect_to_the_store_that_a_run_directory_names(
+    foreign, listener, tmp_path, monkeypatch
+):
+    uri = uri_of(listener)
+    monkeypatch.setenv("MLFLOW_TRACKING_TOKEN", "secret-token")
+    set_tracking_uri(foreign, uri)
     done = type_here("evaluate", f"run={foreign.path}", *EVALUATE, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
-    assert heard == []
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["theirs"]
-    assert (
-        f"not stored     the run is tracked in {uri}, not in the store of output_dir={tmp_path / 'outputs'}; "
-        in done.stdout
-    )
     assert f"tracking.uri={uri} sends the results there" in done.stdout
     assert (foreign.path / "evaluations" / "again" / "summary.json").exists()
-
-
-def test_syncing_does_not_connect_to_where_run_directories_say(output_dir, listener):
-    uri, heard = listener
-    directory = finished_run(output_dir)
-    stored_uri(directory, uri)
-    assert list(mirror_missing([directory], Store(default_uri(output_dir), output_dir))) == []
-    done = type_here("status", f"output_dir={output_dir}", "sync=true")
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["theirs"]
+    done = type_here("status", f"output_dir={tmp_path / 'theirs'}", "sync=true")
     assert f"tracking.uri={uri}" in done.stderr
-    assert heard == []
 
 
 @pytest.mark.parametrize(
-    "content",
-    ["- a\n- b\n", "", "just words", "a: [", "a: !!python/object/apply:os.system [ls]", "\udcff", "a: &a [*a]", "[" * 3000,
-     "a: !!timestamp 99999-99-99", "a: 2026-11-22", 'a: !!int ""', "a: !!set {b, c}", "a: !!binary aGk="],
+    "content", ["- a\n- b\n", "", "a: [", "a: !!python/object/apply:os.system [ls]", "\udcff", "a: &a [*a]", "[" * 3000,
+                "a: 2026-11-22", "a: !!set {b, c}"],
 )  # fmt: skip
-def test_a_config_that_is_none_is_one_sentence(foreign, content):
+def test_an_invalid_config_is_refused_in_one_sentence(foreign, content):
     (foreign.path / "config.yaml").write_bytes(content.encode(errors="surrogateescape"))
     with pytest.raises(ConfigError) as refusal:
         foreign.config()
@@ -250,56 +190,53 @@ def test_a_config_that_is_none_is_one_sentence(foreign, content):
     assert "\n" not in str(refusal.value)
 
 
-@pytest.mark.parametrize("name", ["evaluations", "evaluations/again", "evaluations/again/episodes.csv", "video.mp4"])
+@pytest.mark.parametrize("name", ["evaluations", "evaluations/again/episodes.csv", "video.mp4"])
 def test_links_that_lead_out_of_a_run_directory_are_refused(foreign, tmp_path, name):
     outside = tmp_path / "outside"
     outside.mkdir()
-    (outside / "episodes.csv").write_text("mine")
+    (outside / "episodes.csv").write_text("content")
     link = foreign.path / name
-    if link.is_dir():
-        shutil.rmtree(link)
+    shutil.rmtree(foreign.path / "evaluations", ignore_errors=True)
     link.unlink(missing_ok=True)
     link.parent.mkdir(exist_ok=True, parents=True)
     link.symlink_to(outside if "." not in link.name else outside / "episodes.csv")
     before = snapshot(outside)
     with pytest.raises(UntrustedError) as refusal:
         evaluate(foreign)
-    assert str(refusal.value) == f"{link} is a symbolic link that leads out of {foreign.path}; remove it"
+    assert str(link) in str(refusal.value)
     assert snapshot(outside) == before
     with pytest.raises(UntrustedError, match="is a symbolic link"):
         sync(foreign, default_uri(tmp_path))
 
 
-@pytest.mark.parametrize(
-    "place", ["file:///etc/parking", "https://elsewhere.example/artifacts", "s3://bucket/x", "./mlruns/0"]
-)
-def test_artifacts_of_an_embedded_store_are_neither_sent_nor_read_elsewhere(output_dir, place):
+def change_database(output_dir, statement, value):
+    with closing(open_database(output_dir / "mlflow.db")) as database, database:
+        database.execute(statement, (value,))
+
+
+@pytest.mark.parametrize("place", ["file:///etc/parking", "https://elsewhere.example/x", "s3://bucket/x", "./mlruns/0"])
+def test_an_embedded_store_with_artifacts_elsewhere_is_refused(output_dir, place):
     directory = finished_run(output_dir)
     store(output_dir).create_experiment("smoke", "file:///tmp/replaced")
-    with closing(open_database(output_dir / "mlflow.db")) as database, database:
-        database.execute("UPDATE experiments SET artifact_location = ? WHERE name = 'smoke'", (place,))
-    with pytest.raises(StoreError) as refusal:
+    change_database(output_dir, "UPDATE experiments SET artifact_location = ? WHERE name = 'smoke'", place)
+    with pytest.raises(StoreError, match="artifacts outside of") as refusal:
         sync(directory, default_uri(output_dir))
-    assert str(refusal.value) == (
-        f"this store keeps artifacts outside of {output_dir}, in {place}; use another experiment"
-    )
+    assert place in str(refusal.value)
     assert rows(output_dir, "SELECT count(*) FROM runs") == [(0,)]
 
 
-def test_no_order_of_calls_reaches_artifacts_elsewhere(output_dir, listener, monkeypatch):
-    uri, heard = listener
+def test_a_run_with_artifacts_elsewhere_is_neither_sent_nor_read(output_dir, listener, monkeypatch):
+    uri = uri_of(listener)
     monkeypatch.setenv("MLFLOW_TRACKING_TOKEN", "secret-token")
     directory = finished_run(output_dir)
     sync(directory, default_uri(output_dir))
     place = f"{uri}/api/2.0/mlflow-artifacts/artifacts/x"
-    with closing(open_database(output_dir / "mlflow.db")) as database, database:
-        database.execute("UPDATE runs SET artifact_uri = ?", (place,))
+    change_database(output_dir, "UPDATE runs SET artifact_uri = ?", place)
     with (directory.path / "metrics.jsonl").open("a") as file:
         file.write("x")
-    with pytest.raises(StoreError, match="keeps artifacts outside of"):
+    with pytest.raises(StoreError, match="artifacts outside of"):
         sync(directory, default_uri(output_dir))
     assert len(load("smoke", output_dir=output_dir).problems) == 2  # of metrics.jsonl and of episodes.csv
-    assert heard == []
 
 
 def test_a_store_that_is_a_link_out_of_its_output_directory_is_refused(output_dir, tmp_path):
@@ -307,16 +244,14 @@ def test_a_store_that_is_a_link_out_of_its_output_directory_is_refused(output_di
     shutil.move(output_dir / "mlflow.db", tmp_path / "elsewhere.db")
     (output_dir / "mlflow.db").symlink_to(tmp_path / "elsewhere.db")
     before = (tmp_path / "elsewhere.db").read_bytes()
-    words = f"{output_dir / 'mlflow.db'} is a symbolic link that leads out of {output_dir}; name the store with tracking.uri="
     ((_, problem),) = mirror_missing([directory], Store(default_uri(output_dir), output_dir))
-    assert problem == words
-    with pytest.raises(ParkingError) as refusal:
+    assert f"{output_dir / 'mlflow.db'} is a symbolic link" in problem
+    with pytest.raises(ParkingError, match="is a symbolic link"):
         load("smoke", output_dir=output_dir)
-    assert str(refusal.value) == words
     assert (tmp_path / "elsewhere.db").read_bytes() == before
 
 
-def test_provenance_from_elsewhere_can_not_name_another_run(output_dir):
+def test_provenance_of_a_foreign_directory_cannot_name_another_run(output_dir):
     victim, directory = finished_run(output_dir, seed=1), finished_run(output_dir, seed=2)
     sync(victim, default_uri(output_dir))
     tags = {
@@ -328,10 +263,10 @@ def test_provenance_from_elsewhere_can_not_name_another_run(output_dir):
     sync(directory, default_uri(output_dir))
     client = store(output_dir)
     assert client.get_run(victim.run_id).info.lifecycle_stage == "active"
-    found = client.get_run(directory.run_id).data.tags
-    assert found["run_key"] == directory.config().run_key
-    assert found["version.torch"] == "9"
-    assert "cpu" not in found
+    stored = client.get_run(directory.run_id).data.tags
+    assert stored["run_key"] == directory.config().run_key
+    assert stored["version.torch"] == "9"
+    assert "cpu" not in stored
 
 
 @pytest.mark.parametrize("name", ["metrics.jsonl", "models"])
@@ -341,11 +276,11 @@ def test_a_training_does_not_write_through_links(tmp_path, name):
     directory.create(config)
     outside = tmp_path / "outside"
     outside.mkdir()
-    (outside / "file").write_text("mine")
+    (outside / "file").write_text("content")
     (directory.path / name).symlink_to(outside if name == "models" else outside / "file")
     with pytest.raises(UntrustedError, match="is a symbolic link that leads out of /"):
         train(config)
-    assert snapshot(outside) == {"file": b"mine"}
+    assert snapshot(outside) == {"file": b"content"}
 
 
 def test_runs_of_another_output_directory_keep_their_artifacts_where_they_are(tmp_path):
@@ -361,7 +296,7 @@ def test_runs_of_another_output_directory_keep_their_artifacts_where_they_are(tm
     assert places == [((tmp_path / "scratch" / "mlflow-artifacts" / "smoke" / other.run_id / "artifacts").as_uri(),)]
 
 
-def test_mlflows_own_experiment_is_no_place_for_runs(tmp_path):
+def test_runs_cannot_go_to_the_default_experiment(tmp_path):
     done = type_here("train", "experiment=smoke", "experiment_name=Default", cwd=tmp_path)
     assert done.returncode == 2
     assert "experiment_name=Default" in done.stderr

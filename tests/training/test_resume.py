@@ -17,8 +17,8 @@ from support.run_equality import differences, exact
 from support.runs import make_config, only_run
 
 from parking_exp.algorithms.build_model import greedy_policy
-from parking_exp.envs.action_replay import ReplayActions
 from parking_exp.envs.highway import make_env
+from parking_exp.envs.training_envs import ReplayActions
 from parking_exp.errors import FailedRunError, InterruptedRunError
 from parking_exp.evaluation.evaluate_policy import evaluate
 from parking_exp.evaluation.video import record

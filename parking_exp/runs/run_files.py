@@ -1,0 +1,116 @@
+"""The small files of a run directory: config, status and heartbeat, which may be damaged or untrusted."""
+
+import json
+import re
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import yaml
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from parking_exp.config.paths import absolute, relative
+from parking_exp.config.schema import RunConfig
+from parking_exp.config.validate import check
+from parking_exp.errors import ConfigError
+from parking_exp.runs.atomic_files import read_json, read_plain_yaml, write_atomically
+
+CONFIG_FILE, STATUS_FILE, RESULT_FILE, HEARTBEAT_FILE = "config.yaml", "status.json", "result.json", "beat.json"
+OUTPUT_DIR = "../../.."  # from a run directory
+
+Status = Literal["pending", "running", "done", "failed", "interrupted", "pruned"]
+"""Status in status.json; the process of a `running` run may be gone (`read_state` checks)."""
+Count = Annotated[int, Field(ge=0, le=10**15)]
+Seconds = Annotated[float, Field(ge=0, le=1e12)]
+
+
+class _Entries(BaseModel):
+    model_config = ConfigDict(strict=True, allow_inf_nan=False)
+
+
+class StatusEntries(_Entries):
+    """Entries of status.json."""
+
+    status: Status | None = None
+    label: str | None = None
+    error: str | None = None
+    killed: bool | None = None
+    total_timesteps: Count | None = None
+    steps: Count | None = None
+    success_rate: Annotated[float, Field(ge=0, le=1)] | None = None
+    wall_s: Seconds | None = None
+    cpu_s: Seconds | None = None
+    memory_bytes: Count | None = None
+    host: str | None = None
+    pid: Count | None = None
+    started: Seconds | None = None
+    run_id: str | None = None
+    tracking_uri: Annotated[str, Field(pattern=r"^[^\x00-\x1f]+$")] | None = None
+    unsynced: str | None = None
+    command: str | None = None
+    search: str | None = None
+    trial: Count | None = None
+
+
+class HeartbeatEntries(_Entries):
+    """Entries of beat.json, which a process that trains writes every second."""
+
+    time: Seconds | None = None
+    step: Count | None = None
+    steps_per_s: Annotated[float, Field(ge=0, le=1e9)] | None = None
+    doing: str | None = None
+
+
+def read_entries(path: Path, schema: type[BaseModel]) -> tuple[dict[str, Any], str | None]:
+    """Return a file's entries, without those of a type other than the schema's, and what is wrong with it.
+
+    A missing file has no entries.
+    """
+    try:
+        stored = read_json(path)
+    except (OSError, ValueError):
+        stored = "damaged"
+    if stored is None:
+        return {}, None
+    if not isinstance(stored, dict):
+        return {}, f"{path.name} can't be read"
+    entries = {key: value for key, value in stored.items() if value is not None}
+    try:
+        schema.model_validate(entries)
+    except ValidationError as error:
+        wrong = {str(problem["loc"][0]) for problem in error.errors()}
+        valid = {key: value for key, value in entries.items() if key not in wrong}
+        return valid, f"{path.name} has no valid {' and no valid '.join(sorted(wrong))}"
+    return entries, None
+
+
+def write_config(directory: Path, config: RunConfig, *, durable: bool) -> None:
+    """Write a run's config into its directory, with paths relative to it; make the directory if need be."""
+    uri = config.tracking.uri and relative(config.tracking.uri, config.output_path)
+    tracking = config.tracking.model_copy(update={"uri": uri})
+    plain = config.model_copy(update={"output_dir": OUTPUT_DIR, "tracking": tracking}).plain()
+    directory.mkdir(parents=True, exist_ok=True)
+    write_atomically(directory / CONFIG_FILE, yaml.safe_dump(plain, sort_keys=False), durable=durable)
+
+
+def read_config(directory: Path, output_dir: Path) -> RunConfig:
+    """Read a run's config as plain data, with the output directory and store of where the run is now.
+
+    Raises:
+        ConfigError: it can't be read, has an interpolation, or does not fit this version of the package.
+    """
+    path = directory / CONFIG_FILE
+    try:
+        stored = read_plain_yaml(path)
+    except (OSError, ValueError) as error:
+        raise ConfigError(f"{path} can't be read: {str(error).splitlines()[0]}") from error
+    if not isinstance(stored, dict):
+        raise ConfigError(f"{path} can't be read: it is no config, but a {type(stored).__name__}")
+    if interpolation := re.search(r'[^"]*\$\{[^"]*', json.dumps(stored)):
+        raise ConfigError(f"{path} has the interpolation {interpolation[0]}; stored configs have values only")
+    try:
+        config = check(RunConfig, stored)
+    except ConfigError as error:
+        raise ConfigError(f"{path} does not fit this version of parking_exp: {error}") from error
+    uri = config.tracking.uri and absolute(config.tracking.uri, output_dir)
+    tracking = config.tracking.model_copy(update={"uri": uri})
+    return config.model_copy(update={"output_dir": str(output_dir), "tracking": tracking})
