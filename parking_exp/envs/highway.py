@@ -14,9 +14,9 @@ from parking_exp.envs.reward import GoalReward
 
 
 class SparseReward(gym.Wrapper, gym.utils.RecordConstructorArgs):
-    """Replace the goal reward by 0 on success and -1 otherwise (Andrychowicz et al. 2017, section 4).
+    """Replace the goal reward by 0 on highway-env's success and -1 otherwise (Andrychowicz et al. 2017, section 4).
 
-    Success stays what highway-env calls success, and `collision_reward` is still added to the step of a crash.
+    `collision_reward` is still added to the step of a crash.
     """
 
     def __init__(self, env: gym.Env) -> None:
@@ -36,7 +36,7 @@ class SparseReward(gym.Wrapper, gym.utils.RecordConstructorArgs):
 
 def make_env(config: EnvConfig, *, render_mode: str | None = None) -> gym.Env:
     """Make one parking env; `render_mode` is None or `rgb_array`."""
-    import highway_env  # with matplotlib.pyplot and pygame: training in our simulator starts without them
+    import highway_env  # imports pyplot and pygame, which the simulator does without
 
     gym.register_envs(highway_env)
     # Gymnasium's checker tests every space at every step and costs time; our tests run it instead.

@@ -17,18 +17,12 @@ OUTCOMES: tuple[Outcome, ...] = get_args(Outcome)
 
 @dataclass(frozen=True)
 class Pose:
-    """The car relative to its goal slot.
+    """The car relative to its goal slot."""
 
-    Attributes:
-        ahead_m, side_m: position of the car's centre in the slot's frame, whose origin is the slot's centre.
-        heading_error_rad: heading relative to the slot's, in [-pi, pi).
-        speed_mps: signed speed.
-    """
-
-    ahead_m: float
+    ahead_m: float  # of the car's centre, in the slot's frame
     side_m: float
-    heading_error_rad: float
-    speed_mps: float
+    heading_error_rad: float  # in [-pi, pi)
+    speed_mps: float  # signed
 
     @property
     def distance_m(self) -> float:

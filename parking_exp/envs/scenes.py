@@ -1,8 +1,4 @@
-"""Scenes: the initial states of parking-v0.
-
-The car stands at the origin with some heading; one slot is its goal; other cars stand in other slots. Slots are
-numbered in highway-env's order (`geometry.SLOT_POSITIONS`).
-"""
+"""Scenes: the initial states of parking-v0: the car's heading at the origin, its goal slot, slots of parked cars."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -21,7 +17,7 @@ _START_DISTANCE_M = abs(float(SLOT_POSITIONS[_START_SLOTS[0], 0])) + 10.0
 
 @dataclass(frozen=True)
 class Scenes:
-    """A batch of n scenes."""
+    """A batch of n scenes; slots are indices of `geometry.SLOT_POSITIONS`."""
 
     heading: np.ndarray  # the car's heading at the start, shape (n,) [rad], in [0, 2 pi)
     goal: np.ndarray  # goal slots, shape (n,)
@@ -32,10 +28,7 @@ class Scenes:
 
     @staticmethod
     def from_seeds(seeds: Sequence[int], vehicles_count: int = 0) -> "Scenes":
-        """Make highway-env's own scenes, bit for bit: scene s is what `env.reset(seed=s)` makes.
-
-        There are at most 26 parked cars: the goal and the slot nearest to the car stay free.
-        """
+        """Make highway-env's own scenes, those of `env.reset(seed=s)`, bit for bit; at most 26 cars are parked."""
         heading = np.empty(len(seeds))
         slots = np.empty((len(seeds), 1 + vehicles_count), np.int64)
         for row, seed in enumerate(seeds):
@@ -66,10 +59,9 @@ class Scenes:
 
 
 def start_slot(heading: np.ndarray) -> np.ndarray:
-    """Return the slot that highway-env takes for the one the car starts in, which is never a goal; shape (n,).
+    """Return the slot in which the car starts according to highway-env, which is never a goal; shape (n,).
 
-    It is the closest one, in distance plus difference of heading. Four are equally far from the origin; of two
-    with the same heading, highway-env takes the first.
+    It minimises distance plus difference of heading. Of the two slots at each heading, highway-env takes the first.
     """
     turn = heading - _START_HEADINGS
     turn += np.pi

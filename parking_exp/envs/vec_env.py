@@ -16,8 +16,8 @@ from parking_exp.envs.simulator import Simulator
 class ParkingVecEnv(VecEnv):
     """VecEnv of n parking envs, simulated together; an env starts a new scene when its episode ends.
 
-    After `seed(s)`, `reset()` starts highway-env's scenes s, s + 1, ..., as n envs of highway-env would. Later scenes
-    are drawn from the same distribution by a generator seeded with s.
+    After `seed(s)`, `reset()` starts highway-env's scenes s, s + 1, ...; later ones are drawn from the same
+    distribution by a generator seeded with s.
     """
 
     render_mode = None  # videos are made with highway-env
@@ -66,7 +66,7 @@ class ParkingVecEnv(VecEnv):
         return step.observation, step.reward.astype(np.float32), done, infos
 
     def get_state(self) -> dict[str, Any]:
-        """Return everything that the future depends on, the generator of scenes included."""
+        """Return the whole state, the generator of scenes included."""
         rng = self._rng.bit_generator.state
         return {"simulator": self.simulator.get_state(), "rng": rng, "seeds": list(self._seeds)}
 

@@ -116,7 +116,7 @@ def read_store(store: Store, experiments: str | Iterable[str] | None) -> Results
     with _refused(f"the store {store.uri} can't be read"):
         ids = _chosen(store, experiments)
         stored = [run for run in store.runs(list(ids.values())) if run.info.lifecycle_stage == "active"]
-    kept = [run for run in stored if _is_ours(run)]
+    kept = [run for run in stored if _is_from_this_package(run)]
     if not kept:
         searched = store.uri if experiments is None else f"experiment={','.join(ids)}"
         others = f", but {len(stored)} by others" if stored else ""
@@ -149,24 +149,24 @@ def _refused(what: str) -> Iterator[None]:
 
 def _chosen(store: Store, experiments: str | Iterable[str] | None) -> dict[str, str]:
     """Return the ids of the chosen experiments by name."""
-    known = store.experiments()
+    ids = store.experiments()
     if experiments is None:
-        return known
+        return ids
     names = [experiments] if isinstance(experiments, str) else list(experiments)
     for name in names:
-        if name not in known:
-            hint = suggestion(name, set(known) - {"Default"})
+        if name not in ids:
+            hint = suggestion(name, set(ids) - {"Default"})
             raise ResultsError(f"experiment={name}: {store.uri} has none of that name{hint}")
-    return {name: known[name] for name in names}
+    return {name: ids[name] for name in names}
 
 
-def _is_ours(run: "Run") -> bool:
+def _is_from_this_package(run: "Run") -> bool:
     tags = run.data.tags
     return all(name in tags for name in TAGS) and tags["status"] in STATUSES and bool(SEED.fullmatch(tags["seed"]))
 
 
 @lru_cache(maxsize=100_000)
-def typed(text: str | None) -> Any:
+def parse_value(text: str | None) -> Any:
     """Return the value that a parameter is the text of: None, a bool, a number. Lists, mappings and words stay text."""
     if text in (None, "None", "True", "False"):
         return {"True": True, "False": False}.get(text or "")
@@ -180,7 +180,7 @@ def typed(text: str | None) -> Any:
 
 def config_column(texts: Iterable[str | None]) -> pd.Series:
     """Return the typed values of a parameter; where some are None, all stay Python objects."""
-    values = [typed(text) for text in texts]
+    values = [parse_value(text) for text in texts]
     return pd.Series(values, dtype=object if None in values else None)
 
 
@@ -195,7 +195,7 @@ def _runs(stored: Sequence["Run"], names: Mapping[str, str], run_dir: Callable[[
             {name: tags.get(name) for name in ("cell", "run_key", "seed", "status", "git_commit", "cpu")}
             | {"run_id": info.run_id, "name": info.run_name, "experiment": names[info.experiment_id]}
             | {"error": tags.get("error") or None, "steps": 0}
-            | {column: typed(params.get(key)) for key, column in CONFIGURED.items()}
+            | {column: parse_value(params.get(key)) for key, column in CONFIGURED.items()}
             | {column: metrics.get(key) for key, column in (final | COST).items()}
             | {"started": info.start_time, "ended": info.end_time}
             | {"run_dir": str(place) if place else None, "artifact_uri": info.artifact_uri}

@@ -145,15 +145,15 @@ class RunDirectory:
         if self.under_way:
             return
         with suppress(RunLockedError), self._held(SUPERVISOR_LOCK, LOCK_PATIENCE_S):
-            known = self.read_status()
-            if known.get("status") == "done" or known.get("started") != started:
+            status = self.read_status()
+            if status.get("status") == "done" or status.get("started") != started:
                 return
             with self._writable():
                 write_config(self.path, config, durable=False)
-            known = {"label": label, "total_timesteps": config.total_timesteps, "command": command_line()}
+            plan = {"label": label, "total_timesteps": config.total_timesteps, "command": command_line()}
             uri = store_uri(config) if config.tracking.mlflow else None
             fresh = {"status": "pending", "error": None, "killed": None, "tracking_uri": uri}
-            self.update(False, **fresh, **known, **(entries or {}))
+            self.update(False, **fresh, **plan, **(entries or {}))
 
     def heartbeat(self, **values: Any) -> None:
         """Write how far the run is, for processes that watch it."""

@@ -45,12 +45,12 @@ def read_provenance(path: Path) -> tuple[int | None, dict[str, str]]:
     """Return when a run was started, in ms since 1970, and its tags; other tags are left out."""
     stored = read_object(path)
     started_ms, tags = stored.get("started_ms"), stored.get("tags")
-    known = {
+    valid_tags = {
         name: value
         for name, value in (tags.items() if isinstance(tags, dict) else ())
         if isinstance(value, str) and (name in TAGS or name.startswith("version."))
     }
-    return started_ms if type(started_ms) is int and 0 <= started_ms < 2**53 else None, known
+    return started_ms if type(started_ms) is int and 0 <= started_ms < 2**53 else None, valid_tags
 
 
 def _git() -> dict[str, str]:

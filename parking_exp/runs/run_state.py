@@ -49,7 +49,7 @@ def read_state(path: Path) -> RunState:
     """Read one run directory; one that is missing or whose status.json can't be read is pending."""
     entries, damaged = read_entries(path / STATUS_FILE, StatusEntries)
     seed = path.name.removeprefix("seed=")
-    known: dict[str, Any] = {
+    fields: dict[str, Any] = {
         "label": path.parent.name,
         **entries,
         "run_dir": str(path),
@@ -61,16 +61,16 @@ def read_state(path: Path) -> RunState:
     }
     status = entries.get("status")
     if status == "done":
-        known |= {"stage": "done", "step": entries.get("steps", 0)}
+        fields |= {"stage": "done", "step": entries.get("steps", 0)}
     elif RunDirectory(path).under_way:
-        known |= {"stage": "running", **_under_way(path, entries)}
+        fields |= {"stage": "running", **_under_way(path, entries)}
     else:
-        known["step"] = _saved_step(path)
+        fields["step"] = _saved_step(path)
         if status == "failed":
-            known |= {"stage": "failed", "reason": entries.get("error")}
+            fields |= {"stage": "failed", "reason": entries.get("error")}
         elif status == "pruned":
-            known["stage"] = "pruned"
-    return RunState.model_construct(**known)  # `read_entries` has checked what may be damaged
+            fields["stage"] = "pruned"
+    return RunState.model_construct(**fields)  # `read_entries` has checked what may be damaged
 
 
 def labelled(states: Sequence[RunState]) -> list[RunState]:

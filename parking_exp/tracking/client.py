@@ -3,7 +3,7 @@
 The embedded store is a sqlite database. It takes one writer at a time, and MLflow has a second one wait for 20 s before
 it fails with "database is locked", so our writers queue for a lock file beside the database. Its journal stays sqlite's
 own rollback journal: a write-ahead log needs memory shared between processes, which network file systems lack.
-Readers (`mlflow ui`) need no lock of ours.
+Readers (`mlflow ui`) need no lock.
 """
 
 import logging

@@ -125,12 +125,12 @@ def mirror_missing(directories: Iterable[RunDirectory], store: Store) -> Iterato
     except Exception as error:
         yield from ((directory, reason(error)) for directory in idle)
         return
-    known = {(place.resolve(), run.data.tags.get(DIGEST)) for run in runs if (place := store.run_dir(run))}
+    mirrored = {(place.resolve(), run.data.tags.get(DIGEST)) for run in runs if (place := store.run_dir(run))}
     for directory in idle:
         digest = None
         with suppress(OSError):  # a file has vanished or can't be read, which `try_mirror` reports for this run
             digest = _digest(directory)
-        if (directory.path.resolve(), digest) not in known or digest is None:
+        if (directory.path.resolve(), digest) not in mirrored or digest is None:
             yield directory, try_mirror(directory, store)
 
 

@@ -102,7 +102,7 @@ class Store:
             if experiment is None:
                 try:
                     return client.create_experiment(name, location, tags)
-                except MlflowException:  # without a lock of ours another process may have been first
+                except MlflowException:  # another process may have been first: servers have no such lock
                     experiment = client.get_experiment_by_name(name)
                     if experiment is None:
                         raise

@@ -1,20 +1,25 @@
 """Tags of experiments and runs in MLflow: what identifies a run, its provenance, and descriptions for the UI."""
 
+import json
+
 from parking_exp.config.paths import database, relative_path
 from parking_exp.config.schema import RunConfig
 from parking_exp.runs.directory import RunDirectory, Status
 from parking_exp.runs.run_provenance import PROVENANCE_FILE, read_provenance
 
 NOTE, KIND = "mlflow.note.content", "mlflow.experimentKind"
+VIEW = "mlflow.sharedViewState.results"  # a saved view of the UI, whose own table of runs has no metric
+VIEW_COLUMNS = ["metrics.`final/success_rate`", "metrics.`final/crash_rate`", "metrics.`final/parked_rate`"]
 STARTED = "started_ms"
 LONGEST_ERROR = 500
 
 
 def experiment_tags(name: str) -> dict[str, str]:
-    """Return MLflow's own tags of an experiment: its kind, and a description."""
+    """Return MLflow's own tags of an experiment: its kind, a description, and a view of its results."""
     report = f"`python scripts/report.py experiment={name}` compares its cells."
     return {
         KIND: "custom_model_development",  # else the UI opens an experiment as one of GenAI: traces, prompts
+        VIEW: json.dumps({"name": "results", "createdAt": 0, "state": json.dumps({"selectedColumns": VIEW_COLUMNS})}),
         NOTE: f"Parking agents, trained and evaluated on highway-env's `parking-v0`: one run a cell and seed. {report}",
     }
 

@@ -111,9 +111,9 @@ def batch_of(ours, index, goal_index=NO_GOALS, normalize=None):
 
 
 def assert_equal(ours, theirs):
-    for mine, other in zip(ours[:5], theirs[:5], strict=True):
-        for key in mine if isinstance(mine, dict) else [None]:
-            a, b = (mine, other) if key is None else (mine[key], other[key])
+    for our_part, their_part in zip(ours[:5], theirs[:5], strict=True):
+        for key in our_part if isinstance(our_part, dict) else [None]:
+            a, b = (our_part, their_part) if key is None else (our_part[key], their_part[key])
             assert a.dtype == b.dtype
             assert torch.equal(a, b), key
 
@@ -184,21 +184,21 @@ def test_indices_are_drawn_from_stable_baselines3s_distribution(strategy, n_envs
     np.random.seed(0)
     ours.rng = np.random.default_rng(0)
     n = 200_000
-    mine = ours.episodes.draw(ours.rng, n)
-    my_goals = ours.select_goals(mine, records_of(ours, mine))
+    our_index = ours.episodes.draw(ours.rng, n)
+    our_goals = ours.select_goals(our_index, records_of(ours, our_index))
     valid = np.flatnonzero(theirs.ep_length > 0)
     other = np.random.choice(valid, n)
     position = np.arange(theirs.buffer_size * n_envs, dtype=float).reshape(-1, n_envs)
     theirs.next_observations["achieved_goal"] = position
-    other_goals = theirs._sample_goals(*np.divmod(other, n_envs)).astype(int)
+    their_goals = theirs._sample_goals(*np.divmod(other, n_envs)).astype(int)
     pairs = position.size
-    mine_counts = np.bincount(mine * pairs + my_goals, minlength=pairs**2)
-    other_counts = np.bincount(other * pairs + other_goals, minlength=pairs**2)
-    seen = mine_counts + other_counts > 0
-    table = np.stack([mine_counts[seen], other_counts[seen]])
+    our_counts = np.bincount(our_index * pairs + our_goals, minlength=pairs**2)
+    their_counts = np.bincount(other * pairs + their_goals, minlength=pairs**2)
+    seen = our_counts + their_counts > 0
+    table = np.stack([our_counts[seen], their_counts[seen]])
     assert table.min() > 0, "one of the two draws what the other never does"
     assert stats.chi2_contingency(table).pvalue > 1e-3
-    assert stats.chisquare(np.bincount(mine, minlength=pairs)[valid]).pvalue > 1e-3
+    assert stats.chisquare(np.bincount(our_index, minlength=pairs)[valid]).pvalue > 1e-3
 
 
 def test_random_takes_goals_from_everything_stored():

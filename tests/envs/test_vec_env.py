@@ -39,13 +39,13 @@ def test_until_the_first_reset_it_equals_highway_env_in_a_dummy_vec_env(config):
         assert rewards.dtype == their_rewards.dtype
         np.testing.assert_array_equal(dones, their_dones)
         assert dones.all() == (step == 10)
-        for mine, their in zip(infos, their_infos, strict=True):
-            assert (mine["is_success"], mine["crashed"]) == (their["is_success"], their["crashed"])
-    for mine, their in zip(infos, their_infos, strict=True):
-        assert mine["TimeLimit.truncated"] is True
-        assert their["TimeLimit.truncated"] is True
-        for key, value in their["terminal_observation"].items():
-            np.testing.assert_array_equal(mine["terminal_observation"][key], value)
+        for our_info, their_info in zip(infos, their_infos, strict=True):
+            assert (our_info["is_success"], our_info["crashed"]) == (their_info["is_success"], their_info["crashed"])
+    for our_info, their_info in zip(infos, their_infos, strict=True):
+        assert our_info["TimeLimit.truncated"] is True
+        assert their_info["TimeLimit.truncated"] is True
+        for key, value in their_info["terminal_observation"].items():
+            np.testing.assert_array_equal(our_info["terminal_observation"][key], value)
 
 
 def test_an_ended_episode_is_followed_by_a_new_scene(config):

@@ -1,4 +1,4 @@
-"""Runs are found by what is typed, and what is no run gets a sentence."""
+"""Runs are found by directory, run id or `latest`; other names are refused with suggestions."""
 
 import os
 
@@ -13,7 +13,7 @@ from parking_exp.runs.lookup import find_run
 def output_dir(tmp_path):
     """An output directory with two runs of an experiment: the one worked on last has no model yet."""
     for seed in (0, 1):
-        run = tmp_path / "outputs" / "mine" / "cell" / f"seed={seed}"
+        run = tmp_path / "outputs" / "sweep" / "cell" / f"seed={seed}"
         (run / "models").mkdir(parents=True)
         (run / "status.json").write_text("{}")
         os.utime(run / "status.json", (seed, seed))
@@ -28,12 +28,12 @@ def refusal(name, output_dir):
 
 
 def test_a_run_is_found_by_its_directory(output_dir):
-    path = output_dir / "mine" / "cell" / "seed=1"
+    path = output_dir / "sweep" / "cell" / "seed=1"
     assert find_run(str(path), output_dir, having="x").path == path
 
 
-def test_latest_is_the_run_whose_model_was_written_last_also_after_another_was_synced(output_dir):
-    runs = [output_dir / "mine" / "cell" / f"seed={seed}" for seed in (0, 1)]
+def test_latest_is_the_run_whose_model_was_written_last_even_if_another_was_synced_since(output_dir):
+    runs = [output_dir / "sweep" / "cell" / f"seed={seed}" for seed in (0, 1)]
     for seconds, run in enumerate(runs):
         (run / "models" / "final.zip").touch()
         os.utime(run / "models" / "final.zip", (seconds, seconds))
@@ -41,8 +41,8 @@ def test_latest_is_the_run_whose_model_was_written_last_also_after_another_was_s
     assert find_run("latest", output_dir, having="models/final.zip").path == runs[1]
 
 
-def test_a_name_that_nothing_has_is_refused_with_what_there_is(output_dir):
-    latest = output_dir / "mine" / "cell" / "seed=0"
+def test_an_unknown_name_is_refused_with_suggestions(output_dir):
+    latest = output_dir / "sweep" / "cell" / "seed=0"
     assert find_run("latest", output_dir, having="models/final.zip").path == latest
     assert "run=latest" in refusal("nothing", output_dir)
     (latest / "models" / "final.zip").unlink()

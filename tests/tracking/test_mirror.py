@@ -287,7 +287,10 @@ def test_a_run_has_its_provenance_and_a_description_that_a_user_may_replace(outp
     write_json(directory.path / "result.json", {"run_dir": "", "run_id": None, "steps": 60000, "metrics": rates})
     sync(directory)
     run = stored_run(directory)
-    assert client.get_experiment_by_name("smoke").tags["mlflow.experimentKind"] == "custom_model_development"
+    experiment = client.get_experiment_by_name("smoke")
+    assert experiment.tags["mlflow.experimentKind"] == "custom_model_development"
+    view = json.loads(experiment.tags["mlflow.sharedViewState.results"])
+    assert json.loads(view["state"])["selectedColumns"][0] == "metrics.`final/success_rate`"
     assert tags.items() <= run.data.tags.items()
     assert run.info.start_time == 1234567
     note = run.data.tags["mlflow.note.content"]

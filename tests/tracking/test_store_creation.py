@@ -69,9 +69,9 @@ def test_a_disk_that_is_full_while_a_store_is_made_leaves_no_store_under_its_nam
 
 
 @pytest.mark.parametrize("change", [
-    "INSERT INTO experiments (experiment_id, name, artifact_location, lifecycle_stage) VALUES (7, 'mine', '/', 'active')",
-    "INSERT INTO registered_models (name) VALUES ('mine')",
-    "CREATE TABLE mine AS SELECT 1",
+    "INSERT INTO experiments (experiment_id, name, artifact_location, lifecycle_stage) VALUES (7, 'theirs', '/', 'active')",
+    "INSERT INTO registered_models (name) VALUES ('theirs')",
+    "CREATE TABLE theirs AS SELECT 1",
     "INSERT INTO runs (run_uuid, experiment_id, lifecycle_stage) VALUES ('a', 0, 'active')",
 ])  # fmt: skip
 def test_a_store_of_another_mlflow_that_has_something_is_left_as_it_is(output_dir, change):
@@ -90,7 +90,7 @@ def test_the_database_of_another_program_is_not_replaced(tmp_path):
     with closing(sqlite3.connect(database)) as connection, connection:
         connection.execute("CREATE TABLE alembic_version (version_num TEXT)")
         connection.execute("CREATE TABLE studies (name TEXT)")
-        connection.execute("INSERT INTO studies VALUES ('mine')")
+        connection.execute("INSERT INTO studies VALUES ('theirs')")
     connect(f"sqlite:///{database}")
     with closing(sqlite3.connect(database)) as connection:
-        assert connection.execute("SELECT name FROM studies").fetchall() == [("mine",)]
+        assert connection.execute("SELECT name FROM studies").fetchall() == [("theirs",)]

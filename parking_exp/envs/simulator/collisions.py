@@ -1,13 +1,11 @@
 """Collision detection and response for one frame, in highway-env's order.
 
 In each scene highway-env tests the car against the parked cars, then the walls, then the parked cars against each other
-and the walls. Where something is pushed twice in a frame, the last push counts. A pair of rectangles is tested twice
-(`RoadObject._is_colliding`, `utils.are_polygons_intersecting`): the circles around both, then the separating axis
-theorem, now and displaced by one frame's motion.
+and the walls. The last push of a frame counts. A pair of rectangles is tested twice (`RoadObject._is_colliding`,
+`utils.are_polygons_intersecting`): the circles around both, then the separating axis theorem, now and one frame ahead.
 
-A car that was pushed out of another stands exactly at contact in the next frame, so that the last bit decides what
-happens then. Therefore the arithmetic is highway-env's to the last bit: its dot products are NumPy's `vecdot`, its
-rotation `matmul`, which make the same BLAS calls.
+A car that was pushed out of another is exactly at contact in the next frame, where the last bit decides. Therefore the
+arithmetic is highway-env's to the last bit: `vecdot` and `matmul` make the same BLAS calls as its dot products.
 """
 
 import numpy as np
@@ -48,20 +46,18 @@ def corners(position: np.ndarray, direction: np.ndarray, length: Lengths, width:
     rotation[..., 0] = direction
     rotation[..., 1, 1] = direction[..., 0]
     np.negative(direction[..., 1], out=rotation[..., 0, 1])
-    turned = (rotation @ points.swapaxes(-1, -2)).swapaxes(-1, -2)
-    placed: np.ndarray = np.add(turned, position[..., None, :], order="C")
-    return placed
+    rotated = (rotation @ points.swapaxes(-1, -2)).swapaxes(-1, -2)
+    corner_points: np.ndarray = np.add(rotated, position[..., None, :], order="C")
+    return corner_points
 
 
 def out_of_reach(offset: np.ndarray, diagonal: Lengths, other: Lengths, travel: Lengths) -> np.ndarray:
-    """Return where two circles around the rectangles are apart, which highway-env asks first.
-
-    As there, `travel` is the first car's signed way in one frame: in reverse, the circles shrink.
+    """Return where the circles around two rectangles are apart, which highway-env tests first.
 
     Args:
         offset: from the first centre to the second, shape (..., 2).
         diagonal, other: of the two rectangles, of a shape broadcastable to (...) [m].
-        travel: speed times dt of the first, likewise.
+        travel: signed speed times dt of the first, likewise; as in highway-env, the circles shrink in reverse.
     """
     apart: np.ndarray = np.sqrt(np.vecdot(offset, offset)) > (diagonal + other) / 2 + travel
     return apart
@@ -121,10 +117,7 @@ WALL_CORNERS = corners(
 
 
 class Collisions:
-    """Collisions of all scenes in a frame of `dt` seconds.
-
-    Obstacles of a scene are numbered: its `count` parked cars, then the walls.
-    """
+    """Collisions of all scenes in a frame of `dt` seconds; obstacles are the `count` parked cars, then the walls."""
 
     def __init__(self, dt: float, count: int, *, walls: bool) -> None:
         self.dt, self.count, self.walls = dt, count, walls
@@ -134,7 +127,7 @@ class Collisions:
         self._diagonals = np.append(np.full(count, CAR_DIAGONAL_M), WALL_DIAGONALS)
 
     def resolve(self, state: SceneState) -> None:
-        """Detect the collisions of a frame; write crashes, and the impacts of the next frame, into the state."""
+        """Detect the collisions of a frame; set crashes, and the impacts of the next frame, in the state."""
         self._resolve_cars(state)
         # Parked cars stand apart until one of them is pushed.
         if state.disturbed.any():
@@ -154,7 +147,7 @@ class Collisions:
             self._push(state, scene[soon], obstacle[soon], push[soon])
 
     def _push(self, state: SceneState, scene: np.ndarray, obstacle: np.ndarray, push: np.ndarray) -> None:
-        """Write the impacts on cars: a wall pushes the whole way out, a parked car half of it, and is pushed as far."""
+        """Set the impacts on cars: a wall pushes all the way out, a parked car half, and is pushed as far itself."""
         if self.count:
             cars = obstacle < self.count
             push[cars] /= 2

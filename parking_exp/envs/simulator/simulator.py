@@ -1,8 +1,8 @@
 """Vectorized simulator of parking-v0: many scenes at once, exactly as highway-env simulates them, with NumPy alone.
 
-A policy step is a few simulation frames of constant action. Scenes in which nothing can be touched within the step,
-nearly all, are integrated together. The others go frame by frame, in highway-env's order: limit the action, move, apply
-the impact of the frame before, detect collisions.
+A policy step is a few simulation frames of constant action. Scenes without a possible contact in the step, nearly all,
+are integrated at once; the others frame by frame, in highway-env's order: limit the action, move, apply the impact of
+the frame before, detect collisions.
 """
 
 import numpy as np
@@ -37,10 +37,7 @@ ROW_M = abs(float(SLOT_POSITIONS[0, 1]))
 
 
 class Simulator:
-    """n scenes of an env variant, simulated together.
-
-    The same scene and actions give highway-env's trajectory. Scenes are independent; none is ever reset by itself.
-    """
+    """n independent scenes of an env variant, simulated together; none is ever reset by itself."""
 
     state: SceneState
 
@@ -142,10 +139,7 @@ class Simulator:
         return (controls[0], none) if self.longitudinal else (none, controls[0])
 
     def _drive(self, acceleration: np.ndarray, steering: np.ndarray) -> np.ndarray:
-        """Integrate all frames of a step as if nothing were in the way; return the rows where that may be wrong.
-
-        The bounds are generous, for every frame of the step and the one that collisions are predicted for.
-        """
+        """Integrate all frames of a step as if there were no obstacles; return the rows where that may be wrong."""
         state = self.state
         position, heading, speed = state.position, state.heading, state.speed
         slip = slip_angle(steering)
@@ -177,7 +171,7 @@ class Simulator:
         return np.flatnonzero(may)
 
     def _near_parked(self, reach: np.ndarray) -> np.ndarray:
-        """Return a mask of the scenes where a parked car is near, or no longer where it stood."""
+        """Return a mask of the scenes where a parked car is near, or has been moved."""
         state = self.state
         near: np.ndarray = state.disturbed.copy()
         close = np.flatnonzero(np.abs(state.position[1]) + reach > ROW_M)
