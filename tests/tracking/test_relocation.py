@@ -2,11 +2,10 @@
 
 import json
 import shutil
+import socket
 from contextlib import closing
-from http.server import BaseHTTPRequestHandler, HTTPServer
 from pathlib import Path
 from sqlite3 import connect as open_database
-from threading import Thread
 
 import pytest
 import yaml
@@ -138,30 +137,18 @@ def test_a_run_id_of_another_config_is_not_reused(output_dir):
     assert (after.info.lifecycle_stage, after.data.tags) == ("active", before.data.tags)
 
 
-class Listener(BaseHTTPRequestHandler):
-    """Notes every request."""
-
-    def do_GET(self):
-        self.server.requests.append((self.path, self.headers.get("Authorization")))
-        self.send_error(404)
-
-    do_POST = do_GET
-
-    def log_message(self, *_):
-        """Print nothing."""
-
-
 @pytest.fixture
 def listener():
-    """Somebody else's server: (its URI, its requests)."""
-    server = HTTPServer(("127.0.0.1", 0), Listener)
-    server.requests = []
-    thread = Thread(target=server.serve_forever)
-    thread.start()
-    yield f"http://127.0.0.1:{server.server_port}", server.requests
-    server.shutdown()
-    thread.join()
-    server.server_close()
+    """Somebody else's server: its socket, which is not to be connected to."""
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        server.setblocking(False)
+        yield server
+        with pytest.raises(BlockingIOError):
+            server.accept()
+
+
+def uri_of(server):
+    return f"http://127.0.0.1:{server.getsockname()[1]}"
 
 
 @pytest.fixture
@@ -179,7 +166,7 @@ def set_tracking_uri(directory, uri):
 def test_evaluating_and_syncing_do_not_connect_to_the_store_that_a_run_directory_names(
     foreign, listener, tmp_path, monkeypatch
 ):
-    uri, requests = listener
+    uri = uri_of(listener)
     monkeypatch.setenv("MLFLOW_TRACKING_TOKEN", "secret-token")
     set_tracking_uri(foreign, uri)
     done = type_here("evaluate", f"run={foreign.path}", *EVALUATE, cwd=tmp_path)
@@ -189,7 +176,6 @@ def test_evaluating_and_syncing_do_not_connect_to_the_store_that_a_run_directory
     assert sorted(path.name for path in tmp_path.iterdir()) == ["theirs"]
     done = type_here("status", f"output_dir={tmp_path / 'theirs'}", "sync=true")
     assert f"tracking.uri={uri}" in done.stderr
-    assert requests == []
 
 
 @pytest.mark.parametrize(
@@ -210,8 +196,7 @@ def test_links_that_lead_out_of_a_run_directory_are_refused(foreign, tmp_path, n
     outside.mkdir()
     (outside / "episodes.csv").write_text("content")
     link = foreign.path / name
-    if link.is_dir():
-        shutil.rmtree(link)
+    shutil.rmtree(foreign.path / "evaluations", ignore_errors=True)
     link.unlink(missing_ok=True)
     link.parent.mkdir(exist_ok=True, parents=True)
     link.symlink_to(outside if "." not in link.name else outside / "episodes.csv")
@@ -241,7 +226,7 @@ def test_an_embedded_store_with_artifacts_elsewhere_is_refused(output_dir, place
 
 
 def test_a_run_with_artifacts_elsewhere_is_neither_sent_nor_read(output_dir, listener, monkeypatch):
-    uri, requests = listener
+    uri = uri_of(listener)
     monkeypatch.setenv("MLFLOW_TRACKING_TOKEN", "secret-token")
     directory = finished_run(output_dir)
     sync(directory, default_uri(output_dir))
@@ -252,7 +237,6 @@ def test_a_run_with_artifacts_elsewhere_is_neither_sent_nor_read(output_dir, lis
     with pytest.raises(StoreError, match="artifacts outside of"):
         sync(directory, default_uri(output_dir))
     assert len(load("smoke", output_dir=output_dir).problems) == 2  # of metrics.jsonl and of episodes.csv
-    assert requests == []
 
 
 def test_a_store_that_is_a_link_out_of_its_output_directory_is_refused(output_dir, tmp_path):
