@@ -107,7 +107,7 @@ def test_a_composed_config_is_checked_and_of_one_run():
     config = compose("experiment=smoke", "seed=3")
     assert isinstance(config, RunConfig)
     assert (config.experiment_name, config.seed) == ("smoke", 3)
-    with pytest.raises(ConfigError, match="stand for 2 runs"):
+    with pytest.raises(ConfigError, match="2 runs"):
         compose("seed=1,2")
     with pytest.raises(ConfigError, match=r"^n_envs=0: "):
         compose("n_envs=0")
