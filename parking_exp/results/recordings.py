@@ -97,9 +97,12 @@ def read_trajectories(content: bytes | None) -> pd.DataFrame:
     if content is None:
         return empty_frame(TRAJECTORIES)
     with np.load(io.BytesIO(content), allow_pickle=False) as arrays:
-        lengths = arrays["length"]
+        lengths, cars = arrays["length"], {name: arrays[name] for name in CAR_COLUMNS}
+        # Checked before use: the lengths of a file from elsewhere could ask for any amount of memory.
+        n_rows, finite = len(cars["x_m"]), all(np.isfinite(column).all() for column in cars.values())
+        if not finite or (lengths < 0).any() or (lengths > n_rows).any() or lengths.sum() != n_rows:
+            raise ValueError("its rows are not those of trajectories")
         steps = np.concatenate([np.arange(0), *map(np.arange, lengths)])
-        cars = {name: arrays[name] for name in CAR_COLUMNS}
         rows = pd.DataFrame({"scene": np.repeat(arrays["scene"], lengths), "step": steps, **cars})
     return rows.astype(TRAJECTORIES)
 

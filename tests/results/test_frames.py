@@ -242,11 +242,11 @@ def test_damaged_trajectories_are_refused_with_their_run(output_dir, tmp_path):
     arrays |= dict.fromkeys(("x_m", "y_m", "heading_rad", "speed_mps"), np.zeros(5))
     np.savez(tmp_path / "short.npz", **{**arrays, "x_m": np.zeros(4)})
     np.savez(tmp_path / "pickled.npz", **{**arrays, "x_m": np.array([print] * 5, dtype=object)})
-    short, pickled = ((tmp_path / name).read_bytes() for name in ("short.npz", "pickled.npz"))
-    looks = [
-        Look(contents={"trajectories.npz": content}, trajectories=0) for content in (b"", short, pickled, short[:300])
-    ]
-    make_store(output_dir, "e", {"": []}, range(4), lambda _, seed: looks[seed])
+    np.savez(tmp_path / "huge.npz", **{**arrays, "length": np.array([2, 10**15])})
+    np.savez(tmp_path / "infinite.npz", **{**arrays, "x_m": np.full(5, np.inf)})
+    short, *others = ((tmp_path / f"{name}.npz").read_bytes() for name in ("short", "pickled", "huge", "infinite"))
+    looks = [Look(contents={"trajectories.npz": content}, trajectories=0) for content in (short[:300], short, *others)]
+    make_store(output_dir, "e", {"": []}, range(5), lambda _, seed: looks[seed])
     results = load("e", output_dir=output_dir)
     for run_id in results.runs["run_id"]:
         with pytest.raises(ResultsError, match=rf"^run {run_id}: trajectories.npz can't be read: "):
