@@ -55,7 +55,10 @@ def build_model(config: RunConfig, env: VecEnv, seed: int, *, for_training: bool
     build = instantiate(node)
     objects: dict[str, Any] = {"env": env, "train_freq": train_freq, "policy_kwargs": _policy_kwargs(config)}
     if config.algorithm.features == "ego_mirrored":
-        objects["policy"] = MIRRORED[policy_class(get_class(target)) or object]
+        policy = policy_class(get_class(target))
+        if policy not in MIRRORED:
+            raise ConfigError(f"algorithm.features=ego_mirrored: {target} has no mirrored policy")
+        objects["policy"] = MIRRORED[policy]
     if (noise := arguments.get("action_noise")) is not None:
         objects["action_noise"] = _action_noise(noise, env.num_envs)
     if for_training:

@@ -14,7 +14,7 @@ from pydantic import ConfigDict, TypeAdapter, ValidationError
 
 from parking_exp.config.argument_limits import CLASS_LIMITS, LIMITS
 from parking_exp.config.messages import reason, sentence, unknown_key
-from parking_exp.config.schema import AlgorithmConfig, RunConfig
+from parking_exp.config.schema import AlgorithmConfig, BufferConfig, RunConfig
 from parking_exp.errors import suggestion
 
 # Base classes of the sections' classes.
@@ -37,6 +37,8 @@ MIRRORED_POLICIES = ("stable_baselines3.sac.MultiInputPolicy", "stable_baselines
 HYDRA_KEYS = {"_target_", "_partial_", "_convert_", "_recursive_", "_args_"}
 # May be null although the library's annotation has no None: the run computes them.
 NULLABLE = {"train_freq", "gradient_steps"}
+# By section, our own keys beside the class's arguments.
+SECTION_KEYS = {"algorithm": AlgorithmConfig.model_fields, "buffer": BufferConfig.model_fields}
 # By section, arguments that the run sets itself, and the key to use instead, if there is one.
 SET_BY_RUN: dict[str, dict[str, str | None]] = {
     "algorithm": {
@@ -78,7 +80,9 @@ def find(target: object) -> Any:
         problem = f"{path} cannot be imported: {type(error).__name__}: {error}".splitlines()[0]
         raise UnknownTarget(problem + extra) from error
     if not hasattr(module, name):
-        raise UnknownTarget(f"there is no {name!r} in {path}{suggestion(name, vars(module))}")
+        raise UnknownTarget(
+            f"there is no {name!r} in {path}{suggestion(name, [public for public in vars(module) if public[0] != '_'])}"
+        )
     return getattr(module, name)
 
 
@@ -160,7 +164,7 @@ def _check_call(key: str, call: Any, given: Mapping[str, Any], *, partial: bool 
         if name in set_by_run:
             yield f"{path} is set by the run itself" + (f"; use {set_by_run[name]}" if set_by_run[name] else "")
         elif name not in parameters and not is_open:
-            yield unknown_key(path, own_names)
+            yield unknown_key(path, [*own_names, *SECTION_KEYS.get(key, ())])
         elif isinstance(value, Mapping) and "_target_" in value:
             yield from _check_target(path, value, CLASS_ARGUMENTS.get(name), partial=name in CLASS_ARGUMENTS)
         elif isinstance(value, str) and name in CLASS_ARGUMENTS:

@@ -51,8 +51,9 @@ def _check_buffer(run: RunConfig) -> Iterator[str]:
         yield f"buffer.{her_options[0]} has no effect without virtual goals; leave it out, or use buffer=her_future"
     longest = run.env.for_training().episode_steps()
     if relabels and (not isinstance(starts, int) or starts < longest * run.n_envs):
+        key = "algorithm.learning_starts" if starts is None else f"algorithm.learning_starts={starts}"
         yield (
-            f"algorithm.learning_starts={starts}: HER samples finished episodes only; give at least "
+            f"{key}: HER samples finished episodes only; give at least "
             f"{longest * run.n_envs}: {longest} steps of the longest training episode x {run.n_envs} envs"
         )
     elif isinstance(starts, int) and run.total_timesteps <= starts:

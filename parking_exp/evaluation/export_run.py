@@ -98,7 +98,10 @@ def sample_observations(policy: "Policy", env: EnvConfig, number: int) -> "Obser
         is_random = rng.random((len(actions), 1)) < RANDOM_FRACTION
         return np.where(is_random, rng.uniform(-1, 1, actions.shape), actions)
 
-    evaluate(explore, env, range(N_SCENES))
+    first = 0
+    while sum(len(batch["observation"]) for batch in batches) < number:
+        evaluate(explore, env, range(first, first + N_SCENES))
+        first += N_SCENES
     stacked = {name: np.concatenate([batch[name] for batch in batches]) for name in batches[0]}
     drawn = np.linspace(0, len(stacked["observation"]) - 1, number).astype(int)
     return {name: values[drawn] for name, values in stacked.items()}

@@ -8,7 +8,7 @@ from parking_exp.statistics.intervals import BOOTSTRAP, EXACT, NONE, SCORE, T
 
 INTERVALS = {
     BOOTSTRAP: "Intervals of means over 5 seeds and more are studentised bootstrap intervals: where rates pile up "
-    "below 100 %, Student's and BCa's cover less than they say.",
+    "below 100 %, Student's and BCa's cover less than 95 %.",
     SCORE: "Intervals of means over 2 to 4 seeds are Wilson's, with Student's quantile and as many trials as the "
     "variance between seeds amounts to.",
     EXACT: "Where all seeds ended alike, as with 0 % or 100 %, the interval is a bound that holds whatever "

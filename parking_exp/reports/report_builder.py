@@ -164,7 +164,7 @@ def _unique(*parts: Iterable[str]) -> list[str]:
 def _first(problems: Sequence[str]) -> list[str]:
     """Return problems with single runs, the first of many."""
     more = len(problems) - MOST_PROBLEMS
-    rest = [f"Runs with such problems besides: {more}."] if more > 0 else []
+    rest = [f"More runs with such problems: {more}."] if more > 0 else []
     return [*problems[:MOST_PROBLEMS], *rest]
 
 

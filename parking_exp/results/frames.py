@@ -13,7 +13,7 @@ import pandas as pd
 
 from parking_exp.config.credentials import keep_password
 from parking_exp.config.paths import database, default_uri, directory_path
-from parking_exp.errors import ParkingError, ResultsError, plural, suggestion
+from parking_exp.errors import ParkingError, ResultsError, suggestion
 from parking_exp.evaluation.metrics import METRICS
 from parking_exp.evaluation.trajectories import TRAJECTORIES_FILE
 from parking_exp.results.recordings import read_curves, read_episodes, read_trajectories
@@ -52,6 +52,9 @@ RUN_TYPES: dict[str, Any] = {
 
 DOWNLOADS_AT_ONCE = 16
 SEED = re.compile(r"\d{1,18}")
+# Narrower than what int() and float() accept: 2024_11 is a name.
+INTEGER = re.compile(r"[+-]?\d{1,300}")
+FLOAT = re.compile(r"[+-]?(?!\d+$)(\d+\.?\d*|\.\d+)(e[+-]?\d+)?|[+-]?inf|nan", re.IGNORECASE)
 TAGS = ("cell", "seed", "run_key", "run_dir", "status")
 """Tags of every run of this package; other runs are ignored."""
 
@@ -82,14 +85,14 @@ class Results:
         """
         self._check_run_id(run_id)
         places = self.runs.loc[self.runs["run_id"] == run_id, "artifact_uri"]
-        with _refused(f"run {run_id}: {TRAJECTORIES_FILE} can't be read"):
+        with _as_results_error(f"run {run_id}: {TRAJECTORIES_FILE} can't be read"):
             stored = self.store.artifact(run_id, places.iloc[0], TRAJECTORIES_FILE) if self.store else None
             return read_trajectories(stored)
 
     def _check_run_id(self, run_id: str) -> None:
         if run_id not in set(self.runs["run_id"]):
             hint = suggestion(run_id, self.runs["run_id"])
-            raise ResultsError(f"run_id={run_id}: it is none of {plural(len(self.runs), 'run')}{hint}")
+            raise ResultsError(f"run_id={run_id}: there is no such run{hint}")
 
 
 def load(
@@ -113,7 +116,7 @@ def read_store(store: Store, experiments: str | Iterable[str] | None) -> Results
     """Read runs from a store; see `load`."""
     if (path := database(store.uri)) is not None and not path.is_file():
         raise ResultsError(f"there is no store {path}; train something first, or name another output_dir or store")
-    with _refused(f"the store {store.uri} can't be read"):
+    with _as_results_error(f"the store {store.uri} can't be read"):
         ids = _chosen(store, experiments)
         stored = [run for run in store.runs(list(ids.values())) if run.info.lifecycle_stage == "active"]
     kept = [run for run in stored if _is_from_this_package(run)]
@@ -121,7 +124,7 @@ def read_store(store: Store, experiments: str | Iterable[str] | None) -> Results
         searched = store.uri if experiments is None else f"experiment={','.join(ids)}"
         others = f", but {len(stored)} by others" if stored else ""
         raise ResultsError(f"{searched}: it has no runs of parking_exp{others}")
-    with _refused(f"the store {store.uri} can't be read"):
+    with _as_results_error(f"the store {store.uri} can't be read"):
         runs = _runs(kept, {experiment_id: name for name, experiment_id in ids.items()}, store.run_dir)
     logs, log_problems = _artifacts(store, runs, "metrics.jsonl")
     curves, steps, damaged_logs = read_curves(logs)
@@ -137,7 +140,7 @@ def read_store(store: Store, experiments: str | Iterable[str] | None) -> Results
 
 
 @contextmanager
-def _refused(what: str) -> Iterator[None]:
+def _as_results_error(what: str) -> Iterator[None]:
     """Turn any error of a store or its files into a ResultsError."""
     try:
         yield
@@ -156,7 +159,7 @@ def _chosen(store: Store, experiments: str | Iterable[str] | None) -> dict[str, 
     for name in names:
         if name not in ids:
             hint = suggestion(name, set(ids) - {"Default"})
-            raise ResultsError(f"experiment={name}: {store.uri} has none of that name{hint}")
+            raise ResultsError(f"experiment={name}: there is no such experiment in {store.uri}{hint}")
     return {name: ids[name] for name in names}
 
 
@@ -170,12 +173,15 @@ def parse_value(text: str | None) -> Any:
     """Return the value that a parameter is the text of: None, a bool, a number. Lists, mappings and words stay text."""
     if text in (None, "None", "True", "False"):
         return {"True": True, "False": False}.get(text or "")
-    for number in (int, float):
-        try:
-            return number(text)
-        except ValueError:
-            pass
-    return text
+    if INTEGER.fullmatch(text):
+        return int(text)
+    return float(text) if FLOAT.fullmatch(text) else text
+
+
+def _int64(text: str | None) -> int | None:
+    """Return the whole number that a text is; None for any other."""
+    value = parse_value(text)
+    return value if type(value) is int and abs(value) < 2**63 else None
 
 
 def config_column(texts: Iterable[str | None]) -> pd.Series:
@@ -195,7 +201,7 @@ def _runs(stored: Sequence["Run"], names: Mapping[str, str], run_dir: Callable[[
             {name: tags.get(name) for name in ("cell", "run_key", "seed", "status", "git_commit", "cpu")}
             | {"run_id": info.run_id, "name": info.run_name, "experiment": names[info.experiment_id]}
             | {"error": tags.get("error") or None, "steps": 0}
-            | {column: parse_value(params.get(key)) for key, column in CONFIGURED.items()}
+            | {column: _int64(params.get(key)) for key, column in CONFIGURED.items()}
             | {column: metrics.get(key) for key, column in (final | COST).items()}
             | {"started": info.start_time, "ended": info.end_time}
             | {"run_dir": str(place) if place else None, "artifact_uri": info.artifact_uri}
@@ -203,7 +209,7 @@ def _runs(stored: Sequence["Run"], names: Mapping[str, str], run_dir: Callable[[
         )
     runs = pd.DataFrame(rows, columns=[*RUN_TYPES], dtype=object)
     for name in ("started", "ended"):
-        runs[name] = pd.to_datetime(runs[name].astype("Int64"), unit="ms", utc=True)
+        runs[name] = pd.to_datetime(runs[name].astype("Int64"), unit="ms", utc=True, errors="coerce")
     versions = sorted({name for run in stored for name in run.data.tags if name.startswith("version.")})
     keys = sorted({key for run in stored for key in run.data.params})
     described = {name: pd.Series([run.data.tags.get(name) for run in stored], dtype=TEXT) for name in versions}
@@ -243,4 +249,4 @@ def _duplicates(runs: pd.DataFrame) -> Iterator[str]:
     numbers = runs.groupby(["experiment", "cell", "seed"], sort=False).size()
     for key, number in numbers[numbers > 1].items():
         experiment, cell, seed = cast(tuple[str, str, int], key)
-        yield f"{experiment}, {cell}, seed {seed}: {number} runs have it"
+        yield f"{experiment}, {cell}, seed {seed}: {number} runs have this cell and seed"

@@ -14,11 +14,11 @@ from parking_exp.evaluation.metrics import DTYPES, METRICS
 from parking_exp.evaluation.trajectories import CAR_COLUMNS
 
 CURVE = {f"eval/{metric.key}": metric.key for metric in METRICS if metric.in_curves}
-BESIDE_A_CURVE = {"time/cpu_s": "cpu_s", "buffer/real_share": "real_share"}
+FURTHER_CURVE_METRICS = {"time/cpu_s": "cpu_s", "buffer/real_share": "real_share"}
 CURVE_TYPES: dict[str, Any] = {
     "run_id": "str",
     "step": "int64",
-    **dict.fromkeys([*CURVE.values(), *BESIDE_A_CURVE.values()], "float64"),
+    **dict.fromkeys([*CURVE.values(), *FURTHER_CURVE_METRICS.values()], "float64"),
 }
 """Columns of `Results.curves`, and their types."""
 REQUIRED: dict[str, Any] = {
@@ -27,7 +27,7 @@ REQUIRED: dict[str, Any] = {
     "scene": "int64",
     "outcome": pd.CategoricalDtype([*OUTCOMES]),
 }
-"""Columns of episodes without which a row means nothing; runs made before a metric was added lack others."""
+"""Required columns of episodes; runs made before a metric was added lack others."""
 EPISODES: dict[str, Any] = {**REQUIRED, **DTYPES}
 """Columns of `Results.episodes` after the run id, and their types."""
 TRAJECTORIES: dict[str, Any] = {"scene": "int64", "step": "int64", **dict.fromkeys(CAR_COLUMNS, "float32")}
@@ -39,7 +39,7 @@ def read_curves(logs: Mapping[str, bytes]) -> tuple[pd.DataFrame, dict[str, int]
     Args:
         logs: content of `metrics.jsonl` by run id.
     """
-    names = {**CURVE, **BESIDE_A_CURVE}
+    names = {**CURVE, **FURTHER_CURVE_METRICS}
     points = dict[tuple[str, int], dict[str, Any]]()
     steps, problems = dict[str, int](), dict[str, str]()
     for run_id, content in logs.items():
@@ -47,7 +47,7 @@ def read_curves(logs: Mapping[str, bytes]) -> tuple[pd.DataFrame, dict[str, int]
             for record in map(json.loads, content.splitlines()):
                 values = {names[key]: float(value) for key, value in record["metrics"].items() if key in names}
                 if values:
-                    step = int(record["step"])
+                    step = int(np.int64(record["step"]))
                     points.setdefault((run_id, step), {"run_id": run_id, "step": step}).update(values)
                     steps[run_id] = max(step, steps.get(run_id, 0))
         except (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError):
@@ -92,7 +92,7 @@ def read_trajectories(content: bytes | None) -> pd.DataFrame:
     """Return the rows of `trajectories.npz`, none for None.
 
     Raises:
-        Exception: whatever NumPy and pandas raise if the content is no such file.
+        Exception: of any class, if the content is not such a file.
     """
     if content is None:
         return empty_frame(TRAJECTORIES)

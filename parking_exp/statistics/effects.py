@@ -171,7 +171,8 @@ def _importance(column: pd.Series, response: pd.Series) -> ParameterImportance:
     if df == 0:
         return ParameterImportance(name, 0.0, 1.0, direction)
     share = min(max(1 - left * (n - 1) / df, 0.0), 1.0)
-    p = float(fdtrc(rank - 1, df, (1 - left) / (rank - 1) / max(left / df, 1e-12)))
+    # Rounding may leave more than there was.
+    p = float(fdtrc(rank - 1, df, max(1 - left, 0.0) / (rank - 1) / max(left / df, 1e-12)))
     return ParameterImportance(name, share, p, direction)
 
 

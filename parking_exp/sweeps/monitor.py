@@ -101,7 +101,7 @@ class Monitor:
         total = max((state.total_timesteps or 0 for state in states), default=0) * self._n_runs
         steps = self._steps()
         left = ""
-        if self._steps_before < steps < total:  # afterwards only final evaluations are left
+        if over < self._n_runs and self._steps_before < steps < total:  # afterwards only final evaluations are left
             seconds = (total - steps) * (time.monotonic() - self._begin) / (steps - self._steps_before)
             left = f", about {duration(seconds)} left"
         return f"{over} of {self._n_runs}{left}"

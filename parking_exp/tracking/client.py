@@ -91,8 +91,9 @@ def reason(error: BaseException) -> str:
     causes = [error]
     while (cause := causes[-1].__cause__ or causes[-1].__context__) and cause not in causes:
         causes.append(cause)
-    if not isinstance(error, ParkingError):
-        error = next((cause for cause in reversed(causes) if isinstance(cause, OSError | sqlite3.Error)), error)
+    if isinstance(error, ParkingError):
+        return strip_password(str(error))
+    error = next((cause for cause in reversed(causes) if isinstance(cause, OSError | sqlite3.Error)), error)
     text = getattr(error, "strerror", None) or str(error) or type(error).__name__
     if isinstance(error, OSError) and error.filename:
         text += f": {error.filename}"

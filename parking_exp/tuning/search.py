@@ -50,7 +50,7 @@ class Search:
             composed = copy.deepcopy(self._compose_options(options))
             for key, value in changes.items():
                 if key not in groups:
-                    name, is_added = key.removeprefix("+"), key.startswith("+")
+                    name, is_added = key.lstrip("+"), key.startswith("+")
                     OmegaConf.update(composed.cell, name, value, merge=True, force_add=is_added)
         return composed
 
@@ -121,7 +121,7 @@ class Search:
             options = space[group].choices if group != key and group in space else None
             for context in [{group: option} for option in options or []] or [{}]:
                 to_check += [(f"search.space.{key}", {**context, key: value}) for value in dimension.ends]
-        for place, changes in [] if problems else to_check:
+        for place, changes in to_check:
             try:
                 self.config(changes)
             except ConfigError as error:

@@ -7,8 +7,9 @@ from pathlib import Path
 from statistics import mean
 from typing import TYPE_CHECKING, Literal
 
+from parking_exp.config.credentials import strip_password
 from parking_exp.config.schema import RunConfig
-from parking_exp.errors import ConfigError, OutputDirectoryError
+from parking_exp.errors import ConfigError, OutputDirectoryError, StoreError
 from parking_exp.runs.directory import RunDirectory
 from parking_exp.runs.metric_logs import read_metrics
 from parking_exp.runs.run_state import read_state
@@ -17,7 +18,7 @@ from parking_exp.sweeps.local import Train
 from parking_exp.sweeps.supervisor import Stop, WorkerResult, stop_of_job, supervise
 from parking_exp.tuning.objectives import objective_value, success_curve, updates_at, values_so_far
 from parking_exp.tuning.search import Search
-from parking_exp.tuning.study import CHANGES, CPU_S, REASON, RUNS, SEED_VALUES, STEPS, claim, storage_errors
+from parking_exp.tuning.study import CHANGES, CPU_S, REASON, RUNS, SEED_VALUES, STEPS, claim
 
 if TYPE_CHECKING:
     from omegaconf import DictConfig
@@ -53,12 +54,14 @@ def work(folder: Path, n_trials: int, train: Train, storage: str | None = None) 
     Raises:
         StoreError: the study can't be read or written.
     """
+    from optuna.exceptions import OptunaError
     from optuna.pruners import MedianPruner, NopPruner
+    from sqlalchemy.exc import SQLAlchemyError
 
     search = Search.load(folder, storage)
     opened, settings = search.open(), search.request.search
     opened.study.pruner = MedianPruner(n_startup_trials=5) if settings.pruner else NopPruner()
-    with storage_errors(folder.name):
+    try:
         while (claimed := claim(opened, settings, n_trials)) is not None:
             trial, lock = claimed
             try:
@@ -66,6 +69,9 @@ def work(folder: Path, n_trials: int, train: Train, storage: str | None = None) 
                     return
             finally:
                 lock.release()
+    except (OptunaError, SQLAlchemyError) as error:
+        line = strip_password(str(error).splitlines()[0])
+        raise StoreError(f"the study {folder.name} can't be used: {line}; rerun the same command to resume") from error
 
 
 class _TrialTraining:

@@ -3,6 +3,7 @@
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args
 
@@ -84,18 +85,24 @@ def rows(study: "Study", folder: Path, n_trials: int) -> list[TrialRow]:
     return [_row(trial, folder) for trial in trials]
 
 
+@cache
+def _trial_rows() -> TypeAdapter[TrialRow]:
+    return TypeAdapter(TrialRow)
+
+
 def _row(trial: "FrozenTrial", folder: Path) -> TrialRow:
     held = trial.state.name == "RUNNING" and is_held(trial_lock_path(folder, trial.number))
+    # Optuna takes the last intermediate value of a pruned trial for its value.
+    values = trial.values if trial.state.name == "COMPLETE" else None
     entries = {
         **trial.user_attrs,
         "number": trial.number,
         "state": STATES.get(trial.state.name, "running" if held else "pending"),
-        # Optuna takes the last intermediate value of a pruned trial for its value.
-        "value": trial.value if trial.state.name == "COMPLETE" else None,
+        "value": values[0] if values and len(values) == 1 else values,
     }
     try:
         parameters = {name: plain_choice(value) for name, value in trial.params.items()}
-        return TypeAdapter(TrialRow).validate_python({**entries, "parameters": parameters})
+        return _trial_rows().validate_python({**entries, "parameters": parameters})
     except ValueError as error:
         entry = error.errors()[0]["loc"][0] if isinstance(error, ValidationError) else "parameters"
         raise ConfigError(f"the study is damaged: trial {trial.number} has no valid {entry}") from error

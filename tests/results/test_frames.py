@@ -111,7 +111,7 @@ def test_config_columns_are_typed_and_what_a_cell_does_not_have_is_missing(ablat
 
 
 PARAMS = [("3", 3), ("5e-05", 5e-05), ("inf", math.inf), ("True", True), ("None", None), (None, None), ("auto", "auto"),
-          ("[1, 2]", "[1, 2]"), ("", ""), ("1.2.3", "1.2.3")]  # fmt: skip
+          ("[1, 2]", "[1, 2]"), ("", ""), ("1.2.3", "1.2.3"), ("2024_11", "2024_11"), (" 5 ", " 5 "), ("9" * 400, "9" * 400)]  # fmt: skip
 
 
 @pytest.mark.parametrize(("text", "value"), PARAMS)

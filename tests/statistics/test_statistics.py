@@ -355,6 +355,15 @@ def test_importance_of_a_category_is_the_adjusted_correlation_ratio():
     assert kind.p == pytest.approx(stats.f_oneway([1, 2, 3], [4, 5, 6]).pvalue)
 
 
+def test_an_importance_without_any_effect_has_a_p_of_1():
+    rng = np.random.default_rng(0)
+    for _ in range(100):
+        values = rng.uniform(size=5)
+        table = pd.DataFrame({"kind": ["a"] * 5 + ["b"] * 5, "success": [*values, *rng.permutation(values)]})
+        (kind,) = importance(table, ["kind"], "success")
+        assert (kind.share, kind.p) == (0.0, pytest.approx(1.0))
+
+
 # Coverage
 
 
