@@ -37,5 +37,5 @@ def random(rng: np.random.Generator, episodes: EpisodeIndex, index: np.ndarray, 
 
 
 STRATEGIES: dict[str, Strategy] = {"future": future, "final": final, "episode": episode, "random": random}
-"""Values of `buffer.goal_selection_strategy`. A new one: a name in `config.argument_limits`, a function of that name here,
-and a file in conf/buffer."""
+"""Values of `buffer.goal_selection_strategy`. A new one: a name in `config.argument_limits`, a function of that name
+here, and a file in conf/buffer."""
