@@ -69,12 +69,7 @@ def validate_status(config: DictConfig) -> StatusRequest:
 
 
 def show(config: DictConfig) -> None:
-    """Print the progress of runs, repeatedly with `watch`.
-
-    Raises:
-        RunNotFoundError: there are none.
-        StoreError: with `sync`, a store still fails.
-    """
+    """Print the progress of runs, repeatedly with `watch`."""
     request, out = validate_status(config), console()
     if request.sync:
         _sync(request)

@@ -1,6 +1,6 @@
 """Ranges and choices of well-known arguments of third-party classes, which their signatures do not state."""
 
-from typing import Annotated, Any, Literal, get_args
+from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
@@ -10,7 +10,6 @@ GoalStrategy = Literal["future", "final", "episode", "random"]
 RelabelCollision = Literal["keep", "sb3", "exclude"]
 RelabelTerminated = Literal["sb3", "goal", "goal_and_crash", "env"]
 GoalVelocity = Literal["achieved", "zero"]
-GOAL_STRATEGIES: tuple[str, ...] = get_args(GoalStrategy)
 # Arguments of `HerBuffer` that say how transitions are relabelled, with their choices.
 RELABEL_OPTIONS: dict[str, Any] = {
     "relabel_collision": RelabelCollision,

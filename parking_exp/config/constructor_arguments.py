@@ -15,7 +15,7 @@ from pydantic import ConfigDict, TypeAdapter, ValidationError
 from parking_exp.config.argument_limits import CLASS_LIMITS, LIMITS
 from parking_exp.config.messages import reason, sentence, unknown_key
 from parking_exp.config.schema import AlgorithmConfig, BufferConfig, RunConfig
-from parking_exp.errors import suggestion
+from parking_exp.errors import ConfigError, suggestion
 
 # Base classes of the sections' classes.
 BASES = {
@@ -60,29 +60,24 @@ SET_BY_RUN: dict[str, dict[str, str | None]] = {
 }
 
 
-class UnknownTarget(LookupError):
-    """A dotted path that names nothing that can be imported; the message says why."""
-
-
 def find(target: object) -> Any:
     """Import the class or function at a dotted path.
 
     Raises:
-        UnknownTarget: there is none, or its module cannot be imported.
+        ConfigError: there is none, or its module cannot be imported.
     """
     if not isinstance(target, str) or "." not in target.strip("."):
-        raise UnknownTarget("is not a dotted path, PACKAGE.MODULE.CLASS")
+        raise ConfigError("is not a dotted path, PACKAGE.MODULE.CLASS")
     path, _, name = target.rpartition(".")
     try:
         module = import_module(path)
     except Exception as error:  # whatever a module does when it is imported
         extra = "; pip install 'parking-exp[contrib]'" if path.startswith("sb3_contrib") else ""
         problem = f"{path} cannot be imported: {type(error).__name__}: {error}".splitlines()[0]
-        raise UnknownTarget(problem + extra) from error
+        raise ConfigError(problem + extra) from error
     if not hasattr(module, name):
-        raise UnknownTarget(
-            f"there is no {name!r} in {path}{suggestion(name, [public for public in vars(module) if public[0] != '_'])}"
-        )
+        public = [each for each in vars(module) if not each.startswith("_")]
+        raise ConfigError(f"there is no {name!r} in {path}{suggestion(name, public)}")
     return getattr(module, name)
 
 
@@ -143,7 +138,7 @@ def _check_target(key: str, value: Any, base: str | None = None, *, partial: boo
     place = f"{key}._target_={target}" if isinstance(value, Mapping) else f"{key}={target}"
     try:
         call = find(target)
-    except UnknownTarget as error:
+    except ConfigError as error:
         yield f"{place}: {error}"
         return
     if base is not None and not (isinstance(call, type) and issubclass(call, find(base))):

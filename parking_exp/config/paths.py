@@ -3,13 +3,9 @@
 import os
 from collections.abc import Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING
 from urllib.parse import unquote, urlparse
 
 from parking_exp.errors import UntrustedError
-
-if TYPE_CHECKING:
-    from parking_exp.config.schema import RunConfig
 
 SQLITE = "sqlite:///"
 ARTIFACTS = "mlflow-artifacts"  # folder of an output directory
@@ -24,11 +20,6 @@ def directory_path(text: str | Path) -> Path:
 def default_uri(output_dir: Path) -> str:
     """Return the URI of the embedded store of an output directory."""
     return f"{SQLITE}{output_dir / 'mlflow.db'}"
-
-
-def store_uri(config: "RunConfig") -> str:
-    """Return the URI of a run's store."""
-    return absolute(config.tracking.uri or default_uri(config.output_path))
 
 
 def absolute(uri: str, base: Path | None = None) -> str:

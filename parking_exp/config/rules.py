@@ -5,8 +5,9 @@ from collections.abc import Iterator, Mapping
 
 from parking_exp.config.allowlist import ALLOWED
 from parking_exp.config.argument_limits import HER_OPTIONS
-from parking_exp.config.constructor_arguments import UnknownTarget, find
+from parking_exp.config.constructor_arguments import find
 from parking_exp.config.schema import DEFAULT_FEATURES, DEFAULT_SCALES, TRAINING_SCENES_START, EnvConfig, RunConfig
+from parking_exp.errors import ConfigError
 
 HER_CLASSES = ("HerBuffer", "HerReplayBuffer")
 
@@ -37,7 +38,7 @@ def check_env(env: EnvConfig) -> Iterator[str]:
     if env.other_vehicles_type not in ALLOWED:  # the import takes a second
         try:
             find(env.other_vehicles_type)
-        except UnknownTarget as error:
+        except ConfigError as error:
             yield f"env.other_vehicles_type={env.other_vehicles_type}: {error}"
 
 

@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
 from parking_exp.config.credentials import strip_password
-from parking_exp.config.paths import directory_path
+from parking_exp.config.paths import absolute, default_uri, directory_path
 from parking_exp.config.run_key import result_part, short_hash
 
 ENV_ID = "parking-v0"
@@ -228,6 +228,11 @@ class RunConfig(ConfigModel):
     def output_path(self) -> Path:
         """Absolute output directory."""
         return directory_path(self.output_dir)
+
+    @property
+    def store_uri(self) -> str:
+        """Absolute URI of the MLflow store."""
+        return absolute(self.tracking.uri or default_uri(self.output_path))
 
     @property
     def cell_key(self) -> str:

@@ -22,7 +22,7 @@ from filelock import FileLock, Timeout
 from pydantic import TypeAdapter, ValidationError
 
 from parking_exp.config.credentials import strip_password
-from parking_exp.config.paths import absolute, directory_path, refuse_links, relative, store_uri
+from parking_exp.config.paths import absolute, directory_path, refuse_links, relative
 from parking_exp.config.schema import RunConfig
 from parking_exp.errors import OutputDirectoryError, RunLockedError
 from parking_exp.runs.atomic_files import read_object, replacing, write_json
@@ -151,7 +151,7 @@ class RunDirectory:
             with self._writable():
                 write_config(self.path, config, durable=False)
             plan = {"label": label, "total_timesteps": config.total_timesteps, "command": command_line()}
-            uri = store_uri(config) if config.tracking.mlflow else None
+            uri = config.store_uri if config.tracking.mlflow else None
             fresh = {"status": "pending", "error": None, "killed": None, "tracking_uri": uri}
             self.update(False, **fresh, **plan, **(entries or {}))
 

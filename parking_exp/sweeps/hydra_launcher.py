@@ -24,9 +24,6 @@ class Launch:
     """A Hydra launcher, as the command line sets it up: its name and `hydra.launcher`.
 
     Any launcher works: each job of a sweep has one override, `run=PATH`. A search has jobs and a task of its own.
-
-    Raises:
-        ConfigError: the launcher is not installed, or its config is wrong.
     """
 
     def __init__(
@@ -61,10 +58,6 @@ class Launch:
 
         Returns:
             What each job returned or raised, empty if the launcher itself broke; and what broke, or None.
-
-        Raises:
-            ConfigError: a package is missing.
-            InterruptedRunError: a signal stopped it.
         """
         with hydra_ready():
             try:
@@ -91,7 +84,7 @@ def train_run(config: DictConfig) -> WorkerResult:
         KeyboardInterrupt: a signal to the job stopped it; the run's state is saved.
     """
     with stop_of_job() as stop:
-        return supervise(Path(config.run), stop=stop)
+        return supervise(Path(config.run), stop)
 
 
 def _value_of(job: JobReturn) -> Any:

@@ -46,7 +46,7 @@ def launch_workers(work: Callable[[Train], None], n_workers: int) -> dict[Path, 
         if request.is_made:
             return None
         try:
-            results[path] = supervise(path, worker, lambda: request.is_made or stop_run())
+            results[path] = supervise(path, lambda: request.is_made or stop_run(), worker)
         except Exception as error:  # e.g. its directory can't be written; the other runs continue
             say(f"error: {path}: {type(error).__name__}: {error}", stderr=True)
             results[path] = "failed"

@@ -24,11 +24,7 @@ MAX_ARRAY_SIZE = 1000  # jobs; Slurm's default of MaxArraySize is 1001
 
 
 def make_executor(executor: str, folder: Path, parameters: Mapping[str, Any]) -> Any:
-    """Return submitit's executor with these parameters.
-
-    Raises:
-        ConfigError: submitit has no such executor, finds no Slurm, or refuses a parameter.
-    """
+    """Return submitit's executor with these parameters; ConfigError if it refuses them, or finds no Slurm."""
     import submitit
 
     try:

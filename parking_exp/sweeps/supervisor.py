@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Literal
 
-from parking_exp.config.paths import directory_path, store_uri
+from parking_exp.config.paths import directory_path
 from parking_exp.errors import ConfigError, OutputDirectoryError, RunLockedError
 from parking_exp.resources import THREAD_VARIABLES
 from parking_exp.runs.directory import RunDirectory
@@ -48,13 +48,13 @@ class WorkerResources:
         return variables
 
 
-def supervise(path: Path, resources: WorkerResources | None = None, stop: Stop | None = None) -> WorkerResult:
+def supervise(path: Path, stop: Stop, resources: WorkerResources = WorkerResources()) -> WorkerResult:
     """Train one run in a fresh process, and record in its directory how it ended.
 
     Args:
         path: the run directory, with its frozen config.
-        resources: None: the whole machine.
         stop: polled; once it returns true, the run saves a checkpoint and exits, or is killed after GRACE_S.
+        resources: the whole machine by default.
     """
     directory = RunDirectory(path)
     if directory.under_way:
@@ -63,7 +63,7 @@ def supervise(path: Path, resources: WorkerResources | None = None, stop: Stop |
         with directory.supervisor_lock():
             if (status := directory.status) in ("done", "failed"):
                 return status  # by another sweep, since this one was planned
-            return _run(directory, resources or WorkerResources(), stop or (lambda: False))
+            return _run(directory, resources, stop)
     except RunLockedError:
         return "elsewhere"
 
@@ -79,9 +79,7 @@ def _run(directory: RunDirectory, resources: WorkerResources, stop: Stop) -> Wor
         return "failed"
     # Written before the worker starts, whose entries must not be overwritten.
     started_at = {"host": socket.gethostname(), "started": time.time()}
-    # The store hears of a run even if that fails before it tracks anything.
-    uri = store_uri(config) if config.tracking.mlflow else None
-    directory.update(status="running", error=None, killed=None, tracking_uri=uri, **started_at)
+    directory.update(status="running", error=None, killed=None, **started_at)
     with (directory.path / LOG_FILE).open("ab") as log:
         process = _start(directory.path, resources, log)
         try:

@@ -14,7 +14,6 @@ from rich.console import Console
 from parking_exp.config.cell_labels import label_by_experiment, settings_of
 from parking_exp.config.compose import Composed
 from parking_exp.config.overrides import in_quotes
-from parking_exp.config.paths import store_uri
 from parking_exp.config.schema import RunConfig
 from parking_exp.config.validate import validate_all
 from parking_exp.errors import FailedRunError, plural
@@ -55,11 +54,7 @@ class PlannedRun:
 
 
 def plan(composed: Sequence[Composed], retry: str | None = None) -> list[PlannedRun]:
-    """Check every run of a sweep, and read its state; with `retry`, failed runs are due as well.
-
-    Raises:
-        ConfigError: a config is wrong.
-    """
+    """Check every run of a sweep, and read its state; with `retry`, failed runs are due as well."""
     unique = {id(run.cell): run.cell for run in composed}  # a cell is checked once for all its seeds
     cells = {
         key: (config, config.run_dir.parent) for key, config in zip(unique, validate_all(unique.values()), strict=True)
@@ -162,7 +157,7 @@ def _launch_all(due: list[Path], launch: Launch, monitor: Monitor) -> None:
 def sync_store(paths: Sequence[Path], configs: Sequence[RunConfig], monitor: Monitor) -> None:
     """Send to the stores of configs what workers could not, because they were killed or the store was down."""
     directories = [RunDirectory(path) for path in paths]
-    for uri in {store_uri(config) for config in configs if config.tracking.mlflow}:
+    for uri in {config.store_uri for config in configs if config.tracking.mlflow}:
         if problem := mirror_problem(directories, Store(uri, configs[0].output_path)):
             monitor.say(problem)
 

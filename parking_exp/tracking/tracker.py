@@ -3,7 +3,6 @@
 import time
 from collections.abc import Callable
 
-from parking_exp.config.paths import store_uri
 from parking_exp.config.schema import RunConfig
 from parking_exp.runs.atomic_files import write_json
 from parking_exp.runs.directory import RunDirectory
@@ -52,7 +51,7 @@ def open_tracker(config: RunConfig, directory: RunDirectory, say: Callable[[str]
     path = directory.path / PROVENANCE_FILE
     started_ms = read_provenance(path)[0] or time.time_ns() // 1_000_000
     write_json(path, {"started_ms": started_ms, "tags": provenance()})
-    uri = store_uri(config)
+    uri = config.store_uri
     directory.update(tracking_uri=uri)
     tracker = Tracker(directory, uri, say)
     tracker.close()

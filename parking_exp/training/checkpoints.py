@@ -31,8 +31,10 @@ log = logging.getLogger(__name__)
 
 AVERAGED, BEST = "averaged.zip", "best.zip"
 STATE, ARRAYS = "state.json", "state.npz"
-COUNTERS = ("num_timesteps", "_n_updates", "_episode_num", "_current_progress_remaining")
-LAST = ("_last_obs", "_last_episode_starts")
+ATTRIBUTES = (
+    *("num_timesteps", "_n_updates", "_episode_num", "_current_progress_remaining"),
+    *("_last_obs", "_last_episode_starts"),
+)
 RECENT = ("ep_info_buffer", "ep_success_buffer")
 ARRAY, SCALAR = "__array__", "__scalar__"  # keys of the dicts that stand for an array and for a NumPy scalar
 
@@ -71,7 +73,7 @@ def save(
         if best.exists():
             shutil.copyfile(best, folder / BEST)
         copy_logs(directory.parent, folder)
-        attributes = {name: getattr(model, name) for name in (*COUNTERS, *LAST)}
+        attributes = {name: getattr(model, name) for name in ATTRIBUTES}
         recent = {name: list(getattr(model, name) or ()) for name in RECENT}
         state = {"model": attributes | recent, "streams": rollout_state.get_state(model)}
         plain, arrays = split_state(state)
@@ -120,7 +122,7 @@ def restore(folder: Path, model: OffPolicyAlgorithm, best: Path, average: Policy
         best.unlink(missing_ok=True)
     with np.load(folder / ARRAYS, allow_pickle=False) as arrays:
         state = join_state(read_json(folder / STATE), arrays)
-    for name in (*COUNTERS, *LAST):
+    for name in ATTRIBUTES:
         setattr(model, name, state["model"][name])
     for name in RECENT:
         setattr(model, name, deque(state["model"][name], maxlen=model._stats_window_size))

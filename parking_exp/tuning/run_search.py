@@ -24,8 +24,8 @@ from parking_exp.sweeps.hydra_launcher import Launch
 from parking_exp.sweeps.monitor import Monitor
 from parking_exp.sweeps.sweep import PlannedRun, sweep, sync_store
 from parking_exp.terminal import console
-from parking_exp.tuning.objectives import objective_value
 from parking_exp.tuning.search import Search, study_in
+from parking_exp.tuning.trial_worker import objective_value
 from parking_exp.tuning.trials import (
     RETEST_FILE,
     RetestedTrial,
@@ -44,14 +44,7 @@ POLL_S = 1.0
 
 
 def tune(search: Search, launch: Launch) -> None:
-    """Train the remaining trials of a search, retrain the best on test seeds, and write the winner.
-
-    Raises:
-        ConfigError: the space, the study or the launcher does not fit.
-        StoreError: the storage of the study fails.
-        FailedRunError: not all trials are over, or re-runs failed.
-        InterruptedRunError: a signal stopped it.
-    """
+    """Train the remaining trials of a search, retrain the best on test seeds, and write the winner."""
     search.check()
     out, request = console(), search.request
     n_trials, objective = request.n_trials, request.search.objective

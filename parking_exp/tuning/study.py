@@ -79,7 +79,6 @@ def storage_of(folder: Path, uri: str | None) -> Any:
     """Return the storage of a study: the database at a URI, or without one the journal in the search's folder.
 
     Raises:
-        StoreError: it can't be opened.
         UntrustedError: a file of the search is a symbolic link that leads out of its folder.
     """
     import optuna
@@ -107,7 +106,6 @@ def open_study(folder: Path, search: SearchConfig, base: RunConfig, values: Valu
 
     Raises:
         ConfigError: the study was made with another space, objective, seeds or base config.
-        StoreError: the storage fails.
     """
     import optuna
 

@@ -1,8 +1,12 @@
-"""Work on a search: claim trials one after the other, train each on its seeds, prune, and record the result."""
+"""Work on a search: claim trials one after the other, train each on its seeds, prune, and record the objective.
+
+An objective is a number in 0 ... 1 for each run of a trial, the higher the better.
+"""
 
 import errno
 import os
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from statistics import mean
 from typing import TYPE_CHECKING, Literal
@@ -13,11 +17,12 @@ from parking_exp.errors import ConfigError, OutputDirectoryError, StoreError
 from parking_exp.runs.directory import RunDirectory
 from parking_exp.runs.metric_logs import read_metrics
 from parking_exp.runs.run_state import read_state
+from parking_exp.statistics import normalised_area
 from parking_exp.sweeps.hydra_launcher import train_run
 from parking_exp.sweeps.local import Train
 from parking_exp.sweeps.supervisor import Stop, WorkerResult, stop_of_job, supervise
-from parking_exp.tuning.objectives import objective_value, success_curve, updates_at, values_so_far
 from parking_exp.tuning.search import Search
+from parking_exp.tuning.search_config import Objective
 from parking_exp.tuning.study import CHANGES, CPU_S, REASON, RUNS, SEED_VALUES, STEPS, claim
 
 if TYPE_CHECKING:
@@ -26,6 +31,7 @@ if TYPE_CHECKING:
 
 ATTEMPTS = 3  # at a run whose process is killed
 POLL_S = 0.5
+FINAL_METRICS = {"final_success": "final/success_rate", "final_parked": "final/parked_rate"}
 Outcome = Literal["done", "pruned", "failed", "stopped"]
 
 
@@ -40,7 +46,7 @@ def do_job(config: "DictConfig") -> WorkerResult | None:
     with stop_of_job() as is_stopped:
 
         def train(path: Path, stop: Stop) -> WorkerResult | None:
-            return None if is_stopped() else supervise(path, stop=lambda: is_stopped() or stop())
+            return None if is_stopped() else supervise(path, lambda: is_stopped() or stop())
 
         work(Path(config.study), config.n_trials, train, config.get("storage"))
     return None
@@ -50,9 +56,6 @@ def work(folder: Path, n_trials: int, train: Train, storage: str | None = None) 
     """Train the first `n_trials` trials until none is left, or until `train` returns that it was stopped.
 
     The study is the journal in the folder, or is in `storage`.
-
-    Raises:
-        StoreError: the study can't be read or written.
     """
     from optuna.exceptions import OptunaError
     from optuna.pruners import MedianPruner, NopPruner
@@ -179,3 +182,47 @@ def _cpu_s(config: RunConfig) -> float:
     """Return the CPU seconds of a run up to its last evaluation."""
     times = [record["metrics"].get("time/cpu_s") for record in read_metrics(config.run_dir / "metrics.jsonl")]
     return float(next((cpu_s for cpu_s in reversed(times) if cpu_s is not None), 0.0))
+
+
+def success_curve(directory: RunDirectory) -> tuple[list[int], list[float]]:
+    """Return the env steps of a run's evaluations so far, and their success rates; the last may be the final one."""
+    records = read_metrics(directory.path / "metrics.jsonl")
+    name = "eval/success_rate"
+    rates = {record["step"]: record["metrics"][name] for record in records if name in record["metrics"]}
+    result = directory.result()
+    if result is not None and "final/success_rate" in result.metrics:
+        rates[result.steps] = result.metrics["final/success_rate"]
+    steps = sorted(rates)
+    return steps, [rates[step] for step in steps]
+
+
+def objective_value(directory: RunDirectory, objective: Objective) -> float:
+    """Return an objective of a finished run."""
+    result = directory.result()
+    if result is not None and objective in FINAL_METRICS:
+        return result.metrics[FINAL_METRICS[objective]]
+    return normalised_area(*success_curve(directory))
+
+
+def values_so_far(
+    finished: Sequence[float], steps: Sequence[int], success: Sequence[float], total_timesteps: int
+) -> list[float]:
+    """Return the mean area of a trial's runs at each evaluation of its current run, which pruning compares.
+
+    The current run's area is weighted by the fraction of the run that is over; `finished` are the areas of the others.
+    """
+    values = []
+    for position, step in enumerate(steps, 1):
+        weight = min(1.0, step / total_timesteps)
+        area = normalised_area(steps[:position], success[:position])
+        values.append((sum(finished) + weight * area) / (len(finished) + weight) if finished or weight else area)
+    return values
+
+
+def updates_at(config: RunConfig, step: int) -> float:
+    """Return how many gradient updates a run has made at an env step."""
+    steps = max(0.0, step - config.algorithm.arguments.get("learning_starts", 0))
+    train_freq, gradient_steps = config.update_rounds()
+    if isinstance(train_freq, tuple) or gradient_steps < 0:  # by episodes, with as many updates as steps
+        return steps
+    return steps * gradient_steps / (train_freq * config.n_envs)

@@ -74,12 +74,7 @@ class RetestedTrial:
 
 
 def rows(study: "Study", folder: Path, n_trials: int) -> list[TrialRow]:
-    """Return the trials that have begun or are enqueued, of the first `n_trials`.
-
-    Raises:
-        ConfigError: the study is damaged.
-        StoreError: its storage fails.
-    """
+    """Return the trials that have begun or are enqueued, of the first `n_trials`."""
     with storage_errors(study.study_name):
         trials = study.get_trials(deepcopy=False)[:n_trials]
     return [_row(trial, folder) for trial in trials]

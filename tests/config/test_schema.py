@@ -1,6 +1,7 @@
 """Names, keys and derived values of a run's config."""
 
 import inspect
+from typing import get_args
 
 import pytest
 from highway_env.envs.parking_env import ParkingEnv
@@ -8,7 +9,7 @@ from support.runs import make_config, options
 
 from parking_exp.buffers import HerBuffer
 from parking_exp.buffers.strategies import STRATEGIES
-from parking_exp.config.argument_limits import GOAL_STRATEGIES, HER_OPTIONS
+from parking_exp.config.argument_limits import HER_OPTIONS, GoalStrategy
 from parking_exp.config.run_key import changes_results
 
 
@@ -83,6 +84,6 @@ def test_the_run_key_changes_with_what_can_change_results(override, changes):
 
 
 def test_strategies_and_their_options_have_one_name_everywhere():
-    assert tuple(STRATEGIES) == GOAL_STRATEGIES
-    assert {f"her_{strategy}" for strategy in GOAL_STRATEGIES} | {"replay"} == set(options("buffer"))
+    assert tuple(STRATEGIES) == get_args(GoalStrategy)
+    assert {f"her_{strategy}" for strategy in STRATEGIES} | {"replay"} == set(options("buffer"))
     assert set(HER_OPTIONS) <= set(inspect.signature(HerBuffer).parameters)

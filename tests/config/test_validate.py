@@ -9,7 +9,7 @@ from omegaconf import OmegaConf
 from support.runs import make_config
 
 from parking_exp.config.compose import composed
-from parking_exp.config.constructor_arguments import UnknownTarget, find
+from parking_exp.config.constructor_arguments import find
 from parking_exp.config.validate import validate, validate_all
 from parking_exp.errors import ConfigError
 
@@ -222,7 +222,7 @@ def test_a_users_own_class_is_checked_against_its_signature(own_algorithm):
 def test_an_unknown_class_is_refused_with_the_reason(target, reason, tmp_path, monkeypatch):
     (tmp_path / "raises.py").write_text("raise RuntimeError('on import')\n")
     monkeypatch.syspath_prepend(tmp_path)
-    with pytest.raises(UnknownTarget) as unknown:
+    with pytest.raises(ConfigError) as unknown:
         find(target)
     assert reason in str(unknown.value)
 

@@ -6,7 +6,7 @@ import pytest
 from support.runs import make_config
 
 from parking_exp.runs.directory import RunDirectory, RunResult
-from parking_exp.tuning.objectives import objective_value, updates_at, values_so_far
+from parking_exp.tuning.trial_worker import objective_value, updates_at, values_so_far
 
 
 def test_updates_follow_from_steps():

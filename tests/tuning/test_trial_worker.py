@@ -72,7 +72,7 @@ def test_a_trial_that_is_worse_than_the_median_is_pruned_and_trial_0_is_not(sear
         study.add_trial(optuna.trial.create_trial(value=1.0, intermediate_values=dict.fromkeys(range(20), 1.0)))
 
     def train(path, stop):
-        return supervise(path, stop=stop)
+        return supervise(path, stop)
 
     for _ in range(2):  # the second time there is nothing to do
         work(search.folder, 2, train)
