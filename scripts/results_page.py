@@ -290,8 +290,7 @@ def _row(cells: list[str]) -> str:
 
 def _draw(name: str, report: ReportData) -> None:
     """Draw the figures of an experiment as docs/images/results_NAME.png, results_NAME_FIGURE.png, ..."""
-    from parking_exp.reports.figures.figure_files import draw
-    from parking_exp.reports.sections import SECTIONS
+    from parking_exp.reports.sections import SECTIONS, draw
 
     first, *others = FIGURES.get(name, ("final_success",))
     files = {first: f"results_{name}", **{figure: f"results_{name}_{figure}" for figure in others}}

@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from parking_exp.errors import plural
-from parking_exp.statistics.checks import finite
+from parking_exp.statistics.rates import finite
 
 FEWEST_SEEDS = 5
 GAP = 0.3  # between neighbouring seeds: rare without a collapse, nearly certain with one

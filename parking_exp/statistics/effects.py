@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from scipy.special import fdtrc, stdtr, stdtrit
 
-from parking_exp.statistics.checks import finite_or_none
 from parking_exp.statistics.comparisons import Difference
 from parking_exp.statistics.intervals import Interval, mean_interval
+from parking_exp.statistics.rates import finite_or_none
 
 if TYPE_CHECKING:  # a training imports this package, but not pandas
     from collections.abc import Mapping, Sequence

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import stdtrit
 
-from parking_exp.statistics.checks import finite, finite_or_none
+from parking_exp.statistics.rates import finite, finite_or_none
 
 NONE = "none"
 T = "t"

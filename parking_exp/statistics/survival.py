@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from parking_exp.statistics.checks import finite, finite_or_none
 from parking_exp.statistics.intervals import EXACT, SCORE, Interval, exact_bound, score_interval
-from parking_exp.statistics.rates import wilson_interval
+from parking_exp.statistics.rates import finite, finite_or_none, wilson_interval
 
 if TYPE_CHECKING:
     from scipy.stats import CensoredData
