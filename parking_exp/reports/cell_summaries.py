@@ -167,7 +167,6 @@ def _curves(runs: pd.DataFrame, evaluations: RunEvaluations) -> dict[int, pd.Dat
 
 
 def _curve(runs: pd.DataFrame, evaluations: RunEvaluations) -> Curve | None:
-    """Return the learning curve over all runs that have one."""
     curves = _curves(runs, evaluations)
     if not curves:
         return None

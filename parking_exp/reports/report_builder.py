@@ -209,12 +209,10 @@ def _shown(cells: Sequence[Cell], baseline: str | None) -> list[str]:
 
 
 def _unique(*parts: Iterable[str]) -> list[str]:
-    """Return all sentences, each once."""
     return list(dict.fromkeys(chain(*parts)))
 
 
 def _first(problems: Sequence[str]) -> list[str]:
-    """Return problems with single runs, the first of many."""
     more = len(problems) - MOST_PROBLEMS
     rest = [f"Runs with such problems besides: {more}."] if more > 0 else []
     return [*problems[:MOST_PROBLEMS], *rest]

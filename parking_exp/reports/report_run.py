@@ -62,11 +62,7 @@ def write_report_export(
 
 
 def read_report_export(folder: str) -> ReportSource:
-    """Return what the export of a report has.
-
-    Raises:
-        ResultsError: it is not there, or can't be read.
-    """
+    """Return what the export of a report has."""
     results = read_export(folder)
     try:
         experiments = TypeAdapter(list[str]).validate_python(results.about["experiments"])
@@ -77,7 +73,6 @@ def read_report_export(folder: str) -> ReportSource:
 
 
 def _of_cells(results: Results, report: ReportData) -> Results:
-    """Return the results of the report's cells alone."""
     cells = {(cell.experiment, cell.name) for cell in report.cells}
     kept = [pair in cells for pair in zip(results.runs["experiment"], results.runs["cell"], strict=True)]
     runs = results.runs[kept].reset_index(drop=True)
@@ -104,14 +99,7 @@ def _plain(value: Any) -> Any:
 
 
 def report(request: ReportRequest) -> Path:
-    """Write a report, print what it says, and return its folder.
-
-    Raises:
-        ConfigError: there is no such cell or baseline.
-        ResultsError: the store can't be read, or has no such runs.
-        RunNotFoundError: none of the runs is done.
-        UntrustedError: a symbolic link leads out of the report's folder.
-    """
+    """Write a report, print what it says, and return its folder."""
     export_folder = directory_path(request.export) if request.export else None
     if export_folder:
         refuse_foreign(export_folder)
@@ -141,11 +129,7 @@ def report(request: ReportRequest) -> Path:
 
 
 def _source(request: ReportRequest, show: Callable[[str], None]) -> ReportSource:
-    """Return the content of the export or the store, which is first sent what it lacks.
-
-    Raises:
-        ConfigError: the store has several experiments, and none is named.
-    """
+    """Return the content of the export or the store, which is first sent what it lacks."""
     if request.source is not None:
         show("reading the export")
         return read_report_export(request.source)
@@ -181,7 +165,6 @@ def _content(request: ReportRequest, source: ReportSource) -> ReportData:
 
 
 def _command(request: ReportRequest, experiments: list[str]) -> str:
-    """Return the command that makes this report."""
     keys = {
         "baseline": request.baseline,
         "report": "quick" if request.report.quick else None,

@@ -212,7 +212,6 @@ def draw(
 
 
 def _save(figure: matplotlib.figure.Figure, stem: Path, formats: Sequence[str]) -> bytes:
-    """Write a figure in some formats, and return its SVG."""
     if layout := figure.get_layout_engine():
         layout.execute(figure)
         figure.set_layout_engine("none")  # not once more for each format

@@ -10,8 +10,7 @@ import pandas as pd
 
 from parking_exp.config.schema import TRAINING_SCENES_START
 from parking_exp.envs.outcomes import OUTCOMES
-from parking_exp.evaluation.metrics import DTYPES, METRICS
-from parking_exp.evaluation.trajectories import CAR_COLUMNS
+from parking_exp.evaluation.metrics import CAR_COLUMNS, DTYPES, METRICS
 
 CURVE = {f"eval/{metric.key}": metric.key for metric in METRICS if metric.in_curves}
 BESIDE_A_CURVE = {"time/cpu_s": "cpu_s", "buffer/real_share": "real_share"}
@@ -89,11 +88,7 @@ def read_episodes(tables: Mapping[str, bytes], run_ids: Sequence[str]) -> tuple[
 
 
 def read_trajectories(content: bytes | None) -> pd.DataFrame:
-    """Return the rows of `trajectories.npz`, none for None.
-
-    Raises:
-        Exception: whatever NumPy and pandas raise if the content is no such file.
-    """
+    """Return the rows of `trajectories.npz`, none for None."""
     if content is None:
         return empty_frame(TRAJECTORIES)
     with np.load(io.BytesIO(content), allow_pickle=False) as arrays:
@@ -110,11 +105,7 @@ def empty_frame(types: Mapping[str, Any]) -> pd.DataFrame:
 
 
 def _parse(tables: Mapping[str, bytes]) -> pd.DataFrame:
-    """Return the rows of CSV texts with the same header, with the run id of each.
-
-    Raises:
-        ValueError: one of them is not a whole table of episodes.
-    """
+    """Return the rows of CSV texts with the same header, with the run id of each."""
     if not all(text.endswith(b"\n") for text in tables.values()):
         raise ValueError("the file is truncated")
     header = next(iter(tables.values())).partition(b"\n")[0] + b"\n"

@@ -5,7 +5,6 @@ that need it.
 """
 
 from parking_exp.statistics.comparisons import holm, probability_of_improvement, welch
-from parking_exp.statistics.coverage import coverage_note
 from parking_exp.statistics.effects import (
     MainEffect,
     ParameterImportance,
@@ -14,7 +13,7 @@ from parking_exp.statistics.effects import (
     interaction,
     main_effects,
 )
-from parking_exp.statistics.intervals import Interval, mean_band, mean_interval, student_interval
+from parking_exp.statistics.intervals import Interval, coverage_note, mean_band, mean_interval, student_interval
 from parking_exp.statistics.rates import Proportion, finite_or_none, share_reaching, unseen_share, wilson_interval
 from parking_exp.statistics.survival import (
     kaplan_meier,

@@ -24,7 +24,6 @@ class SurvivalCurve:
     low: tuple[float, ...]
     high: tuple[float, ...]
     median: float | None
-    n: int
 
 
 def normalised_area(steps: ArrayLike, values: ArrayLike) -> float:
@@ -86,9 +85,7 @@ def kaplan_meier(times: ArrayLike, observed: ArrayLike) -> SurvivalCurve:
             low[i], high[i] = low[i - 1] if i else wilson_interval(n, n)[0], 1.0
     halfway = np.flatnonzero(reached >= 0.5 - 1e-12)
     median = float(at[halfway[0]]) if len(halfway) else None
-    return SurvivalCurve(
-        tuple(at.tolist()), tuple(reached.tolist()), tuple(low.tolist()), tuple(high.tolist()), median, n
-    )
+    return SurvivalCurve(tuple(at.tolist()), tuple(reached.tolist()), tuple(low.tolist()), tuple(high.tolist()), median)
 
 
 def restricted_mean(times: ArrayLike, observed: ArrayLike, horizon: float) -> Interval:
