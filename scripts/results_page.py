@@ -149,8 +149,8 @@ class Experiment:
         if means[pair[0]] < means[pair[1]]:
             value, low, high = (None if end is None else -end for end in ends)
             ends = [value, high, low]
-        value, low, high = map(formats.points, ends)
-        return f"{value} [{low}, {high}]"
+        texts = [formats.points(end) for end in ends]
+        return f"{texts[0]} [{texts[1]}, {texts[2]}]"
 
     def real_share(self, row: str, column: Setting) -> str:
         """Return the fraction of transitions not relabelled, in percent, from the first table of two factors."""
