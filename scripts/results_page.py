@@ -26,6 +26,7 @@ from parking_exp.reports import formats
 from parking_exp.reports.report_builder import build_report
 from parking_exp.reports.report_data import Cell, Pair, ReportData, Setting
 from parking_exp.results import Results, read_export
+from parking_exp.statistics import MainEffect
 from parking_exp.terminal import say
 
 DOCS = ROOT / "docs"
@@ -131,13 +132,25 @@ class Experiment:
         ]
         frame = pd.DataFrame(rows, columns=[key, within, "success"])
         pairs = list(combinations(dict.fromkeys(frame[key]), 2))
-        contrasts = [statistics.contrast(frame, [key, within], "success", (key, *pair)) for pair in pairs]
-        corrected = statistics.holm([contrast.p for contrast in contrasts])
+        effects = [statistics.main_effects(frame[frame[key].isin(pair)], [key, within], "success")[0] for pair in pairs]
+        corrected = statistics.holm([effect.p for effect in effects])
         return {
-            pair: f"{formats.points(contrast.value)} [{formats.points(contrast.low)}, "
-            f"{formats.points(contrast.high)}], {formats.p_value(p)}"
-            for pair, contrast, p in zip(pairs, contrasts, corrected, strict=True)
+            pair: f"{self._first_minus_second(pair, effect)}, {formats.p_value(p)}"
+            for pair, effect, p in zip(pairs, effects, corrected, strict=True)
         }
+
+    @staticmethod
+    def _first_minus_second(pair: tuple[str, str], effect: MainEffect) -> str:
+        """Return the difference between the two levels of an effect, e.g. `+9.1 [+4.0, +14.2]`."""
+        means = {level.level: level.effect.value or 0.0 for level in effect.levels}
+        highest_minus_lowest = effect.largest
+        assert highest_minus_lowest
+        ends = [highest_minus_lowest.value, highest_minus_lowest.low, highest_minus_lowest.high]
+        if means[pair[0]] < means[pair[1]]:
+            value, low, high = (None if end is None else -end for end in ends)
+            ends = [value, high, low]
+        texts = [formats.points(end) for end in ends]
+        return f"{texts[0]} [{texts[1]}, {texts[2]}]"
 
     def real_share(self, row: str, column: Setting) -> str:
         """Return the fraction of transitions not relabelled, in percent, from the first table of two factors."""
@@ -290,8 +303,7 @@ def _row(cells: list[str]) -> str:
 
 def _draw(name: str, report: ReportData) -> None:
     """Draw the figures of an experiment as docs/images/results_NAME.png, results_NAME_FIGURE.png, ..."""
-    from parking_exp.reports.figures.figure_files import draw
-    from parking_exp.reports.sections import SECTIONS
+    from parking_exp.reports.sections import SECTIONS, draw
 
     first, *others = FIGURES.get(name, ("final_success",))
     files = {first: f"results_{name}", **{figure: f"results_{name}_{figure}" for figure in others}}

@@ -4,6 +4,7 @@ Scene s is what `env.reset(seed=s)` of highway-env makes.
 """
 
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,14 +16,36 @@ from parking_exp.envs.interface import Policy
 from parking_exp.envs.outcomes import outcome
 from parking_exp.envs.scenes import Scenes
 from parking_exp.envs.simulator import Simulator
-from parking_exp.evaluation.metrics import EPISODE_COLUMNS, METRICS, RANKING, Episode
-from parking_exp.evaluation.trajectories import Recorder
+from parking_exp.evaluation.metrics import CAR_COLUMNS, EPISODE_COLUMNS, METRICS, RANKING, Episode
+from parking_exp.runs.atomic_files import replacing
 from parking_exp.statistics import wilson_interval
 
 BATCH_SIZE = 250  # scenes that are stepped together; more are no faster, and a signal is noticed between two steps
 TOLERANCE = 1e-9  # of numbers, between two simulators
 RATES = [metric for metric in METRICS if metric.is_rate]
 SceneBatch = HighwayBatch | Simulator
+
+
+class Recorder:
+    """Collects the trajectories of the cars of many scenes, which are stepped together."""
+
+    def __init__(self) -> None:
+        self._scenes: list[np.ndarray] = []
+        self._cars: list[np.ndarray] = []
+
+    def add(self, scenes: np.ndarray, cars: np.ndarray) -> None:
+        """Add the start, or a step, of unfinished scenes: their numbers, shape (n,), and CAR_COLUMNS, shape (n, 4)."""
+        self._scenes.append(scenes.copy())
+        self._cars.append(cars.astype(np.float32))
+
+    def save(self, path: Path) -> None:
+        """Write an npz file: `scene`, sorted, and `length`, shape (n,), and CAR_COLUMNS of all scenes in turn."""
+        rows, cars = np.concatenate(self._scenes), np.concatenate(self._cars)
+        order = np.argsort(rows, kind="stable")  # rows of a scene stay in the order of time
+        scene, length = np.unique(rows, return_counts=True)
+        columns = dict(zip(CAR_COLUMNS, cars[order].T, strict=True))
+        with replacing(path) as temporary, temporary.open("wb") as file:
+            np.savez_compressed(file, scene=scene, length=length, **columns)
 
 
 def evaluate(

@@ -53,11 +53,7 @@ class EvaluationRequest(AgentRequest):
 
 
 def validate_request(config: DictConfig) -> EvaluationRequest:
-    """Validate a composed config.
-
-    Raises:
-        ConfigError: with a sentence for each mistake.
-    """
+    """Validate a composed config."""
     request = parse(EvaluationRequest, config)
     n_scenes = len(request.scenes)
     if request.video > n_scenes:
@@ -73,11 +69,7 @@ def validate_request(config: DictConfig) -> EvaluationRequest:
 
 
 def evaluate_run(config: DictConfig) -> Path:
-    """Evaluate, print, and store; return the folder of the results.
-
-    Raises:
-        ConfigError: the config is not valid; also what `agents.load_model` raises.
-    """
+    """Evaluate, print, and store; return the folder of the results."""
     request = validate_request(config)
     agent = request.agent()
     env = _env(request, request.env or agent.config.env)
@@ -92,7 +84,6 @@ def evaluate_run(config: DictConfig) -> Path:
 
 
 def _evaluate(request: EvaluationRequest, agent: Agent, env: EnvConfig, folder: Path) -> None:
-    """Load the model, evaluate it, write the results into a folder, and print them."""
     from rich.progress import Progress
 
     from parking_exp.algorithms.build_model import greedy_policy, torch_settings

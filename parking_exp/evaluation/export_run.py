@@ -34,11 +34,7 @@ class ExportRequest(AgentRequest):
 
 
 def validate_request(config: DictConfig) -> ExportRequest:
-    """Validate a composed config.
-
-    Raises:
-        ConfigError: a value is not valid, or a package that the format needs is not installed.
-    """
+    """Validate a composed config."""
     request = parse(ExportRequest, config)
     for name in ("onnx", "onnxruntime") if request.format == "onnx" else ():
         if find_spec(name) is None:

@@ -102,3 +102,7 @@ EPISODE_COLUMNS = ["scene", "outcome", *(metric.name for metric in METRICS if me
 
 DTYPES: dict[str, str] = {metric.name: metric.dtype for metric in METRICS if metric.name not in OUTCOMES}
 """Types of its columns, but for scene and outcome."""
+
+TRAJECTORIES_FILE = "trajectories.npz"
+CAR_COLUMNS = ("x_m", "y_m", "heading_rad", "speed_mps")
+"""Columns of that file, which `Recorder` writes and `results` reads; speed is signed."""

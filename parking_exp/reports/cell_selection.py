@@ -60,9 +60,6 @@ def group(runs: pd.DataFrame) -> list[CellRuns]:
         once = newest.drop_duplicates("seed", keep="last").drop(columns="done")
         config = _config(configs.loc[table.index[0]])
         cells.append(CellRuns(str(experiment), str(name), "", {}, config, once, len(table) - len(once)))
-    if len(cells) == 1:
-        (label,) = label_cells([cells[0].config], [cells[0].name])
-        return [replace(cells[0], label=label)]
     labelled, factors = relabelled(cells)
 
     def place(cell: CellRuns) -> list[int]:
@@ -76,7 +73,9 @@ def relabelled(cells: Sequence[CellRuns]) -> tuple[list[CellRuns], list[Factor]]
     """Return cells with labels that distinguish these alone, and the factors."""
     factors, settings = find_factors([cell.config for cell in cells], [cell.experiment for cell in cells])
     if len(cells) == 1:
-        return [replace(cells[0], settings=settings[0])], factors
+        (cell,) = cells
+        label = cell.label or label_cells([cell.config], [cell.name])[0]
+        return [replace(cell, label=label, settings=settings[0])], factors
     labels = cell_labels(factors, settings, [cell.name for cell in cells])
     return [
         replace(cell, label=label, settings=values) for cell, label, values in zip(cells, labels, settings, strict=True)
@@ -87,9 +86,6 @@ def choose(cells: Sequence[CellRuns], wanted: Sequence[str], key: str = "cells")
     """Return the cells that fit any of the labels, names or patterns of them (`her_*`), and all `KEY=VALUE,VALUE`.
 
     KEY is a group, a config key or the end of one; the values are those it may have.
-
-    Raises:
-        ConfigError: one of them fits nothing.
     """
     patterns = [text for text in wanted if "=" not in text or _named(cells, text)]
     chosen = list(cells)
@@ -105,11 +101,7 @@ def choose(cells: Sequence[CellRuns], wanted: Sequence[str], key: str = "cells")
 
 
 def one_cell(cells: Sequence[CellRuns], baseline: str, preferred: Sequence[CellRuns] = ()) -> CellRuns:
-    """Return the one cell that fits a label, a name or a pattern; where several do, the one that is preferred.
-
-    Raises:
-        ConfigError: none does, or several do.
-    """
+    """Return the one cell that fits a label, a name or a pattern; where several do, the one that is preferred."""
     fitting = _named(cells, baseline) or choose(cells, [baseline], "baseline")
     if len(fitting) > 1:
         fitting = [cell for cell in fitting if cell in preferred] or fitting

@@ -16,6 +16,7 @@ from parking_exp.statistics import (
     Interval,
     Proportion,
     coverage_note,
+    finite_or_none,
     kaplan_meier,
     mean_band,
     mean_interval,
@@ -26,7 +27,6 @@ from parking_exp.statistics import (
     student_interval,
     wilson_interval,
 )
-from parking_exp.statistics.checks import finite_or_none
 
 GOOD = 0.9
 HOLD = 3  # evaluations in a row
@@ -167,7 +167,6 @@ def _curves(runs: pd.DataFrame, evaluations: RunEvaluations) -> dict[int, pd.Dat
 
 
 def _curve(runs: pd.DataFrame, evaluations: RunEvaluations) -> Curve | None:
-    """Return the learning curve over all runs that have one."""
     curves = _curves(runs, evaluations)
     if not curves:
         return None

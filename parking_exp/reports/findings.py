@@ -4,7 +4,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 
 from parking_exp.config.cell_labels import Factor
 from parking_exp.errors import plural, quoted_label
-from parking_exp.reports.cell_pairs import SIGNIFICANT, Family
+from parking_exp.reports.cell_comparisons import SIGNIFICANT, Family
 from parking_exp.reports.formats import p_value, points_interval, rate_interval, setting
 from parking_exp.reports.report_data import Cell, Interaction, Pair, Survival
 from parking_exp.reports.warnings import FEW_NAMES, named

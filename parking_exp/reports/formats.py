@@ -4,8 +4,7 @@ from collections.abc import Callable
 from typing import Any
 
 from parking_exp.config.cell_labels import setting
-from parking_exp.statistics import Interval, Proportion
-from parking_exp.statistics.checks import finite_or_none
+from parking_exp.statistics import Interval, Proportion, finite_or_none
 
 
 def percent(share: float | None, *, signed: bool = False) -> str:

@@ -1,23 +1,75 @@
 """Build the content of a report from result frames."""
 
+from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from datetime import UTC, datetime
 from itertools import chain
 from typing import NamedTuple
 
+import pandas as pd
+
 from parking_exp import __version__
-from parking_exp.config.cell_labels import Factor
+from parking_exp.config.cell_labels import Factor, can_matter, differing
 from parking_exp.envs.geometry import N_SLOTS
 from parking_exp.errors import RunNotFoundError, plural
-from parking_exp.reports import factor_effects, findings, warnings
-from parking_exp.reports.cell_pairs import compare_pairs
+from parking_exp.reports import cell_comparisons, findings, warnings
 from parking_exp.reports.cell_selection import CellRuns, choose, group, one_cell, relabelled
 from parking_exp.reports.cell_summaries import RunEvaluations, real_share, shared_horizons, summarise
 from parking_exp.reports.lot_map import sample
-from parking_exp.reports.report_data import Cell, ReportData
-from parking_exp.reports.report_provenance import provenance
+from parking_exp.reports.report_data import Cell, FailedRun, Provenance, ReportData
 from parking_exp.results.frames import Results
+
+VERSION = "version."
+SHORT_COMMIT = 10
+REASONS = {"running": "under way", "interrupted": "interrupted or not begun; rerun the sweep"}
+
+
+def provenance(cells: Sequence[CellRuns], left_out: Sequence[str], uri: str) -> Provenance:
+    """Return the provenance of the cells of a report; `left_out` are labels of the experiments' other cells."""
+    runs = pd.concat([cell.runs for cell in cells])
+    versions = {
+        str(column).removeprefix(VERSION): _counts(runs[column]) for column in runs if str(column).startswith(VERSION)
+    }
+    marks = runs["git_dirty"].fillna(False).map({True: "+", False: ""})
+    configs = [cell.config for cell in cells]
+    difference = {key: [config.get(key) for config in configs] for key in differing(configs)}
+    started, ended = runs["started"].dropna(), runs["ended"].dropna()
+    return Provenance(
+        versions={package: counts for package, counts in versions.items() if counts},
+        commits=_counts(runs["git_commit"].str[:SHORT_COMMIT] + marks),
+        machines=_counts(runs["cpu"]),
+        difference=difference,
+        common={key: value for key, value in configs[0].items() if key not in difference and can_matter(key)},
+        unfinished=[run for cell in cells for run in _unfinished(cell)],
+        uri=uri,
+        left_out=list(left_out),
+        first=started.min().isoformat(timespec="seconds") if len(started) else None,
+        last=ended.max().isoformat(timespec="seconds") if len(ended) else None,
+    )
+
+
+def _unfinished(cell: CellRuns) -> list[FailedRun]:
+    runs = cell.runs[~cell.runs["status"].isin(["done", "pruned"])]
+    return [
+        FailedRun(
+            cell.label,
+            int(run["seed"]),
+            str(run["status"]),
+            _text(run["error"]) or REASONS.get(str(run["status"]), "no reason is known"),
+            _text(run["run_dir"]),
+        )
+        for run in runs.to_dict("records")
+    ]
+
+
+def _counts(values: pd.Series) -> dict[str, int]:
+    return {str(value): count for value, count in Counter(values.dropna()).most_common()}
+
+
+def _text(value: object) -> str | None:
+    return value if isinstance(value, str) and value else None
+
 
 MOST_PROBLEMS = 5
 SHOWN_WHOLE, SHOWN = 16, 12  # cells in figures: all of up to 16, else the 12 best
@@ -66,15 +118,15 @@ def build_report(
     for number, cell in enumerate(summaries):
         if cell.id in shown:
             summaries[number] = _with_lot_map(cell, groups[number], results, evaluations, problems)
-    design = factor_effects.design(factors, [cell.settings for cell in groups])
+    design = cell_comparisons.design(factors, [cell.settings for cell in groups])
     effects, interactions, importance = [], [], []
     if design == "search":
-        importance = factor_effects.importance(summaries, factors)
+        importance = cell_comparisons.importance(summaries, factors)
     elif design == "factorial":
         shares = {cell.id: real_share(runs, evaluations) for cell, runs in zip(summaries, groups, strict=True)}
-        effects = factor_effects.main_effects(summaries, factors)
-        interactions = factor_effects.interactions(summaries, factors, shares)
-    family = compare_pairs(summaries, selection.baseline)
+        effects = cell_comparisons.main_effects(summaries, factors)
+        interactions = cell_comparisons.interactions(summaries, factors, shares)
+    family = cell_comparisons.compare_pairs(summaries, selection.baseline)
     origin = provenance(groups, selection.left_out, results.uri)
     return ReportData(
         title=" and ".join(experiments),
@@ -157,12 +209,10 @@ def _shown(cells: Sequence[Cell], baseline: str | None) -> list[str]:
 
 
 def _unique(*parts: Iterable[str]) -> list[str]:
-    """Return all sentences, each once."""
     return list(dict.fromkeys(chain(*parts)))
 
 
 def _first(problems: Sequence[str]) -> list[str]:
-    """Return problems with single runs, the first of many."""
     more = len(problems) - MOST_PROBLEMS
     rest = [f"More runs with such problems: {more}."] if more > 0 else []
     return [*problems[:MOST_PROBLEMS], *rest]

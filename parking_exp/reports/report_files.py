@@ -10,12 +10,9 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from parking_exp.reports.figures.figure_files import draw
-from parking_exp.reports.figures.figure_style import cell_style
-from parking_exp.reports.render.html_page import page
-from parking_exp.reports.render.markdown_report import markdown, one_line
+from parking_exp.reports.render.report_pages import markdown, one_line, page
 from parking_exp.reports.report_data import ReportData
-from parking_exp.reports.sections import SectionContent, section_contents
+from parking_exp.reports.sections import SectionContent, draw, section_contents
 from parking_exp.reports.tables.table import Table
 from parking_exp.runs.atomic_files import write_atomically
 
@@ -41,7 +38,7 @@ def write_report(report: ReportData, folder: Path, formats: Sequence[str]) -> No
         figures, tables = Path(new) / "figures", Path(new) / "tables"
         contents = section_contents(report, draw(report, figures, formats))
         write_tables(contents, report.shown, tables)
-        html = page(report, contents, {cell: cell_style(cell) for cell in report.shown})
+        html = page(report, contents)
         text = markdown(report, contents, next((ending for ending in ("png", "svg") if ending in formats), None))
         for part in (figures, tables):
             if (folder / part.name).exists():

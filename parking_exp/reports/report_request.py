@@ -56,11 +56,7 @@ class ReportRequest(ConfigModel):
 
 
 def validate_report(config: DictConfig) -> ReportRequest:
-    """Validate a composed config.
-
-    Raises:
-        ConfigError: with a sentence for each mistake.
-    """
+    """Validate a composed config."""
     request = parse(ReportRequest, config)
     of_stores = {
         "experiment": request.experiments,

@@ -104,7 +104,6 @@ def tuning_of(folder: Path, stored: "StoredSearch") -> Tuning:
 
 
 def _plain(distribution: Any) -> Mapping[str, Any]:
-    """Return a distribution as JSON, with readable choices."""
     from optuna.distributions import distribution_to_json
 
     description: dict[str, Any] = json.loads(distribution_to_json(distribution))

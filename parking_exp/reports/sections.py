@@ -1,14 +1,23 @@
 """The sections of a report, in order: what each has to say, its figures and its tables."""
 
+import warnings
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+
+import matplotlib.figure
 
 from parking_exp.reports.figures.cell_figures import draw_final_success, draw_learning_curves, draw_time_to_90
-from parking_exp.reports.figures.factor_figures import draw_importance, draw_interactions, draw_main_effects
-from parking_exp.reports.figures.figure_style import Drawing
+from parking_exp.reports.figures.comparison_figures import (
+    draw_importance,
+    draw_interactions,
+    draw_main_effects,
+    draw_pairs,
+)
+from parking_exp.reports.figures.figure_style import Drawing, clean, report_style
 from parking_exp.reports.figures.lot_figures import draw_scene_map, draw_trajectories
-from parking_exp.reports.figures.pair_figures import draw_pairs
 from parking_exp.reports.figures.study_figures import (
     draw_cell_coordinates,
     draw_history,
@@ -22,8 +31,12 @@ from parking_exp.reports.search_report import retest_table, search_text, trial_t
 from parking_exp.reports.tables import report_tables
 from parking_exp.reports.tables.table import Table
 
-if TYPE_CHECKING:
-    from parking_exp.reports.figures.figure_files import Picture
+# Nothing that differs from one time to the next: the same report gives the same bytes.
+_METADATA: dict[str, dict[str, Any]] = {
+    "svg": {"Date": None, "Creator": None},
+    "pdf": {"CreationDate": None},
+    "png": {"Software": None},
+}
 
 
 @dataclass(frozen=True)
@@ -44,38 +57,6 @@ class Section:
     text: Callable[[ReportData], Iterable[str]] = lambda report: ()
     tables: Sequence[Callable[[ReportData], Iterable[Table]]] = ()
     figures: Sequence[Figure] = ()
-
-
-@dataclass(frozen=True)
-class SectionContent:
-    """What a section says of a report: what the page, Markdown, LaTeX and CSV are written from."""
-
-    id: str
-    title: str
-    text: Sequence[str]
-    tables: Sequence[Table]
-    pictures: Sequence["Picture"]
-
-    @property
-    def readable_tables(self) -> list[Table]:
-        """The tables that people read."""
-        return [table for table in self.tables if table.readable]
-
-
-def section_contents(
-    report: ReportData, pictures: Sequence["Picture"] = (), sections: "Sequence[Section] | None" = None
-) -> list[SectionContent]:
-    """Return what sections say of a report, by default all of them."""
-    return [
-        SectionContent(
-            section.id,
-            section.title,
-            list(section.text(report)),
-            [table for tables in section.tables for table in tables(report)],
-            [picture for picture in pictures if picture.section == section.id],
-        )
-        for section in (SECTIONS if sections is None else sections)
-    ]
 
 
 def what_was_run(report: ReportData) -> Iterable[str]:
@@ -165,3 +146,81 @@ SECTIONS = (
     ),
     Section("methods", "How it was computed", text=methods),
 )
+
+
+@dataclass(frozen=True)
+class Picture:
+    """One figure of a report, drawn; its caption is plain text, to be escaped."""
+
+    name: str
+    title: str
+    caption: str
+    svg: bytes
+    section: str
+
+
+@dataclass(frozen=True)
+class SectionContent:
+    """What a section says of a report: what the page, Markdown, LaTeX and CSV are written from."""
+
+    id: str
+    title: str
+    text: Sequence[str]
+    tables: Sequence[Table]
+    pictures: Sequence[Picture]
+
+    @property
+    def readable_tables(self) -> list[Table]:
+        """The tables that people read."""
+        return [table for table in self.tables if table.readable]
+
+
+def section_contents(
+    report: ReportData, pictures: Sequence[Picture] = (), sections: Sequence[Section] = SECTIONS
+) -> list[SectionContent]:
+    """Return what sections say of a report, by default all of them."""
+    return [
+        SectionContent(
+            section.id,
+            section.title,
+            list(section.text(report)),
+            [table for tables in section.tables for table in tables(report)],
+            [picture for picture in pictures if picture.section == section.id],
+        )
+        for section in sections
+    ]
+
+
+def draw(
+    report: ReportData,
+    folder: Path,
+    formats: Sequence[str] = ("svg", "pdf", "png"),
+    sections: Sequence[Section] = SECTIONS,
+) -> list[Picture]:
+    """Draw the figures that a report has data for into a folder, as `<name>.<format>`."""
+    folder.mkdir(parents=True, exist_ok=True)
+    pictures = []
+    with report_style(), warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "Glyph")  # a box stands for what the font lacks; browsers have other fonts
+        for section in sections:
+            for kind in section.figures:
+                for number, (figure, caption) in enumerate(kind.draw(report), start=1):
+                    name = kind.name.format(number)
+                    svg = _save(figure, folder / name, formats)
+                    pictures.append(Picture(name, kind.title, clean(caption), svg, section.id))
+    return pictures
+
+
+def _save(figure: matplotlib.figure.Figure, stem: Path, formats: Sequence[str]) -> bytes:
+    if layout := figure.get_layout_engine():
+        layout.execute(figure)
+        figure.set_layout_engine("none")  # not once more for each format
+    drawing = BytesIO()
+    figure.savefig(drawing, format="svg", metadata=_METADATA["svg"])
+    for kind in formats:
+        path = stem.with_name(f"{stem.name}.{kind}")
+        if kind == "svg":
+            path.write_bytes(drawing.getvalue())
+        else:
+            figure.savefig(path, format=kind, metadata=_METADATA[kind])
+    return drawing.getvalue()

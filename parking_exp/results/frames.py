@@ -14,8 +14,7 @@ import pandas as pd
 from parking_exp.config.credentials import keep_password
 from parking_exp.config.paths import database, default_uri, directory_path
 from parking_exp.errors import ParkingError, ResultsError, suggestion
-from parking_exp.evaluation.metrics import METRICS
-from parking_exp.evaluation.trajectories import TRAJECTORIES_FILE
+from parking_exp.evaluation.metrics import METRICS, TRAJECTORIES_FILE
 from parking_exp.results.recordings import read_curves, read_episodes, read_trajectories
 from parking_exp.tracking.client import reason
 from parking_exp.tracking.store import Store
@@ -151,7 +150,6 @@ def _as_results_error(what: str) -> Iterator[None]:
 
 
 def _chosen(store: Store, experiments: str | Iterable[str] | None) -> dict[str, str]:
-    """Return the ids of the chosen experiments by name."""
     ids = store.experiments()
     if experiments is None:
         return ids

@@ -10,8 +10,7 @@ import pandas as pd
 
 from parking_exp.config.schema import TRAINING_SCENES_START
 from parking_exp.envs.outcomes import OUTCOMES
-from parking_exp.evaluation.metrics import DTYPES, METRICS
-from parking_exp.evaluation.trajectories import CAR_COLUMNS
+from parking_exp.evaluation.metrics import CAR_COLUMNS, DTYPES, METRICS
 
 CURVE = {f"eval/{metric.key}": metric.key for metric in METRICS if metric.in_curves}
 FURTHER_CURVE_METRICS = {"time/cpu_s": "cpu_s", "buffer/real_share": "real_share"}
@@ -113,11 +112,7 @@ def empty_frame(types: Mapping[str, Any]) -> pd.DataFrame:
 
 
 def _parse(tables: Mapping[str, bytes]) -> pd.DataFrame:
-    """Return the rows of CSV texts with the same header, with the run id of each.
-
-    Raises:
-        ValueError: one of them is not a whole table of episodes.
-    """
+    """Return the rows of CSV texts with the same header, with the run id of each."""
     if not all(text.endswith(b"\n") for text in tables.values()):
         raise ValueError("the file is truncated")
     header = next(iter(tables.values())).partition(b"\n")[0] + b"\n"

@@ -4,22 +4,17 @@ Every training imports this package, so scipy.stats, which takes half a second t
 that need it.
 """
 
-from parking_exp.statistics.comparisons import Difference, holm, probability_of_improvement, welch
-from parking_exp.statistics.coverage import coverage_note
+from parking_exp.statistics.comparisons import holm, probability_of_improvement, welch
 from parking_exp.statistics.effects import (
-    InteractionTable,
-    Level,
     MainEffect,
     ParameterImportance,
-    contrast,
     importance,
     interaction,
     main_effects,
 )
-from parking_exp.statistics.intervals import Interval, mean_band, mean_interval, student_interval
-from parking_exp.statistics.rates import Proportion, share_reaching, unseen_share, wilson_interval
+from parking_exp.statistics.intervals import Interval, coverage_note, mean_band, mean_interval, student_interval
+from parking_exp.statistics.rates import Proportion, finite_or_none, share_reaching, unseen_share, wilson_interval
 from parking_exp.statistics.survival import (
-    SurvivalCurve,
     kaplan_meier,
     log_rank,
     normalised_area,
@@ -28,16 +23,12 @@ from parking_exp.statistics.survival import (
 )
 
 __all__ = [
-    "Difference",
-    "InteractionTable",
     "Interval",
-    "Level",
     "MainEffect",
     "ParameterImportance",
     "Proportion",
-    "SurvivalCurve",
-    "contrast",
     "coverage_note",
+    "finite_or_none",
     "holm",
     "importance",
     "interaction",

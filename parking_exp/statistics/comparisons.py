@@ -8,9 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from parking_exp.statistics.checks import finite
 from parking_exp.statistics.intervals import Interval
-from parking_exp.statistics.rates import Z
+from parking_exp.statistics.rates import Z, finite
 
 
 @dataclass(frozen=True)

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from scipy.special import fdtrc, stdtr, stdtrit
 
-from parking_exp.statistics.checks import finite_or_none
 from parking_exp.statistics.comparisons import Difference
 from parking_exp.statistics.intervals import Interval, mean_interval
+from parking_exp.statistics.rates import finite_or_none
 
 if TYPE_CHECKING:  # a training imports this package, but not pandas
     from collections.abc import Mapping, Sequence
@@ -105,23 +105,6 @@ def _main_effect(name: str, own: Mapping[Any, Sequence[np.ndarray]], complete: b
     largest = _contrast(own[highest], own[lowest])
     p = None if largest.p is None else min(1.0, largest.p * math.comb(len(levels), 2))
     return MainEffect(name, levels, complete, largest.clipped(-1, 1), p)
-
-
-def contrast(frame: pd.DataFrame, factors: Sequence[str], response: str, levels: tuple[str, Any, Any]) -> Difference:
-    """Return the difference between two levels' means in `main_effects`; `levels` is (factor, level, other level).
-
-    Interval and p are as described there, but not clipped.
-
-    Raises:
-        ValueError: there is no such level.
-    """
-    cells = _cells(frame, factors, response)
-    factor, *two = levels
-    place = list(factors).index(factor)
-    side, other = ([values for key, values in cells.items() if key[place] == level] for level in two)
-    if not (side and other):
-        raise ValueError(f"{factor} has no level {two[1] if side else two[0]!r}")
-    return _contrast(side, other)
 
 
 def interaction(frame: pd.DataFrame, row_factor: str, column_factor: str, response: str) -> InteractionTable:

@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from parking_exp.statistics.checks import finite, finite_or_none
 from parking_exp.statistics.intervals import EXACT, SCORE, Interval, exact_bound, score_interval
-from parking_exp.statistics.rates import wilson_interval
+from parking_exp.statistics.rates import finite, finite_or_none, wilson_interval
 
 if TYPE_CHECKING:
     from scipy.stats import CensoredData
@@ -25,7 +24,6 @@ class SurvivalCurve:
     low: tuple[float, ...]
     high: tuple[float, ...]
     median: float | None
-    n: int
 
 
 def normalised_area(steps: ArrayLike, values: ArrayLike) -> float:
@@ -87,9 +85,7 @@ def kaplan_meier(times: ArrayLike, observed: ArrayLike) -> SurvivalCurve:
             low[i], high[i] = low[i - 1] if i else wilson_interval(n, n)[0], 1.0
     halfway = np.flatnonzero(reached >= 0.5 - 1e-12)
     median = float(at[halfway[0]]) if len(halfway) else None
-    return SurvivalCurve(
-        tuple(at.tolist()), tuple(reached.tolist()), tuple(low.tolist()), tuple(high.tolist()), median, n
-    )
+    return SurvivalCurve(tuple(at.tolist()), tuple(reached.tolist()), tuple(low.tolist()), tuple(high.tolist()), median)
 
 
 def restricted_mean(times: ArrayLike, observed: ArrayLike, horizon: float) -> Interval:

@@ -52,12 +52,7 @@ AT_THE_END = (
 
 
 def mirror(directory: RunDirectory, store: Store) -> None:
-    """Make a store agree with a run directory. Done again, it changes nothing.
-
-    Raises:
-        ParkingError: the run directory can't be read, or the store can't take the run as it is.
-        Exception: the store can't be reached, or does not take it all.
-    """
+    """Make a store agree with a run directory. Done again, it changes nothing."""
     config = directory.config()
     directory.check_links()
     with FileLock(directory.path / ".sync.lock", timeout=WAIT_S):

@@ -6,8 +6,8 @@ import pandas as pd
 from parking_exp.algorithms.model_files import save_model
 from parking_exp.config.schema import RunConfig
 from parking_exp.errors import CertificationError
-from parking_exp.evaluation.evaluate_policy import differences, success_line
-from parking_exp.evaluation.trajectories import TRAJECTORIES_FILE, Recorder
+from parking_exp.evaluation.evaluate_policy import Recorder, differences, success_line
+from parking_exp.evaluation.metrics import TRAJECTORIES_FILE
 from parking_exp.evaluation.video import record
 from parking_exp.training.loop import TrainingLoop, derive_seeds
 from parking_exp.training.plot_curves import learning_curves

@@ -17,8 +17,7 @@ from parking_exp.buffers import HerBuffer
 from parking_exp.config.schema import TRAINING_SCENES_START, RunConfig, Simulation
 from parking_exp.envs.training_envs import make_training_envs
 from parking_exp.errors import InterruptedRunError
-from parking_exp.evaluation.evaluate_policy import evaluate, rank, success_line, summarise
-from parking_exp.evaluation.trajectories import Recorder
+from parking_exp.evaluation.evaluate_policy import Recorder, evaluate, rank, success_line, summarise
 from parking_exp.runs.directory import RunDirectory
 from parking_exp.runs.metric_logs import MetricsLog, append_episodes
 from parking_exp.tracking.tracker import Tracker

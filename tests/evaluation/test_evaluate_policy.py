@@ -11,9 +11,8 @@ from parking_exp.envs.geometry import SLOT_POSITIONS
 from parking_exp.envs.highway import make_env
 from parking_exp.envs.outcomes import Pose, outcome, relative_pose
 from parking_exp.envs.scenes import Scenes
-from parking_exp.evaluation.evaluate_policy import describe, differences, evaluate, rank, summarise
+from parking_exp.evaluation.evaluate_policy import Recorder, describe, differences, evaluate, rank, summarise
 from parking_exp.evaluation.metrics import EPISODE_COLUMNS
-from parking_exp.evaluation.trajectories import Recorder
 from parking_exp.results.recordings import read_trajectories
 
 

@@ -8,8 +8,8 @@ from support.runs import stored_params
 
 from parking_exp.config.cell_labels import cell_labels, differing, find_factors
 from parking_exp.config.compose import composed_runs
+from parking_exp.reports.cell_comparisons import design
 from parking_exp.reports.cell_selection import group
-from parking_exp.reports.factor_effects import design
 from parking_exp.results.frames import config_column
 from parking_exp.sweeps.sweep import plan
 

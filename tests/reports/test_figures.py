@@ -12,10 +12,9 @@ from matplotlib.collections import LineCollection, PolyCollection
 from PIL import Image
 from support import report_factory
 
-from parking_exp.reports.figures import cell_figures, factor_figures, lot_figures, pair_figures, study_figures
-from parking_exp.reports.figures.figure_files import draw
+from parking_exp.reports.figures import cell_figures, comparison_figures, lot_figures, study_figures
 from parking_exp.reports.figures.figure_style import INK, cell_labels, cell_style, report_style
-from parking_exp.reports.sections import SECTIONS
+from parking_exp.reports.sections import SECTIONS, draw
 from parking_exp.statistics import Interval
 
 SVG = "{http://www.w3.org/2000/svg}"
@@ -155,14 +154,14 @@ def test_time_to_90_has_both_clocks_and_unfinished_seeds(three):
 
 
 def test_pairs_are_a_matrix_or_differences_from_the_baseline(three):
-    axes, _ = axes_of(pair_figures.draw_pairs, three)
+    axes, _ = axes_of(comparison_figures.draw_pairs, three)
     matrix = axes.collections[0].get_array()
     pair = three.pairs[1]
     assert (pair.a, pair.b, pair.verdict) == ("c0", "c2", "a")
     assert matrix[0, 2] == pytest.approx(100 * pair.difference.value)
     assert matrix.filled(0) == pytest.approx(-matrix.filled(0).T)
     assert [text.partition("\n")[2][0] for text in texts(axes)] == ["▲", "▼"] * 3
-    (axes,) = axes_of(pair_figures.draw_pairs, replace(three, baseline="c1", reference="c1"))
+    (axes,) = axes_of(comparison_figures.draw_pairs, replace(three, baseline="c1", reference="c1"))
     assert axes.get_xlabel() == "difference from the baseline (points)"
     assert [label.get_text() for label in axes.get_yticklabels()] == ["sac", "ddpg"]
     _, ddpg = lines(axes, cell_style("c2").colour)
@@ -171,13 +170,13 @@ def test_pairs_are_a_matrix_or_differences_from_the_baseline(three):
 
 def test_crossed_factors_have_main_effects_and_a_table_with_gaps():
     report = report_factory.her_ablation(3)
-    panels = axes_of(factor_figures.draw_main_effects, report)
+    panels = axes_of(comparison_figures.draw_main_effects, report)
     for axes, effect in zip(panels, report.effects, strict=True):
         assert axes.lines[0].get_ydata() == pytest.approx([100 * level.effect.value for level in effect.levels])
     table = report.interactions[0]
     mean = [[None, *table.mean[0][1:]], *table.mean[1:]]
     report = replace(report, interactions=[replace(table, mean=mean, given="env=parking_sparse")])
-    axes, _ = axes_of(factor_figures.draw_interactions, report)
+    axes, _ = axes_of(comparison_figures.draw_interactions, report)
     shown = axes.collections[0].get_array()
     assert shown.mask.ravel().nonzero()[0].tolist() == [0]
     assert shown[3, 4] == pytest.approx(100 * mean[3][4])
@@ -188,7 +187,7 @@ def test_crossed_factors_have_main_effects_and_a_table_with_gaps():
 
 
 def test_importance_has_a_bar_for_each_hyperparameter_and_which_way_it_points():
-    (axes,) = axes_of(factor_figures.draw_importance, report_factory.search(5))
+    (axes,) = axes_of(comparison_figures.draw_importance, report_factory.search(5))
     assert [bar.get_width() for bar in axes.patches] == pytest.approx([71, 6, 2, 1])
     assert [text.strip() for text in texts(axes)] == ["p = 0.001 ↓", "p = 0.30 ↑", "p = 0.71 ↑", "p = 0.90"]
 

@@ -7,10 +7,8 @@ import pytest
 from support import report_factory
 from support.marks import slow_but
 
-from parking_exp.reports.figures.figure_files import Picture
-from parking_exp.reports.figures.figure_style import cell_style
-from parking_exp.reports.render.html_page import page
-from parking_exp.reports.sections import section_contents
+from parking_exp.reports.render.report_pages import page
+from parking_exp.reports.sections import Picture, section_contents
 
 ARGUMENTS = [
     "--no-sandbox",
@@ -58,8 +56,7 @@ def files(tmp_path_factory):
         path = folder / f"{name}.html"
         if not path.exists():
             report = getattr(report_factory, name)(*arguments)
-            styles = {cell: cell_style(cell) for cell in report.shown}
-            path.write_text(page(report, section_contents(report, PICTURES), styles), encoding="utf-8")
+            path.write_text(page(report, section_contents(report, PICTURES)), encoding="utf-8")
         return path
 
     return written

@@ -14,7 +14,7 @@ from support.store_factory import Look, make_store
 from parking_exp.reports import lot_map
 from parking_exp.reports.cell_summaries import RunEvaluations
 from parking_exp.reports.report_builder import build_report
-from parking_exp.reports.report_export import ReportSource, read_report_export, write_report_export
+from parking_exp.reports.report_run import ReportSource, read_report_export, write_report_export
 from parking_exp.reports.search_report import Tuning, with_tuning
 from parking_exp.results import load, read_export
 from parking_exp.tuning.trials import TrialRow

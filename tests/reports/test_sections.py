@@ -4,12 +4,10 @@ import csv
 
 from support import report_factory
 
-from parking_exp.reports.figures.figure_files import draw
 from parking_exp.reports.figures.figure_style import new_figure
-from parking_exp.reports.render.html_page import page
-from parking_exp.reports.render.markdown_report import markdown
+from parking_exp.reports.render.report_pages import markdown, page
 from parking_exp.reports.report_files import write_tables
-from parking_exp.reports.sections import SECTIONS, Figure, Section, section_contents
+from parking_exp.reports.sections import SECTIONS, Figure, Section, draw, section_contents
 from parking_exp.reports.tables.table import Table, cell_column, cell_record, interval_column, spread
 
 

@@ -9,10 +9,9 @@ import pytest
 from support import report_factory
 
 from parking_exp.reports import formats
-from parking_exp.reports.figures.figure_files import Picture
-from parking_exp.reports.render.markdown_report import escaped, markdown
+from parking_exp.reports.render.report_pages import escaped, markdown
 from parking_exp.reports.report_files import csv_text, latex, latex_text, write_tables
-from parking_exp.reports.sections import section_contents
+from parking_exp.reports.sections import Picture, section_contents
 from parking_exp.reports.tables import report_tables
 from parking_exp.reports.tables.table import Table, cell_column, column
 from parking_exp.statistics import Interval

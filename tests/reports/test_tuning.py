@@ -18,14 +18,12 @@ from support.searches import settings
 from support.store_factory import Look, compose, make_store
 
 from parking_exp.errors import ResultsError
-from parking_exp.reports.figures.figure_files import draw
 from parking_exp.reports.figures.study_figures import FEWEST_TRIALS, draw_parameter_importance, study_of
-from parking_exp.reports.render.html_page import page
-from parking_exp.reports.render.markdown_report import markdown
+from parking_exp.reports.render.report_pages import markdown, page
 from parking_exp.reports.report_builder import build_report
 from parking_exp.reports.report_files import write_tables
 from parking_exp.reports.search_report import Tuning, search_text, tuning_of, with_search, with_tuning
-from parking_exp.reports.sections import SECTIONS, section_contents
+from parking_exp.reports.sections import SECTIONS, draw, section_contents
 from parking_exp.results.frames import load
 from parking_exp.runs.atomic_files import write_json
 from parking_exp.statistics import mean_interval

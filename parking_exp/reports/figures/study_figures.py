@@ -21,11 +21,7 @@ FEWEST_TRIALS = 20  # for importances: PED-ANOVA looks at the best tenth
 
 
 def study_of(tuning: Tuning) -> Any:
-    """Return an in-memory Optuna study of the finished trials of a report, which may be from an export.
-
-    Raises:
-        ResultsError: the trials do not fit the parameters.
-    """
+    """Return an in-memory Optuna study of the finished trials of a report, which may be from an export."""
     from optuna.distributions import json_to_distribution
 
     try:
@@ -36,7 +32,6 @@ def study_of(tuning: Tuning) -> Any:
 
 
 def _study(distributions: Mapping[str, Any], trials: Sequence[tuple[Mapping[str, Any], float]]) -> Any:
-    """Return a study of trials, given by their parameters and values, which are maximised."""
     import optuna
 
     optuna.logging.set_verbosity(optuna.logging.ERROR)

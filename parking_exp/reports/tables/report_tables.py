@@ -132,7 +132,6 @@ def survival(report: ReportData) -> Iterator[Table]:
 
 
 def _series(cell: Cell, **columns: Sequence[Any]) -> list[Row]:
-    """Return a row for each position of some columns."""
     return [
         {**cell_record(cell), **dict(zip(columns, row, strict=True))} for row in zip(*columns.values(), strict=True)
     ]

@@ -6,8 +6,7 @@ from typing import Any, NamedTuple
 
 from parking_exp.reports import formats
 from parking_exp.reports.report_data import Cell
-from parking_exp.statistics import Interval
-from parking_exp.statistics.checks import finite_or_none
+from parking_exp.statistics import Interval, finite_or_none
 
 PERCENT = "with 95 % intervals over seeds in brackets"
 MOST_OPEN_ROWS = 30
