@@ -42,8 +42,10 @@ class Hangs(SAC):
 class Lingers(SAC):
     """Takes its time, so that a test can step in."""
 
+    pause_s = 0.05
+
     def train(self, gradient_steps, batch_size=64):
-        time.sleep(0.05)
+        time.sleep(self.pause_s)
         super().train(gradient_steps, batch_size)
 
 

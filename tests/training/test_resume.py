@@ -10,7 +10,6 @@ from functools import cache
 import numpy as np
 import pytest
 import torch
-from gymnasium import spaces
 from support.marks import slow_but
 from support.models import model_of
 from support.run_equality import differences, exact
@@ -266,22 +265,3 @@ def test_an_env_of_highway_env_continues_from_its_state():
         if any(ours[2:4]):
             env.reset(), other.reset()
     assert env.unwrapped.np_random.bit_generator.state == other.unwrapped.np_random.bit_generator.state
-
-
-def test_nested_state_comes_back_with_its_types():
-    values = {
-        "float32": np.float32(0.1), "float64": np.float64(0.1), "int": np.int32(3), "bool": np.True_, "big": 2**127,
-        "inf": float("inf"), "none": None, "word": "a", "flag": True,
-    }  # fmt: skip
-    plain, arrays = checkpoints.split_state(
-        {"values": values, "list": [{"array": np.arange(3, dtype=np.uint8)}, (1, 2)]}
-    )
-    again = checkpoints.join_state(json.loads(json.dumps(plain)), arrays)
-    assert again["values"] == values
-    assert {name: type(value) for name, value in again["values"].items()} == {
-        name: type(value) for name, value in values.items()
-    }
-    assert again["list"][0]["array"].dtype == np.uint8
-    assert again["list"][1] == [1, 2]
-    with pytest.raises(TypeError, match="a/0 is a Box"):
-        checkpoints.split_state({"a": [spaces.Box(0, 1)]})

@@ -155,19 +155,6 @@ def test_kills_at_random_moments_lose_no_trial_and_repeat_none(tmp_path):
 
 
 @pytest.mark.slow
-def test_two_tunings_at_once_share_a_study(tmp_path):
-    options = ("n_trials=5", "search.tuning_seeds=[1001]", "tracking.mlflow=false", "n_workers=1")
-    processes = [begin(tmp_path, *options, **TUNE) for _ in range(2)]
-    codes = []
-    for process in processes:
-        process.communicate(timeout=300)
-        codes.append(process.returncode)
-    assert codes == [0, 0]
-    assert states(tmp_path) == ["done"] * 5
-    assert len(list(tmp_path.glob("smoke/*/seed=*/result.json"))) == len({p for t in trials(tmp_path) for p in t.runs})
-
-
-@pytest.mark.slow
 @pytest.mark.parametrize("launcher", ["local", "basic", "slurm"])
 def test_every_launcher_trains_trials_of_a_study_in_a_database(tmp_path, launcher):
     executor = ["hydra.launcher.executor=local"] if launcher == "slurm" else []

@@ -162,7 +162,6 @@ def test_files_of_a_search_that_are_links_out_of_its_folder_are_refused(tmp_path
     ("state", "values", "attributes", "entry"),
     [
         ("COMPLETE", [0.5], {"changes": ["x"]}, "changes"),
-        ("COMPLETE", [0.5], {"by_seed": 0.5}, "by_seed"),
         ("FAIL", None, {"cpu_s": float("nan")}, "cpu_s"),
         ("COMPLETE", [float("inf")], {}, "value"),
     ],
