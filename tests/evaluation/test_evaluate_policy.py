@@ -11,7 +11,7 @@ from parking_exp.envs.geometry import SLOT_POSITIONS
 from parking_exp.envs.highway import make_env
 from parking_exp.envs.outcomes import Pose, outcome, relative_pose
 from parking_exp.envs.scenes import Scenes
-from parking_exp.evaluation.evaluate_policy import describe, differences, evaluate, rank, summarise
+from parking_exp.evaluation.evaluate_policy import describe, evaluate, rank, summarise
 from parking_exp.evaluation.metrics import EPISODE_COLUMNS
 from parking_exp.evaluation.trajectories import Recorder
 from parking_exp.results.recordings import read_trajectories
@@ -55,14 +55,6 @@ def test_trajectories_lead_from_the_origin_to_where_the_episode_ended(simulator,
         away = np.hypot(*(steps.iloc[-1][["x_m", "y_m"]].to_numpy(float) - slot))
         assert away == pytest.approx(end["distance_m"], abs=1e-5)
         assert abs(steps.iloc[-1]["speed_mps"]) == pytest.approx(end["speed_mps"], abs=1e-6)
-
-
-def test_a_difference_between_tables_is_named():
-    env = make_config("env.duration=2").env
-    table = evaluate(wait, env, [3, 8])
-    other = table.assign(outcome=["timeout", "success"], distance_m=table["distance_m"] + [5e-10, 2e-9])
-    (difference,) = differences(table, other)
-    assert difference.startswith("scene 8: outcome timeout and success, distance_m ")
 
 
 def test_rows_are_what_a_plain_loop_sees():

@@ -49,7 +49,7 @@ def test_a_rerun_does_only_what_is_missing_and_retry_runs_a_failed_run_again(tmp
 @pytest.mark.slow
 def test_every_way_to_fail_is_reported_and_the_other_runs_go_on(tmp_path):
     kinds = ["Raises", "Exits", "IsKilled", "Vanishes"]
-    targets = ",".join(["parking_exp.algorithms.SAC", *(f"support.failing_algorithms.{kind}" for kind in kinds)])
+    targets = ",".join(["parking_exp.algorithms.SAC", *(f"support.user_algorithms.{kind}" for kind in kinds)])
     done = sweep(tmp_path, f"algorithm._target_={targets}")
     assert done.returncode == 2
     reasons = {status["label"].rpartition(".")[2]: status.get("error") for status in statuses(tmp_path).values()}
@@ -59,7 +59,7 @@ def test_every_way_to_fail_is_reported_and_the_other_runs_go_on(tmp_path):
     assert reasons["IsKilled"] == "killed by SIGKILL (out of memory?)"
     assert reasons["Vanishes"].startswith("its process ended with status 0 and without a result; see ")
     for kind in kinds:
-        assert f"failed   _target_=support.failing_algorithms.{kind} seed=0: {reasons[kind]}" in done.stdout
+        assert f"failed   _target_=support.user_algorithms.{kind} seed=0: {reasons[kind]}" in done.stdout
     assert "of 5 runs, 4 failed" in done.stderr.splitlines()[-1]
     # A kill says nothing about the run; the others would fail again.
     again = sweep(tmp_path, f"algorithm._target_={targets}", "dry_run=true")
@@ -70,7 +70,7 @@ def test_every_way_to_fail_is_reported_and_the_other_runs_go_on(tmp_path):
 
 @pytest.mark.slow
 def test_a_run_that_hangs_past_its_time_is_failed(tmp_path):
-    hangs = ("algorithm._target_=support.failing_algorithms.Hangs", "timeout_s=2", "hydra/launcher=local")
+    hangs = ("algorithm._target_=support.user_algorithms.Hangs", "timeout_s=2", "hydra/launcher=local")
     done = sweep(tmp_path, "seeds=[0]", *hangs, timeout=60)
     assert done.returncode == 2
     (status,) = statuses(tmp_path).values()

@@ -1,7 +1,6 @@
 """The store agrees with the run directories: under load, after kills, and after it was down, lost or behind."""
 
 import json
-import os
 import shutil
 import sqlite3
 import subprocess
@@ -16,14 +15,13 @@ from support.runs import (
     artifacts,
     assert_store_is_whole,
     history,
-    make_config,
     only_run,
     run_script,
     store,
     stored_params,
 )
 from support.sync_processes import KEYS, grow, sync
-from support.tracked_runs import finish, finished_run, written_run
+from support.tracked_runs import finish, finished_run, rows, written_run
 
 from parking_exp.config.paths import default_uri
 from parking_exp.runs.atomic_files import write_json
@@ -61,11 +59,6 @@ def local_points(directory, up_to=None):
     )
 
 
-def rows(output_dir, query):
-    with closing(sqlite3.connect(output_dir / "mlflow.db")) as database:
-        return database.execute(query).fetchall()
-
-
 def stored_points(output_dir, run_id):
     """Every row of the metrics table: a number that was logged twice would be there twice."""
     return sorted(rows(output_dir, f"SELECT key, step, value, timestamp FROM metrics WHERE run_uuid = '{run_id}'"))
@@ -83,11 +76,10 @@ def assert_mirrored(*directories):
         assert stored_points(output_dir, directory.run_id) == local_points(directory)
 
 
-def processes(command, paths, **env):
-    arguments = [sys.executable, str(ROOT / "tests" / "support" / "sync_processes.py"), command, *map(str, paths)]
-    return subprocess.run(
-        arguments, check=False, capture_output=True, text=True, timeout=300, env={**os.environ, **env}
-    )
+def processes(command, directories):
+    script = ROOT / "tests" / "support" / "sync_processes.py"
+    arguments = [sys.executable, str(script), command, *(str(directory.path) for directory in directories)]
+    return subprocess.run(arguments, check=False, capture_output=True, text=True, timeout=300)
 
 
 def content(output_dir):
@@ -101,7 +93,7 @@ def content(output_dir):
 @pytest.mark.slow
 def test_sixteen_processes_write_into_a_fresh_store_at_once_and_each_number_arrives_once(fresh_dir):
     directories = [written_run(fresh_dir, seed) for seed in range(16)]
-    done = processes("at-once", [directory.path for directory in directories])
+    done = processes("at-once", directories)
     assert (done.returncode, done.stderr) == (0, "")
     assert rows(fresh_dir, "SELECT count(*) FROM metrics") == [(16 * 2 * 180 * len(KEYS),)]
     assert rows(fresh_dir, "SELECT name FROM experiments ORDER BY name") == [("Default",), ("smoke",)]
@@ -117,10 +109,9 @@ def test_a_mirror_that_is_killed_anywhere_is_completed_by_the_next_one(output_di
     for directory in (first, *directories):
         grow(directory, rows=400)  # more than one batch
         finish(directory)
-    calls = processes("count", [first.path]).stdout.strip()
-    assert int(calls) > 200
-    killed = processes("kill", [directory.path for directory in directories], CALLS=calls)
-    assert killed.stdout.strip() == str([-9] * 10)
+    calls, *endings = map(int, processes("kill", [first, *directories]).stdout.split())
+    assert calls > 200
+    assert endings == [-9] * 10
     assert mirror_all(output_dir) == [None] * 10
     assert mirror_all(output_dir) == []
     client = store(output_dir)
@@ -212,19 +203,6 @@ def test_an_unfinished_run_has_its_traceback_in_the_store_until_it_is_resumed(ou
     assert "traceback.txt" not in artifacts(client, directory.run_id)
 
 
-def test_a_planned_run_keeps_its_stored_run_when_it_starts(output_dir):
-    config = make_config("experiment=smoke").model_copy(update={"output_dir": str(output_dir)})
-    directory = RunDirectory(config.run_dir)
-    directory.freeze(config, "sac", None)
-    assert mirror_all(output_dir) == [None]
-    run_id = directory.run_id
-    assert stored_run(directory).data.tags["status"] == "interrupted"
-    with directory.training_lock():
-        directory.update(status="running")
-        open_tracker(config, directory)
-    assert (directory.run_id, stored_run(directory).data.tags["status"]) == (run_id, "running")
-
-
 def test_a_new_training_in_the_same_directory_replaces_the_stored_run(output_dir):
     directory = finished_run(output_dir)
     sync(directory)
@@ -308,8 +286,7 @@ def test_a_store_that_fails_in_the_middle_is_completed(output_dir):
     directory = finished_run(output_dir)
     change_store = "CREATE TRIGGER full BEFORE INSERT ON metrics BEGIN SELECT RAISE(ABORT, 'disk is full'); END"
     for statement, problem in ((change_store, "disk is full"), ("DROP TRIGGER full", None)):
-        with closing(sqlite3.connect(output_dir / "mlflow.db")) as database:
-            database.execute(statement)
+        rows(output_dir, statement)
         assert mirror_all(output_dir) == [problem]
         assert directory.unsynced == problem
     assert_mirrored(directory)

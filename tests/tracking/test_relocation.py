@@ -3,14 +3,12 @@
 import json
 import shutil
 import socket
-from contextlib import closing
 from pathlib import Path
-from sqlite3 import connect as open_database
 
 import pytest
 import yaml
 from support.runs import artifacts, make_config, run_script, store, type_here
-from support.tracked_runs import finished_run
+from support.tracked_runs import finished_run, rows
 
 from parking_exp.config.compose import composed
 from parking_exp.config.paths import default_uri
@@ -48,11 +46,6 @@ def evaluated(directory):
     folder.mkdir(parents=True)
     write_json(folder / "summary.json", {"episodes": 1})
     return directory
-
-
-def rows(output_dir, query):
-    with closing(open_database(output_dir / "mlflow.db")) as database:
-        return database.execute(query).fetchall()
 
 
 @pytest.mark.slow
@@ -195,16 +188,11 @@ def test_links_that_lead_out_of_a_run_directory_are_refused(foreign, tmp_path, n
         sync(foreign, default_uri(tmp_path))
 
 
-def change_database(output_dir, statement, value):
-    with closing(open_database(output_dir / "mlflow.db")) as database, database:
-        database.execute(statement, (value,))
-
-
 @pytest.mark.parametrize("place", ["file:///etc/parking", "s3://bucket/x", "./mlruns/0"])
 def test_an_embedded_store_with_artifacts_elsewhere_is_refused(output_dir, place):
     directory = finished_run(output_dir)
     store(output_dir).create_experiment("smoke", "file:///tmp/replaced")
-    change_database(output_dir, "UPDATE experiments SET artifact_location = ? WHERE name = 'smoke'", place)
+    rows(output_dir, "UPDATE experiments SET artifact_location = ? WHERE name = 'smoke'", place)
     with pytest.raises(StoreError, match="artifacts outside of") as refusal:
         sync(directory, default_uri(output_dir))
     assert place in str(refusal.value)
@@ -216,8 +204,7 @@ def test_a_run_with_artifacts_elsewhere_is_neither_sent_nor_read(output_dir, lis
     monkeypatch.setenv("MLFLOW_TRACKING_TOKEN", "secret-token")
     directory = finished_run(output_dir)
     sync(directory, default_uri(output_dir))
-    place = f"{uri}/api/2.0/mlflow-artifacts/artifacts/x"
-    change_database(output_dir, "UPDATE runs SET artifact_uri = ?", place)
+    rows(output_dir, "UPDATE runs SET artifact_uri = ?", f"{uri}/api/2.0/mlflow-artifacts/artifacts/x")
     with (directory.path / "metrics.jsonl").open("a") as file:
         file.write("x")
     with pytest.raises(StoreError, match="artifacts outside of"):
@@ -267,19 +254,6 @@ def test_a_training_does_not_write_through_links(tmp_path):
     with pytest.raises(UntrustedError, match="is a symbolic link that leads out of /"):
         train(config)
     assert outside.read_text() == "content"
-
-
-def test_runs_of_another_output_directory_keep_their_artifacts_where_they_are(tmp_path):
-    """One store, that of `home`, and an experiment that a run of `scratch` has begun."""
-    (tmp_path / "home").mkdir()
-    uri = f"sqlite:///{tmp_path / 'home' / 'mlflow.db'}"
-    other, own = finished_run(tmp_path / "scratch", uri=uri), finished_run(tmp_path / "home")
-    sync(other, uri)
-    with pytest.raises(StoreError, match="keeps artifacts outside of"):
-        sync(own, uri)
-    sync(other, uri)
-    places = rows(tmp_path / "home", "SELECT artifact_uri FROM runs")
-    assert places == [((tmp_path / "scratch" / "mlflow-artifacts" / "smoke" / other.run_id / "artifacts").as_uri(),)]
 
 
 def test_runs_cannot_go_to_the_default_experiment(tmp_path):

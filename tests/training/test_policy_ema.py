@@ -7,7 +7,6 @@ from support.runs import make_config, only_run
 
 from parking_exp.algorithms.model_files import read_weights
 from parking_exp.algorithms.policy_ema import PolicyEMA
-from parking_exp.errors import ConfigError
 from parking_exp.training import checkpoints
 from parking_exp.training.train_run import train
 
@@ -78,14 +77,6 @@ def test_the_average_is_saved_as_the_final_model_and_not_trained_further(tmp_pat
     final, averaged, trained = (weights(path) for path in files)
     assert all(torch.equal(final[name], averaged[name]) for name in final)
     assert not all(torch.equal(final[name], trained[name]) for name in final)
-
-
-def test_a_policy_without_an_actor_has_no_average():
-    model = make_model()
-    model.policy = torch.nn.Linear(2, 2)
-    with pytest.raises(ConfigError, match=r"^algorithm\.policy_ema_half_life: "):
-        PolicyEMA(model, half_life=10)
-    PolicyEMA(model, half_life=None)
 
 
 def test_statistics_of_batch_normalisation_are_averaged_with_the_weights():

@@ -21,9 +21,8 @@ from support.runs import (
     store,
     stored_params,
     type_here,
-    wait_for,
 )
-from support.sweep_processes import FAILING
+from support.sweep_processes import FAILING, wait_until
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 from parking_exp import __version__
@@ -200,18 +199,18 @@ def test_a_finished_run_is_not_rerun_even_if_its_files_were_deleted(smoke, tmp_p
 def test_a_killed_run_resumes_in_the_same_mlflow_run_without_repeated_steps(output_dir, monkeypatch):
     arguments = (
         "experiment=smoke", f"output_dir={output_dir}", "checkpoint.every_n_steps=50", "evaluation.video_episodes=0",
-        "algorithm._target_=support.failing_algorithms.Lingers",  # slow enough to be killed on the way
+        "algorithm._target_=support.user_algorithms.Lingers",  # slow enough to be killed on the way
     )  # fmt: skip
     command, keywords = script("train", *arguments, env=FAILING)
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, **keywords)
-    wait_for(lambda: len(list(output_dir.glob("*/*/*/checkpoints/step=*"))) == 2, process)
+    wait_until(lambda: len(list(output_dir.glob("*/*/*/checkpoints/step=*"))) == 2)
     time.sleep(0.5)  # into the steps after a checkpoint
     process.kill()
     process.wait()
     directory = only_run(output_dir)
     killed_at, run_id = checkpoints.latest(directory.checkpoints).name, directory.run_id
     assert directory.status == "running"
-    monkeypatch.setattr("support.failing_algorithms.Lingers.pause_s", 0)
+    monkeypatch.setattr("support.user_algorithms.Lingers.pause_s", 0)
     done = type_here("train", *arguments)
     assert done.returncode == 0, done.stderr
     assert f"resuming at step {int(killed_at.removeprefix('step='))}" in done.stderr

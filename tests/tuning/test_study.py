@@ -83,7 +83,7 @@ def _claim_and_hang(path, held):
 
 def test_a_trial_whose_process_was_killed_is_free_at_once(tmp_path):
     receive, send = multiprocessing.Pipe()
-    context = multiprocessing.get_context("spawn")
+    context = multiprocessing.get_context("fork")
     process = context.Process(target=_claim_and_hang, args=(tmp_path, send), daemon=True)
     process.start()
     assert receive.recv() == 0
