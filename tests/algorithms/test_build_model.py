@@ -47,23 +47,23 @@ def test_every_buffer_binds_to_its_constructor(buffer, simulator):
 
 
 def test_every_argument_arrives():
+    """Also one that is an object, written as a `_target_` node."""
+    schedule = "{_target_: stable_baselines3.common.utils.LinearSchedule, start: 1e-2, end: 1e-3, end_fraction: 1.0}"
     model = built(
         "algorithm=td3", "algorithm.policy_delay=3", "algorithm.target_policy_noise=0.3", "algorithm.gamma=0.9",
         "algorithm.tau=0.02", "algorithm.batch_size=33", "algorithm.net_arch=[7,5]", "algorithm.features=raw",
         "algorithm.action_noise.sigma=[0.2,0.3]", "+algorithm.policy_kwargs.n_critics=3", "buffer.buffer_size=640",
-        seed=5,
+        "+algorithm.policy_kwargs.activation_fn={_target_:torch.nn.LeakyReLU,negative_slope:0.3}",
+        f"algorithm.learning_rate={schedule}", seed=5,
     )  # fmt: skip
+    slopes = {module.negative_slope for module in model.actor.modules() if isinstance(module, torch.nn.LeakyReLU)}
+    assert slopes == {0.3}
+    assert [model.lr_schedule(progress) for progress in (1.0, 0.5, 0.0)] == pytest.approx([1e-2, 5.5e-3, 1e-3])
     assert (model.policy_delay, model.target_policy_noise, model.gamma, model.tau) == (3, 0.3, 0.9, 0.02)
     assert (model.batch_size, model.buffer_size, model.seed) == (33, 640, 5)
     assert model.policy_kwargs["net_arch"] == [7, 5]
     assert len(model.critic.q_networks) == 3
     assert list(model.action_noise.base_noise._sigma) == [0.2, 0.3]
-
-
-def test_a_learning_rate_schedule_is_a_target_node():
-    schedule = "{_target_: stable_baselines3.common.utils.LinearSchedule, start: 1e-2, end: 1e-3, end_fraction: 1.0}"
-    model = built(f"algorithm.learning_rate={schedule}")
-    assert [model.lr_schedule(progress) for progress in (1.0, 0.5, 0.0)] == pytest.approx([1e-2, 5.5e-3, 1e-3])
 
 
 @pytest.mark.parametrize("algorithm", options("algorithm"))
@@ -80,12 +80,6 @@ def test_classes_among_the_policys_arguments_are_dotted_paths_or_targets(algorit
     for network in (model.actor, model.critic):
         assert type(network.optimizer) is torch.optim.AdamW
         assert network.optimizer.param_groups[0]["weight_decay"] == 0.5
-
-
-def test_arguments_of_a_class_are_given_to_it():
-    model = built("+algorithm.policy_kwargs.activation_fn={_target_:torch.nn.LeakyReLU,negative_slope:0.3}")
-    slopes = {module.negative_slope for module in model.actor.modules() if isinstance(module, torch.nn.LeakyReLU)}
-    assert slopes == {0.3}
 
 
 def test_another_features_extractor_takes_the_place_of_ours():

@@ -74,11 +74,8 @@ def test_the_scene_is_mirrored_where_the_goal_is_to_the_right_of_the_car():
     assert extractor.sign(tensors(car, goal)).tolist() == [[1], [-1], [-1]]
     features = extractor(tensors(car, goal))
     assert features[:, 1].tolist() == pytest.approx([1.4, 1.4, 1.0])  # to the left
-    assert extractor.mirror(torch.full((3, 2), 0.5), tensors(car, goal)).tolist() == [
-        [0.5, 0.5],
-        [0.5, -0.5],
-        [0.5, -0.5],
-    ]
+    mirrored = extractor.mirror(torch.full((3, 2), 0.5), tensors(car, goal))
+    assert mirrored.tolist() == [[0.5, 0.5], [0.5, -0.5], [0.5, -0.5]]
 
 
 def test_without_steering_there_is_nothing_to_mirror():

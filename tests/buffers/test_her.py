@@ -1,6 +1,5 @@
 """The HER buffer: Stable-Baselines3's batches, drawn from the same distributions, and what our options change."""
 
-import io
 import pickle
 
 import numpy as np
@@ -288,6 +287,7 @@ def through_pickle(buffer, tmp_path):
 
 def through_arrays(buffer, tmp_path):
     np.savez(tmp_path / "buffer.npz", allow_pickle=False, **buffer.get_state())
+    assert sum(array.nbytes for array in buffer.get_state().values()) < 160 * buffer.size() * buffer.n_envs + 4000
     size, strategy = buffer.buffer_size * buffer.n_envs, buffer.goal_selection_strategy
     loaded = make(size=size, n_envs=buffer.n_envs, goal_selection_strategy=strategy)
     with np.load(tmp_path / "buffer.npz", allow_pickle=False) as state:
@@ -311,8 +311,8 @@ def test_saved_in_the_middle_of_episodes_it_continues_identically(tmp_path, thro
     assert drawable(ours) == drawable(other)
 
 
-def test_truncated_or_reset_it_is_stable_baselines3s():
-    """`load_replay_buffer` truncates: episodes under way end, and bootstrap. A reset forgets everything."""
+def test_truncated_it_is_stable_baselines3s_and_a_reset_forgets_everything():
+    """`load_replay_buffer` truncates: episodes under way end, and bootstrap."""
     ours, theirs = pair(100, 8, 90)
     for buffer in (ours, theirs):
         with pytest.warns(UserWarning, match="truncated"):
@@ -321,12 +321,7 @@ def test_truncated_or_reset_it_is_stable_baselines3s():
     assert index.tolist() == np.flatnonzero(theirs.ep_length > 0).tolist()
     assert_same_batches(ours, theirs, index, index)
     ours.reset()
-    assert (len(ours.episodes), ours.size(), ours.real_share) == (0, 0, None)
-    theirs = make(HerReplayBuffer, 100, 8)
-    fill(Transitions(8, seed=5), 70, ours, theirs)
-    index = np.array(drawable(ours))
-    assert index.tolist() == np.flatnonzero(theirs.ep_length > 0).tolist()
-    assert_same_batches(ours, theirs, index, index)
+    assert (len(ours.episodes), ours.size(), ours.real_share, drawable(ours)) == (0, 0, None, [])
 
 
 def test_an_env_that_was_reset_silently_starts_another_episode():
@@ -351,16 +346,6 @@ def test_the_number_of_real_transitions_is_rounded_as_in_stable_baselines3():
         ours, _ = pair(100, 1, 60, n_sampled_goal=n_sampled_goal)
         assert int((ours.sample(256).observations["desired_goal"][:, 0] == -1).sum()) == real
         assert ours.real_share == real / 256
-
-
-def test_memory_and_file():
-    ours = make(size=5000)
-    fill(Transitions(1, longest=20), 2020, ours)
-    assert ours.storage.data.dtype.itemsize == 112
-    assert sum(array.nbytes for array in ours.get_state().values()) / 2020 < 120
-    file = io.BytesIO()
-    pickle.dump(ours, file, protocol=pickle.HIGHEST_PROTOCOL)
-    assert 112 < len(file.getbuffer()) / 2020 < 120  # of 2,020 transitions, not of 5,000
 
 
 @pytest.mark.parametrize("at", [0, 57])
@@ -415,8 +400,3 @@ def test_before_the_first_episode_has_ended_there_is_nothing_to_draw(strategy, s
     fill(Transitions(1, longest=10**9), steps, ours)
     with pytest.raises(RuntimeError, match="learning_starts"):
         ours.sample(1)
-
-
-def test_the_models_seed_seeds_the_buffer():
-    states = [make_model("experiment=smoke", seed=seed).replay_buffer.rng.bit_generator.state for seed in (3, 3, 4)]
-    assert states[0] == states[1] != states[2]

@@ -2,6 +2,9 @@
 
 import numpy as np
 import pytest
+from highway_env.utils import are_polygons_intersecting
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from support.marks import slow_but
 from support.runs import make_config, options
 from support.simulator_equality import KINDS, actions_of, compare, different_scenes
@@ -10,6 +13,7 @@ from parking_exp.config.schema import EnvConfig
 from parking_exp.envs.highway import make_env
 from parking_exp.envs.scenes import Scenes, start_slot
 from parking_exp.envs.simulator import Simulator
+from parking_exp.envs.simulator.collisions import corners, separating_axis
 from parking_exp.envs.vec_env import ParkingVecEnv
 from parking_exp.errors import ConfigError
 
@@ -109,3 +113,26 @@ def test_reward_of_a_batch_of_goals_is_highway_envs(option):
     expected = np.where(dense > -config.success_goal_reward, 0.0, -1.0) if option == "parking_sparse" else dense
     for ours in (ParkingVecEnv(config, 1), *([make_env(config)] if option == "parking_sparse" else [])):
         np.testing.assert_allclose(ours.compute_reward(achieved, desired, {}), expected, rtol=0, atol=1e-12)
+
+
+coordinate = st.floats(-6, 6)
+angle = st.one_of(st.floats(-7, 7), st.sampled_from([0.0, np.pi / 2, -np.pi / 2]))
+length = st.sampled_from([1.0, 2.0, 5.0, 42.0, 70.0])
+rectangle = st.tuples(coordinate, coordinate, angle, length, length)
+
+
+def polygon(x, y, heading, long, wide):
+    direction = np.array([[np.cos(heading), np.sin(heading)]])
+    return corners(np.array([[x, y]]), direction, np.array([long]), np.array([wide]))[0]
+
+
+@settings(max_examples=500, deadline=None)
+@given(rectangle, rectangle, st.tuples(coordinate, coordinate))
+def test_collisions_of_rectangles_are_highway_envs(first, second, displacement):
+    a, b = polygon(*first), polygon(*second)
+    now, soon, push = separating_axis(np.stack([a, b])[None], np.array([displacement]))
+    closed = [np.vstack([points, points[:1]]) for points in (a, b)]
+    their_now, their_soon, their_push = are_polygons_intersecting(*closed, np.array(displacement), np.zeros(2))
+    assert (bool(now[0]), bool(soon[0])) == (their_now, their_soon)
+    if their_soon:
+        np.testing.assert_array_equal(push[0], their_push)

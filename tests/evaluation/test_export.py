@@ -95,24 +95,17 @@ def test_an_onnx_file_is_one_file_of_the_whole_observation_without_paths_of_the_
     onnx.checker.check_model(onnx.load_from_string(content), full_check=True)
 
 
-def test_a_torchscript_file_has_no_critics_and_a_safetensors_file_has_the_actors_weights(tmp_path):
+def test_a_torchscript_file_has_no_critics_a_safetensors_file_the_actors_weights_and_the_model_is_unchanged(tmp_path):
     model, observations = agent("sac")
+    before = {name: value.clone() for name, value in model.policy.state_dict().items()}
     export_policy(model, "torchscript", tmp_path / "policy.pt", observations)
     loaded = torch.jit.load(tmp_path / "policy.pt")
     assert list(loaded.parameters()) == []  # frozen: weights are constants
     assert "critic" not in str(loaded.inlined_graph)
     assert export_policy(model, "safetensors", tmp_path / "policy.safetensors", observations) == 0.0
-    weights = {name: value for name, value in model.policy.state_dict().items() if name.startswith("actor.")}
     stored = load_file(tmp_path / "policy.safetensors")
-    assert sorted(stored) == sorted(weights)
-    assert all(np.array_equal(stored[name], weights[name].numpy()) for name in stored)
-
-
-def test_exporting_changes_nothing_of_the_model(tmp_path):
-    model, observations = agent("sac")
-    before = {name: value.clone() for name, value in model.policy.state_dict().items()}
-    for file_format in FORMATS:
-        export_policy(model, file_format, tmp_path / "policy", observations)
+    assert sorted(stored) == sorted(name for name in before if name.startswith("actor."))
+    assert all(np.array_equal(stored[name], before[name].numpy()) for name in stored)
     after = model.policy.state_dict()
     assert all(after[name].dtype == torch.float32 and torch.equal(after[name], before[name]) for name in before)
 
@@ -138,7 +131,7 @@ def run(smoke, tmp_path_factory):
 
 
 @pytest.mark.parametrize("file_format", FORMATS)
-def test_the_command_writes_into_the_run_directory_and_prints_the_difference(file_format, run):
+def test_the_command_writes_into_the_run_directory_or_to_a_path_and_prints_the_difference(file_format, run, tmp_path):
     done = type_here("export", f"run={run}", f"format={file_format}")
     path = run / "exports" / f"policy{FORMATS[file_format]}"
     assert (done.returncode, done.stderr) == (0, "")
@@ -147,13 +140,9 @@ def test_the_command_writes_into_the_run_directory_and_prints_the_difference(fil
     assert exported == f"exported       final model as {file_format}, {path.stat().st_size / 1000:.1f} kB"
     assert file == f"file           {path}"
     assert 0 <= float(re.search(r"difference from torch (\S+) ", checked)[1]) < 1e-5
-
-
-def test_a_path_and_a_model_can_be_chosen(run, tmp_path):
-    done = type_here("export", f"run={run}", "model=best", "path=made/best.onnx", cwd=tmp_path)
-    assert done.returncode == 0
-    assert "exported       best model as onnx" in done.stdout
-    assert [path.name for path in (tmp_path / "made").iterdir()] == ["best.onnx"]
+    arguments = (f"run={run}", "model=best", f"path=made/best{path.suffix}", f"format={file_format}")
+    assert f"best model as {file_format}" in type_here("export", *arguments, cwd=tmp_path).stdout
+    assert [path.name for path in (tmp_path / "made").iterdir()] == [f"best{path.suffix}"]
 
 
 @pytest.mark.parametrize(
@@ -182,12 +171,10 @@ def test_without_the_extra_onnx_is_refused(run, monkeypatch):
 
 def drive(example, run, folder):
     """Export a pretrained agent and run an example of the docs beside the file; return what it prints."""
-    done = type_here("export", f"run={run}", "path=policy.onnx", cwd=folder)
-    assert done.returncode == 0, done.stderr
+    assert type_here("export", f"run={run}", "path=policy.onnx", cwd=folder).returncode == 0
     (folder / "drive.py").write_text(BLOCKED + example)
-    drove = subprocess.run([sys.executable, "drive.py"], check=False, capture_output=True, text=True, cwd=folder)
-    assert drove.returncode == 0, drove.stderr
-    return drove.stdout
+    command = [sys.executable, "drive.py"]
+    return subprocess.run(command, check=True, capture_output=True, text=True, cwd=folder).stdout
 
 
 def docs_examples():
@@ -201,16 +188,11 @@ def test_the_example_of_the_docs_parks_without_torch_and_this_package(tmp_path):
     assert drive(example, "pretrained", tmp_path) == "10 of 10 reached the slot\n"
 
 
+@pytest.mark.slow
 def test_with_the_changed_lines_of_the_docs_an_agent_parks_in_the_env_of_its_config(tmp_path):
     shutil.copy(PRETRAINED_DIR / "parked" / "config.yaml", tmp_path)
     example, changed = docs_examples()
     imports, _, *options = changed.splitlines()
     (made,) = (line for line in example.splitlines() if line.startswith("env, policy"))
     example = "\n".join([imports, *example.replace(made, "\n".join(options)).splitlines()[1:]])
-    example = example.replace(
-        "    successes +=", '    print(f"{abs(env.unwrapped.vehicle.speed):.1f} m/s")\n    successes +='
-    )
-    *speeds, result = drive(example, "pretrained/parked", tmp_path).splitlines()
-    assert result == "10 of 10 reached the slot"
-    assert len(speeds) == 10
-    assert max(speeds) <= "0.4 m/s"  # in parking-v0 as it is episodes end at 3 m/s and more
+    assert drive(example, "pretrained/parked", tmp_path) == "10 of 10 reached the slot\n"

@@ -124,17 +124,8 @@ def test_no_file_of_an_export_names_a_place_on_the_machine(stored, written):
     assert not re.search(r"/(home|tmp|dev|root|work)\b|sqlite:|file:", text)
     assert read_export(written).runs["error"][1] == "no file x.zip: (see mlflow.db)"
     assert read_export(written).runs["config.x.path"][0] == "own"
-
-
-@pytest.mark.parametrize(
-    ("text", "shortened"),
-    [
-        ("cpu 5 km/h, a/b and 1 / 2", "cpu 5 km/h, a/b and 1 / 2"), ("e.g. /tmp/one: no", "e.g. one: no"), ("~/x/y", "y"),
-        ("file:///tmp/a/b.txt'", "b.txt'"), ("http://host:5000/x", "http://host:5000/x"), ("['/a/b', '/c']", "['b', 'c']"),
-    ],
-)  # fmt: skip
-def test_paths_are_cut_to_their_last_part(text, shortened):
-    assert without_paths(text) == shortened
+    unchanged = "cpu 5 km/h, a/b and 1 / 2 of http://host:5000/x"
+    assert without_paths(f"{unchanged}, ['/a/b', '/c']") == f"{unchanged}, ['b', 'c']"
 
 
 def test_a_folder_with_other_files_is_refused_and_left_alone(stored, tmp_path):
@@ -167,12 +158,6 @@ def test_an_export_does_not_write_through_links(stored, written, tmp_path):
     assert len(read_export(written).runs) == 4
 
 
-def test_a_missing_file_is_named(written):
-    (written / "curves.csv.gz").unlink()
-    with pytest.raises(ResultsError, match=r"it has no curves\.csv\.gz"):
-        read_export(written)
-
-
 @pytest.mark.parametrize(
     ("name", "old", "new"),
     [
@@ -189,10 +174,13 @@ def test_a_damaged_export_is_refused_in_one_sentence(written, name, old, new):
     assert "\n" not in str(error.value)
 
 
-def test_a_truncated_export_is_refused(written):
+def test_an_export_with_a_truncated_or_missing_file_is_refused(written):
     path = written / "curves.csv.gz"
     path.write_bytes(path.read_bytes()[:-30])
     with pytest.raises(ResultsError, match="can't be read"):
+        read_export(written)
+    path.unlink()
+    with pytest.raises(ResultsError, match=r"it has no curves\.csv\.gz"):
         read_export(written)
 
 

@@ -11,7 +11,6 @@ import os
 import subprocess
 import sys
 import tempfile
-import time
 from pathlib import Path
 
 import pytest
@@ -126,14 +125,6 @@ def assert_store_is_whole(output_dir, total_timesteps):
         assert history(client, directory.run_id, key) == points, key
     assert history(client, directory.run_id, "final/success_rate")[-1][0] == total_timesteps
     return local
-
-
-def wait_for(condition, process, timeout=120):
-    deadline = time.monotonic() + timeout
-    while not condition():
-        assert process.poll() is None, process.communicate()
-        assert time.monotonic() < deadline
-        time.sleep(0.02)
 
 
 def read_text(path):

@@ -12,7 +12,7 @@ QUICK = (
     "experiment=smoke", "total_timesteps=60", "evaluation.final_n_scenes=3", "evaluation.every_n_steps=null",
     "evaluation.video_episodes=0", "tracking.mlflow=false", "tracking.tensorboard=false",
 )  # fmt: skip
-SLOW = ("algorithm._target_=support.failing_algorithms.Lingers", "total_timesteps=200", "checkpoint.every_n_steps=50")
+SLOW = ("algorithm._target_=support.user_algorithms.Lingers", "total_timesteps=200", "checkpoint.every_n_steps=50")
 FAILING = {"PYTHONPATH": str(ROOT / "tests")}
 
 

@@ -4,6 +4,7 @@ One process imports mlflow and forks the others, which start at the same moment.
 """
 
 import os
+import shutil
 import signal
 import sys
 from pathlib import Path
@@ -44,9 +45,7 @@ def grow(directory, rows, checkpoint=True):
         files = {file.name: sha256(file) for file in folder.iterdir()}
         write_json(folder / "manifest.json", files)
         for stale in sorted(directory.checkpoints.iterdir())[:-2]:
-            for file in stale.iterdir():
-                file.unlink()
-            stale.rmdir()
+            shutil.rmtree(stale)
 
 
 def forked(task, *arguments):
@@ -67,8 +66,7 @@ def statuses(pids):
     return [os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1]) for pid in pids]
 
 
-def train(directory, gate, rows, checkpoints):
-    os.read(gate, 1)  # comes to an end when the gate is opened
+def train(directory, rows, checkpoints):
     with directory.training_lock():
         for _ in range(checkpoints):
             grow(directory, rows)
@@ -78,7 +76,7 @@ def train(directory, gate, rows, checkpoints):
 
 
 def killed_sync(directory, moment):
-    """Sync, and kill this process at the n-th call or return in the modules that do it."""
+    """Sync, and kill this process at the n-th call or return in the modules that do it; 0: return how many there are."""
     passed = 0
 
     def count(frame, event, _):
@@ -91,7 +89,7 @@ def killed_sync(directory, moment):
     sys.setprofile(count)
     sync(directory)
     sys.setprofile(None)
-    print(passed, flush=True)
+    return passed
 
 
 if __name__ == "__main__":
@@ -101,19 +99,10 @@ if __name__ == "__main__":
     import mlflow.store.tracking.sqlalchemy_store  # noqa: F401 - once, before it is forked
 
     if command == "at-once":
-        gate, opened = os.pipe()
-
-        def closing(directory):
-            os.close(opened)
-            train(directory, gate, rows=180, checkpoints=2)
-
-        pids = [forked(closing, directory) for directory in directories]
-        os.close(opened)
-        sys.exit(any(statuses(pids)))
-    if command == "count":
-        killed_sync(directories[0], 0)
+        sys.exit(any(statuses([forked(train, directory, 180, 2) for directory in directories])))
     if command == "kill":
-        total = int(os.environ["CALLS"])
-        moments = [1 + number * total // len(directories) for number in range(len(directories))]
-        endings = [statuses([forked(killed_sync, *pair)])[0] for pair in zip(directories, moments, strict=True)]
-        print(endings)
+        first, *others = directories
+        calls = killed_sync(first, 0)
+        moments = [1 + number * calls // len(others) for number in range(len(others))]
+        endings = [statuses([forked(killed_sync, *pair)])[0] for pair in zip(others, moments, strict=True)]
+        print(calls, *endings)

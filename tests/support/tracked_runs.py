@@ -1,5 +1,7 @@
 """Run directories as trainings with a store leave them, without a training."""
 
+import sqlite3
+from contextlib import closing
 from functools import cache
 
 from parking_exp.config.paths import default_uri
@@ -37,3 +39,9 @@ def finished_run(output_dir, seed=0, **changes):
     grow(directory, rows=20)
     finish(directory)
     return directory
+
+
+def rows(output_dir, query, *values):
+    """Run a statement in the database of an output directory's own store."""
+    with closing(sqlite3.connect(output_dir / "mlflow.db")) as database, database:
+        return database.execute(query, values).fetchall()

@@ -1,8 +1,69 @@
-"""Algorithms as users write them: one whose weights are all saved, and others."""
+"""Algorithms as users write them: that end their run in every way that it can end without a result, or lose weights."""
+
+import json
+import os
+import signal
+import sys
+import time
+from pathlib import Path
 
 import torch
 
 from parking_exp.algorithms import SAC
+
+
+class Raises(SAC):
+    def train(self, gradient_steps, batch_size=64):
+        raise RuntimeError("a bad <day> [bold]")
+
+
+class Exits(SAC):
+    def train(self, gradient_steps, batch_size=64):
+        sys.exit(3)
+
+
+class IsKilled(SAC):
+    def train(self, gradient_steps, batch_size=64):
+        os.kill(os.getpid(), signal.SIGKILL)
+
+
+class Vanishes(SAC):
+    def train(self, gradient_steps, batch_size=64):
+        os._exit(0)
+
+
+class Hangs(SAC):
+    def train(self, gradient_steps, batch_size=64):
+        signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGTERM})
+        while True:
+            time.sleep(1)
+
+
+class Lingers(SAC):
+    """Takes its time, so that a test can step in."""
+
+    pause_s = 0.05
+
+    def train(self, gradient_steps, batch_size=64):
+        time.sleep(self.pause_s)
+        super().train(gradient_steps, batch_size)
+
+
+class Tells(SAC):
+    """Writes down what its process was given, and when it began and ended."""
+
+    def learn(self, *arguments, **keywords):
+        begin = time.time()
+        super().learn(*arguments, **keywords)
+        told = {
+            "cores": sorted(os.sched_getaffinity(0)),
+            "threads": {name: os.environ.get(name) for name in ("OMP_NUM_THREADS", "MKL_NUM_THREADS")},
+            "torch": torch.get_num_threads(),
+            "devices": os.environ.get("CUDA_VISIBLE_DEVICES"),
+            "time": [begin, time.time()],
+        }
+        Path(os.environ["TELLS"], f"{os.getpid()}.json").write_text(json.dumps(told))
+        return self
 
 
 class SavesExtraNetwork(SAC):

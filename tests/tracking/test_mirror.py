@@ -1,7 +1,6 @@
 """The store agrees with the run directories: under load, after kills, and after it was down, lost or behind."""
 
 import json
-import os
 import shutil
 import sqlite3
 import subprocess
@@ -16,14 +15,13 @@ from support.runs import (
     artifacts,
     assert_store_is_whole,
     history,
-    make_config,
     only_run,
     run_script,
     store,
     stored_params,
 )
 from support.sync_processes import KEYS, grow, sync
-from support.tracked_runs import finish, finished_run, written_run
+from support.tracked_runs import finish, finished_run, rows, written_run
 
 from parking_exp.config.paths import default_uri
 from parking_exp.runs.atomic_files import write_json
@@ -31,7 +29,7 @@ from parking_exp.runs.directory import RunDirectory
 from parking_exp.runs.lookup import find_runs
 from parking_exp.runs.metric_logs import restore_logs
 from parking_exp.runs.run_provenance import provenance
-from parking_exp.tracking.client import connect, reason
+from parking_exp.tracking.client import connect
 from parking_exp.tracking.mirror import mirror_missing, mirror_problem, sync_hint, try_mirror
 from parking_exp.tracking.store import Store
 from parking_exp.tracking.tracker import open_tracker
@@ -61,11 +59,6 @@ def local_points(directory, up_to=None):
     )
 
 
-def rows(output_dir, query):
-    with closing(sqlite3.connect(output_dir / "mlflow.db")) as database:
-        return database.execute(query).fetchall()
-
-
 def stored_points(output_dir, run_id):
     """Every row of the metrics table: a number that was logged twice would be there twice."""
     return sorted(rows(output_dir, f"SELECT key, step, value, timestamp FROM metrics WHERE run_uuid = '{run_id}'"))
@@ -83,11 +76,10 @@ def assert_mirrored(*directories):
         assert stored_points(output_dir, directory.run_id) == local_points(directory)
 
 
-def processes(command, paths, **env):
-    arguments = [sys.executable, str(ROOT / "tests" / "support" / "sync_processes.py"), command, *map(str, paths)]
-    return subprocess.run(
-        arguments, check=False, capture_output=True, text=True, timeout=300, env={**os.environ, **env}
-    )
+def processes(command, directories):
+    script = ROOT / "tests" / "support" / "sync_processes.py"
+    arguments = [sys.executable, str(script), command, *(str(directory.path) for directory in directories)]
+    return subprocess.run(arguments, check=False, capture_output=True, text=True, timeout=300)
 
 
 def content(output_dir):
@@ -101,7 +93,7 @@ def content(output_dir):
 @pytest.mark.slow
 def test_sixteen_processes_write_into_a_fresh_store_at_once_and_each_number_arrives_once(fresh_dir):
     directories = [written_run(fresh_dir, seed) for seed in range(16)]
-    done = processes("at-once", [directory.path for directory in directories])
+    done = processes("at-once", directories)
     assert (done.returncode, done.stderr) == (0, "")
     assert rows(fresh_dir, "SELECT count(*) FROM metrics") == [(16 * 2 * 180 * len(KEYS),)]
     assert rows(fresh_dir, "SELECT name FROM experiments ORDER BY name") == [("Default",), ("smoke",)]
@@ -117,10 +109,9 @@ def test_a_mirror_that_is_killed_anywhere_is_completed_by_the_next_one(output_di
     for directory in (first, *directories):
         grow(directory, rows=400)  # more than one batch
         finish(directory)
-    calls = processes("count", [first.path]).stdout.strip()
-    assert int(calls) > 200
-    killed = processes("kill", [directory.path for directory in directories], CALLS=calls)
-    assert killed.stdout.strip() == str([-9] * 10)
+    calls, *endings = map(int, processes("kill", [first, *directories]).stdout.split())
+    assert calls > 200
+    assert endings == [-9] * 10
     assert mirror_all(output_dir) == [None] * 10
     assert mirror_all(output_dir) == []
     client = store(output_dir)
@@ -132,7 +123,7 @@ def test_a_mirror_that_is_killed_anywhere_is_completed_by_the_next_one(output_di
         assert artifacts(client, directory.run_id) == artifacts(client, first.run_id)
 
 
-def test_mirroring_again_changes_nothing(output_dir):
+def test_mirroring_again_changes_nothing_even_if_files_were_deleted_from_the_run_directory(output_dir):
     directory = finished_run(output_dir)
     sync(directory)
     before, status = content(output_dir), directory.read_status()
@@ -140,43 +131,38 @@ def test_mirroring_again_changes_nothing(output_dir):
     assert mirror_all(output_dir) == []
     assert content(output_dir) == before
     assert directory.read_status() == status
+    points, names = stored_points(output_dir, directory.run_id), artifacts(store(output_dir), directory.run_id)
+    shutil.rmtree(directory.checkpoints)
+    (directory.path / "metrics.jsonl").unlink()
+    assert mirror_all(output_dir) == [None]
+    assert directory.run_id == status["run_id"]
+    assert stored_points(output_dir, directory.run_id) == points
+    assert artifacts(store(output_dir), directory.run_id) == names
 
 
-def test_a_lost_store_is_filled_again_even_after_another_run_was_sent_to_the_new_one(output_dir, empty):
-    directories = [finished_run(output_dir, seed) for seed in range(3)]
-    assert mirror_all(output_dir) == [None] * 3
-    shutil.copy(empty / "mlflow.db", output_dir)
-    sync(directories[2])
-    assert mirror_all(output_dir) == [None] * 2
-    assert mirror_all(output_dir) == []
-    assert_mirrored(*directories)
-
-
-def test_an_older_copy_of_a_store_is_completed(output_dir, tmp_path):
+def test_a_lost_or_older_store_is_filled_again_even_after_another_run_was_sent_to_it(output_dir, empty, tmp_path):
     first = written_run(output_dir)
     grow(first, rows=5)
     sync(first)
     shutil.copy(output_dir / "mlflow.db", tmp_path)
     grow(first, rows=5)
     finish(first)
-    second = finished_run(output_dir, seed=1)
-    assert mirror_all(output_dir) == [None, None]
-    shutil.copy(tmp_path / "mlflow.db", output_dir)
-    assert mirror_all(output_dir) == [None, None]
-    assert_mirrored(first, second)
-
-
-def test_a_run_that_a_user_has_deleted_in_the_store_stays_deleted(output_dir):
-    directory = finished_run(output_dir)
-    sync(directory)
-    store(output_dir).delete_run(directory.run_id)
-    assert mirror_all(output_dir) == []
+    directories = [first, finished_run(output_dir, seed=1), finished_run(output_dir, seed=2)]
+    assert mirror_all(output_dir) == [None] * 3
+    for database in (empty / "mlflow.db", tmp_path / "mlflow.db"):
+        shutil.copy(database, output_dir)
+        sync(directories[2])
+        assert mirror_all(output_dir) == [None] * 2
+        assert mirror_all(output_dir) == []
+        assert_mirrored(*directories)
 
 
 def test_a_killed_run_is_mirrored_up_to_its_last_checkpoint_and_whole_once_resumed(output_dir):
     directory = written_run(output_dir)
     grow(directory, rows=20)
     grow(directory, rows=7, checkpoint=False)
+    with directory.training_lock():
+        assert mirror_all(output_dir) == []  # it mirrors itself while it trains
     assert mirror_all(output_dir) == [None]
     run, run_id = stored_run(directory), directory.run_id
     assert stored_points(output_dir, run_id) == local_points(directory, up_to=20)
@@ -217,33 +203,6 @@ def test_an_unfinished_run_has_its_traceback_in_the_store_until_it_is_resumed(ou
     assert "traceback.txt" not in artifacts(client, directory.run_id)
 
 
-def test_a_planned_run_keeps_its_stored_run_when_it_starts(output_dir):
-    config = make_config("experiment=smoke").model_copy(update={"output_dir": str(output_dir)})
-    directory = RunDirectory(config.run_dir)
-    directory.freeze(config, "sac", None)
-    assert mirror_all(output_dir) == [None]
-    run_id = directory.run_id
-    assert stored_run(directory).data.tags["status"] == "interrupted"
-    with directory.training_lock():
-        directory.update(status="running")
-        open_tracker(config, directory)
-    assert (directory.run_id, stored_run(directory).data.tags["status"]) == (run_id, "running")
-
-
-def test_files_deleted_from_a_run_directory_stay_in_the_store(output_dir):
-    directory = finished_run(output_dir)
-    sync(directory)
-    run_id, client = directory.run_id, store(output_dir)
-    points, names = stored_points(output_dir, run_id), artifacts(client, run_id)
-    shutil.rmtree(directory.checkpoints)
-    for name in ("metrics.jsonl", "episodes.csv"):
-        (directory.path / name).unlink()
-    assert mirror_all(output_dir) == [None]
-    assert directory.run_id == run_id
-    assert stored_points(output_dir, run_id) == points
-    assert artifacts(client, run_id) == names
-
-
 def test_a_new_training_in_the_same_directory_replaces_the_stored_run(output_dir):
     directory = finished_run(output_dir)
     sync(directory)
@@ -257,7 +216,7 @@ def test_a_new_training_in_the_same_directory_replaces_the_stored_run(output_dir
     assert rows(output_dir, f"SELECT lifecycle_stage FROM runs WHERE run_uuid = '{old}'") == [("deleted",)]
 
 
-def test_metrics_and_tags_of_other_programs_are_kept(output_dir):
+def test_what_a_user_logs_tags_or_deletes_in_the_store_stays(output_dir):
     directory, client = written_run(output_dir), store(output_dir)
     grow(directory, rows=5)
     sync(directory)
@@ -266,16 +225,11 @@ def test_metrics_and_tags_of_other_programs_are_kept(output_dir):
     client.set_tag(run_id, "starred", "yes")
     grow(directory, rows=5)
     sync(directory)
-    assert directory.run_id == run_id
     assert history(client, run_id, "my/note") == [(99, 1.0)]
     assert client.get_run(run_id).data.tags["starred"] == "yes"
-
-
-def test_a_run_under_way_in_another_process_is_skipped(output_dir):
-    directory = written_run(output_dir)
-    with directory.training_lock():
-        assert mirror_all(output_dir) == []
-    assert mirror_all(output_dir) == [None]
+    client.delete_run(run_id)
+    assert mirror_all(output_dir) == []
+    assert directory.run_id == run_id
 
 
 def test_a_run_has_its_provenance_and_a_description_that_a_user_may_replace(output_dir):
@@ -328,18 +282,11 @@ def test_a_server_that_is_down_is_asked_once_for_all_runs(fresh_dir):
     assert [directory.unsynced for directory in directories] == [None] * 3
 
 
-def test_reasons_have_no_password_and_are_short():
-    error = ValueError("no server at postgresql://me:secret@db.example:5432/mlflow")
-    assert reason(error) == "no server at postgresql://me@db.example:5432/mlflow"
-    assert len(reason(ValueError("x" * 1000))) < 210
-
-
 def test_a_store_that_fails_in_the_middle_is_completed(output_dir):
     directory = finished_run(output_dir)
     change_store = "CREATE TRIGGER full BEFORE INSERT ON metrics BEGIN SELECT RAISE(ABORT, 'disk is full'); END"
     for statement, problem in ((change_store, "disk is full"), ("DROP TRIGGER full", None)):
-        with closing(sqlite3.connect(output_dir / "mlflow.db")) as database:
-            database.execute(statement)
+        rows(output_dir, statement)
         assert mirror_all(output_dir) == [problem]
         assert directory.unsynced == problem
     assert_mirrored(directory)

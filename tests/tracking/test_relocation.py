@@ -3,17 +3,15 @@
 import json
 import shutil
 import socket
-from contextlib import closing
 from pathlib import Path
-from sqlite3 import connect as open_database
 
 import pytest
 import yaml
 from support.runs import artifacts, make_config, run_script, store, type_here
-from support.tracked_runs import finished_run
+from support.tracked_runs import finished_run, rows
 
 from parking_exp.config.compose import composed
-from parking_exp.config.paths import absolute, default_uri, directory_path, is_same_store, relative
+from parking_exp.config.paths import default_uri
 from parking_exp.errors import ConfigError, ParkingError, StoreError, UntrustedError
 from parking_exp.evaluation.evaluate_run import evaluate_run
 from parking_exp.results.frames import load
@@ -48,11 +46,6 @@ def evaluated(directory):
     folder.mkdir(parents=True)
     write_json(folder / "summary.json", {"episodes": 1})
     return directory
-
-
-def rows(output_dir, query):
-    with closing(open_database(output_dir / "mlflow.db")) as database:
-        return database.execute(query).fetchall()
 
 
 @pytest.mark.slow
@@ -126,17 +119,6 @@ def test_a_copy_of_a_run_that_is_tracked_elsewhere_gets_a_run_of_its_own(empty, 
     assert client.get_run(moved.run_id).data.tags["run_dir"] == str(moved.path.relative_to(tmp_path))
 
 
-def test_a_run_id_of_another_config_is_not_reused(output_dir):
-    victim, directory = finished_run(output_dir, seed=1), finished_run(output_dir, seed=2)
-    sync(victim, victim.tracking_uri)
-    before = store(output_dir).get_run(victim.run_id)
-    directory.update(run_id=victim.run_id)
-    sync(directory, directory.tracking_uri)
-    assert directory.run_id != victim.run_id
-    after = store(output_dir).get_run(victim.run_id)
-    assert (after.info.lifecycle_stage, after.data.tags) == ("active", before.data.tags)
-
-
 @pytest.fixture
 def listener():
     """Somebody else's server: its socket, which is not to be connected to."""
@@ -178,10 +160,7 @@ def test_evaluating_and_syncing_do_not_connect_to_the_store_that_a_run_directory
     assert f"tracking.uri={uri}" in done.stderr
 
 
-@pytest.mark.parametrize(
-    "content", ["- a\n- b\n", "", "a: [", "a: !!python/object/apply:os.system [ls]", "\udcff", "a: &a [*a]", "[" * 3000,
-                "a: 2026-11-22", "a: !!set {b, c}"],
-)  # fmt: skip
+@pytest.mark.parametrize("content", ["", "a: [", "a: !!python/object/apply:os.system [ls]", "\udcff", "a: &a [*a]"])
 def test_an_invalid_config_is_refused_in_one_sentence(foreign, content):
     (foreign.path / "config.yaml").write_bytes(content.encode(errors="surrogateescape"))
     with pytest.raises(ConfigError) as refusal:
@@ -209,16 +188,11 @@ def test_links_that_lead_out_of_a_run_directory_are_refused(foreign, tmp_path, n
         sync(foreign, default_uri(tmp_path))
 
 
-def change_database(output_dir, statement, value):
-    with closing(open_database(output_dir / "mlflow.db")) as database, database:
-        database.execute(statement, (value,))
-
-
-@pytest.mark.parametrize("place", ["file:///etc/parking", "https://elsewhere.example/x", "s3://bucket/x", "./mlruns/0"])
+@pytest.mark.parametrize("place", ["file:///etc/parking", "s3://bucket/x", "./mlruns/0"])
 def test_an_embedded_store_with_artifacts_elsewhere_is_refused(output_dir, place):
     directory = finished_run(output_dir)
     store(output_dir).create_experiment("smoke", "file:///tmp/replaced")
-    change_database(output_dir, "UPDATE experiments SET artifact_location = ? WHERE name = 'smoke'", place)
+    rows(output_dir, "UPDATE experiments SET artifact_location = ? WHERE name = 'smoke'", place)
     with pytest.raises(StoreError, match="artifacts outside of") as refusal:
         sync(directory, default_uri(output_dir))
     assert place in str(refusal.value)
@@ -230,8 +204,7 @@ def test_a_run_with_artifacts_elsewhere_is_neither_sent_nor_read(output_dir, lis
     monkeypatch.setenv("MLFLOW_TRACKING_TOKEN", "secret-token")
     directory = finished_run(output_dir)
     sync(directory, default_uri(output_dir))
-    place = f"{uri}/api/2.0/mlflow-artifacts/artifacts/x"
-    change_database(output_dir, "UPDATE runs SET artifact_uri = ?", place)
+    rows(output_dir, "UPDATE runs SET artifact_uri = ?", f"{uri}/api/2.0/mlflow-artifacts/artifacts/x")
     with (directory.path / "metrics.jsonl").open("a") as file:
         file.write("x")
     with pytest.raises(StoreError, match="artifacts outside of"):
@@ -251,49 +224,36 @@ def test_a_store_that_is_a_link_out_of_its_output_directory_is_refused(output_di
     assert (tmp_path / "elsewhere.db").read_bytes() == before
 
 
-def test_provenance_of_a_foreign_directory_cannot_name_another_run(output_dir):
+@pytest.mark.parametrize("named_in", ["status.json", "provenance.json"])
+def test_a_foreign_directory_cannot_take_another_run_of_the_store(output_dir, named_in):
     victim, directory = finished_run(output_dir, seed=1), finished_run(output_dir, seed=2)
     sync(victim, default_uri(output_dir))
-    tags = {
-        "run_key": victim.config().run_key,
-        "run_dir": str(victim.path.relative_to(output_dir)),
-        "version.torch": "9",
-    }
-    write_json(directory.path / "provenance.json", {"started_ms": "x", "tags": {**tags, "cpu": 5}})
-    sync(directory, default_uri(output_dir))
     client = store(output_dir)
-    assert client.get_run(victim.run_id).info.lifecycle_stage == "active"
-    stored = client.get_run(directory.run_id).data.tags
-    assert stored["run_key"] == directory.config().run_key
-    assert stored["version.torch"] == "9"
-    assert "cpu" not in stored
+    before = client.get_run(victim.run_id)
+    tags = {"run_key": victim.config().run_key, "run_dir": str(victim.path.relative_to(output_dir)), "cpu": 5}
+    if named_in == "status.json":
+        directory.update(run_id=victim.run_id)
+    else:
+        write_json(directory.path / named_in, {"started_ms": "x", "tags": {**tags, "version.torch": "9"}})
+    sync(directory, default_uri(output_dir))
+    assert directory.run_id != victim.run_id
+    after, stored = (client.get_run(run.run_id) for run in (victim, directory))
+    assert (after.info.lifecycle_stage, after.data.tags) == ("active", before.data.tags)
+    assert stored.data.tags["run_key"] == directory.config().run_key
+    if named_in == "provenance.json":
+        assert stored.data.tags["version.torch"] == "9"
+        assert "cpu" not in stored.data.tags
 
 
-@pytest.mark.parametrize("name", ["metrics.jsonl", "models"])
-def test_a_training_does_not_write_through_links(tmp_path, name):
+def test_a_training_does_not_write_through_links(tmp_path):
     config = make_config("experiment=smoke", f"output_dir={tmp_path / 'outputs'}", "tracking.mlflow=false")
-    directory = RunDirectory(config.run_dir)
+    directory, outside = RunDirectory(config.run_dir), tmp_path / "file"
     directory.create(config)
-    outside = tmp_path / "outside"
-    outside.mkdir()
-    (outside / "file").write_text("content")
-    (directory.path / name).symlink_to(outside if name == "models" else outside / "file")
+    outside.write_text("content")
+    (directory.path / "metrics.jsonl").symlink_to(outside)
     with pytest.raises(UntrustedError, match="is a symbolic link that leads out of /"):
         train(config)
-    assert snapshot(outside) == {"file": b"content"}
-
-
-def test_runs_of_another_output_directory_keep_their_artifacts_where_they_are(tmp_path):
-    """One store, that of `home`, and an experiment that a run of `scratch` has begun."""
-    (tmp_path / "home").mkdir()
-    uri = f"sqlite:///{tmp_path / 'home' / 'mlflow.db'}"
-    other, own = finished_run(tmp_path / "scratch", uri=uri), finished_run(tmp_path / "home")
-    sync(other, uri)
-    with pytest.raises(StoreError, match="keeps artifacts outside of"):
-        sync(own, uri)
-    sync(other, uri)
-    places = rows(tmp_path / "home", "SELECT artifact_uri FROM runs")
-    assert places == [((tmp_path / "scratch" / "mlflow-artifacts" / "smoke" / other.run_id / "artifacts").as_uri(),)]
+    assert outside.read_text() == "content"
 
 
 def test_runs_cannot_go_to_the_default_experiment(tmp_path):
@@ -301,18 +261,3 @@ def test_runs_cannot_go_to_the_default_experiment(tmp_path):
     assert done.returncode == 2
     assert "experiment_name=Default" in done.stderr
     assert list(tmp_path.iterdir()) == []
-
-
-def test_uris_are_written_relative_to_an_output_directory_and_read_from_where_it_is(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    assert relative(f"sqlite:///{tmp_path}/a/mlflow.db", tmp_path / "a") == "sqlite:///mlflow.db"
-    assert relative("sqlite:///a/deep/x.db", tmp_path / "a") == "sqlite:///deep/x.db"
-    assert relative("sqlite:///b/x.db", tmp_path / "a") == f"sqlite:///{tmp_path}/b/x.db"
-    assert relative("http://host:5000", tmp_path) == "http://host:5000"
-    assert absolute("sqlite:///mlflow.db", Path("/moved")) == "sqlite:////moved/mlflow.db"
-    assert absolute("sqlite:///x.db") == f"sqlite:///{tmp_path}/x.db"
-    assert absolute("sqlite:////x.db", Path("/moved")) == "sqlite:////x.db"
-    assert directory_path("a/../b") == tmp_path / "b"
-    (tmp_path / "link").symlink_to(tmp_path)
-    assert is_same_store(f"sqlite:///{tmp_path}/x.db", f"sqlite:///{tmp_path}/link/x.db")
-    assert not is_same_store("http://a", "http://b")

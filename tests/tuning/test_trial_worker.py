@@ -38,31 +38,18 @@ def trials(search):
     return study_in(search.folder).trials
 
 
-def test_a_failed_run_fails_its_trial_and_no_more_trials_are_trained_than_the_job_says(search):
-    work(search.folder, 1, training_that_ends_with([], status="failed", error="broken"))
-    assert [(trial.state, trial.reason) for trial in trials(search)] == [
-        ("failed", "seed 1001: broken"),
-        ("pending", None),
-    ]
-
-
-def test_a_run_that_is_killed_is_tried_three_times(search):
-    calls = []
-    work(search.folder, 1, training_that_ends_with(calls, status="failed", error="killed by SIGKILL", killed=True))
-    assert len(calls) == 3
-    assert trials(search)[0].state == "failed"
-
-
-def test_a_full_disk_stops_the_search_and_leaves_its_trial_open(search):
+def test_a_failed_run_fails_its_trial_a_killed_one_is_tried_three_times_and_a_full_disk_leaves_it_open(search):
+    full_disk = training_that_ends_with([], status="failed", error=f"OSError: {os.strerror(errno.ENOSPC)}")
     with pytest.raises(OutputDirectoryError, match=r"trial 0: .*No space left"):
-        work(
-            search.folder,
-            1,
-            training_that_ends_with([], status="failed", error=f"OSError: {os.strerror(errno.ENOSPC)}"),
-        )
+        work(search.folder, 1, full_disk)
     assert trials(search)[0].state == "pending"
     work(search.folder, 1, training_that_ends_with([], status="failed", error="broken"))
-    assert trials(search)[0].reason == "seed 1001: broken"
+    failed, other = trials(search)
+    assert (failed.state, failed.reason, other.state) == ("failed", "seed 1001: broken", "pending")
+    calls = []
+    work(search.folder, 2, training_that_ends_with(calls, status="failed", error="killed by SIGKILL", killed=True))
+    assert len(calls) == 3
+    assert trials(search)[1].state == "failed"
 
 
 @pytest.mark.slow
@@ -71,11 +58,8 @@ def test_a_trial_that_is_worse_than_the_median_is_pruned_and_trial_0_is_not(sear
     for _ in range(5):
         study.add_trial(optuna.trial.create_trial(value=1.0, intermediate_values=dict.fromkeys(range(20), 1.0)))
 
-    def train(path, stop):
-        return supervise(path, stop)
-
     for _ in range(2):  # the second time there is nothing to do
-        work(search.folder, 2, train)
+        work(search.folder, 2, lambda path, stop: supervise(path, stop=stop))
         assert [trial.state for trial in trials(search)] == ["done", "pruned"]
         assert [len(trial.runs) for trial in trials(search)] == [2, 1]
     assert trials(search)[0].env_steps == 120
