@@ -42,7 +42,6 @@ LIGHT = [
         (["algorithm._target_=__main__.X"], "algorithm._target_=__main__.X: "),
         (["--seed=1", "n_envs=0"], "--seed: "),
         (["--cfg"], "--cfg/-c: "),
-        (["--cfg=jub"], "--cfg/-c: "),
         (["--cfg", "job", "sead=1"], "sead: "),
         (["--config-dir=/nope", "--dry-run"], "--config-dir=/nope "),
         (["--dry-rum"], "--dry-rum: there is no such flag; did you mean '--dry-run'?"),
@@ -120,20 +119,12 @@ def test_an_output_directory_that_cannot_be_created_is_one_sentence(tmp_path):
     assert done.stderr.count("\n") == 1
 
 
-def test_showing_the_config_runs_nothing(tmp_path):
-    done = type_here("train", "--cfg", "job", "experiment=tutorial", cwd=tmp_path)
-    assert done.returncode == 0
-    assert "total_timesteps: 10000" in done.stdout
-    assert list(tmp_path.iterdir()) == []
-
-
-@pytest.mark.parametrize("flag", [("--config-dir", "mine"), ("--config-dir=mine",)])
-def test_config_dir_adds_options(tmp_path, flag):
+def test_config_dir_adds_options_and_cfg_shows_the_config_and_runs_nothing(tmp_path):
     (tmp_path / "mine" / "env").mkdir(parents=True)
     (tmp_path / "mine" / "env" / "short.yaml").write_text("defaults: [parking]\nname: short\nduration: 0.2\n")
-    assert "name: short" in type_here("train", *flag, "env=short", "--cfg", "job", cwd=tmp_path).stdout
-    refused = type_here("train", *flag, "env=short", "n_envs=0", cwd=tmp_path)
-    assert refused.stderr.startswith("error: n_envs=0: ")
+    shown = type_here("train", "--config-dir=mine", "env=short", "--cfg", "job", "experiment=tutorial", cwd=tmp_path)
+    assert "name: short\n" in shown.stdout and "total_timesteps: 10000\n" in shown.stdout
+    assert [path.name for path in tmp_path.iterdir()] == ["mine"]
 
 
 @pytest.mark.slow

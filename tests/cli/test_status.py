@@ -6,7 +6,7 @@ import time
 
 import optuna
 import pytest
-from support.runs import make_config, run_script, type_here
+from support.runs import make_config, type_here
 from support.searches import SETTINGS
 from support.sweep_processes import SLOW, begin, statuses, wait_until
 
@@ -48,8 +48,11 @@ def test_the_stage_follows_from_status_lock_and_heartbeat(tmp_path):
     assert read_state(running).stage == "pending"  # nobody is at it
     with RunDirectory(running).supervisor_lock():
         state = read_state(running)
+        RunDirectory(running).update(started=time.time() + 1)
+        restarted = read_state(running)
     progress = (state.step, state.steps_per_s, state.left_s, state.host)
     assert (state.stage, *progress) == ("running", 400, 20.0, 30.0, "here")
+    assert (restarted.step, restarted.doing) == (0, "starting")  # the heartbeat is an earlier process's
     assert read_state(tmp_path / "mine" / "cell-b" / "seed=7").stage == "pending"
 
 
@@ -58,14 +61,6 @@ WRONG = {
     "wall_s": 1e300, "cpu_s": True, "memory_bytes": 0.5, "host": [], "pid": "1", "started": "now", "run_id": 3,
     "tracking_uri": ["a"], "unsynced": 1,
 }  # fmt: skip
-
-
-def test_an_entry_of_the_wrong_type_is_reported_and_ignored_until_the_next_update(tmp_path):
-    path = run_dir(tmp_path, status="done", steps="x")
-    state = read_state(path)
-    assert (state.stage, state.step, state.damaged) == ("done", 0, "status.json has no valid steps")
-    RunDirectory(path).update(host="here")
-    assert read_state(path).damaged is None
 
 
 def test_a_damaged_status_affects_only_its_run(tmp_path):
@@ -85,6 +80,8 @@ def test_a_damaged_status_affects_only_its_run(tmp_path):
     process = RunDirectory(tmp_path / "mine" / "cell-b" / "seed=0")
     with process.supervisor_lock():
         assert (read_state(process.path).stage, read_state(process.path).step) == ("running", 0)
+    process.update(host="here")
+    assert read_state(process.path).damaged is None
 
 
 def test_control_characters_of_a_foreign_run_are_escaped(tmp_path):
@@ -105,20 +102,12 @@ def test_control_characters_of_a_foreign_run_are_escaped(tmp_path):
     assert {cell["runs"][0]["host"] for cell in json.loads(plain.stdout)["cells"]} == {evil}
 
 
-def test_a_heartbeat_of_an_earlier_process_is_ignored(tmp_path):
-    path = run_dir(tmp_path, status="running")
-    RunDirectory(path).heartbeat(step=400, steps_per_s=20.0, doing="train")
-    RunDirectory(path).update(started=time.time() + 1)
-    with RunDirectory(path).supervisor_lock():
-        assert (read_state(path).step, read_state(path).doing) == (0, "starting")
-
-
 def test_status_shows_every_cell_in_a_table_and_as_json(tmp_path):
     run_dir(tmp_path, "cell-a", 0, status="done", success_rate=1.0)
     run_dir(tmp_path, "cell-a", 1, status="done", success_rate=0.5)
     failed = run_dir(tmp_path, "cell-b", 0, status="failed", error="killed by SIGKILL", killed=True)
     (run_dir(tmp_path, "cell-b", 1, status="interrupted") / "checkpoints" / "step=300").mkdir(parents=True)
-    shown = run_script("status", f"output_dir={tmp_path}", "experiment=mine")
+    shown = type_here("status", f"output_dir={tmp_path}", "experiment=mine")
     assert [line.split() for line in shown.stdout.splitlines()] == [
         ["cell", "done", "running", "failed", "pending", "success"],
         ["a", "2", "75%"],

@@ -62,12 +62,12 @@ def test_evaluating_a_foreign_run_refuses_its_class_until_the_user_trusts_it(for
 @pytest.mark.parametrize(
     ("key", "value", "named"),
     [
-        *((key, target, key) for target in ("hostile.make", "hostile.Made") for key in (
+        *((key, "hostile.Made", key) for key in (
             "algorithm._target_", "buffer._target_", "env.other_vehicles_type", "algorithm.learning_rate._target_", ACTIVATION,
             "algorithm.policy_kwargs.optimizer_class", "algorithm.policy_kwargs.features_extractor_class",
         )),
         *((key, {"_target_": "hostile.make"}, f"{key}._target_") for key in (
-            "algorithm.action_noise", "algorithm.policy_kwargs.optimizer_kwargs.nested", "algorithm.ent_coef", ACTIVATION,
+            "algorithm.action_noise", "algorithm.policy_kwargs.optimizer_kwargs.nested", ACTIVATION,
         )),
         ("buffer.deep", [{"_target_": "hostile.make"}], "buffer.deep.0._target_"),
         (ACTIVATION, {"_target_": "torch.nn.Tanh", "nested": {"_target_": "hostile.make"}}, f"{ACTIVATION}.nested._target_"),

@@ -49,54 +49,39 @@ def refusal(plain):
     [
         ("env.duratoin", 3, "'duration'"),
         ("seed", DELETED, "missing"),
-        ("total_timesteps", 0, "1"),
         ("device", "gpu", "cuda"),
-        ("updates_per_step", 0.0004, "0.001"),
         ("updates_per_step", float("nan"), "finite"),
         ("evaluation", "often", "group of keys"),
         ("evaluation.final_n_scenes", 10000000000, "10000000"),
         ("evaluation.first_scene", 2147483600, "2147483148"),
         ("evaluation.final_n_scenes", 1, "evaluation.n_scenes"),
         ("experiment_name", "a/b", ""),
-        ("experiment_name", "Default", ""),
         ("tracking.uri", "ftp://host/store", "sqlite:///PATH"),
-        ("tracking.uri", "sqlite:///a.db?timeout=9", "sqlite:///PATH"),
         ("env.other_vehicles_type", "nowhere.Car", "nowhere"),
         ("env.action.speed_range", [5, -5], ""),
         ("env.action.dynamical", True, "highway_env"),
         ("env.observation.scales", [1], "env.observation.features"),
-        ("algorithm.features", "egoo", "'ego'"),
         ("algorithm.gamma", 1.5, "1"),
-        ("algorithm.gamma", None, ""),
         ("algorithm.gama", 1, "'gamma'"),
-        ("algorithm.learning_rate", {}, ""),
         ("algorithm.learning_rate", SCHEDULE | {"start": -7}, ""),
-        ("algorithm.learning_rate", SCHEDULE | {"_target_": 3}, ""),
         ("algorithm.net_arch", [9999999, 9999999], ""),
         ("algorithm.train_freq", [1, "episode"], "n_envs=1"),
         ("algorithm.action_noise", NOISE | {"sigma": [0.1]}, ""),
         ("algorithm.action_noise", NOISE | {"sigma": [-0.1, 0.1]}, "0"),
-        ("algorithm.action_noise", {**NOISE, "sigm": 1}, "'sigma'"),
         ("algorithm.action_noise", {k: v for k, v in NOISE.items() if k != "sigma"}, "missing"),
         ("algorithm.seed", 3, "seed"),
         ("algorithm.buffer_size", 3, "buffer.buffer_size"),
-        ("algorithm.learning_starts", DELETED, "25856"),
         ("algorithm.learning_starts", 100, "25856"),
         ("total_timesteps", 26000, "26001"),
         ("algorithm._target_", "stable_baselines3.PPO", "OffPolicyAlgorithm"),
         ("buffer._target_", "stable_baselines3.SAC", "ReplayBuffer"),
         ("buffer.buffer_size", 800, "26112"),
-        ("buffer.relabel_collision", "kep", "'keep'"),
         ("buffer.goal_selection_strategy", ["future"], "future"),
-        (POLICY, [1], ""),
         (f"{POLICY}.n_critic", 3, "'n_critics'"),
-        (f"{POLICY}.n_critic", {"_target_": "torch.nn.ReLU"}, "'n_critics'"),
         (f"{POLICY}.n_critics", 0, "1"),
         (f"{POLICY}.use_sde", True, "algorithm.use_sde"),
         (f"{POLICY}.net_arch", [5], "algorithm.net_arch"),
         (f"{POLICY}.optimizer_kwargs.weight_decy", 0.1, "'weight_decay'"),
-        (f"{POLICY}.optimizer_kwargs.lr", 0.1, "algorithm.learning_rate"),
-        (f"{POLICY}.optimizer_kwargs.betas", [0.9, 1], ""),
         (f"{POLICY}.features_extractor_class", "parking_exp.algorithms.features.EgoFrameExtractor", "features=raw"),
         (f"{POLICY}.activation_fn", "torch.nn.Tan", "'Tanh'"),
         (f"{POLICY}.activation_fn", "torch.optim.Adam", "torch.nn.Module"),
@@ -115,7 +100,6 @@ def test_a_wrong_value_is_refused_in_a_sentence_that_names_its_key(key, value, h
         ({"buffer.n_sampled_goal": DELETED, "algorithm.learning_starts": 10}, "algorithm.learning_starts=10"),
         ({"buffer.goal_selection_strategy": None}, "buffer.n_sampled_goal"),
         ({"env.observation.features": ["x"], "env.observation.scales": [1], "algorithm.features": "raw"}, "env.observation"),
-        ({"env.policy_frequency": 20, "n_envs": 1}, "env.policy_frequency"),
         ({"env.observation.features": FEATURES, "buffer.goal_selection_strategy": None, "buffer.n_sampled_goal": DELETED,
           "buffer.relabel_collision": DELETED, "buffer.relabel_terminated": DELETED, "buffer.goal_velocity": DELETED}, "algorithm.features"),
         ({"env.action.longitudinal": False, "env.action.lateral": False}, "env.action.longitudinal"),
@@ -136,10 +120,8 @@ def test_features_that_a_policy_would_ignore_are_refused():
 @pytest.mark.parametrize(
     "values",
     [
-        *(
-            {"tracking.uri": uri}
-            for uri in ("http://localhost:5000", "sqlite:///runs.db", "postgresql+psycopg2://me@host/mlflow")
-        ),
+        {"tracking.uri": "http://localhost:5000"},
+        {"tracking.uri": "postgresql+psycopg2://me@host/mlflow"},
         {"algorithm.learning_starts": 25856, "buffer.buffer_size": 26112, "total_timesteps": 25857},
         {f"{POLICY}.optimizer_class": "torch.optim.SGD", f"{POLICY}.optimizer_kwargs.weight_decay": 0.1},
         {f"{POLICY}.activation_fn": {"_target_": "torch.nn.LeakyReLU", "negative_slope": 0.2}},
@@ -161,7 +143,7 @@ def keys(node, path=()):
         yield from keys(value, (*path, name))
 
 
-@pytest.mark.parametrize("value", [1e300, 10**5000, -(10**5000), 0, [], {}, None, [None]], ids=range(8))
+@pytest.mark.parametrize("value", [1e300, -(10**5000), [], {}, None], ids=range(5))
 def test_any_value_of_any_key_is_accepted_or_refused_with_a_config_error(value):
     for path in keys(changed({})):
         plain = changed({})

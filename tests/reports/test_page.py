@@ -10,17 +10,7 @@ from support.marks import slow_but
 from parking_exp.reports.render.report_pages import page
 from parking_exp.reports.sections import Picture, section_contents
 
-ARGUMENTS = [
-    "--no-sandbox",
-    "--disable-gpu",
-    "--disable-quic",
-    "--no-first-run",
-    "--disable-background-networking",
-    "--disable-component-update",
-    "--disable-sync",
-]
-
-
+ARGUMENTS = ["--no-sandbox", "--disable-gpu", "--no-first-run", "--disable-background-networking", "--disable-sync"]
 SECTIONS = {
     "final_success": "results", "learning_curves": "curves", "time_to_90": "time", "pairwise": "pairs",
     "scene_map": "scenes", "trajectories": "trajectories",
@@ -52,10 +42,10 @@ def files(tmp_path_factory):
     """The page of an example as a file; written once."""
     folder = tmp_path_factory.mktemp("pages")
 
-    def written(name, *arguments):
+    def written(name):
         path = folder / f"{name}.html"
         if not path.exists():
-            report = getattr(report_factory, name)(*arguments)
+            report = getattr(report_factory, name)()
             path.write_text(page(report, section_contents(report, PICTURES)), encoding="utf-8")
         return path
 
@@ -85,14 +75,10 @@ def show(browser, files):
     assert seen == []
 
 
-def column(tab, table, index):
-    """Texts of a table's column, as they stand."""
-    rows = tab.locator(f"#table-{table} tbody tr")
-    return rows.evaluate_all(f"rows => rows.filter(row => !row.hidden).map(row => row.cells[{index}].innerText.trim())")
-
-
-def heading(tab, table, text):
-    return tab.locator(f"#table-{table} thead th", has_text=text).first
+def labels_in(tab):
+    """Labels of the visible rows of the headline's table, in their order."""
+    rows = tab.locator("#table-headline tbody tr")
+    return rows.evaluate_all("rows => rows.filter(row => !row.hidden).map(row => row.cells[0].innerText.trim())")
 
 
 def contrast(tab, selector):
@@ -112,10 +98,10 @@ def contrast(tab, selector):
     )
 
 
-PAGES = ["one_seed", "all_succeed", "with_failed_cell", "her_ablation", "search", "non_ascii"]
+PAGES = ["all_succeed", "with_failed_cell", "her_ablation", "search"]
 
 
-@pytest.mark.parametrize("name", slow_but(["with_failed_cell", "her_ablation"], PAGES))
+@pytest.mark.parametrize("name", slow_but(["her_ablation"], PAGES))
 def test_page_is_no_wider_than_the_window(show, name):
     report = getattr(report_factory, name)()
     tab = show(name, 360)
@@ -128,34 +114,21 @@ def test_page_is_no_wider_than_the_window(show, name):
 
 def test_success_sorts_best_first_then_worst_first_and_missing_last(show):
     tab = show("with_failed_cell")
-    assert column(tab, "headline", 0) == ["sac", "td3", "ddpg"]
-    success = heading(tab, "headline", "Success")
-    success.locator("button").click()
-    assert success.get_attribute("aria-sort") == "descending"
-    assert column(tab, "headline", 0) == ["sac", "td3", "ddpg"]
-    success.locator("button").click()
-    assert success.get_attribute("aria-sort") == "ascending"
-    assert column(tab, "headline", 0) == ["td3", "sac", "ddpg"]
+    success = tab.locator("#table-headline thead th", has_text="Success").first
+    for order, labels in (("descending", ["sac", "td3", "ddpg"]), ("ascending", ["td3", "sac", "ddpg"])):
+        success.locator("button").click()
+        assert success.get_attribute("aria-sort") == order
+        assert labels_in(tab) == labels
 
 
-@pytest.mark.parametrize("key", ["Enter", " "])
-def test_headings_sort_by_key_and_text_sorts_by_the_numbers_in_it(show, key):
+def test_the_keyboard_sorts_text_by_the_numbers_in_it_and_a_filter_leaves_rows_with_all_words(show):
     tab = show("her_ablation")
-    before = column(tab, "headline", 0)
-    heading(tab, "headline", "Cell").locator("button").press(key)
-    after = column(tab, "headline", 0)
-    assert after != before
-    assert after[:5] == [f"her_episode, n_sampled_goal={n}" for n in (1, 2, 4, 8, 16)]
-
-
-def test_filter_leaves_rows_with_all_words(show):
-    tab = show("her_ablation")
+    tab.locator("#table-headline thead th", has_text="Cell").first.locator("button").press("Enter")
+    assert labels_in(tab)[:5] == [f"her_episode, n_sampled_goal={n}" for n in (1, 2, 4, 8, 16)]
     table = tab.locator(".table", has=tab.locator("#table-headline"))
     table.locator("input").fill("FINAL goal=4")
-    assert column(tab, "headline", 0) == ["her_final, n_sampled_goal=4"]
+    assert labels_in(tab) == ["her_final, n_sampled_goal=4"]
     assert table.locator("output").inner_text() == "1 of 20"
-    table.locator("input").fill("")
-    assert len(column(tab, "headline", 0)) == 20
 
 
 def test_hostile_names_are_text(show):
@@ -179,29 +152,26 @@ def test_an_injected_inline_script_does_not_run(browser, files):
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
-def test_text_stands_out_in_both_themes(show, scheme):
+def test_text_has_enough_contrast_in_both_themes(show, scheme):
     tab = show("hostile", color_scheme=scheme)
-    background = tab.evaluate("getComputedStyle(document.body).backgroundColor")
-    dark = sum(map(int, background[4:-1].split(","))) < 3 * 64
-    assert dark == (scheme == "dark")
     for selector in ("h1", ".meta", "nav a", "caption", "figcaption", ".badge", ".callout.warning li", "tbody td"):
         assert contrast(tab, selector) >= 4.5, selector
 
 
-def test_toggle_changes_the_theme_and_is_remembered(show):
+def background(tab):
+    return tab.evaluate("getComputedStyle(document.body).backgroundColor")
+
+
+def test_the_theme_can_be_changed_and_is_remembered_and_print_is_light_without_controls(show):
     tab = show("report", color_scheme="light")
-    light = tab.evaluate("getComputedStyle(document.body).backgroundColor")
+    light = background(tab)
     tab.locator("#theme").click()
-    assert tab.evaluate("getComputedStyle(document.body).backgroundColor") != light
-    assert tab.locator("#theme").inner_text() == "Light"
+    dark = background(tab)
+    assert sum(map(int, dark[4:-1].split(","))) < 3 * 64
     tab.reload()
-    assert tab.evaluate("getComputedStyle(document.body).backgroundColor") != light
-
-
-def test_print_is_light_and_without_controls(show):
-    tab = show("her_ablation", color_scheme="dark")
+    assert background(tab) == dark != light
     tab.emulate_media(media="print", color_scheme="dark")
-    assert tab.evaluate("getComputedStyle(document.body).backgroundColor") == "rgb(255, 255, 255)"
+    assert background(tab) == "rgb(255, 255, 255)"
     for selector in ("#theme", ".filter", "nav"):
         assert tab.locator(selector).first.is_hidden()
 
@@ -214,12 +184,8 @@ def test_the_page_is_complete_without_javascript(show):
     assert tab.locator("#figure-pairwise img").get_attribute("alt") == "Pairwise. Each point is a seed."
     tab.locator("#seeds summary").click()
     assert tab.locator("#table-seeds").is_visible()
-
-
-def test_sections_without_data_are_left_out(show):
-    tab = show("one_seed")
-    assert tab.locator("#factors, #search, #table-config, #table-unfinished, #table-pairs").count() == 0
-    targets = tab.locator("nav a").evaluate_all("links => links.map(link => link.hash)")
-    assert all(tab.locator(target).count() == 1 for target in targets)
+    assert tab.locator("#search, #table-unfinished").count() == 0  # sections without data
     ids = tab.locator("[id]").evaluate_all("elements => elements.map(element => element.id)")
     assert len(ids) == len(set(ids))
+    targets = tab.locator("nav a").evaluate_all("links => links.map(link => link.hash.slice(1))")
+    assert {*targets} <= {*ids}

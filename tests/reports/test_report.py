@@ -2,30 +2,41 @@
 
 import json
 import re
+import shutil
 import sqlite3
 import subprocess
 import sys
 from pathlib import Path
 
-import pandas as pd
 import pytest
-from support.marks import slow_but
 from support.report_command import report
+from support.runs import ROOT, in_memory, store
 from support.store_factory import Look, make_store
 
 from parking_exp.cli.report import report_overrides
 from parking_exp.errors import ConfigError
 from parking_exp.results import load
 
-ROOT = Path(__file__).resolve().parents[2]
 ALGORITHMS = {"sac": [], "td3": ["algorithm=td3"]}
+
+
+def two_cells(output_dir):
+    """Make an experiment of two cells with three seeds each."""
+    make_store(output_dir, "one", ALGORITHMS, range(3), lambda label, seed: Look(0.8 if label == "sac" else 0.2))
+    return output_dir
 
 
 @pytest.fixture
 def made(output_dir):
-    """An experiment of two cells with three seeds each."""
-    make_store(output_dir, "one", ALGORITHMS, range(3), lambda label, seed: Look(0.8 if label == "sac" else 0.2))
-    return output_dir
+    return two_cells(output_dir)
+
+
+@pytest.fixture(scope="module")
+def unchanged(empty):
+    """The same, for tests that write nothing."""
+    with in_memory() as folder:
+        shutil.copy(empty / "mlflow.db", folder)
+        yield two_cells(Path(folder))
 
 
 def stored(output_dir):
@@ -40,16 +51,11 @@ def test_a_report_has_a_page_markdown_tables_figures_and_every_number(made):
     assert done.stdout.startswith("sac has the highest final success: 80.0 % [")
     files = {path.name for path in folder.iterdir() if not path.name.startswith(".")}
     assert files == {"figures", "index.html", "report.json", "report.md", "tables"}
-    names = {path.stem for path in (folder / "figures").iterdir()}
-    assert names == {"final_success", "learning_curves", "time_to_90", "pairwise", "scene_map", "trajectories"}
-    assert {path.name for path in (folder / "figures").iterdir()} == {
-        f"{name}.{ending}" for name in names for ending in ("svg", "pdf", "png")
-    }
-    assert {"headline.csv", "headline.tex", "seeds.csv", "pairs.csv", "pairs.tex"} <= {
-        path.name for path in (folder / "tables").iterdir()
-    }
-    headline = pd.read_csv(folder / "tables" / "headline.csv").set_index("label")
-    assert headline["success"].to_dict() == {"sac": pytest.approx(0.8), "td3": pytest.approx(0.2)}
+    names = ("final_success", "learning_curves", "time_to_90", "pairwise", "scene_map", "trajectories")
+    figures = {path.name for path in (folder / "figures").iterdir()}
+    assert figures == {f"{name}.{ending}" for name in names for ending in ("svg", "pdf", "png")}
+    tables = {path.name for path in (folder / "tables").iterdir()}
+    assert {"headline.csv", "headline.tex", "seeds.csv", "pairs.csv", "pairs.tex"} <= tables
     numbers = stored(made)
     assert [cell["success"]["value"] for cell in numbers["cells"]] == [pytest.approx(0.8), pytest.approx(0.2)]
     assert numbers["command"] == f"python scripts/report.py experiment=one output_dir={made}"
@@ -68,11 +74,11 @@ def test_a_report_does_not_follow_links_out_of_the_output_directory(made, tmp_pa
     assert [file.name for file in elsewhere.iterdir()] == ["index.html"]
 
 
-def test_neither_torch_nor_the_simulators_are_imported(made):
+def test_torch_the_simulators_and_optuna_are_not_imported(made):
     code = (
         "import sys; sys.argv = ['report.py', 'experiment=one', *sys.argv[1:]]\n"
         "from parking_exp.cli.report import main; main()\n"
-        "print([name for name in ('torch', 'gymnasium', 'highway_env', 'stable_baselines3') if name in sys.modules])"
+        "print([*{'torch', 'gymnasium', 'highway_env', 'stable_baselines3', 'optuna'} & {*sys.modules}])"
     )
     command = [sys.executable, "-c", code, f"output_dir={made}", "report.formats=[]"]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True, timeout=120)
@@ -92,19 +98,41 @@ def test_a_new_report_replaces_the_files_of_the_last_one_and_keeps_other_files(m
     assert stored(made)["provenance"]["left_out"] == ["sac"]
 
 
-def test_a_quick_report_shows_finished_runs_and_counts_missing_ones(output_dir):
-    def look(label, seed):
-        return Look(status="done" if (label, seed) == ("sac", 0) else "interrupted")
+@pytest.fixture(scope="module")
+def behind(empty):
+    """(printed, output directory, runs) of a quick report whose store has not all that the run directories have."""
 
-    make_store(output_dir, "one", ALGORITHMS, range(2), look)
-    done = report(output_dir, "experiment=one", "report=quick")
-    assert "1 of 4 runs are done: 3 interrupted or not started." in done.stdout
+    def look(label, seed):
+        return Look(status="done" if label == "sac" and seed != 2 else "running")
+
+    with in_memory() as folder:
+        shutil.copy(empty / "mlflow.db", folder)
+        runs = make_store(Path(folder), "one", ALGORITHMS, range(4), look)
+        for seed in (1, 3):
+            runs["sac", seed].update(status="failed", error="it was killed")
+        (runs["sac", 3].path / "config.yaml").write_text("no config")
+        assert set(load("one", output_dir=folder).runs["status"]) == {"done", "running"}
+        yield report(Path(folder), "experiment=one", "report=quick"), Path(folder), runs
+
+
+def test_a_quick_report_shows_finished_runs_and_counts_missing_ones(behind):
+    done, output_dir, _ = behind
+    assert "2 of 8 runs are done: 1 failed, 5 interrupted or not started." in done.stdout
     assert "No run is done of td3." in done.stdout
     folder = output_dir / "reports" / "one"
     assert {path.suffix for path in (folder / "figures").iterdir()} == {".png"}
-    page = (folder / "index.html").read_text()
-    assert "learning_curves" in page
-    assert "1 of 4 runs are done" in page
+    assert "2 of 8 runs are done" in (folder / "index.html").read_text()
+
+
+def test_a_report_sends_what_the_store_lacks_and_reads_it_there(behind):
+    done, output_dir, runs = behind
+    sac = load("one", output_dir=output_dir).runs["status"].tolist()[:4]
+    assert sac == ["done", "failed", "interrupted", "done"]
+    assert str(runs["sac", 3].path) in done.stderr  # it can't be sent
+    assert stored(output_dir)["cells"][0]["counts"] == {"done": 2, "running": 0, "failed": 1, "pending": 1}
+    failed, interrupted, *_ = stored(output_dir)["provenance"]["unfinished"]
+    assert (failed["seed"], failed["status"], failed["reason"]) == (1, "failed", "it was killed")
+    assert (interrupted["seed"], interrupted["status"]) == (2, "interrupted")
 
 
 def test_hostile_names_are_text_everywhere(output_dir):
@@ -128,19 +156,17 @@ def test_hostile_names_are_text_everywhere(output_dir):
     ("arguments", "words"),
     [
         (["experiment=on"], r"experiment=on: sqlite:///.* has none of that name; did you mean 'one'\?"),
-        (["experiment=one", "td4"], "cells: no cell is called 'td4'; did you mean 'td3'?"),
-        (["experiment=one", "baseline=td4"], "baseline: no cell is called 'td4'; did you mean 'td3'?"),
-        (["experiment=one", "nmae=x"], "nmae: neither a key of this command nor of these runs' configs; did you mean 'name'?"),
-        (["experiment=one", "report=quik"], "report=quik: there is no such option; did you mean 'quick'?"),
-        (["experiment=one", "report.formats=[gif]"], "report.formats"),
+        (["experiment=one", "td4"], r"cells: no cell is called 'td4'; did you mean 'td3'\?"),
+        (["experiment=one", "nmae=x"], r"nmae: neither a key of this command nor of these runs' configs; did you mean 'name'\?"),
+        (["experiment=one", "report=quik"], r"report=quik: there is no such option; did you mean 'quick'\?"),
         (["experiment=one", "tracking.uri=sqlite:///nowhere.db"], "there is no store .*nowhere.db"),
     ],
 )  # fmt: skip
-def test_a_mistake_is_a_sentence_and_nothing_is_written(made, arguments, words):
-    done = report(made, *arguments, code=2)
-    assert re.search(words if "\\" in words or ".*" in words else re.escape(words), done.stderr), done.stderr
-    assert not (made / "reports").exists()
-    assert not (made / "nowhere.db").exists()
+def test_a_mistake_is_a_sentence_and_nothing_is_written(unchanged, arguments, words):
+    files = sorted(unchanged.iterdir())
+    done = report(unchanged, *arguments, code=2)
+    assert re.search(words, done.stderr), done.stderr
+    assert sorted(unchanged.iterdir()) == files
 
 
 @pytest.mark.parametrize(
@@ -148,9 +174,7 @@ def test_a_mistake_is_a_sentence_and_nothing_is_written(made, arguments, words):
     [
         ("basline=td3", "baseline"),
         ("trackng.uri=x", "tracking.uri"),
-        ("n_sampled_gaol=4", "n_sampled_goal"),
         ("buffr.n_sampled_goal=4", "buffer.n_sampled_goal"),
-        ("reprot=quick", "report"),
     ],
 )
 def test_a_misspelt_key_is_refused_before_the_store_is_read(tmp_path, override, meant):
@@ -159,7 +183,7 @@ def test_a_misspelt_key_is_refused_before_the_store_is_read(tmp_path, override, 
     assert repr(meant) in done.stderr
 
 
-@pytest.mark.parametrize("words", ["n_sampled_goal=4", "my_own=3", "algorithm.gama=1", "her_final, gamma=1"])
+@pytest.mark.parametrize("words", ["my_own=3", "algorithm.gama=1", "her_final, gamma=1"])
 def test_keys_that_a_runs_own_class_may_have_are_looked_up_in_the_store(tmp_path, words):
     assert re.match(r"error: there is no store .*mlflow.db", report(tmp_path, words, code=2).stderr)
 
@@ -176,11 +200,8 @@ def test_words_without_a_key_of_the_command_name_cells():
         report_overrides(["her", "cells=[x]"])
 
 
-@pytest.mark.parametrize("name", slow_but(["../../elsewhere"], ["../../elsewhere", "größe <b>"]))
-def test_the_report_of_an_experiment_renamed_to_a_path_stays_in_the_output_directory(made, name):
-    from mlflow import MlflowClient
-
-    client = MlflowClient(f"sqlite:///{made}/mlflow.db")
+def test_the_report_of_an_experiment_renamed_to_a_path_stays_in_the_output_directory(made):
+    client, name = store(made), "../../elsewhere"
     client.rename_experiment(client.get_experiment_by_name("one").experiment_id, name)
     report(made, f"experiment={name}", "report=quick")
     (folder,) = (made / "reports").iterdir()
@@ -194,22 +215,6 @@ def test_an_experiment_has_to_be_named_if_there_are_several(made):
     assert report(made, "report=quick").stdout
     make_store(made, "two", {"sac": []}, [0])
     assert report(made, code=2).stderr == "error: experiment: the store has several; name one or more of one, two\n"
-
-
-def test_a_report_sends_what_the_store_lacks_and_reads_it_there(output_dir):
-    def look(label, seed):
-        return Look(status="done" if seed == 0 else "running")
-
-    runs = make_store(output_dir, "one", {"sac": []}, range(3), look)
-    runs["sac", 1].update(status="failed", error="it was killed")
-    assert set(load("one", output_dir=output_dir).runs["status"]) == {"done", "running"}
-    report(output_dir, "experiment=one", "report=quick")
-    assert load("one", output_dir=output_dir).runs["status"].tolist() == ["done", "failed", "interrupted"]
-    (cell,) = stored(output_dir)["cells"]
-    assert cell["counts"] == {"done": 1, "running": 0, "failed": 1, "pending": 1}
-    failed, interrupted = stored(output_dir)["provenance"]["unfinished"]
-    assert (failed["seed"], failed["status"], failed["reason"]) == (1, "failed", "it was killed")
-    assert (interrupted["seed"], interrupted["status"]) == (2, "interrupted")
 
 
 @pytest.mark.slow
@@ -229,11 +234,3 @@ def test_a_store_given_by_its_uri_is_only_read(output_dir, tmp_path):
     report(tmp_path, "experiment=one", "report=quick", f"tracking.uri={uri}")
     assert (output_dir / "mlflow.db").read_bytes() == before
     assert stored(tmp_path)["cells"][0]["counts"] == {"done": 2, "running": 0, "failed": 0, "pending": 0}
-
-
-def test_a_run_that_cannot_be_sent_is_a_warning_and_the_others_are_reported(output_dir):
-    runs = make_store(output_dir, "one", {"sac": []}, range(2))
-    runs["sac", 1].update(status="failed", error="it was killed")
-    (runs["sac", 1].path / "config.yaml").write_text("no config")
-    done = report(output_dir, "experiment=one", "report=quick")
-    assert str(runs["sac", 1].path) in done.stderr

@@ -92,28 +92,18 @@ def test_cells_that_do_not_differ_significantly_are_not_ranked():
     assert tied.claims[0].startswith("sac and td3 have the same final success, the highest: 90.0 %")
 
 
-@pytest.mark.parametrize(
-    ("config", "parts"),
-    [
-        ({"total_timesteps": 800}, ("Budgets", "400 and 800")),
-        ({"evaluation.final_n_scenes": 8}, ("Scene sets", "5 and 8")),
-        ({"evaluation.first_scene": 100}, ("Scene sets", "0 and 100")),
-        ({"evaluation.n_scenes": 4}, ("Scene sets", "3 and 4")),
-        ({"evaluation.every_n_steps": 200}, ("Evaluations", "100 and 200")),
-        ({"env.name": "parking_sparse"}, ("Tasks", "parking and parking_sparse")),
-    ],
-)
-def test_mixed_conditions_are_warned_of(config, parts):
-    mixed = [line for line in content({"plain": {}, "other": config}, range(2)).warnings if "mixed" in line]
-    assert len(mixed) == 1
-    assert all(part in mixed[0] for part in parts)
-
-
-def test_mixed_versions_commits_and_machines_are_warned_of():
-    other = {"version.highway-env": "1.11.0", "cpu": "other", "git_commit": "b" * 40}
-    report = content({"sac": {}}, range(2), lambda _, seed: Run(columns=other if seed else {}))
-    mixed = [line.split()[0] for line in report.warnings if "mixed" in line]
-    assert mixed == ["Versions", "Commits", "Machines"]
+def test_mixed_conditions_are_warned_of():
+    conditions = {
+        "total_timesteps": 800, "evaluation.final_n_scenes": 8, "evaluation.first_scene": 100, "evaluation.n_scenes": 4,
+        "evaluation.every_n_steps": 200, "env.name": "parking_sparse",
+    }  # fmt: skip
+    columns = {"version.highway-env": "1.11.0", "cpu": "other", "git_commit": "b" * 40}
+    configs = {"plain": {}, **{key: {key: value} for key, value in conditions.items()}}
+    report = content(configs, range(2), lambda label, seed: Run(columns=columns if seed else {}))
+    mixed = {line.split(" ")[0]: line for line in report.warnings if "mixed" in line}
+    for name, values in {"Budgets": "400 and 800", "Tasks": "parking and parking_sparse"}.items():
+        assert values in mixed[name]
+    assert {*mixed} == {"Budgets", "Scene", "Evaluations", "Tasks", "Versions", "Commits", "Machines"}
     assert report.provenance.versions["highway-env"] == {"1.12.1": 1, "1.11.0": 1}
 
 
@@ -160,7 +150,6 @@ def test_time_to_90_percent_is_censored_where_it_was_not_held():
 
 def test_unfinished_runs_are_missing_and_quick_shows_their_curves():
     looks = [Run(), Run(status="interrupted", curve=(0, 0.5)), Run(status="interrupted", curve=(0, 0.5))]
-    looks[1:] = [replace(look, config={}) for look in looks[1:]]
     report = content({"sac": {}}, range(3), lambda _, seed: looks[seed])
     assert report.missing == ["1 of 3 runs are done: 2 interrupted or not started."]
     assert [seed for seed, _, _ in report.cells[0].curve.seeds] == [0]
@@ -229,29 +218,25 @@ def test_cells_are_chosen_by_label_pattern_and_config():
 
     final, future = ({f"her_{name}, n_sampled_goal={n}" for n in (1, 4)} for name in ("final", "future"))
     four = {label for label in final | future if label.endswith("=4")}
-    assert labels("her_final, n_sampled_goal=4") == final & four
+    assert labels("her_final, n_sampled_goal=4") == labels("her_final", "buffer.n_sampled_goal=4") == final & four
     assert labels("her_fu*") == future
-    assert labels("her_final", "buffer.n_sampled_goal=4") == final & four
-    assert labels("buffer=her_final") == final
     assert labels("buffer=her_final,her_future", "n_sampled_goal=4.0") == four
     report = content(crossed(), [0], cells=["her_final"])
     assert [cell.label for cell in report.cells] == ["n_sampled_goal=1", "n_sampled_goal=4"]
     assert set(report.provenance.left_out) == future
-
-
-def test_conditions_take_lists_and_other_ways_to_write_a_number():
-    both = {"algorithm.net_arch": "[16, 16]", "algorithm.gamma": 0.002}
-    groups = group(results({"a": both, "b": {**both, "buffer.name": "her_final"}, "c": {}}, [0]).runs)
-    assert len(choose(groups, ["gamma=2e-3"])) == 2
-    assert len(choose(groups, ["her_final", "gamma=0.002"])) == 1
-    assert len(choose(groups, ["algorithm.net_arch=[16,16]"])) == 2
-    with pytest.raises(ConfigError, match=r"^seed: neither a key"):
-        choose(groups, ["seed=0"])
+    other = {"algorithm.net_arch": "[16, 16]", "algorithm.gamma": 0.002}
+    groups = group(results({"a": other, "b": {}}, [0]).runs)
+    assert labels("gamma=2e-3") == labels("algorithm.net_arch=[16,16]") == {groups[0].label}
 
 
 @pytest.mark.parametrize(
     ("asked", "parts"),
-    [("her_finale", "'her_finale'"), ("bufer=her_final", "bufer: .*'buffer'"), ("buffer=her_past", "buffer=her_past")],
+    [
+        ("her_finale", "'her_finale'"),
+        ("bufer=her_final", "bufer: .*'buffer'"),
+        ("buffer=her_past", "buffer=her_past"),
+        ("seed=0", "^seed: neither a key"),
+    ],
 )
 def test_an_unknown_cell_is_an_error_that_names_it(asked, parts):
     groups = group(results({"a": {"buffer.name": "her_final"}, "b": {}}, [0]).runs)
@@ -295,6 +280,20 @@ def test_of_two_runs_with_the_same_seed_the_one_that_is_done_counts():
     assert any("has the same seed" in line for line in report.warnings)
 
 
+def test_pruned_runs_are_neither_missing_nor_unfinished_and_cells_of_them_alone_are_left_out():
+    def look(label, seed):
+        return Run(status="pruned") if label in ("td3", "far") or (label, seed) == ("ddpg", 1) else Run()
+
+    cells = {**ALGORITHMS, "ddpg": {"algorithm.name": "ddpg"}, "far": {"algorithm.gamma": 0.5}}
+    report = content(cells, range(2), look)
+    assert {cell.label: cell.counts for cell in report.cells} == {
+        "sac": {"done": 2, "running": 0, "failed": 0, "pending": 0},
+        "ddpg": {"done": 1, "running": 0, "failed": 0, "pending": 0, "pruned": 1},
+    }
+    assert (report.missing, [*report.provenance.unfinished]) == ([], [])
+    assert report.notes[0].startswith("2 trials of the search were pruned ")
+
+
 def test_a_factorial_design_without_effects_claims_none():
     rng = np.random.default_rng(5)
     rates = {(label, seed): rng.choice([0.4, 0.6, 0.8]) for label in crossed() for seed in range(4)}
@@ -304,30 +303,18 @@ def test_a_factorial_design_without_effects_claims_none():
     assert not any("is better than" in claim for claim in claims)
 
 
-def test_levels_of_an_incomplete_crossing_are_not_compared():
+def test_levels_are_compared_only_where_the_crossing_is_complete_and_two_are_done():
     cells = crossed(goals=(1, 2, 4))
     del cells["final4"], cells["future1"]
-    report = content(cells, look=lambda label, seed: Run(success=0.2 * (seed + ("future" in label))))
-    assert [effect.complete for effect in report.effects] == [False, False]
-    assert not any(claim.startswith(("buffer: ", "n_sampled_goal: ")) for claim in report.claims)
-
-
-def test_a_factor_of_which_one_level_is_done_has_no_difference_yet():
-    def look(label, seed):
-        return Run(status="done" if label == "1" else "interrupted")
-
-    report = content(GOALS, range(2), look, quick=True)
-    (effect,) = report.effects
+    incomplete = content(cells, look=lambda label, seed: Run(success=0.2 * (seed + ("future" in label))))
+    assert [effect.complete for effect in incomplete.effects] == [False, False]
+    one_done = content(
+        GOALS, range(2), lambda label, _: Run(status="done" if label == "1" else "interrupted"), quick=True
+    )
+    (effect,) = one_done.effects
     assert ([level.level for level in effect.levels], effect.largest, effect.p) == ([1], None, None)
-    assert not any(claim.startswith("n_sampled_goal: ") for claim in report.claims)
-
-
-def test_differences_end_where_rates_do():
-    report = content(GOALS, range(2), lambda label, seed: Run(success=(0.2, 1.0)[seed] if label == "1" else 0.2 * seed))
-    (effect,) = report.effects
-    spans = [effect.largest, *(pair.difference for pair in report.pairs)]
-    assert all(-1 <= span.low <= span.value <= span.high <= 1 for span in spans)
-    assert (effect.largest.low, effect.largest.high) == (-1, 1)
+    for claim in [*incomplete.claims, *one_done.claims]:
+        assert not claim.startswith(("buffer: ", "n_sampled_goal: "))
 
 
 def test_labels_name_the_experiment_if_there_are_several_and_equal_configs_are_warned_of():
@@ -339,11 +326,6 @@ def test_labels_name_the_experiment_if_there_are_several_and_equal_configs_are_w
     some = build_report(together(*parts), ["one", "two"], cells=["one"])
     assert [cell.experiment for cell in some.cells] == ["one", "one"]
     assert sorted(some.provenance.left_out) == ["two, sac", "two, td3"]
-
-
-def test_infinite_values_of_a_config_are_texts():
-    report = content({"a": {"env.x": math.inf}, "b": {"env.x": 1.0}}, [0])
-    assert report.provenance.difference["env.x"] == ["inf", 1.0]
 
 
 def test_problems_of_results_are_warnings_and_the_first_few_are_named():

@@ -113,19 +113,6 @@ def hostile():
     )  # fmt: skip
 
 
-@cache
-def non_ascii():
-    """Names in several scripts."""
-    labels = ["Größe α 学習", "Вариант Б, γ=0,95", "🚗 naïve Δt ≤ 5 µs"]  # noqa: RUF001
-    return report(3, 10, labels=labels, title="Straße 駐車")
-
-
-@cache
-def many(n_cells=500, n_seeds=2):
-    """Return a report on more cells than figures can show."""
-    return report(n_cells, n_seeds)
-
-
 def _report(cells, n_seeds, means, look=lambda label, run: run):
     """Return a report on cells with these mean rates, with a scene map and paths."""
     rng = np.random.default_rng(len(cells) * 1000 + n_seeds)
@@ -145,7 +132,7 @@ def _report(cells, n_seeds, means, look=lambda label, run: run):
             cell,
             slots=_slots(cell.success.value, n_seeds, rng),
             failures=_failures(cell.success.value, n_seeds, rng),
-            paths=[_path(outcome, n, rng) for n, outcome in enumerate(("success", "success", "crash", "timeout"))],
+            paths=[_path(outcome, n) for n, outcome in enumerate(("success", "success", "crash", "timeout"))],
         )
         if cell.seeds
         else cell
@@ -155,34 +142,23 @@ def _report(cells, n_seeds, means, look=lambda label, run: run):
 
 
 def _slots(mean, n_seeds, rng):
-    n = N_SCENES * n_seeds // 28
-    made = []
-    for slot, (x, _) in enumerate(SLOT_POSITIONS):
-        success = float(np.clip(mean - 0.15 * (abs(x) / 26) ** 2 + rng.normal(0, 0.02), 0, 1))
-        made.append(SlotRate(slot, n, success, (1 - success) * 0.6, (1 - success) * 0.4))
-    return made
+    rates = [float(np.clip(mean - 0.15 * (abs(x) / 26) ** 2 + rng.normal(0, 0.02), 0, 1)) for x, _ in SLOT_POSITIONS]
+    n = N_SCENES * n_seeds // len(rates)
+    return [SlotRate(slot, n, rate, (1 - rate) * 0.6, (1 - rate) * 0.4) for slot, rate in enumerate(rates)]
 
 
 def _failures(mean, n_seeds, rng):
     n = int(min(200, (1 - mean) * N_SCENES * n_seeds / 4))
-    return [
-        (float(rng.uniform(-34, 34)), float(rng.choice([-1, 1]) * rng.uniform(6, 20)), ("crash", "timeout")[i % 3 == 0])
-        for i in range(n)
-    ]
+    places = zip(rng.uniform(-34, 34, n).tolist(), rng.uniform(-20, 20, n).tolist(), strict=True)
+    return [(x, y, ("crash", "timeout")[i % 3 == 0]) for i, (x, y) in enumerate(places)]
 
 
-def _path(outcome, number, rng):
-    slot = int(rng.integers(28))
+def _path(outcome, number):
+    """Return a path that is straight, and ends in its slot if it succeeds."""
+    slot, steps, reach = {"success": (3, 30, 1.0), "crash": (9, 18, 0.8), "timeout": (20, 100, 0.6)}[outcome]
     x, y = SLOT_POSITIONS[slot]
-    t = np.linspace(0, 1, {"success": 30, "crash": 18, "timeout": 100}[outcome])
-    reach = {"success": 1.0, "crash": 0.8, "timeout": 0.6}[outcome]
-    xs, ys = reach * x * np.sin(t * np.pi / 2), reach * y * t**2
-    if outcome == "crash":
-        xs = xs + 6 * t**3
-    if outcome == "timeout":
-        xs, ys = xs + 2 * np.cos(12 * t), ys + 2 * np.sin(12 * t)
-    heading = np.arctan2(np.gradient(ys), np.gradient(xs))
-    parked = sorted(int(s) for s in rng.choice(28, 4, replace=False) if s != slot)
+    way = np.linspace(0, reach, steps)
+    heading = [float(np.arctan2(y, x))] * steps
     return Path(
-        number % 3, 1000 + number, outcome, slot, xs.tolist(), ys.tolist(), heading.tolist(), len(xs) - 1, parked
+        number % 3, 1000 + number, outcome, slot, (way * x).tolist(), (way * y).tolist(), heading, steps - 1, [5]
     )

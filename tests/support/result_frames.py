@@ -33,7 +33,6 @@ class Run:
         success, crash, parked: shares of its final episodes; the others are timeouts.
         curve: success of each evaluation, evenly spaced up to `total_timesteps`.
         columns: other columns of `runs`.
-        config: dotted keys that differ from its cell's.
     """
 
     success: float = 0.8
@@ -45,23 +44,15 @@ class Run:
     real_share: float = 0.5
     cpu_s: float = 300.0
     columns: Mapping[str, object] = field(default_factory=dict)
-    config: Mapping[str, object] = field(default_factory=dict)
 
 
 def results(cells, seeds=range(3), look=lambda label, seed: Run(), experiment="one") -> Results:
-    """Return the results of an experiment.
-
-    Args:
-        cells: name -> dotted keys that differ from CONFIG; None: no such key.
-        seeds: of each cell.
-        look: (name of a cell, seed) -> Run.
-        experiment: its name.
-    """
+    """Return the results of an experiment; cells: name -> dotted keys that differ from CONFIG, None for no such key."""
     runs, curves, episodes = [], [], []
     for label, changes in cells.items():
         for seed in seeds:
             run, run_id = look(label, seed), f"{experiment}-{label}-{seed}"
-            config = {key: value for key, value in {**CONFIG, **changes, **run.config}.items() if value is not None}
+            config = {key: value for key, value in {**CONFIG, **changes}.items() if value is not None}
             runs.append(_row(len(runs), run, run_id, experiment, label, seed, config))
             steps = np.linspace(0, config["total_timesteps"], len(run.curve) + 1).astype(int)[1:]
             curves += [

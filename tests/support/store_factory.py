@@ -1,9 +1,5 @@
 """Stores with made-up runs, for tests of what reads a store, and for its benchmarks.
 
-    runs = make_store(output_dir, "ablation", {"four": ["buffer.n_sampled_goal=4"], "one": ["buffer.n_sampled_goal=1"]},
-                      seeds=range(3), look=lambda label, seed: Look(success=0.9 if label == "four" else 0.5))
-    runs["four", 0].run_id
-
 Configs are really composed, run directories have the files that a training leaves, and the store gets them by `mirror`.
 `python tests/support/store_factory.py OUTPUT_DIR [RUNS]` makes a store for benchmarks.
 """
@@ -44,16 +40,11 @@ class Look:
     """What a made-up run looks like.
 
     Attributes:
-        success, crash, parked: shares of the episodes of its final evaluation; the others are timeouts. They become
-            whole numbers of episodes.
+        success, crash, parked: fractions of the episodes of its final evaluation; the others are timeouts.
         curve: success rate of each evaluation, evenly spaced; None: a rise to `success` in every_n_steps.
-        steps: mean length of an episode.
-        progress: share of the evaluations that a run that is not done has behind it.
-        missing, contents: artifacts that the store has lost, and others whose content is another.
-        nan: metrics that are NaN wherever they are logged.
-        tags: that the store has otherwise than a training writes them, e.g. {"cpu": "<script>"}; None: not at all.
-        params: that the store has besides.
-        trajectories: of how many episodes.
+        progress: fraction of the evaluations that an unfinished run has made.
+        missing, contents: artifacts that are missing, and those with other content.
+        tags, params: that the store has besides or instead; None: a missing tag.
         rows: of training metrics between two evaluations.
     """
 
@@ -91,12 +82,13 @@ def make_store(
     Args:
         output_dir: where run directories go.
         experiment: name.
-        cells: overrides of each, or its config; `experiment=smoke` is what they start from.
+        cells: overrides of `experiment=smoke` for each, or its config.
         seeds: of each cell.
         look: of a run, from its cell's label and seed.
         uri: of the store; None: `mlflow.db` in the output directory.
     """
-    runs, looks, configs = {}, {}, {}
+    where = uri or default_uri(Path(output_dir).absolute())
+    runs = {}
     for label, cell in cells.items():
         whole = cell if isinstance(cell, RunConfig) else compose(*cell)
         tracking = whole.tracking.model_copy(update={"uri": uri})
@@ -104,13 +96,10 @@ def make_store(
             update = {"experiment_name": experiment, "output_dir": str(output_dir), "seed": seed, "tracking": tracking}
             config = whole.model_copy(update=update)
             runs[label, seed] = RunDirectory(config.run_dir)
-            looks[label, seed], configs[label, seed] = look(label, seed), config
-    where = uri or default_uri(Path(output_dir).absolute())
-    for key, directory in runs.items():
-        _write(directory, configs[key], looks[key], key[0], where)
+            _write(runs[label, seed], config, look(label, seed), label, where)
     store = Store(where, Path(output_dir).absolute())
     for key, directory in runs.items():
-        _send(directory, looks[key], store)
+        _send(directory, look(*key), store)
     return runs
 
 
@@ -137,10 +126,6 @@ def made_episodes(look: Look, success: float, scenes: range, seed: int) -> pd.Da
             "outcome": outcome[order],
             "parked": parked[order],
             "steps": np.maximum(1, np.round(look.steps + rng.integers(-5, 6, n))).astype(int),
-            "return": np.round(rng.normal(-10, 2, n), 6),
-            "distance_m": np.round(rng.gamma(2, 0.5, n), 6),
-            "heading_error_rad": np.round(rng.uniform(0, 0.5, n), 6),
-            "speed_mps": np.round(rng.uniform(0, 2, n), 6),
         }
     )
     return table.assign(**{name: rng.uniform(0, 1, n) for name in EPISODE_COLUMNS if name not in table})
@@ -149,35 +134,30 @@ def made_episodes(look: Look, success: float, scenes: range, seed: int) -> pd.Da
 def made_trajectories(episodes: pd.DataFrame) -> dict[str, np.ndarray]:
     """Return the arrays of `trajectories.npz`: from the middle of the lot to a slot, one row per step and the start."""
     lengths = episodes["steps"].to_numpy() + 1
-    x, y, heading, speed = [], [], [], []
-    for scene, length in zip(episodes["scene"], lengths, strict=True):
-        way, goal = np.linspace(0, 1, length), SLOT_POSITIONS[scene % len(SLOT_POSITIONS)]
-        x.append(way * goal[0])
-        y.append(way**2 * goal[1])
-        heading.append(way * math.copysign(math.pi / 2, goal[1]))
-        speed.append(4 * (1 - way))
-    arrays = {"x_m": x, "y_m": y, "heading_rad": heading, "speed_mps": speed}
-    joined = {name: np.concatenate([*parts, []]).astype(np.float32) for name, parts in arrays.items()}
-    return {"scene": episodes["scene"].to_numpy(), "length": lengths, **joined}
+    way = np.concatenate([*(np.linspace(0, 1, length) for length in lengths), []])
+    goals = np.array(SLOT_POSITIONS)[episodes["scene"].to_numpy() % len(SLOT_POSITIONS)].repeat(lengths, axis=0)
+    heading = way * np.copysign(math.pi / 2, goals[:, 1])
+    arrays = {"x_m": way * goals[:, 0], "y_m": way**2 * goals[:, 1], "heading_rad": heading, "speed_mps": 4 * (1 - way)}
+    floats = {name: values.astype(np.float32) for name, values in arrays.items()}
+    return {"scene": episodes["scene"].to_numpy(), "length": lengths, **floats}
 
 
 def _evaluated(config: RunConfig, look: Look) -> list[tuple[int, float]]:
-    """Return (step, success rate) of the evaluations that a run has behind it."""
-    total = config.total_timesteps
-    if look.curve is None:
-        every = config.evaluation.every_n_steps or total
-        number = max(1, total // every)
-        points = [(round(total * (k + 1) / number), look.success * min(1, (k + 1) / number)) for k in range(number)]
-    else:
-        points = [(round(total * (k + 1) / len(look.curve)), rate) for k, rate in enumerate(look.curve)]
+    """Return (step, success rate) of the evaluations that a run has made."""
+    total, rates = config.total_timesteps, look.curve
+    if rates is None:
+        rates = np.linspace(0, look.success, max(1, total // (config.evaluation.every_n_steps or total)) + 1)[
+            1:
+        ].tolist()
+    points = [(round(total * (k + 1) / len(rates)), rate) for k, rate in enumerate(rates)]
     return points if look.status == "done" else points[: math.floor(len(points) * look.progress)]
 
 
-def _content(config: RunConfig, look: Look) -> tuple[list[dict[str, Any]], pd.DataFrame, pd.DataFrame]:
-    """Return the rows of metrics, the table of all episodes, and those of the final ones."""
+def _content(config: RunConfig, look: Look) -> tuple[list[dict[str, Any]], list[tuple[str, int, pd.DataFrame]]]:
+    """Return the lines of metrics, and (phase, step, episodes) of all evaluations."""
     evaluation, done = config.evaluation, look.status == "done"
-    scenes = range(evaluation.first_scene, evaluation.first_scene + evaluation.n_scenes)
     final_scenes = range(evaluation.first_scene, evaluation.first_scene + evaluation.final_n_scenes)
+    scenes = final_scenes[: evaluation.n_scenes]
     final = made_episodes(look, look.success, final_scenes, config.seed)
     rows, tables, before = [], [], 0
     for step, rate in _evaluated(config, look):
@@ -187,14 +167,14 @@ def _content(config: RunConfig, look: Look) -> tuple[list[dict[str, Any]], pd.Da
             values = dict.fromkeys(("rollout/ep_rew_mean", "rollout/ep_len_mean", "train/actor_loss", "train/critic_loss", "train/ent_coef", "time/fps"), noise / 7)  # fmt: skip
             rows.append((between, values))
         table = made_episodes(look, rate, scenes, config.seed + step)
-        tables.append(table.assign(phase="eval", step=step))
+        tables.append(("eval", step, table))
         share = step / config.total_timesteps
         cost = {"time/cpu_s": look.cpu_s * share, "time/wall_s": WALL_S * share, "buffer/real_share": look.real_share}
         rows.append((step, {**_prefixed("eval", summarise(table)), **cost}))
         before = step
     if done:
         for phase, table in (("final", final), ("certified", final.head(evaluation.n_certified_scenes))):
-            tables.append(table.assign(phase=phase, step=before))
+            tables.append((phase, before, table))
             rows[-1][1].update(_prefixed(phase, summarise(table)))
     lines = [
         {
@@ -204,7 +184,7 @@ def _content(config: RunConfig, look: Look) -> tuple[list[dict[str, Any]], pd.Da
         }
         for step, values in rows
     ]
-    return lines, pd.concat([*tables, final.iloc[:0].assign(phase="", step=0)]), final
+    return lines, tables
 
 
 def _prefixed(phase: str, summary: Mapping[str, float]) -> dict[str, float]:
@@ -219,12 +199,19 @@ def _provenance() -> dict[str, str]:
 def _write(directory: RunDirectory, config: RunConfig, look: Look, label: str, uri: str) -> None:
     """Write a run directory."""
     path = directory.path
-    lines, episodes, final = _content(config, look)
+    lines, tables = _content(config, look)
     directory.create(config)
     directory.models.mkdir(exist_ok=True)
     write_json(path / "provenance.json", {"started_ms": look.started_ms, "tags": _provenance()})
     (path / "metrics.jsonl").write_text("".join(json.dumps(line) + "\n" for line in lines))
-    _write_artifacts(path, episodes, final, look)
+    for phase, step, table in tables:
+        append_episodes(path / "episodes.csv", table, phase, step)
+        if phase == "final" and look.trajectories:
+            np.savez_compressed(path / "trajectories.npz", **made_trajectories(table.head(look.trajectories)))
+    for name, content in look.contents.items():
+        (path / name).write_bytes(content)
+    for name in look.missing:
+        (path / name).unlink(missing_ok=True)
     entries = {"label": label, "total_timesteps": config.total_timesteps, "tracking_uri": uri}
     if look.status == "done":
         latest = {key: value for line in lines for key, value in line["metrics"].items()}
@@ -238,18 +225,6 @@ def _write(directory: RunDirectory, config: RunConfig, look: Look, label: str, u
         write_json(folder / "manifest.json", {"metrics.jsonl": sha256(folder / "metrics.jsonl")})
     if look.status == "failed":
         (path / "traceback.txt").write_text(f"Traceback (most recent call last):\n{look.error}\n")
-
-
-def _write_artifacts(path: Path, episodes: pd.DataFrame, final: pd.DataFrame, look: Look) -> None:
-    if len(episodes):
-        for (phase, step), table in episodes.groupby(["phase", "step"], sort=False):
-            append_episodes(path / "episodes.csv", table.drop(columns=["phase", "step"]), str(phase), int(step))
-    if look.status == "done" and look.trajectories:
-        np.savez_compressed(path / "trajectories.npz", **made_trajectories(final.head(look.trajectories)))
-    for name, content in look.contents.items():
-        (path / name).write_bytes(content)
-    for name in look.missing:
-        (path / name).unlink(missing_ok=True)
 
 
 def _send(directory: RunDirectory, look: Look, store: Store) -> None:
@@ -275,9 +250,8 @@ def benchmark_store(output_dir: Path, n_runs: int = 1000, n_cells: int = 100) ->
         f"collision {k}": base.model_copy(update={"env": base.env.model_copy(update={"collision_reward": -float(k)})})
         for k in range(n_cells)
     }
-    looks = {(label, seed): Look(success=min(1.0, 0.5 + k / n_cells / 2), rows=20)
-             for k, label in enumerate(cells) for seed in range(n_runs // n_cells)}  # fmt: skip
-    make_store(output_dir, "bench", cells, range(n_runs // n_cells), lambda *key: looks[key])
+    looks = {label: Look(success=min(1.0, 0.5 + k / n_cells / 2), rows=20) for k, label in enumerate(cells)}
+    make_store(output_dir, "bench", cells, range(n_runs // n_cells), lambda label, seed: looks[label])
 
 
 if __name__ == "__main__":
