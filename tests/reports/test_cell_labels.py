@@ -109,7 +109,7 @@ def test_labels_that_are_the_same_get_the_key_of_their_cell():
     ("overrides", "expected"),
     [
         (["precision=highest,medium", "seeds=2"], {"precision=highest", "precision=medium"}),
-        (["env.training_duration=20,null", "algorithm.net_arch=[64,64],[8]"], None),
+        (["n_envs=16", "env.training_duration=20,null", "algorithm.net_arch=[64,64],[8]"], None),
         (["++algorithm.policy_kwargs={},{n_critics:3}", "updates_per_step=1e-2,1e-1"], None),
     ],
 )

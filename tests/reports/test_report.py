@@ -210,20 +210,9 @@ def test_the_report_of_an_experiment_renamed_to_a_path_stays_in_the_output_direc
     assert not (made.parent / "elsewhere").exists()
 
 
-@pytest.mark.slow
 def test_an_experiment_has_to_be_named_if_there_are_several(made):
-    assert report(made, "report=quick").stdout
     make_store(made, "two", {"sac": []}, [0])
     assert report(made, code=2).stderr == "error: experiment: the store has several; name one or more of one, two\n"
-
-
-@pytest.mark.slow
-def test_a_lost_store_is_filled_again_for_a_report(output_dir):
-    make_store(output_dir, "one", {"sac": []}, range(2))
-    (output_dir / "mlflow.db").unlink()
-    command = [sys.executable, "scripts/report.py", "experiment=one", "report=quick", f"output_dir={output_dir}"]
-    subprocess.run(command, cwd=ROOT, check=True, timeout=120)  # MLflow opens a store once a process
-    assert stored(output_dir)["cells"][0]["counts"]["done"] == 2
 
 
 def test_a_store_given_by_its_uri_is_only_read(output_dir, tmp_path):

@@ -104,7 +104,7 @@ def test_mixed_conditions_are_warned_of():
     for name, values in {"Budgets": "400 and 800", "Tasks": "parking and parking_sparse"}.items():
         assert values in mixed[name]
     assert {*mixed} == {"Budgets", "Scene", "Evaluations", "Tasks", "Versions", "Commits", "Machines"}
-    assert report.provenance.versions["highway-env"] == {"1.12.1": 1, "1.11.0": 1}
+    assert report.provenance.versions["highway-env"] == {"1.12.1": 7, "1.11.0": 7}
 
 
 def test_a_cell_with_only_failed_runs_has_no_numbers_and_its_reasons():
@@ -291,7 +291,7 @@ def test_pruned_runs_are_neither_missing_nor_unfinished_and_cells_of_them_alone_
         "ddpg": {"done": 1, "running": 0, "failed": 0, "pending": 0, "pruned": 1},
     }
     assert (report.missing, [*report.provenance.unfinished]) == ([], [])
-    assert report.notes[0].startswith("2 trials of the search were pruned ")
+    assert any(note.startswith("2 trials of the search were pruned ") for note in report.notes)
 
 
 def test_a_factorial_design_without_effects_claims_none():

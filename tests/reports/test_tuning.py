@@ -31,31 +31,28 @@ DISTRIBUTIONS = {
     "buffer.n_sampled_goal": IntDistribution(1, 8),
 }
 OWN = [section for section in SECTIONS if section.id in ("retest", "tuning")]
-STATES = {"done": TrialState.COMPLETE, "pruned": TrialState.PRUNED, "failed": TrialState.FAIL}
 
 
-def trial(*values, state="done", rate=1e-3, buffer="her_future", **attributes):
-    """A trial of a study, with what a worker notes of it."""
+def trial(*values, rate=1e-3, buffer="her_future", **attributes):
+    """A trial of a study, pruned if it has no value, with what a worker notes of it."""
     changes = {"algorithm.learning_rate": rate, "buffer": buffer}
     parameters = {"algorithm.learning_rate": rate, "buffer": json.dumps(buffer)}
     if buffer == "her_future":
         changes["buffer.n_sampled_goal"] = parameters["buffer.n_sampled_goal"] = 4
     return create_trial(
-        state=STATES[state],
-        values=list(values) if state == "done" else None,
+        state=TrialState.COMPLETE if values else TrialState.PRUNED,
+        values=values or None,
         params=parameters,
         distributions={name: DISTRIBUTIONS[name] for name in parameters},
         user_attrs={"changes": changes, "env_steps": 800, "cpu_s": 12.5, **attributes},
     )
 
 
-def tuning(folder, trials, n_trials=None, **changes):
+def tuning(folder, trials):
     """What a report has of a search with these trials."""
-    config = settings(**changes)
     study = optuna.create_study(direction="maximize")
     study.add_trials(trials)
-    total = n_trials or len(trials)
-    return tuning_of(folder, StoredSearch(config, total, study, rows(study, folder, total)))
+    return tuning_of(folder, StoredSearch(settings(), len(trials), study, rows(study, folder, len(trials))))
 
 
 def many(folder):
@@ -147,17 +144,14 @@ def test_retrained_trials_have_intervals_and_welchs_for_tuning_minus_test(folder
     assert whole.warnings[-1].endswith("; compare the trials retrained on test seeds.")
     best, other = written(whole, tmp_path / "tables")["retest"]
     assert (best["number"], best["n_tuning"], best["n_test"], other["number"]) == ("1", "2", "3", "0")
-    for name, interval in (
-        ("tuning", mean_interval(tuned)),
-        ("test", mean_interval(test)),
-        ("difference", welch(tuned, test)),
-    ):
+    intervals = {"tuning": mean_interval(tuned), "test": mean_interval(test), "difference": welch(tuned, test)}
+    for name, interval in intervals.items():
         numbers = [float(best[column]) for column in (name, f"{name}_low", f"{name}_high")]
         assert numbers == pytest.approx([interval.value, interval.low, interval.high])
 
 
 def test_figures_and_tables_show_the_trials(folder, tmp_path):
-    search = tuning(folder, [trial(0.45), trial(0.85, rate=2e-3, buffer="replay"), trial(state="pruned", env_steps=8)])
+    search = tuning(folder, [trial(0.45), trial(0.85, rate=2e-3, buffer="replay"), trial(env_steps=8)])
     whole = report(tuning=search)
     pictures = draw(whole, tmp_path / "figures", [], OWN)
     assert [picture.name for picture in pictures] == ["optimisation_history", "slices_1", "trial_coordinates"]
@@ -229,7 +223,9 @@ def test_a_search_that_is_damaged_is_left_out_with_a_warning(begun, damage, word
     assert replace(whole, warnings=plain.warnings) == plain
 
 
-def test_a_study_is_read_from_the_storage_that_is_passed_and_from_no_other(folder, tmp_path):
+def test_a_study_is_read_from_the_storage_that_is_passed_and_from_no_other_and_passwords_are_not_shown(
+    folder, tmp_path
+):
     uri = f"sqlite:///{tmp_path}/elsewhere.db"
     write_search(folder, storage=uri)
     plain = report("smoke")
@@ -238,9 +234,6 @@ def test_a_study_is_read_from_the_storage_that_is_passed_and_from_no_other(folde
     assert not (tmp_path / "elsewhere.db").exists()
     add(folder, trial(0.5), uri=uri)
     assert [trial.value for trial in with_search(plain, folder.parent, uri).tuning.trials] == [0.5]
-
-
-def test_a_storage_that_fails_is_a_warning_without_passwords(folder):
     write_search(folder, storage="nonsense+driver://me:secret@localhost/studies")
     (warning,) = with_search(report("smoke"), folder.parent, "nonsense+driver://me@localhost/studies").warnings
     assert warning.startswith("The search of smoke is left out: ")
