@@ -155,7 +155,7 @@ def test_hostile_names_are_text_everywhere(output_dir):
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["experiment=on"], r"experiment=on: sqlite:///.* has none of that name; did you mean 'one'\?"),
+        (["experiment=on"], r"experiment=on: there is no such experiment in sqlite:///.*; did you mean 'one'\?"),
         (["experiment=one", "td4"], r"cells: no cell is called 'td4'; did you mean 'td3'\?"),
         (["experiment=one", "nmae=x"], r"nmae: neither a key of this command nor of these runs' configs; did you mean 'name'\?"),
         (["experiment=one", "report=quik"], r"report=quik: there is no such option; did you mean 'quick'\?"),

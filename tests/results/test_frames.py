@@ -191,7 +191,7 @@ def test_a_run_that_was_stored_twice_is_a_problem(output_dir, tmp_path):
     (twin,) = make_store(tmp_path, "e", {"": []}, [0], uri=default_uri(output_dir)).values()
     results = load("e", output_dir=output_dir)
     assert len(results.runs) == 2
-    assert results.problems == (f"e, {twin.config().cell}, seed 0: 2 runs have it",)
+    assert results.problems == (f"e, {twin.config().cell}, seed 0: 2 runs have this cell and seed",)
 
 
 def test_trajectories_are_read_as_they_were_recorded(ablation):
