@@ -9,7 +9,7 @@ import pytest
 from support.runs import make_config, type_here
 from support.searches import SETTINGS
 
-from parking_exp.runs.atomic_files import write_json
+from parking_exp.runs.atomic_files import read_json, write_json
 from parking_exp.runs.directory import RunDirectory
 from parking_exp.runs.lookup import find_runs
 from parking_exp.runs.run_state import labelled, read_state
@@ -139,7 +139,8 @@ def test_status_refuses_in_one_sentence(tmp_path, arguments, message):
     assert done.stderr.count("\n") == 1
 
 
-def test_a_running_run_shows_step_rate_time_left_and_host(tmp_path):
+def test_a_running_run_shows_step_rate_time_left_and_host(smoke, tmp_path):
+    assert read_json(smoke[0].path / "beat.json")["step"] == 400  # a training writes them
     run = RunDirectory(run_dir(tmp_path, status="running", host="here", started=time.time() - 1))
     with run.supervisor_lock():
         run.heartbeat(step=400, steps_per_s=20.0, doing="train")
