@@ -8,7 +8,6 @@ import optuna
 import pytest
 from support.runs import make_config, type_here
 from support.searches import SETTINGS
-from support.sweep_processes import SLOW, begin, statuses, wait_until
 
 from parking_exp.runs.atomic_files import read_json, write_json
 from parking_exp.runs.directory import RunDirectory
@@ -140,17 +139,13 @@ def test_status_refuses_in_one_sentence(tmp_path, arguments, message):
     assert done.stderr.count("\n") == 1
 
 
-def test_a_running_run_shows_step_rate_time_left_and_host(tmp_path):
-    process = begin(tmp_path, "seeds=1", "hydra/launcher=local", *SLOW)
-    wait_until(lambda: any(read_json(path).get("step", 0) > 60 for path in tmp_path.glob("*/*/*/beat.json")))
-    shown = type_here("status", f"output_dir={tmp_path}").stdout
-    (status,) = statuses(tmp_path).values()
-    process.kill()
-    process.communicate()
-    (line,) = [line for line in shown.splitlines() if line.startswith("running ")]
-    assert "of 200 steps, " in line
-    assert " steps/s, " in line
-    assert line.endswith(f" left   {status['host']}")
+def test_a_running_run_shows_step_rate_time_left_and_host(smoke, tmp_path):
+    assert read_json(smoke[0].path / "beat.json")["step"] == 400  # a training writes them
+    run = RunDirectory(run_dir(tmp_path, status="running", host="here", started=time.time() - 1))
+    with run.supervisor_lock():
+        run.heartbeat(step=400, steps_per_s=20.0, doing="train")
+        shown = type_here("status", f"output_dir={tmp_path}").stdout
+    assert shown.splitlines()[-1] == "running  a seed=0: 400 of 1000 steps, 20 steps/s, 30 s left   here"
 
 
 def search_in(folder, uri, **stored):

@@ -128,7 +128,9 @@ def test_the_her_ablation_is_every_strategy_with_every_share_and_a_control_on_bo
 
 
 @pytest.mark.parametrize("experiment", slow_but(["her_relabelling"], ["her_ablation", "her_relabelling"]))
-@pytest.mark.parametrize(("budget", "steps"), slow_but([("small", 96_000)], [("small", 96_000), ("full", 256_000)]))
+@pytest.mark.parametrize(
+    ("budget", "steps"), [("small", 96_000), pytest.param("full", 256_000, marks=pytest.mark.slow)]
+)
 def test_every_cell_has_as_many_env_steps_and_updates(experiment, budget, steps):
     """Cells differ in buffer and env only: the same steps, updates, networks and evaluation."""
     expanded = runs(f"experiment={experiment}", f"budget={budget}", "seeds=1")

@@ -1,6 +1,5 @@
 """README and the pages of docs/: links and paths exist, commands and examples run."""
 
-import json
 import os
 import re
 import shlex
@@ -18,24 +17,6 @@ PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", ROOT / "CHANGELOG.md", *s
 EXTENDING = ROOT / "docs" / "extending.md"
 LARGE = re.compile(r"train\.py.* experiment=(her|algorithms|variants)|tune\.py search=recipe (?!.*dry_run)")
 FENCE = re.compile(r"^```(\w*)(?: title=\"([^\"]+)\")?\n(.*?)^```", re.MULTILINE | re.DOTALL)
-
-# Run scripts in one process, since importing torch takes seconds. Argument: {command: [script, ...]}.
-RUN_COMMANDS = """
-import contextlib, io, json, runpy, sys, traceback
-
-outcomes = {}
-for command, arguments in json.loads(sys.argv[1]).items():
-    sys.argv, output, code = arguments, io.StringIO(), 0
-    with contextlib.redirect_stdout(output), contextlib.redirect_stderr(output):
-        try:
-            runpy.run_path(arguments[0], run_name="__main__")
-        except SystemExit as exit:
-            code = exit.code or 0
-        except BaseException:
-            code = traceback.format_exc()
-    outcomes[command] = code, output.getvalue()
-print("\\n" + json.dumps(outcomes))
-"""
 
 
 def blocks(page, language):
@@ -57,16 +38,6 @@ def cheap(command):
     if "hydra/launcher=slurm" in words:
         added.append("hydra.launcher.executor=local")  # machines without Slurm have no squeue
     return words if "--cfg" in words else words + [word for word in added if word not in words]
-
-
-def run_commands(words, cwd, root=ROOT):
-    """Run the scripts of a checkout in one process, and return {command: (exit status, output)}."""
-    arguments = {command: [f"{root}/scripts/{script}", *rest] for command, (script, *rest) in words.items()}
-    process = [sys.executable, "-c", RUN_COMMANDS, json.dumps(arguments)]
-    environment = {**os.environ, "PYTHONPATH": f"{root}{os.pathsep}{cwd}"}
-    done = subprocess.run(process, cwd=cwd, env=environment, check=False, capture_output=True, text=True, timeout=900)
-    assert done.returncode == 0, done.stderr
-    return json.loads(done.stdout.rsplit("\n", 2)[-2])
 
 
 def add(path, text):
@@ -107,10 +78,12 @@ def test_commands_run(large, tmp_path):
     winner.write_text("# @package _global_\nexperiment_name: tuned\n")
     # The commands of extending.md need the files of its examples; benchmarks take minutes.
     every = [command for command in commands(*(set(PAGES) - {EXTENDING})) if not command.startswith("benchmark.py")]
-    selected = {command: cheap(command) for command in every if bool(LARGE.match(command)) == large}
+    selected = [command for command in every if bool(LARGE.match(command)) == large]
     assert len(selected) > 5
-    outcomes = run_commands(selected, tmp_path)
-    assert {command: outcome for command, outcome in outcomes.items() if outcome[0] != 0} == {}
+    for command in selected:
+        script, *words = cheap(command)
+        done = type_here(script.removesuffix(".py"), *words, cwd=tmp_path)
+        assert done.returncode == 0, (command, done.stderr)
 
 
 EXAMPLES = [page for page in PAGES if any(not title for title, _ in blocks(page, "python"))]
@@ -143,9 +116,9 @@ def test_the_examples_of_the_extending_page_run_and_appear_in_results(tmp_path):
     for title, text in blocks(EXTENDING, "python") + blocks(EXTENDING, "yaml"):
         add(tmp_path / title, text)
     # One command trains a run with all extensions; the others print their plan.
-    words = {name: shlex.split(name) + ([] if "mine" in name else ["dry_run=true"]) for name in commands(EXTENDING)}
-    outcomes = run_commands(words, tmp_path, tmp_path)
-    assert {command: outcome for command, outcome in outcomes.items() if outcome[0] != 0} == {}
+    for command in commands(EXTENDING):
+        words = [sys.executable, *shlex.split(f"scripts/{command}"), *([] if "mine" in command else ["dry_run=true"])]
+        subprocess.run(words, cwd=tmp_path, env={**os.environ, "PYTHONPATH": str(tmp_path)}, check=True, timeout=300)
     (result,) = tmp_path.glob("outputs/mine/parking_dense_lot-fading_sac-her_late-*/seed=0/result.json")
     assert "final/centred_rate" in result.read_text()
     assert "How many seeds" in (tmp_path / "outputs/reports/mine/index.html").read_text()

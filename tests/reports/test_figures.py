@@ -12,7 +12,7 @@ from matplotlib.collections import LineCollection
 from PIL import Image
 from support import report_factory
 
-from parking_exp.reports.figures import cell_figures, comparison_figures, lot_figures, study_figures
+from parking_exp.reports.figures import cell_figures, comparison_figures, lot_figures
 from parking_exp.reports.figures.figure_style import INK, cell_labels, cell_style, report_style
 from parking_exp.reports.sections import SECTIONS, draw
 from parking_exp.statistics import Interval
@@ -201,14 +201,6 @@ def test_importance_has_a_bar_for_each_hyperparameter_and_which_way_it_points():
     (axes,) = axes_of(comparison_figures.draw_importance, report_factory.search(5))
     assert [bar.get_width() for bar in axes.patches] == pytest.approx([71, 6, 2, 1])
     assert [text.strip() for text in texts(axes.texts)] == ["p = 0.001 ↓", "p = 0.30 ↑", "p = 0.71 ↑", "p = 0.90"]
-
-
-def test_a_sweep_in_which_a_cell_lacks_a_numeric_key_is_drawn():
-    report = report_factory.search(5)
-    settings = {**report.cells[0].settings, "algorithm.batch_size": None}
-    axes, *_ = axes_of(study_figures.draw_cell_coordinates, with_first(report, settings=settings))
-    assert texts(axes.get_xticklabels()) == ["success", "batch_size", "buffer", "gamma", "learning_rate"]
-    assert len(axes.collections[-1].get_segments()) == 5
 
 
 def test_the_map_has_failures_by_slot_and_where_they_happened(three):

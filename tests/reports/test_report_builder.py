@@ -73,10 +73,8 @@ def test_with_a_baseline_the_family_is_all_others_against_it():
 
     report = content(GOALS, look=look, baseline="n_sampled_goal=2")
     labels = {cell.id: cell.label for cell in report.cells}
-    assert {(labels[pair.a], labels[pair.b]) for pair in report.pairs} == {
-        ("n_sampled_goal=1", "n_sampled_goal=2"),
-        ("n_sampled_goal=4", "n_sampled_goal=2"),
-    }
+    pairs = {(labels[pair.a], labels[pair.b]) for pair in report.pairs}
+    assert pairs == {(f"n_sampled_goal={n}", "n_sampled_goal=2") for n in (1, 4)}
     p = sorted(pair.p for pair in report.pairs)
     assert sorted(pair.p_holm for pair in report.pairs) == pytest.approx([min(2 * p[0], 1), max(2 * p[0], p[1])])
     assert len(content(GOALS, look=look).pairs) == 3
@@ -100,10 +98,12 @@ def test_mixed_conditions_are_warned_of():
     columns = {"version.highway-env": "1.11.0", "cpu": "other", "git_commit": "b" * 40}
     configs = {"plain": {}, **{key: {key: value} for key, value in conditions.items()}}
     report = content(configs, range(2), lambda label, seed: Run(columns=columns if seed else {}))
-    mixed = {line.split(" ")[0]: line for line in report.warnings if "mixed" in line}
-    for name, values in {"Budgets": "400 and 800", "Tasks": "parking and parking_sparse"}.items():
-        assert values in mixed[name]
-    assert {*mixed} == {"Budgets", "Scene", "Evaluations", "Tasks", "Versions", "Commits", "Machines"}
+    mixed = [line for line in report.warnings if "mixed" in line]
+    for values in ("400 and 800", "5 and 8", "0 and 100", "3 and 4", "100 and 200", "parking and parking_sparse"):
+        assert sum(f" {values}" in line for line in mixed) == 1
+    assert {line.split(" ")[0] for line in mixed} == {
+        "Budgets", "Scene", "Evaluations", "Tasks", "Versions", "Commits", "Machines",
+    }  # fmt: skip
     assert report.provenance.versions["highway-env"] == {"1.12.1": 7, "1.11.0": 7}
 
 
@@ -116,8 +116,7 @@ def test_a_cell_with_only_failed_runs_has_no_numbers_and_its_reasons():
     assert failed.success.value is None
     assert failed.counts == {"done": 0, "running": 0, "failed": 2, "pending": 0}
     assert [(run.label, run.seed, run.status, run.reason) for run in report.provenance.unfinished] == [
-        ("td3", 0, "failed", "ValueError: no way"),
-        ("td3", 1, "failed", "ValueError: no way"),
+        ("td3", seed, "failed", "ValueError: no way") for seed in (0, 1)
     ]
     assert report.missing == ["2 of 4 runs are done: 2 failed.", "No run is done of td3."]
     assert report.pairs == []
@@ -231,12 +230,7 @@ def test_cells_are_chosen_by_label_pattern_and_config():
 
 @pytest.mark.parametrize(
     ("asked", "parts"),
-    [
-        ("her_finale", "'her_finale'"),
-        ("bufer=her_final", "bufer: .*'buffer'"),
-        ("buffer=her_past", "buffer=her_past"),
-        ("seed=0", "^seed: neither a key"),
-    ],
+    [("her_finale", "'her_finale'"), ("bufer=her_final", "bufer: .*'buffer'"), ("seed=0", "^seed: neither")],
 )
 def test_an_unknown_cell_is_an_error_that_names_it(asked, parts):
     groups = group(results({"a": {"buffer.name": "her_final"}, "b": {}}, [0]).runs)
@@ -332,4 +326,4 @@ def test_problems_of_results_are_warnings_and_the_first_few_are_named():
     frames = replace(results({"sac": {}}), problems=tuple(f"problem {n}" for n in range(7)))
     report = build_report(frames, ["one"])
     assert [line for line in report.warnings if line.startswith("problem")] == [f"problem {n}" for n in range(5)]
-    assert report.warnings[-1].endswith("besides: 2.")
+    assert report.warnings[-1].endswith("problems: 2.")

@@ -423,17 +423,6 @@ def test_mean_never_covers_less_than_93_of_100_draws_and_more_than_97_only_at_th
 
 @pytest.mark.slow
 @pytest.mark.parametrize("n", simulation.SEEDS)
-@pytest.mark.parametrize("rates", simulation.COLLAPSING, ids=str)
-def test_note_speaks_wherever_a_collapse_shows_below_thirty_seeds(rates, n):
-    if n == 30:
-        assert simulation.of_mean(rates, n).mean() >= 0.93
-    else:
-        shows = (rates.measured(n, 400, seed=2) == 0).any(axis=1)
-        assert simulation.speaks(rates, n)[shows].all()
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("n", simulation.SEEDS)
 @pytest.mark.parametrize("pair", simulation.PAIRS, ids=str)
 def test_differences_and_improvements_cover_in_92_of_100_draws_or_have_three_seeds_and_a_note(pair, n):
     if n == 3:

@@ -26,11 +26,10 @@ HOSTILE = (
 def report(n_cells=3, n_seeds=10, labels=None, look=None, **changes):
     """Return a report on a few algorithms; `labels` are other names for the cells, `changes` replace fields."""
     names = ("sac", "td3", "ddpg", "tqc", "crossq")
-    rates = [{"algorithm.learning_rate": 1e-3 * (1 + i // 5)} if n_cells > 5 else {} for i in range(n_cells)]
-    cells = {str(i): {"algorithm.name": names[i % 5], **rates[i]} for i in range(n_cells)}
-    means = {
-        str(i): (0.975, 0.93, 0.71)[i] if i < 3 else 0.3 + 0.65 * (i * 7 % n_cells) / n_cells for i in range(n_cells)
-    }
+    configs = [{"algorithm.name": names[i % 5], "algorithm.learning_rate": 1e-3 * (1 + i // 5)} for i in range(n_cells)]
+    cells = {str(i): config for i, config in enumerate(configs)}
+    others = [0.3 + 0.65 * (i * 7 % n_cells) / n_cells for i in range(3, n_cells)]
+    means = {str(i): mean for i, mean in enumerate([0.975, 0.93, 0.71, *others][:n_cells])}
     made = _report(cells, n_seeds, means, look or (lambda label, run: run))
     if labels:
         made = replace(made, cells=[replace(cell, label=label) for cell, label in zip(made.cells, labels, strict=True)])
@@ -71,17 +70,17 @@ def her_ablation(n_seeds=10):
 def search(n_cells=30):
     """Return a report on a random search over four hyperparameters, three seeds a point."""
     rng = np.random.default_rng(3)
+    exponents = rng.uniform(-4, -2, n_cells)
     cells = {
         str(i): {
-            "algorithm.learning_rate": float(10 ** rng.uniform(-4, -2)),
+            "algorithm.learning_rate": float(10**exponent),
             "algorithm.gamma": float(1 - 10 ** rng.uniform(-2, -1)),
             "algorithm.batch_size": (128, 256, 512)[i % 3],
             "buffer.name": ("her_future", "her_final")[i // 2 % 2],
         }
-        for i in range(n_cells)
+        for i, exponent in enumerate(exponents)
     }
-    rates = {label: np.log10(cell["algorithm.learning_rate"]) for label, cell in cells.items()}
-    means = {label: 0.95 - 0.35 * abs(rate + 3) + rng.normal(0, 0.03) for label, rate in rates.items()}
+    means = {str(i): 0.95 - 0.35 * abs(exponent + 3) for i, exponent in enumerate(exponents)}
     importance = [
         ParameterImportance("algorithm.learning_rate", 0.71, 0.001, -0.42),
         ParameterImportance("algorithm.gamma", 0.06, 0.3, 0.12),
