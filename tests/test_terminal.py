@@ -4,7 +4,7 @@ import io
 import logging
 
 from rich.table import Table
-from support.runs import type_here
+from support.runs import call_script
 
 from parking_exp.terminal import LogFormatter, Screen, printable, say
 
@@ -48,7 +48,7 @@ def test_an_error_that_names_a_hostile_directory_shows_it(tmp_path):
     path = tmp_path / "mine\x1b]0;t\x07" / "cell" / "seed=0"
     path.mkdir(parents=True)
     (path / "status.json").write_text("{}")
-    done = type_here("evaluate", f"run={path}", f"output_dir={tmp_path}")
+    done = call_script("evaluate", f"run={path}", f"output_dir={tmp_path}")
     assert done.returncode == 2
     assert done.stderr.strip().isprintable()
     assert r"mine\x1b]0;t\x07/cell/seed=0" in done.stderr

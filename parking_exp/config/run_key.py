@@ -5,12 +5,12 @@ import json
 from collections.abc import Mapping
 from typing import Any
 
-WITHOUT_RESULT = ("experiment_name", "output_dir", "tracking", "checkpoint", "timeout_s", "evaluation.video_episodes")
+NO_EFFECT = ("experiment_name", "output_dir", "tracking", "checkpoint", "timeout_s", "evaluation.video_episodes")
 
 
 def changes_results(key: str) -> bool:
     """Return whether a dotted key can change a result."""
-    return not any(f"{key}.".startswith(f"{excluded}.") for excluded in WITHOUT_RESULT)
+    return not any(f"{key}.".startswith(f"{excluded}.") for excluded in NO_EFFECT)
 
 
 def result_part(config: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:

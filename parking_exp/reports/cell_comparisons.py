@@ -1,4 +1,4 @@
-"""Comparisons of cells: pairs, the kind of design, main effects and interactions of factors, importance in a search."""
+"""Comparisons of cells: pairs, the kind of design, main effects and interactions of factors."""
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
@@ -22,7 +22,6 @@ from parking_exp.statistics import (
     probability_of_improvement,
     welch,
 )
-from parking_exp.statistics.effects import FEWEST_ROWS
 
 ALL_PAIRS_UP_TO = 12  # cells: 66 pairs
 SIGNIFICANT = 0.05
@@ -159,16 +158,6 @@ def interactions(
                 tables.append(table)
     corrected = statistics.holm([table.p for table in tables])
     return [replace(table, p=finite_or_none(p)) for table, p in zip(tables, corrected, strict=True)]
-
-
-def importance(cells: Sequence[Cell], factors: Sequence[Factor]) -> list[statistics.ParameterImportance]:
-    """Return the share of the variance between cells that each factor explains alone, the largest first."""
-    rows = [{**cell.settings, RESPONSE: cell.success.value} for cell in cells if cell.success.value is not None]
-    if len(rows) < FEWEST_ROWS:
-        return []
-    frame = pd.DataFrame(rows)
-    usable = [factor.key for factor in factors if not (factor.numeric and frame[factor.key].isna().any())]
-    return sorted(statistics.importance(frame, usable, RESPONSE), key=lambda importance: -importance.share)
 
 
 def _interaction(

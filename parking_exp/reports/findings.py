@@ -8,7 +8,7 @@ from parking_exp.reports.cell_comparisons import SIGNIFICANT, Family
 from parking_exp.reports.formats import p_value, points_interval, rate_interval, setting
 from parking_exp.reports.report_data import Cell, Interaction, Pair, Survival
 from parking_exp.reports.warnings import FEW_NAMES, named
-from parking_exp.statistics import Interval, MainEffect, ParameterImportance, Proportion
+from parking_exp.statistics import Interval, MainEffect, Proportion
 
 VERDICTS = {"a": "is better than", "b": "is worse than", "same": "is indistinguishable from"}
 
@@ -51,7 +51,8 @@ def about_factors(
     factors: Sequence[Factor],
     effects: Sequence[MainEffect],
     interactions: Sequence[Interaction],
-    importance: Sequence[ParameterImportance],
+    *,
+    is_search: bool,
 ) -> Iterator[str]:
     """Yield the findings on single factors."""
     names = {factor.key: factor.name for factor in factors}
@@ -62,23 +63,8 @@ def about_factors(
             yield from _effect(effect, effect.largest, names[effect.factor], len(effects) > 1)
     for table in interactions:
         yield from _interaction(table, names[table.row], names[table.column])
-    if importance:
-        yield from _importance(importance, names)
-
-
-def _importance(importance: Sequence[ParameterImportance], names: Mapping[str, str]) -> Iterator[str]:
-    """Yield which hyperparameters matter; p is corrected (Bonferroni) for how many were looked at."""
-    shown = [parameter for parameter in importance if parameter.p * len(importance) < SIGNIFICANT]
-    for parameter in shown:
-        direction = parameter.direction
-        way = "" if not direction else ", larger is better" if direction > 0 else ", smaller is better"
-        yield (
-            f"{names[parameter.factor]} alone explains {100 * parameter.share:.0f} % of the variance of success "
-            f"between cells ({p_value(parameter.p)}{way})."
-        )
-    if not shown:
-        yield "No hyperparameter can be shown to matter by itself."
-    yield "The best of a search was chosen by its result: run it on other seeds before its rate is believed."
+    if is_search:
+        yield "The best of a search was selected by its result: train it on other seeds before relying on its rate."
 
 
 def _effect(effect: MainEffect, largest: Interval, name: str, several: bool) -> Iterator[str]:

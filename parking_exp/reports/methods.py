@@ -9,10 +9,9 @@ from parking_exp.statistics.intervals import BOOTSTRAP, EXACT, NONE, SCORE, T
 INTERVALS = {
     BOOTSTRAP: "Intervals of means over 5 seeds and more are studentised bootstrap intervals: where rates pile up "
     "below 100 %, Student's and BCa's cover less than 95 %.",
-    SCORE: "Intervals of means over 2 to 4 seeds are Wilson's, with Student's quantile and as many trials as the "
-    "variance between seeds amounts to.",
-    EXACT: "Where all seeds ended alike, as with 0 % or 100 %, the interval is a bound that holds whatever "
-    "the distribution.",
+    SCORE: "Intervals of means over 2 to 4 seeds are Wilson's, with Student's quantile and the effective sample size "
+    "that the variance between seeds implies.",
+    EXACT: "Where all seeds have the same rate, such as 0 % or 100 %, the interval is a distribution-free bound.",
     T: "Intervals of CPU-seconds and of the length of episodes are Student's.",
     NONE: "A single seed has no interval.",
 }
@@ -55,19 +54,15 @@ def methods(report: ReportData) -> Iterator[str]:
         )
     if any(cell.survival for cell in report.cells):
         yield (
-            "Time to 90 %: the first step from which three evaluations in a row had 90 % success. Seeds that have not "
-            "got there are right-censored: shares by Kaplan and Meier with Greenwood's interval on the log-log scale, "
-            "comparisons by the log-rank test, with Holm's correction, means up to the time that all were watched."
+            "Time to 90 %: the first step from which three evaluations in a row had 90 % success. Seeds that do not "
+            "reach it are right-censored: shares by Kaplan and Meier with Greenwood's interval on the log-log scale, "
+            "comparisons by the log-rank test, with Holm's correction, restricted means up to the earliest "
+            "end of observation."
         )
     if report.effects:
         yield (
             "Main effects are means of cell means; their intervals, and the difference of the best and the worst "
             "level, are those of linear contrasts (Welch), p is Bonferroni's over the pairs of levels. Interactions: "
             "F test with the cells' own variances (Brunner, Dette and Munk), p is Holm's over the tables."
-        )
-    if report.importance:
-        yield (
-            "Importance is the share of the variance between cells that a quadratic in the ranks of one parameter, or "
-            "its groups, explains alone, adjusted for chance; p by the F test."
         )
     yield REFERENCES

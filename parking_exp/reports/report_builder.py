@@ -119,10 +119,8 @@ def build_report(
         if cell.id in shown:
             summaries[number] = _with_lot_map(cell, groups[number], results, evaluations, problems)
     design = cell_comparisons.design(factors, [cell.settings for cell in groups])
-    effects, interactions, importance = [], [], []
-    if design == "search":
-        importance = cell_comparisons.importance(summaries, factors)
-    elif design == "factorial":
+    effects, interactions = [], []
+    if design == "factorial":
         shares = {cell.id: real_share(runs, evaluations) for cell, runs in zip(summaries, groups, strict=True)}
         effects = cell_comparisons.main_effects(summaries, factors)
         interactions = cell_comparisons.interactions(summaries, factors, shares)
@@ -144,11 +142,10 @@ def build_report(
         pairs=family.pairs,
         effects=effects,
         interactions=interactions,
-        importance=importance,
         exploratory=any(cell.success.n < warnings.ENOUGH_SEEDS for cell in summaries),
         claims=_unique(
             findings.about_cells(summaries, family),
-            findings.about_factors(factors, effects, interactions, importance),
+            findings.about_factors(factors, effects, interactions, is_search=design == "search"),
         ),
         warnings=_unique(warnings.warnings(groups, summaries, family.pairs, origin), _first(problems)),
         missing=_unique(warnings.missing(summaries, experiments, results.runs["experiment"])),
@@ -233,11 +230,7 @@ def _notes(
     if outside := [cell.label for cell in cells if None in cell.settings.values()] if crossed else []:
         yield f"Not part of the main effects, without a value of every factor: {warnings.named(outside)}."
     if n_left_out := len(selection.left_out):
-        were = "was" if n_left_out == 1 else "were"
-        yield (
-            f"By what was asked for, {plural(n_left_out, 'more cell')} of the experiments {were} left out; "
-            "fewer pairs make smaller p."
-        )
+        yield f"{plural(n_left_out, 'other cell')} of the experiments not selected: fewer pairs make smaller p."
     if n_pruned := selection.n_pruned:
         were, are = ("was", "it is") if n_pruned == 1 else ("were", "they are")
         yield (

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal, cast
 
 from parking_exp.config.cell_labels import Factor, Setting
 from parking_exp.envs.outcomes import Outcome
-from parking_exp.statistics import Interval, MainEffect, ParameterImportance, Proportion
+from parking_exp.statistics import Interval, MainEffect, Proportion
 
 if TYPE_CHECKING:
     from parking_exp.reports.search_report import Tuning
@@ -220,7 +220,6 @@ class ReportData:
     pairs: Sequence[Pair]  # empty where they make no sense, as the next three
     effects: Sequence[MainEffect]
     interactions: Sequence[Interaction]
-    importance: Sequence[ParameterImportance]
     exploratory: bool  # fewer than 10 seeds in some cell
     claims: Sequence[str]  # findings, the most important first
     warnings: Sequence[str]  # what makes numbers hard to compare

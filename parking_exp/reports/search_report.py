@@ -81,7 +81,7 @@ def with_tuning(report: ReportData, tuning: Tuning) -> ReportData:
 
 
 def tuning_of(folder: Path, stored: "StoredSearch") -> Tuning:
-    """Return the search in an experiment's folder ; ResultsError if its retrained trials are damaged."""
+    """Return the search in an experiment's folder; ResultsError if its retrained trials are damaged."""
     try:
         retested = read_retest(folder)
     except ValidationError as error:
@@ -191,7 +191,7 @@ def retest_table(report: ReportData) -> Iterator[Table]:
         [
             column("Trial", "label", numeric=False),
             interval_column("Tuning seeds", "tuning"),
-            interval_column("Fresh seeds", "test"),
+            interval_column("Test seeds", "test"),
             interval_column("Tuning minus test", "difference", formats.points_interval),
         ],
         f"The best trials and trial 0, the unchanged config, trained again on seeds that no trial was selected by: "

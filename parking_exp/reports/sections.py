@@ -10,16 +10,12 @@ from typing import Any
 import matplotlib.figure
 
 from parking_exp.reports.figures.cell_figures import draw_final_success, draw_learning_curves, draw_time_to_90
-from parking_exp.reports.figures.comparison_figures import (
-    draw_importance,
-    draw_interactions,
-    draw_main_effects,
-    draw_pairs,
-)
+from parking_exp.reports.figures.comparison_figures import draw_interactions, draw_main_effects, draw_pairs
 from parking_exp.reports.figures.figure_style import Drawing, clean, report_style
 from parking_exp.reports.figures.lot_figures import draw_scene_map, draw_trajectories
 from parking_exp.reports.figures.study_figures import (
     draw_cell_coordinates,
+    draw_cell_importance,
     draw_history,
     draw_parameter_importance,
     draw_slices,
@@ -66,7 +62,7 @@ def what_was_run(report: ReportData) -> Iterable[str]:
         yield f"Runs from {origin.first} to {origin.last}."
     yield f"Store: {origin.uri}. Report made {report.made} by parking-exp {report.version}."
     if origin.left_out:
-        yield f"Cells that were not asked for: {'; '.join(origin.left_out)}."
+        yield f"Cells of these experiments that were not selected: {'; '.join(origin.left_out)}."
 
 
 SECTIONS = (
@@ -133,9 +129,8 @@ SECTIONS = (
         "Hyperparameters",
         figures=[
             Figure("parallel_coordinates", "What was tried", draw_cell_coordinates),
-            Figure("importance", "Which hyperparameters matter", draw_importance),
+            Figure("importance", "Importance of hyperparameters", draw_cell_importance),
         ],
-        tables=[report_tables.importance],
     ),
     Section("seeds", "Every seed", tables=[report_tables.seeds]),
     Section(

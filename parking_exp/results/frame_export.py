@@ -137,10 +137,10 @@ def _exported_runs(runs: pd.DataFrame) -> pd.DataFrame:
 
 
 def _read_runs(path: Path) -> pd.DataFrame:
-    in_two_steps = dict.fromkeys(("started", "ended"), TEXT)  # `read_csv` has no such type
-    types = defaultdict(lambda: TEXT, {**RUN_TYPES, **in_two_steps})
+    timestamps = dict.fromkeys(("started", "ended"), TEXT)  # `read_csv` has no such type
+    types = defaultdict(lambda: TEXT, {**RUN_TYPES, **timestamps})
     runs = pd.read_csv(path, dtype=types, keep_default_na=False, na_values=[""])
-    for name in in_two_steps:
+    for name in timestamps:
         runs[name] = pd.to_datetime(runs[name], format="ISO8601", utc=True)
     others = sorted(name for name in map(str, runs) if name.startswith(("version.", "config.")))
     for name in others:

@@ -7,8 +7,6 @@ that need it.
 from parking_exp.statistics.comparisons import holm, probability_of_improvement, welch
 from parking_exp.statistics.effects import (
     MainEffect,
-    ParameterImportance,
-    importance,
     interaction,
     main_effects,
 )
@@ -25,12 +23,10 @@ from parking_exp.statistics.survival import (
 __all__ = [
     "Interval",
     "MainEffect",
-    "ParameterImportance",
     "Proportion",
     "coverage_note",
     "finite_or_none",
     "holm",
-    "importance",
     "interaction",
     "kaplan_meier",
     "log_rank",

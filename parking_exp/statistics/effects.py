@@ -1,4 +1,4 @@
-"""Main effects, contrasts and interactions of crossed factors, importance of hyperparameters."""
+"""Main effects, contrasts and interactions of crossed factors."""
 
 from __future__ import annotations
 
@@ -19,8 +19,6 @@ if TYPE_CHECKING:  # a training imports this package, but not pandas
     import pandas as pd
 
     Cells = Mapping[tuple[Any, ...], np.ndarray]  # levels of the factors -> responses
-
-FEWEST_ROWS = 5  # for importances
 
 
 @dataclass(frozen=True)
@@ -64,19 +62,6 @@ class InteractionTable:
     columns: Sequence[Any]
     cells: Mapping[tuple[Any, Any], tuple[Interval, float]]
     p: float | None
-
-
-@dataclass(frozen=True)
-class ParameterImportance:
-    """The share of the variance, 0 ... 1, that one parameter explains alone, and p of the F test.
-
-    `direction` is Spearman's rank correlation; None of a category or a constant.
-    """
-
-    factor: str
-    share: float
-    p: float
-    direction: float | None
 
 
 def main_effects(frame: pd.DataFrame, factors: Sequence[str], response: str) -> list[MainEffect]:
@@ -123,40 +108,6 @@ def interaction(frame: pd.DataFrame, row_factor: str, column_factor: str, respon
         for ((row, column), values), residual in zip(cells.items(), residuals, strict=True)
     }
     return InteractionTable(rows, columns, combinations, finite_or_none(_interaction_p(cells, design)))
-
-
-def importance(frame: pd.DataFrame, parameters: Sequence[str], response: str) -> list[ParameterImportance]:
-    """Return the share of the response's variance that every parameter explains alone, in the order given.
-
-    `frame` has one row per cell, at least FEWEST_ROWS, without NaN in the response. For numbers the share is the
-    adjusted R^2 of a quadratic in their ranks, so that a log scale does not matter; for booleans and words it is the
-    adjusted correlation ratio (Kelley 1935); both are at least 0. p is that of the F test, not corrected for the number
-    of parameters. Shares ignore interactions and need not add up. A constant explains 0 with p 1.
-    """
-    return [_importance(frame[name], frame[response]) for name in parameters]
-
-
-def _importance(column: pd.Series, response: pd.Series) -> ParameterImportance:
-    name, n, y = str(column.name), len(column), response.to_numpy(dtype=float)
-    total = float(((y - y.mean()) ** 2).sum())
-    if column.nunique(dropna=False) < 2 or total <= 1e-24 * n:
-        return ParameterImportance(name, 0.0, 1.0, None)
-    direction = None
-    if column.dtype.kind in "iuf":
-        ranks = column.rank()
-        direction = float(ranks.corr(response.rank()))
-        design = np.vander(ranks.to_numpy() / n, 3)
-    else:
-        codes = column.astype("category").cat.codes.to_numpy()
-        design = (codes[:, None] == np.unique(codes)).astype(float)
-    coefficients, _, rank, _ = np.linalg.lstsq(design, y, rcond=None)
-    left, df = float(((y - design @ coefficients) ** 2).sum()) / total, n - int(rank)
-    if df == 0:
-        return ParameterImportance(name, 0.0, 1.0, direction)
-    share = min(max(1 - left * (n - 1) / df, 0.0), 1.0)
-    # Rounding may leave more than there was.
-    p = float(fdtrc(rank - 1, df, max(1 - left, 0.0) / (rank - 1) / max(left / df, 1e-12)))
-    return ParameterImportance(name, share, p, direction)
 
 
 def _contrast(side: Sequence[np.ndarray], other: Sequence[np.ndarray]) -> Difference:

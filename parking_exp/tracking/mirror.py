@@ -135,7 +135,7 @@ def mirror_problem(directories: Iterable[RunDirectory], store: Store) -> str | N
     if not problems:
         return None
     directory, problem = problems[0]
-    incomplete = f"the store has not got all of {plural(len(problems), 'run')}, e.g. {directory.path}"
+    incomplete = f"the store lacks data of {plural(len(problems), 'run')}, e.g. {directory.path}"
     return f"{incomplete}: {problem}; {sync_hint(directory.output_dir, store.uri)}"
 
 

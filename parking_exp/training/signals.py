@@ -40,7 +40,7 @@ def stop_on_signal(
             request.signal_number = number
             hint = b"; interrupt again to leave at once" if at_second else b""
             # Not print: the signal may have interrupted one.
-            os.write(2, b"\nsaving a checkpoint before leaving" + hint + b"\n")
+            os.write(2, b"\nstopping after a checkpoint" + hint + b"\n")
         elif at_second:
             at_second(number, frame)
 

@@ -8,7 +8,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from support.runs import GROUPS, ROOT, options, script, type_here
+from support.runs import GROUPS, ROOT, call_script, options, script
 
 from parking_exp.cli.command import _parse, errors_as_sentences
 
@@ -48,7 +48,7 @@ LIGHT = [
     ],
 )
 def test_a_bad_command_line_gets_a_sentence_and_leaves_nothing_behind(tmp_path, arguments, named):
-    done = type_here("train", *arguments, cwd=tmp_path)
+    done = call_script("train", *arguments, cwd=tmp_path)
     assert (done.returncode, done.stdout) == (2, "")
     assert done.stderr.startswith(f"error: {named}")
     assert done.stderr.count("\n") == 1
@@ -73,7 +73,7 @@ def test_help_and_refusals_import_nothing_heavy(imported, name, argument):
 
 @pytest.mark.parametrize("name", ["train", "tune", "evaluate", "export", "report", "status"])
 def test_help_lists_the_options_of_groups_and_examples(name):
-    done = type_here(name, "--help")
+    done = call_script(name, "--help")
     assert done.returncode == 0
     assert f"python scripts/{name}.py" in done.stdout
     assert [line for line in done.stdout.splitlines() if len(line) > 120] == []
@@ -113,7 +113,7 @@ def test_a_disk_error_is_one_sentence(capsys):
 
 def test_an_output_directory_that_cannot_be_created_is_one_sentence(tmp_path):
     (tmp_path / "file").touch()
-    done = type_here("train", "experiment=smoke", f"output_dir={tmp_path / 'file' / 'outputs'}")
+    done = call_script("train", "experiment=smoke", f"output_dir={tmp_path / 'file' / 'outputs'}")
     assert done.returncode == 2
     assert re.match(r"error: output_dir: .*: Not a directory$", done.stderr)
     assert done.stderr.count("\n") == 1
@@ -122,7 +122,7 @@ def test_an_output_directory_that_cannot_be_created_is_one_sentence(tmp_path):
 def test_config_dir_adds_options_and_cfg_shows_the_config_and_runs_nothing(tmp_path):
     (tmp_path / "mine" / "env").mkdir(parents=True)
     (tmp_path / "mine" / "env" / "short.yaml").write_text("defaults: [parking]\nname: short\nduration: 0.2\n")
-    shown = type_here("train", "--config-dir=mine", "env=short", "--cfg", "job", "experiment=tutorial", cwd=tmp_path)
+    shown = call_script("train", "--config-dir=mine", "env=short", "--cfg", "job", "experiment=tutorial", cwd=tmp_path)
     assert "name: short\n" in shown.stdout and "total_timesteps: 10000\n" in shown.stdout
     assert [path.name for path in tmp_path.iterdir()] == ["mine"]
 

@@ -6,7 +6,7 @@ import time
 
 import optuna
 import pytest
-from support.runs import make_config, type_here
+from support.runs import call_script, make_config
 from support.searches import SETTINGS
 
 from parking_exp.runs.atomic_files import read_json, write_json
@@ -69,12 +69,12 @@ def test_a_damaged_status_affects_only_its_run(tmp_path):
         path = run_dir(tmp_path, "cell-b", number)
         (path / "status.json").write_bytes(content.encode("latin-1"))
         (path / "beat.json").write_text(json.dumps({"time": "x", "step": [], "steps_per_s": {}, "doing": 1}))
-    shown = type_here("status", f"output_dir={tmp_path}")
+    shown = call_script("status", f"output_dir={tmp_path}")
     assert shown.returncode == 0, shown.stderr
     lines = shown.stdout.splitlines()
     assert [line.split() for line in lines[1:4]] == [["a", "1", "50%"], ["cell-b", "1", "5"], ["all", "2", "5"]]
     assert [line.split()[:3] for line in lines[4:]] == [["damaged", "cell-b", f"seed={n}:"] for n in range(6)]
-    plain = json.loads(type_here("status", f"output_dir={tmp_path}", "--json").stdout)
+    plain = json.loads(call_script("status", f"output_dir={tmp_path}", "--json").stdout)
     assert [run["damaged"] for run in plain["cells"][1]["runs"]][4] == "status.json has no valid success_rate"
     process = RunDirectory(tmp_path / "mine" / "cell-b" / "seed=0")
     with process.supervisor_lock():
@@ -89,8 +89,8 @@ def test_control_characters_of_a_foreign_run_are_escaped(tmp_path):
     held = RunDirectory(run_dir(tmp_path, "cell-b", 1, status="running", host=evil, started=time.time() - 1))
     with held.supervisor_lock():
         held.heartbeat(step=1, steps_per_s=0.0, doing=evil)
-        shown = type_here("status", f"output_dir={tmp_path}")
-        plain = type_here("status", f"output_dir={tmp_path}", "--json")
+        shown = call_script("status", f"output_dir={tmp_path}")
+        plain = call_script("status", f"output_dir={tmp_path}", "--json")
     assert shown.returncode == plain.returncode == 0
     escaped = r"x\x1b]0;t\x07\x9b31m\r\x7f\u202e\nfailed   other"
     assert all(line.isprintable() for line in shown.stdout.split("\n"))
@@ -106,7 +106,7 @@ def test_status_shows_every_cell_in_a_table_and_as_json(tmp_path):
     run_dir(tmp_path, "cell-a", 1, status="done", success_rate=0.5)
     failed = run_dir(tmp_path, "cell-b", 0, status="failed", error="killed by SIGKILL", killed=True)
     (run_dir(tmp_path, "cell-b", 1, status="interrupted") / "checkpoints" / "step=300").mkdir(parents=True)
-    shown = type_here("status", f"output_dir={tmp_path}", "experiment=mine")
+    shown = call_script("status", f"output_dir={tmp_path}", "experiment=mine")
     assert [line.split() for line in shown.stdout.splitlines()] == [
         ["cell", "done", "running", "failed", "pending", "success"],
         ["a", "2", "75%"],
@@ -115,7 +115,7 @@ def test_status_shows_every_cell_in_a_table_and_as_json(tmp_path):
         ["stopped", "b", "seed=1:", "resumes", "at", "step", "300", "of", "1000"],
         ["failed", "b", "seed=0:", "killed", "by", "SIGKILL", str(failed)],
     ]
-    plain = json.loads(type_here("status", f"output_dir={tmp_path}", "--json").stdout)
+    plain = json.loads(call_script("status", f"output_dir={tmp_path}", "--json").stdout)
     assert [plain[stage] for stage in ("done", "running", "failed", "pending")] == [2, 0, 1, 1]
     counted = [(cell["cell"], cell["done"], cell["failed"]) for cell in plain["cells"]]
     assert counted == [("cell-a", 2, 0), ("cell-b", 0, 1)]
@@ -133,7 +133,7 @@ def test_status_shows_every_cell_in_a_table_and_as_json(tmp_path):
 def test_status_refuses_in_one_sentence(tmp_path, arguments, message):
     if arguments:
         run_dir(tmp_path, status="done")
-    done = type_here("status", f"output_dir={tmp_path}", *arguments)
+    done = call_script("status", f"output_dir={tmp_path}", *arguments)
     assert done.returncode == 2
     assert done.stderr.startswith(message)
     assert done.stderr.count("\n") == 1
@@ -144,7 +144,7 @@ def test_a_running_run_shows_step_rate_time_left_and_host(smoke, tmp_path):
     run = RunDirectory(run_dir(tmp_path, status="running", host="here", started=time.time() - 1))
     with run.supervisor_lock():
         run.heartbeat(step=400, steps_per_s=20.0, doing="train")
-        shown = type_here("status", f"output_dir={tmp_path}").stdout
+        shown = call_script("status", f"output_dir={tmp_path}").stdout
     assert shown.splitlines()[-1] == "running  a seed=0: 400 of 1000 steps, 20 steps/s, 30 s left   here"
 
 
@@ -159,13 +159,13 @@ def search_in(folder, uri, **stored):
 def test_a_database_that_only_a_stored_search_names_is_not_opened(tmp_path):
     folder, elsewhere = run_dir(tmp_path / "outputs", status="done").parents[1], tmp_path / "elsewhere.db"
     write_json(folder / "search.json", {"n_trials": 3, "search": SETTINGS, "storage": f"sqlite:///{elsewhere}"})
-    shown = type_here("status", f"output_dir={tmp_path / 'outputs'}")
+    shown = call_script("status", f"output_dir={tmp_path / 'outputs'}")
     assert shown.returncode == 0, shown.stderr
     words = f"the study is in sqlite:///{elsewhere}; pass storage=sqlite:///{elsewhere} to read it"
     assert shown.stdout.splitlines()[-1] == f"search mine: {words}"
     assert not elsewhere.exists()
     search_in(folder, f"sqlite:///{elsewhere}")
-    shown = type_here("status", f"output_dir={tmp_path / 'outputs'}", f"storage=sqlite:///{elsewhere}")
+    shown = call_script("status", f"output_dir={tmp_path / 'outputs'}", f"storage=sqlite:///{elsewhere}")
     assert "3 trials: 1 done, 2 pending" in shown.stdout
 
 
@@ -179,10 +179,10 @@ def test_a_database_that_only_a_stored_search_names_is_not_opened(tmp_path):
 def test_a_damaged_search_is_shown_beside_the_runs(tmp_path, stored, attributes, problem):
     folder = run_dir(tmp_path, status="done").parents[1]
     search_in(folder, None, **stored).add_trial(optuna.trial.create_trial(value=0.5, user_attrs=attributes))
-    lines = type_here("status", f"output_dir={tmp_path}").stdout.splitlines()
+    lines = call_script("status", f"output_dir={tmp_path}").stdout.splitlines()
     assert lines[1].split() == ["a", "1"]
     assert lines[-1].startswith("search mine: ")
     assert problem in lines[-1]
-    plain = json.loads(type_here("status", f"output_dir={tmp_path}", "--json").stdout)
+    plain = json.loads(call_script("status", f"output_dir={tmp_path}", "--json").stdout)
     assert plain["done"] == 1
     assert problem in plain["searches"][0]["error"]

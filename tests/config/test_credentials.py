@@ -3,7 +3,7 @@
 import json
 
 import pytest
-from support.runs import make_config, only_run, run_script, type_here
+from support.runs import call_script, make_config, only_run, run_script
 
 from parking_exp.config.credentials import VARIABLE, keep_password, strip_password, with_password
 
@@ -59,6 +59,6 @@ def test_no_file_and_no_message_of_a_run_contains_the_password_of_its_store(tmp_
     "argument", ["tracking.uri=[postgresql://me:se-cret@host/db]", "seed=postgresql://me:se-cret@host/db"]
 )
 def test_an_error_message_does_not_contain_a_password(argument, tmp_path):
-    done = type_here("train", argument, cwd=tmp_path)
+    done = call_script("train", argument, cwd=tmp_path)
     assert done.returncode == 2
     assert "cret" not in done.stderr

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 from support.marks import slow_but
-from support.runs import ROOT, type_here
+from support.runs import ROOT, call_script
 from support.store_factory import make_store
 
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", ROOT / "CHANGELOG.md", *sorted((ROOT / "docs").rglob("*.md"))]
@@ -82,7 +82,7 @@ def test_commands_run(large, tmp_path):
     assert len(selected) > 5
     for command in selected:
         script, *words = cheap(command)
-        done = type_here(script.removesuffix(".py"), *words, cwd=tmp_path)
+        done = call_script(script.removesuffix(".py"), *words, cwd=tmp_path)
         assert done.returncode == 0, (command, done.stderr)
 
 
@@ -104,7 +104,7 @@ def test_python_examples_run(page, output_dir, tmp_path, monkeypatch):
 def test_the_search_of_the_tuning_page_is_valid(tmp_path):
     ((title, text),) = blocks(ROOT / "docs" / "tuning.md", "yaml")
     add(tmp_path / title, text)
-    done = type_here("tune", "--config-dir", "my_conf", "search=mine", "dry_run=true", cwd=tmp_path)
+    done = call_script("tune", "--config-dir", "my_conf", "search=mine", "dry_run=true", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert "buffer.n_sampled_goal" in done.stdout
 

@@ -10,7 +10,7 @@ import pandas as pd
 import pytest
 from omegaconf import OmegaConf
 from PIL import Image, ImageSequence
-from support.runs import artifacts, only_run, store, type_here
+from support.runs import artifacts, call_script, only_run, store
 
 from parking_exp.config.compose import composed
 from parking_exp.errors import ModelError, RunNotFoundError
@@ -27,7 +27,7 @@ def finished(smoke, tmp_path):
 
 def test_episodes_rates_and_a_video_are_printed_and_stored(finished):
     directory, output_dir = finished
-    done = type_here(
+    done = call_script(
         "evaluate", f"run={directory.run_id}", f"output_dir={output_dir}", "episodes=6", "video=1", "gif=true"
     )
     assert (done.returncode, done.stderr) == (0, "")
@@ -57,7 +57,7 @@ def test_another_env_the_best_model_and_a_name_can_be_chosen_and_an_earlier_vide
     arguments = (f"run={directory.path}", "episodes=2", "env=parking_crowded", "env.duration=0.4",
                  "model=best", "tracking.mlflow=false", "name=crowded")  # fmt: skip
     for video in ("video=1", "video=0"):
-        done = type_here("evaluate", *arguments, video)
+        done = call_script("evaluate", *arguments, video)
         assert done.returncode == 0, done.stderr
     assert "best model on 2 scenes of parking_crowded" in done.stdout
     folder = directory.path / "evaluations" / "crowded"
@@ -101,7 +101,7 @@ def test_a_model_that_does_not_fit_its_config_or_is_damaged_or_missing_is_named(
     ],
 )
 def test_a_mistake_is_one_sentence_that_names_the_key(smoke, arguments, named):
-    done = type_here("evaluate", f"output_dir={smoke[2]}", *arguments)
+    done = call_script("evaluate", f"output_dir={smoke[2]}", *arguments)
     assert done.returncode == 2
     assert done.stderr.startswith("error: ")
     assert named in done.stderr

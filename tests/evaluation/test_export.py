@@ -13,7 +13,7 @@ import pytest
 import torch
 from safetensors.numpy import load_file
 from support.marks import slow_but
-from support.runs import ROOT, make_config, type_here
+from support.runs import ROOT, call_script, make_config
 
 from parking_exp.algorithms import policy_export
 from parking_exp.algorithms.build_model import build_model, greedy_policy
@@ -132,7 +132,7 @@ def run(smoke, tmp_path_factory):
 
 @pytest.mark.parametrize("file_format", FORMATS)
 def test_the_command_writes_into_the_run_directory_or_to_a_path_and_prints_the_difference(file_format, run, tmp_path):
-    done = type_here("export", f"run={run}", f"format={file_format}")
+    done = call_script("export", f"run={run}", f"format={file_format}")
     path = run / "exports" / f"policy{FORMATS[file_format]}"
     assert (done.returncode, done.stderr) == (0, "")
     directory, exported, checked, file = done.stdout.splitlines()
@@ -141,7 +141,7 @@ def test_the_command_writes_into_the_run_directory_or_to_a_path_and_prints_the_d
     assert file == f"file           {path}"
     assert 0 <= float(re.search(r"difference from torch (\S+) ", checked)[1]) < 1e-5
     arguments = (f"run={run}", "model=best", f"path=made/best{path.suffix}", f"format={file_format}")
-    assert f"best model as {file_format}" in type_here("export", *arguments, cwd=tmp_path).stdout
+    assert f"best model as {file_format}" in call_script("export", *arguments, cwd=tmp_path).stdout
     assert [path.name for path in (tmp_path / "made").iterdir()] == [f"best{path.suffix}"]
 
 
@@ -157,7 +157,7 @@ def test_the_command_writes_into_the_run_directory_or_to_a_path_and_prints_the_d
 )
 def test_a_mistake_is_one_sentence_that_names_the_key(arguments, named, run, tmp_path):
     (tmp_path / "file").touch()
-    done = type_here("export", *(argument.format(run=run) for argument in arguments), cwd=tmp_path)
+    done = call_script("export", *(argument.format(run=run) for argument in arguments), cwd=tmp_path)
     assert (done.returncode, done.stderr.count("\n")) == (2, 1)
     assert done.stderr.startswith(f"error: {named.format(here=tmp_path)}")
     assert [path.name for path in tmp_path.iterdir()] == ["file"]
@@ -165,13 +165,13 @@ def test_a_mistake_is_one_sentence_that_names_the_key(arguments, named, run, tmp
 
 def test_without_the_extra_onnx_is_refused(run, monkeypatch):
     monkeypatch.setattr(export_run, "find_spec", lambda name: None if name == "onnxruntime" else object())
-    done = type_here("export", f"run={run}")
+    done = call_script("export", f"run={run}")
     assert done.stderr.startswith("error: format=onnx: onnxruntime ")
 
 
 def drive(example, run, folder):
     """Export a pretrained agent and run an example of the docs beside the file; return what it prints."""
-    assert type_here("export", f"run={run}", "path=policy.onnx", cwd=folder).returncode == 0
+    assert call_script("export", f"run={run}", "path=policy.onnx", cwd=folder).returncode == 0
     (folder / "drive.py").write_text(BLOCKED + example)
     command = [sys.executable, "drive.py"]
     return subprocess.run(command, check=True, capture_output=True, text=True, cwd=folder).stdout

@@ -16,7 +16,6 @@ from parking_exp.statistics import (
     Interval,
     coverage_note,
     holm,
-    importance,
     interaction,
     kaplan_meier,
     log_rank,
@@ -332,48 +331,6 @@ def test_the_f_test_of_interaction_holds_its_level_with_unequal_variances():
         cells = {(str(row), goals): values[row][goals] for row in range(4) for goals in range(4)}
         rejected.append(interaction(frame(cells), "strategy", "goals", "success").p < 0.05)
     assert 0.02 <= np.mean(rejected) <= 0.08
-
-
-# Hyperparameters
-
-
-def sweep():
-    rng = np.random.default_rng(0)
-    rate, width = 10 ** rng.uniform(-5, -2, 40), rng.choice([64, 256], 40)
-    relabel = rng.random(40) < 0.5
-    success = 0.2 * np.log10(rate) + 0.3 * relabel + 0.02 * rng.normal(size=40) + 1
-    return pd.DataFrame({"lr": rate, "width": width, "her": relabel, "seed": 1, "success": success})
-
-
-def test_importance_finds_what_matters_and_its_direction():
-    shares = {row.factor: row for row in importance(sweep(), ["lr", "width", "her", "seed"], "success")}
-    quadratic = np.polyfit(stats.rankdata(sweep()["lr"]), sweep()["success"], 2, full=True)[1][0]
-    explained = 1 - quadratic / (39 * sweep()["success"].var())
-    assert shares["lr"].share == pytest.approx(1 - (1 - explained) * 39 / 37)
-    assert shares["lr"].p == pytest.approx(stats.f.sf(explained / (1 - explained) * 37 / 2, 2, 37))
-    assert shares["lr"].direction == pytest.approx(stats.spearmanr(sweep()["lr"], sweep()["success"]).statistic)
-    assert shares["her"].share > 0.1
-    assert shares["her"].direction is None
-    assert shares["width"].share < 0.1
-    assert shares["width"].p > 0.05
-    assert (shares["seed"].share, shares["seed"].p, shares["seed"].direction) == (0.0, 1.0, None)
-
-
-def test_importance_of_a_category_is_the_adjusted_correlation_ratio():
-    table = pd.DataFrame({"kind": list("aaabbb"), "success": [1.0, 2, 3, 4, 5, 6]})
-    # total 17.5, between 2 * 3 * 1.5^2 = 13.5; adjusted 1 - 4 / 17.5 * 5 / 4 = 0.7142857
-    (kind,) = importance(table, ["kind"], "success")
-    assert kind.share == pytest.approx(1 - 4 / 17.5 * 5 / 4)
-    assert kind.p == pytest.approx(stats.f_oneway([1, 2, 3], [4, 5, 6]).pvalue)
-
-
-def test_an_importance_without_any_effect_has_a_p_of_1():
-    rng = np.random.default_rng(0)
-    for _ in range(100):
-        values = rng.uniform(size=5)
-        table = pd.DataFrame({"kind": ["a"] * 5 + ["b"] * 5, "success": [*values, *rng.permutation(values)]})
-        (kind,) = importance(table, ["kind"], "success")
-        assert (kind.share, kind.p) == (0.0, pytest.approx(1.0))
 
 
 # Coverage

@@ -1,10 +1,10 @@
 """`scripts/report.py` in this process: a process of its own would import for seconds."""
 
-from support.runs import type_here
+from support.runs import call_script
 
 
 def report(output_dir, *arguments, code=0):
     """Run the command in an output directory, and return what it printed."""
-    done = type_here("report", *arguments, f"output_dir={output_dir}", cwd=output_dir)
+    done = call_script("report", *arguments, f"output_dir={output_dir}", cwd=output_dir)
     assert done.returncode == code, done.stderr
     return done

@@ -8,7 +8,6 @@ import numpy as np
 from parking_exp.envs.geometry import SLOT_POSITIONS
 from parking_exp.reports.report_builder import build_report
 from parking_exp.reports.report_data import FailedRun, Path, SlotRate
-from parking_exp.statistics import ParameterImportance
 from support.result_frames import Run, results
 
 BUDGET = 40_000
@@ -81,13 +80,7 @@ def search(n_cells=30):
         for i, exponent in enumerate(exponents)
     }
     means = {str(i): 0.95 - 0.35 * abs(exponent + 3) for i, exponent in enumerate(exponents)}
-    importance = [
-        ParameterImportance("algorithm.learning_rate", 0.71, 0.001, -0.42),
-        ParameterImportance("algorithm.gamma", 0.06, 0.3, 0.12),
-        ParameterImportance("algorithm.batch_size", 0.02, 0.71, 0.08),
-        ParameterImportance("buffer", 0.01, 0.9, None),
-    ]
-    return replace(_report(cells, 3, means), design="search", importance=importance, effects=(), interactions=())
+    return replace(_report(cells, 3, means), design="search", effects=(), interactions=())
 
 
 @cache

@@ -48,7 +48,7 @@ def run_script(name, *arguments, cwd=None, env=None, timeout=180):
     return subprocess.run(command, check=False, capture_output=True, timeout=timeout, **keywords)
 
 
-def type_here(name, *arguments, cwd=None):
+def call_script(name, *arguments, cwd=None):
     """Do in this process what `python scripts/NAME.py ...` does: for what says or writes the same in any process."""
     main = importlib.import_module(f"parking_exp.cli.{name}").main
     output, errors, code = io.StringIO(), io.StringIO(), 0

@@ -1,6 +1,6 @@
 """Plans of sweeps: labels of cells, what is due, and duration estimates from finished runs."""
 
-from support.runs import make_config, type_here
+from support.runs import call_script, make_config
 from support.sweep_processes import QUICK
 
 from parking_exp.config.compose import composed_runs
@@ -18,7 +18,7 @@ def finish(output_dir, wall_s, *overrides):
 
 def test_a_dry_run_prints_the_plan_and_makes_nothing(tmp_path):
     arguments = (*QUICK, f"output_dir={tmp_path / 'outputs'}", "seeds=3", "buffer=her_future,her_final")
-    done = type_here("train", *arguments, "dry_run=true", cwd=tmp_path)
+    done = call_script("train", *arguments, "dry_run=true", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     lines = [line.split() for line in done.stdout.splitlines()]
     assert lines[:3] == [

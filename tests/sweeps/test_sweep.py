@@ -9,7 +9,7 @@ import subprocess
 import time
 
 import pytest
-from support.runs import run_script, script, type_here
+from support.runs import call_script, run_script, script
 from support.sweep_processes import QUICK, SLOW, begin, stages, statuses, sweep, trained, wait_until, workers
 
 from parking_exp.config.compose import composed_runs
@@ -29,20 +29,20 @@ def test_a_rerun_does_only_what_is_missing_and_retry_runs_a_failed_run_again(tmp
     directory = RunDirectory(failed.path)
     directory.freeze(failed.config, failed.label, None)
     directory.update(status="failed", error="a bad day")
-    first = type_here(*command, *TWO)
+    first = call_script(*command, *TWO)
     assert first.returncode == 2
     assert [line.split()[0] for line in first.stderr.splitlines()] == ["started", "done", "error:"]
     assert first.stderr.endswith("error: of 2 runs, 1 failed; retry=failed runs failed ones again\n")
-    done = type_here(*command, "retry=failed")
+    done = call_script(*command, "retry=failed")
     assert done.returncode == 0, done.stderr
     assert stages(tmp_path) == ["done"] * 2
     assert trained(tmp_path) == [1, 1]
     before = statuses(tmp_path)
-    rerun = type_here(*command)
+    rerun = call_script(*command)
     assert (rerun.returncode, rerun.stderr) == (0, "")
     assert "1 cell x 2 seeds = 2 runs: 2 done, 0 to run" in rerun.stdout
     assert statuses(tmp_path) == before
-    planned = type_here(*command[:-1], "seeds=3", "algorithm=sac,td3", "dry_run=true")
+    planned = call_script(*command[:-1], "seeds=3", "algorithm=sac,td3", "dry_run=true")
     assert re.search(r"6 runs: 2 done, 4 to run, about \d+ s", planned.stdout)
 
 
@@ -103,7 +103,7 @@ def test_ctrl_c_saves_checkpoints_and_leaves_within_ten_seconds(tmp_path):
     process.send_signal(signal.SIGINT)
     _, errors = process.communicate(timeout=10)
     assert process.returncode == 130
-    assert "saving a checkpoint before leaving" in errors
+    assert "stopping after a checkpoint" in errors
     assert errors.splitlines()[-1] == "stopped; rerun the same command to resume"
     assert workers(tmp_path) == []
     assert stages(tmp_path) == ["interrupted", "interrupted"]
@@ -209,7 +209,7 @@ SLURM = ("hydra/launcher=slurm", "hydra.launcher.executor=local")
 )
 def test_a_sweep_or_launcher_that_is_wrong_is_refused_before_anything_is_made(tmp_path, monkeypatch, arguments, words):
     monkeypatch.setenv("PATH", str(tmp_path))  # without Slurm's commands, also where there is a Slurm
-    done = type_here("train", *QUICK, f"output_dir={tmp_path / 'outputs'}", "seeds=2", *arguments)
+    done = call_script("train", *QUICK, f"output_dir={tmp_path / 'outputs'}", "seeds=2", *arguments)
     assert done.returncode == 2
     assert words in done.stderr
     assert done.stderr.startswith("error: ")
@@ -219,7 +219,7 @@ def test_a_sweep_or_launcher_that_is_wrong_is_refused_before_anything_is_made(tm
 
 def test_keys_of_submitit_that_the_yaml_lists_or_that_are_added_are_accepted(tmp_path):
     parameters = ("hydra.launcher.parameters.slurm_qos=high", "+hydra.launcher.parameters.slurm_nodelist=n1")
-    done = type_here("train", *QUICK, f"output_dir={tmp_path}", "seeds=2", *SLURM, *parameters, "dry_run=true")
+    done = call_script("train", *QUICK, f"output_dir={tmp_path}", "seeds=2", *SLURM, *parameters, "dry_run=true")
     assert (done.returncode, done.stderr) == (0, "")
 
 
@@ -230,7 +230,7 @@ def test_a_worker_that_slurm_signals_twice_still_saves_its_checkpoint(tmp_path):
     (worker,) = workers(tmp_path)
     os.kill(worker, signal.SIGTERM)
     log = next(tmp_path.glob("*/*/*/log.txt"))
-    wait_until(lambda: "saving a checkpoint before leaving" in log.read_text())
+    wait_until(lambda: "stopping after a checkpoint" in log.read_text())
     os.kill(worker, signal.SIGTERM)
     process.communicate(timeout=30)
     assert stages(tmp_path) == ["interrupted"]

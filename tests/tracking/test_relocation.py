@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 import yaml
-from support.runs import artifacts, make_config, run_script, store, type_here
+from support.runs import artifacts, call_script, make_config, run_script, store
 from support.tracked_runs import finished_run, rows
 
 from parking_exp.config.compose import composed
@@ -151,12 +151,12 @@ def test_evaluating_and_syncing_do_not_connect_to_the_store_that_a_run_directory
     uri = uri_of(listener)
     monkeypatch.setenv("MLFLOW_TRACKING_TOKEN", "secret-token")
     set_tracking_uri(foreign, uri)
-    done = type_here("evaluate", f"run={foreign.path}", *EVALUATE, cwd=tmp_path)
+    done = call_script("evaluate", f"run={foreign.path}", *EVALUATE, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert f"tracking.uri={uri} sends the results there" in done.stdout
     assert (foreign.path / "evaluations" / "again" / "summary.json").exists()
     assert sorted(path.name for path in tmp_path.iterdir()) == ["theirs"]
-    done = type_here("status", f"output_dir={tmp_path / 'theirs'}", "sync=true")
+    done = call_script("status", f"output_dir={tmp_path / 'theirs'}", "sync=true")
     assert f"tracking.uri={uri}" in done.stderr
 
 
@@ -257,7 +257,7 @@ def test_a_training_does_not_write_through_links(tmp_path):
 
 
 def test_runs_cannot_go_to_the_default_experiment(tmp_path):
-    done = type_here("train", "experiment=smoke", "experiment_name=Default", cwd=tmp_path)
+    done = call_script("train", "experiment=smoke", "experiment_name=Default", cwd=tmp_path)
     assert done.returncode == 2
     assert "experiment_name=Default" in done.stderr
     assert list(tmp_path.iterdir()) == []

@@ -14,13 +14,13 @@ from stable_baselines3.common.results_plotter import load_results
 from support.runs import (
     artifacts,
     assert_store_is_whole,
+    call_script,
     history,
     make_config,
     only_run,
     script,
     store,
     stored_params,
-    type_here,
 )
 from support.sweep_processes import FAILING, wait_until
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
@@ -189,7 +189,7 @@ def test_a_finished_run_is_not_rerun_even_if_its_files_were_deleted(smoke, tmp_p
     directory = only_run(tmp_path / "outputs")
     shutil.rmtree(directory.models), (directory.path / "metrics.jsonl").unlink()
     before = sorted(directory.path.rglob("*"))
-    again = type_here("train", "experiment=smoke", f"output_dir={tmp_path / 'outputs'}")
+    again = call_script("train", "experiment=smoke", f"output_dir={tmp_path / 'outputs'}")
     assert again.returncode == 0
     assert again.stdout.startswith("already done")
     assert sorted(directory.path.rglob("*")) == before
@@ -211,7 +211,7 @@ def test_a_killed_run_resumes_in_the_same_mlflow_run_without_repeated_steps(outp
     killed_at, run_id = checkpoints.latest(directory.checkpoints).name, directory.run_id
     assert directory.status == "running"
     monkeypatch.setattr("support.user_algorithms.Lingers.pause_s", 0)
-    done = type_here("train", *arguments)
+    done = call_script("train", *arguments)
     assert done.returncode == 0, done.stderr
     assert f"resuming at step {int(killed_at.removeprefix('step='))}" in done.stderr
     assert (directory.run_id, directory.status) == (run_id, "done")

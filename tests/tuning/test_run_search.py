@@ -10,7 +10,7 @@ import time
 import pytest
 import yaml
 from rich.console import Console
-from support.runs import run_script, store, type_here
+from support.runs import call_script, run_script, store
 from support.searches import QUICK, user_search
 from support.sweep_processes import FAILING, begin, statuses, wait_until, workers
 
@@ -42,17 +42,17 @@ def states(output_dir):
 
 def test_a_search_trains_its_trials_tags_their_runs_and_a_rerun_does_nothing(output_dir):
     options = (*QUICK, f"output_dir={output_dir}", "n_trials=1", "search.tuning_seeds=[1001]")
-    done = type_here("tune", *options)
+    done = call_script("tune", *options)
     assert done.returncode == 0, done.stderr
     (trial,) = trials(output_dir)
     assert (trial.state, trial.changes, trial.value, trial.env_steps) == ("done", {}, 0.0, 60)
     (run,) = store(output_dir).search_runs(["1"])
     tags = {"search": "smoke", "trial": "0", "seed": "1001"}
     assert {name: run.data.tags[name] for name in tags} == tags
-    rerun = type_here("tune", *options)
+    rerun = call_script("tune", *options)
     assert rerun.returncode == 0, rerun.stderr
     assert "1 trials over, 0 to do" in rerun.stdout
-    status = type_here("status", "experiment=smoke", f"output_dir={output_dir}")
+    status = call_script("status", "experiment=smoke", f"output_dir={output_dir}")
     assert "best so far: trial 0: unchanged (success_auc 0.0%)" in status.stdout
 
 

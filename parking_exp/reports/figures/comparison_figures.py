@@ -1,4 +1,4 @@
-"""Figures of comparisons: pairs of cells, levels of factors and their combinations, importance of hyperparameters."""
+"""Figures of comparisons: pairs of cells, levels of factors and their combinations."""
 
 from collections.abc import Iterator, Mapping
 
@@ -88,9 +88,6 @@ def _from_reference(report: ReportData, pairs: Pairs) -> Iterator[Drawing]:
         "▲ better than that cell, ▼ worse, ≈ not distinguishable, ? too few seeds; p corrected by Holm's method. "
         f"{report.family}",
     )
-
-
-_MOST_BARS = 16
 
 
 def _level(level: Setting, length: int = 20) -> str:
@@ -183,24 +180,3 @@ def _cell_text(table: Interaction, row: int, column: int, *, with_n: bool) -> st
         f"{100 * share:.0f} % real" if share is not None else "",
     ]
     return "\n".join(filter(None, lines))
-
-
-def draw_importance(report: ReportData) -> Iterator[Drawing]:
-    """Draw how much of the variance of success each hyperparameter explains alone."""
-    names = {factor.key: factor.name for factor in report.factors}
-    items = sorted(report.importance, key=lambda item: -item.share)[:_MOST_BARS]
-    if not items:
-        return
-    figure, axes = row_axes([elided(names.get(item.factor, item.factor), 32) for item in items])
-    bars = axes.barh(range(len(items)), [100 * item.share for item in items], height=0.62, color="#0072B2")
-    arrows = {1.0: "↑", -1.0: "↓"}
-    texts = [f"{formats.p_value(item.p)} {arrows.get(np.sign(item.direction or 0), '')}" for item in items]
-    axes.bar_label(bars, texts, padding=4, fontsize=SMALL_PT)
-    axes.margins(x=0.15)
-    axes.set_xlim(left=0)
-    axes.set_xlabel("variance of success explained alone (%)")
-    yield (
-        figure,
-        "Share of the variance of final success over the cells of the search that each hyperparameter explains "
-        "alone, with p of an F test; ↑: larger values do better, ↓: worse.",
-    )

@@ -85,11 +85,7 @@ def draw_history(report: ReportData) -> Iterator[Drawing]:
 def draw_parameter_importance(report: ReportData) -> Iterator[Drawing]:
     """Draw the importance of parameters, if enough trials differ in their values."""
     if (tuning := report.tuning) and _varied(tuning):
-        values = [trial.value for trial in tuning.trials if trial.value is not None]
-        if len(values) >= FEWEST_TRIALS and len(set(values)) > 1:
-            objective, height = tuning.objective, 1.0 + 0.3 * len(tuning.parameters)
-            figure = _plot("plot_param_importances", study_of(tuning), height, target_name=objective)
-            yield figure, f"Importance of each parameter for the best tenth of trials by {objective} (PED-ANOVA)."
+        yield from _importance("trials", study_of(tuning), tuning.objective)
 
 
 def draw_slices(report: ReportData) -> Iterator[Drawing]:
@@ -110,18 +106,28 @@ def draw_trial_coordinates(report: ReportData) -> Iterator[Drawing]:
 
 
 def draw_cell_coordinates(report: ReportData) -> Iterator[Drawing]:
-    """Draw each cell of a sweep over many hyperparameters as a line, the most important ones first."""
+    """Draw each cell of a sweep over many hyperparameters as a line."""
+    if study := _cell_study(report):
+        yield _coordinates("cell", study, [clean(factor.name) for factor in report.factors], "success")
+
+
+def draw_cell_importance(report: ReportData) -> Iterator[Drawing]:
+    """Draw the importance of the hyperparameters of such a sweep."""
+    if study := _cell_study(report):
+        yield from _importance("cells", study, "success")
+
+
+def _cell_study(report: ReportData) -> Any:
+    """Return the cells of a sweep over many hyperparameters as an Optuna study; None for other reports."""
     rated = [cell for cell in report.cells if cell.success.value is not None]
     if report.design != "search" or report.tuning is not None or not rated:
-        return
-    order = [item.factor for item in report.importance]
-    factors = sorted(report.factors, key=lambda f: order.index(f.key) if f.key in order else len(order))
-    distributions = {clean(factor.name): _distribution(factor) for factor in factors}
+        return None
+    factors = report.factors
     trials = [
         ({clean(f.name): level for f in factors if (level := _level(f, cell)) is not None}, cell.success.value or 0.0)
         for cell in rated
     ]
-    yield _coordinates("cell", _study(distributions, trials), [*distributions], "success")
+    return _study({clean(factor.name): _distribution(factor) for factor in factors}, trials)
 
 
 def _level(factor: Factor, cell: Cell) -> Any:
@@ -137,6 +143,14 @@ def _distribution(factor: Factor) -> Any:
     if not factor.numeric:
         return CategoricalDistribution([clean(formats.level(level)) for level in levels])
     return FloatDistribution(min(levels), max(levels), log=factor.log and min(levels) > 0)
+
+
+def _importance(nouns: str, study: Any, objective: str) -> Iterator[Drawing]:
+    values = [trial.value for trial in study.trials]
+    if len(values) >= FEWEST_TRIALS and len(set(values)) > 1:
+        height = 1.0 + 0.3 * len(study.trials[0].params)
+        figure = _plot("plot_param_importances", study, height, target_name=objective)
+        yield figure, f"Importance of each parameter for the best tenth of {nouns} by {objective} (PED-ANOVA)."
 
 
 def _coordinates(noun: str, study: Any, names: Sequence[str], objective: str) -> Drawing:

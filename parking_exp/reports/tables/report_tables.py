@@ -229,26 +229,6 @@ def _crossed(crossed: Interaction, name: str) -> Table:
     )
 
 
-def importance(report: ReportData) -> Iterator[Table]:
-    """Yield the table of the hyperparameters of a search."""
-
-    def signed(direction: float | None) -> str:
-        return "" if direction is None else f"{direction:+.2f}"
-
-    yield Table(
-        "importance",
-        [record(parameter) for parameter in report.importance],
-        [
-            column("Hyperparameter", "factor", numeric=False),
-            interval_column("Variance explained alone (%)", "share", bar=True),
-            column("Rank correlation", "direction", signed),
-            column("p (F test)", "p", formats.probability),
-        ],
-        "Hyperparameters: share of the variance of final success that each explains alone.",
-        latex=True,
-    )
-
-
 def config(report: ReportData) -> Iterator[Table]:
     """Yield the settings that differ between cells: people read the longer of cells and keys downwards."""
     difference = report.provenance.difference
