@@ -55,6 +55,10 @@ class StoreError(ParkingError):
     """A store that rejects a run, or is behind the run directories."""
 
 
+class VideoError(ParkingError):
+    """An environment cannot be rendered on this machine."""
+
+
 class CertificationError(ParkingError):
     """The simulator and highway-env disagree on an episode."""
 

@@ -45,7 +45,7 @@ MARKED = re.compile(r"(<!-- results: (?P<name>\w+) -->\n).*?(<!-- end of results
 COLUMNS = {
     "success": ("success, %", lambda cell: formats.percent_interval(cell.success)),
     "crash": ("crash, % (range)", lambda cell: _range(cell, "crash")),
-    "parked": ("parked, %", lambda cell: formats.percent_interval(cell.parked)),
+    "parked": ("parked, %", lambda cell: formats.percent_interval(cell.metric("parked"))),
     "lowest": ("lowest success", lambda cell: formats.percent(min(seed.success for seed in cell.seeds))),
     "at_90": ("seeds ≥ 90 %", lambda cell: f"{cell.reaching_90.k} of {cell.reaching_90.n}"),
     "area": ("AUC, %", lambda cell: formats.percent_interval(cell.area)),
@@ -81,14 +81,14 @@ class Experiment:
 
     def rate(self, label: str, metric: str = "success") -> str:
         """Return the mean rate of a cell with its interval, e.g. `94.4 % [91.2, 97.1]`."""
-        return formats.rate_interval(getattr(self.cell(label), metric))
+        return formats.rate_interval(self.cell(label).metric(metric))
 
     def seeds(self, label: str, metric: str = "success") -> str:
         """Return the mean rate of a cell with its lowest and highest seed, e.g. `94.4 % (90.1 to 100.0 %)`."""
         cell = self.cell(label)
-        rates = [getattr(seed, metric) for seed in cell.seeds]
+        rates = [seed.metric(metric) or 0.0 for seed in cell.seeds]
         low, high = formats.percent(min(rates)), formats.percent(max(rates))
-        return f"{formats.rate_text(getattr(cell, metric).value)} ({low} to {high} %)"
+        return f"{formats.rate_text(cell.metric(metric).value)} ({low} to {high} %)"
 
     def cpu_s(self, label: str) -> str:
         """Return the mean CPU seconds of a cell's runs."""
@@ -292,8 +292,8 @@ def _filled(item: str) -> str:
 
 def _range(cell: Cell, metric: str) -> str:
     """Return a mean rate with its lowest and highest seed, for a table."""
-    rates = [getattr(seed, metric) for seed in cell.seeds]
-    mean, low, high = (formats.percent(rate) for rate in (getattr(cell, metric).value, min(rates), max(rates)))
+    rates = [seed.metric(metric) or 0.0 for seed in cell.seeds]
+    mean, low, high = (formats.percent(rate) for rate in (cell.metric(metric).value, min(rates), max(rates)))
     return f"{mean} ({low}, {high})"
 
 
@@ -303,11 +303,11 @@ def _row(cells: list[str]) -> str:
 
 def _draw(name: str, report: ReportData) -> None:
     """Draw the figures of an experiment as docs/images/results_NAME.png, results_NAME_FIGURE.png, ..."""
-    from parking_exp.reports.sections import SECTIONS, draw
+    from parking_exp.reports.sections import draw, sections_of
 
     first, *others = FIGURES.get(name, ("final_success",))
     files = {first: f"results_{name}", **{figure: f"results_{name}_{figure}" for figure in others}}
-    sections = [section for section in SECTIONS if any(figure.name in files for figure in section.figures)]
+    sections = [section for section in sections_of(report) if any(figure.name in files for figure in section.figures)]
     with TemporaryDirectory() as folder:
         draw(report, Path(folder), ["png"], sections)
         for figure, file in files.items():

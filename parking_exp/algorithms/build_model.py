@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import torch
+from gymnasium import spaces
 from hydra.utils import get_class, instantiate
 from stable_baselines3.common.noise import ActionNoise, NormalActionNoise, VectorizedActionNoise
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
@@ -15,13 +16,15 @@ from stable_baselines3.common.torch_layers import CombinedExtractor
 from stable_baselines3.common.vec_env import VecEnv
 from torch import nn
 
-from parking_exp.algorithms.features import EgoFrameExtractor, FineEgoFrameExtractor, MirroredEgoFrameExtractor
 from parking_exp.algorithms.mirrored_policies import MIRRORED
+from parking_exp.algorithms.normalization import NormalizedExtractor, Normalizer
 from parking_exp.buffers import HerBuffer
 from parking_exp.config.constructor_arguments import CLASS_ARGUMENTS, POLICY, policy_class, takes
 from parking_exp.config.schema import RunConfig
-from parking_exp.envs.interface import Policy
 from parking_exp.errors import ConfigError
+from parking_exp.tasks.feature_extractors import SymmetricFeatures
+from parking_exp.tasks.registry import make_task
+from parking_exp.tasks.task import Policy, Task
 
 
 def build_model(config: RunConfig, env: VecEnv, seed: int, *, for_training: bool = True) -> OffPolicyAlgorithm:
@@ -36,7 +39,7 @@ def build_model(config: RunConfig, env: VecEnv, seed: int, *, for_training: bool
     Raises:
         ConfigError: the library refuses an argument, or the algorithm would lose weights when it is saved.
     """
-    target, arguments = config.algorithm.target, config.algorithm.arguments
+    target, arguments, task = config.algorithm.target, config.algorithm.arguments, make_task(config.env)
     train_freq, gradient_steps = config.update_rounds()
     node: dict[str, Any] = {
         "policy": POLICY,
@@ -53,14 +56,14 @@ def build_model(config: RunConfig, env: VecEnv, seed: int, *, for_training: bool
         node.pop(name, None)
     # Hydra would copy objects into its config.
     build = instantiate(node)
-    objects: dict[str, Any] = {"env": env, "train_freq": train_freq, "policy_kwargs": _policy_kwargs(config)}
-    if config.algorithm.features == "ego_mirrored":
+    objects: dict[str, Any] = {"env": env, "train_freq": train_freq, "policy_kwargs": _policy_kwargs(config, task, env)}
+    if issubclass(objects["policy_kwargs"].get("features_extractor_class", type), SymmetricFeatures):
         policy = policy_class(get_class(target))
         if policy not in MIRRORED:
-            raise ConfigError(f"algorithm.features=ego_mirrored: {target} has no mirrored policy")
+            raise ConfigError(f"algorithm.features={config.algorithm.features}: {target} has no mirrored policy")
         objects["policy"] = MIRRORED[policy]
     if (noise := arguments.get("action_noise")) is not None:
-        objects["action_noise"] = _action_noise(noise, env.num_envs)
+        objects["action_noise"] = _action_noise(noise, env)
     if for_training:
         objects["replay_buffer_class"] = get_class(config.buffer.target)
         objects["replay_buffer_kwargs"] = config.buffer.arguments
@@ -103,18 +106,15 @@ def _unsaved_weights(model: OffPolicyAlgorithm) -> list[str]:
     return [name for name, value in vars(model).items() if isinstance(value, kinds) and id(value) not in parts]
 
 
-def _policy_kwargs(config: RunConfig) -> dict[str, Any]:
+def _policy_kwargs(config: RunConfig, task: Task, env: VecEnv) -> dict[str, Any]:
     policy_kwargs: dict[str, Any] = {"net_arch": list(config.algorithm.net_arch)}
-    scales = {"scales": list(config.env.observation.scales)}
-    fine = {**scales, "reward_weights": list(config.env.reward_weights)}
-    extractors = {
-        "ego": (EgoFrameExtractor, scales),
-        "ego_fine": (FineEgoFrameExtractor, fine),
-        "ego_mirrored": (MirroredEgoFrameExtractor, {**fine, "steering": config.env.action.lateral}),
-    }
-    if config.algorithm.features in extractors:
-        extractor, arguments = extractors[config.algorithm.features]
+    if (features := task.features(config.algorithm.features)) is not None:
+        extractor, arguments = features
         policy_kwargs |= {"features_extractor_class": extractor, "features_extractor_kwargs": arguments}
+    elif config.algorithm.normalize:
+        assert isinstance(env.observation_space, spaces.Dict)
+        policy_kwargs["features_extractor_class"] = NormalizedExtractor
+        policy_kwargs["features_extractor_kwargs"] = {"normalizer": Normalizer(env.observation_space)}
     elif (policy := policy_class(get_class(config.algorithm.target))) is None or takes(
         policy, "features_extractor_class"
     ):
@@ -133,11 +133,15 @@ def _class(value: Any) -> Any:
     return get_class(value) if isinstance(value, str) else value
 
 
-def _action_noise(node: Mapping[str, Any], n_envs: int) -> ActionNoise:
-    """Make action noise, with arrays where YAML has lists."""
-    arrays = {name: np.array(value, np.float64) for name, value in node.items() if isinstance(value, list)}
+def _action_noise(node: Mapping[str, Any], env: VecEnv) -> ActionNoise:
+    """Make action noise, with arrays where YAML has lists, or one number for all dimensions of the action."""
+    shape = env.action_space.shape or ()
+    arrays = {
+        name: np.broadcast_to(np.array(node[name], np.float64), shape) for name in ("mean", "sigma") if name in node
+    }
     rest = {name: value for name, value in node.items() if name not in arrays}
     noise: ActionNoise = instantiate({**rest, "_partial_": True, "_convert_": "all"})(**arrays)
+    n_envs = env.num_envs
     return VectorizedNormalNoise(noise, n_envs) if n_envs > 1 and type(noise) is NormalActionNoise else noise
 
 

@@ -1,7 +1,7 @@
-"""Policies of SAC and TD3 whose networks see mirrored scenes, for `MirroredEgoFrameExtractor`.
+"""Policies of SAC and TD3 for tasks with a mirror symmetry: their networks see one of two mirror images.
 
-Actions outside of a network are the env's. Inside they belong to the scene that the network sees: the steering that an
-actor says is mirrored on the way out, the steering that a critic is asked about on the way in.
+Actions outside of a network are the env's. Inside they belong to the image that the network sees: an actor's action is
+mirrored after the network, the action of which a critic gives the value before it.
 """
 
 from typing import Any
@@ -12,13 +12,13 @@ from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 from stable_baselines3.sac import policies as sac
 from stable_baselines3.td3 import policies as td3
 
-from parking_exp.algorithms.features import MirroredEgoFrameExtractor
+from parking_exp.tasks.feature_extractors import SymmetricFeatures
 
 
 class MirroredActor(td3.Actor):
     """TD3's actor, mirrored."""
 
-    features_extractor: MirroredEgoFrameExtractor
+    features_extractor: SymmetricFeatures
 
     def forward(self, obs: Any) -> torch.Tensor:
         """Return actions, shape (batch, actions)."""
@@ -28,7 +28,7 @@ class MirroredActor(td3.Actor):
 class MirroredGaussianActor(sac.Actor):
     """SAC's actor, mirrored."""
 
-    features_extractor: MirroredEgoFrameExtractor
+    features_extractor: SymmetricFeatures
 
     def forward(self, obs: Any, deterministic: bool = False) -> torch.Tensor:
         """Return actions, shape (batch, actions)."""
@@ -43,7 +43,7 @@ class MirroredGaussianActor(sac.Actor):
 class MirroredCritic(ContinuousCritic):
     """Q-networks, mirrored."""
 
-    features_extractor: MirroredEgoFrameExtractor
+    features_extractor: SymmetricFeatures
 
     def forward(self, obs: Any, actions: torch.Tensor) -> tuple[torch.Tensor, ...]:
         """Return each network's values, shape (batch, 1)."""

@@ -16,9 +16,9 @@ from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from stable_baselines3.common.policies import BasePolicy
 
 from parking_exp.algorithms.policy_files import load_policy, save_policy
-from parking_exp.envs.interface import Observation
 from parking_exp.errors import ModelError
 from parking_exp.runs.atomic_files import replacing
+from parking_exp.tasks.task import Observation
 
 TOLERANCE = 1e-4  # between a file's actions and the model's; torch's own differ by 6e-6 between two batch sizes
 OPSET = 17  # of ONNX: what onnxruntime reads since 1.13

@@ -3,7 +3,7 @@
 import json
 import warnings
 from collections.abc import Mapping
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 import torch
@@ -17,18 +17,9 @@ from parking_exp.buffers.episode_index import NONE
 from parking_exp.buffers.storage import Observation, Storage, Transitions
 from parking_exp.buffers.strategies import STRATEGIES
 from parking_exp.config.argument_limits import GoalStrategy, GoalVelocity, RelabelCollision, RelabelTerminated
+from parking_exp.tasks.task import GoalReward
 
 NO_GOALS = np.empty(0, np.int64)
-
-
-class Reward(Protocol):
-    """Reward function with which the buffer relabels without asking the env, such as `envs.reward.GoalReward`."""
-
-    collision: float  # what a crash adds
-    velocity: tuple[int, ...]  # which entries of a goal are a velocity
-
-    def __call__(self, achieved: np.ndarray, desired: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return reward and whether the goal is reached, both of shape (n,)."""
 
 
 class HerBuffer(HerReplayBuffer):
@@ -45,13 +36,13 @@ class HerBuffer(HerReplayBuffer):
             options below allow no virtual goal keep their own, and count as real.
         goal_selection_strategy: `future`, `final`, `episode`, `random` (any goal achieved so far), or None: no
             virtual transitions, and transitions of episodes under way are drawn too.
-        relabel_collision: the collision penalty of a crash with a virtual goal. `keep`: it is added. `sb3`: it is not,
-            since `compute_reward` knows no collision. `exclude`: crash transitions are neither relabelled nor used as
-            goals.
+        relabel_collision: the penalty of a failure (parking: a collision) with a virtual goal. `keep`: it is added.
+            `sb3`: it is not, since `compute_reward` knows none. `exclude`: transitions at which the episode fails are
+            neither relabelled nor used as goals.
         relabel_terminated: when a virtual transition ends its episode. `sb3`: when the real one did. `goal`: when the
-            virtual goal is reached. `goal_and_crash`: also at a crash, as in the env (Stable-Baselines3 issue 627).
-            `env`: as `goal_and_crash`, and transitions that start at the virtual goal are not relabelled. Otherwise the
-            agent learns that standing still counts as success.
+            virtual goal is reached. `goal_and_crash`: also at a failure (Stable-Baselines3 issue 627). `env`: as in the
+            env; if that ends episodes at their goal, as `goal_and_crash`, and transitions that start at the virtual
+            goal are not relabelled. Otherwise the agent learns that standing still counts as success.
         goal_velocity: of virtual goals: `achieved`, or `zero` as of real goals.
         reward: the env's reward; None: the `compute_reward` of `env`.
 
@@ -74,7 +65,7 @@ class HerBuffer(HerReplayBuffer):
         relabel_collision: RelabelCollision = "sb3",
         relabel_terminated: RelabelTerminated = "sb3",
         goal_velocity: GoalVelocity = "achieved",
-        reward: Reward | None = None,
+        reward: GoalReward | None = None,
     ) -> None:
         # Not HerReplayBuffer's own: it would allocate 400 bytes a transition, empty dicts among them.
         BaseBuffer.__init__(self, max(buffer_size // n_envs, 1), observation_space, action_space, device, n_envs)
@@ -121,7 +112,7 @@ class HerBuffer(HerReplayBuffer):
             obs, next_obs: Dict observations, each entry of shape (n_envs, ...); where an episode ended, the last one's.
             action: shape (n_envs, actions).
             reward, done: shape (n_envs,).
-            infos: of the envs; `crashed` and `TimeLimit.truncated` are read.
+            infos: of the envs; the reward's `failure_key` and `TimeLimit.truncated` are read.
         """
         episodes, storage = self.episodes, self.storage
         obs, next_obs = storage.shaped(obs), storage.shaped(next_obs)
@@ -136,8 +127,9 @@ class HerBuffer(HerReplayBuffer):
         ended = np.flatnonzero(terminated).tolist()
         if ended and self.handle_timeout_termination:
             terminated = terminated & [not info.get("TimeLimit.truncated", False) for info in infos]
-        crashed = np.array([info.get("crashed", False) for info in infos], bool)
-        storage.write(self.pos, obs, next_obs, action, reward, terminated, crashed)
+        failure_key = self.reward and self.reward.failure_key
+        failed = np.array([bool(failure_key and info.get(failure_key)) for info in infos])
+        storage.write(self.pos, obs, next_obs, action, reward, terminated, failed)
         episodes.steps += 1
         self.pos += 1
         if self.pos == self.buffer_size:
@@ -236,20 +228,23 @@ class HerBuffer(HerReplayBuffer):
     def _relabel(self, transitions: Transitions, goal_index: np.ndarray) -> int:
         """Give the last transitions virtual goals, in place, where the options allow it; return how many got one."""
         last = slice(-len(goal_index), None)
-        goals, crashed = self.storage.achieved(goal_index), transitions.crashed[last]
+        goals, failed = self.storage.achieved(goal_index), transitions.failed[last]
         if self.reward is not None and self.goal_velocity == "zero":
             goals[:, self.reward.velocity] = 0.0
         allowed = np.ones(len(goals), bool)
         if self.relabel_collision == "exclude":
-            allowed &= ~(crashed | self.storage.crashed(goal_index))
-        if self.reward is not None and self.relabel_terminated == "env":
+            allowed &= ~(failed | self.storage.failed(goal_index))
+        terminates = self.relabel_terminated
+        if terminates == "env" and self.reward is not None and not self.reward.terminates:
+            terminates = "sb3"
+        if self.reward is not None and terminates == "env":
             allowed &= ~self.reward(transitions.obs["achieved_goal"][last], goals)[1]
         rewards, reached = self._reward(transitions.next_obs["achieved_goal"][last], goals)
         if self.reward is not None and self.relabel_collision == "keep":
-            rewards = rewards + self.reward.collision * crashed
+            rewards = rewards + self.reward.failure * failed
         transitions.rewards[last][allowed] = rewards[allowed]
-        if self.relabel_terminated != "sb3":
-            terminated = reached if self.relabel_terminated == "goal" else reached | crashed
+        if terminates != "sb3":
+            terminated = reached if terminates == "goal" else reached | failed
             transitions.terminated[last][allowed] = terminated[allowed]
         for obs in (transitions.obs, transitions.next_obs):
             obs["desired_goal"][last][allowed] = goals[allowed]

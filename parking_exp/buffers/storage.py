@@ -11,7 +11,7 @@ from stable_baselines3.common.preprocessing import get_action_dim, get_obs_shape
 
 from parking_exp.buffers.episode_index import EpisodeIndex
 
-TERMINATED, CRASHED, ID_SHIFT = 1, 2, 2  # bits of `mark`; above them is the id of the episode's record
+TERMINATED, FAILED, ID_SHIFT = 1, 2, 2  # bits of `mark`; above them is the id of the episode's record
 Observation = dict[str, np.ndarray]
 
 
@@ -24,7 +24,7 @@ class Transitions:
     actions: np.ndarray  # shape (n, actions)
     rewards: np.ndarray  # shape (n,)
     terminated: np.ndarray  # booleans, shape (n,)
-    crashed: np.ndarray
+    failed: np.ndarray
     records: np.ndarray  # entries of `EpisodeIndex.table`, shape (n,)
 
 
@@ -66,7 +66,7 @@ class Storage:
         action: np.ndarray,
         reward: np.ndarray,
         terminated: np.ndarray,
-        crashed: np.ndarray,
+        failed: np.ndarray,
     ) -> None:
         """Write a row: a transition of each env, in the episodes under way."""
         record_ids = self.episodes.current
@@ -83,7 +83,7 @@ class Storage:
                 stored[key] = entries[key]
         rows["action"] = np.reshape(action, rows["action"].shape)
         rows["reward"] = reward
-        rows["mark"] = record_ids << ID_SHIFT | crashed * CRASHED | terminated * TERMINATED
+        rows["mark"] = record_ids << ID_SHIFT | failed * FAILED | terminated * TERMINATED
 
     def record_ids(self, row: int) -> np.ndarray:
         """Return the record ids of a row's episodes, shape (n_envs,)."""
@@ -92,7 +92,7 @@ class Storage:
     def end(self, row: int, env: int, terminated: bool) -> None:
         """Note how a transition ends its episode."""
         mark = self.data["mark"]
-        mark[row, env] = mark[row, env] // CRASHED * CRASHED | terminated * TERMINATED
+        mark[row, env] = mark[row, env] // FAILED * FAILED | terminated * TERMINATED
 
     def take(self, index: np.ndarray) -> Transitions:
         """Return transitions by index, row * n_envs + env, as a copy."""
@@ -100,16 +100,16 @@ class Storage:
         mark = rows["mark"]
         records = self.episodes.table.take(mark >> ID_SHIFT)
         obs, next_obs = self._observation(rows["obs"], records), self._observation(rows["next_obs"], records)
-        ended, crashed = mark & TERMINATED > 0, mark & CRASHED > 0
-        return Transitions(obs, next_obs, rows["action"], rows["reward"], ended, crashed, records)
+        ended, failed = mark & TERMINATED > 0, mark & FAILED > 0
+        return Transitions(obs, next_obs, rows["action"], rows["reward"], ended, failed, records)
 
     def achieved(self, index: np.ndarray) -> np.ndarray:
         """Return what transitions achieved: their next achieved goals, as a copy."""
         return self.data.reshape(-1)["next_obs"]["observation" if self.compact else "achieved_goal"][index]
 
-    def crashed(self, index: np.ndarray) -> np.ndarray:
-        """Return whether transitions crashed, by index."""
-        return self.data.reshape(-1)["mark"][index] & CRASHED > 0  # `take` would copy the marks of all rows first
+    def failed(self, index: np.ndarray) -> np.ndarray:
+        """Return whether episodes failed at transitions, by index."""
+        return self.data.reshape(-1)["mark"][index] & FAILED > 0  # `take` would copy the marks of all rows first
 
     def get_state(self) -> dict[str, np.ndarray]:
         """Return everything as arrays, the filled part of the rows uncopied."""

@@ -18,7 +18,7 @@ CLASSES = {
     "highway_env.vehicle.kinematics": ["Vehicle"],
     "parking_exp.algorithms": ["DDPG", "SAC", "TD3"],
     "parking_exp.algorithms.crossq": ["CrossQ"],
-    "parking_exp.algorithms.features": ["EgoFrameExtractor", "FineEgoFrameExtractor", "MirroredEgoFrameExtractor"],
+    "parking_exp.tasks.parking.features": ["EgoFrameExtractor", "FineEgoFrameExtractor", "MirroredEgoFrameExtractor"],
     "parking_exp.buffers": ["HerBuffer"],
     "sb3_contrib": ["CrossQ", "TQC"],
     "stable_baselines3": ["DDPG", "HerReplayBuffer", "SAC", "TD3"],
@@ -45,8 +45,8 @@ def check_trust(config: RunConfig, source: Path) -> None:
     Raises:
         UntrustedError: a class or `_target_` is not on the list.
     """
-    vehicles = ("env.other_vehicles_type", config.env.other_vehicles_type)  # imported and called by highway-env
-    for key, target in [*_targets(config.plain()), vehicles]:
+    imported = [(f"env.{key}", path) for key, path in config.env.class_paths.items()]
+    for key, target in [*_targets(config.plain()), *imported]:
         if not isinstance(target, str) or target not in ALLOWED:
             raise UntrustedError(f"{key}={target} in {source} is not on the allow-list (trust=true allows it)")
 

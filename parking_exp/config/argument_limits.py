@@ -4,7 +4,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
-from parking_exp.config.schema import Count, NonNegative, Positive, PositiveFloat, Share
+from parking_exp.config_model import Count, NonNegative, Positive, PositiveFloat, Share
 
 GoalStrategy = Literal["future", "final", "episode", "random"]
 RelabelCollision = Literal["keep", "sb3", "exclude"]

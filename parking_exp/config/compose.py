@@ -2,6 +2,7 @@
 
 import copy
 import sys
+import textwrap
 import warnings
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
@@ -139,7 +140,8 @@ def _container(node: object) -> Any:
 
 def options_of(group: str) -> str:
     """List the options of a group, for `--help`: `${options:env}`."""
-    return ", ".join(GlobalHydra.instance().config_loader().get_group_options(group))
+    options = GlobalHydra.instance().config_loader().get_group_options(group)
+    return textwrap.fill(", ".join(options), 100, subsequent_indent=" " * (len(group) + 2))
 
 
 OmegaConf.register_new_resolver("options", options_of, replace=True)

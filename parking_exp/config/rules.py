@@ -6,8 +6,11 @@ from collections.abc import Iterator, Mapping
 from parking_exp.config.allowlist import ALLOWED
 from parking_exp.config.argument_limits import HER_OPTIONS
 from parking_exp.config.constructor_arguments import find
-from parking_exp.config.schema import DEFAULT_FEATURES, DEFAULT_SCALES, TRAINING_SCENES_START, EnvConfig, RunConfig
+from parking_exp.config.schema import RunConfig
+from parking_exp.config_model import TRAINING_SEEDS_START
 from parking_exp.errors import ConfigError
+from parking_exp.tasks.env_config import EnvConfig
+from parking_exp.tasks.registry import make_task
 
 HER_CLASSES = ("HerBuffer", "HerReplayBuffer")
 
@@ -21,37 +24,35 @@ def check_rules(run: RunConfig) -> Iterator[str]:
 
 def check_env(env: EnvConfig) -> Iterator[str]:
     """Yield a sentence for each rule of the `env` group that is violated."""
-    observation, action = env.observation, env.action
-    if len(observation.scales) != len(observation.features):
-        yield "env.observation.scales has another length than env.observation.features; give one scale for each"
-    if not (action.longitudinal or action.lateral):
-        yield "env.action.longitudinal and env.action.lateral are both false; set one of them to true"
-    if env.training_success_goal_reward is not None and env.training_success_goal_reward > env.success_goal_reward:
-        yield (
-            f"env.training_success_goal_reward={env.training_success_goal_reward} is above "
-            f"env.success_goal_reward={env.success_goal_reward}: agents would learn to stop short of the goal"
-        )
-    if env.policy_frequency > env.simulation_frequency:
-        yield f"env.policy_frequency={env.policy_frequency} is above env.simulation_frequency"
-    if env.simulator == "vectorized" and action.dynamical:
-        yield "env.action.dynamical is not simulated by env.simulator=vectorized; use env.simulator=highway_env"
-    if env.other_vehicles_type not in ALLOWED:  # the import takes a second
-        try:
-            find(env.other_vehicles_type)
-        except ConfigError as error:
-            yield f"env.other_vehicles_type={env.other_vehicles_type}: {error}"
+    yield from env.problems()
+    for key, path in env.class_paths.items():
+        if path not in ALLOWED and ":" not in path:  # the import takes a second
+            try:
+                find(path)
+            except ConfigError as error:
+                yield f"env.{key}={path}: {error}"
 
 
 def _check_buffer(run: RunConfig) -> Iterator[str]:
-    arguments, starts = run.buffer.arguments, run.algorithm.arguments.get("learning_starts")
-    her_options = [name for name in HER_OPTIONS if name in arguments]
-    without_goals = arguments.get("goal_selection_strategy", "future") is None
-    is_her = run.buffer.class_name in HER_CLASSES or bool(her_options) or "goal_selection_strategy" in arguments
-    relabels = is_her and not without_goals
-    if without_goals and her_options:
+    her_options = [name for name in HER_OPTIONS if name in run.buffer.arguments]
+    if her_options and run.buffer.arguments.get("goal_selection_strategy", "future") is None:
         yield f"buffer.{her_options[0]} has no effect without virtual goals; leave it out, or use buffer=her_future"
-    longest = run.env.for_training().episode_steps()
-    if relabels and (not isinstance(starts, int) or starts < longest * run.n_envs):
+    if (longest := run.env.for_training().episode_steps()) is not None:
+        yield from check_lengths(run, longest)
+    yield from run.env.model_problems(run.algorithm.features, relabels=_relabels(run))
+
+
+def _relabels(run: RunConfig) -> bool:
+    """Return whether a run has virtual goals."""
+    arguments = run.buffer.arguments
+    is_her = run.buffer.class_name in HER_CLASSES or any(name in arguments for name in HER_OPTIONS)
+    return arguments.get("goal_selection_strategy", "future" if is_her else None) is not None
+
+
+def check_lengths(run: RunConfig, longest: int) -> Iterator[str]:
+    """Yield what does not fit the number of steps of the longest training episode."""
+    starts = run.algorithm.arguments.get("learning_starts")
+    if _relabels(run) and (not isinstance(starts, int) or starts < longest * run.n_envs):
         key = "algorithm.learning_starts" if starts is None else f"algorithm.learning_starts={starts}"
         yield (
             f"{key}: HER samples finished episodes only; give at least "
@@ -64,15 +65,21 @@ def _check_buffer(run: RunConfig) -> Iterator[str]:
             f"buffer.buffer_size={run.buffer.buffer_size} holds no whole episode of each env; "
             f"give at least {(longest + 1) * run.n_envs}"
         )
-    observation = run.env.observation
-    if relabels and (observation.features != DEFAULT_FEATURES or observation.scales != DEFAULT_SCALES):
-        yield "env.observation: HER needs the features and scales of conf/env/parking.yaml; or use buffer=replay"
+
+
+def check_task(run: RunConfig) -> Iterator[str]:
+    """Yield what is wrong with the environment itself, which is made for it: that may take seconds."""
+    task = make_task(run.env)
+    problems = list(task.problems())
+    yield from problems
+    if not problems and run.env.for_training().episode_steps() is None:
+        yield from check_lengths(run, task.episode_steps)
 
 
 def _check_algorithm(run: RunConfig) -> Iterator[str]:
-    arguments, action = run.algorithm.arguments, run.env.action
-    if run.env.observation.features != DEFAULT_FEATURES and run.algorithm.features != "raw":
-        yield "algorithm.features needs the observation features of conf/env/parking.yaml; or use raw"
+    arguments, size = run.algorithm.arguments, run.env.action_size
+    if run.algorithm.normalize and run.algorithm.features != "raw":
+        yield f"algorithm.normalize needs algorithm.features=raw; {run.algorithm.features} has scales of its own"
     train_freq, noise = arguments.get("train_freq"), arguments.get("action_noise")
     if isinstance(train_freq, list):
         number, unit = train_freq if len(train_freq) == 2 else (0, None)
@@ -84,7 +91,7 @@ def _check_algorithm(run: RunConfig) -> Iterator[str]:
         yield f"algorithm.action_noise={noise} has no _target_; give one, or null"
     for name in ("mean", "sigma"):
         values = noise.get(name) if isinstance(noise, Mapping) else None
-        if isinstance(values, list) and len(values) != action.longitudinal + action.lateral:
+        if size is not None and isinstance(values, list) and len(values) != size:
             yield f"algorithm.action_noise.{name} has {len(values)} entries; give one for each dimension of the action"
 
 
@@ -94,10 +101,10 @@ def _check_evaluation(run: RunConfig) -> Iterator[str]:
     for name in ("n_scenes", "video_episodes"):
         if final < getattr(evaluation, name):
             yield f"evaluation.final_n_scenes={final} is below evaluation.{name}={getattr(evaluation, name)}"
-    if evaluation.first_scene + final > TRAINING_SCENES_START:
+    if evaluation.first_scene + final > TRAINING_SEEDS_START:
         yield (
-            f"evaluation.first_scene={evaluation.first_scene} reaches into the training scenes; "
-            f"it can be {TRAINING_SCENES_START - final} at most"
+            f"evaluation.first_scene={evaluation.first_scene} reaches into the seeds of training; "
+            f"it can be {TRAINING_SEEDS_START - final} at most"
         )
 
 

@@ -6,122 +6,17 @@ Arguments of third-party classes keep the library's names, and are checked by `c
 import math
 from fractions import Fraction
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
 from parking_exp.config.credentials import strip_password
 from parking_exp.config.paths import absolute, default_uri, directory_path
 from parking_exp.config.run_key import result_part, short_hash
+from parking_exp.config_model import ConfigModel, Count, EpisodeSeed, Name, NumberOfEpisodes, Positive, PositiveFloat
+from parking_exp.tasks.env_config import EnvConfig
 
-ENV_ID = "parking-v0"
-DEFAULT_FEATURES = ["x", "y", "vx", "vy", "cos_h", "sin_h"]
-DEFAULT_SCALES = [100, 100, 5, 5, 1, 1]
-# Seeds of training scenes start here; those of evaluation scenes are smaller.
-TRAINING_SCENES_START = 2**31
-
-
-def _check_range(bounds: list[float]) -> list[float]:
-    if bounds[0] >= bounds[1]:
-        raise ValueError("the lower bound must be below the upper one")
-    return bounds
-
-
-NAME = r"^[A-Za-z0-9][A-Za-z0-9._-]*$"
-Name = Annotated[str, Field(pattern=NAME, max_length=80)]
 Uri = Annotated[str, AfterValidator(strip_password)]
-Positive = Annotated[int, Field(ge=1)]
-Count = Annotated[int, Field(ge=0)]
-NonNegative = Annotated[float, Field(ge=0)]
-PositiveFloat = Annotated[float, Field(gt=0)]
-Duration = Annotated[float, Field(gt=0, le=100_000)]
-Pixels = Annotated[int, Field(ge=1, le=10_000)]
-Share = Annotated[float, Field(gt=0, le=1)]
-Bounds = Annotated[list[float], Field(min_length=2, max_length=2)]
-Range = Annotated[Bounds, AfterValidator(_check_range)]
-Simulation = Literal["vectorized", "highway_env"]
-Scene = Annotated[int, Field(ge=0, lt=TRAINING_SCENES_START)]
-NumberOfScenes = Annotated[int, Field(ge=1, le=10_000_000)]
-
-
-class ConfigModel(BaseModel):
-    """A strict, frozen part of the config: unknown keys and wrong types are errors."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
-
-
-class ObservationConfig(ConfigModel):
-    """highway-env's `observation` options."""
-
-    type: Literal["KinematicsGoal"]  # stored, so that highway-env accepts the `env` section of a run's config
-    features: Annotated[list[Literal["x", "y", "vx", "vy", "cos_h", "sin_h"]], Field(min_length=1)]
-    scales: list[PositiveFloat]
-    normalize: bool
-
-
-class ActionConfig(ConfigModel):
-    """highway-env's `action` options."""
-
-    type: Literal["ContinuousAction"]
-    acceleration_range: Range | None
-    steering_range: Range | None
-    speed_range: Range | None
-    longitudinal: bool
-    lateral: bool
-    dynamical: bool
-    clip: bool
-
-
-class EnvConfig(ConfigModel):
-    """The `env` group: highway-env's options under their own names, and five of ours."""
-
-    name: Name
-    simulator: Simulation
-    reward: Literal["dense", "sparse"]
-    training_duration: Duration | None
-    training_success_goal_reward: PositiveFloat | None
-
-    observation: ObservationConfig
-    action: ActionConfig
-    reward_weights: Annotated[list[Annotated[float, Field(ge=0)]], Field(min_length=6, max_length=6)]
-    success_goal_reward: PositiveFloat
-    collision_reward: float
-    steering_range: PositiveFloat
-    simulation_frequency: Annotated[int, Field(ge=1, le=1000)]
-    policy_frequency: Annotated[int, Field(ge=1, le=100)]  # episode_steps() counts duration x policy_frequency steps
-    duration: Duration
-    vehicles_count: Annotated[int, Field(ge=0, le=26)]
-    add_walls: bool
-    other_vehicles_type: str
-    neighbour_vehicles_connected_lanes: bool
-    screen_width: Pixels
-    screen_height: Pixels
-    centering_position: Bounds
-    scaling: PositiveFloat
-    show_trajectories: bool
-    render_agent: bool
-    offscreen_rendering: bool | None
-    real_time_rendering: bool
-
-    def for_training(self) -> Self:
-        """Return the config of training envs: `training_duration` and `training_success_goal_reward` applied."""
-        values = {"duration": self.training_duration, "success_goal_reward": self.training_success_goal_reward}
-        return self.model_copy(update={key: value for key, value in values.items() if value is not None})
-
-    def highway_options(self) -> dict[str, Any]:
-        """Return the `config` for `gym.make(ENV_ID, config=...)`."""
-        ours = {"name", "simulator", "reward", "training_duration", "training_success_goal_reward"}
-        options = self.model_dump(exclude=ours)
-        options["action"] = {key: value for key, value in options["action"].items() if value is not None}
-        return options
-
-    def episode_steps(self) -> int:
-        """Return the longest episode in policy steps, counted like highway-env does: by adding floats."""
-        time, steps = 0.0, 0
-        while time < self.duration:
-            time += 1 / self.policy_frequency
-            steps += 1
-        return steps
 
 
 class ThirdParty(BaseModel):
@@ -149,6 +44,7 @@ class AlgorithmConfig(ThirdParty):
     features: Literal["raw", "ego", "ego_fine", "ego_mirrored"]
     net_arch: Annotated[list[Annotated[int, Field(ge=1, le=10_000)]], Field(min_length=1)]
     policy_ema_half_life: PositiveFloat | None
+    normalize: bool
 
 
 class BufferConfig(ThirdParty):
@@ -158,13 +54,13 @@ class BufferConfig(ThirdParty):
 
 
 class EvaluationConfig(ConfigModel):
-    """Evaluation on fixed scenes, during training and at its end."""
+    """Evaluation on episodes with fixed seeds, during training and at its end."""
 
     every_n_steps: Positive | None
-    n_scenes: NumberOfScenes
-    final_n_scenes: NumberOfScenes
-    n_certified_scenes: NumberOfScenes
-    first_scene: Scene
+    n_scenes: NumberOfEpisodes
+    final_n_scenes: NumberOfEpisodes
+    n_certified_scenes: NumberOfEpisodes
+    first_scene: EpisodeSeed
     video_episodes: Count
 
 
@@ -255,10 +151,11 @@ class RunConfig(ConfigModel):
         return self.output_path / self.experiment_name / self.cell / f"seed={self.seed}"
 
     @property
-    def n_certified_scenes(self) -> int:
-        """Number of final scenes that are cross-checked on highway-env; all of them if the run simulates on it."""
-        n_final = self.evaluation.final_n_scenes
-        return n_final if self.env.simulator == "highway_env" else min(self.evaluation.n_certified_scenes, n_final)
+    def n_certified(self) -> int:
+        """Number of final episodes that are repeated on the task's reference simulator; all if the run trains on it."""
+        n_final, simulators = self.evaluation.final_n_scenes, self.env.simulators
+        is_reference = self.env.simulator == simulators[-1]
+        return n_final if is_reference else min(self.evaluation.n_certified_scenes, n_final)
 
     def update_rounds(self) -> tuple[int | tuple[int, str], int]:
         """Return (`train_freq`, `gradient_steps`): the shortest round that makes `updates_per_step` exact.

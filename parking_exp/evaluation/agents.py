@@ -8,11 +8,13 @@ from pydantic import Field
 
 from parking_exp.config.allowlist import check_trust
 from parking_exp.config.paths import directory_path, refuse_links
-from parking_exp.config.schema import ConfigModel, EnvConfig, RunConfig
+from parking_exp.config.schema import RunConfig
+from parking_exp.config_model import ConfigModel
 from parking_exp.errors import RunNotFoundError
 from parking_exp.runs.directory import RunDirectory
 from parking_exp.runs.lookup import find_run
 from parking_exp.runs.run_files import CONFIG_FILE, read_config
+from parking_exp.tasks.env_config import EnvConfig
 
 if TYPE_CHECKING:
     from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
@@ -28,7 +30,7 @@ ModelName = Literal["final", "best"]
 class Agent:
     """A trained agent on disk."""
 
-    name: str  # as printed: `final model`, `pretrained agent parked`
+    name: str  # as printed: `final model`, `pretrained agent default`
     config: RunConfig
     weights: Path  # a model as Stable-Baselines3 saves it, or the actor's weights alone
     folder: Path  # where its evaluations and exports are written
@@ -41,9 +43,10 @@ class Agent:
         from parking_exp.algorithms.build_model import build_model
         from parking_exp.algorithms.model_files import load_weights
         from parking_exp.algorithms.policy_files import load_policy
-        from parking_exp.envs.highway import make_env
+        from parking_exp.tasks.registry import make_task
 
-        model = build_model(self.config, DummyVecEnv([lambda: make_env(env)]), seed=0, for_training=False)
+        prediction_env = DummyVecEnv([make_task(env).prediction_env])
+        model = build_model(self.config, prediction_env, seed=0, for_training=False)
         load = load_policy if self.directory is None else load_weights
         load(self.weights, model)
         return model

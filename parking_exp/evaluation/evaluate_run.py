@@ -1,4 +1,4 @@
-"""Evaluate a stored run on real highway-env: rates with intervals, an episodes table, a video."""
+"""Evaluate a stored run, of parking on real highway-env: rates with intervals, an episodes table, a video."""
 
 from pathlib import Path
 
@@ -7,21 +7,15 @@ from omegaconf import DictConfig
 from parking_exp.config.paths import default_uri, directory_path, is_same_store
 from parking_exp.config.rules import check_env
 from parking_exp.config.run_key import short_hash
-from parking_exp.config.schema import (
-    TRAINING_SCENES_START,
-    Count,
-    EnvConfig,
-    Name,
-    NumberOfScenes,
-    Scene,
-    Simulation,
-    StoreConfig,
-)
+from parking_exp.config.schema import StoreConfig
 from parking_exp.config.validate import parse, refuse
-from parking_exp.errors import ConfigError, plural
+from parking_exp.config_model import TRAINING_SEEDS_START, Count, EpisodeSeed, Name, NumberOfEpisodes
+from parking_exp.errors import ConfigError, VideoError, plural
 from parking_exp.evaluation.agents import Agent, AgentRequest, is_pretrained
 from parking_exp.runs.atomic_files import write_json
 from parking_exp.runs.directory import RunDirectory
+from parking_exp.tasks.env_config import EnvConfig
+from parking_exp.tasks.registry import make_task
 from parking_exp.terminal import Screen, say
 
 EPISODES, PRETRAINED_EPISODES = 100, 20  # by default; the cards of pretrained agents have the rates of 500
@@ -36,9 +30,9 @@ class ResultsTracking(StoreConfig):
 class EvaluationRequest(AgentRequest):
     """The config of scripts/evaluate.py."""
 
-    episodes: NumberOfScenes | None
-    first_scene: Scene
-    simulator: Simulation
+    episodes: NumberOfEpisodes | None
+    first_scene: EpisodeSeed
+    simulator: str | None
     video: Count
     gif: bool
     name: Name | None
@@ -46,23 +40,23 @@ class EvaluationRequest(AgentRequest):
     env: EnvConfig | None = None
 
     @property
-    def scenes(self) -> range:
-        """Scenes that the policy is evaluated on."""
-        n_scenes = self.episodes or (PRETRAINED_EPISODES if is_pretrained(self.run) else EPISODES)
-        return range(self.first_scene, self.first_scene + n_scenes)
+    def seeds(self) -> range:
+        """Seeds of the episodes."""
+        n_episodes = self.episodes or (PRETRAINED_EPISODES if is_pretrained(self.run) else EPISODES)
+        return range(self.first_scene, self.first_scene + n_episodes)
 
 
 def validate_request(config: DictConfig) -> EvaluationRequest:
     """Validate a composed config."""
     request = parse(EvaluationRequest, config)
-    n_scenes = len(request.scenes)
-    if request.video > n_scenes:
-        raise ConfigError(f"video={request.video} is above episodes; the closest valid choice is {n_scenes}")
+    n_episodes = len(request.seeds)
+    if request.video > n_episodes:
+        raise ConfigError(f"video={request.video} is above episodes; the closest valid choice is {n_episodes}")
     if request.gif and not request.video:
         raise ConfigError("gif=true needs a video; set video=N as well")
-    if request.scenes.stop > TRAINING_SCENES_START:
-        highest = TRAINING_SCENES_START - n_scenes
-        raise ConfigError(f"first_scene={request.first_scene} reaches into the training scenes; at most {highest}")
+    if request.seeds.stop > TRAINING_SEEDS_START:
+        highest = TRAINING_SEEDS_START - n_episodes
+        raise ConfigError(f"first_scene={request.first_scene} reaches into the seeds of training; at most {highest}")
     if request.env is not None:
         _env(request, request.env)
     return request
@@ -90,24 +84,28 @@ def _evaluate(request: EvaluationRequest, agent: Agent, env: EnvConfig, folder: 
     from parking_exp.evaluation.evaluate_policy import describe, evaluate, intervals, summarise
     from parking_exp.evaluation.video import record
 
-    policy, scenes, screen = greedy_policy(agent.model(env)), request.scenes, Screen(stderr=True)
+    task, simulator = make_task(env), _simulator(request, env)
+    policy, seeds, screen = greedy_policy(agent.model(env)), request.seeds, Screen(stderr=True)
     with torch_settings(agent.config), Progress(console=screen, transient=True, disable=not screen.is_terminal) as bar:
-        task = bar.add_task(f"{plural(len(scenes), 'episode')} of {env.name}", total=len(scenes))
-        episodes = evaluate(policy, env, scenes, on_step=lambda finished: bar.update(task, completed=finished))
+        shown = bar.add_task(f"{plural(len(seeds), 'episode')} of {env.name}", total=len(seeds))
+        episodes = evaluate(policy, task, seeds, lambda finished: bar.update(shown, completed=finished), simulator)
     folder.mkdir(parents=True, exist_ok=True)
     for outdated in folder.glob("video.*"):
         outdated.unlink()
     episodes.to_csv(folder / "episodes.csv", index=False)
-    chosen = request.model_dump(include={"simulator", "model", "first_scene"})
-    rates = {**summarise(episodes), "intervals": intervals(episodes)}
+    chosen = {"simulator": simulator, "model": request.model, "first_scene": request.first_scene}
+    rates = {**summarise(episodes, task.metrics), "intervals": intervals(episodes, task.metrics)}
     write_json(folder / "summary.json", {"env": env.name, **chosen, "episodes": len(episodes), **rates})
     say(
-        f"{agent.name} on {plural(len(scenes), 'scene')} of {env.name}, from scene {request.first_scene}, "
-        f"simulated by {request.simulator}",
-        *describe(episodes).split("\n"),
+        f"{agent.name} on {plural(len(seeds), 'episode')} of {env.name}, from seed {request.first_scene}, "
+        f"simulated by {simulator}",
+        *describe(episodes, task.metrics).split("\n"),
     )
     if request.video:
-        record(policy, env, scenes[: request.video], folder / "video.mp4", request.gif)
+        try:
+            record(policy, task, seeds[: request.video], folder / "video.mp4", request.gif)
+        except VideoError as error:
+            say(str(error))
         say(*(f"video          {path}" for path in sorted(folder.glob("video.*"))))
 
 
@@ -134,15 +132,24 @@ def _store(request: EvaluationRequest, directory: RunDirectory) -> None:
 
 def _env(request: EvaluationRequest, env: EnvConfig) -> EnvConfig:
     """Return an `env` group with the request's simulator; ConfigError where they do not go together."""
-    env = env.model_copy(update={"simulator": request.simulator})
+    if (simulator := _simulator(request, env)) != env.simulator:
+        env = env.model_copy(update={"simulator": simulator})
     refuse(check_env(env))
     return env
 
 
+def _simulator(request: EvaluationRequest, env: EnvConfig) -> str:
+    """Return what simulates the episodes: by default the task's reference."""
+    if request.simulator not in (None, *env.simulators):
+        raise ConfigError(f"simulator={request.simulator}: env={env.name} has {' and '.join(env.simulators)}")
+    return request.simulator or env.simulators[-1]
+
+
 def _folder_name(request: EvaluationRequest, agent: Agent, env: EnvConfig) -> str:
-    name = f"{env.name}-{request.model}-scenes-{request.scenes[0]}-{request.scenes[-1]}"
-    if request.simulator != "highway_env":
-        name += f"-{request.simulator}"
-    if env != agent.config.env.model_copy(update={"simulator": request.simulator}):
+    name = f"{env.name}-{request.model}-seeds-{request.seeds[0]}-{request.seeds[-1]}"
+    if env.simulator != env.simulators[-1]:
+        name += f"-{env.simulator}"
+    own = agent.config.env.model_dump()
+    if env.model_dump() != own | ({"simulator": env.simulator} if "simulator" in own else {}):
         name += f"-{short_hash(env.model_dump())}"  # the same option with other values is another evaluation
     return name

@@ -9,19 +9,19 @@ from omegaconf import DictConfig
 from pydantic import Field
 
 from parking_exp.config.paths import directory_path
-from parking_exp.config.schema import EnvConfig
 from parking_exp.config.validate import parse
 from parking_exp.errors import ConfigError
 from parking_exp.evaluation.agents import AgentRequest
+from parking_exp.tasks.registry import make_task
 from parking_exp.terminal import say
 
 if TYPE_CHECKING:
     import numpy as np
 
-    from parking_exp.envs.interface import Observation, Policy
+    from parking_exp.tasks.task import Observation, Policy, Task
 
 N_OBSERVATIONS = 1000  # on which a file is compared with the model
-N_SCENES = 50  # that they come from
+N_EPISODES = 50  # that they come from
 RANDOM_FRACTION = 0.1  # of actions, so that the file is also compared where the policy would not go
 SUFFIXES = {"onnx": ".onnx", "torchscript": ".pt", "safetensors": ".safetensors"}
 
@@ -66,7 +66,7 @@ def export_run(config: DictConfig) -> Path:
     from parking_exp.algorithms.policy_export import TOLERANCE, export_policy
 
     model = agent.model(agent.config.env)
-    observations = sample_observations(greedy_policy(model), agent.config.env, N_OBSERVATIONS)
+    observations = sample_observations(greedy_policy(model), make_task(agent.config.env), N_OBSERVATIONS)
     difference = export_policy(model, request.format, path, observations)
     say(
         f"exported       {agent.name} as {request.format}, {path.stat().st_size / 1000:.1f} kB",
@@ -77,7 +77,7 @@ def export_run(config: DictConfig) -> Path:
     return path
 
 
-def sample_observations(policy: "Policy", env: EnvConfig, number: int) -> "Observation":
+def sample_observations(policy: "Policy", task: "Task", number: int) -> "Observation":
     """Return observations of whole episodes of a policy, with some random actions; the same at each call.
 
     They are evenly drawn, from the episodes' first steps to their last.
@@ -96,8 +96,8 @@ def sample_observations(policy: "Policy", env: EnvConfig, number: int) -> "Obser
 
     first = 0
     while sum(len(batch["observation"]) for batch in batches) < number:
-        evaluate(explore, env, range(first, first + N_SCENES))
-        first += N_SCENES
+        evaluate(explore, task, range(first, first + N_EPISODES))
+        first += N_EPISODES
     stacked = {name: np.concatenate([batch[name] for batch in batches]) for name in batches[0]}
     drawn = np.linspace(0, len(stacked["observation"]) - 1, number).astype(int)
     return {name: values[drawn] for name, values in stacked.items()}

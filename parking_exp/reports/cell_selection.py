@@ -40,6 +40,11 @@ class CellRuns:
     runs: pd.DataFrame  # rows of `Results.runs` by seed; of runs with equal seeds, the one that is done, or is newer
     n_repeated: int  # runs left out for another one with the same seed
 
+    @property
+    def task(self) -> str:
+        """Name of its task; configs of early exports have parking alone."""
+        return str(self.config.get("env.task", "parking"))
+
     @cached_property
     def done(self) -> pd.DataFrame:
         """The finished runs."""

@@ -1,4 +1,4 @@
-"""Summary of a cell over its seeds: means, learning curve, times to 90 %, rates by slot."""
+"""Summary of a cell over its seeds: means, learning curve, times to 90 %."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
@@ -7,9 +7,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from parking_exp.evaluation.metrics import METRICS, Metric
 from parking_exp.reports.cell_selection import CellRuns
-from parking_exp.reports.lot_map import slot_rates
 from parking_exp.reports.report_data import Cell, Curve, Seed, Survival
 from parking_exp.results.frames import Results
 from parking_exp.statistics import (
@@ -27,6 +25,8 @@ from parking_exp.statistics import (
     student_interval,
     wilson_interval,
 )
+from parking_exp.tasks.metrics import EPISODE_SEED, Metric
+from parking_exp.tasks.registry import FAILURES, METRICS, task_reports
 
 GOOD = 0.9
 HOLD = 3  # evaluations in a row
@@ -36,9 +36,9 @@ REPORTED: dict[str, Metric] = {
 }
 """Metrics of reports by their names in `Cell` and `Seed`."""
 FURTHER = [name for name in REPORTED if name not in {field.name for field in fields(Seed)}]
-"""Those without a field of their own."""
+"""Those without a field of their own, which only some tasks have."""
 RUN_COLUMNS = ["run_id", "run_dir", "seed", "n_scenes", "cpu_s", *(metric.run_column for metric in REPORTED.values())]
-CURVE_COLUMNS = ["run_id", "step", "success_rate", "crash_rate", "cpu_s", "real_share"]
+CURVE_COLUMNS = ["run_id", "step", "success_rate", "failure_rate", "cpu_s", "real_share"]
 
 
 @dataclass(frozen=True)
@@ -46,14 +46,16 @@ class RunEvaluations:
     """Rows of `Results.curves` and `Results.episodes` by run id: selecting them for each run is slow."""
 
     curves: dict[str, pd.DataFrame]  # of the runs that have a success rate
-    final: dict[str, pd.DataFrame]  # scene and outcome of the final episodes
+    final: dict[str, pd.DataFrame]  # seed and outcome of the final episodes
 
     @staticmethod
     def of(results: Results) -> "RunEvaluations":
         """Split the frames of some results."""
         rated = results.curves.loc[results.curves["success_rate"].notna(), "run_id"].unique()
-        curves = results.curves.loc[results.curves["run_id"].isin(rated), CURVE_COLUMNS]
-        final = results.episodes.loc[results.episodes["phase"] == "final", ["run_id", "scene", "outcome"]]
+        curves = results.curves[results.curves["run_id"].isin(rated)]
+        by_task = curves.reindex(columns=[f"{name}_rate" for name in FAILURES])  # a task has one of them
+        curves = curves.assign(failure_rate=by_task.bfill(axis=1).iloc[:, 0])[CURVE_COLUMNS]
+        final = results.episodes.loc[results.episodes["phase"] == "final", ["run_id", EPISODE_SEED, "outcome"]]
         by_run = [
             {str(run): rows for run, rows in frame.groupby("run_id", sort=False, observed=True)}
             for frame in (curves, final)
@@ -94,7 +96,7 @@ def summarise(
         curve=_curve(cell.runs if unfinished else cell.done, evaluations),
         survival=_survival("env steps", [(seed.steps_to_90, seed.reached_90) for seed in seeds], horizons[0]),
         survival_cpu=_survival("CPU-seconds", [(seed.cpu_s_to_90, seed.reached_90) for seed in seeds], horizons[1]),
-        slots=slot_rates([evaluations.final[seed.run_id] for seed in seeds if seed.run_id in evaluations.final]),
+        task_data=_task_data(cell, [evaluations.final[s.run_id] for s in seeds if s.run_id in evaluations.final]),
         note=coverage_note(success) if success else None,
         **_metric_fields(means),
     )
@@ -115,24 +117,28 @@ def real_share(cell: CellRuns, evaluations: RunEvaluations) -> float | None:
 
 
 def _metric_fields(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the fields of a seed or a cell that hold these metrics."""
+    """Return the fields of a seed or a cell that hold these metrics; those of other tasks are left out."""
     own = {name: value for name, value in values.items() if name not in FURTHER}
-    return {**own, "further": {name: values[name] for name in FURTHER}}
+    return {**own, "further": {name: values[name] for name in FURTHER if values[name] not in (None, Interval(None))}}
+
+
+def _task_data(cell: CellRuns, final: Sequence[pd.DataFrame]) -> dict[str, Any]:
+    return {key: value for task in task_reports([cell.task]) for key, value in task.rates(final).items()}
 
 
 def _seed(run: dict[str, Any], evaluations: RunEvaluations) -> Seed:
     metrics = {name: finite_or_none(run[metric.run_column]) for name, metric in REPORTED.items()}
     episodes, curve = evaluations.final.get(run["run_id"]), evaluations.curves.get(run["run_id"])
-    n_scenes = len(episodes) if episodes is not None else _whole(run["n_scenes"])
+    n_episodes = len(episodes) if episodes is not None else _whole(run["n_scenes"])
     success, low, high = metrics["success"], None, None
-    if success is not None and n_scenes:
-        low, high = wilson_interval(round(success * n_scenes), n_scenes)
+    if success is not None and n_episodes:
+        low, high = wilson_interval(round(success * n_episodes), n_episodes)
     steps, reached, cpu_s, area = _evaluation_curve(curve) if curve is not None else (None, False, None, None)
     return Seed(
         seed=int(run["seed"]),
         run_id=run["run_id"],
         run_dir=run["run_dir"] if isinstance(run["run_dir"], str) else None,
-        n_scenes=n_scenes,
+        n_episodes=n_episodes,
         low=low,
         high=high,
         cpu_s=finite_or_none(run["cpu_s"]),
@@ -171,10 +177,10 @@ def _curve(runs: pd.DataFrame, evaluations: RunEvaluations) -> Curve | None:
     if not curves:
         return None
     steps = np.unique(np.concatenate([curve["step"] for curve in curves.values()]))
-    success, crash = np.full((2, len(curves), len(steps)), np.nan)
+    success, failure = np.full((2, len(curves), len(steps)), np.nan)
     for row, curve in enumerate(curves.values()):
         at = np.searchsorted(steps, curve["step"])
-        success[row, at], crash[row, at] = curve["success_rate"], curve["crash_rate"]
+        success[row, at], failure[row, at] = curve["success_rate"], curve["failure_rate"]
     band = mean_band(success)
     return Curve(
         step=steps.tolist(),
@@ -182,7 +188,7 @@ def _curve(runs: pd.DataFrame, evaluations: RunEvaluations) -> Curve | None:
         low=[point.low for point in band],
         high=[point.high for point in band],
         n=[point.n for point in band],
-        crash=[float(known.mean()) if len(known := rates[~np.isnan(rates)]) else None for rates in crash.T],
+        failure=[float(known.mean()) if len(known := rates[~np.isnan(rates)]) else None for rates in failure.T],
         seeds=[
             (seed, curve["step"].tolist(), [finite_or_none(rate) for rate in curve["success_rate"]])
             for seed, curve in curves.items()

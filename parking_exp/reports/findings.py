@@ -9,6 +9,7 @@ from parking_exp.reports.formats import p_value, points_interval, rate_interval,
 from parking_exp.reports.report_data import Cell, Interaction, Pair, Survival
 from parking_exp.reports.warnings import FEW_NAMES, named
 from parking_exp.statistics import Interval, MainEffect, Proportion
+from parking_exp.tasks.registry import FAILURES
 
 VERDICTS = {"a": "is better than", "b": "is worse than", "same": "is indistinguishable from"}
 
@@ -17,7 +18,7 @@ def about_cells(cells: Sequence[Cell], family: Family) -> Iterator[str]:
     """Yield the findings on cells, the most important first: which is better, by how much, how sure, the cost."""
     rated = sorted(
         (cell for cell in cells if cell.success.value is not None),
-        key=lambda cell: (-(cell.success.value or 0.0), cell.crash.value or 0.0),
+        key=lambda cell: (-(cell.success.value or 0.0), cell.failure.value or 0.0),
     )
     if not rated:
         if any(cell.counts["done"] for cell in cells):
@@ -27,16 +28,18 @@ def about_cells(cells: Sequence[Cell], family: Family) -> Iterator[str]:
     seeds = f"mean of {best.success.n} seeds" if best.success.n > 1 else "one seed"
     first = [cell.label for cell in rated if cell.success.value == best.success.value]
     if len(rated) == 1:
-        yield f"{quoted_label(best.label)} succeeds in {rate} of the scenes, {seeds}."
+        yield f"{quoted_label(best.label)} succeeds in {rate} of the episodes, {seeds}."
     elif len(first) > 1:
         yield f"{named(first)} have the same final success, the highest: {rate}."
     else:
-        yield f"{quoted_label(best.label)} has the highest final success: {rate} of the scenes, {seeds}."
+        yield f"{quoted_label(best.label)} has the highest final success: {rate} of the episodes, {seeds}."
     reference = next((cell for cell in rated if cell.id == family.reference), best)
     yield from _comparisons(reference, {cell.id: cell.label for cell in rated}, family.pairs)
     if shares := [f"{quoted_label(cell.label)} {_at_90(cell.reaching_90)}" for cell in rated if cell.reaching_90.n > 1]:
         yield f"Seeds that end at 90 % or above: {_first(shares)}."
-    yield from _range("Crashes end {} of the episodes.", {cell.label: cell.crash for cell in rated}, rate_interval)
+    for name in FAILURES:
+        means = {cell.label: cell.further[name] for cell in rated if name in cell.further}
+        yield from _range(f"Episodes that end in {name}: {{}}.", means, rate_interval)
     yield from _range(
         "A run took {} CPU-seconds on average.",
         {cell.label: cell.cpu_s for cell in rated},

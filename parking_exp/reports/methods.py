@@ -5,6 +5,7 @@ from collections.abc import Iterator
 from parking_exp.reports.report_data import ReportData
 from parking_exp.statistics import Interval, unseen_share
 from parking_exp.statistics.intervals import BOOTSTRAP, EXACT, NONE, SCORE, T
+from parking_exp.tasks.registry import task_reports
 
 INTERVALS = {
     BOOTSTRAP: "Intervals of means over 5 seeds and more are studentised bootstrap intervals: where rates pile up "
@@ -26,13 +27,10 @@ REFERENCES = (
 def methods(report: ReportData) -> Iterator[str]:
     """Yield what a reader has to know of each kind of number that the report has."""
     yield (
-        "The replicate is the training seed. Each run's last policy, deterministic, is evaluated on fixed scenes of "
-        "highway-env; episodes are never pooled as if they were independent of their run."
+        "The replicate is the training seed. Each run's last policy, deterministic, is evaluated from fixed "
+        "seeds; episodes are never pooled as if they were independent of their run."
     )
-    yield (
-        "Success is highway-env's: close to the goal slot, at any speed. Parked is stricter: all corners inside the "
-        "slot's lines, heading within 10°, slower than 0.5 m/s. Crash and timeout are the other ways to end."
-    )
+    yield from (sentence for task in task_reports(report.tasks) for sentence in task.methods)
     intervals = [value for cell in report.cells for value in vars(cell).values() if isinstance(value, Interval)]
     used = {interval.method for interval in intervals if interval.n}
     yield from (sentence for method, sentence in INTERVALS.items() if method in used)
@@ -40,7 +38,7 @@ def methods(report: ReportData) -> Iterator[str]:
         "CPU-seconds of a run count everything, its final evaluation and certification included; "
         "times to 90 % count what came before."
     )
-    yield "All intervals are at 95 %. Shares of scenes and of seeds have Wilson's."
+    yield "All intervals are at 95 %. Shares of episodes and of seeds have Wilson's."
     fewest = min((cell.success.n for cell in report.cells if cell.success.n), default=0)
     if fewest > 1:
         yield (

@@ -11,14 +11,13 @@ import pandas as pd
 
 from parking_exp import __version__
 from parking_exp.config.cell_labels import Factor, can_matter, differing
-from parking_exp.envs.geometry import N_SLOTS
 from parking_exp.errors import RunNotFoundError, plural
 from parking_exp.reports import cell_comparisons, findings, warnings
 from parking_exp.reports.cell_selection import CellRuns, choose, group, one_cell, relabelled
 from parking_exp.reports.cell_summaries import RunEvaluations, real_share, shared_horizons, summarise
-from parking_exp.reports.lot_map import sample
 from parking_exp.reports.report_data import Cell, FailedRun, Provenance, ReportData
 from parking_exp.results.frames import Results
+from parking_exp.tasks.registry import task_reports
 
 VERSION = "version."
 SHORT_COMMIT = 10
@@ -117,7 +116,7 @@ def build_report(
     problems = [*results.problems]
     for number, cell in enumerate(summaries):
         if cell.id in shown:
-            summaries[number] = _with_lot_map(cell, groups[number], results, evaluations, problems)
+            summaries[number] = _with_recordings(cell, groups[number], results, evaluations, problems)
     design = cell_comparisons.design(factors, [cell.settings for cell in groups])
     effects, interactions = [], []
     if design == "factorial":
@@ -136,6 +135,7 @@ def build_report(
         design=design,
         factors=factors,
         cells=summaries,
+        tasks=sorted({cell.task for cell in groups}),
         shown=shown,
         baseline=selection.baseline,
         family=family.sentence,
@@ -184,16 +184,16 @@ def _refuse_unfinished(cells: Sequence[CellRuns], override: str, hint: str = "")
         raise RunNotFoundError(f"{override}: of its {plural(runs, 'run')}, none is done{hint}")
 
 
-def _with_lot_map(
+def _with_recordings(
     cell: Cell, runs: CellRuns, results: Results, evaluations: RunEvaluations, problems: list[str]
 ) -> Cell:
-    """Return a cell with trajectories; what is wrong with recordings is appended to `problems`."""
-    vehicles = runs.config.get("env.vehicles_count")
-    parked = vehicles if type(vehicles) is int and 0 < vehicles < N_SLOTS else 0
+    """Return a cell with what its task shows of recordings; what is wrong with these is appended to `problems`."""
     finished = [(seed.seed, seed.run_id) for seed in cell.seeds]
-    paths, failures, unreadable = sample(finished, results, evaluations.final, parked)
-    problems += unreadable
-    return replace(cell, paths=paths, failures=failures)
+    for task in task_reports([runs.task]):
+        shown, unreadable = task.recordings(finished, results.trajectories, evaluations.final, runs.config)
+        cell = replace(cell, task_data={**cell.task_data, **shown})
+        problems += unreadable
+    return cell
 
 
 def _shown(cells: Sequence[Cell], baseline: str | None) -> list[str]:
@@ -222,10 +222,10 @@ def _notes(
     if len(shown) < len(cells):
         best = f"the {len(shown)} with the highest success"
         yield f"Pictures show {best} of {len(cells)} cells; tables have all."
-    if any(cell.seeds and not cell.paths for cell in cells if cell.id in shown):
+    if any(cell.seeds and not all(cell.task_data.values()) for cell in cells if cell.id in shown):
         yield (
-            "Some cells have no trajectories to be drawn: their runs are older than these, or lost them, or the export "
-            "has only those of the cells that its own report drew."
+            "Some cells have nothing to show in a section: their runs have no recordings, or the export has only those "
+            "that its own report showed."
         )
     if outside := [cell.label for cell in cells if None in cell.settings.values()] if crossed else []:
         yield f"Not part of the main effects, without a value of every factor: {warnings.named(outside)}."

@@ -8,8 +8,8 @@ from dataclasses import asdict, dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Literal, cast
 
 from parking_exp.config.cell_labels import Factor, Setting
-from parking_exp.envs.outcomes import Outcome
 from parking_exp.statistics import Interval, MainEffect, Proportion
+from parking_exp.tasks.registry import FAILURES
 
 if TYPE_CHECKING:
     from parking_exp.reports.search_report import Tuning
@@ -21,16 +21,14 @@ Design = Literal["single", "list", "factorial", "search"]
 
 @dataclass(frozen=True)
 class Seed:
-    """One finished run, with rates over its `n_scenes` final episodes."""
+    """One finished run, with rates over its `n_episodes` final episodes."""
 
     seed: int
     run_id: str
     run_dir: str | None
     success: float | None
-    crash: float | None
     timeout: float | None
-    parked: float | None
-    n_scenes: int | None
+    n_episodes: int | None
     low: float | None  # Wilson's interval of `success`
     high: float | None
     episode_steps: float | None
@@ -40,6 +38,10 @@ class Seed:
     cpu_s_to_90: float | None
     area: float | None  # under the learning curve
     further: Mapping[str, float | None] = field(default_factory=dict)  # other metrics that reports have
+
+    def metric(self, name: str) -> float | None:
+        """Return a metric by its name; None where the seed has none."""
+        return getattr(self, name) if hasattr(self, name) else self.further.get(name)
 
 
 @dataclass(frozen=True)
@@ -51,7 +53,7 @@ class Curve:
     low: Sequence[float | None]
     high: Sequence[float | None]
     n: Sequence[int]  # seeds
-    crash: Sequence[float | None]
+    failure: Sequence[float | None]
     seeds: Sequence[tuple[int, Sequence[int], Sequence[float | None]]]  # (seed, steps, rates) of each run
 
 
@@ -73,32 +75,6 @@ class Survival:
 
 
 @dataclass(frozen=True)
-class SlotRate:
-    """Rates of the `n` episodes of all seeds whose goal is one slot, 0 ... 27."""
-
-    slot: int
-    n: int
-    success: float | None
-    crash: float | None
-    timeout: float | None
-
-
-@dataclass(frozen=True)
-class Path:
-    """One episode seen from above: poses at the start and after each step; of a long one, after every fifth."""
-
-    seed: int
-    scene: int
-    outcome: Outcome
-    slot: int
-    x_m: Sequence[float]
-    y_m: Sequence[float]
-    heading_rad: Sequence[float]
-    steps: int
-    parked_slots: Sequence[int] = ()
-
-
-@dataclass(frozen=True)
 class Cell:
     """One cell of the comparison."""
 
@@ -110,9 +86,7 @@ class Cell:
     counts: Mapping[str, int]  # number of runs done, running, failed, pending and, if there are any, pruned
     total_timesteps: int | None
     success: Interval
-    crash: Interval
     timeout: Interval
-    parked: Interval
     episode_steps: Interval
     cpu_s: Interval
     area: Interval
@@ -121,11 +95,18 @@ class Cell:
     curve: Curve | None = None  # None without evaluations during training, as `survival` and `survival_cpu`
     survival: Survival | None = None
     survival_cpu: Survival | None = None
-    slots: Sequence[SlotRate] = ()
-    failures: Sequence[tuple[float, float, str]] = ()  # (x_m, y_m, outcome) at the end of crashes and timeouts
-    paths: Sequence[Path] = ()
+    task_data: Mapping[str, Any] = field(default_factory=dict)  # what sections of its task show
     note: str | None = None  # a sentence about an interval that is too narrow or missing
     further: Mapping[str, Interval] = field(default_factory=dict)  # other metrics that reports have
+
+    def metric(self, name: str) -> Interval:
+        """Return the mean of a metric by its name; the interval is empty where the cell has none."""
+        return getattr(self, name) if hasattr(self, name) else self.further.get(name, Interval(None))
+
+    @property
+    def failure(self) -> Interval:
+        """Rate of the episodes that ended badly, whatever its task calls them."""
+        return next((self.further[name] for name in FAILURES if name in self.further), Interval(None))
 
 
 @dataclass(frozen=True)
@@ -214,6 +195,7 @@ class ReportData:
     design: Design
     factors: Sequence[Factor]
     cells: Sequence[Cell]
+    tasks: Sequence[str]  # of the cells, by name
     shown: Sequence[str]  # ids of the cells in figures: all or, of many, the best
     baseline: str | None  # id of the cell that the user asked to compare with
     family: str  # a sentence: which pairs were compared, and how p was corrected
@@ -242,7 +224,7 @@ class ReportData:
         """Return everything as JSON can hold it; further metrics of cells and seeds stand beside the others."""
         plain = asdict(self)
         for cell in plain["cells"]:
-            cell.update(cell.pop("further"))
+            cell.update(cell.pop("further") | cell.pop("task_data"))
             for seed in cell["seeds"]:
                 seed.update(seed.pop("further"))
         return plain

@@ -13,7 +13,6 @@ from pydantic import TypeAdapter, ValidationError
 from parking_exp.config.paths import default_uri, directory_path, refuse_links
 from parking_exp.errors import ConfigError, ResultsError, plural
 from parking_exp.reports.cell_summaries import RunEvaluations
-from parking_exp.reports.lot_map import sampled_rows
 from parking_exp.reports.report_builder import build_report
 from parking_exp.reports.report_data import ReportData
 from parking_exp.reports.report_files import write_report
@@ -23,11 +22,12 @@ from parking_exp.results.frame_export import REPORT, read_export, refuse_foreign
 from parking_exp.results.frames import Results, load, read_store
 from parking_exp.runs.directory import RunDirectory
 from parking_exp.runs.lookup import find_runs
+from parking_exp.tasks.registry import task_reports
 from parking_exp.terminal import console, say
 from parking_exp.tracking.mirror import mirror_problem
 from parking_exp.tracking.store import Store
 
-IN_FRAMES = ("seeds", "curve", "survival", "survival_cpu", "slots", "failures", "paths")
+IN_FRAMES = ("seeds", "curve", "survival", "survival_cpu")
 """What report.json leaves out of each cell: the frames have it."""
 DIGITS = 6
 
@@ -51,9 +51,10 @@ def write_report_export(
     final = RunEvaluations.of(results).final
     trajectories, problems = {}, []
     for cell in report.shown_cells:
-        rows, unread = sampled_rows([(seed.seed, seed.run_id) for seed in cell.seeds], results, final)
-        trajectories.update(rows)
-        problems += unread
+        for task in task_reports(report.tasks):
+            rows, unread = task.exported([(seed.seed, seed.run_id) for seed in cell.seeds], results.trajectories, final)
+            trajectories.update(rows)
+            problems += unread
     about = {
         "experiments": list(source.experiments),
         "report": {**_summary(report), "command": command},
@@ -83,7 +84,8 @@ def _of_cells(results: Results, report: ReportData) -> Results:
 def _summary(report: ReportData) -> dict[str, Any]:
     """Return what a report says, without what the frames of its export have, and without when and where it was made."""
     summary = {key: value for key, value in report.plain().items() if key not in ("made", "provenance")}
-    cells = [{key: value for key, value in cell.items() if key not in IN_FRAMES} for cell in summary["cells"]]
+    left_out = {*IN_FRAMES, *(key for cell in report.cells for key in cell.task_data)}
+    cells = [{key: value for key, value in cell.items() if key not in left_out} for cell in summary["cells"]]
     return {**summary, "cells": cells}
 
 

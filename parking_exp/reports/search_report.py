@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from pydantic import ValidationError
 
-from parking_exp.config.schema import NAME
+from parking_exp.config_model import NAME
 from parking_exp.errors import ParkingError, ResultsError, plural
 from parking_exp.reports import formats
 from parking_exp.reports.report_data import ReportData

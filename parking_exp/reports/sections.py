@@ -9,10 +9,9 @@ from typing import Any
 
 import matplotlib.figure
 
+from parking_exp.figure_style import Drawing, clean, report_style
 from parking_exp.reports.figures.cell_figures import draw_final_success, draw_learning_curves, draw_time_to_90
 from parking_exp.reports.figures.comparison_figures import draw_interactions, draw_main_effects, draw_pairs
-from parking_exp.reports.figures.figure_style import Drawing, clean, report_style
-from parking_exp.reports.figures.lot_figures import draw_scene_map, draw_trajectories
 from parking_exp.reports.figures.study_figures import (
     draw_cell_coordinates,
     draw_cell_importance,
@@ -25,7 +24,9 @@ from parking_exp.reports.methods import methods
 from parking_exp.reports.report_data import ReportData
 from parking_exp.reports.search_report import retest_table, search_text, trial_table
 from parking_exp.reports.tables import report_tables
-from parking_exp.reports.tables.table import Table
+from parking_exp.reports.tables.table import Table, cell_record, record
+from parking_exp.tasks.registry import task_reports
+from parking_exp.tasks.task import TaskFigure, TaskSection
 
 # Nothing that differs from one time to the next: the same report gives the same bytes.
 _METADATA: dict[str, dict[str, Any]] = {
@@ -114,17 +115,6 @@ SECTIONS = (
         tables=[report_tables.effects, report_tables.interactions],
     ),
     Section(
-        "scenes",
-        "Where episodes fail",
-        figures=[Figure("scene_map", "Where on the lot episodes fail", draw_scene_map)],
-        tables=[report_tables.slots],
-    ),
-    Section(
-        "trajectories",
-        "Seen from above",
-        figures=[Figure("trajectories", "Sampled episodes from above", draw_trajectories)],
-    ),
-    Section(
         "search",
         "Hyperparameters",
         figures=[
@@ -141,6 +131,26 @@ SECTIONS = (
     ),
     Section("methods", "How it was computed", text=methods),
 )
+
+
+def sections_of(report: ReportData) -> list[Section]:
+    """Return the sections that a report may have: SECTIONS, and in their middle those of its tasks."""
+    own = [_task_section(section) for task in task_reports(report.tasks) for section in task.sections]
+    middle = [section.id for section in SECTIONS].index("search")
+    return [*SECTIONS[:middle], *own, *SECTIONS[middle:]]
+
+
+def _task_section(section: TaskSection) -> Section:
+    def rows(report: ReportData) -> Iterable[Table]:
+        name = section.table or ""
+        cells = [(cell, cell.task_data.get(name, ())) for cell in report.cells]
+        yield Table(name, [{**cell_record(cell), **record(row)} for cell, its_rows in cells for row in its_rows])
+
+    def on_cells(figure: TaskFigure) -> Figure:
+        return Figure(figure.name, figure.title, lambda report: figure.draw(report.shown_cells))
+
+    tables = [rows] if section.table else []
+    return Section(section.id, section.title, tables=tables, figures=[on_cells(figure) for figure in section.figures])
 
 
 @dataclass(frozen=True)
@@ -171,7 +181,7 @@ class SectionContent:
 
 
 def section_contents(
-    report: ReportData, pictures: Sequence[Picture] = (), sections: Sequence[Section] = SECTIONS
+    report: ReportData, pictures: Sequence[Picture] = (), sections: Sequence[Section] | None = None
 ) -> list[SectionContent]:
     """Return what sections say of a report, by default all of them."""
     return [
@@ -182,7 +192,7 @@ def section_contents(
             [table for tables in section.tables for table in tables(report)],
             [picture for picture in pictures if picture.section == section.id],
         )
-        for section in sections
+        for section in (sections_of(report) if sections is None else sections)
     ]
 
 
@@ -190,14 +200,14 @@ def draw(
     report: ReportData,
     folder: Path,
     formats: Sequence[str] = ("svg", "pdf", "png"),
-    sections: Sequence[Section] = SECTIONS,
+    sections: Sequence[Section] | None = None,
 ) -> list[Picture]:
     """Draw the figures that a report has data for into a folder, as `<name>.<format>`."""
     folder.mkdir(parents=True, exist_ok=True)
     pictures = []
     with report_style(), warnings.catch_warnings():
         warnings.filterwarnings("ignore", "Glyph")  # a box stands for what the font lacks; browsers have other fonts
-        for section in sections:
+        for section in sections_of(report) if sections is None else sections:
             for kind in section.figures:
                 for number, (figure, caption) in enumerate(kind.draw(report), start=1):
                     name = kind.name.format(number)

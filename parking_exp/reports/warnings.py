@@ -12,11 +12,11 @@ ENOUGH_SEEDS = 10
 FEW_NAMES = 4
 MIXED = {
     "total_timesteps": "Budgets are mixed: cells were trained for {} env steps.",
-    "evaluation.final_n_scenes": "Scene sets are mixed: final models were evaluated on {} scenes.",
-    "evaluation.first_scene": "Scene sets are mixed: they begin at scenes {}.",
-    "evaluation.n_scenes": "Scene sets are mixed: evaluations during training were on {} scenes.",
+    "evaluation.final_n_scenes": "Evaluations are mixed: final models were evaluated in {} episodes.",
+    "evaluation.first_scene": "Evaluations are mixed: their episodes begin at seeds {}.",
+    "evaluation.n_scenes": "Evaluations are mixed: those during training had {} episodes.",
     "evaluation.every_n_steps": "Evaluations are mixed: every {} env steps, which changes times to 90 %.",
-    "env.name": "Tasks are mixed: cells belong to the envs {}; their rates are not of the same scenes.",
+    "env.name": "Tasks are mixed: cells belong to the envs {}; their rates are not of the same episodes.",
 }
 """Config keys that should be the same in all cells, and the warning where they are not."""
 

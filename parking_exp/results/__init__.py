@@ -12,13 +12,13 @@
     seed                                       int64
     status                                     category  done, running, failed, interrupted, pruned: in the store
     error                                      str       why it failed, in one line; missing for others
-    total_timesteps, n_scenes, first_scene,    Int64     as configured: env steps; scenes of the final evaluation, from
-    eval_n_scenes                                        which on; scenes of the evaluations during training
+    total_timesteps, n_scenes, first_scene,    Int64     as configured: env steps; episodes of the final evaluation and
+    eval_n_scenes                                        their first seed; episodes of evaluations during training
     steps                                      int64     env steps trained, as far as the store knows
-    success_rate, crash_rate, timeout_rate,    float64   of the final model, over all its scenes;
-    parked_rate                                          NaN unless the run is done
-    episode_steps, episode_return, distance_m, float64   means over the same episodes; the last three are absolute
-    heading_error_rad, speed_mps                         values at their end
+    success_rate, timeout_rate, failure_rate,  float64   of the final model, over all its episodes; NaN unless the run
+    crash_rate, parked_rate                              is done. Parking has the last two instead of failure_rate
+    episode_steps, episode_return, distance_m, float64   means over the same episodes; the last three, of parking, are
+    heading_error_rad, speed_mps                         absolute values at their end
     cpu_s, wall_s                              float64   what it took so far
     started, ended                             datetime64[ms, UTC]; a running one has not ended
     run_dir, artifact_uri                      str       where its files are
@@ -32,8 +32,9 @@
 
     run_id                                     str
     step                                       int64     env steps trained
-    success_rate, crash_rate, timeout_rate,    float64   over the evaluation's episodes
-    parked_rate, steps_mean, return_mean
+    success_rate, timeout_rate, failure_rate,  float64   over the evaluation's episodes
+    crash_rate, parked_rate, steps_mean,
+    return_mean
     cpu_s                                      float64   CPU time until then
     real_share                                 float64   real transitions among those sampled; NaN without HER
 
@@ -41,10 +42,10 @@
 
     run_id                                     category
     phase                                      category  eval: during training; final: after it; certified: some of
-                                                         the final ones again, on real highway-env
-    step, scene                                int64     env steps trained; start
-    outcome                                    category  success, crash, timeout
-    parked                                     bool      the strict definition of success
+                                                         the final ones again, on the reference simulator
+    step, scene                                int64     env steps trained; seed of the episode
+    outcome                                    category  success, timeout, failure, which parking calls crash
+    parked                                     bool      the strict definition of success, of parking
     steps, return                              int64, float64: length; sum of rewards
     distance_m, heading_error_rad, speed_mps   float64   absolute values at its end
 
@@ -56,7 +57,7 @@ which `pandas.read_csv` reads as well, and a JSON file:
 
     runs.csv.gz          `Results.runs`; config.KEY as text
     curves.csv.gz        `Results.curves`
-    outcomes.csv.gz      outcomes of the final episodes: a row per scene, a column per run id
+    outcomes.csv.gz      outcomes of the final episodes: a row per seed of an episode, a column per run id
     trajectories.csv.gz  trajectories that reports draw: run_id, scene, step, x_m, y_m, heading_rad, rounded to 0.01; of
                          some every fifth step, or the end alone
     report.json          problems; what the report says of its cells, without what the tables have

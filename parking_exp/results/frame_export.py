@@ -16,13 +16,15 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pandas as pd
 
 from parking_exp.config.paths import directory_path
 from parking_exp.errors import ConfigError, ResultsError
-from parking_exp.results.frames import RUN_TYPES, TEXT, Results, config_column
+from parking_exp.results.frames import FINAL, RUN_TYPES, TEXT, Results, config_column
 from parking_exp.results.recordings import CURVE_TYPES, EPISODES, REQUIRED, TRAJECTORIES, empty_frame
 from parking_exp.runs.atomic_files import replacing, write_json
+from parking_exp.tasks.metrics import EPISODE_SEED
 from parking_exp.tracking.client import reason
 
 REPORT = "report.json"
@@ -77,7 +79,7 @@ def write_export(
         "runs.csv.gz": _exported_runs(results.runs),
         "curves.csv.gz": results.curves,
         # One column per run: equal columns compress to almost nothing.
-        "outcomes.csv.gz": final.pivot(index="scene", columns="run_id", values="outcome").reset_index(),
+        "outcomes.csv.gz": final.pivot(index=EPISODE_SEED, columns="run_id", values="outcome").reset_index(),
         "trajectories.csv.gz": pd.concat([empty_frame(dict.fromkeys(columns, object)), *recordings])
         .astype(TRAJECTORIES)
         .drop(columns="speed_mps"),
@@ -147,7 +149,8 @@ def _read_runs(path: Path) -> pd.DataFrame:
         if name.startswith("config."):
             runs[name] = config_column(runs[name].astype(object).where(runs[name].notna(), None))
     others.sort(key=lambda name: name.startswith("config."))
-    return runs.assign(run_dir=None, artifact_uri=None)[[*RUN_TYPES, *others]].astype(RUN_TYPES)
+    of_other_tasks = {name: np.nan for name in FINAL.values() if name not in runs}
+    return runs.assign(run_dir=None, artifact_uri=None, **of_other_tasks)[[*RUN_TYPES, *others]].astype(RUN_TYPES)
 
 
 def _read_table(path: Path, runs: pd.DataFrame, types: Mapping[str, Any]) -> pd.DataFrame:
@@ -159,10 +162,10 @@ def _read_table(path: Path, runs: pd.DataFrame, types: Mapping[str, Any]) -> pd.
 
 def _read_episodes(path: Path, runs: pd.DataFrame) -> pd.DataFrame:
     """Return the final episodes; what the export does not have of them is missing."""
-    table = pd.read_csv(path, dtype=str).astype({"scene": "int64"})
-    long = table.melt("scene", var_name="run_id", value_name="outcome").dropna(ignore_index=True)
+    table = pd.read_csv(path, dtype=str).astype({EPISODE_SEED: "int64"})
+    long = table.melt(EPISODE_SEED, var_name="run_id", value_name="outcome").dropna(ignore_index=True)
     steps = long["run_id"].map(runs.set_index("run_id")["steps"])
     ids = pd.CategoricalDtype(pd.Index(runs["run_id"].to_list(), dtype="str"))
     frame = long.assign(step=steps, phase="final").astype({"run_id": ids}).dropna(subset="run_id")
-    frame = frame.astype(REQUIRED).sort_values(["run_id", "scene"], ignore_index=True)
+    frame = frame.astype(REQUIRED).sort_values(["run_id", EPISODE_SEED], ignore_index=True)
     return frame.reindex(columns=["run_id", *EPISODES])

@@ -14,8 +14,9 @@ import pandas as pd
 from parking_exp.config.credentials import keep_password
 from parking_exp.config.paths import database, default_uri, directory_path
 from parking_exp.errors import ParkingError, ResultsError, suggestion
-from parking_exp.evaluation.metrics import METRICS, TRAJECTORIES_FILE
 from parking_exp.results.recordings import read_curves, read_episodes, read_trajectories
+from parking_exp.runs.run_files import TRAJECTORIES_FILE
+from parking_exp.tasks.registry import METRICS
 from parking_exp.tracking.client import reason
 from parking_exp.tracking.store import Store
 
@@ -75,9 +76,10 @@ class Results:
         return f"<Results of {self.uri}: rows of {sizes}; {len(self.problems)} problems>"
 
     def trajectories(self, run_id: str) -> pd.DataFrame:
-        """Return the car's trajectories in final episodes of a run: one row per step, the start (step 0) included.
+        """Return what a run recorded of final episodes: one row per step, the start (step 0) included.
 
-        Columns are scene, step (int64), x_m, y_m, heading_rad, speed_mps (float32). A run without a recording has none.
+        Columns are those of the episode's seed, step (int64), x_m, y_m, heading_rad, speed_mps (float32), of parking-v0
+        alone. A run without a recording has none.
 
         Raises:
             ResultsError: there is no such run, or its recording can't be read.

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from parking_exp.config.schema import TRAINING_SCENES_START
-from parking_exp.envs.outcomes import OUTCOMES
-from parking_exp.evaluation.metrics import CAR_COLUMNS, DTYPES, METRICS
+from parking_exp.config_model import TRAINING_SEEDS_START
+from parking_exp.tasks.metrics import EPISODE_SEED
+from parking_exp.tasks.registry import DTYPES, METRICS, OUTCOMES, RECORDED
 
 CURVE = {f"eval/{metric.key}": metric.key for metric in METRICS if metric.in_curves}
 FURTHER_CURVE_METRICS = {"time/cpu_s": "cpu_s", "buffer/real_share": "real_share"}
@@ -23,13 +23,13 @@ CURVE_TYPES: dict[str, Any] = {
 REQUIRED: dict[str, Any] = {
     "phase": pd.CategoricalDtype(["eval", "final", "certified"]),
     "step": "int64",
-    "scene": "int64",
+    EPISODE_SEED: "int64",
     "outcome": pd.CategoricalDtype([*OUTCOMES]),
 }
 """Required columns of episodes; runs made before a metric was added lack others."""
 EPISODES: dict[str, Any] = {**REQUIRED, **DTYPES}
 """Columns of `Results.episodes` after the run id, and their types."""
-TRAJECTORIES: dict[str, Any] = {"scene": "int64", "step": "int64", **dict.fromkeys(CAR_COLUMNS, "float32")}
+TRAJECTORIES: dict[str, Any] = {EPISODE_SEED: "int64", "step": "int64", **dict.fromkeys(RECORDED, "float32")}
 
 
 def read_curves(logs: Mapping[str, bytes]) -> tuple[pd.DataFrame, dict[str, int], dict[str, str]]:
@@ -96,13 +96,13 @@ def read_trajectories(content: bytes | None) -> pd.DataFrame:
     if content is None:
         return empty_frame(TRAJECTORIES)
     with np.load(io.BytesIO(content), allow_pickle=False) as arrays:
-        lengths, cars = arrays["length"], {name: arrays[name] for name in CAR_COLUMNS}
+        lengths, columns = arrays["length"], {name: arrays[name] for name in RECORDED}
         # Checked before use: the lengths of a file from elsewhere could ask for any amount of memory.
-        n_rows, finite = len(cars["x_m"]), all(np.isfinite(column).all() for column in cars.values())
+        n_rows, finite = len(columns[RECORDED[0]]), all(np.isfinite(column).all() for column in columns.values())
         if not finite or (lengths < 0).any() or (lengths > n_rows).any() or lengths.sum() != n_rows:
             raise ValueError("its rows are not those of trajectories")
         steps = np.concatenate([np.arange(0), *map(np.arange, lengths)])
-        rows = pd.DataFrame({"scene": np.repeat(arrays["scene"], lengths), "step": steps, **cars})
+        rows = pd.DataFrame({EPISODE_SEED: np.repeat(arrays[EPISODE_SEED], lengths), "step": steps, **columns})
     return rows.astype(TRAJECTORIES)
 
 
@@ -121,7 +121,7 @@ def _parse(tables: Mapping[str, bytes]) -> pd.DataFrame:
     if absent := [name for name in REQUIRED if name not in table]:
         raise ValueError(f"it has no column {absent[0]}")
     n_rows = [body.count(b"\n") for body in bodies]
-    scenes = table["scene"].between(0, TRAINING_SCENES_START - 1)
-    if len(table) != sum(n_rows) or table[[*REQUIRED]].isna().any(axis=None) or not scenes.all():
+    is_seed = table[EPISODE_SEED].between(0, TRAINING_SEEDS_START - 1)
+    if len(table) != sum(n_rows) or table[[*REQUIRED]].isna().any(axis=None) or not is_seed.all():
         raise ValueError("it has rows that are no episodes")
     return table.assign(run_id=np.repeat(np.array([*tables], dtype=object), n_rows))

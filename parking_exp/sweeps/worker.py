@@ -28,7 +28,7 @@ def main() -> None:
     """Train the run of a directory."""
     path, supervisor, cores = Path(sys.argv[1]), int(sys.argv[2]), sys.argv[3]
     _die_with(supervisor)
-    faulthandler.enable()  # a crash in native code leaves a traceback in the log
+    faulthandler.enable()  # a fatal error in native code leaves a traceback in the log
     if cores:
         pin([int(core) for core in cores.split(",")])
     directory = RunDirectory(path)

@@ -6,10 +6,12 @@ from parking_exp.config.paths import database, relative_path
 from parking_exp.config.schema import RunConfig
 from parking_exp.runs.directory import RunDirectory, Status
 from parking_exp.runs.run_provenance import PROVENANCE_FILE, read_provenance
+from parking_exp.tasks.registry import METRICS
 
 NOTE, KIND = "mlflow.note.content", "mlflow.experimentKind"
 VIEW = "mlflow.sharedViewState.results"  # a saved view of the UI, whose own table of runs has no metric
-VIEW_COLUMNS = ["metrics.`final/success_rate`", "metrics.`final/crash_rate`", "metrics.`final/parked_rate`"]
+RATES = [metric for metric in METRICS if metric.is_rate and metric.name != "timeout"]
+VIEW_COLUMNS = [f"metrics.`final/{rate.key}`" for rate in RATES]
 STARTED = "started_ms"
 LONGEST_ERROR = 500
 
@@ -20,7 +22,7 @@ def experiment_tags(name: str) -> dict[str, str]:
     return {
         KIND: "custom_model_development",  # else the UI opens an experiment as one of GenAI: traces, prompts
         VIEW: json.dumps({"name": "results", "createdAt": 0, "state": json.dumps({"selectedColumns": VIEW_COLUMNS})}),
-        NOTE: f"Parking agents, trained and evaluated on highway-env's `parking-v0`: one run a cell and seed. {report}",
+        NOTE: f"Goal-conditioned agents, trained and evaluated: one run per cell and seed. {report}",
     }
 
 
@@ -48,10 +50,11 @@ def run_note(directory: RunDirectory, config: RunConfig) -> str:
     status, result = directory.read_status(), directory.result()
     summary: str = directory.status
     if result is not None:
-        rates = {name: result.metrics.get(f"final/{name}_rate") for name in ("success", "crash", "parked")}
+        rates = {rate.name: result.metrics.get(f"final/{rate.key}") for rate in RATES}
         percentages = ", ".join(f"{name} {rate:.1%}" for name, rate in rates.items() if rate is not None)
-        scenes = f"{config.evaluation.final_n_scenes} scenes, {config.n_certified_scenes} of them cross-checked"
-        summary = f"{percentages} on {scenes} on highway-env, after {result.steps:,} env steps"
+        checked = f", {config.n_certified} of them cross-checked on {config.env.simulators[-1]}"
+        episodes = f"{config.evaluation.final_n_scenes} episodes{checked if len(config.env.simulators) > 1 else ''}"
+        summary = f"{percentages} in {episodes}, after {result.steps:,} env steps"
     note = f"{config.algorithm.name}, {config.buffer.name} on {config.env.name}, seed {config.seed}: {summary}."
     command = status.get("command")
     return f"{note}\n\nCommand: `{command}`" if command else note

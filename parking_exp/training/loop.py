@@ -12,14 +12,17 @@ from stable_baselines3.common.callbacks import BaseCallback
 
 from parking_exp.algorithms.build_model import build_model, greedy_policy
 from parking_exp.algorithms.model_files import save_model
+from parking_exp.algorithms.normalization import UpdateNormalizer
 from parking_exp.algorithms.policy_ema import PolicyEMA
 from parking_exp.buffers import HerBuffer
-from parking_exp.config.schema import TRAINING_SCENES_START, RunConfig, Simulation
-from parking_exp.envs.training_envs import make_training_envs
+from parking_exp.config.schema import RunConfig
+from parking_exp.config_model import TRAINING_SEEDS_START
 from parking_exp.errors import InterruptedRunError
 from parking_exp.evaluation.evaluate_policy import Recorder, evaluate, rank, success_line, summarise
 from parking_exp.runs.directory import RunDirectory
 from parking_exp.runs.metric_logs import MetricsLog, append_episodes
+from parking_exp.tasks.registry import make_task
+from parking_exp.tasks.training_envs import make_training_envs
 from parking_exp.tracking.tracker import Tracker
 from parking_exp.training import checkpoints, rollout_state
 from parking_exp.training.checkpoints import Progress
@@ -35,14 +38,14 @@ class Seeds:
     """Seeds of one run's random generators."""
 
     policy: int  # weights, exploration and minibatches (Python, NumPy and torch), below 2**31
-    training_scenes: int  # of the first training env; env i gets this + i. At least 2**31: no evaluation scene
-    certified_scenes: int  # draws the scenes of the final evaluation that are certified
+    training_envs: int  # of the first training env; env i gets this + i. At least 2**31: no seed of an evaluation
+    certified: int  # draws the episodes of the final evaluation that are certified
 
 
 def derive_seeds(seed: int) -> Seeds:
     """Derive the seeds of a run's independent random generators from its one seed."""
-    policy, scenes, certified = np.random.SeedSequence(seed).generate_state(3).tolist()
-    return Seeds(policy % 2**31, TRAINING_SCENES_START + scenes % 2**31, certified)
+    policy, training, certified = np.random.SeedSequence(seed).generate_state(3).tolist()
+    return Seeds(policy % 2**31, TRAINING_SEEDS_START + training % 2**31, certified)
 
 
 class TrainingLoop:
@@ -59,11 +62,12 @@ class TrainingLoop:
         directory.models.mkdir(exist_ok=True)
         self.metrics = MetricsLog(path / "metrics.jsonl")
         seeds = derive_seeds(config.seed)
+        self.task = make_task(config.env)
         self.env = make_training_envs(config.env, config.n_envs, path / "monitor.csv", progress.wall_s)
         self.model = build_model(config, self.env, seeds.policy)
         self.policy = greedy_policy(self.model)
         self.average = PolicyEMA(self.model, config.algorithm.policy_ema_half_life)
-        self.env.seed(seeds.training_scenes)  # after the model, which seeds the envs with its own seed
+        self.env.seed(seeds.training_envs)  # after the model, which seeds the envs with its own seed
         self._rollout_state: dict[str, Any] | None = None
         if checkpoint is None:
             self._best.unlink(missing_ok=True)  # of an attempt that was killed before its first checkpoint
@@ -73,6 +77,8 @@ class TrainingLoop:
         shown = config.tracking.progress_bar
         self.bar = TrainingProgress(config.total_timesteps, progress.step, shown, heartbeat=directory.heartbeat)
         self.bar.say(f"{config.cell}, seed {config.seed}: {config.total_timesteps} env steps, in {path}")
+        for note in self.task.notes():
+            self.bar.say(note)
         if checkpoint is not None:
             self.bar.say(f"resuming at step {progress.step}")
 
@@ -86,27 +92,28 @@ class TrainingLoop:
         remaining = self.config.total_timesteps - self.model.num_timesteps
         if remaining > 0:
             interval = self.config.tracking.log_interval
-            self.model.learn(remaining, RolloutCallback(self), log_interval=interval, reset_num_timesteps=False)
+            callbacks: list[BaseCallback] = [RolloutCallback(self), UpdateNormalizer()]
+            self.model.learn(remaining, callbacks, log_interval=interval, reset_num_timesteps=False)
         self.restore_rollout_state()
         self.save_checkpoint()
 
     def evaluate(self) -> None:
-        """Evaluate on the first of the fixed scenes, and keep the model if it is the best so far."""
+        """Evaluate on the first of the fixed episodes, and keep the model if it is the best so far."""
         self.bar.busy("evaluation")
         with self.average.applied():
-            episodes = self.run_episodes(self.scenes(self.config.evaluation.n_scenes))
+            episodes = self.run_episodes(self.episode_seeds(self.config.evaluation.n_scenes))
             summary = self.record_evaluation(episodes, "eval")
         self.dump_metrics()
-        self.bar.say(success_line(summary, self.model.num_timesteps))
+        self.bar.say(success_line(summary, self.model.num_timesteps, self.task.metrics))
 
     def run_episodes(
-        self, scenes: Sequence[int], simulator: Simulation | None = None, recorder: Recorder | None = None
+        self, seeds: Sequence[int], simulator: str | None = None, recorder: Recorder | None = None
     ) -> pd.DataFrame:
         """Return the greedy policy's episodes, or raise when a signal asks to stop."""
-        return evaluate(self.policy, self.config.env, scenes, lambda _: self.stop_if_asked(), simulator, recorder)
+        return evaluate(self.policy, self.task, seeds, lambda _: self.stop_if_asked(), simulator, recorder)
 
-    def scenes(self, number: int) -> range:
-        """Return the first `number` of the fixed evaluation scenes."""
+    def episode_seeds(self, number: int) -> range:
+        """Return the seeds of the first `number` of the fixed evaluation episodes."""
         first = self.config.evaluation.first_scene
         return range(first, first + number)
 
@@ -139,14 +146,14 @@ class TrainingLoop:
 
     def record_evaluation(self, episodes: pd.DataFrame, phase: str) -> dict[str, float]:
         """Append episodes to `episodes.csv`, log their summary and return it; `eval`'s best model so far is kept."""
-        step, summary = self.model.num_timesteps, summarise(episodes)
+        step, summary = self.model.num_timesteps, summarise(episodes, self.task.metrics)
         append_episodes(self.directory.path / "episodes.csv", episodes, phase, step)
         for name, value in summary.items():
             self.model.logger.record(f"{phase}/{name}", value)
         if phase == "eval":
             self.progress.evaluated = step
-            if self.progress.best is None or list(rank(summary)) > self.progress.best:
-                self.progress.best = list(rank(summary))
+            if self.progress.best is None or list(rank(summary, self.task)) > self.progress.best:
+                self.progress.best = list(rank(summary, self.task))
                 save_model(self.model, self._best)
         return summary
 

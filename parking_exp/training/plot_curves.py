@@ -1,15 +1,15 @@
 """Draw the learning curves of a run, `curves.png`."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import pandas as pd
 
-# Okabe and Ito's palette, distinguishable with any colour vision.
-COLOURS = {"success": "#009E73", "crash": "#D55E00", "timeout": "#56B4E9", "parked": "#000000"}
+from parking_exp.tasks.metrics import Metric
 
 
-def learning_curves(metrics: pd.DataFrame, title: str, path: Path) -> None:
+def learning_curves(log: pd.DataFrame, metrics: Sequence[Metric], title: str, path: Path) -> None:
     """Draw a run's evaluation rates and returns against env steps, from the columns of `MetricsLog.frame`."""
     from matplotlib.figure import Figure
 
@@ -17,13 +17,13 @@ def learning_curves(metrics: pd.DataFrame, title: str, path: Path) -> None:
     rates, returns = figure.subplots(2, 1, sharex=True, height_ratios=[2, 1])
 
     def plot(axes: Any, column: str, scale: float = 1, **style: Any) -> None:
-        if column in metrics:
-            curve = metrics[["step", column]].dropna()
+        if column in log:
+            curve = log[["step", column]].dropna()
             axes.plot(curve["step"], scale * curve[column], **style)
 
-    for name, colour in COLOURS.items():
-        line = "--" if name == "parked" else "-"
-        plot(rates, f"eval/{name}_rate", 100, color=colour, label=name, marker="o", markersize=3, linestyle=line)
+    for metric in (metric for metric in metrics if metric.colour):
+        style = {"color": metric.colour, "label": metric.name, "linestyle": "-" if metric.is_outcome else "--"}
+        plot(rates, f"eval/{metric.key}", 100, marker="o", markersize=3, **style)
     plot(returns, "eval/return_mean", color="#0072B2", label="evaluation")
     plot(returns, "rollout/ep_rew_mean", color="#999999", label="training")
     rates.set(ylabel="evaluation episodes (%)", ylim=(-3, 103))

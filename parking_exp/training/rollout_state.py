@@ -14,7 +14,7 @@ from stable_baselines3.common.distributions import StateDependentNoiseDistributi
 from stable_baselines3.common.noise import ActionNoise, VectorizedActionNoise
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 
-from parking_exp.envs import training_envs
+from parking_exp.tasks import training_envs
 
 MATRICES = ("exploration_mat", "exploration_matrices")
 PENDING = ("name_to_value", "name_to_count", "name_to_excluded")

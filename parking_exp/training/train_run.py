@@ -24,6 +24,7 @@ from parking_exp.runs.atomic_files import write_atomically
 from parking_exp.runs.directory import RunDirectory, RunResult
 from parking_exp.runs.metric_logs import restore_logs
 from parking_exp.runs.run_provenance import command_line
+from parking_exp.tasks.registry import make_task
 from parking_exp.terminal import say
 from parking_exp.tracking.mirror import sync_hint
 from parking_exp.tracking.tracker import Tracker, open_tracker
@@ -102,7 +103,7 @@ def _train(config: RunConfig, directory: RunDirectory, stop: StopRequest) -> Run
     tracker.close()
     result = directory.result()
     assert result is not None
-    say(*describe(episodes).split("\n"), *_closing_lines(result, directory))
+    say(*describe(episodes, make_task(config.env).metrics).split("\n"), *_closing_lines(result, directory))
     return result
 
 

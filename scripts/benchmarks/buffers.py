@@ -12,8 +12,8 @@ from stable_baselines3.common.save_util import save_to_pkl
 from benchmarks.timing import Side, interleave, rounded
 from parking_exp import compose
 from parking_exp.buffers import HerBuffer
-from parking_exp.envs.reward import GoalReward
-from parking_exp.envs.vec_env import ParkingVecEnv
+from parking_exp.tasks.parking.reward import GoalReward
+from parking_exp.tasks.parking.vec_env import ParkingVecEnv
 
 BATCH, N_ENVS = 256, 16
 
@@ -62,7 +62,7 @@ def _sampling(buffer: HerReplayBuffer, samples: int) -> Side:
 @cache
 def _filled(cls: Any, capacity: int, transitions: int) -> Any:
     """Return a buffer filled with random transitions; both classes relabel like Stable-Baselines3 does."""
-    config = compose().env
+    config: Any = compose().env
     env = ParkingVecEnv(config, N_ENVS)
     options = {"reward": GoalReward.of(config.for_training())} if cls is HerBuffer else {}
     buffer = cls(capacity, env.observation_space, env.action_space, env, "cpu", N_ENVS, **options)
@@ -76,7 +76,8 @@ def _filled(cls: Any, capacity: int, transitions: int) -> Any:
 def _recorded(steps: int = 1000) -> list[tuple[Any, ...]]:
     """Record random transitions; the last ones end all episodes, so that the record can be added repeatedly."""
     rng = np.random.default_rng(0)
-    env = ParkingVecEnv(compose().env.for_training(), N_ENVS)
+    config: Any = compose().env
+    env = ParkingVecEnv(config.for_training(), N_ENVS)
     env.seed(0)
     obs: Any = env.reset()
     recorded: list[tuple[Any, ...]] = []

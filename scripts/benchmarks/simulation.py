@@ -8,16 +8,17 @@ import numpy as np
 from benchmarks.timing import interleave, seconds, spread
 from parking_exp import compose
 from parking_exp.algorithms.build_model import greedy_policy
-from parking_exp.envs.highway import make_env
-from parking_exp.envs.scenes import Scenes
-from parking_exp.envs.simulator import Simulator
 from parking_exp.evaluation.agents import load_model
 from parking_exp.evaluation.evaluate_policy import evaluate
+from parking_exp.tasks.parking.highway import make_env
+from parking_exp.tasks.parking.scenes import Scenes
+from parking_exp.tasks.parking.simulator import Simulator
+from parking_exp.tasks.registry import make_task
 
 
 def stepping(option: str, n_scenes: int, rounds: int, seconds_per_side: float) -> dict[str, Any]:
     """Compare steps per second with uniformly random actions; ended episodes are restarted."""
-    env = compose(f"env={option}").env
+    env: Any = compose(f"env={option}").env
     rng = np.random.default_rng(0)
     simulator, peer = Simulator(env, Scenes.random(rng, n_scenes, env.vehicles_count)), make_env(env)
     actions = rng.uniform(-1, 1, (256, n_scenes, simulator.action_size)).astype(np.float32)
@@ -53,5 +54,5 @@ def stepping(option: str, n_scenes: int, rounds: int, seconds_per_side: float) -
 def evaluation(n_scenes: int, rounds: int) -> dict[str, Any]:
     """Time the evaluation of the pretrained agent on many scenes."""
     policy, env = greedy_policy(load_model("pretrained")), compose().env
-    times = [seconds(lambda: evaluate(policy, env, range(n_scenes))) for _ in range(rounds + 1)]
+    times = [seconds(lambda: evaluate(policy, make_task(env), range(n_scenes))) for _ in range(rounds + 1)]
     return spread(times[1:])

@@ -15,8 +15,8 @@ from benchmarks.updates import sb3_classes
 from parking_exp import compose
 from parking_exp.algorithms.build_model import build_model, torch_settings
 from parking_exp.config.schema import RunConfig
-from parking_exp.envs.highway import make_env
-from parking_exp.envs.training_envs import make_training_envs
+from parking_exp.tasks.parking.highway import make_env
+from parking_exp.tasks.training_envs import make_training_envs
 from parking_exp.training.train_run import train
 
 
@@ -68,10 +68,11 @@ def _model(config: RunConfig) -> Any:
 def _tutorial_model() -> SAC:
     """Return the model of `experiment=tutorial` in plain Stable-Baselines3 and highway-env."""
     config = compose("experiment=tutorial", *sb3_classes("sac"))
+    env: Any = config.env
     arguments = config.algorithm.arguments
     return SAC(
         "MultiInputPolicy",
-        Monitor(make_env(config.env)),
+        Monitor(make_env(env)),
         **{name: arguments[name] for name in ("learning_rate", "learning_starts", "batch_size", "gamma")},
         policy_kwargs={"net_arch": list(config.algorithm.net_arch)},
         buffer_size=config.buffer.buffer_size,

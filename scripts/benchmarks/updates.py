@@ -10,7 +10,7 @@ from parking_exp import compose
 from parking_exp.algorithms.build_model import build_model, torch_settings
 from parking_exp.config.argument_limits import RELABEL_OPTIONS
 from parking_exp.config.schema import RunConfig
-from parking_exp.envs.training_envs import make_training_envs
+from parking_exp.tasks.training_envs import make_training_envs
 
 
 def updates(algorithm: str, net: str, rounds: int, *, peer: str, gradient_steps: int, quick: bool) -> dict[str, Any]:

@@ -16,8 +16,8 @@ from support.runs import make_config, options
 
 from parking_exp.algorithms.build_model import VectorizedNormalNoise, build_model, torch_settings
 from parking_exp.buffers import HerBuffer
-from parking_exp.envs.training_envs import make_training_envs
 from parking_exp.errors import ConfigError
+from parking_exp.tasks.training_envs import make_training_envs
 
 SMALL = ("experiment=smoke", "tracking.mlflow=false")
 
@@ -36,7 +36,7 @@ def test_what_needs_the_envs_reward_is_refused_for_an_env_that_has_none():
 def test_every_buffer_binds_to_its_constructor(buffer, simulator):
     made = built(f"buffer={buffer}", "algorithm.learning_starts=40", f"env.simulator={simulator}").replay_buffer
     assert type(made) is HerBuffer
-    assert (made.reward.collision, made.reward.threshold) == (-5, -0.1)
+    assert (made.reward.failure, made.reward.threshold) == (-5, -0.1)
     if buffer == "replay":
         assert (made.goal_selection_strategy, made.n_sampled_goal) == (None, 0)
     else:
@@ -126,7 +126,7 @@ import sys, tempfile
 from pathlib import Path
 from support.runs import make_config
 from parking_exp.algorithms.build_model import build_model
-from parking_exp.envs.training_envs import make_training_envs
+from parking_exp.tasks.training_envs import make_training_envs
 config = make_config("experiment=smoke")
 model = build_model(config, make_training_envs(config.env, 2), seed=0).learn(100)
 model.save(Path(tempfile.mkdtemp()) / "model.zip")

@@ -17,7 +17,7 @@ from support.runs import make_config
 from parking_exp.algorithms import fast
 from parking_exp.algorithms.fast.fast_training import is_supported
 from parking_exp.algorithms.fast.minibatches import sample_minibatches
-from parking_exp.envs.training_envs import make_training_envs
+from parking_exp.tasks.training_envs import make_training_envs
 
 ALGORITHMS = ("SAC", "TD3", "DDPG")
 

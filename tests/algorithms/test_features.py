@@ -7,8 +7,8 @@ import pytest
 import torch
 from support.runs import make_config
 
-from parking_exp.algorithms.features import EgoFrameExtractor, FineEgoFrameExtractor
-from parking_exp.envs.highway import make_env
+from parking_exp.tasks.parking.features import EgoFrameExtractor, FineEgoFrameExtractor
+from parking_exp.tasks.parking.highway import make_env
 
 SCALES = [100, 100, 5, 5, 1, 1]
 WEIGHTS = [1, 0.3, 0, 0, 0.02, 0.02]

@@ -6,8 +6,8 @@ import torch
 from support.runs import make_config
 
 from parking_exp.algorithms.build_model import build_model
-from parking_exp.envs.training_envs import make_training_envs
 from parking_exp.errors import ConfigError
+from parking_exp.tasks.training_envs import make_training_envs
 
 # A mirror at the y axis: of x, y, vx, vy, cos_h, sin_h.
 MIRROR = np.array([-1, 1, -1, 1, -1, 1])

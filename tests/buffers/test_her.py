@@ -20,8 +20,8 @@ from support.runs import make_config
 from parking_exp.buffers import HerBuffer
 from parking_exp.buffers.her import NO_GOALS
 from parking_exp.buffers.strategies import STRATEGIES
-from parking_exp.envs.reward import GoalReward
-from parking_exp.envs.vec_env import ParkingVecEnv
+from parking_exp.tasks.parking.reward import GoalReward
+from parking_exp.tasks.parking.vec_env import ParkingVecEnv
 
 ENV = make_config().env
 REWARD, SPARSE = GoalReward.of(ENV), GoalReward.of(make_config("env=parking_sparse").env)

@@ -82,7 +82,7 @@ def refusal(plain):
         (f"{POLICY}.use_sde", True, "algorithm.use_sde"),
         (f"{POLICY}.net_arch", [5], "algorithm.net_arch"),
         (f"{POLICY}.optimizer_kwargs.weight_decy", 0.1, "'weight_decay'"),
-        (f"{POLICY}.features_extractor_class", "parking_exp.algorithms.features.EgoFrameExtractor", "features=raw"),
+        (f"{POLICY}.features_extractor_class", "parking_exp.tasks.parking.features.EgoFrameExtractor", "features=raw"),
         (f"{POLICY}.activation_fn", "torch.nn.Tan", "'Tanh'"),
         (f"{POLICY}.activation_fn", "torch.optim.Adam", "torch.nn.Module"),
         (f"{POLICY}.activation_fn", {"_target_": "torch.nn.LeakyReLU", "negative_slop": 0.2}, "'negative_slope'"),

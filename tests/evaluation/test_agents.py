@@ -9,11 +9,13 @@ from support.runs import make_config
 
 from parking_exp.algorithms.build_model import build_model, greedy_policy
 from parking_exp.algorithms.policy_files import load_policy, save_policy
-from parking_exp.envs.training_envs import make_training_envs
 from parking_exp.errors import DamagedModelError, ModelError, RunNotFoundError, UntrustedError
 from parking_exp.evaluation import agents
 from parking_exp.evaluation.agents import PRETRAINED_DIR, find_agent
 from parking_exp.evaluation.evaluate_policy import evaluate, summarise
+from parking_exp.tasks.parking.parking_metrics import METRICS
+from parking_exp.tasks.registry import make_task
+from parking_exp.tasks.training_envs import make_training_envs
 
 TINY = ("algorithm.net_arch=[8]", "n_envs=1", "algorithm.learning_starts=1000", "updates_per_step=1")
 
@@ -41,7 +43,9 @@ def test_pretrained_agents_park(name, env, metric, tmp_path):
     assert agent.directory is None
     assert agent.config.seed == 0
     assert agent.config.env.name == env
-    summary = summarise(evaluate(greedy_policy(agent.model(agent.config.env)), agent.config.env, range(50)))
+    summary = summarise(
+        evaluate(greedy_policy(agent.model(agent.config.env)), make_task(agent.config.env), range(50)), METRICS
+    )
     assert summary[metric] == 1.0
 
 

@@ -7,14 +7,17 @@ import pandas as pd
 import pytest
 from support.runs import make_config
 
-from parking_exp.envs.geometry import SLOT_POSITIONS
-from parking_exp.envs.highway import make_env
-from parking_exp.envs.outcomes import Pose, outcome, relative_pose
-from parking_exp.envs.scenes import Scenes
 from parking_exp.evaluation.evaluate_policy import Recorder, describe, evaluate, rank, summarise
-from parking_exp.evaluation.metrics import EPISODE_COLUMNS
 from parking_exp.results.recordings import read_trajectories
 from parking_exp.runs.metric_logs import append_episodes
+from parking_exp.tasks.metrics import episode_columns, outcome
+from parking_exp.tasks.parking.geometry import SLOT_POSITIONS
+from parking_exp.tasks.parking.highway import make_env
+from parking_exp.tasks.parking.outcomes import Pose, relative_pose
+from parking_exp.tasks.parking.parking_metrics import METRICS, RECORDED
+from parking_exp.tasks.parking.parking_task import ParkingTask
+from parking_exp.tasks.parking.scenes import Scenes
+from parking_exp.tasks.registry import make_task
 
 
 def straight_on(observation):
@@ -28,8 +31,8 @@ def wait(observation):
 def test_one_row_per_scene_in_the_order_asked_for():
     env = make_config("env.duration=2").env
     scenes = [5, 3, 40, 0, *range(100, 140)]  # more than run side by side
-    table = evaluate(wait, env, scenes)
-    assert list(table.columns) == EPISODE_COLUMNS
+    table = evaluate(wait, make_task(env), scenes)
+    assert list(table.columns) == episode_columns(METRICS)
     assert table["scene"].tolist() == scenes
     assert set(table["outcome"]) == {"timeout"}
     assert set(table["steps"]) == {11}
@@ -38,8 +41,8 @@ def test_one_row_per_scene_in_the_order_asked_for():
 @pytest.mark.parametrize("simulator", ["vectorized", "highway_env"])
 def test_trajectories_lead_from_the_origin_to_where_the_episode_ended(simulator, tmp_path):
     env = make_config("env.duration=4").env
-    recorder = Recorder()
-    table = evaluate(straight_on, env, [5, 3, 40], simulator=simulator, recorder=recorder)
+    recorder = Recorder(RECORDED)
+    table = evaluate(straight_on, make_task(env), [5, 3, 40], simulator=simulator, recorder=recorder)
     recorder.save(tmp_path / "trajectories.npz")
     rows = read_trajectories((tmp_path / "trajectories.npz").read_bytes())
     assert list(rows.columns) == ["scene", "step", "x_m", "y_m", "heading_rad", "speed_mps"]
@@ -64,8 +67,12 @@ def test_rows_are_what_a_plain_loop_sees():
     while not done:
         _, reward, terminated, truncated, info = env.step(np.array([1.0, 0.0]))
         total, steps, done = total + reward, steps + 1, terminated or truncated
-    (row,) = evaluate(straight_on, env_config, [1]).to_dict("records")
-    assert (row["steps"], row["return"], row["outcome"]) == (steps, total, outcome(info["crashed"], info["is_success"]))
+    (row,) = evaluate(straight_on, make_task(env_config), [1]).to_dict("records")
+    assert (row["steps"], row["return"], row["outcome"]) == (
+        steps,
+        total,
+        outcome("crash", info["crashed"], info["is_success"]),
+    )
     assert row["distance_m"] == pytest.approx(
         np.linalg.norm(env.unwrapped.vehicle.position - env.unwrapped.vehicle.goal.position)
     )
@@ -113,11 +120,11 @@ EPISODES = pd.DataFrame(
 
 
 def test_a_table_is_summarised_as_rates_with_intervals_and_means():
-    assert summarise(EPISODES) == {
+    assert summarise(EPISODES, METRICS) == {
         "success_rate": 0.5, "crash_rate": 0.25, "timeout_rate": 0.25, "parked_rate": 0.25, "return_mean": -27.75,
         "steps_mean": 140.0, "distance_m_mean": 4.125, "heading_error_rad_mean": 0.4, "speed_mps_mean": 1.5,
     }  # fmt: skip
-    lines = describe(EPISODES).splitlines()
+    lines = describe(EPISODES, METRICS).splitlines()
     assert lines[0] == "success   50.0%   95 % interval 15.0% to 85.0%   2 of 4"
     assert lines[3].startswith("parked    25.0%   95 % interval 4.6% to 69.9%   1 of 4")
     assert "return -27.8, distance at the end 4.12 m" in lines[4]
@@ -128,7 +135,7 @@ def test_the_best_is_chosen_by_success_then_crashes_then_steps():
         return {"success_rate": success, "crash_rate": crash, "steps_mean": steps}
 
     best_first = [summary(0.9, 0.1, 50), summary(0.9, 0.1, 60), summary(0.9, 0.05, 500), summary(0.8, 0.0, 10)]
-    order = sorted(best_first, key=rank, reverse=True)
+    order = sorted(best_first, key=lambda summary: rank(summary, ParkingTask), reverse=True)
     assert order == [best_first[2], best_first[0], best_first[1], best_first[3]]
 
 

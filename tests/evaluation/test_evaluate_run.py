@@ -15,7 +15,8 @@ from support.runs import artifacts, call_script, only_run, store
 from parking_exp.config.compose import composed
 from parking_exp.errors import ModelError, RunNotFoundError
 from parking_exp.evaluation.evaluate_run import evaluate_run, validate_request
-from parking_exp.evaluation.metrics import EPISODE_COLUMNS
+from parking_exp.tasks.metrics import episode_columns
+from parking_exp.tasks.parking.parking_metrics import METRICS
 
 
 @pytest.fixture
@@ -33,7 +34,7 @@ def test_episodes_rates_and_a_video_are_printed_and_stored(finished):
     assert (done.returncode, done.stderr) == (0, "")
     for name in ("success", "crash", "timeout", "parked"):
         assert re.search(rf"^{name} +\d+\.\d%   95 % interval", done.stdout, re.MULTILINE)
-    folder = directory.path / "evaluations" / "parking-final-scenes-0-5"
+    folder = directory.path / "evaluations" / "parking-final-seeds-0-5"
     assert f"results        {folder}" in done.stdout
     table = pd.read_csv(folder / "episodes.csv")
     assert table["scene"].tolist() == [0, 1, 2, 3, 4, 5]
@@ -49,7 +50,7 @@ def test_episodes_rates_and_a_video_are_printed_and_stored(finished):
     assert [path.rpartition("/")[2] for path in stored] == ["episodes.csv", "summary.json", "video.gif", "video.mp4"]
     # The same model on the same scenes: what the run itself saw at its end.
     final = pd.read_csv(directory.path / "episodes.csv").query("phase == 'final'").reset_index(drop=True)
-    pd.testing.assert_frame_equal(table.head(5), final[EPISODE_COLUMNS], rtol=1e-6)
+    pd.testing.assert_frame_equal(table.head(5), final[episode_columns(METRICS)], rtol=1e-6)
 
 
 def test_another_env_the_best_model_and_a_name_can_be_chosen_and_an_earlier_video_goes(finished):
@@ -59,7 +60,7 @@ def test_another_env_the_best_model_and_a_name_can_be_chosen_and_an_earlier_vide
     for video in ("video=1", "video=0"):
         done = call_script("evaluate", *arguments, video)
         assert done.returncode == 0, done.stderr
-    assert "best model on 2 scenes of parking_crowded" in done.stdout
+    assert "best model on 2 episodes of parking_crowded" in done.stdout
     folder = directory.path / "evaluations" / "crowded"
     assert {path.name for path in folder.iterdir()} == {"episodes.csv", "summary.json"}
     assert len(pd.read_csv(folder / "episodes.csv")) == 2
@@ -112,4 +113,4 @@ def test_a_mistake_is_one_sentence_that_names_the_key(smoke, arguments, named):
 def test_a_pretrained_agent_is_evaluated_on_20_scenes_and_a_run_on_100_by_default(run, n_scenes):
     for arguments, expected in ((["first_scene=3"], range(3, 3 + n_scenes)), (["episodes=7"], range(7))):
         (config,) = composed("evaluate", [f"run={run}", *arguments])
-        assert validate_request(config).scenes == expected
+        assert validate_request(config).seeds == expected

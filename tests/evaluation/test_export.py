@@ -18,11 +18,12 @@ from support.runs import ROOT, call_script, make_config
 from parking_exp.algorithms import policy_export
 from parking_exp.algorithms.build_model import build_model, greedy_policy
 from parking_exp.algorithms.policy_export import export_policy
-from parking_exp.envs.training_envs import make_training_envs
 from parking_exp.errors import ModelError
 from parking_exp.evaluation import export_run
 from parking_exp.evaluation.agents import PRETRAINED_DIR
 from parking_exp.evaluation.export_run import sample_observations
+from parking_exp.tasks.registry import make_task
+from parking_exp.tasks.training_envs import make_training_envs
 
 NAMES = ["achieved_goal", "desired_goal", "observation"]
 FORMATS = {"onnx": ".onnx", "torchscript": ".pt", "safetensors": ".safetensors"}
@@ -51,7 +52,7 @@ def agent(name):
     with torch.no_grad():
         for weight in model.actor.parameters():
             weight.mul_(3)  # so that actions are not all close to zero
-    return model, sample_observations(greedy_policy(model), config.env, 200)
+    return model, sample_observations(greedy_policy(model), make_task(config.env), 200)
 
 
 def rows(observations, wanted):

@@ -12,10 +12,11 @@ from matplotlib.collections import LineCollection
 from PIL import Image
 from support import report_factory
 
-from parking_exp.reports.figures import cell_figures, comparison_figures, lot_figures, study_figures
-from parking_exp.reports.figures.figure_style import INK, cell_labels, cell_style, report_style
+from parking_exp.figure_style import INK, cell_labels, cell_style, report_style
+from parking_exp.reports.figures import cell_figures, comparison_figures, study_figures
 from parking_exp.reports.sections import SECTIONS, draw
 from parking_exp.statistics import Interval
+from parking_exp.tasks.parking import lot_figures
 
 SVG = "{http://www.w3.org/2000/svg}"
 LIST = ["final_success", "learning_curves", "time_to_90", "pairwise", "scene_map", "trajectories"]
@@ -39,6 +40,10 @@ def drawn(three, tmp_path_factory):
     """The folder of its figures' files, and the figures by name."""
     folder = tmp_path_factory.mktemp("three") / "figures"
     return folder, {picture.name: picture for picture in draw(three, folder)}
+
+
+def of_cells(draw):
+    return lambda report: draw(report.shown_cells)
 
 
 def axes_of(draw_figure, report):
@@ -108,7 +113,7 @@ def test_no_two_of_forty_cells_look_the_same():
 def test_final_success_has_every_seed_and_the_mean_with_its_interval(three):
     (axes,) = axes_of(cell_figures.draw_final_success, three)
     assert texts(axes.get_yticklabels()) == ["sac", "td3", "ddpg"]
-    assert axes.get_xlabel() == "final success (% of scenes)"
+    assert axes.get_xlabel() == "final success (% of episodes)"
     for row, cell in enumerate(three.cells):
         seeds, interval, mean = lines(axes, cell.id)
         assert seeds.get_xdata() == pytest.approx([100 * seed.success for seed in cell.seeds])
@@ -137,7 +142,7 @@ def test_learning_curves_have_means_and_every_seed(three):
         assert mean.get_xdata() == pytest.approx(cell.curve.step)
         assert mean.get_ydata() == pytest.approx(100 * np.array(cell.curve.mean))
         _, crashes = lines(crash, cell.id)
-        assert crashes.get_ydata() == pytest.approx(100 * np.array(cell.curve.crash))
+        assert crashes.get_ydata() == pytest.approx(100 * np.array(cell.curve.failure))
     (legend,) = success.figure.legends
     assert texts(legend.texts) == ["sac", "td3", "ddpg"]
 
@@ -145,7 +150,7 @@ def test_learning_curves_have_means_and_every_seed(three):
 def test_a_curve_is_pale_where_some_runs_have_ended_and_has_gaps_where_values_are_unknown(three):
     curve = three.cells[0].curve
     n, mean, unknown = [10] * 15 + [4] * (len(curve.step) - 15), [None, *curve.mean[1:]], [None] * len(curve.step)
-    gaps = replace(curve, n=n, mean=mean, low=unknown, high=unknown, crash=unknown)
+    gaps = replace(curve, n=n, mean=mean, low=unknown, high=unknown, failure=unknown)
     success, _ = axes_of(cell_figures.draw_learning_curves, with_first(three, curve=gaps))
     *_, pale, full = lines(success, "c0")
     assert np.flatnonzero(np.isnan(pale.get_ydata())).tolist() == [0]
@@ -207,22 +212,24 @@ def test_the_most_important_hyperparameter_of_a_sweep_is_the_one_that_decides():
 
 def test_the_map_has_failures_by_slot_and_where_they_happened(three):
     cell = three.cells[0]
-    unknown = replace(cell.slots[5], n=0, success=None, crash=None, timeout=None)
-    slots = [*cell.slots[:5], unknown, *cell.slots[6:]]
-    axes, *_ = axes_of(lot_figures.draw_scene_map, with_first(three, slots=slots))
+    unknown = replace(cell.task_data["slots"][5], n=0, success=None, crash=None, timeout=None)
+    slots = [*cell.task_data["slots"][:5], unknown, *cell.task_data["slots"][6:]]
+    axes, *_ = axes_of(
+        of_cells(lot_figures.draw_scene_map), with_first(three, task_data={**cell.task_data, "slots": slots})
+    )
     rates = [np.nan if slot.crash is None else 100 * (slot.crash + slot.timeout) for slot in slots]
     assert axes.collections[1].get_array().filled(np.nan) == pytest.approx(rates, nan_ok=True)
     assert texts(axes.texts) == [f"{rate:.0f}" for rate in rates if np.isfinite(rate)]
     for line, outcome in zip(axes.lines, ("crash", "timeout"), strict=True):
-        ends = [failure[:2] for failure in cell.failures if failure[2] == outcome]
+        ends = [failure[:2] for failure in cell.task_data["failures"] if failure[2] == outcome]
         assert np.column_stack(line.get_data()).tolist() == [list(end) for end in ends]
 
 
 def test_trajectories_have_a_row_for_each_cell_and_a_column_for_each_outcome(three):
-    panels = np.reshape(axes_of(lot_figures.draw_trajectories, three), (3, 3))
+    panels = np.reshape(axes_of(of_cells(lot_figures.draw_trajectories), three), (3, 3))
     assert [axes.get_title(loc="left") for axes in panels[:, 0]] == ["sac", "td3", "ddpg"]
     assert [axes.get_title(loc="center") for axes in panels[0]] == ["success\n", "crash\n", "timeout\n"]
-    paths = [path for path in three.cells[0].paths if path.outcome == "crash"]
+    paths = [path for path in three.cells[0].task_data["paths"] if path.outcome == "crash"]
     (drawn,) = [part for part in panels[0, 1].collections if isinstance(part, LineCollection)]
     assert [segment[-1].tolist() for segment in drawn.get_segments()] == [[p.x_m[-1], p.y_m[-1]] for p in paths]
 

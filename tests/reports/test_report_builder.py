@@ -40,11 +40,11 @@ def test_the_headline_is_the_mean_over_seeds_of_the_final_rate(two):
     assert [seed.success for seed in sac.seeds] == ENDS["sac"]
     assert sac.timeout.value == pytest.approx(0.08)
     assert (sac.reaching_90.k, sac.reaching_90.n) == (3, 5)
-    assert (sac.success.n, sac.counts["done"], sac.seeds[0].n_scenes) == (5, 5, 5)
+    assert (sac.success.n, sac.counts["done"], sac.seeds[0].n_episodes) == (5, 5, 5)
     assert sac.success.low < 0.92 < sac.success.high
     assert (sac.seeds[0].low, sac.seeds[0].high) == pytest.approx((0.3755, 0.9638), abs=1e-4)  # Wilson's, 4 of 5
-    assert sum(slot.n for slot in sac.slots) == 25
-    assert sum(slot.n * slot.timeout for slot in sac.slots) == pytest.approx(2)
+    assert sum(slot.n for slot in sac.task_data["slots"]) == 25
+    assert sum(slot.n * slot.timeout for slot in sac.task_data["slots"]) == pytest.approx(2)
 
 
 def test_pairs_are_welchs_test_with_holms_correction_and_a_verdict(two):
@@ -102,7 +102,7 @@ def test_mixed_conditions_are_warned_of():
     for values in ("400 and 800", "5 and 8", "0 and 100", "3 and 4", "100 and 200", "parking and parking_sparse"):
         assert sum(f" {values}" in line for line in mixed) == 1
     assert {line.split(" ")[0] for line in mixed} == {
-        "Budgets", "Scene", "Evaluations", "Tasks", "Versions", "Commits", "Machines",
+        "Budgets", "Evaluations", "Tasks", "Versions", "Commits", "Machines",
     }  # fmt: skip
     assert report.provenance.versions["highway-env"] == {"1.12.1": 7, "1.11.0": 7}
 

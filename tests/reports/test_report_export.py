@@ -11,12 +11,12 @@ from support.report_command import report
 from support.runs import in_memory, read_text
 from support.store_factory import Look, make_store
 
-from parking_exp.reports import lot_map
 from parking_exp.reports.cell_summaries import RunEvaluations
 from parking_exp.reports.report_builder import build_report
 from parking_exp.reports.report_run import ReportSource, read_report_export, write_report_export
 from parking_exp.reports.search_report import Tuning, with_tuning
 from parking_exp.results import load, read_export
+from parking_exp.tasks.parking import lot_map
 from parking_exp.tuning.trials import TrialRow
 
 CELLS = {
@@ -87,10 +87,10 @@ def test_a_report_from_an_export_differs_in_places_and_rounding_only(source, sto
     assert f"The store lacks {store}/x: no." in from_store.warnings
     assert sorted(from_export.warnings) == sorted(text.replace(f"{store}/x", "x") for text in from_store.warnings)
     assert any("trajectories.npz can't be read" in text for text in from_export.warnings)
-    paths = [path for cell in from_export.cells for path in cell.paths]
+    paths = [path for cell in from_export.cells for path in cell.task_data["paths"]]
     assert len(paths) > 20
     assert all(len(path.x_m) == -(-path.steps // 5) + 1 for path in paths)  # every fifth pose, and the last
-    assert all(len(cell.failures) > 10 for cell in from_export.cells)
+    assert all(len(cell.task_data["failures"]) > 10 for cell in from_export.cells)
 
 
 def test_of_many_episodes_some_are_drawn_at_random_and_the_same_ones_from_the_export(source, tmp_path, monkeypatch):
@@ -108,12 +108,12 @@ def test_of_many_episodes_some_are_drawn_at_random_and_the_same_ones_from_the_ex
     for _, cell in runs.groupby("cell"):
         pairs = list(zip(cell["seed"].tolist(), cell["run_id"].tolist(), strict=True))
         for vehicles in (0, 3):
-            paths, drawn, _ = lot_map.sample(pairs, results, final, vehicles)
+            paths, drawn, _ = lot_map.sample(pairs, results.trajectories, final, vehicles)
             assert (len(paths), len(drawn)) == (3 if vehicles else 6, 7)
-            assert lot_map.sample(pairs, kept, final, vehicles)[:2] == (paths, drawn)
+            assert lot_map.sample(pairs, kept.trajectories, final, vehicles)[:2] == (paths, drawn)
         with monkeypatch.context() as patch:
             patch.setattr(lot_map, "MOST_FAILURES", 500)
-            _, everything, _ = lot_map.sample(pairs, results, final, 0)
+            _, everything, _ = lot_map.sample(pairs, results.trajectories, final, 0)
         rest = iter(everything)
         assert all(failure in rest for failure in drawn)  # in the same order
         assert drawn != everything[:7]  # not the first ones

@@ -2,10 +2,10 @@
 
 from support import report_factory
 
-from parking_exp.reports.figures.figure_style import new_figure
+from parking_exp.figure_style import new_figure
 from parking_exp.reports.render.report_pages import markdown, page
 from parking_exp.reports.report_files import write_tables
-from parking_exp.reports.sections import SECTIONS, Figure, Section, draw, section_contents
+from parking_exp.reports.sections import Figure, Section, draw, section_contents, sections_of
 from parking_exp.reports.tables.table import Table, cell_column, cell_record, interval_column, spread
 
 
@@ -34,7 +34,7 @@ SLOW = Section(
 
 def test_a_new_section_is_one_entry_of_the_list(tmp_path):
     report = report_factory.report(2, 3)
-    contents = section_contents(report, draw(report, tmp_path, ["png"], [SLOW]), [*SECTIONS, SLOW])
+    contents = section_contents(report, draw(report, tmp_path, ["png"], [SLOW]), [*sections_of(report), SLOW])
     html, text = page(report, contents), markdown(report, contents, "png")
     for part in (
         '<a href="#slow">',

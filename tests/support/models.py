@@ -3,7 +3,7 @@
 from stable_baselines3.common.logger import Logger
 
 from parking_exp.algorithms.build_model import build_model
-from parking_exp.envs.training_envs import make_training_envs
+from parking_exp.tasks.training_envs import make_training_envs
 from support.runs import make_config
 
 

@@ -5,9 +5,10 @@ from functools import cache
 
 import numpy as np
 
-from parking_exp.envs.geometry import SLOT_POSITIONS
 from parking_exp.reports.report_builder import build_report
-from parking_exp.reports.report_data import FailedRun, Path, SlotRate
+from parking_exp.reports.report_data import FailedRun
+from parking_exp.tasks.parking.geometry import SLOT_POSITIONS
+from parking_exp.tasks.parking.lot_map import Path, SlotRate
 from support.result_frames import Run, results
 
 BUDGET = 40_000
@@ -122,9 +123,11 @@ def _report(cells, n_seeds, means, look=lambda label, run: run):
     drawn = [
         replace(
             cell,
-            slots=_slots(cell.success.value, n_seeds, rng),
-            failures=_failures(cell.success.value, n_seeds, rng),
-            paths=[_path(outcome, n) for n, outcome in enumerate(("success", "success", "crash", "timeout"))],
+            task_data={
+                "slots": _slots(cell.success.value, n_seeds, rng),
+                "failures": _failures(cell.success.value, n_seeds, rng),
+                "paths": [_path(outcome, n) for n, outcome in enumerate(("success", "success", "crash", "timeout"))],
+            },
         )
         if cell.seeds
         else cell

@@ -6,9 +6,8 @@ from dataclasses import dataclass, field
 import numpy as np
 import pandas as pd
 
-from parking_exp.envs.outcomes import OUTCOMES
-from parking_exp.evaluation.metrics import METRICS
 from parking_exp.results.frames import Results
+from parking_exp.tasks.registry import METRICS, OUTCOMES
 
 CONFIG = {
     "env.name": "parking",
@@ -91,7 +90,8 @@ class Frames(Results):
 def _row(number, run, run_id, experiment, label, seed, config):
     rates = {"success": run.success, "crash": run.crash, "parked": run.parked}
     rates["timeout"] = 1 - run.success - run.crash
-    metrics = {metric.run_column: rates.get(metric.name, 40.0) for metric in METRICS}
+    others = {metric.run_column: np.nan if metric.is_outcome else 40.0 for metric in METRICS}
+    metrics = others | {f"{name}_rate": value for name, value in rates.items()}
     if run.status != "done":
         metrics = dict.fromkeys(metrics, np.nan)
     return {

@@ -30,6 +30,11 @@ def options(group):
     return sorted(path.stem for path in (ROOT / "conf" / group).glob("*.yaml"))
 
 
+def parking_envs():
+    """Names of the options of `env` that are parking-v0 or a variant of it."""
+    return [option for option in options("env") if option.startswith("parking")]
+
+
 def make_config(*overrides):
     """Compose and check one run's config."""
     (config,) = composed("config", list(overrides))

@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from parking_exp.envs.geometry import SLOT_HEADINGS, SLOT_POSITIONS
-from parking_exp.envs.highway import make_env
-from parking_exp.envs.scenes import Scenes
-from parking_exp.envs.simulator import Simulator
+from parking_exp.tasks.parking.geometry import SLOT_HEADINGS, SLOT_POSITIONS
+from parking_exp.tasks.parking.highway import make_env
+from parking_exp.tasks.parking.scenes import Scenes
+from parking_exp.tasks.parking.simulator import Simulator
 from support.runs import make_config
 
 TOLERANCE = 1e-9
@@ -49,7 +49,7 @@ def record(config, scenes, act):
         step = simulator.step(actions)
         for number, row in enumerate(rows):
             observed = {key: value[number] for key, value in step.observation.items()}
-            flags = step.terminated[number], step.truncated[number], step.crashed[number], step.is_success[number]
+            flags = step.terminated[number], step.truncated[number], step.failed[number], step.is_success[number]
             records[row].append((actions[number], observed, step.reward[number], flags))
         done = step.terminated | step.truncated
         simulator.keep(~done)

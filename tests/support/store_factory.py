@@ -21,13 +21,14 @@ import pandas as pd
 from parking_exp.config.compose import composed
 from parking_exp.config.paths import default_uri
 from parking_exp.config.schema import RunConfig
-from parking_exp.envs.geometry import SLOT_POSITIONS
 from parking_exp.evaluation.evaluate_policy import summarise
-from parking_exp.evaluation.metrics import EPISODE_COLUMNS
 from parking_exp.runs.atomic_files import sha256, write_json
 from parking_exp.runs.directory import RunDirectory, RunResult
 from parking_exp.runs.metric_logs import append_episodes, copy_logs
 from parking_exp.runs.run_provenance import provenance
+from parking_exp.tasks.metrics import episode_columns
+from parking_exp.tasks.parking.geometry import SLOT_POSITIONS
+from parking_exp.tasks.parking.parking_metrics import METRICS
 from parking_exp.tracking.mirror import mirror
 from parking_exp.tracking.store import Store
 
@@ -128,7 +129,7 @@ def made_episodes(look: Look, success: float, scenes: range, seed: int) -> pd.Da
             "steps": np.maximum(1, np.round(look.steps + rng.integers(-5, 6, n))).astype(int),
         }
     )
-    return table.assign(**{name: rng.uniform(0, 1, n) for name in EPISODE_COLUMNS if name not in table})
+    return table.assign(**{name: rng.uniform(0, 1, n) for name in episode_columns(METRICS) if name not in table})
 
 
 def made_trajectories(episodes: pd.DataFrame) -> dict[str, np.ndarray]:
@@ -170,12 +171,12 @@ def _content(config: RunConfig, look: Look) -> tuple[list[dict[str, Any]], list[
         tables.append(("eval", step, table))
         share = step / config.total_timesteps
         cost = {"time/cpu_s": look.cpu_s * share, "time/wall_s": WALL_S * share, "buffer/real_share": look.real_share}
-        rows.append((step, {**_prefixed("eval", summarise(table)), **cost}))
+        rows.append((step, {**_prefixed("eval", summarise(table, METRICS)), **cost}))
         before = step
     if done:
         for phase, table in (("final", final), ("certified", final.head(evaluation.n_certified_scenes))):
             tables.append((phase, before, table))
-            rows[-1][1].update(_prefixed(phase, summarise(table)))
+            rows[-1][1].update(_prefixed(phase, summarise(table, METRICS)))
     lines = [
         {
             "step": step,

@@ -11,12 +11,12 @@ from concurrent.futures import ProcessPoolExecutor
 import numpy as np
 import pytest
 from support.run_equality import differences, stored
-from support.runs import assert_store_is_whole, make_config, only_run, options, run_script, script
+from support.runs import assert_store_is_whole, make_config, only_run, parking_envs, run_script, script
 from support.simulator_equality import KINDS as POLICIES
 from support.simulator_equality import actions_of, record, repeat
 
 from parking_exp.algorithms.build_model import build_model, greedy_policy
-from parking_exp.envs.training_envs import make_training_envs
+from parking_exp.tasks.training_envs import make_training_envs
 from parking_exp.training.train_run import train
 
 pytestmark = pytest.mark.slow
@@ -101,7 +101,7 @@ def trained_policy():
     return greedy_policy(model.learn(config.total_timesteps))
 
 
-@pytest.mark.parametrize("option", options("env"))
+@pytest.mark.parametrize("option", parking_envs())
 def test_200_000_steps_on_1_000_scenes_without_one_mismatch(option, trained_policy):
     config, block = make_config(f"env={option}", "algorithm.learning_starts=100000").env, 50
     steps, scenes, waiting = 0, 0, []

@@ -16,12 +16,13 @@ from support.run_equality import differences, exact
 from support.runs import make_config, only_run
 
 from parking_exp.algorithms.build_model import greedy_policy
-from parking_exp.envs.highway import make_env
-from parking_exp.envs.training_envs import ReplayActions
 from parking_exp.errors import FailedRunError, InterruptedRunError
 from parking_exp.evaluation.evaluate_policy import evaluate
 from parking_exp.evaluation.video import record
 from parking_exp.runs.atomic_files import read_json
+from parking_exp.tasks.parking.highway import make_env
+from parking_exp.tasks.registry import make_task
+from parking_exp.tasks.training_envs import ReplayActions
 from parking_exp.training import checkpoints, finish, loop, rollout_state
 from parking_exp.training.loop import RolloutCallback, TrainingLoop
 from parking_exp.training.train_run import train
@@ -211,10 +212,10 @@ def built(*overrides):
 def test_evaluations_and_videos_leave_the_random_generators_of_the_training_alone(tmp_path, overrides):
     env, model = composed_once(*overrides).env, built(*overrides).learn(20)
     before = comparable(rollout_state.get_state(model))
-    evaluate(greedy_policy(model), env, range(3), simulator="vectorized")
+    evaluate(greedy_policy(model), make_task(env), range(3), simulator="vectorized")
     if not overrides:
-        evaluate(greedy_policy(model), env, range(3), simulator="highway_env")
-        record(greedy_policy(model), env, range(1), tmp_path / "video.mp4")
+        evaluate(greedy_policy(model), make_task(env), range(3), simulator="highway_env")
+        record(greedy_policy(model), make_task(env), range(1), tmp_path / "video.mp4")
     assert comparable(rollout_state.get_state(model)) == before
 
 

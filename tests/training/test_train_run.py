@@ -28,15 +28,17 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 from parking_exp import __version__
 from parking_exp.algorithms.build_model import build_model, greedy_policy
 from parking_exp.algorithms.model_files import load_weights
-from parking_exp.envs.reward import GoalReward
-from parking_exp.envs.training_envs import make_training_envs
 from parking_exp.errors import ConfigError, FailedRunError, RunLockedError
 from parking_exp.evaluation.evaluate_policy import evaluate
-from parking_exp.evaluation.metrics import EPISODE_COLUMNS, METRICS
 from parking_exp.runs.atomic_files import read_json, sha256
 from parking_exp.runs.directory import RunDirectory
+from parking_exp.tasks.metrics import episode_columns
+from parking_exp.tasks.parking.parking_metrics import METRICS
+from parking_exp.tasks.parking.reward import GoalReward
+from parking_exp.tasks.registry import make_task
+from parking_exp.tasks.training_envs import make_training_envs
 from parking_exp.training import checkpoints
-from parking_exp.training.finish import certified_scenes
+from parking_exp.training.finish import certified_seeds
 from parking_exp.training.train_run import train
 
 STEPS = [100, 200, 300, 400]
@@ -110,7 +112,7 @@ def test_the_store_has_all_files_and_the_path_of_the_replay_buffer(smoke):
 def test_episodes_have_one_row_each_and_the_final_ones_are_certified_on_highway_env(smoke):
     directory = smoke[0]
     table = pd.read_csv(directory.path / "episodes.csv")
-    assert list(table.columns) == ["phase", "step", *EPISODE_COLUMNS]
+    assert list(table.columns) == ["phase", "step", *episode_columns(METRICS)]
     scenes = table.groupby(["phase", "step"])["scene"].agg(list).to_dict()
     during = {("eval", step): [0, 1, 2] for step in STEPS}
     assert scenes == {**during, ("final", 400): [0, 1, 2, 3, 4], ("certified", 400): [0, 1, 2, 3, 4]}
@@ -119,7 +121,7 @@ def test_episodes_have_one_row_each_and_the_final_ones_are_certified_on_highway_
     config = directory.config()
     model = build_model(config, make_training_envs(config.env, 1), seed=0, for_training=False)
     load_weights(directory.models / "final.zip", model)
-    theirs = evaluate(greedy_policy(model), config.env, range(5), simulator="highway_env")
+    theirs = evaluate(greedy_policy(model), make_task(config.env), range(5), simulator="highway_env")
     assert table.loc["certified", "return"].tolist() == pytest.approx(theirs["return"].tolist(), abs=1e-9)
     metrics = directory.result().metrics
     for metric in METRICS:
@@ -135,8 +137,8 @@ def test_some_final_scenes_drawn_by_the_seed_are_certified(tmp_path):
     table = pd.read_csv(config.run_dir / "episodes.csv").drop(columns="step").set_index("phase")
     final, certified = (table.loc[phase].set_index("scene") for phase in ("final", "certified"))
     assert final.index.tolist() == [0, 1, 2, 3, 4]
-    assert certified.index.tolist() == certified_scenes(config) == [1, 4]
-    assert certified_scenes(config.model_copy(update={"seed": 1})) == [0, 1]
+    assert certified.index.tolist() == certified_seeds(config) == [1, 4]
+    assert certified_seeds(config.model_copy(update={"seed": 1})) == [0, 1]
     pd.testing.assert_frame_equal(final.loc[certified.index], certified)
     assert result.metrics["final/steps_mean"] == final["steps"].mean()
     assert result.metrics["certified/steps_mean"] == certified["steps"].mean()

@@ -14,10 +14,10 @@ from torch import nn
 
 from parking_exp.algorithms.fast.mlp import linear_layers
 from parking_exp.algorithms.fast.optimizer import is_plain_adam
-from parking_exp.algorithms.features import EgoFrameExtractor, FineEgoFrameExtractor, MirroredEgoFrameExtractor
 from parking_exp.algorithms.mirrored_policies import MirroredActor, MirroredCritic, MirroredGaussianActor
+from parking_exp.tasks.feature_extractors import TaskFeatures
 
-EXTRACTORS = (EgoFrameExtractor, FineEgoFrameExtractor, MirroredEgoFrameExtractor, CombinedExtractor, FlattenExtractor)
+EXTRACTORS = (CombinedExtractor, FlattenExtractor)
 
 
 class FastTraining:
@@ -95,11 +95,15 @@ def is_supported(model: Any) -> bool:
     return bool(
         known
         and all(linear_layers(cast(nn.Sequential, network)) for network in critic.q_networks)
-        and all(type(network.features_extractor) in EXTRACTORS for network in (actor, critic))
+        and all(_is_known(network.features_extractor) for network in (actor, critic))
         and type(actor.features_extractor) is type(critic.features_extractor)
         and all(_is_fully_trained(network) for network in (actor, critic))
         and (ent_coef_optimizer is None or is_plain_adam(ent_coef_optimizer))
     )
+
+
+def _is_known(extractor: Any) -> bool:
+    return isinstance(extractor, TaskFeatures) or type(extractor) in EXTRACTORS
 
 
 def _is_fully_trained(network: Any) -> bool:

@@ -8,8 +8,8 @@ from stable_baselines3.common.buffers import DictReplayBuffer, ReplayBuffer
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from stable_baselines3.her import HerReplayBuffer
 
-from parking_exp.algorithms.features import MirroredEgoFrameExtractor
 from parking_exp.buffers import HerBuffer
+from parking_exp.tasks.feature_extractors import SymmetricFeatures
 
 # Their `sample` draws transitions independently, so one large sample has the distribution of several small ones.
 INDEPENDENT = (HerBuffer, HerReplayBuffer, ReplayBuffer, DictReplayBuffer)
@@ -24,7 +24,7 @@ class Minibatch(NamedTuple):
         actions: shape (B, actions).
         rewards: shape (B, 1).
         discounts: of the next state's value: gamma, or 0 where the episode terminated; shape (B, 1).
-        next_signs: of the next steering, -1 where its scene is mirrored; shape (B, 1).
+        next_signs: of the next actions, -1 where their observation is mirrored; shape (B, 1).
     """
 
     features: torch.Tensor
@@ -71,7 +71,7 @@ def _collate(model: Any, samples: list[Any], steps: int) -> Iterator[Minibatch]:
 def _tensors(model: Any, data: Any) -> tuple[torch.Tensor, ...]:
     """Return the features of a sample, those of its next observations, and what else a `Minibatch` has of it."""
     extractor, actions, next_signs = model.actor.features_extractor, data.actions, torch.ones_like(data.rewards)
-    if isinstance(extractor, MirroredEgoFrameExtractor) and extractor.steering:
+    if isinstance(extractor, SymmetricFeatures) and extractor.mirrors_actions:
         actions, next_signs = extractor.mirror(actions, data.observations), extractor.sign(data.next_observations)
     gamma = model.gamma if getattr(data, "discounts", None) is None else data.discounts
     features, next_features = (

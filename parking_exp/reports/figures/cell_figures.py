@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from parking_exp.errors import plural
-from parking_exp.reports.figures.figure_style import (
+from parking_exp.figure_style import (
     INK,
     SMALL_PT,
     Drawing,
@@ -21,6 +21,7 @@ from parking_exp.reports.figures.figure_style import (
     time_axis,
 )
 from parking_exp.reports.report_data import Cell, Curve, ReportData, Survival
+from parking_exp.tasks.registry import FAILURES
 
 _GOLDEN = 0.6180339887498949  # its multiples, modulo 1, are spread evenly
 _MOST_SEED_LINES = 4  # cells; with more, lines of seeds hide the means
@@ -40,7 +41,7 @@ def draw_final_success(report: ReportData) -> Iterator[Drawing]:
     if not any(seed.success is not None for cell in cells for seed in cell.seeds):
         return
     figure, axes = row_axes(cell_labels(cells, 36, lines=2))
-    axes.set_xlabel("final success (% of scenes)")
+    axes.set_xlabel("final success (% of episodes)")
     axes.axvline(90, **_LINE_90)
     for row, cell in enumerate(cells):
         _seeds_and_mean(axes, row, cell)
@@ -48,7 +49,7 @@ def draw_final_success(report: ReportData) -> Iterator[Drawing]:
     axes.set_xlim(left - 0.03 * (right - left) - 1, 101)
     yield (
         figure,
-        f"Final success over the evaluation scenes. Points: seeds ({_seed_counts(cells)}), spread vertically so that "
+        f"Final success over the evaluation episodes. Points: seeds ({_seed_counts(cells)}), spread vertically so that "
         "they do not overlap; bar: mean with its 95 % interval, where there is one, cut at 0 and 100 %. Dashed: 90 %.",
     )
 
@@ -69,29 +70,31 @@ def _seeds_and_mean(axes: Axes, row: int, cell: Cell) -> None:
 
 
 def draw_learning_curves(report: ReportData) -> Iterator[Drawing]:
-    """Draw mean success with its interval, and mean crash rate, against env steps."""
+    """Draw mean success with its interval, and mean failure rate, against env steps."""
     curves = [(cell, cell.curve) for cell in report.shown_cells if cell.curve is not None and len(cell.curve.step)]
     if not curves:
         return
     cells, with_seeds = [cell for cell, _ in curves], len(curves) <= _MOST_SEED_LINES
     figure = _figure_with_legend(3.6, cells)
-    success, crash = figure.subplots(2, sharex=True, height_ratios=(2, 1))
+    success, failure = figure.subplots(2, sharex=True, height_ratios=(2, 1))
     for cell, curve in curves:
-        _curve(success, crash, cell, curve, with_seeds=with_seeds)
+        _curve(success, failure, cell, curve, with_seeds=with_seeds)
     success.axhline(90, **_LINE_90)
     time_axis(success, "")
-    time_axis(crash, "env steps")
+    time_axis(failure, "env steps")
     success.set(ylim=(-2, 103), ylabel="success (%)")
-    crash.set(ylim=(0, max(10, crash.get_ylim()[1])), ylabel="crash (%)")
+    names = [name for name in FAILURES if any(name in cell.further for cell in cells)] or ["failure"]
+    failure.set(ylim=(0, max(10, failure.get_ylim()[1])), ylabel=f"{' or '.join(names)} (%)")
     lines = "thin lines: seeds; " if with_seeds else ""
     yield (
         figure,
         f"Evaluations during training. Above: mean success over seeds ({_seed_counts(cells)}) with the band of its "
-        f"95 % interval; {lines}dashed: 90 %. Below: mean crash rate. Pale where runs of some seeds have ended.",
+        f"95 % interval; {lines}dashed: 90 %. Below: mean rate of {' or '.join(names)}. "
+        "Pale where runs of some seeds have ended.",
     )
 
 
-def _curve(success: Axes, crash: Axes, cell: Cell, curve: Curve, *, with_seeds: bool) -> None:
+def _curve(success: Axes, failure: Axes, cell: Cell, curve: Curve, *, with_seeds: bool) -> None:
     style = cell_style(cell.id)
     step, n = np.asarray(curve.step), np.asarray(curve.n)
     if with_seeds:
@@ -102,7 +105,7 @@ def _curve(success: Axes, crash: Axes, cell: Cell, curve: Curve, *, with_seeds: 
     complete = np.arange(len(step)) <= np.flatnonzero(n == n.max())[-1]
     between = max(1, len(step) // 7)
     markers: dict[str, Any] = {"marker": style.marker, "markevery": (int(cell.id[1:]) % between, between)}
-    for axes, rates in ((success, curve.mean), (crash, curve.crash)):
+    for axes, rates in ((success, curve.mean), (failure, curve.failure)):
         rate, line = percentages(rates), {"color": style.colour, "linestyle": style.line}
         axes.plot(step, rate, alpha=0.4, **line)
         axes.plot(step, np.where(complete, rate, np.nan), **line, **markers)

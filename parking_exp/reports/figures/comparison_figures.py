@@ -6,8 +6,7 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from parking_exp.errors import plural, quoted_label
-from parking_exp.reports import formats
-from parking_exp.reports.figures.figure_style import (
+from parking_exp.figure_style import (
     INK,
     SMALL_PT,
     Drawing,
@@ -20,6 +19,7 @@ from parking_exp.reports.figures.figure_style import (
     percentages,
     row_axes,
 )
+from parking_exp.reports import formats
 from parking_exp.reports.formats import p_value, points, points_interval, probability
 from parking_exp.reports.report_data import Factor, Interaction, Pair, ReportData, Setting
 from parking_exp.statistics import MainEffect

@@ -10,8 +10,8 @@ import numpy as np
 from matplotlib.ticker import LogLocator, NullLocator
 
 from parking_exp.errors import ResultsError
+from parking_exp.figure_style import WIDTH_IN, Drawing, clean, report_style
 from parking_exp.reports import formats
-from parking_exp.reports.figures.figure_style import WIDTH_IN, Drawing, clean, report_style
 from parking_exp.reports.report_data import Cell, Factor, ReportData
 from parking_exp.reports.search_report import Tuning
 

@@ -11,8 +11,8 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
 from parking_exp.errors import plural
+from parking_exp.figure_style import cell_style
 from parking_exp.reports import formats
-from parking_exp.reports.figures.figure_style import cell_style
 from parking_exp.reports.report_data import ReportData
 from parking_exp.reports.sections import SectionContent
 from parking_exp.reports.tables.table import Table

@@ -23,7 +23,7 @@ from parking_exp.reports.tables.table import (
 )
 from parking_exp.statistics import Interval, Proportion
 
-RATES = ("success", "parked", "crash", "timeout")
+RATES = ("success", *(name for name in FURTHER if REPORTED[name].is_rate), "timeout")
 VERDICTS = {"same": "indistinguishable", "unknown": "too few seeds"}
 
 
@@ -37,13 +37,13 @@ def headline(report: ReportData) -> Iterator[Table]:
         [
             cell_column(),
             Column("Seeds", _finished),
-            *(interval_column(REPORTED[name].heading, name, bar=name == "success") for name in RATES),
+            *(interval_column(REPORTED[name].heading, name, bar=name == "success") for name in _rates(report)),
             Column("Seeds ≥ 90 %", _reaching_90),
             *([_median("Steps to hold 90 %", "survival")] if timed else []),
             column(REPORTED["episode_steps"].heading, "episode_steps", partial(formats.number, digits=1)),
             column("Env steps", "total_timesteps", formats.number),
             column("CPU (s)", "cpu_s", formats.number),
-            *(_further_column(name) for name in FURTHER),
+            *(_mean_column(name) for name in FURTHER if not REPORTED[name].is_rate),
         ],
         f"Final evaluation: means over seeds, {PERCENT}; how many seeds ended at 90 % or above, with Wilson's interval "
         f"of their share{median}.",
@@ -95,13 +95,13 @@ def seeds(report: ReportData) -> Iterator[Table]:
             cell_column(),
             column("Seed", "seed"),
             interval_column(REPORTED["success"].heading, "success", bar=True),
-            *(column(REPORTED[name].heading, name, formats.percent) for name in RATES[1:]),
-            column("Scenes", "n_scenes", formats.number),
+            *(column(REPORTED[name].heading, name, formats.percent) for name in _rates(report)[1:]),
+            column("Episodes", "n_episodes", formats.number),
             Column("Steps to 90 %", reached),
             column("CPU (s)", "cpu_s", formats.number),
             column("Run", "run_id", numeric=False),
         ],
-        "Finished runs: final rates over the evaluation scenes, with Wilson's 95 % interval in brackets.",
+        "Finished runs: final rates over the evaluation episodes, with Wilson's 95 % interval in brackets.",
         folded=True,
         noun="finished runs",
     )
@@ -113,7 +113,7 @@ def curves(report: ReportData) -> Iterator[Table]:
     for cell in report.cells:
         if curve := cell.curve:
             success = {"success": curve.mean, "success_low": curve.low, "success_high": curve.high}
-            rows += _series(cell, step=curve.step, n=curve.n, **success, crash=curve.crash)
+            rows += _series(cell, step=curve.step, n=curve.n, **success, failure=curve.failure)
     yield Table("curves", rows)
 
 
@@ -135,11 +135,6 @@ def _series(cell: Cell, **columns: Sequence[Any]) -> list[Row]:
     return [
         {**cell_record(cell), **dict(zip(columns, row, strict=True))} for row in zip(*columns.values(), strict=True)
     ]
-
-
-def slots(report: ReportData) -> Iterator[Table]:
-    """Yield the CSV of outcomes by goal slot."""
-    yield Table("slots", [{**cell_record(cell), **record(slot)} for cell in report.cells for slot in cell.slots])
 
 
 def pairs(report: ReportData) -> Iterator[Table]:
@@ -308,9 +303,12 @@ def _cell_rows(report: ReportData) -> list[Row]:
     ]
 
 
-def _further_column(name: str) -> Column:
-    if REPORTED[name].is_rate:
-        return interval_column(REPORTED[name].heading, name)
+def _rates(report: ReportData) -> list[str]:
+    """Return the names of the rates that some cell has."""
+    return [name for name in RATES if name not in FURTHER or any(name in cell.further for cell in report.cells)]
+
+
+def _mean_column(name: str) -> Column:
     return column(REPORTED[name].heading, name, partial(formats.number, digits=2))
 
 

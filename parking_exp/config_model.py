@@ -1,0 +1,35 @@
+"""The base of all config schemas, and the types of their keys."""
+
+from typing import Annotated
+
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field
+
+NAME = r"^[A-Za-z0-9][A-Za-z0-9._-]*$"
+TRAINING_SEEDS_START = 2**31
+"""Seeds of training episodes start here; those of evaluation episodes are smaller."""
+
+
+def _check_range(bounds: list[float]) -> list[float]:
+    if bounds[0] >= bounds[1]:
+        raise ValueError("the lower bound must be below the upper one")
+    return bounds
+
+
+Name = Annotated[str, Field(pattern=NAME, max_length=80)]
+Positive = Annotated[int, Field(ge=1)]
+Count = Annotated[int, Field(ge=0)]
+NonNegative = Annotated[float, Field(ge=0)]
+PositiveFloat = Annotated[float, Field(gt=0)]
+Duration = Annotated[float, Field(gt=0, le=100_000)]
+Pixels = Annotated[int, Field(ge=1, le=10_000)]
+Share = Annotated[float, Field(gt=0, le=1)]
+Bounds = Annotated[list[float], Field(min_length=2, max_length=2)]
+Range = Annotated[Bounds, AfterValidator(_check_range)]
+EpisodeSeed = Annotated[int, Field(ge=0, lt=TRAINING_SEEDS_START)]
+NumberOfEpisodes = Annotated[int, Field(ge=1, le=10_000_000)]
+
+
+class ConfigModel(BaseModel):
+    """A strict, frozen part of a config: unknown keys and wrong types are errors."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)

@@ -1,5 +1,0 @@
-"""A vectorized simulator of parking-v0, exact to highway-env, with NumPy alone."""
-
-from parking_exp.envs.simulator.simulator import Simulator
-
-__all__ = ["Simulator"]

@@ -1,0 +1,151 @@
+"""The style of figures: the look of each cell, labels that fit, and axes that several figures share."""
+
+import textwrap
+import unicodedata
+from collections.abc import Mapping, Sequence
+from contextlib import AbstractContextManager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Protocol
+
+import matplotlib.style
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.colorbar import Colorbar
+from matplotlib.figure import Figure
+from matplotlib.ticker import EngFormatter
+
+
+class LabelledCell(Protocol):
+    """What figures know of any cell of a report."""
+
+    @property
+    def id(self) -> str:
+        """Its number in the report, `c0`, `c1`, ..."""
+
+    @property
+    def label(self) -> str:
+        """What distinguishes it from the others."""
+
+
+Drawing = tuple[Figure, str]
+"""A figure and its caption."""
+
+WIDTH_IN = 6.8  # of every figure: both columns of a paper
+SMALL_PT = 7.0
+INK, GRID = "#1c1e21", "#d5d8dc"
+
+# Okabe and Ito's palette without black and yellow, and two of Paul Tol's `muted`.
+_COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#882255", "#999933")
+_MARKERS = ("o", "s", "^", "D", "v", "P", "X")  # one less than colours: no pair repeats in 56 cells
+_LINES: tuple[Any, ...] = ("-", (0, (4, 1.5)), (0, (1.2, 1.2)), (0, (5, 1.2, 1.2, 1.2)))
+
+
+def report_style() -> AbstractContextManager[None]:
+    """Return a context that draws with the style of reports and matplotlib's defaults, not the user's settings."""
+    return matplotlib.style.context(["default", Path(__file__).with_name("report.mplstyle")])
+
+
+def new_figure(height: float) -> Figure:
+    """Return an empty figure of the full width; `height` in inches."""
+    return Figure((WIDTH_IN, height))
+
+
+@dataclass(frozen=True)
+class CellStyle:
+    """The look of a cell: a colour, a marker and a line style, so that colour vision is not needed."""
+
+    colour: str
+    marker: str
+    line: Any
+
+    @property
+    def points(self) -> dict[str, Any]:
+        """Arguments of `Axes.plot` for markers without a line."""
+        return {"color": self.colour, "marker": self.marker, "linestyle": "", "markeredgewidth": 0}
+
+
+def cell_style(cell_id: str) -> CellStyle:
+    """Return the style of a cell by its id, `c0`, `c1`, ...: it is the same in all figures."""
+    number = int(cell_id[1:])
+    line = _LINES[number // len(_COLOURS) % len(_LINES)]
+    return CellStyle(_COLOURS[number % len(_COLOURS)], _MARKERS[number % len(_MARKERS)], line)
+
+
+def clean(text: str) -> str:
+    """Return text without control, formatting and unassigned characters; whitespace becomes single spaces."""
+    kept = (" " if c.isspace() else c for c in text if c.isspace() or not unicodedata.category(c).startswith("C"))
+    return " ".join("".join(kept).split())
+
+
+def elided(text: str, length: int) -> str:
+    """Return clean text, shortened in its middle to at most `length` characters: both ends distinguish cells."""
+    text = clean(text)
+    if len(text) <= length:
+        return text
+    return f"{text[: length // 2]}…{text[len(text) - (length - 1) // 2 :]}"
+
+
+def cell_labels(cells: Sequence[LabelledCell], width: int, lines: int = 1) -> list[str]:
+    """Return a label for each cell of at most `lines` lines of `width` characters; ambiguous ones end in the id."""
+    length = width * lines
+    texts = [elided(cell.label, length) for cell in cells]
+    unique = [
+        text if text and texts.count(text) == 1 else f"{elided(cell.label, length - len(cell.id) - 3)} ({cell.id})"
+        for cell, text in zip(cells, texts, strict=True)
+    ]
+    return [textwrap.fill(text, width) if lines > 1 else text for text in unique]
+
+
+def row_axes(texts: Sequence[str]) -> tuple[Figure, Axes]:
+    """Return a figure with a labelled row for each text, the first one at the top."""
+    figure = new_figure(0.6 + len(texts) * (0.24 + 0.08 * max(text.count("\n") for text in texts)))
+    axes = figure.subplots()
+    axes.grid(axis="x")
+    axes.spines["left"].set_visible(False)
+    axes.set_ylim(len(texts) - 0.5, -0.5)
+    axes.set_yticks(range(len(texts)), texts)
+    axes.tick_params("y", length=0)
+    return figure, axes
+
+
+def time_axis(axes: Axes, label: str) -> None:
+    """Let the x axis begin at 0, with engineering prefixes, and draw horizontal grid lines."""
+    axes.set_xlim(left=0)
+    axes.set_xlabel(label)
+    axes.xaxis.set_major_formatter(EngFormatter(sep=""))
+    axes.grid(axis="y")
+
+
+def heat_map(
+    figure: Figure, values: np.ndarray, texts: Mapping[tuple[int, int], str], colours: tuple[str, float, float]
+) -> tuple[Axes, Colorbar]:
+    """Draw values, shape (rows, columns), as coloured squares with texts, and a colour bar; NaN stays white.
+
+    `colours` are the name of a colour map, and the values at its ends.
+    """
+    axes = figure.subplots()
+    rows, columns = values.shape
+    name, low, high = colours
+    edges = np.arange(columns + 1) - 0.5, np.arange(rows + 1) - 0.5
+    mesh = axes.pcolormesh(*edges, values, cmap=name, vmin=low, vmax=high, edgecolors="white", linewidth=0.6)
+    axes.invert_yaxis()
+    axes.spines[:].set_visible(False)
+    axes.tick_params(length=0)
+    size = SMALL_PT if columns < 8 else 5.0
+    for (row, column), text in texts.items():
+        colour = text_colour(mesh.to_rgba(values[row, column]))
+        axes.text(column, row, text, color=colour, ha="center", va="center", linespacing=1.1, fontsize=size)
+    bar = figure.colorbar(mesh, ax=axes, pad=0.02, aspect=30)
+    bar.outline.set_visible(False)
+    return axes, bar
+
+
+def text_colour(background: Any) -> str:
+    """Return black or white, whichever is readable on an RGB(A) colour (luma of ITU-R BT.601)."""
+    return "black" if np.dot(background[:3], (0.299, 0.587, 0.114)) > 0.5 else "white"
+
+
+def percentages(values: Sequence[float | None]) -> np.ndarray:
+    """Return shares as percentages, NaN where they are unknown. Shape (n,)."""
+    return 100 * np.array([np.nan if value is None else value for value in values], dtype=float)

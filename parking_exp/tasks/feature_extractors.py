@@ -1,0 +1,28 @@
+"""Base classes of the features that tasks compute from goal observations."""
+
+import torch
+from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
+
+
+class TaskFeatures(BaseFeaturesExtractor):
+    """Features without parameters; those of a transition depend on its observation alone.
+
+    They are computed inside the policy, so goals that HER relabels pass through them like any other.
+    """
+
+
+class SymmetricFeatures(TaskFeatures):
+    """Features of a task with a mirror symmetry: networks see one of two mirror images.
+
+    The policies of `algorithms.mirrored_policies` mirror actions accordingly.
+    """
+
+    mirrors_actions = True  # False: actions are the same in both images
+
+    def sign(self, observations: dict[str, torch.Tensor]) -> torch.Tensor:
+        """Return -1 where the observation is mirrored, else 1; shape (batch, 1)."""
+        raise NotImplementedError
+
+    def mirror(self, actions: torch.Tensor, observations: dict[str, torch.Tensor]) -> torch.Tensor:
+        """Return actions, shape (batch, actions), mirrored where the observation is."""
+        raise NotImplementedError

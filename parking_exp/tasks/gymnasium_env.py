@@ -1,0 +1,91 @@
+"""Goal environments of Gymnasium: made from a config, with the entries of `info` and the reward that HER needs."""
+
+import importlib
+import importlib.util
+from functools import cached_property
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+
+from parking_exp.errors import ConfigError, suggestion
+from parking_exp.tasks.gymnasium_config import GymnasiumConfig
+
+GOAL_KEYS = ("observation", "achieved_goal", "desired_goal")
+ROBOTICS = ("Fetch", "Hand", "PointMaze", "AntMaze", "FrankaKitchen", "Adroit")  # how ids of gymnasium-robotics begin
+SUCCESS_KEYS = ("is_success", "success")
+
+
+class GoalInfo(gym.Wrapper):
+    """Give `info` the entries `is_success` and `is_failure`, and HER the reward to relabel with."""
+
+    def __init__(self, env: gym.Env, config: GymnasiumConfig) -> None:
+        super().__init__(env)
+        self.config = config
+        self.goal_reward = GymnasiumReward(config)
+
+    def step(self, action: np.ndarray) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+        """Step the env."""
+        observation, reward, terminated, truncated, info = self.env.step(action)
+        key = self.config.success_key or next((key for key in SUCCESS_KEYS if key in info), None)
+        is_success = bool(key and info.get(key))
+        is_failure = bool(self.config.failure_key and info.get(self.config.failure_key))
+        info = {**info, "is_success": is_success, "is_failure": is_failure}
+        return observation, float(reward), bool(terminated), bool(truncated), info
+
+
+class GymnasiumReward:
+    """The `compute_reward` of an environment, for many goals at once; a goal is reached where none is rewarded more."""
+
+    failure, failure_key = 0.0, "is_failure"
+    velocity: tuple[int, ...] = ()
+
+    def __init__(self, config: GymnasiumConfig) -> None:
+        self.config = config
+
+    @cached_property
+    def env(self) -> Any:
+        """An environment to ask, made when it is first needed: copies of this object go to other processes."""
+        return make_env(self.config).unwrapped
+
+    @cached_property
+    def terminates(self) -> bool:
+        """Whether an episode ends where its goal is reached, as `compute_terminated` of the environment says."""
+        goal = self.env.observation_space["desired_goal"].sample()
+        return bool(getattr(self.env, "compute_terminated", lambda *_: False)(goal, goal, {}))
+
+    def __call__(self, achieved: np.ndarray, desired: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return reward and whether the goal is reached, both of shape (n,)."""
+        infos: list[dict[str, Any]] = [{} for _ in desired]
+        reward, best = (np.asarray(self.env.compute_reward(goal, desired, infos)) for goal in (achieved, desired))
+        return reward, reward >= best
+
+
+def make_env(config: GymnasiumConfig, render_mode: str | None = None) -> gym.Env:
+    """Make one environment.
+
+    Raises:
+        ConfigError: it is not registered, cannot be imported or refuses its arguments.
+    """
+    if ":" not in config.id and config.id not in gym.registry:
+        for package in ("gymnasium_robotics", "highway_env"):
+            if config.id not in gym.registry and importlib.util.find_spec(package):
+                gym.register_envs(importlib.import_module(package))
+    options = {**config.kwargs, **({"render_mode": render_mode} if render_mode else {})}
+    try:
+        env = gym.make(config.id, max_episode_steps=config.max_episode_steps, disable_env_checker=True, **options)
+    except (gym.error.UnregisteredEnv, ModuleNotFoundError) as error:
+        raise ConfigError(_not_found(config.id, error)) from error
+    except gym.error.DependencyNotInstalled as error:
+        raise ConfigError(f"env.id={config.id}: {error}") from error
+    except (TypeError, ValueError, AssertionError, gym.error.Error) as error:
+        raise ConfigError(f"env.id={config.id}, env.kwargs={config.kwargs}: {type(error).__name__}: {error}") from error
+    return GoalInfo(env, config)
+
+
+def _not_found(env_id: str, error: Exception) -> str:
+    if isinstance(error, ModuleNotFoundError):
+        return f"env.id={env_id}: {error}"
+    if env_id.startswith(ROBOTICS) and not importlib.util.find_spec("gymnasium_robotics"):
+        return f"env.id={env_id} needs gymnasium-robotics, which is not installed; pip install 'parking-exp[robotics]'"
+    return f"env.id={env_id} is not registered with Gymnasium{suggestion(env_id, gym.registry)}"

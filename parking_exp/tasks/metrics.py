@@ -1,0 +1,102 @@
+"""Metrics of evaluation episodes: each is declared once, by its task.
+
+Evaluation, `episodes.csv`, the store, the frames of `parking_exp.results` and the tables of reports read them. To add a
+metric, add an entry to a task's metrics: every evaluation then computes it, and runs that were evaluated before lack it
+(NaN).
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Literal
+
+EPISODE_SEED = "scene"
+"""Column of the seed from which an evaluation episode started, in `episodes.csv` and in frames."""
+
+
+@dataclass(frozen=True)
+class Episode:
+    """An evaluation episode that has ended."""
+
+    outcome: str
+    steps: int  # policy steps
+    total_reward: float  # undiscounted
+    end: Any  # what the task knows of its end
+
+
+@dataclass(frozen=True)
+class Metric:
+    """A metric of evaluation episodes, of which an evaluation has the rate (of a bool) or the mean (of a number)."""
+
+    name: str  # of its column in `episodes.csv`; outcomes share the column `outcome`
+    of: Callable[[Episode], bool | int | float]  # its value, computed from an episode that has ended
+    label: str  # heading in tables
+    unit: str = ""  # shown behind the label
+    dtype: Literal["bool", "int64", "float64"] = "float64"  # of the column in frames
+    higher_is_better: bool | None = None  # None where neither is
+    column: str | None = None  # in `Results.runs`; None: `NAME_rate` or the name
+    in_curves: bool = False  # whether `Results.curves` has it
+    in_reports: bool = False  # whether reports have its mean over seeds
+    is_outcome: bool = False  # whether it is the share of episodes that ended like this
+    colour: str | None = None  # of its curve in `curves.png`; None: it has none
+    note: str = ""  # its definition, beside its rate on the terminal
+
+    @property
+    def is_rate(self) -> bool:
+        """Whether an evaluation has the share of episodes in which it is true."""
+        return self.dtype == "bool"
+
+    @property
+    def key(self) -> str:
+        """Name in the summary of an evaluation, e.g. `success_rate`; the store has it as `certified/success_rate`."""
+        return f"{self.name}_{'rate' if self.is_rate else 'mean'}"
+
+    @property
+    def run_column(self) -> str:
+        """Name of its rate or mean over the final episodes in `Results.runs`."""
+        return self.column or (self.key if self.is_rate else self.name)
+
+    @property
+    def heading(self) -> str:
+        """Label and unit."""
+        unit = "%" if self.is_rate else self.unit
+        return f"{self.label} ({unit})" if unit else self.label
+
+    def values(self, episodes: Any) -> Any:
+        """Return its value in each row of a frame of episodes."""
+        return episodes["outcome"] == self.name if self.is_outcome else episodes[self.name]
+
+
+def rate(name: str, of: Callable[[Episode], bool], *, higher_is_better: bool, colour: str, **further: Any) -> Metric:
+    """Return a metric of which the store, curves and reports have the rate."""
+    described = {"in_curves": True, "in_reports": True, "colour": colour, **further}
+    return Metric(name, of, name.capitalize(), "", "bool", higher_is_better, **described)
+
+
+def outcome_rate(name: str, colour: str) -> Metric:
+    """Return the rate of an outcome."""
+    is_success = name == "success"
+    return rate(name, lambda e: e.outcome == name, higher_is_better=is_success, colour=colour, is_outcome=True)
+
+
+# Okabe and Ito's palette, distinguishable with any colour vision. In `Results.runs`, `steps` are the env steps trained.
+SUCCESS, TIMEOUT = outcome_rate("success", "#009E73"), outcome_rate("timeout", "#56B4E9")
+FAILURE_COLOUR = "#D55E00"
+STEPS = Metric(
+    "steps", lambda e: e.steps, "Steps an episode", "", "int64", higher_is_better=False, column="episode_steps",
+    in_curves=True, in_reports=True
+)  # fmt: skip
+RETURN = Metric(
+    "return", lambda e: e.total_reward, "Return", higher_is_better=True, column="episode_return", in_curves=True
+)
+GYMNASIUM_METRICS: tuple[Metric, ...] = (SUCCESS, outcome_rate("failure", FAILURE_COLOUR), TIMEOUT, STEPS, RETURN)
+"""Metrics of any goal environment."""
+
+
+def outcome(failure: str, failed: bool, is_success: bool) -> str:
+    """Return how an episode ended; one that failed did so even where the goal was reached. `failure` is its name."""
+    return failure if failed else "success" if is_success else "timeout"
+
+
+def episode_columns(metrics: tuple[Metric, ...]) -> list[str]:
+    """Return the columns of an episodes table; `episodes.csv` has phase and step before them."""
+    return [EPISODE_SEED, "outcome", *(metric.name for metric in metrics if not metric.is_outcome)]

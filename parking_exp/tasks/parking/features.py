@@ -1,0 +1,143 @@
+"""Features that the policy computes from the goal observation."""
+
+from collections.abc import Sequence
+
+import torch
+from gymnasium import spaces
+
+from parking_exp.tasks.feature_extractors import SymmetricFeatures, TaskFeatures
+from parking_exp.tasks.parking.geometry import LOT_LENGTH_M, LOT_WIDTH_M
+
+GOAL_SCALE_M, NEAR_M = 10.0, 2.0
+
+
+class EgoFrameExtractor(TaskFeatures):
+    """Goal, speed and pose as the car sees them, from parking-v0's Dict observation.
+
+    In the raw observation a slot's tolerance is about 1 % of the input's range; in the car's own frame, and in
+    units of 10 m, the policy can see it. The features are computed inside the policy, from `observation` and
+    `desired_goal`, so goals that HER relabels pass through them like any other.
+
+    Output, shape (batch, 10): goal ahead and to the side (10 m), cos and sin of the goal's heading relative to the
+    car's, signed speed (observation units), distance to the goal (10 m), x and y in the lot (half its length and
+    width), cos and sin of the heading.
+
+    Args:
+        observation_space: parking-v0's, with the features x, y, vx, vy, cos_h, sin_h.
+        scales: metres (or m/s) that stand for 1 in each of them: `env.observation.scales`.
+    """
+
+    def __init__(self, observation_space: spaces.Dict, scales: Sequence[float]) -> None:
+        super().__init__(observation_space, features_dim=10)
+        self.x_scale, self.y_scale = float(scales[0]), float(scales[1])
+
+    def forward(self, observations: dict[str, torch.Tensor]) -> torch.Tensor:
+        """Return features of shape (batch, 10) for observations of shape (batch, 6) each."""
+        x, y, vx, vy, cos_h, sin_h = observations["observation"].unbind(-1)
+        goal_x, goal_y, _, _, goal_cos, goal_sin = observations["desired_goal"].unbind(-1)
+        dx, dy = (goal_x - x) * self.x_scale, (goal_y - y) * self.y_scale
+        return torch.stack(
+            (
+                (cos_h * dx + sin_h * dy) / GOAL_SCALE_M,
+                (cos_h * dy - sin_h * dx) / GOAL_SCALE_M,
+                goal_cos * cos_h + goal_sin * sin_h,
+                goal_sin * cos_h - goal_cos * sin_h,
+                vx * cos_h + vy * sin_h,
+                torch.sqrt(dx * dx + dy * dy) / GOAL_SCALE_M,
+                x * (2 * self.x_scale / LOT_LENGTH_M),
+                y * (2 * self.y_scale / LOT_WIDTH_M),
+                cos_h,
+                sin_h,
+            ),
+            dim=-1,
+        )
+
+
+class FineEgoFrameExtractor(EgoFrameExtractor):
+    """Ego-frame features, the car in the goal's frame, both also at the scale of a slot, in a lot turned to the goal.
+
+    Turned by 180 degrees the lot is the same: pose and heading are turned where the goal's y is negative. That halves
+    what is to be learned, and changes no action. The last metre to the goal is a tenth of a feature in units of 10 m,
+    and the reward has a cusp there: positions and reward come at that scale, too. To enter a slot the car must be in
+    line with it: from the ego frame alone networks would have to learn products of features to see that.
+
+    Output, shape (batch, 19), or (batch, 20) if `reward_weights` weigh velocity: the features of `EgoFrameExtractor`;
+    the car's position along and across the goal's heading, seen from the goal (10 m), and its velocity in these
+    directions (observation units); the goal ahead and to the side, and the car along and across, as tanh of their
+    distance / 2 m; the root of the weighted distance, which is minus the dense reward; the goal's signed speed
+    (observation units).
+    """
+
+    def __init__(
+        self, observation_space: spaces.Dict, scales: Sequence[float], reward_weights: Sequence[float]
+    ) -> None:
+        super().__init__(observation_space, scales)
+        self.reward_weights = [float(weight) for weight in reward_weights]
+        # Virtual goals may move, real ones never do: networks see the difference only if the reward depends on it.
+        self.moving_goals = any(self.reward_weights[2:4])
+        self._features_dim = 20 if self.moving_goals else 19
+
+    def forward(self, observations: dict[str, torch.Tensor]) -> torch.Tensor:
+        """Return features of shape (batch, 19 or 20) for observations of shape (batch, 6) each."""
+        features = super().forward(observations)
+        observation, goal = observations["observation"], observations["desired_goal"]
+        side = torch.where(goal[:, 1:2] < 0, -1.0, 1.0).to(features)
+        ahead, left, cos, sin, speed = features[:, :5].split(1, dim=-1)
+        from_goal = torch.cat((-cos * ahead - sin * left, sin * ahead - cos * left), dim=-1)
+        distance = torch.sqrt((observation - goal).abs() @ features.new_tensor(self.reward_weights)[:, None])
+        parts = [
+            features[:, :6],
+            features[:, 6:] * side,
+            from_goal,
+            speed * cos,
+            -speed * sin,
+            torch.tanh(torch.cat((features[:, :2], from_goal), dim=-1) * (GOAL_SCALE_M / NEAR_M)),
+            distance,
+        ]
+        if self.moving_goals:
+            parts.append((goal[:, 2:4] * goal[:, 4:6]).sum(-1, keepdim=True))
+        return torch.cat(parts, dim=-1)
+
+
+class MirroredEgoFrameExtractor(FineEgoFrameExtractor, SymmetricFeatures):
+    """Fine ego-frame features, mirrored so that the goal is never to the right of the car.
+
+    A mirrored lot is the same but for the sign of the steering. Networks then learn one of two mirror images; the
+    policies in `mirrored_policies` turn the steering around with them.
+
+    Output: that of `FineEgoFrameExtractor`; if the goal is to the right, all lateral features have the other sign.
+    `steering` is whether the last action is steering, `env.action.lateral`.
+    """
+
+    ACROSS = (1, 3, 6, 8, 11, 13, 15, 17)  # features that a mirror turns around
+
+    def __init__(
+        self,
+        observation_space: spaces.Dict,
+        scales: Sequence[float],
+        reward_weights: Sequence[float],
+        steering: bool = True,
+    ) -> None:
+        super().__init__(observation_space, scales, reward_weights)
+        self.steering = self.mirrors_actions = steering
+
+    def forward(self, observations: dict[str, torch.Tensor]) -> torch.Tensor:
+        """Return features of shape (batch, 19 or 20) for observations of shape (batch, 6) each."""
+        features = super().forward(observations)
+        signs = features.new_ones(self._features_dim)
+        signs[list(self.ACROSS)] = -1.0
+        return torch.where(self.sign(observations) < 0, features * signs, features)
+
+    def sign(self, observations: dict[str, torch.Tensor]) -> torch.Tensor:
+        """Return -1 where the scene is mirrored, else 1; shape (batch, 1)."""
+        # In single precision as in the networks, whatever the buffer holds: one sign for features and actions.
+        observation, goal = observations["observation"].float(), observations["desired_goal"].float()
+        x, y = ((goal[:, :2] - observation[:, :2]) * goal.new_tensor([self.x_scale, self.y_scale])).split(1, dim=1)
+        left = y * observation[:, 4:5] - x * observation[:, 5:6]
+        return torch.where(left < 0, -1.0, 1.0)
+
+    def mirror(self, actions: torch.Tensor, observations: dict[str, torch.Tensor]) -> torch.Tensor:
+        """Return actions, shape (batch, actions), with the steering turned around where the scene is mirrored."""
+        if not self.steering:
+            return actions
+        return torch.cat((actions[:, :-1], actions[:, -1:] * self.sign(observations)), dim=1)

@@ -1,0 +1,85 @@
+"""parking-v0 simulated by highway-env itself."""
+
+from collections.abc import Sequence
+from itertools import compress
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+
+from parking_exp.tasks.parking.outcomes import Pose, relative_pose
+from parking_exp.tasks.parking.parking_config import ENV_ID, ParkingConfig
+from parking_exp.tasks.parking.reward import GoalReward
+from parking_exp.tasks.task import Observation, Step
+
+
+class SparseReward(gym.Wrapper, gym.utils.RecordConstructorArgs):
+    """Replace the goal reward by 0 on highway-env's success and -1 otherwise (Andrychowicz et al. 2017, section 4).
+
+    `collision_reward` is still added to the step of a crash.
+    """
+
+    def __init__(self, env: gym.Env) -> None:
+        gym.utils.RecordConstructorArgs.__init__(self)  # so that gymnasium can make the env again from its spec
+        gym.Wrapper.__init__(self, env)
+
+    def step(self, action: np.ndarray) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+        """Step the env."""
+        observation, _, terminated, truncated, info = self.env.step(action)
+        reward = float(info["is_success"]) - 1.0 + self.unwrapped.config["collision_reward"] * info["crashed"]
+        return observation, reward, terminated, truncated, info
+
+    def compute_reward(self, achieved_goal: np.ndarray, desired_goal: np.ndarray, info: object) -> np.ndarray:
+        """Return 0 where the goal is reached and -1 elsewhere; goals of shape (6,) or (batch, 6)."""
+        return self.unwrapped.goal_reward(achieved_goal, desired_goal)[0]
+
+
+def make_env(config: ParkingConfig, *, render_mode: str | None = None) -> gym.Env:
+    """Make one parking env; `render_mode` is None or `rgb_array`."""
+    import highway_env  # imports pyplot and pygame, which the simulator does without
+
+    gym.register_envs(highway_env)
+    # Gymnasium's checker tests every space at every step and costs time; our tests run it instead.
+    env = gym.make(ENV_ID, config=config.highway_options(), render_mode=render_mode, disable_env_checker=True)
+    env.unwrapped.goal_reward = GoalReward.of(config)
+    return SparseReward(env) if config.reward == "sparse" else env
+
+
+class HighwayBatch:
+    """n scenes of highway-env itself, an env for each, stepped together; never reset by itself."""
+
+    def __init__(self, config: ParkingConfig, scenes: Sequence[int]) -> None:
+        self.envs = [make_env(config) for _ in scenes]
+        self._observations = [env.reset(seed=int(scene))[0] for env, scene in zip(self.envs, scenes, strict=True)]
+
+    def __len__(self) -> int:
+        return len(self.envs)
+
+    def observe(self) -> Observation:
+        """Return the observation of all scenes."""
+        return {
+            key: np.stack([observation[key] for observation in self._observations]) for key in self._observations[0]
+        }
+
+    def step(self, actions: np.ndarray) -> Step:
+        """Step all scenes; actions have the shape (n, actions)."""
+        results = [env.step(action) for env, action in zip(self.envs, actions, strict=True)]
+        self._observations = [result[0] for result in results]
+        crashed, is_success = ([result[4][key] for result in results] for key in ("crashed", "is_success"))
+        columns = [[result[index] for result in results] for index in (1, 2, 3)]
+        return Step(self.observe(), *(np.array(column) for column in (*columns, crashed, is_success)))
+
+    def keep(self, rows: np.ndarray) -> None:
+        """Keep only some of the scenes, by mask."""
+        self.envs = list(compress(self.envs, rows))
+        self._observations = list(compress(self._observations, rows))
+
+    def ending(self, row: int) -> Pose:
+        """Return the pose of a car relative to its goal."""
+        car = self.envs[row].unwrapped.vehicle
+        return relative_pose(car.position, car.heading, car.speed, car.goal.position, car.goal.heading)
+
+    def positions(self) -> np.ndarray:
+        """Return x [m], y [m], heading [rad] and signed speed [m/s] of all cars, shape (n, 4)."""
+        cars = [env.unwrapped.vehicle for env in self.envs]
+        return np.array([[*car.position, car.heading, car.speed] for car in cars])

@@ -1,0 +1,51 @@
+"""Frames of parking episodes, drawn by highway-env. Rendering is headless: pygame draws on surfaces in memory."""
+
+import os
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import closing
+from typing import Any
+
+import numpy as np
+
+from parking_exp.tasks.captions import LAST_FRAME_S, captioned
+from parking_exp.tasks.metrics import outcome
+from parking_exp.tasks.parking.highway import make_env
+from parking_exp.tasks.parking.parking_config import ParkingConfig
+from parking_exp.tasks.task import Policy
+
+LONGEST_EPISODE_S = 20.0  # a timeout lasts 100 s, and shows mostly a car that does not move
+
+
+def frames(policy: Policy, config: ParkingConfig, scenes: Sequence[int]) -> Iterator[np.ndarray]:
+    """Yield one frame for the start of each episode, one for each simulation frame, and one second of its end.
+
+    Episodes are cut after `LONGEST_EPISODE_S` seconds.
+    """
+    # SDL draws without a display; with its `dummy` driver highway-env would draw nothing at all.
+    os.environ["SDL_VIDEODRIVER"] = "offscreen"
+    with closing(make_env(config, render_mode="rgb_array")) as env:
+        lot: Any = env.unwrapped
+        draw: Callable[[], np.ndarray] = lot.render
+        drawn: list[np.ndarray] = []
+        lot.render = lambda: drawn.append(draw())  # highway-env calls it between two policy steps, too
+        env.reset()
+        lot.render()  # makes the viewer, whose camera would follow the car: keep the whole lot in sight instead
+        lot.viewer.window_position = lambda: np.zeros(2)
+        for scene in scenes:
+            observation, info = env.reset(seed=scene)
+            steps, done = 0, False
+            drawn[:] = [draw()]
+            while True:
+                yield from (captioned(frame, f"scene {scene}") for frame in drawn)
+                if done or steps >= LONGEST_EPISODE_S * config.policy_frequency:
+                    break
+                action = policy({key: value[np.newaxis] for key, value in observation.items()})[0]
+                drawn.clear()
+                observation, _, terminated, truncated, info = env.step(action)
+                steps, done = steps + 1, terminated or truncated
+                lot.render()
+            ending = f"cut after {LONGEST_EPISODE_S:.0f} s"
+            if done:
+                ending = outcome("crash", info["crashed"], info["is_success"])
+            last = captioned(drawn[-1], f"scene {scene}: {ending}")
+            yield from [last] * round(LAST_FRAME_S * config.simulation_frequency)

@@ -1,0 +1,83 @@
+"""Parking as a task: highway-env's parking-v0, and a vectorized simulator that gives the same episodes."""
+
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv
+
+from parking_exp.tasks.parking.highway import HighwayBatch, make_env
+from parking_exp.tasks.parking.highway_video import frames
+from parking_exp.tasks.parking.parking_config import ENV_ID, ParkingConfig
+from parking_exp.tasks.parking.parking_metrics import METRICS, RECORDED
+from parking_exp.tasks.parking.scenes import Scenes
+from parking_exp.tasks.parking.simulator import Simulator
+from parking_exp.tasks.parking.vec_env import ParkingVecEnv
+from parking_exp.tasks.task import EvaluationBatch, Policy
+from parking_exp.tasks.training_envs import ReplayActions
+
+
+class ParkingTask:
+    """The parking task of an `env` group."""
+
+    metrics = METRICS
+    failure = "crash"
+    ranking: tuple[str, ...] = ("success", "crash", "steps")
+    recorded = RECORDED
+    env_id = ENV_ID
+    monitored: tuple[str, ...] = ("is_success", "crashed")
+    batch_size = 250  # more are no faster, and a signal is noticed between two steps
+
+    def __init__(self, config: ParkingConfig) -> None:
+        self.config = config
+        self.frame_rate = config.simulation_frequency
+
+    def training_envs(self, n_envs: int) -> VecEnv:
+        """Make training envs."""
+        config = self.config.for_training()
+        if config.simulator == "vectorized":
+            return ParkingVecEnv(config, n_envs)
+        return DummyVecEnv([lambda: ReplayActions(make_env(config))] * n_envs)
+
+    def evaluation_batch(self, seeds: Sequence[int], simulator: str) -> EvaluationBatch:
+        """Start the scenes of some seeds: those of `env.reset(seed=s)` of highway-env."""
+        if simulator == "highway_env":
+            return HighwayBatch(self.config, seeds)
+        return Simulator(self.config, Scenes.from_seeds(seeds, self.config.vehicles_count))
+
+    def prediction_env(self) -> gym.Env:
+        """Make one env of highway-env."""
+        return make_env(self.config)
+
+    @property
+    def episode_steps(self) -> int:
+        """The longest training episode, in steps."""
+        return self.config.for_training().episode_steps()
+
+    def problems(self) -> Iterator[str]:
+        """Yield nothing: the config says everything."""
+        yield from ()
+
+    notes = problems
+
+    def features(self, name: str) -> tuple[type, dict[str, Any]] | None:
+        """Return the class of a named features extractor and its arguments; None for `raw`."""
+        from parking_exp.tasks.parking.features import (
+            EgoFrameExtractor,
+            FineEgoFrameExtractor,
+            MirroredEgoFrameExtractor,
+        )
+
+        scales = {"scales": list(self.config.observation.scales)}
+        fine = {**scales, "reward_weights": list(self.config.reward_weights)}
+        extractors: dict[str, tuple[type, dict[str, Any]]] = {
+            "ego": (EgoFrameExtractor, scales),
+            "ego_fine": (FineEgoFrameExtractor, fine),
+            "ego_mirrored": (MirroredEgoFrameExtractor, {**fine, "steering": self.config.action.lateral}),
+        }
+        return extractors.get(name)
+
+    def frames(self, policy: Policy, seeds: Sequence[int]) -> Iterator[np.ndarray]:
+        """Yield the frames of a video of some scenes: a second of it is a second of driving."""
+        return frames(policy, self.config, seeds)

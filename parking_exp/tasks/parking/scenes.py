@@ -1,0 +1,71 @@
+"""Scenes: the initial states of parking-v0: the car's heading at the origin, its goal slot, slots of parked cars."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from parking_exp.tasks.parking.geometry import N_SLOTS, SLOT_HEADINGS, SLOT_POSITIONS, SLOTS_A_ROW
+
+# Of each row, the first of the slots nearest to the origin; its distance, as highway-env adds it up; its heading.
+_START_SLOTS = tuple(
+    int(row + np.argmin(np.abs(SLOT_POSITIONS[row : row + SLOTS_A_ROW, 0]))) for row in (0, SLOTS_A_ROW)
+)
+_START_HEADINGS = SLOT_HEADINGS[list(_START_SLOTS), None]
+_START_DISTANCE_M = abs(float(SLOT_POSITIONS[_START_SLOTS[0], 0])) + 10.0
+
+
+@dataclass(frozen=True)
+class Scenes:
+    """A batch of n scenes; slots are indices of `geometry.SLOT_POSITIONS`."""
+
+    heading: np.ndarray  # the car's heading at the start, shape (n,) [rad], in [0, 2 pi)
+    goal: np.ndarray  # goal slots, shape (n,)
+    parked: np.ndarray  # slots of the parked cars, in highway-env's order, shape (n, vehicles_count)
+
+    def __len__(self) -> int:
+        return len(self.heading)
+
+    @staticmethod
+    def from_seeds(seeds: Sequence[int], vehicles_count: int = 0) -> "Scenes":
+        """Make highway-env's own scenes, those of `env.reset(seed=s)`, bit for bit; at most 26 cars are parked."""
+        heading = np.empty(len(seeds))
+        slots = np.empty((len(seeds), 1 + vehicles_count), np.int64)
+        for row, seed in enumerate(seeds):
+            # What gymnasium's `np_random(seed)` makes; Generator.choice draws as `integers` does.
+            rng = np.random.Generator(np.random.PCG64(np.random.SeedSequence(int(seed))))
+            heading[row] = 2.0 * np.pi * rng.uniform()
+            slots[row] = [rng.integers(N_SLOTS - 1 - taken) for taken in range(1 + vehicles_count)]
+        return Scenes._placed(heading, slots)
+
+    @staticmethod
+    def random(rng: np.random.Generator, number: int, vehicles_count: int = 0) -> "Scenes":
+        """Draw scenes from the same distribution, many at once."""
+        heading = 2.0 * np.pi * rng.uniform(size=number)
+        slots = rng.integers(N_SLOTS - 1 - np.arange(1 + vehicles_count), size=(number, 1 + vehicles_count))
+        return Scenes._placed(heading, slots)
+
+    @staticmethod
+    def _placed(heading: np.ndarray, draws: np.ndarray) -> "Scenes":
+        """Turn draws from the slots that are left, shape (n, 1 + vehicles_count), into slots."""
+        taken = np.empty((len(draws), 1 + draws.shape[1]), np.int64)
+        taken[:, 0] = start_slot(heading)
+        for column in range(draws.shape[1]):
+            slot = draws[:, column].copy()
+            for occupied in np.sort(taken[:, : column + 1], axis=1).T:
+                slot += slot >= occupied
+            taken[:, column + 1] = slot
+        return Scenes(heading, taken[:, 1], taken[:, 2:])
+
+
+def start_slot(heading: np.ndarray) -> np.ndarray:
+    """Return the slot in which the car starts according to highway-env, which is never a goal; shape (n,).
+
+    It minimises distance plus difference of heading. Of the two slots at each heading, highway-env takes the first.
+    """
+    turn = heading - _START_HEADINGS
+    turn += np.pi
+    turn %= 2 * np.pi
+    turn -= np.pi
+    above, below = _START_DISTANCE_M + np.abs(turn)
+    return np.where(above <= below, *_START_SLOTS)

@@ -1,0 +1,5 @@
+"""A vectorized simulator of parking-v0, exact to highway-env, with NumPy alone."""
+
+from parking_exp.tasks.parking.simulator.simulator import Simulator
+
+__all__ = ["Simulator"]

@@ -1,0 +1,212 @@
+"""Collision detection and response for one frame, in highway-env's order.
+
+In each scene highway-env tests the car against the parked cars, then the walls, then the parked cars against each other
+and the walls. The last push of a frame counts. A pair of rectangles is tested twice (`RoadObject._is_colliding`,
+`utils.are_polygons_intersecting`): the circles around both, then the separating axis theorem, now and one frame ahead.
+
+A car that was pushed out of another is exactly at contact in the next frame, where the last bit decides. Therefore the
+arithmetic is highway-env's to the last bit: `vecdot` and `matmul` make the same BLAS calls as its dot products.
+"""
+
+import numpy as np
+
+from parking_exp.tasks.parking.geometry import (
+    CAR_DIAGONAL_M,
+    CAR_LENGTH_M,
+    CAR_WIDTH_M,
+    WALL_DIAGONALS,
+    WALL_HEADINGS,
+    WALL_LENGTHS,
+    WALL_POSITIONS,
+    WALL_THICKNESS_M,
+)
+from parking_exp.tasks.parking.simulator.scene_state import SceneState
+
+ALONG, ACROSS = np.array([-0.5, -0.5, 0.5, 0.5]), np.array([-0.5, 0.5, 0.5, -0.5])
+NEXT_CORNER = np.array([1, 2, 3, 0])
+WALL_SIDES = np.array([1, 3, 0, 2])  # of the directions left, below, right, above
+WALL_DISTANCES = np.linalg.norm(WALL_POSITIONS, axis=1) - WALL_THICKNESS_M / 2
+
+Lengths = np.ndarray | float
+
+
+def corners(position: np.ndarray, direction: np.ndarray, length: Lengths, width: Lengths) -> np.ndarray:
+    """Return the corners of rectangles, in order around them, shape (..., 4, 2) [m].
+
+    Args:
+        position: centres, shape (..., 2).
+        direction: cosine and sine of the headings, shape (..., 2).
+        length: along the heading, one for all or shape (...) [m].
+        width: across it, likewise.
+    """
+    points = np.empty((*np.shape(length), 4, 2))
+    np.multiply.outer(length, ALONG, out=points[..., 0])
+    np.multiply.outer(width, ACROSS, out=points[..., 1])
+    rotation = np.empty((*direction.shape, 2))
+    rotation[..., 0] = direction
+    rotation[..., 1, 1] = direction[..., 0]
+    np.negative(direction[..., 1], out=rotation[..., 0, 1])
+    rotated = (rotation @ points.swapaxes(-1, -2)).swapaxes(-1, -2)
+    corner_points: np.ndarray = np.add(rotated, position[..., None, :], order="C")
+    return corner_points
+
+
+def out_of_reach(offset: np.ndarray, diagonal: Lengths, other: Lengths, travel: Lengths) -> np.ndarray:
+    """Return where the circles around two rectangles are apart, which highway-env tests first.
+
+    Args:
+        offset: from the first centre to the second, shape (..., 2).
+        diagonal, other: of the two rectangles, of a shape broadcastable to (...) [m].
+        travel: signed speed times dt of the first, likewise; as in highway-env, the circles shrink in reverse.
+    """
+    apart: np.ndarray = np.sqrt(np.vecdot(offset, offset)) > (diagonal + other) / 2 + travel
+    return apart
+
+
+def separating_axis(polygons: np.ndarray, displacement: np.ndarray) -> tuple[np.ndarray, ...]:
+    """Test pairs of convex quadrilaterals, a and b, by the separating axis theorem.
+
+    Args:
+        polygons: corners of a and b, shape (n, 2, 4, 2).
+        displacement: of a relative to b within the next frame, shape (n, 2).
+
+    Returns:
+        intersecting: whether they overlap now, shape (n,).
+        will_intersect: whether they will overlap when displaced, shape (n,).
+        translation: what would push a out of b then, shape (n, 2); meaningless where they will not overlap.
+    """
+    n = len(polygons)
+    edges = polygons.take(NEXT_CORNER, axis=2) - polygons
+    normals = np.empty((n, 8, 2))
+    np.negative(edges[..., 1].reshape(n, 8), out=normals[..., 0])
+    normals[..., 1] = edges[..., 0].reshape(n, 8)
+    normals /= np.sqrt(np.vecdot(normals, normals))[..., None]
+    shadows = np.vecdot(polygons.transpose(2, 1, 0, 3)[:, :, :, None], normals)  # (4, 2, n, 8)
+    low_a, low_b = np.minimum.reduce(shadows)
+    high_a, high_b = np.maximum.reduce(shadows)
+    apart = (low_b > high_a) | (low_a > high_b)
+
+    motion = np.vecdot(normals, np.ascontiguousarray(displacement)[:, None])
+    low_a += np.minimum(motion, 0)
+    high_a += np.maximum(motion, 0)
+    # Signed distance of the shadows; where they overlap it is negative, and not always the whole overlap.
+    gap = np.where(low_a < low_b, low_b - high_a, low_a - high_b)
+    will_be_apart = gap > 0
+
+    overlap = np.abs(gap)
+    axis = overlap.argmin(axis=1)
+    pairs = np.arange(n)
+    normal = normals[pairs, axis]
+    centres = np.add.reduce(polygons, axis=2) / 4
+    away = np.where(np.vecdot(centres[:, 0] - centres[:, 1], normal) > 0, 1.0, -1.0)
+    translation = (overlap[pairs, axis] * away)[:, None] * normal
+    return ~apart.any(axis=1), ~will_be_apart.any(axis=1), translation
+
+
+def extent(direction: np.ndarray) -> np.ndarray:
+    """Return how far cars reach from their centres along x and y; direction and result have the shape (2, n)."""
+    share = np.abs(direction)
+    reach: np.ndarray = share * (CAR_LENGTH_M / 2)
+    reach += share[::-1] * (CAR_WIDTH_M / 2)
+    return reach
+
+
+WALL_CORNERS = corners(
+    WALL_POSITIONS, np.stack([np.cos(WALL_HEADINGS), np.sin(WALL_HEADINGS)], axis=-1), WALL_LENGTHS, WALL_THICKNESS_M
+)
+
+
+class Collisions:
+    """Collisions of all scenes in a frame of `dt` seconds; obstacles are the `count` parked cars, then the walls."""
+
+    def __init__(self, dt: float, count: int, *, walls: bool) -> None:
+        self.dt, self.count, self.walls = dt, count, walls
+        obstacles = count + len(WALL_LENGTHS) * walls
+        pairs = [(first, second) for first in range(count) for second in range(first + 1, obstacles)]
+        self._pairs = np.array(pairs, int).reshape(-1, 2)
+        self._diagonals = np.append(np.full(count, CAR_DIAGONAL_M), WALL_DIAGONALS)
+
+    def resolve(self, state: SceneState) -> None:
+        """Detect the collisions of a frame; set crashes, and the impacts of the next frame, in the state."""
+        self._resolve_cars(state)
+        # Parked cars stand apart until one of them is pushed.
+        if state.disturbed.any():
+            self._resolve_parked(state)
+
+    def _resolve_cars(self, state: SceneState) -> None:
+        scene, obstacle = self._near_cars(state)
+        if not len(scene):
+            return
+        polygons = np.empty((len(scene), 2, 4, 2))
+        direction = state.direction.take(scene, axis=1)
+        polygons[:, 0] = corners(state.position.take(scene, axis=1).T, direction.T, CAR_LENGTH_M, CAR_WIDTH_M)
+        polygons[:, 1] = self._corners(state, scene, obstacle)
+        now, soon, push = separating_axis(polygons, (state.speed[scene] * direction).T * self.dt)
+        state.crashed[scene[now]] = True
+        if soon.any():
+            self._push(state, scene[soon], obstacle[soon], push[soon])
+
+    def _push(self, state: SceneState, scene: np.ndarray, obstacle: np.ndarray, push: np.ndarray) -> None:
+        """Set the impacts on cars: a wall pushes all the way out, a parked car half, and is pushed as far itself."""
+        if self.count:
+            cars = obstacle < self.count
+            push[cars] /= 2
+            pushed = scene[cars], 1 + obstacle[cars]
+            state.hit[pushed] = True
+            state.impact[pushed] = -push[cars]
+            state.disturbed[pushed[0]] = True
+        state.hit[scene, 0] = True
+        state.impact[scene, 0] = push
+
+    def _resolve_parked(self, state: SceneState) -> None:
+        rows = np.flatnonzero(state.disturbed)
+        positions = np.concatenate([state.parked[rows], np.tile(WALL_POSITIONS, (len(rows), 1, 1))], axis=1)
+        first, second = self._pairs.T
+        offset = positions[:, second] - positions[:, first]
+        row, pair = np.nonzero(~out_of_reach(offset, CAR_DIAGONAL_M, self._diagonals[second], 0.0))
+        if not len(row):
+            return
+        scenes, obstacles = rows[row].repeat(2), self._pairs[pair]
+        polygons = self._corners(state, scenes, obstacles.ravel()).reshape(-1, 2, 4, 2)
+        _, soon, push = separating_axis(polygons, np.zeros((len(row), 2)))
+        obstacles, push = obstacles[soon], push[soon]
+        cars = obstacles < self.count
+        push[cars[:, 1]] /= 2
+        pushed = scenes.reshape(-1, 2)[soon][cars], 1 + obstacles[cars]
+        state.hit[pushed] = True
+        state.impact[pushed] = np.stack([push, -push], axis=1)[cars]
+
+    def _corners(self, state: SceneState, scene: np.ndarray, obstacle: np.ndarray) -> np.ndarray:
+        """Return the corners of obstacles, shape (n, 4, 2)."""
+        wall = obstacle - self.count
+        obstacle_corners: np.ndarray = WALL_CORNERS.take(np.maximum(wall, 0), axis=0)
+        if self.count:
+            cars = wall < 0
+            which = scene[cars], obstacle[cars]
+            heading = state.parked_heading[which]
+            direction = np.stack([np.cos(heading), np.sin(heading)], axis=-1)
+            obstacle_corners[cars] = corners(state.parked[which], direction, CAR_LENGTH_M, CAR_WIDTH_M)
+        return obstacle_corners
+
+    def _near_cars(self, state: SceneState) -> tuple[np.ndarray, np.ndarray]:
+        """Return scenes and numbers of the obstacles that the cars may touch, parked cars first."""
+        travel = state.speed * self.dt
+        if not self.count:
+            return self._near_walls(state, travel)
+        offset = state.parked - state.position.T[:, None]
+        scene, obstacle = np.nonzero(~out_of_reach(offset, CAR_DIAGONAL_M, CAR_DIAGONAL_M, travel[:, None]))
+        at_wall, wall = self._near_walls(state, travel)
+        return np.concatenate([scene, at_wall]), np.concatenate([obstacle, self.count + wall])
+
+    def _near_walls(self, state: SceneState, travel: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        if not self.walls:
+            return np.empty(0, int), np.empty(0, int)
+        # The circles around the walls hold most of the lot: leave out first what cannot reach the line of a wall.
+        reach, motion = extent(state.direction) + 1e-9, travel * state.direction
+        left_below = reach - state.position - np.minimum(motion, 0)
+        right_above = reach + state.position + np.maximum(motion, 0)
+        outward = np.concatenate((left_below, right_above))[WALL_SIDES]
+        scene, wall = np.nonzero(outward.T > WALL_DISTANCES)
+        offset = WALL_POSITIONS.take(wall, axis=0) - state.position.take(scene, axis=1).T
+        near = ~out_of_reach(offset, CAR_DIAGONAL_M, WALL_DIAGONALS[wall], travel[scene])
+        return scene[near], wall[near]

@@ -1,0 +1,57 @@
+"""State of many scenes as arrays."""
+
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+
+from parking_exp.tasks.parking.geometry import SLOT_HEADINGS, SLOT_POSITIONS
+from parking_exp.tasks.parking.scenes import Scenes
+
+COLUMNS = ("position", "direction")
+
+
+@dataclass
+class SceneState:
+    """Everything that the future of n scenes depends on, but actions. Scenes are rows, or columns of `COLUMNS`."""
+
+    goal: np.ndarray  # slots, shape (n,)
+    position: np.ndarray  # of the cars, shape (2, n) [m]
+    heading: np.ndarray  # shape (n,) [rad]
+    direction: np.ndarray  # its cosine and sine, shape (2, n)
+    speed: np.ndarray  # signed, shape (n,) [m/s]
+    crashed: np.ndarray  # shape (n,)
+    steps: np.ndarray  # policy steps since the start, shape (n,)
+    parked: np.ndarray  # positions of the parked cars, shape (n, vehicles_count, 2) [m]
+    parked_heading: np.ndarray  # shape (n, vehicles_count) [rad]
+    hit: np.ndarray  # whether `impact` applies in the next frame, shape (n, 1 + vehicles_count); first the car itself
+    impact: np.ndarray  # what a predicted collision will displace each by, shape (n, 1 + vehicles_count, 2) [m]
+    disturbed: np.ndarray  # whether a parked car has been hit, shape (n,)
+
+    @classmethod
+    def at_start(cls, scenes: Scenes) -> Self:
+        """Return the state in which scenes start."""
+        n, count = scenes.parked.shape
+        return cls(
+            goal=scenes.goal.copy(),
+            position=np.zeros((2, n)),
+            heading=scenes.heading.copy(),
+            direction=np.array([np.cos(scenes.heading), np.sin(scenes.heading)]),
+            speed=np.zeros(n),
+            crashed=np.zeros(n, bool),
+            steps=np.zeros(n, np.int64),
+            parked=SLOT_POSITIONS[scenes.parked],
+            parked_heading=SLOT_HEADINGS[scenes.parked],
+            hit=np.zeros((n, 1 + count), bool),
+            impact=np.zeros((n, 1 + count, 2)),
+            disturbed=np.zeros(n, bool),
+        )
+
+    def take(self, rows: np.ndarray) -> Self:
+        """Return the state of some scenes, by index, as a copy."""
+        return type(self)(**{name: array.take(rows, axis=int(name in COLUMNS)) for name, array in vars(self).items()})
+
+    def put(self, rows: np.ndarray, other: Self) -> None:
+        """Replace the state of some scenes."""
+        for name, array in vars(self).items():
+            array[(slice(None), rows) if name in COLUMNS else rows] = getattr(other, name)

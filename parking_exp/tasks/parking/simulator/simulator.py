@@ -1,0 +1,248 @@
+"""Vectorized simulator of parking-v0: many scenes at once, exactly as highway-env simulates them, with NumPy alone.
+
+A policy step is a few simulation frames of constant action. Scenes without a possible contact in the step, nearly all,
+are integrated at once; the others frame by frame, in highway-env's order: limit the action, move, apply the impact of
+the frame before, detect collisions.
+"""
+
+import numpy as np
+
+from parking_exp.errors import ConfigError
+from parking_exp.tasks.parking.geometry import (
+    CAR_DIAGONAL_M,
+    CAR_LENGTH_M,
+    LOT_LENGTH_M,
+    LOT_WIDTH_M,
+    SLOT_HEADINGS,
+    SLOT_POSITIONS,
+    WALL_THICKNESS_M,
+)
+from parking_exp.tasks.parking.outcomes import Pose, relative_pose
+from parking_exp.tasks.parking.parking_config import DEFAULT_FEATURES, DEFAULT_SCALES, ParkingConfig
+from parking_exp.tasks.parking.reward import GoalReward
+from parking_exp.tasks.parking.scenes import Scenes
+from parking_exp.tasks.parking.simulator.collisions import Collisions, extent
+from parking_exp.tasks.parking.simulator.dynamics import Range, advance, limited_acceleration, slip_angle
+from parking_exp.tasks.parking.simulator.scene_state import SceneState
+from parking_exp.tasks.task import Step
+
+# highway-env's own ranges, where the config has none: of ContinuousAction and of Vehicle.
+ACCELERATION_RANGE_MPS2: Range = (-5.0, 5.0)
+STEERING_RANGE_RAD: Range = (-np.pi / 4, np.pi / 4)
+SPEED_RANGE_MPS: Range = (-40.0, 40.0)
+
+# Half the space between the walls' inner faces, shape (2, 1).
+FREE_M = np.array([[LOT_LENGTH_M - WALL_THICKNESS_M], [LOT_WIDTH_M - WALL_THICKNESS_M]]) / 2
+ROW_M = abs(float(SLOT_POSITIONS[0, 1]))
+
+
+class Simulator:
+    """n independent scenes of an env variant, simulated together; none is ever reset by itself."""
+
+    state: SceneState
+
+    def __init__(self, config: ParkingConfig, scenes: Scenes) -> None:
+        if config.action.dynamical:
+            raise ConfigError("env.action.dynamical is not simulated; use env.simulator=highway_env")
+        action = config.action
+        acceleration = _range(action.acceleration_range, ACCELERATION_RANGE_MPS2) if action.longitudinal else None
+        steering = _range(action.steering_range, STEERING_RANGE_RAD) if action.lateral else None
+        ranges = [bounds for bounds in (acceleration, steering) if bounds is not None]
+        self._low = np.array([low for low, _ in ranges])
+        self._span = np.array([high - low for low, high in ranges])
+        self.speed_range = _range(action.speed_range, SPEED_RANGE_MPS)
+        self.longitudinal, self.clip = action.longitudinal, action.clip
+        self.action_size = action.longitudinal + action.lateral
+        self.frames = config.simulation_frequency // config.policy_frequency
+        self.dt = 1 / config.simulation_frequency
+        self.episode_steps = config.episode_steps()
+        self.walls = config.add_walls
+        self.reward = GoalReward.of(config)
+        self.features = [DEFAULT_FEATURES.index(name) for name in config.observation.features]
+        self.scales = np.array(config.observation.scales, np.float64)
+        self.plain = config.observation.features == DEFAULT_FEATURES and config.observation.scales == DEFAULT_SCALES
+        slots = np.zeros((len(SLOT_HEADINGS), len(DEFAULT_FEATURES)))
+        slots[:, :2] = SLOT_POSITIONS
+        slots[:, 4], slots[:, 5] = np.cos(SLOT_HEADINGS), np.sin(SLOT_HEADINGS)
+        self._slot_goals = slots / DEFAULT_SCALES
+        self._slot_observed = slots[:, self.features] / self.scales
+        self._collisions = Collisions(self.dt, config.vehicles_count, walls=config.add_walls)
+        self.start(scenes)
+
+    def __len__(self) -> int:
+        return len(self.state.heading)
+
+    def start(self, scenes: Scenes, rows: np.ndarray | None = None) -> None:
+        """Start anew, all scenes or the given rows."""
+        if rows is None:
+            self.state = SceneState.at_start(scenes)
+        else:
+            self.state.put(rows, SceneState.at_start(scenes))
+
+    def keep(self, rows: np.ndarray) -> None:
+        """Keep only some of the scenes, by index or mask."""
+        self.state = self.state.take(np.arange(len(self))[rows])
+
+    def observe(self, rows: np.ndarray | slice = slice(None)) -> dict[str, np.ndarray]:
+        """Return the observation of all scenes, or of some."""
+        return self._observation(self._pose(rows), self.state.goal[rows])
+
+    def step(self, actions: np.ndarray) -> Step:
+        """Drive all scenes for one policy step; actions have the shape (n, 1 or 2): acceleration, then steering."""
+        state = self.state
+        actions = np.asarray(actions)
+        if actions.dtype.kind != "f":
+            actions = actions.astype(np.float64)
+        assert actions.shape == (len(self), self.action_size), f"actions have the shape {actions.shape}"
+        acceleration, steering = self._controls(actions)
+        before = state.position, state.heading, state.speed
+        rows = self._drive(acceleration, steering)
+        if len(rows):
+            part = state.take(rows)
+            part.position, part.heading, part.speed = before[0][:, rows], before[1][rows], before[2][rows]
+            self._drive_by_frames(part, acceleration[rows], steering[rows])
+            state.put(rows, part)
+        state.steps += 1
+        return self._outcome()
+
+    def ending(self, row: int) -> Pose:
+        """Return the pose of a car relative to its goal."""
+        state, goal = self.state, self.state.goal[row]
+        return relative_pose(
+            state.position[:, row], state.heading[row], state.speed[row], SLOT_POSITIONS[goal], SLOT_HEADINGS[goal]
+        )
+
+    def positions(self) -> np.ndarray:
+        """Return x [m], y [m], heading [rad] and signed speed [m/s] of all cars, shape (n, 4)."""
+        return np.column_stack([*self.state.position, self.state.heading, self.state.speed])
+
+    def get_state(self) -> dict[str, np.ndarray]:
+        """Return a copy of the state as plain arrays, to be saved and given to `set_state`."""
+        return {name: array.copy() for name, array in vars(self.state).items()}
+
+    def set_state(self, state: dict[str, np.ndarray]) -> None:
+        """Restore a state; what follows is identical."""
+        self.state = SceneState(**{name: np.array(array) for name, array in state.items()})
+
+    def _controls(self, actions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        if self.clip:
+            actions = np.minimum(np.maximum(actions, -1), 1)
+        # From [-1, 1] to the ranges, in the precision of the actions, as highway-env does.
+        scaled = actions - -1
+        scaled *= self._span.astype(actions.dtype)
+        scaled /= 2
+        scaled += self._low.astype(actions.dtype)
+        controls = scaled.T.astype(np.float64)
+        if self.action_size == 2:
+            return controls[0], controls[1]
+        none = np.zeros(len(actions))
+        return (controls[0], none) if self.longitudinal else (none, controls[0])
+
+    def _drive(self, acceleration: np.ndarray, steering: np.ndarray) -> np.ndarray:
+        """Integrate all frames of a step as if there were no obstacles; return the rows where that may be wrong."""
+        state = self.state
+        position, heading, speed = state.position, state.heading, state.speed
+        slip = slip_angle(steering)
+        sin_slip = np.sin(slip)
+        gain = acceleration * self.dt
+        farthest = np.abs(position)
+        for _ in range(self.frames):
+            position, heading, speed = advance(position, heading, speed, gain, slip, sin_slip, self.dt)
+            if self.walls:
+                np.maximum(farthest, np.abs(position), out=farthest)
+
+        before = state.speed
+        state.position, state.heading, state.speed, state.direction = position, heading, speed, _direction(heading)
+        low, high = self.speed_range
+        slowest, fastest = np.minimum(before, speed), np.maximum(before, speed)
+        may = state.crashed | state.hit[:, 0]
+        may |= slowest < low
+        may |= fastest > high
+        ahead = np.maximum(fastest, -slowest) * self.dt
+        if self.walls:
+            # At the end the car reaches this far along both axes; before, it was turned by at most `turn`.
+            reach = extent(state.direction)
+            turn = np.abs(sin_slip) * ahead * (self.frames / (CAR_LENGTH_M / 2))
+            near = farthest + reach + (ahead + turn * (CAR_DIAGONAL_M / 2)) > FREE_M
+            may |= near[0]
+            may |= near[1]
+        if state.parked.shape[1]:
+            may |= self._near_parked(ahead * (self.frames + 1) + CAR_DIAGONAL_M)
+        return np.flatnonzero(may)
+
+    def _near_parked(self, reach: np.ndarray) -> np.ndarray:
+        """Return a mask of the scenes where a parked car is near, or has been moved."""
+        state = self.state
+        near: np.ndarray = state.disturbed.copy()
+        close = np.flatnonzero(np.abs(state.position[1]) + reach > ROW_M)
+        offset = state.parked[close] - state.position[:, close].T[:, None, :]
+        near[close] |= (offset[..., 0] ** 2 + offset[..., 1] ** 2 < reach[close, None] ** 2).any(axis=1)
+        return near
+
+    def _drive_by_frames(self, state: SceneState, acceleration: np.ndarray, steering: np.ndarray) -> None:
+        """Integrate a step frame by frame, in place, with speed limits, collisions and their consequences."""
+        low, high = self.speed_range
+        fastest = np.abs(state.speed) + np.abs(acceleration) * (self.frames * self.dt)
+        limited = fastest.max() > min(-low, high)
+        slip = slip_angle(steering)
+        sin_slip = np.sin(slip)
+        for _ in range(self.frames):
+            if state.crashed.any():
+                slip[state.crashed] = sin_slip[state.crashed] = 0.0  # no steering, and full brakes
+                acceleration = np.where(state.crashed, -state.speed, acceleration)
+            if limited:
+                acceleration = limited_acceleration(acceleration, state.speed, self.speed_range)
+            state.position, state.heading, state.speed = advance(
+                state.position, state.heading, state.speed, acceleration * self.dt, slip, sin_slip, self.dt
+            )
+            if state.hit.any():
+                impact = np.where(state.hit[..., None], state.impact, 0.0)
+                state.position += impact[:, 0].T
+                state.parked += impact[:, 1:]
+                state.crashed |= state.hit[:, 0]
+                state.hit[:] = False
+            state.direction = _direction(state.heading)
+            self._collisions.resolve(state)
+
+    def _pose(self, rows: np.ndarray | slice = slice(None)) -> np.ndarray:
+        """Return x, y, vx, vy, cos_h, sin_h of the cars, shape (n, 6), in m and m/s."""
+        state = self.state
+        pose = np.empty((6, len(state.heading[rows])))
+        pose[:2], pose[4:] = state.position[:, rows], state.direction[:, rows]
+        np.multiply(state.speed[rows], pose[4:], out=pose[2:4])
+        return pose.T
+
+    def _observation(self, pose: np.ndarray, goal: np.ndarray) -> dict[str, np.ndarray]:
+        observed = np.divide(pose if self.plain else pose[:, self.features], self.scales, order="C")
+        return {
+            "observation": observed,
+            "achieved_goal": observed.copy(),
+            "desired_goal": self._slot_observed[goal],
+        }
+
+    def _outcome(self) -> Step:
+        state, pose = self.state, self._pose()
+        observation = self._observation(pose, state.goal)
+        # Rewards are always computed in highway-env's own features and scales.
+        achieved = observation["achieved_goal"] if self.plain else pose / DEFAULT_SCALES
+        reward, success = self.reward(achieved, self._slot_goals[state.goal])
+        crashed = state.crashed.copy()
+        return Step(
+            observation=observation,
+            reward=reward + self.reward.failure * crashed,
+            terminated=crashed | success,
+            truncated=state.steps >= self.episode_steps,
+            failed=crashed,
+            is_success=success,
+        )
+
+
+def _direction(heading: np.ndarray) -> np.ndarray:
+    direction = np.empty((2, len(heading)))
+    np.cos(heading, out=direction[0])
+    np.sin(heading, out=direction[1])
+    return direction
+
+
+def _range(bounds: list[float] | None, default: Range) -> Range:
+    return default if bounds is None else (bounds[0], bounds[1])

@@ -1,0 +1,41 @@
+"""All tasks: what frames and reports know of any of them, and the task of an `env` group."""
+
+from collections.abc import Iterable, Iterator
+from typing import TYPE_CHECKING
+
+from parking_exp.tasks.env_config import EnvConfig
+from parking_exp.tasks.gymnasium_config import GymnasiumConfig
+from parking_exp.tasks.metrics import GYMNASIUM_METRICS, Metric
+from parking_exp.tasks.parking import parking_metrics
+
+if TYPE_CHECKING:
+    from parking_exp.tasks.task import Task, TaskReport
+
+METRICS: tuple[Metric, ...] = tuple(dict.fromkeys((*parking_metrics.METRICS, *GYMNASIUM_METRICS)))
+"""The metrics of all tasks. Those that a task does not have are missing for its runs."""
+OUTCOMES = tuple(metric.name for metric in METRICS if metric.is_outcome)
+FAILURES = tuple(name for name in OUTCOMES if name not in ("success", "timeout"))
+"""Outcomes of episodes that ended badly; each task has one of them."""
+DTYPES: dict[str, str] = {metric.name: metric.dtype for metric in METRICS if not metric.is_outcome}
+"""Types of the columns of an episodes table, but for seed and outcome."""
+RECORDED = parking_metrics.RECORDED
+"""Columns of recordings; parking alone has them."""
+
+
+def make_task(config: EnvConfig) -> "Task":
+    """Return the task that an `env` group describes."""
+    if isinstance(config, GymnasiumConfig):
+        from parking_exp.tasks.gymnasium_task import GymnasiumTask
+
+        return GymnasiumTask(config)
+    from parking_exp.tasks.parking.parking_task import ParkingTask
+
+    return ParkingTask(config)
+
+
+def task_reports(tasks: Iterable[str]) -> "Iterator[TaskReport]":
+    """Yield what reports say and show of some tasks, by name; a run whose config names none is on parking-v0."""
+    if "parking" in tasks:
+        from parking_exp.tasks.parking.parking_report import PARKING_REPORT
+
+        yield PARKING_REPORT

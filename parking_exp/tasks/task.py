@@ -1,0 +1,159 @@
+"""The task interface: how to train on a goal-conditioned task, evaluate it and judge an episode."""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
+
+import numpy as np
+
+from parking_exp.tasks.metrics import Metric
+
+if TYPE_CHECKING:
+    import gymnasium as gym
+    import pandas as pd
+    from matplotlib.figure import Figure
+    from stable_baselines3.common.vec_env import VecEnv
+
+Observation = dict[str, np.ndarray]
+"""`observation`, `achieved_goal`, `desired_goal`; each of shape (...) or (batch, ...)."""
+
+Policy = Callable[[Observation], np.ndarray]
+"""A batch of observations -> actions, shape (batch, actions)."""
+
+
+class Step(NamedTuple):
+    """Result of one step of n episodes; all but the observation have the shape (n,)."""
+
+    observation: Observation
+    reward: np.ndarray
+    terminated: np.ndarray
+    truncated: np.ndarray
+    failed: np.ndarray
+    is_success: np.ndarray
+
+
+class GoalReward(Protocol):
+    """The reward of reaching goals, for many of them at once."""
+
+    @property
+    def failure(self) -> float:
+        """What is added to the reward of a step at which the episode fails."""
+
+    @property
+    def failure_key(self) -> str | None:
+        """Entry of `info` that is true at such a step."""
+
+    @property
+    def velocity(self) -> tuple[int, ...]:
+        """Which entries of a goal are a velocity."""
+
+    @property
+    def terminates(self) -> bool:
+        """Whether an episode ends where its goal is reached."""
+
+    def __call__(self, achieved: np.ndarray, desired: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return reward and whether the goal is reached, both of shape (n,)."""
+
+
+class EvaluationBatch(Protocol):
+    """Episodes that are stepped together, each from its own seed; none is ever reset by itself."""
+
+    def __len__(self) -> int:
+        """Return the number of episodes that are under way."""
+
+    def observe(self) -> Observation:
+        """Return the observations of all episodes."""
+
+    def step(self, actions: np.ndarray) -> Step:
+        """Step all episodes; actions have the shape (n, actions)."""
+
+    def keep(self, rows: np.ndarray) -> None:
+        """Keep only some of the episodes, by mask."""
+
+    def ending(self, row: int) -> Any:
+        """Return what the task's metrics need of an episode that has just ended."""
+
+    def positions(self) -> np.ndarray:
+        """Return what a recording has of each episode, shape (n, len(Task.recorded))."""
+
+
+class Task(Protocol):
+    """A goal-conditioned task, made from its `env` group by `registry.make_task`."""
+
+    config: Any  # its `env` group
+    metrics: tuple[Metric, ...]  # of an evaluation episode; `success` is always there
+    failure: str  # the outcome of an episode that ends badly, by its name in this task
+    ranking: tuple[str, ...]  # metrics by which the best model is chosen, each where those before it are equal
+    recorded: tuple[str, ...]  # numbers that a recording has of each step; none: there is no recording
+    env_id: str
+    monitored: tuple[str, ...]  # entries of `info` that `monitor.csv` has of each training episode
+    batch_size: int  # evaluation episodes that are stepped together
+
+    def training_envs(self, n_envs: int) -> "VecEnv":
+        """Make training envs: `training_envs.get_state` can save them, and HER relabels with their `goal_reward`."""
+
+    def evaluation_batch(self, seeds: Sequence[int], simulator: str) -> EvaluationBatch:
+        """Start the episodes of some seeds on one of the config's `simulators`."""
+
+    def prediction_env(self) -> "gym.Env":
+        """Make one env with the task's spaces, for a model that only predicts."""
+
+    @property
+    def frame_rate(self) -> int:
+        """Frames per second of `frames`."""
+
+    @property
+    def episode_steps(self) -> int:
+        """The longest training episode, in steps."""
+
+    def problems(self) -> Iterator[str]:
+        """Yield what is wrong with the environment itself, which may take seconds to find out."""
+
+    def notes(self) -> Iterator[str]:
+        """Yield what a user should know when a training starts."""
+
+    def features(self, name: str) -> tuple[type, dict[str, Any]] | None:
+        """Return the class of a named features extractor and its arguments; None for `raw`."""
+
+    def frames(self, policy: Policy, seeds: Sequence[int]) -> Iterator[np.ndarray]:
+        """Yield the frames of a video of some episodes, shape (height, width, 3)."""
+
+
+@dataclass(frozen=True)
+class TaskFigure:
+    """A figure of a report, drawn from the cells that it shows."""
+
+    name: str
+    title: str
+    draw: Callable[[Sequence[Any]], Iterator["tuple[Figure, str]"]]
+
+
+@dataclass(frozen=True)
+class TaskSection:
+    """A section of reports that one task has: figures, and a CSV table of the rows that each cell has under a name."""
+
+    id: str
+    title: str
+    figures: Sequence[TaskFigure]
+    table: str | None = None
+
+
+@dataclass(frozen=True)
+class TaskReport:
+    """What reports say and show of one task.
+
+    Attributes:
+        methods: sentences on how results are defined.
+        sections: of the report, left out where no cell has their data.
+        rates: returns what the sections need of a cell, from the final episodes (seed, outcome) of its runs.
+        recordings: returns what they need of the recordings of a cell's runs, and sentences on unreadable ones. It is
+            given (seed, run id) of each run, a function from run id to its recording, final episodes by run id, and
+            the cell's config as dotted keys.
+        exported: returns the rows of recordings that `recordings` needs, by run id, and such sentences.
+    """
+
+    methods: Sequence[str]
+    sections: Sequence[TaskSection]
+    rates: Callable[["Sequence[pd.DataFrame]"], dict[str, Any]]
+    recordings: Callable[..., tuple[dict[str, Any], list[str]]]
+    exported: Callable[..., "tuple[dict[str, pd.DataFrame], list[str]]"]

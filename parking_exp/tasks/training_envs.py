@@ -1,0 +1,109 @@
+"""Training envs as a monitored Stable-Baselines3 VecEnv; their state, for exact resume."""
+
+import time
+from pathlib import Path
+from typing import Any, Protocol, runtime_checkable
+
+import gymnasium as gym
+import numpy as np
+from gymnasium.utils import seeding
+from stable_baselines3.common.monitor import ResultsWriter
+from stable_baselines3.common.vec_env import VecEnv, VecMonitor
+
+from parking_exp.tasks.env_config import EnvConfig
+from parking_exp.tasks.registry import make_task
+
+MONITOR_STATE = ("episode_returns", "episode_lengths", "episode_count")
+
+
+@runtime_checkable
+class StatefulVecEnv(Protocol):
+    """A VecEnv that saves and restores its own state."""
+
+    def get_state(self) -> dict[str, Any]:
+        """Return the whole state."""
+
+    def set_state(self, state: dict[str, Any]) -> None:
+        """Restore a state; what follows is identical."""
+
+
+class ReplayActions(gym.Wrapper):
+    """Save and restore an env whose state can't be saved, by replaying its episode's actions.
+
+    Recorded are the random generator before `reset`, and the actions of the episode under way.
+    """
+
+    def __init__(self, env: gym.Env) -> None:
+        super().__init__(env)
+        self._start: dict[str, Any] | None = None
+        self._actions: list[np.ndarray] = []
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+        """Start an episode."""
+        rng = self.unwrapped.np_random if seed is None else seeding.np_random(seed)[0]
+        self._start, self._actions = rng.bit_generator.state, []
+        return self.env.reset(seed=seed, options=options)
+
+    def step(self, action: np.ndarray) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+        """Step the env."""
+        self._actions.append(np.array(action))
+        return self.env.step(action)
+
+    def get_state(self) -> dict[str, Any]:
+        """Return how the episode started, None before the first one, and the actions since, shape (steps, actions)."""
+        actions = np.reshape(np.array(self._actions, self.action_space.dtype), (-1, *self.action_space.shape))
+        return {"start": self._start, "actions": actions}
+
+    def set_state(self, state: dict[str, Any]) -> None:
+        """Replay a saved episode up to where it was; what follows is identical."""
+        if state["start"] is None:
+            return
+        self.unwrapped.np_random.bit_generator.state = state["start"]
+        self.reset()
+        for action in state["actions"]:
+            self.step(action)
+
+
+def make_training_envs(
+    config: EnvConfig, n_envs: int, monitor: Path | None = None, elapsed_s: float = 0.0
+) -> VecMonitor:
+    """Make the training envs of an `env` group.
+
+    Args:
+        config: the group.
+        n_envs: number of envs.
+        monitor: file of finished training episodes (Stable-Baselines3's Monitor CSV). Rows are appended.
+        elapsed_s: time that a resumed run has taken before, so that the file's clock continues.
+    """
+    task = make_task(config)
+    envs = VecMonitor(task.training_envs(n_envs), info_keywords=task.monitored)
+    envs.t_start = time.time() - elapsed_s
+    if monitor is not None:
+        header: dict[str, float | str] = {"t_start": envs.t_start, "env_id": task.env_id}
+        is_new = not monitor.exists()
+        envs.results_writer = ResultsWriter(str(monitor), header, task.monitored, override_existing=is_new)
+    return envs
+
+
+def get_state(envs: VecEnv) -> dict[str, Any]:
+    """Return the state of training envs as nested dicts and lists of arrays and numbers."""
+    assert isinstance(envs, VecMonitor)
+    simulated = envs.venv
+    monitor = {name: getattr(envs, name) for name in MONITOR_STATE}
+    if isinstance(simulated, StatefulVecEnv):
+        return {"monitor": monitor, "envs": simulated.get_state()}
+    return {"monitor": monitor, "envs": simulated.env_method("get_state")}
+
+
+def set_state(envs: VecEnv, state: dict[str, Any]) -> None:
+    """Bring training envs of the same config to a saved state; what follows is identical."""
+    assert isinstance(envs, VecMonitor)
+    simulated = envs.venv
+    for name in MONITOR_STATE:
+        setattr(envs, name, state["monitor"][name])
+    if isinstance(simulated, StatefulVecEnv):
+        simulated.set_state(state["envs"])
+        return
+    simulated._reset_seeds()  # the seeds of a first reset, which was before the state was saved
+    for index, env_state in enumerate(state["envs"]):
+        simulated.env_method("set_state", env_state, indices=[index])

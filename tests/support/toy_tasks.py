@@ -1,0 +1,78 @@
+"""Toy goal environments as a user's own package: `toy_tasks:BitFlip-v0` and some that are refused."""
+
+import gymnasium as gym
+import numpy as np
+
+BITS = 8
+
+
+class BitFlip(gym.Env):
+    """Flip bits until they equal the goal (Andrychowicz et al. 2017, section 3.1), one bit per step.
+
+    The action has a number for each bit; the bit with the largest one is flipped. The reward is 0 at the goal, where
+    the episode ends, and -1 elsewhere.
+    """
+
+    observation_space = gym.spaces.Dict(
+        {key: gym.spaces.Box(0, 1, (BITS,), np.float64) for key in ("observation", "achieved_goal", "desired_goal")}
+    )
+    action_space = gym.spaces.Box(-1, 1, (BITS,), np.float32)
+
+    def reset(self, *, seed=None, options=None):
+        super().reset(seed=seed)
+        self.bits, self.goal = self.np_random.integers(2, size=(2, BITS)).astype(float)
+        return self._observe(), {}
+
+    def step(self, action):
+        flipped = int(np.argmax(action))
+        self.bits[flipped] = 1 - self.bits[flipped]
+        reward = float(self.compute_reward(self.bits, self.goal, {}))
+        return self._observe(), reward, reward == 0, False, {"is_success": reward == 0, "lost": False}
+
+    def compute_reward(self, achieved_goal, desired_goal, info):
+        return np.where((achieved_goal == desired_goal).all(axis=-1), 0.0, -1.0)
+
+    def compute_terminated(self, achieved_goal, desired_goal, info):
+        return bool((achieved_goal == desired_goal).all())
+
+    def _observe(self):
+        return {"observation": self.bits.copy(), "achieved_goal": self.bits.copy(), "desired_goal": self.goal.copy()}
+
+
+class OneByOne(BitFlip):
+    """`compute_reward` takes one goal only."""
+
+    def compute_reward(self, achieved_goal, desired_goal, info):
+        return 0.0 if np.array_equal(achieved_goal, desired_goal) else -1.0
+
+
+class OtherReward(BitFlip):
+    """`compute_reward` does not know what a step costs."""
+
+    def step(self, action):
+        observation, reward, terminated, truncated, info = super().step(action)
+        return observation, reward - 0.5, terminated, truncated, info
+
+
+class Unseeded(BitFlip):
+    """Its steps are not reproducible."""
+
+    def step(self, action):
+        return super().step(np.random.default_rng().uniform(-1, 1, BITS))
+
+
+class Discrete(BitFlip):
+    """Its actions are numbers of bits."""
+
+    action_space = gym.spaces.Discrete(BITS)
+
+
+class Plain(BitFlip):
+    """Its observation has no goal."""
+
+    observation_space = gym.spaces.Box(0, 1, (BITS,), np.float64)
+
+
+for cls in (BitFlip, OneByOne, OtherReward, Unseeded, Discrete, Plain):
+    gym.register(f"{cls.__name__}-v0", cls, max_episode_steps=BITS)
+gym.register("Endless-v0", BitFlip)

@@ -1,0 +1,128 @@
+"""Any goal environment of Gymnasium as a task: what is refused, what an episode is, learning, exact resume."""
+
+import re
+
+import numpy as np
+import pandas as pd
+import pytest
+from support.marks import slow_but
+from support.runs import call_script, only_run
+
+from parking_exp.config.compose import composed
+from parking_exp.config.validate import validate
+from parking_exp.errors import ConfigError
+from parking_exp.evaluation.evaluate_policy import evaluate
+from parking_exp.tasks.environment_checks import resumes_exactly
+from parking_exp.tasks.gymnasium_env import GymnasiumReward
+from parking_exp.tasks.registry import make_task
+from parking_exp.tasks.training_envs import get_state, make_training_envs, set_state
+
+TOY = "support.toy_tasks:"
+
+
+def config(env_id, *overrides):
+    lines = [f"env.id={env_id}", "algorithm.learning_starts=400", *overrides]
+    (made,) = composed("config", ["env=gymnasium", *lines])
+    return validate(made)
+
+
+@pytest.mark.parametrize(
+    ("env_id", "overrides", "reason"),
+    [
+        ("FetchReech-v4", [], "not registered with Gymnasium; did you mean 'FetchReach-v4'"),
+        ("no_such_module:X-v0", [], "No module named 'no_such_module'"),
+        ("racetrack-v0", [], "not a goal environment: its observation has no desired_goal"),
+        (f"{TOY}Plain-v0", [], "not a goal environment: its observation has no desired_goal"),
+        (f"{TOY}Discrete-v0", [], r"Discrete\(8\).* continuous"),
+        (f"{TOY}OneByOne-v0", [], "compute_reward is not vectorised"),
+        (f"{TOY}OtherReward-v0", [], "compute_reward gives -1 for a step of reward -1.5.*env.failure_key"),
+        (f"{TOY}Endless-v0", [], "set env.max_episode_steps"),
+        (f"{TOY}BitFlip-v0", ["env.failure_key=lots"], "env.failure_key=lots.* is_success, lost"),
+        (f"{TOY}BitFlip-v0", ["env.success_key=won"], "env.success_key=won"),
+        (f"{TOY}BitFlip-v0", ["+env.kwargs.bits=3"], "env.kwargs.*bits"),
+        (f"{TOY}BitFlip-v0", ["algorithm.features=ego", "algorithm.normalize=false"], "algorithm.features=ego"),
+        (f"{TOY}BitFlip-v0", ["algorithm.learning_starts=63"], "algorithm.learning_starts=63: .* at least 64"),
+        (f"{TOY}BitFlip-v0", ["env.max_steps=3"], "env.max_steps.*did you mean 'max_episode_steps'"),
+        (f"{TOY}BitFlip-v0", ["env.vectorization=threads"], "env.vectorization=threads"),
+    ],
+)
+def test_what_is_no_goal_task_is_refused_in_a_sentence_that_says_why(env_id, overrides, reason):
+    with pytest.raises(ConfigError) as refused:
+        config(env_id, *overrides)
+    assert re.search(reason, str(refused.value)), refused.value
+    assert "\n" not in str(refused.value)
+
+
+def but_the_first(observation):
+    """Flip the wrong bits, but for the first one: the goal is reached where that is right."""
+    wrong = observation["observation"] != observation["desired_goal"]
+    return np.where(np.arange(8) == 0, -1.0, wrong)
+
+
+def test_an_episode_ends_at_the_goal_or_at_the_limit_with_seeds_that_reproduce_it():
+    task = make_task(config(f"{TOY}BitFlip-v0").env)
+    table = evaluate(but_the_first, task, range(30))
+    pd.testing.assert_frame_equal(table, evaluate(but_the_first, task, range(30)))
+    reached = table["outcome"] == "success"
+    assert set(table["outcome"]) == {"timeout", "success"}
+    assert (table.loc[~reached, "steps"] == 8).all()
+    assert (table["return"] == reached - table["steps"]).all()
+    failing = make_task(config(f"{TOY}BitFlip-v0", "env.failure_key=is_success").env)
+    assert (evaluate(but_the_first, failing, range(30))["outcome"] == "failure").equals(reached)
+
+
+def test_the_reward_says_which_goals_are_reached_and_whether_an_episode_ends_there():
+    reward = GymnasiumReward(config(f"{TOY}BitFlip-v0").env)
+    goals = np.eye(8)
+    rewards, reached = reward(goals, goals[[0, 1, 2, 0, 4, 5, 6, 0]])
+    assert reached.tolist() == (rewards == 0).tolist() == [True, True, True, False, True, True, True, False]
+    assert reward.terminates
+    fetch, maze = (
+        GymnasiumReward(validate(composed("config", [f"env={env}"])[0]).env) for env in ("fetch_reach", "point_maze")
+    )
+    assert (fetch.terminates, maze.terminates) == (False, True)
+    goal = np.zeros((1, 3))
+    assert [fetch(goal + offset, goal)[1].item() for offset in (0.0, 0.02, 0.04)] == [True, True, False]
+
+
+@pytest.mark.parametrize("vectorization", ["sync", "async"])
+def test_training_envs_go_on_as_if_they_had_not_been_saved(vectorization):
+    env = config(f"{TOY}BitFlip-v0", f"env.vectorization={vectorization}").env
+    first, second = make_training_envs(env, 2), make_training_envs(env, 2)
+    first.seed(0)
+    first.reset()
+    actions = np.random.default_rng(0).uniform(-1, 1, (40, 2, 8)).astype(np.float32)
+    for action in actions[:13]:
+        first.step(action)
+    second.reset()
+    set_state(second, get_state(first))
+    for action in actions[13:]:
+        (obs, rewards, dones, _), (other_obs, other_rewards, other_dones, _) = first.step(action), second.step(action)
+        assert all(np.array_equal(obs[key], other_obs[key]) for key in obs)
+        assert (rewards.tolist(), dones.tolist()) == (other_rewards.tolist(), other_dones.tolist())
+    first.close()
+    second.close()
+
+
+@pytest.mark.parametrize(
+    ("env_id", "exactly"),
+    [(f"{TOY}BitFlip-v0", True), (f"{TOY}Unseeded-v0", False), ("FetchReach-v4", True), ("PointMaze_UMaze-v3", True)],
+)
+def test_environments_that_cannot_resume_exactly_are_recognised(env_id, exactly):
+    assert resumes_exactly(config(env_id, "n_envs=1").env) is exactly
+
+
+LEARNS = [
+    f"env.id={TOY}BitFlip-v0", "total_timesteps=12000", "n_envs=4", "updates_per_step=1", "algorithm=td3",
+    "algorithm.net_arch=[64,64]", "algorithm.learning_starts=400", "evaluation.every_n_steps=null",
+    "evaluation.video_episodes=0", "checkpoint.every_n_steps=null",
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("buffer", slow_but(["her_future"], ["her_future", "replay"]))
+def test_bit_flipping_is_learned_with_her_and_not_without(buffer, tmp_path):
+    done = call_script("train", "env=gymnasium", *LEARNS, f"buffer={buffer}", f"output_dir={tmp_path}")
+    assert done.returncode == 0, done.stderr
+    result = only_run(tmp_path).result()
+    rate = result.metrics["final/success_rate"]
+    assert rate >= 0.95 if buffer == "her_future" else rate <= 0.2

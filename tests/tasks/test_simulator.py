@@ -1,0 +1,138 @@
+"""The simulator is highway-env: the same scenes and actions give the same trajectory."""
+
+import numpy as np
+import pytest
+from highway_env.utils import are_polygons_intersecting
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from support.marks import slow_but
+from support.runs import make_config, parking_envs
+from support.simulator_equality import KINDS, actions_of, compare, different_scenes
+
+from parking_exp.errors import ConfigError
+from parking_exp.tasks.parking.highway import make_env
+from parking_exp.tasks.parking.parking_config import ParkingConfig
+from parking_exp.tasks.parking.scenes import Scenes, start_slot
+from parking_exp.tasks.parking.simulator import Simulator
+from parking_exp.tasks.parking.simulator.collisions import corners, separating_axis
+from parking_exp.tasks.parking.vec_env import ParkingVecEnv
+
+# Every scalar option of the env group that the physics, the observation or the reward depends on.
+VARIANTS = {
+    "many parked cars, pushed about": [
+        "env=parking_action_repeat", "env.vehicles_count=26", "env.action.acceleration_range=[-12,12]",
+    ],
+    "no walls": ["env.add_walls=false", "env.duration=10"],
+    "speed limits": ["env.action.speed_range=[-2,3]", "env.duration=10"],
+    "a lowest speed, no clipping": ["env.action.speed_range=[1,6]", "env.action.clip=false", "env.duration=10"],
+    "steering only": ["env.action.longitudinal=false", "env.action.speed_range=[2,5]", "env.duration=10"],
+    "throttle only": ["env.action.lateral=false", "env.duration=10"],
+    "other ranges": ["env.action.acceleration_range=[-3,6]", "env.action.steering_range=[-0.3,1]", "env.duration=10"],
+    "other reward": [
+        "env.reward_weights=[1,1,0,0.1,0,0]", "env.success_goal_reward=0.3", "env.collision_reward=-1", "env.duration=10",
+    ],
+    "other frequencies": ["env.simulation_frequency=20", "env.policy_frequency=3", "env.duration=10"],
+    "other observation": [
+        "env.observation.features=[y,x,cos_h]", "env.observation.scales=[1,2,3]", "env.duration=10",
+        "algorithm.features=raw", "buffer=replay",
+    ],
+    "sparse reward, other observation": [
+        "env=parking_sparse", "env.observation.features=[cos_h,x]", "env.observation.scales=[2,50]", "env.duration=10",
+        "algorithm.features=raw", "buffer=replay",
+    ],
+    "no effect": ["env.show_trajectories=true", "env.steering_range=0.1", "env.duration=4"],
+}  # fmt: skip
+
+
+def env_config(*overrides) -> ParkingConfig:
+    # Noise has an entry for each action, of which some configs have one.
+    return make_config(*overrides, "algorithm.learning_starts=100000", "algorithm.action_noise=null").env
+
+
+@pytest.mark.parametrize("kind", slow_but(["biased"], [kind for kind in KINDS if kind != "trained"]))
+@pytest.mark.parametrize("option", slow_but(["parking", "parking_action_repeat"], parking_envs()))
+def test_trajectories_are_highway_envs(option, kind):
+    config = env_config(f"env={option}", *([] if "repeat" in option else ["env.duration=10"]))
+    rng = np.random.default_rng(0)
+    steps, mismatches = compare(config, range(6), actions_of(kind, rng, (6, 2)))
+    assert steps > 40
+    assert mismatches == []
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", VARIANTS)
+def test_every_option_is_simulated(name):
+    config = env_config(*VARIANTS[name])
+    size = config.action.longitudinal + config.action.lateral
+    for kind in ("biased", "random"):
+        steps, mismatches = compare(config, range(8), actions_of(kind, np.random.default_rng(1), (8, size)))
+        assert steps > 15
+        assert mismatches == []
+
+
+def test_what_is_not_simulated_is_refused_by_name():
+    with pytest.raises(ConfigError, match=r"^env\.action\.dynamical "):
+        Simulator(env_config("env.simulator=highway_env", "env.action.dynamical=true"), Scenes.from_seeds([0]))
+
+
+@pytest.mark.parametrize("parked", slow_but([10], [0, 10, 26]))
+def test_scenes_are_highway_envs_bit_for_bit(parked):
+    assert different_scenes(range(200), parked) == []
+
+
+def test_random_scenes_have_the_distribution_of_highway_envs():
+    """Two samples of 20,000: goals and parked slots uniform over what is free, headings uniform."""
+    n = 20_000
+    drawn = Scenes.random(np.random.default_rng(0), n, 3)
+    seeded = Scenes.from_seeds(range(n), 3)
+    for scenes in (drawn, seeded):
+        assert abs(scenes.heading.mean() - np.pi) < 5 * (2 * np.pi / np.sqrt(12 * n))
+        taken = np.concatenate([start_slot(scenes.heading)[:, None], scenes.goal[:, None], scenes.parked], axis=1)
+        assert all(len(set(row)) == 5 for row in taken.tolist())
+    for ours, theirs in zip((drawn.goal, *drawn.parked.T), (seeded.goal, *seeded.parked.T), strict=True):
+        counts, expected = np.bincount(ours, minlength=28), np.bincount(theirs, minlength=28)
+        assert (np.abs(counts - expected) < 5 * np.sqrt(2 * expected.mean())).all()
+
+
+def test_a_scene_does_not_depend_on_its_neighbours():
+    config = env_config("env=parking_crowded")
+    actions = np.random.default_rng(0).uniform(-1, 1, (60, 50, 2))
+    together = Simulator(config, Scenes.from_seeds(range(50), 10))
+    alone = Simulator(config, Scenes.from_seeds([37], 10))
+    for step in range(60):
+        many, one = together.step(actions[step]), alone.step(actions[step, 37:38])
+        np.testing.assert_array_equal(many.observation["observation"][37], one.observation["observation"][0])
+        assert many.reward[37] == one.reward[0]
+
+
+@pytest.mark.parametrize("option", ["parking", "parking_sparse"])
+def test_reward_of_a_batch_of_goals_is_highway_envs(option):
+    config = env_config(f"env={option}")
+    achieved, desired = np.random.default_rng(0).normal(size=(2, 100, 6))
+    dense = make_env(config).unwrapped.compute_reward(achieved, desired, {})
+    expected = np.where(dense > -config.success_goal_reward, 0.0, -1.0) if option == "parking_sparse" else dense
+    for ours in (ParkingVecEnv(config, 1), *([make_env(config)] if option == "parking_sparse" else [])):
+        np.testing.assert_allclose(ours.compute_reward(achieved, desired, {}), expected, rtol=0, atol=1e-12)
+
+
+coordinate = st.floats(-6, 6)
+angle = st.one_of(st.floats(-7, 7), st.sampled_from([0.0, np.pi / 2, -np.pi / 2]))
+length = st.sampled_from([1.0, 2.0, 5.0, 42.0, 70.0])
+rectangle = st.tuples(coordinate, coordinate, angle, length, length)
+
+
+def polygon(x, y, heading, long, wide):
+    direction = np.array([[np.cos(heading), np.sin(heading)]])
+    return corners(np.array([[x, y]]), direction, np.array([long]), np.array([wide]))[0]
+
+
+@settings(max_examples=500, deadline=None)
+@given(rectangle, rectangle, st.tuples(coordinate, coordinate))
+def test_collisions_of_rectangles_are_highway_envs(first, second, displacement):
+    a, b = polygon(*first), polygon(*second)
+    now, soon, push = separating_axis(np.stack([a, b])[None], np.array([displacement]))
+    closed = [np.vstack([points, points[:1]]) for points in (a, b)]
+    their_now, their_soon, their_push = are_polygons_intersecting(*closed, np.array(displacement), np.zeros(2))
+    assert (bool(now[0]), bool(soon[0])) == (their_now, their_soon)
+    if their_soon:
+        np.testing.assert_array_equal(push[0], their_push)
