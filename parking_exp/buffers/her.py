@@ -129,7 +129,8 @@ class HerBuffer(HerReplayBuffer):
             terminated = terminated & [not info.get("TimeLimit.truncated", False) for info in infos]
         failure_key = self.reward and self.reward.failure_key
         failed = np.array([bool(failure_key and info.get(failure_key)) for info in infos])
-        storage.write(self.pos, obs, next_obs, action, reward, terminated, failed)
+        info = np.array([[info[key] for key in self._info_keys] for info in infos], float)
+        storage.write(self.pos, obs, next_obs, action, reward, terminated, failed, info)
         episodes.steps += 1
         self.pos += 1
         if self.pos == self.buffer_size:
@@ -202,7 +203,9 @@ class HerBuffer(HerReplayBuffer):
 
     def _make_empty(self) -> None:
         assert isinstance(self.observation_space, spaces.Dict)
-        self.storage = Storage(self.buffer_size, self.n_envs, self.observation_space, self.action_space)
+        self._info_keys = self.reward.info_keys if self.reward else ()
+        spaces_of = (self.observation_space, self.action_space)
+        self.storage = Storage(self.buffer_size, self.n_envs, *spaces_of, len(self._info_keys))
         self.episodes = self.storage.episodes
         self.sampled = [0, 0]  # real transitions, virtual ones
 
@@ -238,8 +241,8 @@ class HerBuffer(HerReplayBuffer):
         if terminates == "env" and self.reward is not None and not self.reward.terminates:
             terminates = "sb3"
         if self.reward is not None and terminates == "env":
-            allowed &= ~self.reward(transitions.obs["achieved_goal"][last], goals)[1]
-        rewards, reached = self._reward(transitions.next_obs["achieved_goal"][last], goals)
+            allowed &= ~self.reward(transitions.obs["achieved_goal"][last], goals, transitions.info[last])[1]
+        rewards, reached = self._reward(transitions.next_obs["achieved_goal"][last], goals, transitions.info[last])
         if self.reward is not None and self.relabel_collision == "keep":
             rewards = rewards + self.reward.failure * failed
         transitions.rewards[last][allowed] = rewards[allowed]
@@ -250,10 +253,10 @@ class HerBuffer(HerReplayBuffer):
             obs["desired_goal"][last][allowed] = goals[allowed]
         return int(allowed.sum())
 
-    def _reward(self, achieved: np.ndarray, goals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def _reward(self, achieved: np.ndarray, goals: np.ndarray, info: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the reward of goals, and whether they are reached if the reward function is known."""
         if self.reward is not None:
-            return self.reward(achieved, goals)
+            return self.reward(achieved, goals, info)
         assert self.env is not None, "give the buffer its envs (set_env), whose compute_reward it asks"
         infos: list[dict[str, Any]] = [{} for _ in goals]
         (rewards,) = self.env.env_method("compute_reward", achieved, goals, infos, indices=[0])

@@ -25,6 +25,7 @@ class Transitions:
     rewards: np.ndarray  # shape (n,)
     terminated: np.ndarray  # booleans, shape (n,)
     failed: np.ndarray
+    info: np.ndarray  # numbers of `info`, shape (n, n_info)
     records: np.ndarray  # entries of `EpisodeIndex.table`, shape (n,)
 
 
@@ -37,11 +38,14 @@ class Storage:
     A transition of parking-v0 takes 112 bytes: 2 x 6 doubles, 2 + 1 floats, and a mark; its episode's record, 56.
     """
 
-    def __init__(self, capacity: int, n_envs: int, observation_space: spaces.Dict, action_space: spaces.Space) -> None:
+    def __init__(
+        self, capacity: int, n_envs: int, observation_space: spaces.Dict, action_space: spaces.Space, n_info: int = 0
+    ) -> None:
         shapes: dict[str, tuple[int, ...]] = get_obs_shape(observation_space)  # type: ignore[assignment]
         self.formats = {key: (space.dtype, shapes[key]) for key, space in observation_space.spaces.items()}
         self.episodes = EpisodeIndex(capacity, n_envs, *self.formats["desired_goal"])
         self._action = (ReplayBuffer._maybe_cast_dtype(action_space.dtype), (get_action_dim(action_space),))
+        self._n_info = n_info
         self._allocate(compact=self.formats["achieved_goal"] == self.formats["observation"])
 
     def shaped(self, obs: Mapping[str, Any]) -> Observation:
@@ -67,6 +71,7 @@ class Storage:
         reward: np.ndarray,
         terminated: np.ndarray,
         failed: np.ndarray,
+        info: np.ndarray,
     ) -> None:
         """Write a row: a transition of each env, in the episodes under way."""
         record_ids = self.episodes.current
@@ -83,6 +88,7 @@ class Storage:
                 stored[key] = entries[key]
         rows["action"] = np.reshape(action, rows["action"].shape)
         rows["reward"] = reward
+        rows["info"] = info
         rows["mark"] = record_ids << ID_SHIFT | failed * FAILED | terminated * TERMINATED
 
     def record_ids(self, row: int) -> np.ndarray:
@@ -101,7 +107,7 @@ class Storage:
         records = self.episodes.table.take(mark >> ID_SHIFT)
         obs, next_obs = self._observation(rows["obs"], records), self._observation(rows["next_obs"], records)
         ended, failed = mark & TERMINATED > 0, mark & FAILED > 0
-        return Transitions(obs, next_obs, rows["action"], rows["reward"], ended, failed, records)
+        return Transitions(obs, next_obs, rows["action"], rows["reward"], ended, failed, rows["info"], records)
 
     def achieved(self, index: np.ndarray) -> np.ndarray:
         """Return what transitions achieved: their next achieved goals, as a copy."""
@@ -125,13 +131,14 @@ class Storage:
         left_out = {"achieved_goal", "desired_goal"} if compact else set()
         observed = [(key, *form) for key, form in self.formats.items() if key not in left_out]
         fields = [("obs", observed), ("next_obs", observed), ("action", *self._action)]
-        dtype = np.dtype([*fields, ("reward", np.float32), ("mark", np.uint32)])
+        numbers = [("info", np.float64, (self._n_info,)), ("reward", np.float32), ("mark", np.uint32)]
+        dtype = np.dtype([*fields, *numbers])
         self.data = np.zeros((self.episodes.capacity, self.episodes.n_envs), dtype)
 
     def _widen(self) -> None:
         narrow = self.data
         self._allocate(compact=False)
-        for name in ("action", "reward", "mark"):
+        for name in ("action", "info", "reward", "mark"):
             self.data[name] = narrow[name]
         records = self.episodes.table[narrow["mark"] >> ID_SHIFT]
         for name in ("obs", "next_obs"):

@@ -1,7 +1,6 @@
 """Check whether a Gymnasium environment can be trained on with HER, by random actions."""
 
 from collections.abc import Iterator
-from typing import Any
 
 import gymnasium as gym
 import numpy as np
@@ -9,10 +8,9 @@ from gymnasium import spaces
 
 from parking_exp.errors import ConfigError
 from parking_exp.tasks.gymnasium_config import GymnasiumConfig
-from parking_exp.tasks.gymnasium_env import GOAL_KEYS, SUCCESS_KEYS, make_env
+from parking_exp.tasks.gymnasium_env import GOAL_KEYS, RANDOM_STEPS, SUCCESS_KEYS, make_env, random_steps
 from parking_exp.tasks.training_envs import ReplayActions
 
-CHECKED_STEPS = 60
 TOLERANCE = 1e-6  # of rewards, which may be float32
 
 
@@ -39,11 +37,7 @@ def check_env(config: GymnasiumConfig) -> Iterator[str]:
 
 def _check_steps(env: gym.Env, config: GymnasiumConfig, place: str) -> Iterator[str]:
     """Compare the rewards of random steps with what `compute_reward` says of all of them at once."""
-    env.action_space.seed(0)
-    env.reset(seed=0)
-    steps = [_random_step(env) for _ in range(CHECKED_STEPS)]
-    achieved, desired, rewards = (np.array([step[column] for step in steps]) for column in range(3))
-    infos: list[dict[str, Any]] = [step[3] for step in steps]
+    achieved, desired, rewards, infos = random_steps(env)
     for name in ("success_key", "failure_key"):
         if (key := getattr(config, name)) is not None and key not in infos[0]:
             yield f"env.{name}={key}: there is no such entry of info; there are {', '.join(infos[0])}"
@@ -57,7 +51,7 @@ def _check_steps(env: gym.Env, config: GymnasiumConfig, place: str) -> Iterator[
         yield f"{place}: compute_reward is not vectorised: {type(error).__name__}: {' '.join(str(error).split())}"
         return
     if computed.shape != rewards.shape:
-        yield f"{place}: compute_reward is not vectorised: for {len(steps)} goals it returns the shape {computed.shape}"
+        yield f"{place}: compute_reward is not vectorised: for {len(infos)} goals it returns the shape {computed.shape}"
         return
     failed = np.array([bool(config.failure_key and info[config.failure_key]) for info in infos])
     different = np.flatnonzero((np.abs(computed - rewards) > TOLERANCE) & ~failed)
@@ -69,24 +63,12 @@ def _check_steps(env: gym.Env, config: GymnasiumConfig, place: str) -> Iterator[
         )
 
 
-def _random_step(env: gym.Env) -> tuple[np.ndarray, np.ndarray, float, dict[str, Any]]:
-    """Return achieved and desired goal, reward and info of a random step; start another episode where one ends."""
-    observation, reward, terminated, truncated, info = env.step(env.action_space.sample())
-    achieved, desired = (np.array(observation[key]) for key in ("achieved_goal", "desired_goal"))
-    if terminated or truncated:
-        env.reset()
-    return achieved, desired, float(reward), info
-
-
 def resumes_exactly(config: GymnasiumConfig) -> bool:
     """Return whether another env goes on as one that it takes the state of, by replaying its actions."""
     first, second = ReplayActions(make_env(config)), ReplayActions(make_env(config))
-    first.action_space.seed(0)
-    first.reset(seed=0)
-    for _ in range(CHECKED_STEPS):
-        _random_step(first)
+    random_steps(first)
     second.set_state(first.get_state())
-    for _ in range(CHECKED_STEPS):
+    for _ in range(RANDOM_STEPS):
         action = first.action_space.sample()
         (expected, reward, *ended, _), (observation, *others, _) = first.step(action), second.step(action)
         same = all(np.array_equal(expected[key], observation[key]) for key in GOAL_KEYS)

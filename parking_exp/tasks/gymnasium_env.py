@@ -14,6 +14,7 @@ from parking_exp.tasks.gymnasium_config import GymnasiumConfig
 GOAL_KEYS = ("observation", "achieved_goal", "desired_goal")
 ROBOTICS = ("Fetch", "Hand", "PointMaze", "AntMaze", "FrankaKitchen", "Adroit")  # how ids of gymnasium-robotics begin
 SUCCESS_KEYS = ("is_success", "success")
+RANDOM_STEPS = 60
 
 
 class GoalInfo(gym.Wrapper):
@@ -54,11 +55,41 @@ class GymnasiumReward:
         goal = self.env.observation_space["desired_goal"].sample()
         return bool(getattr(self.env, "compute_terminated", lambda *_: False)(goal, goal, {}))
 
-    def __call__(self, achieved: np.ndarray, desired: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return reward and whether the goal is reached, both of shape (n,)."""
-        infos: list[dict[str, Any]] = [{} for _ in desired]
+    @cached_property
+    def info_keys(self) -> tuple[str, ...]:
+        """The numbers of `info` if the reward is another without them."""
+        steps = random_steps(make_env(self.config))
+        achieved, desired, _, infos = steps
+        try:
+            without = self.env.compute_reward(achieved, desired, [{} for _ in infos])
+            needed = not np.array_equal(without, self.env.compute_reward(achieved, desired, infos))
+        except Exception:  # whatever a function raises that misses something
+            needed = True
+        numbers = (bool, int, float, np.number, np.bool_)
+        return tuple(key for key, value in infos[0].items() if needed and isinstance(value, numbers))
+
+    def __call__(
+        self, achieved: np.ndarray, desired: np.ndarray, info: np.ndarray | None = None
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return reward and whether the goal is reached, both of shape (n,); `info` has the shape (n, info_keys)."""
+        rows = np.empty((len(desired), 0)) if info is None else info
+        infos = [dict(zip(self.info_keys, row.tolist(), strict=True)) for row in rows]
         reward, best = (np.asarray(self.env.compute_reward(goal, desired, infos)) for goal in (achieved, desired))
         return reward, reward >= best
+
+
+def random_steps(env: gym.Env) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[dict[str, Any]]]:
+    """Return achieved goals, desired goals, rewards and infos of some random steps, always the same."""
+    env.action_space.seed(0)
+    env.reset(seed=0)
+    steps = []
+    for _ in range(RANDOM_STEPS):
+        observation, reward, terminated, truncated, info = env.step(env.action_space.sample())
+        steps.append((*(np.array(observation[key]) for key in ("achieved_goal", "desired_goal")), float(reward), info))
+        if terminated or truncated:
+            env.reset()
+    achieved, desired, rewards, infos = zip(*steps, strict=True)
+    return np.array(achieved), np.array(desired), np.array(rewards), list(infos)
 
 
 def make_env(config: GymnasiumConfig, render_mode: str | None = None) -> gym.Env:

@@ -44,6 +44,10 @@ class GoalReward(Protocol):
         """Entry of `info` that is true at such a step."""
 
     @property
+    def info_keys(self) -> tuple[str, ...]:
+        """Entries of `info` that the reward depends on, beside the goals; each is a number."""
+
+    @property
     def velocity(self) -> tuple[int, ...]:
         """Which entries of a goal are a velocity."""
 
@@ -51,8 +55,10 @@ class GoalReward(Protocol):
     def terminates(self) -> bool:
         """Whether an episode ends where its goal is reached."""
 
-    def __call__(self, achieved: np.ndarray, desired: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return reward and whether the goal is reached, both of shape (n,)."""
+    def __call__(
+        self, achieved: np.ndarray, desired: np.ndarray, info: np.ndarray | None = None
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return reward and whether the goal is reached, both of shape (n,); `info` has the shape (n, info_keys)."""
 
 
 class EvaluationBatch(Protocol):

@@ -54,6 +54,21 @@ class OtherReward(BitFlip):
         return observation, reward - 0.5, terminated, truncated, info
 
 
+class Priced(BitFlip):
+    """Each step has a price of its own, which only `info` has."""
+
+    def step(self, action):
+        observation, _, terminated, truncated, info = super().step(action)
+        info["price"] = float(self.np_random.uniform())
+        reward = self.compute_reward(observation["achieved_goal"], observation["desired_goal"], info)
+        return observation, float(reward), terminated, truncated, info
+
+    def compute_reward(self, achieved_goal, desired_goal, info):
+        infos = [info] if isinstance(info, dict) else info
+        price = np.array([entry.get("price", 0.0) for entry in infos])
+        return np.squeeze(super().compute_reward(achieved_goal, desired_goal, info) - price)
+
+
 class Unseeded(BitFlip):
     """Its steps are not reproducible."""
 
@@ -73,6 +88,6 @@ class Plain(BitFlip):
     observation_space = gym.spaces.Box(0, 1, (BITS,), np.float64)
 
 
-for cls in (BitFlip, OneByOne, OtherReward, Unseeded, Discrete, Plain):
+for cls in (BitFlip, OneByOne, OtherReward, Priced, Unseeded, Discrete, Plain):
     gym.register(f"{cls.__name__}-v0", cls, max_episode_steps=BITS)
 gym.register("Endless-v0", BitFlip)

@@ -5,9 +5,11 @@ import re
 import numpy as np
 import pandas as pd
 import pytest
+from stable_baselines3.common.logger import Logger
 from support.marks import slow_but
 from support.runs import call_script, only_run
 
+from parking_exp.algorithms.build_model import build_model
 from parking_exp.config.compose import composed
 from parking_exp.config.validate import validate
 from parking_exp.errors import ConfigError
@@ -83,6 +85,22 @@ def test_the_reward_says_which_goals_are_reached_and_whether_an_episode_ends_the
     assert (fetch.terminates, maze.terminates) == (False, True)
     goal = np.zeros((1, 3))
     assert [fetch(goal + offset, goal)[1].item() for offset in (0.0, 0.02, 0.04)] == [True, True, False]
+
+
+def test_what_the_reward_needs_of_info_is_stored_and_relabelled_with():
+    run = config(f"{TOY}Priced-v0", "n_envs=2", "buffer.relabel_terminated=sb3")
+    model = build_model(run, make_training_envs(run.env, 2), seed=0)
+    model.set_logger(Logger(None, []))
+    model.learning_starts = 200
+    model.learn(200)
+    buffer = model.replay_buffer
+    assert buffer.reward.info_keys == ("is_success", "lost", "price", "is_failure")
+    batch, stored = buffer.sample(200), buffer.storage.data[:100]
+    prices = set(np.float32(stored["info"][:, :, 2]).ravel().tolist())
+    assert len(prices) > 150
+    reached = (batch.next_observations["achieved_goal"] == batch.observations["desired_goal"]).all(dim=1)
+    paid = (reached.float() - 1 - batch.rewards[:, 0]).numpy()
+    assert np.abs(paid[:, None] - np.array(sorted(prices), np.float32)).min(axis=1).max() < 1e-6
 
 
 @pytest.mark.parametrize("vectorization", ["sync", "async"])

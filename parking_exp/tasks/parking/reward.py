@@ -18,6 +18,7 @@ class GoalReward:
     sparse: bool  # the reward is 0 where the goal is reached and -1 elsewhere, instead of the distance
 
     failure_key = "crashed"
+    info_keys = ()
     terminates = True
     # Which features of a goal are a velocity.
     velocity = tuple(DEFAULT_FEATURES.index(name) for name in ("vx", "vy"))
@@ -28,7 +29,9 @@ class GoalReward:
         weights = np.array(config.reward_weights, np.float64)
         return cls(weights, -config.success_goal_reward, config.collision_reward, config.reward == "sparse")
 
-    def __call__(self, achieved: np.ndarray, desired: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def __call__(
+        self, achieved: np.ndarray, desired: np.ndarray, info: np.ndarray | None = None
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Return reward and whether the goal is reached, both of shape (...) for goals of shape (..., 6)."""
         # The negative square root of the weighted distance, with the dot product that highway-env's is.
         dense: np.ndarray = -np.sqrt(np.vecdot(np.abs(achieved - desired), self.weights))
