@@ -2,6 +2,9 @@
 
 import importlib
 import importlib.util
+import io
+import sys
+from contextlib import redirect_stderr, redirect_stdout
 from functools import cached_property
 from typing import Any
 
@@ -101,7 +104,8 @@ def make_env(config: GymnasiumConfig, render_mode: str | None = None) -> gym.Env
     if ":" not in config.id and config.id not in gym.registry:
         for package in ("gymnasium_robotics", "highway_env"):
             if config.id not in gym.registry and importlib.util.find_spec(package):
-                gym.register_envs(importlib.import_module(package))
+                with redirect_stdout(sys.stderr), redirect_stderr(io.StringIO()):  # a notice about other environments
+                    gym.register_envs(importlib.import_module(package))
     options = {**config.kwargs, **({"render_mode": render_mode} if render_mode else {})}
     try:
         env = gym.make(config.id, max_episode_steps=config.max_episode_steps, disable_env_checker=True, **options)

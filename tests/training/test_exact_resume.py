@@ -32,12 +32,18 @@ def test_the_default_recipe_parks(tmp_path):
 
 # Other algorithms, buffers and noises are interrupted within one process: tests/training/test_resume.py.
 KINDS = {
-    "sac": (),
+    "sac": ("experiment=smoke",),
+    "sac, normalised, FetchReach in two processes": (
+        "env=fetch_reach", "algorithm=sac", "n_envs=2", "env.vectorization=async", "total_timesteps=400",
+        "algorithm.learning_starts=100", "evaluation.every_n_steps=100", "evaluation.n_scenes=3",
+        "evaluation.final_n_scenes=5",
+    ),
     "sac, one highway_env by episodes, gSDE": (
-        "env.simulator=highway_env", "n_envs=1", "algorithm.train_freq=[1,episode]", "algorithm.use_sde=true",
+        "experiment=smoke", "env.simulator=highway_env", "n_envs=1", "algorithm.train_freq=[1,episode]",
+        "algorithm.use_sde=true",
     ),
     "td3, EMA, Ornstein-Uhlenbeck noise, a full buffer": (
-        "algorithm=td3", "algorithm.policy_ema_half_life=30", "buffer.buffer_size=200", "n_envs=4", "algorithm.learning_starts=48",
+        "experiment=smoke", "algorithm=td3", "algorithm.policy_ema_half_life=30", "buffer.buffer_size=200", "n_envs=4", "algorithm.learning_starts=48",
         "algorithm.action_noise._target_=stable_baselines3.common.noise.OrnsteinUhlenbeckActionNoise",
     ),
 }  # fmt: skip
@@ -46,7 +52,7 @@ KINDS = {
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_run_killed_at_random_moments_is_the_run_that_was_not(tmp_path, kind):
     """Everything in the run directory, and every number in the store, to the last bit; only clocks may differ."""
-    arguments = ("experiment=smoke", "evaluation.video_episodes=0", "checkpoint.every_n_steps=25", *KINDS[kind])
+    arguments = ("evaluation.video_episodes=0", "checkpoint.every_n_steps=25", *KINDS[kind])
     whole, pieces = tmp_path / "whole", tmp_path / "pieces"
     done = run_script("train", *arguments, f"output_dir={whole}")
     assert done.returncode == 0, done.stderr
