@@ -1,5 +1,6 @@
 """README and the pages of docs/: links and paths exist, commands and examples run."""
 
+import json
 import os
 import re
 import shlex
@@ -115,10 +116,14 @@ def test_the_examples_of_the_extending_page_run_and_appear_in_results(tmp_path):
         shutil.copytree(ROOT / folder, tmp_path / folder, ignore=shutil.ignore_patterns("__pycache__"))
     for title, text in blocks(EXTENDING, "python") + blocks(EXTENDING, "yaml"):
         add(tmp_path / title, text)
-    # One command trains a run with all extensions; the others print their plan.
+    # One command trains a run with all extensions, one shortly on another task; the others print their plan.
+    short = ["total_timesteps=1000", "evaluation.n_scenes=5", "evaluation.final_n_scenes=5", "experiment_name=other"]
     for command in commands(EXTENDING):
-        words = [sys.executable, *shlex.split(f"scripts/{command}"), *([] if "mine" in command else ["dry_run=true"])]
+        added = short if "my_tasks" in command else [] if "mine" in command else ["dry_run=true"]
+        words = [sys.executable, *shlex.split(f"scripts/{command}"), *added]
         subprocess.run(words, cwd=tmp_path, env={**os.environ, "PYTHONPATH": str(tmp_path)}, check=True, timeout=300)
     (result,) = tmp_path.glob("outputs/mine/parking_dense_lot-fading_sac-her_late-*/seed=0/result.json")
     assert "final/centred_rate" in result.read_text()
+    (other,) = tmp_path.glob("outputs/other/*/seed=0/result.json")
+    assert 0 <= json.loads(other.read_text())["metrics"]["final/failure_rate"] <= 1
     assert "How many seeds" in (tmp_path / "outputs/reports/mine/index.html").read_text()
