@@ -1,5 +1,5 @@
 #!/usr/bin/env python
-"""Train a parking agent; see --help."""
+"""Train a goal-conditioned agent; see --help."""
 
 import sys
 from pathlib import Path

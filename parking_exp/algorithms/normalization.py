@@ -60,7 +60,7 @@ class NormalizedExtractor(TaskFeatures):
     """
 
     def __init__(self, observation_space: spaces.Dict, normalizer: Normalizer) -> None:
-        super().__init__(observation_space, sum(map(spaces.flatdim, observation_space.spaces.values())))
+        super().__init__(observation_space, sum(spaces.flatdim(observation_space[key]) for key in KINDS))
         self.normalizer = normalizer
 
     def forward(self, observations: dict[str, torch.Tensor]) -> torch.Tensor:

@@ -45,7 +45,7 @@ def check_trust(config: RunConfig, source: Path) -> None:
     Raises:
         UntrustedError: a class or `_target_` is not on the list.
     """
-    imported = [(f"env.{key}", path) for key, path in config.env.class_paths.items()]
+    imported = [(f"env.{key}", path) for key, path in config.env.imports.items()]
     for key, target in [*_targets(config.plain()), *imported]:
         if not isinstance(target, str) or target not in ALLOWED:
             raise UntrustedError(f"{key}={target} in {source} is not on the allow-list (trust=true allows it)")

@@ -152,8 +152,13 @@ class RunConfig(ConfigModel):
 
     @property
     def n_certified(self) -> int:
-        """Number of final episodes that are repeated on the task's reference simulator; all if the run trains on it."""
+        """Number of final episodes that are repeated on the task's reference simulator; all if the run trains on it.
+
+        A task with one simulator has none to compare it with.
+        """
         n_final, simulators = self.evaluation.final_n_scenes, self.env.simulators
+        if len(simulators) == 1:
+            return 0
         is_reference = self.env.simulator == simulators[-1]
         return n_final if is_reference else min(self.evaluation.n_certified_scenes, n_final)
 

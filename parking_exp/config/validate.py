@@ -16,7 +16,7 @@ from pydantic import BaseModel, ValidationError
 from parking_exp.config.constructor_arguments import check_arguments
 from parking_exp.config.credentials import keep_password
 from parking_exp.config.messages import keys_at, sentence
-from parking_exp.config.rules import check_rules, check_task
+from parking_exp.config.rules import check_rules, check_tasks
 from parking_exp.config.schema import RunConfig, SweepOptions
 from parking_exp.errors import ConfigError
 
@@ -54,8 +54,7 @@ def validate_all(configs: Iterable[Config]) -> list[RunConfig]:
     for config in configs:
         runs.append(parse(RunConfig, config, without=SWEEP_KEYS))
         refuse(check_rules(runs[-1]))
-    for run in {run.env.model_dump_json(): run for run in runs}.values():  # each env once
-        refuse(check_task(run))
+    refuse(check_tasks(runs))
     for run in runs:
         refuse(check_arguments(run))
     return runs

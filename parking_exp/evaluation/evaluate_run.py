@@ -7,7 +7,7 @@ from omegaconf import DictConfig
 from parking_exp.config.paths import default_uri, directory_path, is_same_store
 from parking_exp.config.rules import check_env
 from parking_exp.config.run_key import short_hash
-from parking_exp.config.schema import StoreConfig
+from parking_exp.config.schema import RunConfig, StoreConfig
 from parking_exp.config.validate import parse, refuse
 from parking_exp.config_model import TRAINING_SEEDS_START, Count, EpisodeSeed, Name, NumberOfEpisodes
 from parking_exp.errors import ConfigError, VideoError, plural
@@ -18,6 +18,7 @@ from parking_exp.tasks.env_config import EnvConfig
 from parking_exp.tasks.registry import make_task
 from parking_exp.terminal import Screen, say
 
+OF_RECIPES = {*RunConfig.model_fields} - {"env", "output_dir", "tracking"}  # keys that an option of `env` may set
 EPISODES, PRETRAINED_EPISODES = 100, 20  # by default; the cards of pretrained agents have the rates of 500
 
 
@@ -48,7 +49,7 @@ class EvaluationRequest(AgentRequest):
 
 def validate_request(config: DictConfig) -> EvaluationRequest:
     """Validate a composed config."""
-    request = parse(EvaluationRequest, config)
+    request = parse(EvaluationRequest, config, without=OF_RECIPES)
     n_episodes = len(request.seeds)
     if request.video > n_episodes:
         raise ConfigError(f"video={request.video} is above episodes; the closest valid choice is {n_episodes}")
@@ -134,7 +135,7 @@ def _env(request: EvaluationRequest, env: EnvConfig) -> EnvConfig:
     """Return an `env` group with the request's simulator; ConfigError where they do not go together."""
     if (simulator := _simulator(request, env)) != env.simulator:
         env = env.model_copy(update={"simulator": simulator})
-    refuse(check_env(env))
+    refuse([*check_env(env), *make_task(env).problems()])
     return env
 
 

@@ -15,7 +15,10 @@ from parking_exp.runs.atomic_files import read_object
 
 PROVENANCE_FILE = "provenance.json"
 TAGS = {"git_commit", "git_dirty", "cpu"}  # and version.PACKAGE
-PACKAGES = ["torch", "stable-baselines3", "highway-env", "gymnasium", "numpy", "hydra-core", "mlflow-skinny"]
+PACKAGES = [
+    *("torch", "stable-baselines3", "highway-env", "gymnasium", "gymnasium-robotics", "mujoco", "numpy", "hydra-core"),
+    "mlflow-skinny",
+]
 
 
 def provenance() -> dict[str, str]:

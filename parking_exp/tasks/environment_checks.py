@@ -8,7 +8,15 @@ from gymnasium import spaces
 
 from parking_exp.errors import ConfigError
 from parking_exp.tasks.gymnasium_config import GymnasiumConfig
-from parking_exp.tasks.gymnasium_env import GOAL_KEYS, RANDOM_STEPS, SUCCESS_KEYS, make_env, random_steps
+from parking_exp.tasks.gymnasium_env import (
+    GOAL_KEYS,
+    RANDOM_STEPS,
+    SUCCESS_KEYS,
+    GymnasiumReward,
+    make_env,
+    one_line,
+    random_steps,
+)
 from parking_exp.tasks.training_envs import ReplayActions
 
 TOLERANCE = 1e-6  # of rewards, which may be float32
@@ -21,52 +29,63 @@ def check_env(config: GymnasiumConfig) -> Iterator[str]:
     except ConfigError as error:
         yield str(error)
         return
-    place, space = f"env.id={config.id}", env.observation_space
-    known = set(space.spaces) if isinstance(space, spaces.Dict) else set()
-    if absent := [key for key in reversed(GOAL_KEYS) if key not in known]:
+    place, space, actions = f"env.id={config.id}", env.observation_space, env.action_space
+    entries = space.spaces if isinstance(space, spaces.Dict) else {}
+    shaped = [key for key, entry in entries.items() if len(entry.shape or ()) != 1]
+    if absent := [key for key in reversed(GOAL_KEYS) if key not in entries]:
         yield f"{place} is not a goal environment: its observation has no {absent[0]}"
-    elif not isinstance(env.action_space, spaces.Box):
-        yield f"{place} has the actions {env.action_space}; SAC, TD3 and DDPG need continuous ones (Box)"
+    elif shaped:
+        yield f"{place} has the {shaped[0]} {entries[shaped[0]]}; it has to be a vector"
+    elif not isinstance(actions, spaces.Box) or not actions.is_bounded():
+        yield f"{place} has the actions {actions}; they have to be continuous with finite bounds (Box)"
     elif not hasattr(env.unwrapped, "compute_reward"):
         yield f"{place} is not a goal environment: it has no compute_reward"
     elif env.spec is None or env.spec.max_episode_steps is None:
         yield f"{place} has no limit to the length of an episode; set env.max_episode_steps"
     else:
-        yield from _check_steps(env, config, place)
+        try:
+            yield from _check_steps(env, config, place)
+        except Exception as error:  # whatever a user's environment raises
+            yield f"{place}: {one_line(error)}"
 
 
 def _check_steps(env: gym.Env, config: GymnasiumConfig, place: str) -> Iterator[str]:
     """Compare the rewards of random steps with what `compute_reward` says of all of them at once."""
-    achieved, desired, rewards, infos = random_steps(env)
+    achieved, desired, rewards, infos = random_steps(env.env)
+    known = {key: None for info in infos for key in info}
     for name in ("success_key", "failure_key"):
-        if (key := getattr(config, name)) is not None and key not in infos[0]:
-            yield f"env.{name}={key}: there is no such entry of info; there are {', '.join(infos[0])}"
+        if (key := getattr(config, name)) is not None and key not in known:
+            yield f"env.{name}={key}: there is no such entry of info; there are {', '.join(known) or 'none'}"
             return
-    if config.success_key is None and not any(key in infos[0] for key in SUCCESS_KEYS):
+    if config.success_key is None and not any(key in known for key in SUCCESS_KEYS):
         yield f"{place}: info has neither {' nor '.join(SUCCESS_KEYS)}; name what says it as env.success_key"
         return
     try:
         computed = np.asarray(env.unwrapped.compute_reward(achieved, desired, infos))
     except Exception as error:  # whatever a function that was not written for batches raises
-        yield f"{place}: compute_reward is not vectorised: {type(error).__name__}: {' '.join(str(error).split())}"
+        yield f"{place}: compute_reward is not vectorised: {one_line(error)}"
         return
     if computed.shape != rewards.shape:
         yield f"{place}: compute_reward is not vectorised: for {len(infos)} goals it returns the shape {computed.shape}"
         return
-    failed = np.array([bool(config.failure_key and info[config.failure_key]) for info in infos])
-    different = np.flatnonzero((np.abs(computed - rewards) > TOLERANCE) & ~failed)
+    failed = np.array([bool(config.failure_key and info.get(config.failure_key)) for info in infos])
+    different = np.flatnonzero(~(np.abs(computed - rewards) <= TOLERANCE) & ~failed)
     if len(different):
         step = different[0]
         yield (
             f"{place}: compute_reward gives {computed[step]:.6g} for a step of reward {rewards[step]:.6g}; if that is "
             "the penalty of a failure, name its entry of info as env.failure_key"
         )
+    assert isinstance(GymnasiumReward(config).terminates, bool)  # asks the environment, which may raise
 
 
 def resumes_exactly(config: GymnasiumConfig) -> bool:
-    """Return whether another env goes on as one that it takes the state of, by replaying its actions."""
+    """Return whether an env that is restored by replaying another one's actions continues like that."""
     first, second = ReplayActions(make_env(config)), ReplayActions(make_env(config))
     random_steps(first)
+    first.reset()  # what an episode leaves behind has to be no part of the next
+    for _ in range(3):
+        first.step(first.action_space.sample())
     second.set_state(first.get_state())
     for _ in range(RANDOM_STEPS):
         action = first.action_space.sample()

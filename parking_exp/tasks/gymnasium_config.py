@@ -1,6 +1,6 @@
 """The `env` group of any goal environment that is registered with Gymnasium."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import Field
@@ -34,20 +34,31 @@ class GymnasiumConfig(ConfigModel):
         return self.max_episode_steps
 
     @property
-    def class_paths(self) -> dict[str, str]:
-        """Keys that name what making an env imports: an `id` with a module before a colon."""
-        colon = ":" in self.id
-        return {"id": self.id} if colon else {}
+    def imports(self) -> dict[str, str]:
+        """Keys by which making an env may import a module or open a file, and their values."""
+        strange = {f"kwargs.{key}": str(value) for key, value in self.kwargs.items() if not _is_harmless(value)}
+        return strange | ({"id": self.id} if ":" in self.id else {})
 
     @property
     def action_size(self) -> None:
         """Number of dimensions of an action: only the environment knows."""
 
     def problems(self) -> Iterator[str]:
-        """Yield what is wrong with the keys, without importing the environment: nothing."""
+        """Yield a sentence for each rule between keys that is violated; there is none."""
         yield from ()
 
-    def model_problems(self, features: str, *, relabels: bool) -> Iterator[str]:
-        """Yield what is wrong with the policy's features."""
+    def model_problems(self, features: str, buffer: Mapping[str, Any], *, relabels: bool) -> Iterator[str]:
+        """Yield what does not go with this task: of the policy's features and of the arguments of the buffer."""
         if features != "raw":
             yield f"algorithm.features={features} is of parking-v0; use algorithm.features=raw"
+        if buffer.get("relabel_collision") == "keep":
+            yield "buffer.relabel_collision=keep needs to know the penalty of a failure; use exclude or sb3"
+        if buffer.get("goal_velocity") == "zero":
+            yield "buffer.goal_velocity=zero needs to know which entries of a goal are velocities; use achieved"
+
+
+def _is_harmless(value: object) -> bool:
+    """Return whether an argument can name neither a module nor a file."""
+    if isinstance(value, list):
+        return all(map(_is_harmless, value))
+    return value is None or isinstance(value, int | float) or (isinstance(value, str) and value.isidentifier())

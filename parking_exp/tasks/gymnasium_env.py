@@ -18,6 +18,7 @@ GOAL_KEYS = ("observation", "achieved_goal", "desired_goal")
 ROBOTICS = ("Fetch", "Hand", "PointMaze", "AntMaze", "FrankaKitchen", "Adroit")  # how ids of gymnasium-robotics begin
 SUCCESS_KEYS = ("is_success", "success")
 RANDOM_STEPS = 60
+NUMBERS = (bool, int, float, np.number, np.bool_)
 
 
 class GoalInfo(gym.Wrapper):
@@ -39,7 +40,11 @@ class GoalInfo(gym.Wrapper):
 
 
 class GymnasiumReward:
-    """The `compute_reward` of an environment, for many goals at once; a goal is reached where none is rewarded more."""
+    """The `compute_reward` of an environment, for many goals at once.
+
+    A goal is reached where `compute_terminated` says so, if episodes end there, or else where the reward is that of the
+    goal itself.
+    """
 
     failure, failure_key = 0.0, "is_failure"
     velocity: tuple[int, ...] = ()
@@ -53,32 +58,36 @@ class GymnasiumReward:
         return make_env(self.config).unwrapped
 
     @cached_property
+    def _steps(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[dict[str, Any]]]:
+        return random_steps(make_env(self.config).env)
+
+    @cached_property
     def terminates(self) -> bool:
         """Whether an episode ends where its goal is reached, as `compute_terminated` of the environment says."""
-        goal = self.env.observation_space["desired_goal"].sample()
-        return bool(getattr(self.env, "compute_terminated", lambda *_: False)(goal, goal, {}))
+        _, (goal, *_), _, (info, *_) = self._steps
+        return bool(getattr(self.env, "compute_terminated", lambda *_: False)(goal, goal, info))
 
     @cached_property
     def info_keys(self) -> tuple[str, ...]:
-        """The numbers of `info` if the reward is another without them."""
-        steps = random_steps(make_env(self.config))
-        achieved, desired, _, infos = steps
+        """The numbers that all infos have, if the reward is another without them."""
+        achieved, desired, _, infos = self._steps
         try:
             without = self.env.compute_reward(achieved, desired, [{} for _ in infos])
             needed = not np.array_equal(without, self.env.compute_reward(achieved, desired, infos))
         except Exception:  # whatever a function raises that misses something
             needed = True
-        numbers = (bool, int, float, np.number, np.bool_)
-        return tuple(key for key, value in infos[0].items() if needed and isinstance(value, numbers))
+        return tuple(key for key in infos[0] if needed and all(isinstance(i.get(key), NUMBERS) for i in infos))
 
     def __call__(
         self, achieved: np.ndarray, desired: np.ndarray, info: np.ndarray | None = None
     ) -> tuple[np.ndarray, np.ndarray]:
         """Return reward and whether the goal is reached, both of shape (n,); `info` has the shape (n, info_keys)."""
         rows = np.empty((len(desired), 0)) if info is None else info
-        infos = [dict(zip(self.info_keys, row.tolist(), strict=True)) for row in rows]
-        reward, best = (np.asarray(self.env.compute_reward(goal, desired, infos)) for goal in (achieved, desired))
-        return reward, reward >= best
+        infos = [dict(zip(self.info_keys, row.tolist(), strict=False)) for row in rows]
+        reward = np.asarray(self.env.compute_reward(achieved, desired, infos))
+        if self.terminates:  # it takes one goal at a time
+            return reward, np.array(list(map(self.env.compute_terminated, achieved, desired, infos)), bool)
+        return reward, reward >= np.asarray(self.env.compute_reward(desired, desired, infos))
 
 
 def random_steps(env: gym.Env) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[dict[str, Any]]]:
@@ -113,9 +122,15 @@ def make_env(config: GymnasiumConfig, render_mode: str | None = None) -> gym.Env
         raise ConfigError(_not_found(config.id, error)) from error
     except gym.error.DependencyNotInstalled as error:
         raise ConfigError(f"env.id={config.id}: {error}") from error
-    except (TypeError, ValueError, AssertionError, gym.error.Error) as error:
-        raise ConfigError(f"env.id={config.id}, env.kwargs={config.kwargs}: {type(error).__name__}: {error}") from error
+    except Exception as error:  # whatever a user's module or class raises
+        given = f", env.kwargs={config.kwargs}" if config.kwargs else ""
+        raise ConfigError(f"env.id={config.id}{given}: {one_line(error)}") from error
     return GoalInfo(env, config)
+
+
+def one_line(error: Exception) -> str:
+    """Return the class of an error and what it says."""
+    return f"{type(error).__name__}: {' '.join(str(error).split())}"
 
 
 def _not_found(env_id: str, error: Exception) -> str:

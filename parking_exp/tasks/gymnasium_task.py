@@ -1,9 +1,12 @@
 """Any goal environment that is registered with Gymnasium, as a task."""
 
 import os
+import signal
+import subprocess
+import sys
 from collections.abc import Iterator, Sequence
 from contextlib import closing
-from functools import cached_property
+from functools import cached_property, partial
 from itertools import compress
 from typing import Any
 
@@ -15,7 +18,7 @@ from parking_exp.errors import VideoError
 from parking_exp.tasks.captions import LAST_FRAME_S, captioned
 from parking_exp.tasks.environment_checks import check_env, resumes_exactly
 from parking_exp.tasks.gymnasium_config import GymnasiumConfig
-from parking_exp.tasks.gymnasium_env import GOAL_KEYS, make_env
+from parking_exp.tasks.gymnasium_env import make_env, one_line
 from parking_exp.tasks.metrics import GYMNASIUM_METRICS, outcome
 from parking_exp.tasks.task import EvaluationBatch, Observation, Policy, Step
 from parking_exp.tasks.training_envs import ReplayActions
@@ -33,7 +36,9 @@ class GymnasiumBatch:
 
     def observe(self) -> Observation:
         """Return the observations of all episodes."""
-        return {key: np.stack([observation[key] for observation in self._observations]) for key in GOAL_KEYS}
+        return {
+            key: np.stack([observation[key] for observation in self._observations]) for key in self._observations[0]
+        }
 
     def step(self, actions: np.ndarray) -> Step:
         """Step all episodes; actions have the shape (n, actions)."""
@@ -78,8 +83,9 @@ class GymnasiumTask:
 
     def training_envs(self, n_envs: int) -> VecEnv:
         """Make training envs, in this process or in one each."""
-        makers = [lambda: ReplayActions(make_env(self.config))] * n_envs
-        return SubprocVecEnv(makers) if self.config.vectorization == "async" else DummyVecEnv(makers)
+        if self.config.vectorization == "async":
+            return SubprocVecEnv([partial(_env_of_worker, self.config)] * n_envs)
+        return DummyVecEnv([lambda: ReplayActions(make_env(self.config))] * n_envs)
 
     def evaluation_batch(self, seeds: Sequence[int], simulator: str) -> EvaluationBatch:
         """Start the episodes of some seeds; the envs are used again."""
@@ -108,7 +114,7 @@ class GymnasiumTask:
             yield f"{self.config.id} is not deterministic: an interrupted run resumes, but not bit-identically"
 
     def features(self, name: str) -> None:
-        """Return None: all features are raw."""
+        """Return None, as there are raw features only."""
 
     def frames(self, policy: Policy, seeds: Sequence[int]) -> Iterator[np.ndarray]:
         """Yield a frame for the start of each episode and each step, and one second of its end."""
@@ -118,12 +124,19 @@ class GymnasiumTask:
                 done = False
                 while not done:
                     yield captioned(_frame(env), f"seed {seed}")
-                    action = policy({key: observation[key][np.newaxis] for key in GOAL_KEYS})[0]
+                    action = policy({key: value[np.newaxis] for key, value in observation.items()})[0]
                     observation, _, terminated, truncated, info = env.step(action)
                     done = terminated or truncated
                 ending = outcome(self.failure, info["is_failure"], info["is_success"])
                 last = captioned(_frame(env), f"seed {seed}: {ending}")
                 yield from [last] * round(LAST_FRAME_S * self.frame_rate)
+
+
+def _env_of_worker(config: GymnasiumConfig) -> gym.Env:
+    """Make an env in a process of its own, which leaves signals to the training: it ends with the pipe."""
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, signal.SIG_IGN)
+    return ReplayActions(make_env(config))
 
 
 def _frame(env: gym.Env) -> np.ndarray:
@@ -132,20 +145,32 @@ def _frame(env: gym.Env) -> np.ndarray:
 
 
 def _rendered(config: GymnasiumConfig) -> gym.Env:
-    """Make an env that renders; MuJoCo without a display by EGL or OSMesa, whichever there is."""
+    """Make an env that renders; VideoError where none can."""
     if "rgb_array" not in make_env(config).metadata.get("render_modes", ()):
         raise VideoError(f"no video: env.id={config.id} does not render to arrays")
-    chosen, problems = os.environ.get("MUJOCO_GL"), []
-    for backend in [chosen] if chosen else ["egl", "osmesa"]:
-        os.environ["MUJOCO_GL"] = backend
-        try:
-            env = make_env(config, "rgb_array")
-            env.reset(seed=0)
-            env.render()
-        except Exception as error:  # of drivers, bindings and shared libraries
-            problems.append(f"MUJOCO_GL={backend}: {type(error).__name__}: {' '.join(str(error).split())}")
-        else:
-            return env
-    if chosen is None:
-        del os.environ["MUJOCO_GL"]
-    raise VideoError(f"no video of env.id={config.id}: {'; '.join(problems)}")
+    if "mujoco" in sys.modules and "MUJOCO_GL" not in os.environ:
+        os.environ["MUJOCO_GL"] = _mujoco_backend()
+    try:
+        env = make_env(config, "rgb_array")
+        env.reset(seed=0)
+        env.render()
+    except Exception as error:  # of drivers, bindings and shared libraries
+        raise VideoError(f"no video of env.id={config.id}: {one_line(error)}") from error
+    return env
+
+
+def _mujoco_backend() -> str:
+    """Return how MuJoCo renders without a display on this machine; VideoError where neither EGL nor OSMesa is there.
+
+    Each is tried in a process of its own: a failed one leaves settings that spoil the next.
+    """
+    problems = []
+    for backend in ("egl", "osmesa"):
+        command = [sys.executable, "-c", "import mujoco; mujoco.GLContext(8, 8).make_current()"]
+        done = subprocess.run(
+            command, env={**os.environ, "MUJOCO_GL": backend}, capture_output=True, text=True, check=False
+        )
+        if done.returncode == 0:
+            return backend
+        problems.append(f"{backend}: {(done.stderr.strip().splitlines() or ['?'])[-1]}")
+    raise VideoError(f"no video: MuJoCo renders by neither EGL nor OSMesa ({'; '.join(problems)})")

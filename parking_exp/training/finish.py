@@ -37,7 +37,8 @@ def finish(loop: TrainingLoop) -> pd.DataFrame:
     if config.env.simulator != reference:
         loop.bar.busy(f"certification on {reference}")
         certified = loop.run_episodes(chosen, reference)
-    loop.record_evaluation(certified, "certified")
+    if chosen:
+        loop.record_evaluation(certified, "certified")
     loop.dump_metrics()
     loop.model.logger.close()
     save_model(loop.model, loop.directory.models / "final.zip")
@@ -49,7 +50,7 @@ def finish(loop: TrainingLoop) -> pd.DataFrame:
             record(loop.policy, loop.task, loop.episode_seeds(number), path / "video.mp4")
         except VideoError as error:
             loop.bar.say(str(error))
-    if different := differences(parts[0], certified):
+    if chosen and (different := differences(parts[0], certified)):
         raise CertificationError(
             f"{len(different)} of {len(certified)} certified episodes differ between env.simulator="
             f"{config.env.simulator} and {reference}; {'; '.join(different[:3])}"

@@ -1,11 +1,12 @@
 """A stored config may come from elsewhere: no class outside the allow-list is executed unless the user trusts it."""
 
+import re
 import shutil
 import sys
 
 import pytest
 from omegaconf import OmegaConf
-from support.runs import make_config
+from support.runs import ROOT, make_config
 
 from parking_exp.config.allowlist import ALLOWED, check_trust
 from parking_exp.config.compose import composed
@@ -57,6 +58,22 @@ def test_evaluating_a_foreign_run_refuses_its_class_until_the_user_trusts_it(for
         evaluate(directory, "trust=true")
     assert hostile.exists()
     del sys.modules["hostile"]
+
+
+@pytest.mark.parametrize(
+    ("changes", "named"),
+    [
+        ({"id": "hostile:Env-v0"}, "env.id=hostile:Env-v0"),
+        ({"kwargs": {"config": {"other_vehicles_type": "hostile.Made"}}}, "env.kwargs.config="),
+        ({"kwargs": {"xml_file": "/etc/passwd"}}, "env.kwargs.xml_file=/etc/passwd"),
+    ],
+)
+def test_an_environment_imports_and_opens_nothing_until_the_user_trusts_it(foreign_run, hostile, changes, named):
+    env = OmegaConf.to_container(OmegaConf.load(ROOT / "conf/env/gymnasium.yaml").env)
+    directory = foreign_run("env", {**env, "id": "highway-v0", **changes})
+    with pytest.raises(UntrustedError, match=rf"^{re.escape(named)}.*trust=true"):
+        evaluate(directory)
+    assert not hostile.exists()
 
 
 @pytest.mark.parametrize(

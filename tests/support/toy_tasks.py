@@ -76,6 +76,20 @@ class Unseeded(BitFlip):
         return super().step(np.random.default_rng().uniform(-1, 1, BITS))
 
 
+class Silent(BitFlip):
+    """`info` does not say whether the goal is reached."""
+
+    def step(self, action):
+        return (*super().step(action)[:4], {})
+
+
+class Broken(BitFlip):
+    """It cannot be made."""
+
+    def __init__(self):
+        raise RuntimeError("no licence\nfound")
+
+
 class Discrete(BitFlip):
     """Its actions are numbers of bits."""
 
@@ -88,6 +102,6 @@ class Plain(BitFlip):
     observation_space = gym.spaces.Box(0, 1, (BITS,), np.float64)
 
 
-for cls in (BitFlip, OneByOne, OtherReward, Priced, Unseeded, Discrete, Plain):
+for cls in (BitFlip, OneByOne, OtherReward, Priced, Silent, Broken, Unseeded, Discrete, Plain):
     gym.register(f"{cls.__name__}-v0", cls, max_episode_steps=BITS)
 gym.register("Endless-v0", BitFlip)

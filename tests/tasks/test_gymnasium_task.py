@@ -7,12 +7,13 @@ import pandas as pd
 import pytest
 from stable_baselines3.common.logger import Logger
 from support.marks import slow_but
-from support.runs import call_script, only_run
+from support.runs import call_script, only_run, options
 
 from parking_exp.algorithms.build_model import build_model
 from parking_exp.config.compose import composed
-from parking_exp.config.validate import validate
+from parking_exp.config.validate import validate, validate_all
 from parking_exp.errors import ConfigError
+from parking_exp.evaluation import evaluate_run
 from parking_exp.evaluation.evaluate_policy import evaluate
 from parking_exp.tasks.environment_checks import resumes_exactly
 from parking_exp.tasks.gymnasium_env import GymnasiumReward
@@ -36,6 +37,10 @@ def config(env_id, *overrides):
         ("racetrack-v0", [], "not a goal environment: its observation has no desired_goal"),
         (f"{TOY}Plain-v0", [], "not a goal environment: its observation has no desired_goal"),
         (f"{TOY}Discrete-v0", [], r"Discrete\(8\).* continuous"),
+        (f"{TOY}Silent-v0", [], "neither is_success nor success.*env.success_key"),
+        (f"{TOY}Broken-v0", [], "env.id=.*Broken-v0: RuntimeError: no licence found"),
+        (f"{TOY}BitFlip-v0", ["buffer.relabel_collision=keep"], "buffer.relabel_collision=keep"),
+        (f"{TOY}BitFlip-v0", ["algorithm.action_noise.sigma=[0.1]"], "algorithm.action_noise.sigma has 1 entries"),
         (f"{TOY}OneByOne-v0", [], "compute_reward is not vectorised"),
         (f"{TOY}OtherReward-v0", [], "compute_reward gives -1 for a step of reward -1.5.*env.failure_key"),
         (f"{TOY}Endless-v0", [], "set env.max_episode_steps"),
@@ -85,6 +90,8 @@ def test_the_reward_says_which_goals_are_reached_and_whether_an_episode_ends_the
     assert (fetch.terminates, maze.terminates) == (False, True)
     goal = np.zeros((1, 3))
     assert [fetch(goal + offset, goal)[1].item() for offset in (0.0, 0.02, 0.04)] == [True, True, False]
+    at = np.array([[0.0, 0.0]])
+    assert [maze(at + offset, at)[1].item() for offset in (0.0, 0.3, 0.35)] == [True, True, False]  # within 0.45 m
 
 
 def test_what_the_reward_needs_of_info_is_stored_and_relabelled_with():
@@ -94,7 +101,7 @@ def test_what_the_reward_needs_of_info_is_stored_and_relabelled_with():
     model.learning_starts = 200
     model.learn(200)
     buffer = model.replay_buffer
-    assert buffer.reward.info_keys == ("is_success", "lost", "price", "is_failure")
+    assert buffer.reward.info_keys == ("is_success", "lost", "price")
     batch, stored = buffer.sample(200), buffer.storage.data[:100]
     prices = set(np.float32(stored["info"][:, :, 2]).ravel().tolist())
     assert len(prices) > 150
@@ -128,6 +135,19 @@ def test_training_envs_go_on_as_if_they_had_not_been_saved(vectorization):
 )
 def test_environments_that_cannot_resume_exactly_are_recognised(env_id, exactly):
     assert resumes_exactly(config(env_id, "n_envs=1").env) is exactly
+
+
+def test_a_sweep_is_refused_if_one_of_its_runs_is():
+    lines = ["env=gymnasium", f"env.id={TOY}BitFlip-v0", "algorithm.learning_starts=63,400"]
+    with pytest.raises(ConfigError, match=r"algorithm\.learning_starts=63"):
+        validate_all(composed("config", lines))
+
+
+@pytest.mark.parametrize("option", options("env"))
+def test_evaluate_takes_every_env(option):
+    lines = [f"env={option}", *(["env.id=FetchReach-v4"] if option == "gymnasium" else [])]
+    request = evaluate_run.validate_request(composed("evaluate", lines)[0])
+    assert request.env.name == option
 
 
 LEARNS = [

@@ -150,8 +150,8 @@ def test_a_simulator_that_differs_from_highway_env_fails_the_run(output_dir, mon
     """Here the simulator gives other rewards in the final scenes; both tables are stored."""
     original = GoalReward.__call__
 
-    def other(self, achieved, desired):
-        reward, reached = original(self, achieved, desired)
+    def other(self, achieved, desired, info=None):
+        reward, reached = original(self, achieved, desired, info)
         return reward - 1e-6, reached
 
     monkeypatch.setattr(GoalReward, "__call__", other)

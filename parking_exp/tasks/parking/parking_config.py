@@ -1,6 +1,6 @@
 """The `env` group of parking-v0: highway-env's options under their own names, and six of ours."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import Field
@@ -97,8 +97,8 @@ class ParkingConfig(ConfigModel):
         return steps
 
     @property
-    def class_paths(self) -> dict[str, str]:
-        """Keys that name what making an env imports: a class by its dotted path."""
+    def imports(self) -> dict[str, str]:
+        """Keys by which making an env imports a class, and their dotted paths."""
         return {"other_vehicles_type": self.other_vehicles_type}
 
     @property
@@ -123,7 +123,7 @@ class ParkingConfig(ConfigModel):
         if self.simulator == "vectorized" and action.dynamical:
             yield "env.action.dynamical is not simulated by env.simulator=vectorized; use env.simulator=highway_env"
 
-    def model_problems(self, features: str, *, relabels: bool) -> Iterator[str]:
+    def model_problems(self, features: str, buffer: Mapping[str, Any], *, relabels: bool) -> Iterator[str]:
         """Yield what is wrong with the observation for the policy's features, and for HER if that is used."""
         observation = self.observation
         if relabels and (observation.features != DEFAULT_FEATURES or observation.scales != DEFAULT_SCALES):
