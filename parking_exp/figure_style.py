@@ -17,15 +17,15 @@ from matplotlib.ticker import EngFormatter
 
 
 class LabelledCell(Protocol):
-    """What figures know of any cell of a report."""
+    """A cell of a report, as far as its style and label depend on it."""
 
     @property
     def id(self) -> str:
-        """Its number in the report, `c0`, `c1`, ..."""
+        """Id: `c0`, `c1`, ..."""
 
     @property
     def label(self) -> str:
-        """What distinguishes it from the others."""
+        """Label, unique in the report where it can be."""
 
 
 Drawing = tuple[Figure, str]

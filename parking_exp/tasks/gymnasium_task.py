@@ -7,7 +7,6 @@ import sys
 from collections.abc import Iterator, Sequence
 from contextlib import closing
 from functools import cached_property, partial
-from itertools import compress
 from typing import Any
 
 import gymnasium as gym
@@ -16,49 +15,13 @@ from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecEnv
 
 from parking_exp.errors import VideoError
 from parking_exp.tasks.captions import LAST_FRAME_S, captioned
+from parking_exp.tasks.env_batch import EnvBatch
 from parking_exp.tasks.environment_checks import check_env, resumes_exactly
 from parking_exp.tasks.gymnasium_config import GymnasiumConfig
 from parking_exp.tasks.gymnasium_env import make_env, one_line
 from parking_exp.tasks.metrics import GYMNASIUM_METRICS, outcome
-from parking_exp.tasks.task import EvaluationBatch, Observation, Policy, Step
+from parking_exp.tasks.task import EvaluationBatch, Policy
 from parking_exp.tasks.training_envs import ReplayActions
-
-
-class GymnasiumBatch:
-    """Episodes of a Gymnasium environment, an env for each, stepped together."""
-
-    def __init__(self, envs: Sequence[gym.Env], seeds: Sequence[int]) -> None:
-        self.envs = [*envs[: len(seeds)]]
-        self._observations = [env.reset(seed=int(seed))[0] for env, seed in zip(self.envs, seeds, strict=True)]
-
-    def __len__(self) -> int:
-        return len(self.envs)
-
-    def observe(self) -> Observation:
-        """Return the observations of all episodes."""
-        return {
-            key: np.stack([observation[key] for observation in self._observations]) for key in self._observations[0]
-        }
-
-    def step(self, actions: np.ndarray) -> Step:
-        """Step all episodes; actions have the shape (n, actions)."""
-        results = [env.step(action) for env, action in zip(self.envs, actions, strict=True)]
-        self._observations = [result[0] for result in results]
-        columns = [[result[index] for result in results] for index in (1, 2, 3)]
-        columns += [[result[4][key] for result in results] for key in ("is_failure", "is_success")]
-        return Step(self.observe(), *(np.array(column) for column in columns))
-
-    def keep(self, rows: np.ndarray) -> None:
-        """Keep only some of the episodes, by mask."""
-        self.envs = list(compress(self.envs, rows))
-        self._observations = list(compress(self._observations, rows))
-
-    def ending(self, row: int) -> None:
-        """Return nothing: the metrics of these tasks need no more than the outcome."""
-
-    def positions(self) -> np.ndarray:
-        """Return nothing to record, shape (n, 0)."""
-        return np.empty((len(self), 0))
 
 
 class GymnasiumTask:
@@ -90,7 +53,7 @@ class GymnasiumTask:
     def evaluation_batch(self, seeds: Sequence[int], simulator: str) -> EvaluationBatch:
         """Start the episodes of some seeds; the envs are used again."""
         self._envs += [make_env(self.config) for _ in range(len(seeds) - len(self._envs))]
-        return GymnasiumBatch(self._envs, seeds)
+        return EnvBatch(self._envs[: len(seeds)], seeds, "is_failure")
 
     def prediction_env(self) -> gym.Env:
         """Return an env."""
@@ -118,6 +81,8 @@ class GymnasiumTask:
 
     def frames(self, policy: Policy, seeds: Sequence[int]) -> Iterator[np.ndarray]:
         """Yield a frame for the start of each episode and each step, and one second of its end."""
+        if "rgb_array" not in self.prediction_env().metadata.get("render_modes", ()):
+            raise VideoError(f"no video: env.id={self.env_id} does not render to arrays")
         with closing(_rendered(self.config)) as env:
             for seed in seeds:
                 observation, info = env.reset(seed=seed)
@@ -146,8 +111,6 @@ def _frame(env: gym.Env) -> np.ndarray:
 
 def _rendered(config: GymnasiumConfig) -> gym.Env:
     """Make an env that renders; VideoError where none can."""
-    if "rgb_array" not in make_env(config).metadata.get("render_modes", ()):
-        raise VideoError(f"no video: env.id={config.id} does not render to arrays")
     if "mujoco" in sys.modules and "MUJOCO_GL" not in os.environ:
         os.environ["MUJOCO_GL"] = _mujoco_backend()
     try:

@@ -20,7 +20,7 @@ class Episode:
     outcome: str
     steps: int  # policy steps
     total_reward: float  # undiscounted
-    end: Any  # what the task knows of its end
+    end: Any  # the state at its end, from `EvaluationBatch.ending`
 
 
 @dataclass(frozen=True)

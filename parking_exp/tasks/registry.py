@@ -1,4 +1,4 @@
-"""All tasks: what frames and reports know of any of them, and the task of an `env` group."""
+"""Registry of tasks: the metrics of all of them, and the task and report of each."""
 
 from collections.abc import Iterable, Iterator
 from typing import TYPE_CHECKING
@@ -34,7 +34,7 @@ def make_task(config: EnvConfig) -> "Task":
 
 
 def task_reports(tasks: Iterable[str]) -> "Iterator[TaskReport]":
-    """Yield what reports say and show of some tasks, by name; a run whose config names none is on parking-v0."""
+    """Yield the parts of reports that are specific to some tasks, given by name."""
     if "parking" in tasks:
         from parking_exp.tasks.parking.parking_report import PARKING_REPORT
 

@@ -37,7 +37,7 @@ class GoalReward(Protocol):
 
     @property
     def failure(self) -> float:
-        """What is added to the reward of a step at which the episode fails."""
+        """Penalty, a negative number, in the reward of a step at which the episode fails."""
 
     @property
     def failure_key(self) -> str | None:
@@ -77,10 +77,10 @@ class EvaluationBatch(Protocol):
         """Keep only some of the episodes, by mask."""
 
     def ending(self, row: int) -> Any:
-        """Return what the task's metrics need of an episode that has just ended."""
+        """Return the state at the end of an episode that has just ended, as `Episode.end` of its metrics."""
 
     def positions(self) -> np.ndarray:
-        """Return what a recording has of each episode, shape (n, len(Task.recorded))."""
+        """Return the numbers to record of each episode, shape (n, len(Task.recorded))."""
 
 
 class Task(Protocol):
@@ -146,14 +146,14 @@ class TaskSection:
 
 @dataclass(frozen=True)
 class TaskReport:
-    """What reports say and show of one task.
+    """The part of a report that is specific to one task.
 
     Attributes:
         methods: sentences on how results are defined.
         sections: of the report, left out where no cell has their data.
-        rates: returns what the sections need of a cell, from the final episodes (seed, outcome) of its runs.
-        recordings: returns what they need of the recordings of a cell's runs, and sentences on unreadable ones. It is
-            given (seed, run id) of each run, a function from run id to its recording, final episodes by run id, and
+        rates: returns data of a cell for the sections, from the final episodes (seed, outcome) of its runs.
+        recordings: returns data from the recordings of a cell's runs, and sentences on unreadable ones. Its arguments
+            are (seed, run id) of each run, a function from run id to its recording, final episodes by run id, and
             the cell's config as dotted keys.
         exported: returns the rows of recordings that `recordings` needs, by run id, and such sentences.
     """

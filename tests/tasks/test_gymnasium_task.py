@@ -1,13 +1,18 @@
 """Any goal environment of Gymnasium as a task: what is refused, what an episode is, learning, exact resume."""
 
+import json
+import os
 import re
+import signal
+import subprocess
 
 import numpy as np
 import pandas as pd
 import pytest
 from stable_baselines3.common.logger import Logger
 from support.marks import slow_but
-from support.runs import call_script, only_run, options
+from support.runs import call_script, only_run, options, run_script, script
+from support.sweep_processes import wait_until
 
 from parking_exp.algorithms.build_model import build_model
 from parking_exp.config.compose import composed
@@ -164,3 +169,30 @@ def test_bit_flipping_is_learned_with_her_and_not_without(buffer, tmp_path):
     result = only_run(tmp_path).result()
     rate = result.metrics["final/success_rate"]
     assert rate >= 0.95 if buffer == "her_future" else rate <= 0.2
+
+
+@pytest.mark.slow
+def test_ctrl_c_reaches_the_processes_of_envs_too_and_the_run_resumes(tmp_path):
+    arguments = [
+        "env=fetch_reach", "n_envs=2", "env.vectorization=async", "algorithm.learning_starts=100",
+        "total_timesteps=2000", "evaluation.every_n_steps=null", "evaluation.n_scenes=5", "evaluation.final_n_scenes=5",
+        "evaluation.video_episodes=0", "tracking.mlflow=false", f"output_dir={tmp_path}",
+    ]  # fmt: skip
+    command, keywords = script("train", *arguments)
+    process = subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, start_new_session=True, **keywords
+    )
+    wait_until(lambda: process.poll() is not None or any(step > 200 for step in steps_of(tmp_path)))
+    os.killpg(process.pid, signal.SIGINT)  # as a terminal does
+    output, _ = process.communicate(timeout=60)
+    directory = only_run(tmp_path)
+    assert directory.read_status()["status"] == "interrupted", output
+    assert len(list(directory.checkpoints.glob("step=*"))) == 1
+    assert process.returncode == 130
+    done = run_script("train", *arguments)
+    assert done.returncode == 0, done.stderr
+    assert only_run(tmp_path).result().steps == 2000
+
+
+def steps_of(output_dir):
+    return [json.loads(path.read_text())["step"] for path in output_dir.glob("*/*/seed=*/beat.json")]

@@ -1,16 +1,15 @@
 """parking-v0 simulated by highway-env itself."""
 
 from collections.abc import Sequence
-from itertools import compress
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
 
+from parking_exp.tasks.env_batch import EnvBatch
 from parking_exp.tasks.parking.outcomes import Pose, relative_pose
 from parking_exp.tasks.parking.parking_config import ENV_ID, ParkingConfig
 from parking_exp.tasks.parking.reward import GoalReward
-from parking_exp.tasks.task import Observation, Step
 
 
 class SparseReward(gym.Wrapper, gym.utils.RecordConstructorArgs):
@@ -45,34 +44,11 @@ def make_env(config: ParkingConfig, *, render_mode: str | None = None) -> gym.En
     return SparseReward(env) if config.reward == "sparse" else env
 
 
-class HighwayBatch:
+class HighwayBatch(EnvBatch):
     """n scenes of highway-env itself, an env for each, stepped together; never reset by itself."""
 
     def __init__(self, config: ParkingConfig, scenes: Sequence[int]) -> None:
-        self.envs = [make_env(config) for _ in scenes]
-        self._observations = [env.reset(seed=int(scene))[0] for env, scene in zip(self.envs, scenes, strict=True)]
-
-    def __len__(self) -> int:
-        return len(self.envs)
-
-    def observe(self) -> Observation:
-        """Return the observation of all scenes."""
-        return {
-            key: np.stack([observation[key] for observation in self._observations]) for key in self._observations[0]
-        }
-
-    def step(self, actions: np.ndarray) -> Step:
-        """Step all scenes; actions have the shape (n, actions)."""
-        results = [env.step(action) for env, action in zip(self.envs, actions, strict=True)]
-        self._observations = [result[0] for result in results]
-        crashed, is_success = ([result[4][key] for result in results] for key in ("crashed", "is_success"))
-        columns = [[result[index] for result in results] for index in (1, 2, 3)]
-        return Step(self.observe(), *(np.array(column) for column in (*columns, crashed, is_success)))
-
-    def keep(self, rows: np.ndarray) -> None:
-        """Keep only some of the scenes, by mask."""
-        self.envs = list(compress(self.envs, rows))
-        self._observations = list(compress(self._observations, rows))
+        super().__init__([make_env(config) for _ in scenes], scenes, "crashed")
 
     def ending(self, row: int) -> Pose:
         """Return the pose of a car relative to its goal."""

@@ -1,4 +1,4 @@
-"""What reports say and show of parking: the definition of success, the map of the lot, sampled trajectories."""
+"""Report sections of parking: definition of success, map of the lot, sampled trajectories."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any

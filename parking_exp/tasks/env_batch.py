@@ -1,0 +1,53 @@
+"""Evaluation episodes of Gymnasium envs, one env for each episode."""
+
+from collections.abc import Sequence
+from itertools import compress
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+
+from parking_exp.tasks.task import Observation, Step
+
+
+class EnvBatch:
+    """Episodes of Gymnasium envs, stepped together; none is ever reset by itself.
+
+    Args:
+        envs: an env for each episode; `info` of their steps has `is_success` and `failure_key`.
+        seeds: of the episodes, shape (n,).
+        failure_key: entry of `info` that is true where an episode ends badly.
+    """
+
+    def __init__(self, envs: Sequence[gym.Env], seeds: Sequence[int], failure_key: str) -> None:
+        self.envs, self.failure_key = [*envs], failure_key
+        self._observations = [env.reset(seed=int(seed))[0] for env, seed in zip(envs, seeds, strict=True)]
+
+    def __len__(self) -> int:
+        return len(self.envs)
+
+    def observe(self) -> Observation:
+        """Return the observations of all episodes."""
+        return {
+            key: np.stack([observation[key] for observation in self._observations]) for key in self._observations[0]
+        }
+
+    def step(self, actions: np.ndarray) -> Step:
+        """Step all episodes; actions have the shape (n, actions)."""
+        results = [env.step(action) for env, action in zip(self.envs, actions, strict=True)]
+        self._observations = [result[0] for result in results]
+        columns = [[result[index] for result in results] for index in (1, 2, 3)]
+        columns += [[result[4][key] for result in results] for key in (self.failure_key, "is_success")]
+        return Step(self.observe(), *(np.array(column) for column in columns))
+
+    def keep(self, rows: np.ndarray) -> None:
+        """Keep only some of the episodes, by mask."""
+        self.envs = list(compress(self.envs, rows))
+        self._observations = list(compress(self._observations, rows))
+
+    def ending(self, row: int) -> Any:
+        """Return None: the outcome is all that is known of the end of an episode."""
+
+    def positions(self) -> np.ndarray:
+        """Return an array of shape (n, 0): nothing is recorded."""
+        return np.empty((len(self), 0))
