@@ -6,6 +6,7 @@ evaluation.*           seconds to evaluate a trained policy on 500 scenes
 update.*               updates/s, sampling included, against Stable-Baselines3's train(); 3x256 with precision=medium
 update.*.sbx.ratio     the same with raw features against sbx (JAX) on our replay buffer; n1, n8: updates per round
 run.tutorial.ratio     env steps/s of the tutorial's recipe against plain Stable-Baselines3 + highway-env
+run.fetch_reach.cost   CPU time per env step, updates included, of env=fetch_reach / of plain Stable-Baselines3
 run.default.overhead   wall time of the default run / of its training without tracking, checkpoints, evaluation
 her.sample.*           time of a HER minibatch: large buffer / small one; samples/s against Stable-Baselines3
 her.*bytes*            bytes per transition, in memory and in a saved buffer

@@ -35,6 +35,9 @@ def figures(rounds: int, all_cores: Sequence[int], *, quick: bool) -> dict[str, 
         "evaluation.500_scenes.wall_s": Figure("<=", 1, partial(simulation.evaluation, 50 if quick else 500, rounds)),
         **_updates(rounds, quick=quick),
         "run.tutorial.ratio": Figure(">=", 1.8, partial(training.tutorial, rounds, rounds * 8 if quick else 3000)),
+        "run.fetch_reach.cost": Figure(
+            "<=", 0.6, partial(training.fetch_reach, rounds, rounds * (80 if quick else 400))
+        ),
         "run.default.overhead": Figure("<=", 1.25, partial(training.overhead, few, *(SHORT_RUN if quick else ()))),
         "her.sample.capacity_ratio": Figure("<=", 1.3, partial(buffers.capacity_ratio, capacity, samples, rounds)),
         "her.sample.ratio": Figure(">=", 5, partial(buffers.against_sb3, capacity, samples, rounds)),

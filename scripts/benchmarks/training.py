@@ -1,4 +1,4 @@
-"""Benchmark training: the tutorial's recipe against plain Stable-Baselines3, and the overhead of a run."""
+"""Benchmark training: two recipes against plain Stable-Baselines3, and the overhead of a run."""
 
 import io
 import tempfile
@@ -6,11 +6,14 @@ from contextlib import redirect_stdout
 from functools import partial
 from typing import Any
 
-from stable_baselines3 import SAC, HerReplayBuffer
+import numpy as np
+from stable_baselines3 import SAC, TD3, HerReplayBuffer
+from stable_baselines3.common.env_util import make_vec_env
 from stable_baselines3.common.logger import Logger
 from stable_baselines3.common.monitor import Monitor
+from stable_baselines3.common.noise import NormalActionNoise
 
-from benchmarks.timing import interleave, seconds, spread
+from benchmarks.timing import interleave, rounded, seconds, spread
 from benchmarks.updates import sb3_classes
 from parking_exp import compose
 from parking_exp.algorithms.build_model import build_model, torch_settings
@@ -22,8 +25,29 @@ from parking_exp.training.train_run import train
 
 def tutorial(rounds: int, steps: int) -> dict[str, Any]:
     """Compare training steps per second of the tutorial's recipe, over `steps` on each side after a warm-up."""
-    config = compose("experiment=tutorial", "torch_threads=1")
-    ours, peer = _model(config), _tutorial_model()
+    options = ("experiment=tutorial", "torch_threads=1")
+    config = compose(*options)
+    peer = _sb3_model(compose(*options, *sb3_classes("sac")), SAC, Monitor(make_env(config.env)))
+    return _training_rates(config, peer, rounds, steps) | {"peer": "plain stable-baselines3 + highway-env"}
+
+
+def fetch_reach(rounds: int, steps: int) -> dict[str, Any]:
+    """Compare CPU time per env step, updates included, of FetchReach with the same settings on both sides."""
+    options = ("env=fetch_reach", "algorithm=td3", "algorithm.normalize=false", "torch_threads=1")
+    config = compose(*options)
+    envs = make_vec_env(config.env.id, config.n_envs)
+    peer = _sb3_model(compose(*options, *sb3_classes("td3")), TD3, envs)
+    entry = _training_rates(config, peer, rounds, steps)
+    times = {
+        name: rounded(1 / entry[key])
+        for name, key in zip(("value", "lowest", "highest"), ("value", "highest", "lowest"), strict=True)
+    }
+    return entry | times | {"peer": "plain stable-baselines3", "unit": "CPU-s per env step"}
+
+
+def _training_rates(config: RunConfig, peer: Any, rounds: int, steps: int) -> dict[str, Any]:
+    """Compare env steps per second of training a config with those of a peer's model."""
+    ours = _model(config)
     for model in (ours, peer):
         model.set_logger(Logger(None, []))
         model.learn(config.algorithm.arguments["learning_starts"])
@@ -37,8 +61,7 @@ def tutorial(rounds: int, steps: int) -> dict[str, Any]:
         with torch_settings(config):
             return learn(ours)
 
-    entry = interleave(our_side, lambda: learn(peer), rounds)
-    return entry | {"peer": "plain stable-baselines3 + highway-env", "unit": "env steps"}
+    return interleave(our_side, lambda: learn(peer), rounds) | {"unit": "env steps"}
 
 
 def overhead(rounds: int, *changes: str) -> dict[str, Any]:
@@ -65,15 +88,20 @@ def _model(config: RunConfig) -> Any:
     return build_model(config, make_training_envs(config.env, config.n_envs), seed=config.seed)
 
 
-def _tutorial_model() -> SAC:
-    """Return the model of `experiment=tutorial` in plain Stable-Baselines3 and highway-env."""
-    config = compose("experiment=tutorial", *sb3_classes("sac"))
-    env: Any = config.env
-    arguments = config.algorithm.arguments
-    return SAC(
+def _sb3_model(config: RunConfig, algorithm: type, envs: Any) -> Any:
+    """Return the model of a config with Stable-Baselines3's own classes, without any of this package's."""
+    arguments = dict(config.algorithm.arguments)
+    if noise := arguments.get("action_noise"):
+        size = envs.action_space.shape
+        arguments["action_noise"] = NormalActionNoise(np.full(size, noise["mean"]), np.full(size, noise["sigma"]))
+    train_freq, gradient_steps = config.update_rounds()
+    names = ("learning_rate", "learning_starts", "batch_size", "gamma", "tau", "action_noise")
+    return algorithm(
         "MultiInputPolicy",
-        Monitor(make_env(env)),
-        **{name: arguments[name] for name in ("learning_rate", "learning_starts", "batch_size", "gamma")},
+        envs,
+        **{name: arguments[name] for name in names},
+        train_freq=train_freq,
+        gradient_steps=gradient_steps,
         policy_kwargs={"net_arch": list(config.algorithm.net_arch)},
         buffer_size=config.buffer.buffer_size,
         replay_buffer_class=HerReplayBuffer,
