@@ -2,7 +2,7 @@
 
 import textwrap
 import unicodedata
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,21 +11,16 @@ from typing import Any, Protocol
 import matplotlib.style
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.colorbar import Colorbar
 from matplotlib.figure import Figure
 from matplotlib.ticker import EngFormatter
 
 
 class LabelledCell(Protocol):
-    """A cell of a report, as far as its style and label depend on it."""
-
-    @property
-    def id(self) -> str:
-        """Id: `c0`, `c1`, ..."""
+    """A cell of a report, as far as figures name it."""
 
     @property
     def label(self) -> str:
-        """Label, unique in the report where it can be."""
+        """What distinguishes it."""
 
 
 Drawing = tuple[Figure, str]
@@ -78,23 +73,9 @@ def clean(text: str) -> str:
     return " ".join("".join(kept).split())
 
 
-def elided(text: str, length: int) -> str:
-    """Return clean text, shortened in its middle to at most `length` characters: both ends distinguish cells."""
-    text = clean(text)
-    if len(text) <= length:
-        return text
-    return f"{text[: length // 2]}…{text[len(text) - (length - 1) // 2 :]}"
-
-
 def cell_labels(cells: Sequence[LabelledCell], width: int, lines: int = 1) -> list[str]:
-    """Return a label for each cell of at most `lines` lines of `width` characters; ambiguous ones end in the id."""
-    length = width * lines
-    texts = [elided(cell.label, length) for cell in cells]
-    unique = [
-        text if text and texts.count(text) == 1 else f"{elided(cell.label, length - len(cell.id) - 3)} ({cell.id})"
-        for cell, text in zip(cells, texts, strict=True)
-    ]
-    return [textwrap.fill(text, width) if lines > 1 else text for text in unique]
+    """Return a label for each cell of at most `lines` lines of `width` characters; longer ones are cut at their end."""
+    return [textwrap.fill(clean(cell.label), width, max_lines=lines, placeholder="…") for cell in cells]
 
 
 def row_axes(texts: Sequence[str]) -> tuple[Figure, Axes]:
@@ -115,30 +96,6 @@ def time_axis(axes: Axes, label: str) -> None:
     axes.set_xlabel(label)
     axes.xaxis.set_major_formatter(EngFormatter(sep=""))
     axes.grid(axis="y")
-
-
-def heat_map(
-    figure: Figure, values: np.ndarray, texts: Mapping[tuple[int, int], str], colours: tuple[str, float, float]
-) -> tuple[Axes, Colorbar]:
-    """Draw values, shape (rows, columns), as coloured squares with texts, and a colour bar; NaN stays white.
-
-    `colours` are the name of a colour map, and the values at its ends.
-    """
-    axes = figure.subplots()
-    rows, columns = values.shape
-    name, low, high = colours
-    edges = np.arange(columns + 1) - 0.5, np.arange(rows + 1) - 0.5
-    mesh = axes.pcolormesh(*edges, values, cmap=name, vmin=low, vmax=high, edgecolors="white", linewidth=0.6)
-    axes.invert_yaxis()
-    axes.spines[:].set_visible(False)
-    axes.tick_params(length=0)
-    size = SMALL_PT if columns < 8 else 5.0
-    for (row, column), text in texts.items():
-        colour = text_colour(mesh.to_rgba(values[row, column]))
-        axes.text(column, row, text, color=colour, ha="center", va="center", linespacing=1.1, fontsize=size)
-    bar = figure.colorbar(mesh, ax=axes, pad=0.02, aspect=30)
-    bar.outline.set_visible(False)
-    return axes, bar
 
 
 def text_colour(background: Any) -> str:

@@ -24,7 +24,7 @@ sys.path.insert(0, str(ROOT))
 from parking_exp import statistics
 from parking_exp.reports import formats
 from parking_exp.reports.report_builder import build_report
-from parking_exp.reports.report_data import Cell, Pair, ReportData, Setting
+from parking_exp.reports.report_data import Cell, Pair, ReportData
 from parking_exp.results import Results, read_export
 from parking_exp.statistics import MainEffect
 from parking_exp.terminal import say
@@ -152,13 +152,11 @@ class Experiment:
         texts = [formats.points(end) for end in ends]
         return f"{texts[0]} [{texts[1]}, {texts[2]}]"
 
-    def real_share(self, row: str, column: Setting) -> str:
-        """Return the fraction of transitions not relabelled, in percent, from the first table of two factors."""
-        table = self.report.interactions[0]
-        assert table.real_share
-        share = table.real_share[list(table.rows).index(row)][list(table.columns).index(column)]
-        assert share is not None
-        return f"{100 * share:.0f} %"
+    def real_share(self, label: str) -> str:
+        """Return the fraction of transitions not relabelled at the end of a cell's runs, in percent."""
+        curves = self.results.curves.dropna(subset="real_share")
+        own = curves[curves["run_id"].isin([seed.run_id for seed in self.cell(label).seeds])]
+        return f"{100 * own.groupby('run_id')['real_share'].last().mean():.0f} %"
 
     def table(self, factors: dict[str, str], *columns: str) -> str:
         """Return a Markdown table of all cells.

@@ -27,7 +27,6 @@ class Factor:
     name: str  # short, for axes: `n_sampled_goal`
     levels: Sequence[Setting]  # numbers in order
     numeric: bool  # whether all levels are numbers
-    log: bool = False  # whether an axis is better logarithmic
 
 
 def settings_of(config: Mapping[str, Any], prefix: str = "") -> dict[str, Setting]:
@@ -127,7 +126,7 @@ def _factor(key: str, name: str, values: Sequence[Setting]) -> Factor:
     numeric = bool(levels) and all(isinstance(v, int | float) and not isinstance(v, bool) for v in levels)
     if numeric:
         levels.sort()
-    return Factor(key, name, levels, numeric, log=numeric and levels[0] > 0 and levels[-1] >= 8 * levels[0])
+    return Factor(key, name, levels, numeric)
 
 
 def _short_name(key: str, keys: Collection[str]) -> str:

@@ -25,7 +25,7 @@ from parking_exp.config.cell_labels import (
 from parking_exp.errors import ConfigError, suggestion
 
 CONFIG = "config."
-REPORT_KEYS = ("experiment", "baseline", "cells", "name", "output_dir", "tracking.uri", "report")
+REPORT_KEYS = {"experiment", "baseline", "cells", "name", "output_dir", "tracking.uri", "report"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,10 +66,10 @@ def group(runs: pd.DataFrame) -> list[CellRuns]:
         config = _config(configs.loc[table.index[0]])
         cells.append(CellRuns(str(experiment), str(name), "", {}, config, once, len(table) - len(once)))
     labelled, factors = relabelled(cells)
+    levels = [[*factor.levels, None] for factor in factors]  # a control without the key comes last
 
     def place(cell: CellRuns) -> list[int]:
-        levels = [(list(factor.levels), cell.settings[factor.key]) for factor in factors]
-        return [len(known) if level is None else known.index(level) for known, level in levels]
+        return [known.index(cell.settings[factor.key]) for known, factor in zip(levels, factors, strict=True)]
 
     return sorted(labelled, key=place)
 
@@ -139,26 +139,20 @@ def _narrowed(chosen: Sequence[CellRuns], cells: Sequence[CellRuns], condition: 
         hint = suggestion(name, {*GROUPS, *REPORT_KEYS, *keys})
         raise ConfigError(f"{name}: neither a key of this command nor of these runs' configs{hint}")
     (key,) = fitting
-    values = {setting(cell.config[key]) for cell in cells if key in cell.config}
-    wanted: set[str] = set()
-    for value in [text] if _same(values, text) else _listed(text):
-        if not (same := _same(values, value)):
-            raise ConfigError(f"{name}={value}: no run has that{suggestion(value, values)}")
-        wanted |= same
-    return [cell for cell in chosen if key in cell.config and setting(cell.config[key]) in wanted]
+    values = {_normal(setting(cell.config[key])): setting(cell.config[key]) for cell in cells if key in cell.config}
+    wanted = [_normal(value) for value in ([text] if _normal(text) in values else _listed(text))]
+    if unknown := [value for value in wanted if value not in values]:
+        raise ConfigError(f"{name}={unknown[0]}: no run has that{suggestion(unknown[0], values.values())}")
+    return [cell for cell in chosen if key in cell.config and _normal(setting(cell.config[key])) in wanted]
 
 
-def _same(values: set[str], text: str) -> set[str]:
-    """Return the values that a text means: `2e-3` is 0.002, and spaces in lists do not count."""
-    bare, number = text.replace(" ", ""), _number(text)
-    return {value for value in values if value.replace(" ", "") == bare or None is not number == _number(value)}
-
-
-def _number(text: str) -> float | None:
+def _normal(text: str) -> str:
+    """Return a value without spaces, and a number as Python writes it: `2e-3` is 0.002."""
+    bare = text.replace(" ", "")
     try:
-        return float(text)
+        return repr(float(bare))
     except ValueError:
-        return None
+        return bare
 
 
 def _listed(text: str) -> list[str]:

@@ -1,5 +1,6 @@
 """Summary of a cell over its seeds: means, learning curve, times to 90 %."""
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import Any
@@ -8,7 +9,7 @@ import numpy as np
 import pandas as pd
 
 from parking_exp.reports.cell_selection import CellRuns
-from parking_exp.reports.report_data import Cell, Curve, Seed, Survival
+from parking_exp.reports.report_data import Cell, Curve, Seed
 from parking_exp.results.frames import Results
 from parking_exp.statistics import (
     Interval,
@@ -38,7 +39,7 @@ REPORTED: dict[str, Metric] = {
 FURTHER = [name for name in REPORTED if name not in {field.name for field in fields(Seed)}]
 """Those without a field of their own, which only some tasks have."""
 RUN_COLUMNS = ["run_id", "run_dir", "seed", "n_scenes", "cpu_s", *(metric.run_column for metric in REPORTED.values())]
-CURVE_COLUMNS = ["run_id", "step", "success_rate", "failure_rate", "cpu_s", "real_share"]
+CURVE_COLUMNS = ["run_id", "step", "success_rate", "failure_rate", "cpu_s"]
 
 
 @dataclass(frozen=True)
@@ -67,12 +68,12 @@ def summarise(
     cell: CellRuns,
     number: int,
     evaluations: RunEvaluations,
-    horizons: tuple[float | None, float | None],
+    horizon: float | None,
     unfinished: bool,
 ) -> Cell:
     """Return a cell's numbers; with `unfinished`, learning curves include runs that are not done.
 
-    Restricted means of times to 90 % are up to the env step and the CPU second `horizons`, see `shared_horizons`.
+    Restricted means of times to 90 % are up to the env step `horizon`, see `shared_horizon`.
     """
     runs: list[dict[str, Any]] = cell.done[RUN_COLUMNS].to_dict("records")  # type: ignore[assignment]
     seeds = [_seed(run, evaluations) for run in runs]
@@ -94,26 +95,17 @@ def summarise(
         reaching_90=share_reaching(success, GOOD) if success else Proportion(0, 0, None, None),
         seeds=seeds,
         curve=_curve(cell.runs if unfinished else cell.done, evaluations),
-        survival=_survival("env steps", [(seed.steps_to_90, seed.reached_90) for seed in seeds], horizons[0]),
-        survival_cpu=_survival("CPU-seconds", [(seed.cpu_s_to_90, seed.reached_90) for seed in seeds], horizons[1]),
         task_data=_task_data(cell, [evaluations.final[s.run_id] for s in seeds if s.run_id in evaluations.final]),
         note=coverage_note(success) if success else None,
+        **_time_to_90(seeds, horizon),
         **_metric_fields(means),
     )
 
 
-def shared_horizons(cells: Sequence[CellRuns], evaluations: RunEvaluations) -> tuple[float | None, float | None]:
-    """Return the env step and the CPU second up to which every finished run was observed."""
-    ends = [_last_start(curve) for cell in cells for curve in _curves(cell.done, evaluations).values()]
-    cpu_s = [seconds for _, seconds in ends if np.isfinite(seconds)]
-    return min((step for step, _ in ends), default=None), min(cpu_s, default=None)
-
-
-def real_share(cell: CellRuns, evaluations: RunEvaluations) -> float | None:
-    """Return the mean share of real transitions in a cell's batches, as the buffer measured it."""
-    curves = [curve["real_share"].dropna() for curve in _curves(cell.done, evaluations).values()]
-    last = [float(known.iloc[-1]) for known in curves if len(known)]
-    return float(np.mean(last)) if last else None
+def shared_horizon(cells: Sequence[CellRuns], evaluations: RunEvaluations) -> float | None:
+    """Return the env step up to which every finished run was observed."""
+    curves = [curve for cell in cells for curve in _curves(cell.done, evaluations).values()]
+    return min((float(curve["step"].iloc[-HOLD]) if len(curve) >= HOLD else 0.0 for curve in curves), default=None)
 
 
 def _metric_fields(values: Mapping[str, Any]) -> dict[str, Any]:
@@ -133,7 +125,6 @@ def _seed(run: dict[str, Any], evaluations: RunEvaluations) -> Seed:
     success, low, high = metrics["success"], None, None
     if success is not None and n_episodes:
         low, high = wilson_interval(round(success * n_episodes), n_episodes)
-    steps, reached, cpu_s, area = _evaluation_curve(curve) if curve is not None else (None, False, None, None)
     return Seed(
         seed=int(run["seed"]),
         run_id=run["run_id"],
@@ -142,28 +133,21 @@ def _seed(run: dict[str, Any], evaluations: RunEvaluations) -> Seed:
         low=low,
         high=high,
         cpu_s=finite_or_none(run["cpu_s"]),
-        steps_to_90=steps,
-        reached_90=reached,
-        cpu_s_to_90=cpu_s,
-        area=area,
+        **(_evaluation_curve(curve) if curve is not None else {}),
         **_metric_fields(metrics),
     )
 
 
-def _evaluation_curve(curve: pd.DataFrame) -> tuple[float, bool, float | None, float | None]:
-    """Return time to 90 % in env steps, whether it was reached, the same in CPU seconds, and the area."""
+def _evaluation_curve(curve: pd.DataFrame) -> dict[str, Any]:
+    """Return the fields of a seed that its evaluations during training tell."""
     step, success = curve["step"].to_numpy(), curve["success_rate"].to_numpy()
     time, reached = steps_to(step, success, GOOD, HOLD)
-    cpu_s = curve["cpu_s"].iloc[np.searchsorted(step, time)] if reached else _last_start(curve)[1]
-    area = normalised_area(step, success) if np.count_nonzero(~np.isnan(success)) > 1 else None
-    return time, reached, finite_or_none(cpu_s), area
-
-
-def _last_start(curve: pd.DataFrame) -> tuple[float, float]:
-    """Return env step and CPU second of the last evaluation that HOLD in a row can begin with; 0 without one."""
-    if len(curve) < HOLD:
-        return 0.0, 0.0
-    return float(curve["step"].iloc[-HOLD]), float(curve["cpu_s"].iloc[-HOLD])
+    return {
+        "steps_to_90": time,
+        "reached_90": reached,
+        "cpu_s_to_90": finite_or_none(curve["cpu_s"].iloc[np.searchsorted(step, time)]) if reached else None,
+        "area": normalised_area(step, success) if np.count_nonzero(~np.isnan(success)) > 1 else None,
+    }
 
 
 def _curves(runs: pd.DataFrame, evaluations: RunEvaluations) -> dict[int, pd.DataFrame]:
@@ -196,26 +180,18 @@ def _curve(runs: pd.DataFrame, evaluations: RunEvaluations) -> Curve | None:
     )
 
 
-def _survival(unit: str, times: Sequence[tuple[float | None, bool]], horizon: float | None) -> Survival | None:
-    timed = [(time, reached) for time, reached in times if time is not None]
+def _time_to_90(seeds: Sequence[Seed], horizon: float | None) -> dict[str, Any]:
+    """Return the fields of a cell about the time to 90 %."""
+    timed = [seed for seed in seeds if seed.steps_to_90 is not None]
     if not timed:
-        return None
-    at, observed = np.array([time for time, _ in timed]), np.array([reached for _, reached in timed])
-    estimate = kaplan_meier(at, observed)
-    start = [0.0] if estimate.times[0] > 0 else []  # where no seed has reached anything
-    return Survival(
-        unit=unit,
-        time=[*start, *estimate.times],
-        reached=[*start, *estimate.reached],
-        low=[*start, *map(finite_or_none, estimate.low)],
-        high=[*start, *map(finite_or_none, estimate.high)],
-        censored=sorted(time for time, reached in timed if not reached),
-        n=len(timed),
-        k=int(observed.sum()),
-        median=estimate.median,
-        restricted_mean=restricted_mean(at, observed, horizon) if horizon else Interval(None),
-        horizon=horizon,
-    )
+        return {}
+    steps = [seed.steps_to_90 or 0.0 for seed in timed]
+    cpu_s = sorted(math.inf if seed.cpu_s_to_90 is None else seed.cpu_s_to_90 for seed in timed)
+    return {
+        "survival": kaplan_meier(steps, [seed.reached_90 for seed in timed]),
+        "restricted_steps": restricted_mean(steps, horizon) if horizon else None,
+        "median_cpu_s": finite_or_none(cpu_s[(len(cpu_s) - 1) // 2]),
+    }
 
 
 def _mean(values: Sequence[float | None], *, is_rate: bool = False) -> Interval:

@@ -34,10 +34,7 @@ def methods(report: ReportData) -> Iterator[str]:
     intervals = [value for cell in report.cells for value in vars(cell).values() if isinstance(value, Interval)]
     used = {interval.method for interval in intervals if interval.n}
     yield from (sentence for method, sentence in INTERVALS.items() if method in used)
-    yield (
-        "CPU-seconds of a run count everything, its final evaluation and certification included; "
-        "times to 90 % count what came before."
-    )
+    yield "CPU-seconds of a run count everything, its final evaluation and certification included."
     yield "All intervals are at 95 %. Shares of episodes and of seeds have Wilson's."
     fewest = min((cell.success.n for cell in report.cells if cell.success.n), default=0)
     if fewest > 1:
@@ -54,13 +51,12 @@ def methods(report: ReportData) -> Iterator[str]:
         yield (
             "Time to 90 %: the first step from which three evaluations in a row had 90 % success. Seeds that do not "
             "reach it are right-censored: shares by Kaplan and Meier with Greenwood's interval on the log-log scale, "
-            "comparisons by the log-rank test, with Holm's correction, restricted means up to the earliest "
-            "end of observation."
+            f"comparisons by the log-rank test, with Holm's correction, restricted means up to env step "
+            f"{report.horizon or 0:,.0f}, to which all were observed."
         )
     if report.effects:
         yield (
             "Main effects are means of cell means; their intervals, and the difference of the best and the worst "
-            "level, are those of linear contrasts (Welch), p is Bonferroni's over the pairs of levels. Interactions: "
-            "F test with the cells' own variances (Brunner, Dette and Munk), p is Holm's over the tables."
+            "level, are those of linear contrasts (Welch), p is Bonferroni's over the pairs of levels."
         )
     yield REFERENCES

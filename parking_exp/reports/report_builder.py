@@ -1,10 +1,9 @@
 """Build the content of a report from result frames."""
 
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from datetime import UTC, datetime
-from itertools import chain
 from typing import NamedTuple
 
 import pandas as pd
@@ -14,7 +13,7 @@ from parking_exp.config.cell_labels import Factor, can_matter, differing
 from parking_exp.errors import RunNotFoundError, plural
 from parking_exp.reports import cell_comparisons, findings, warnings
 from parking_exp.reports.cell_selection import CellRuns, choose, group, one_cell, relabelled
-from parking_exp.reports.cell_summaries import RunEvaluations, real_share, shared_horizons, summarise
+from parking_exp.reports.cell_summaries import RunEvaluations, shared_horizon, summarise
 from parking_exp.reports.report_data import Cell, FailedRun, Provenance, ReportData
 from parking_exp.results.frames import Results
 from parking_exp.tasks.registry import task_reports
@@ -110,19 +109,14 @@ def build_report(
     selection = _select(results, experiments, cells, baseline, quick=quick)
     groups, factors = selection.cells, selection.factors
     evaluations = RunEvaluations.of(results)
-    horizons = shared_horizons(groups, evaluations)
-    summaries = [summarise(cell, number, evaluations, horizons, quick) for number, cell in enumerate(groups)]
+    horizon = shared_horizon(groups, evaluations)
+    summaries = [summarise(cell, number, evaluations, horizon, quick) for number, cell in enumerate(groups)]
     shown = _shown(summaries, selection.baseline)
     problems = [*results.problems]
     for number, cell in enumerate(summaries):
         if cell.id in shown:
             summaries[number] = _with_recordings(cell, groups[number], results, evaluations, problems)
-    design = cell_comparisons.design(factors, [cell.settings for cell in groups])
-    effects, interactions = [], []
-    if design == "factorial":
-        shares = {cell.id: real_share(runs, evaluations) for cell, runs in zip(summaries, groups, strict=True)}
-        effects = cell_comparisons.main_effects(summaries, factors)
-        interactions = cell_comparisons.interactions(summaries, factors, shares)
+    effects = cell_comparisons.main_effects(summaries, factors)
     family = cell_comparisons.compare_pairs(summaries, selection.baseline)
     origin = provenance(groups, selection.left_out, results.uri)
     return ReportData(
@@ -132,7 +126,6 @@ def build_report(
         version=__version__,
         quick=quick,
         command=command,
-        design=design,
         factors=factors,
         cells=summaries,
         tasks=sorted({cell.task for cell in groups}),
@@ -141,14 +134,10 @@ def build_report(
         family=family.sentence,
         pairs=family.pairs,
         effects=effects,
-        interactions=interactions,
-        exploratory=any(cell.success.n < warnings.ENOUGH_SEEDS for cell in summaries),
-        claims=_unique(
-            findings.about_cells(summaries, family),
-            findings.about_factors(factors, effects, interactions, is_search=design == "search"),
-        ),
-        warnings=_unique(warnings.warnings(groups, summaries, family.pairs, origin), _first(problems)),
-        missing=_unique(warnings.missing(summaries, experiments, results.runs["experiment"])),
+        horizon=horizon,
+        claims=[*findings.about_cells(summaries, family), *findings.about_factors(factors, effects)],
+        warnings=list(dict.fromkeys([*warnings.warnings(groups, summaries, origin), *problems[:MOST_PROBLEMS]])),
+        missing=list(warnings.missing(summaries, experiments, results.runs["experiment"])),
         provenance=origin,
         notes=list(_notes(summaries, shown, selection, results.ignored, crossed=bool(effects))),
         reference=family.reference,
@@ -205,23 +194,12 @@ def _shown(cells: Sequence[Cell], baseline: str | None) -> list[str]:
     return [cell.id for cell in cells if cell.id in best]
 
 
-def _unique(*parts: Iterable[str]) -> list[str]:
-    return list(dict.fromkeys(chain(*parts)))
-
-
-def _first(problems: Sequence[str]) -> list[str]:
-    more = len(problems) - MOST_PROBLEMS
-    rest = [f"More runs with such problems: {more}."] if more > 0 else []
-    return [*problems[:MOST_PROBLEMS], *rest]
-
-
 def _notes(
     cells: Sequence[Cell], shown: Sequence[str], selection: Selection, n_foreign: int, *, crossed: bool
 ) -> Iterator[str]:
     """Yield notes on what figures and main effects, or the report as a whole, leave out."""
     if len(shown) < len(cells):
-        best = f"the {len(shown)} with the highest success"
-        yield f"Pictures show {best} of {len(cells)} cells; tables have all."
+        yield f"Pictures show the {len(shown)} of {len(cells)} cells with the highest success; tables have all."
     if any(cell.seeds and not all(cell.task_data.values()) for cell in cells if cell.id in shown):
         yield (
             "Some cells have nothing to show in a section: their runs have no recordings, or the export has only those "
@@ -229,15 +207,7 @@ def _notes(
         )
     if outside := [cell.label for cell in cells if None in cell.settings.values()] if crossed else []:
         yield f"Not part of the main effects, without a value of every factor: {warnings.named(outside)}."
-    if n_left_out := len(selection.left_out):
-        yield f"{plural(n_left_out, 'other cell')} of the experiments not selected: fewer pairs make smaller p."
-    if n_pruned := selection.n_pruned:
-        were, are = ("was", "it is") if n_pruned == 1 else ("were", "they are")
-        yield (
-            f"{plural(n_pruned, 'trial')} of the search {were} pruned before a run was done; {are} not among the cells."
-        )
+    if selection.n_pruned:
+        yield f"Not among the cells, since pruned before a run was done: {plural(selection.n_pruned, 'trial')}."
     if n_foreign:
-        yield (
-            f"The store has {plural(n_foreign, 'more run')} that this package did not make, and that the report "
-            "leaves out."
-        )
+        yield f"Left out, since this package did not make them: {plural(n_foreign, 'run')} of the store."

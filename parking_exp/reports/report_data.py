@@ -8,15 +8,13 @@ from dataclasses import asdict, dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Literal, cast
 
 from parking_exp.config.cell_labels import Factor, Setting
-from parking_exp.statistics import Interval, MainEffect, Proportion
+from parking_exp.statistics import Interval, MainEffect, Proportion, SurvivalCurve
 from parking_exp.tasks.registry import FAILURES
 
 if TYPE_CHECKING:
     from parking_exp.reports.search_report import Tuning
 
 Verdict = Literal["a", "b", "same", "unknown"]
-Design = Literal["single", "list", "factorial", "search"]
-"""How cells differ: one cell; a list without a plan; crossed factors; many points drawn from ranges."""
 
 
 @dataclass(frozen=True)
@@ -33,10 +31,10 @@ class Seed:
     high: float | None
     episode_steps: float | None
     cpu_s: float | None
-    steps_to_90: float | None  # first env step from which 90 % were held, or the last from which they could have been
-    reached_90: bool
-    cpu_s_to_90: float | None
-    area: float | None  # under the learning curve
+    steps_to_90: float | None = None  # first env step of 90 % held, or the last from which they could have been
+    reached_90: bool = False
+    cpu_s_to_90: float | None = None  # None where they were not held
+    area: float | None = None  # under the learning curve
     further: Mapping[str, float | None] = field(default_factory=dict)  # other metrics that reports have
 
     def metric(self, name: str) -> float | None:
@@ -58,23 +56,6 @@ class Curve:
 
 
 @dataclass(frozen=True)
-class Survival:
-    """Kaplan and Meier's estimate of the time until three evaluations in a row have 90 %, over seeds."""
-
-    unit: str  # `env steps` or `CPU-seconds`
-    time: Sequence[float]  # from 0 on, shape (n,)
-    reached: Sequence[float]  # share of the seeds that have reached it by then, with its interval
-    low: Sequence[float | None]
-    high: Sequence[float | None]
-    censored: Sequence[float]  # ends of the observation of seeds that have not reached it
-    n: int  # seeds
-    k: int  # seeds that have reached it
-    median: float | None  # None where fewer than half have
-    restricted_mean: Interval  # mean time up to `horizon`
-    horizon: float | None  # the shortest observation of all cells
-
-
-@dataclass(frozen=True)
 class Cell:
     """One cell of the comparison."""
 
@@ -92,9 +73,10 @@ class Cell:
     area: Interval
     reaching_90: Proportion
     seeds: Sequence[Seed] = ()
-    curve: Curve | None = None  # None without evaluations during training, as `survival` and `survival_cpu`
-    survival: Survival | None = None
-    survival_cpu: Survival | None = None
+    curve: Curve | None = None  # None without evaluations during training, as `survival`
+    survival: SurvivalCurve | None = None  # of the env steps until three evaluations in a row have 90 %
+    restricted_steps: Interval | None = None  # mean of these up to the report's `horizon`
+    median_cpu_s: float | None = None  # CPU-seconds to 90 %; None where fewer than half of the seeds reached it
     task_data: Mapping[str, Any] = field(default_factory=dict)  # what sections of its task show
     note: str | None = None  # a sentence about an interval that is too narrow or missing
     further: Mapping[str, Interval] = field(default_factory=dict)  # other metrics that reports have
@@ -122,7 +104,6 @@ class Pair:
     log_rank_p: float | None  # of the times to 90 %; None where none was reached
     log_rank_p_holm: float | None
     verdict: Verdict  # `a` or `b` is better (p_holm < 0.05), `same`: not significant, `unknown`: too few seeds
-    note: str | None = None  # a sentence about an interval that is too narrow
 
     def reversed(self) -> "Pair":
         """Return the comparison of b with a."""
@@ -135,24 +116,6 @@ class Pair:
         verdict = cast(Verdict, {"a": "b", "b": "a"}.get(self.verdict, self.verdict))
         difference, improvement = mirrored(self.difference, 0.0), mirrored(self.improvement, 1.0)
         return replace(self, a=self.b, b=self.a, difference=difference, improvement=improvement, verdict=verdict)
-
-
-@dataclass(frozen=True)
-class Interaction:
-    """Two factors crossed; grids have the shape (rows, columns), and None where there are no runs."""
-
-    row: str  # keys of the factors
-    column: str
-    given: str | None  # settings of the other factors, e.g. `env=parking_sparse`; None: all of them
-    rows: Sequence[Setting]
-    columns: Sequence[Setting]
-    mean: Sequence[Sequence[float | None]]
-    low: Sequence[Sequence[float | None]]
-    high: Sequence[Sequence[float | None]]
-    n: Sequence[Sequence[int]]
-    residual: Sequence[Sequence[float | None]]  # what the two main effects do not explain
-    real_share: Sequence[Sequence[float | None]] | None = None  # fraction not relabelled, by n_sampled_goal
-    p: float | None = None  # of the F test of interaction, with Holm's correction for the tables
 
 
 @dataclass(frozen=True)
@@ -192,17 +155,15 @@ class ReportData:
     version: str  # of this package
     quick: bool  # whether it was made while runs may be under way
     command: str  # makes it again
-    design: Design
     factors: Sequence[Factor]
     cells: Sequence[Cell]
     tasks: Sequence[str]  # of the cells, by name
     shown: Sequence[str]  # ids of the cells in figures: all or, of many, the best
     baseline: str | None  # id of the cell that the user asked to compare with
     family: str  # a sentence: which pairs were compared, and how p was corrected
-    pairs: Sequence[Pair]  # empty where they make no sense, as the next three
-    effects: Sequence[MainEffect]
-    interactions: Sequence[Interaction]
-    exploratory: bool  # fewer than 10 seeds in some cell
+    pairs: Sequence[Pair]
+    effects: Sequence[MainEffect]  # empty unless factors are crossed
+    horizon: float | None  # env step up to which the times to 90 % of all seeds were observed
     claims: Sequence[str]  # findings, the most important first
     warnings: Sequence[str]  # what makes numbers hard to compare
     missing: Sequence[str]  # what has no result (yet)

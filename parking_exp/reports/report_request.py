@@ -22,7 +22,7 @@ class ReportOptions(ConfigModel):
     """The `report` group."""
 
     quick: bool
-    formats: list[Literal["svg", "pdf", "png"]]
+    formats: list[Literal["svg", "png"]]
 
 
 class ReportRequest(ConfigModel):

@@ -1,11 +1,13 @@
 """Make a report that compares an experiment's cells, from a store or an export, and export it."""
 
+import json
 import re
 import shlex
-from collections.abc import Callable, Mapping
+import sys
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from filelock import FileLock
 from pydantic import TypeAdapter, ValidationError
@@ -27,10 +29,6 @@ from parking_exp.terminal import console, say
 from parking_exp.tracking.mirror import mirror_problem
 from parking_exp.tracking.store import Store
 
-IN_FRAMES = ("seeds", "curve", "survival", "survival_cpu")
-"""What report.json leaves out of each cell: the frames have it."""
-DIGITS = 6
-
 
 class ReportSource(NamedTuple):
     """What a report is made of: results of experiments, their names, and the search that an export has."""
@@ -40,13 +38,8 @@ class ReportSource(NamedTuple):
     tuning: Tuning | None = None
 
 
-def write_report_export(
-    source: ReportSource, report: ReportData, folder: Path, command: str, *, only_cells: bool
-) -> None:
-    """Write the export of a report: with `only_cells`, the runs of its cells and not all of the experiments.
-
-    `command` is how to make the report from the export.
-    """
+def write_report_export(source: ReportSource, report: ReportData, folder: Path, *, only_cells: bool) -> None:
+    """Write the export of a report: with `only_cells`, the runs of its cells and not all of the experiments."""
     results = _of_cells(source.results, report) if only_cells else source.results
     final = RunEvaluations.of(results).final
     trajectories, problems = {}, []
@@ -55,11 +48,9 @@ def write_report_export(
             rows, unread = task.exported([(seed.seed, seed.run_id) for seed in cell.seeds], results.trajectories, final)
             trajectories.update(rows)
             problems += unread
-    about = {
-        "experiments": list(source.experiments),
-        "report": {**_summary(report), "command": command},
-    }
-    write_export(results, folder, trajectories, _plain(about), problems)
+    tuning = json.loads(without_paths(json.dumps(report.plain()["tuning"])))
+    about = {"experiments": source.experiments, "report": {"tuning": tuning}}
+    write_export(results, folder, trajectories, about, problems)
 
 
 def read_report_export(folder: str) -> ReportSource:
@@ -79,25 +70,6 @@ def _of_cells(results: Results, report: ReportData) -> Results:
     runs = results.runs[kept].reset_index(drop=True)
     curves, episodes = (frame[frame["run_id"].isin(runs["run_id"])] for frame in (results.curves, results.episodes))
     return replace(results, runs=runs, curves=curves, episodes=episodes)
-
-
-def _summary(report: ReportData) -> dict[str, Any]:
-    """Return what a report says, without what the frames of its export have, and without when and where it was made."""
-    summary = {key: value for key, value in report.plain().items() if key not in ("made", "provenance")}
-    left_out = {*IN_FRAMES, *(key for cell in report.cells for key in cell.task_data)}
-    cells = [{key: value for key, value in cell.items() if key not in left_out} for cell in summary["cells"]]
-    return {**summary, "cells": cells}
-
-
-def _plain(value: Any) -> Any:
-    """Return what JSON has, numbers rounded to 6 significant digits and absolute paths cut to their last part."""
-    if isinstance(value, Mapping):
-        return {str(key): _plain(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(item) for item in value]
-    if isinstance(value, float):
-        return float(f"{value:.{DIGITS}g}")
-    return without_paths(value) if isinstance(value, str) else value
 
 
 def report(request: ReportRequest) -> Path:
@@ -120,8 +92,7 @@ def report(request: ReportRequest) -> Path:
             write_report(data, folder, request.report.formats)
         if export_folder:
             progress.update("exporting")
-            command = _command_from_export(data, export_folder)
-            write_report_export(source, data, export_folder, command, only_cells=bool(request.cells_asked))
+            write_report_export(source, data, export_folder, only_cells=bool(request.cells_asked))
     say(*data.claims, *data.missing)
     say(*(f"warning: {sentence}" for sentence in data.warnings), stderr=True)
     if export_folder:
@@ -159,34 +130,8 @@ def _content(request: ReportRequest, source: ReportSource) -> ReportData:
         cells=request.cells_asked,
         baseline=request.baseline,
         quick=request.report.quick,
-        command=_command(request, source.experiments),
+        command=shlex.join(["python", "scripts/report.py", *sys.argv[1:]]),
     )
     if request.source is None:
         return with_search(data, request.output_path, request.storage)
     return with_tuning(data, source.tuning) if source.tuning else data
-
-
-def _command(request: ReportRequest, experiments: list[str]) -> str:
-    keys = {
-        "baseline": request.baseline,
-        "report": "quick" if request.report.quick else None,
-        "output_dir": request.output_dir if request.output_path != Path("outputs").absolute() else None,
-        "tracking.uri": request.tracking.uri,
-        "storage": request.storage,
-        "name": request.name,
-    }
-    source = f"from={request.source}" if request.source else f"experiment={','.join(experiments)}"
-    return _joined(source, *request.cells_asked, **keys)
-
-
-def _command_from_export(data: ReportData, folder: Path) -> str:
-    """Return the command that makes a report again from its export."""
-    here = Path().absolute()
-    place = folder.relative_to(here) if folder.is_relative_to(here) else folder.name
-    baseline = data.cell(data.baseline).label if data.baseline else None
-    return _joined(f"from={place}", baseline=baseline, report="quick" if data.quick else None)
-
-
-def _joined(*words: str, **keys: str | None) -> str:
-    overrides = [f"{key}={value}" for key, value in keys.items() if value]
-    return shlex.join(["python", "scripts/report.py", *words, *overrides])

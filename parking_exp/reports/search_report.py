@@ -159,7 +159,6 @@ def trial_table(report: ReportData) -> Iterator[Table]:
         ],
         f"Trials: means over {tuning.n_seeds} tuning seeds (%), parameters, and what they took.",
         latex=True,
-        noun="trials",
     )
 
 
@@ -197,5 +196,4 @@ def retest_table(report: ReportData) -> Iterator[Table]:
         f"The best trials and trial 0, the unchanged config, trained again on seeds that no trial was selected by: "
         f"{tuning.objective} (%), with 95 % intervals. Values on tuning seeds are optimistic for the best of many.",
         latex=True,
-        noun="trials",
     )

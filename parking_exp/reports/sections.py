@@ -11,10 +11,8 @@ import matplotlib.figure
 
 from parking_exp.figure_style import Drawing, clean, report_style
 from parking_exp.reports.figures.cell_figures import draw_final_success, draw_learning_curves, draw_time_to_90
-from parking_exp.reports.figures.comparison_figures import draw_interactions, draw_main_effects, draw_pairs
+from parking_exp.reports.figures.comparison_figures import draw_pairs, draw_two_factors
 from parking_exp.reports.figures.study_figures import (
-    draw_cell_coordinates,
-    draw_cell_importance,
     draw_history,
     draw_parameter_importance,
     draw_slices,
@@ -31,7 +29,6 @@ from parking_exp.tasks.task import TaskFigure, TaskSection
 # Nothing that differs from one time to the next: the same report gives the same bytes.
 _METADATA: dict[str, dict[str, Any]] = {
     "svg": {"Date": None, "Creator": None},
-    "pdf": {"CreationDate": None},
     "png": {"Software": None},
 }
 
@@ -47,7 +44,7 @@ class Figure:
 
 @dataclass(frozen=True)
 class Section:
-    """A part of the page and of `report.md`: paragraphs, tables and figures. It is left out where it has none."""
+    """A part of the page: paragraphs, tables and figures. It is left out where it has none."""
 
     id: str
     title: str
@@ -108,19 +105,8 @@ SECTIONS = (
     Section(
         "factors",
         "What each factor does",
-        figures=[
-            Figure("main_effects", "Main effects", draw_main_effects),
-            Figure("interaction_{}", "Interaction", draw_interactions),
-        ],
-        tables=[report_tables.effects, report_tables.interactions],
-    ),
-    Section(
-        "search",
-        "Hyperparameters",
-        figures=[
-            Figure("parallel_coordinates", "What was tried", draw_cell_coordinates),
-            Figure("importance", "Importance of hyperparameters", draw_cell_importance),
-        ],
+        figures=[Figure("two_factors", "Success by two factors", draw_two_factors)],
+        tables=[report_tables.effects],
     ),
     Section("seeds", "Every seed", tables=[report_tables.seeds]),
     Section(
@@ -136,7 +122,7 @@ SECTIONS = (
 def sections_of(report: ReportData) -> list[Section]:
     """Return the sections that a report may have: SECTIONS, and in their middle those of its tasks."""
     own = [_task_section(section) for task in task_reports(report.tasks) for section in task.sections]
-    middle = [section.id for section in SECTIONS].index("search")
+    middle = [section.id for section in SECTIONS].index("seeds")
     return [*SECTIONS[:middle], *own, *SECTIONS[middle:]]
 
 
@@ -166,7 +152,7 @@ class Picture:
 
 @dataclass(frozen=True)
 class SectionContent:
-    """What a section says of a report: what the page, Markdown, LaTeX and CSV are written from."""
+    """What a section says of a report: what the page, LaTeX and CSV are written from."""
 
     id: str
     title: str
@@ -199,7 +185,7 @@ def section_contents(
 def draw(
     report: ReportData,
     folder: Path,
-    formats: Sequence[str] = ("svg", "pdf", "png"),
+    formats: Sequence[str] = ("svg", "png"),
     sections: Sequence[Section] | None = None,
 ) -> list[Picture]:
     """Draw the figures that a report has data for into a folder, as `<name>.<format>`."""
@@ -217,15 +203,11 @@ def draw(
 
 
 def _save(figure: matplotlib.figure.Figure, stem: Path, formats: Sequence[str]) -> bytes:
-    if layout := figure.get_layout_engine():
-        layout.execute(figure)
-        figure.set_layout_engine("none")  # not once more for each format
     drawing = BytesIO()
     figure.savefig(drawing, format="svg", metadata=_METADATA["svg"])
     for kind in formats:
-        path = stem.with_name(f"{stem.name}.{kind}")
         if kind == "svg":
-            path.write_bytes(drawing.getvalue())
+            stem.with_name(f"{stem.name}.svg").write_bytes(drawing.getvalue())
         else:
-            figure.savefig(path, format=kind, metadata=_METADATA[kind])
+            figure.savefig(stem.with_name(f"{stem.name}.{kind}"), format=kind, metadata=_METADATA[kind])
     return drawing.getvalue()

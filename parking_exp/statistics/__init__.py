@@ -5,14 +5,11 @@ that need it.
 """
 
 from parking_exp.statistics.comparisons import holm, probability_of_improvement, welch
-from parking_exp.statistics.effects import (
-    MainEffect,
-    interaction,
-    main_effects,
-)
+from parking_exp.statistics.effects import MainEffect, main_effects
 from parking_exp.statistics.intervals import Interval, coverage_note, mean_band, mean_interval, student_interval
 from parking_exp.statistics.rates import Proportion, finite_or_none, share_reaching, unseen_share, wilson_interval
 from parking_exp.statistics.survival import (
+    SurvivalCurve,
     kaplan_meier,
     log_rank,
     normalised_area,
@@ -24,10 +21,10 @@ __all__ = [
     "Interval",
     "MainEffect",
     "Proportion",
+    "SurvivalCurve",
     "coverage_note",
     "finite_or_none",
     "holm",
-    "interaction",
     "kaplan_meier",
     "log_rank",
     "main_effects",

@@ -1,4 +1,4 @@
-"""Main effects, contrasts and interactions of crossed factors."""
+"""Main effects and contrasts of crossed factors."""
 
 from __future__ import annotations
 
@@ -7,11 +7,10 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from scipy.special import fdtrc, stdtr, stdtrit
+from scipy.special import stdtr, stdtrit
 
 from parking_exp.statistics.comparisons import Difference
-from parking_exp.statistics.intervals import Interval, mean_interval
-from parking_exp.statistics.rates import finite_or_none
+from parking_exp.statistics.intervals import Interval
 
 if TYPE_CHECKING:  # a training imports this package, but not pandas
     from collections.abc import Mapping, Sequence
@@ -49,21 +48,6 @@ class MainEffect:
     p: float | None = None
 
 
-@dataclass(frozen=True)
-class InteractionTable:
-    """Two factors crossed.
-
-    Attributes:
-        cells: mean and residual of each (row, column); combinations without runs are not there.
-        p: of the test that a sum of two effects explains them all; None without scatter or degrees of freedom.
-    """
-
-    rows: Sequence[Any]
-    columns: Sequence[Any]
-    cells: Mapping[tuple[Any, Any], tuple[Interval, float]]
-    p: float | None
-
-
 def main_effects(frame: pd.DataFrame, factors: Sequence[str], response: str) -> list[MainEffect]:
     """Return the mean of cell means for every level of every factor; `frame` has a row per seed.
 
@@ -92,24 +76,6 @@ def _main_effect(name: str, own: Mapping[Any, Sequence[np.ndarray]], complete: b
     return MainEffect(name, levels, complete, largest.clipped(-1, 1), p)
 
 
-def interaction(frame: pd.DataFrame, row_factor: str, column_factor: str, response: str) -> InteractionTable:
-    """Return the mean rate of every combination of two factors, by `mean_interval`, and its residual.
-
-    `frame` has a row per seed; other factors are averaged over. The residual is cell mean - row mean - column mean +
-    grand mean with equal weights; in an incomplete design, that of the additive fit by least squares.
-    """
-    cells = _cells(frame, (row_factor, column_factor), response)
-    rows, columns = _levels(cells, 0), _levels(cells, 1)
-    means = np.array([values.mean() for values in cells.values()])
-    design = np.array([[row == r for r in rows] + [column == c for c in columns] for row, column in cells], dtype=float)
-    residuals = means - design @ np.linalg.lstsq(design, means, rcond=None)[0]
-    combinations = {
-        (row, column): (mean_interval(values), float(residual))
-        for ((row, column), values), residual in zip(cells.items(), residuals, strict=True)
-    }
-    return InteractionTable(rows, columns, combinations, finite_or_none(_interaction_p(cells, design)))
-
-
 def _contrast(side: Sequence[np.ndarray], other: Sequence[np.ndarray]) -> Difference:
     """Return the mean of cell means of one side minus that of the other, which may be empty."""
     weights = np.array([1 / len(side) for _ in side] + [-1 / len(other) for _ in other])
@@ -132,37 +98,11 @@ def _variance(values: np.ndarray) -> float:
     return float(values.var(ddof=1)) if np.ptp(values) > 0 else 0.0
 
 
-def _interaction_p(cells: Cells, design: np.ndarray) -> float:
-    """Return the p of the ANOVA-type test of interaction (Brunner, Dette and Munk 1997).
-
-    It compares cell means with the sum of two effects, by the cells' own variances; NaN if a cell has a single seed.
-    """
-    sizes = np.array([len(values) for values in cells.values()])
-    means = np.array([values.mean() for values in cells.values()])
-    projection = np.eye(len(cells)) - design @ np.linalg.pinv(design)  # of means on the residuals
-    weights = projection.diagonal()
-    variances = np.array([_variance(values) for values in cells.values()]) / sizes
-    expected = float(weights @ variances)
-    # The trace, a whole number but for rounding, is the projection's degrees of freedom.
-    if sizes.min() < 2 or np.trace(projection) < 0.5 or expected <= 0:
-        return math.nan
-    df_error = expected**2 / float((weights**2 * variances**2 / (sizes - 1)).sum())
-    df = expected**2 / float(variances @ projection**2 @ variances)
-    return float(fdtrc(df, df_error, means @ projection @ means / expected))
-
-
-def _cells(frame: pd.DataFrame, factors: Sequence[str], response: str) -> dict[tuple[Any, ...], np.ndarray]:
+def _cells(frame: pd.DataFrame, factors: Sequence[str], response: str) -> Cells:
     """Return the responses of every combination of levels that is there."""
-    grouped: dict[tuple[Any, ...], list[float]] = {}
-    for *key, value in zip(*(frame[name].tolist() for name in (*factors, response)), strict=True):
-        grouped.setdefault(tuple(key), []).append(value)
-    return {key: np.array(values, dtype=float) for key, values in grouped.items()}
+    return {key: values.to_numpy(float) for key, values in frame.groupby(list(factors), sort=False)[response]}
 
 
 def _levels(cells: Cells, place: int) -> list[Any]:
-    """Return the sorted levels of a factor; those that can't be compared are sorted as text."""
-    levels = list(dict.fromkeys(key[place] for key in cells))
-    try:
-        return sorted(levels)
-    except TypeError:
-        return sorted(levels, key=str)
+    """Return the sorted levels of a factor, numbers before texts."""
+    return sorted({key[place] for key in cells}, key=lambda level: (isinstance(level, str), level))

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from parking_exp.statistics.intervals import EXACT, SCORE, Interval, exact_bound, score_interval
+from parking_exp.statistics.intervals import Interval, mean_interval
 from parking_exp.statistics.rates import finite, finite_or_none, wilson_interval
 
 if TYPE_CHECKING:
@@ -23,7 +23,9 @@ class SurvivalCurve:
     reached: tuple[float, ...]
     low: tuple[float, ...]
     high: tuple[float, ...]
-    median: float | None
+    median: float | None  # None where fewer than half have
+    n: int  # runs
+    k: int  # runs that have reached the threshold
 
 
 def normalised_area(steps: ArrayLike, values: ArrayLike) -> float:
@@ -65,7 +67,6 @@ def kaplan_meier(times: ArrayLike, observed: ArrayLike) -> SurvivalCurve:
     `times` and `observed`, shape (runs,), as `steps_to` gives them. The interval is Greenwood's on the log-log scale.
     Where that is undefined: before the first event it is Wilson's for none out of those at risk; once all have
     reached, the lower bound stays where it was last (with no time before, Wilson's for all) and the upper one is 1.
-    `median` is None where fewer than half have reached.
 
     Raises:
         ValueError: there are no runs, or a time is not finite.
@@ -85,41 +86,18 @@ def kaplan_meier(times: ArrayLike, observed: ArrayLike) -> SurvivalCurve:
             low[i], high[i] = low[i - 1] if i else wilson_interval(n, n)[0], 1.0
     halfway = np.flatnonzero(reached >= 0.5 - 1e-12)
     median = float(at[halfway[0]]) if len(halfway) else None
-    return SurvivalCurve(tuple(at.tolist()), tuple(reached.tolist()), tuple(low.tolist()), tuple(high.tolist()), median)
+    times_at, shares, lows, highs = (tuple(column.tolist()) for column in (at, reached, low, high))
+    return SurvivalCurve(times_at, shares, lows, highs, median, n, int(np.count_nonzero(observed)))
 
 
-def restricted_mean(times: ArrayLike, observed: ArrayLike, horizon: float) -> Interval:
-    """Return the area under S up to `horizon`: the mean time, where a run that needs longer counts as `horizon`.
+def restricted_mean(times: ArrayLike, horizon: float) -> Interval:
+    """Return the mean time up to `horizon`, where a run that needs longer counts as `horizon`, by `mean_interval`.
 
-    The variance is Greenwood's, sum of A_i^2 d_i / (r_i (r_i - d_i)) with A_i the area right of event i (Irwin 1949;
-    Klein & Moeschberger 2003, 4.5), times n / (n - 1): without early censoring it is then the variance of a mean. The
-    interval is that of `mean_interval` for few seeds, on times divided by `horizon`. One run has none.
-
-    Raises:
-        ValueError: as `kaplan_meier`, or a run is censored last of all and before `horizon`, so that S is unknown
-        there.
+    `times`, shape (runs,), as `steps_to` gives them; no run may be censored before `horizon`.
     """
-    at_all, seen = finite(times, "a restricted mean"), np.asarray(observed, dtype=bool)
-    at, inverse = np.unique(at_all, return_inverse=True)
-    events = np.bincount(inverse[seen], minlength=len(at))
-    at_risk = np.array([(at_all >= time).sum() for time in at])
-    n, survival = len(at_all), np.cumprod((at_risk - events) / at_risk)
-    if at[-1] < horizon and survival[-1] > 0:
-        raise ValueError(f"the horizon {horizon:g} lies beyond the last time that was seen, {at[-1]:g}")
-    pieces = np.diff(np.concatenate([[0.0], np.minimum(at, horizon), [horizon]])) * np.concatenate([[1.0], survival])
-    mean = float(pieces.sum())
-    if n == 1:
-        return Interval(mean, n=n)
-    right = np.cumsum(pieces[::-1])[::-1][1:]
-    counted = (events > 0) & (at < horizon) & (at_risk > events)
-    d, r = events[counted].astype(float), at_risk[counted]
-    square = float((right[counted] ** 2 * d / (r * (r - d))).sum()) * n / (n - 1)
-    share = np.array(mean / horizon)
-    if square == 0:
-        (low, high), method = exact_bound(share, share, n), EXACT
-    else:
-        (low, high), method = score_interval(share, np.array(square / horizon**2), n - 1), SCORE
-    return Interval(mean, float(low) * horizon, float(high) * horizon, n, method)
+    share = mean_interval(np.minimum(finite(times, "a restricted mean"), horizon) / horizon)
+    value, low, high = (None if end is None else end * horizon for end in (share.value, share.low, share.high))
+    return Interval(value, low, high, share.n, share.method)
 
 
 def log_rank(a: Sequence[ArrayLike], b: Sequence[ArrayLike]) -> float | None:

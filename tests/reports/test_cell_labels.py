@@ -8,7 +8,6 @@ from support.runs import stored_params
 
 from parking_exp.config.cell_labels import cell_labels, differing, find_factors
 from parking_exp.config.compose import composed_runs
-from parking_exp.reports.cell_comparisons import design
 from parking_exp.reports.cell_selection import group
 from parking_exp.results.frames import config_column
 from parking_exp.sweeps.sweep import plan
@@ -34,45 +33,40 @@ def cell(env="parking", algorithm="sac", buffer="her_future", **others):
 def described(configs, experiments=None):
     factors, settings = find_factors(configs, experiments or ["one"] * len(configs))
     names = [f"{number}-{number}" for number in range(len(configs))]
-    return [factor.key for factor in factors], cell_labels(factors, settings, names), design(factors, settings)
+    return [factor.key for factor in factors], cell_labels(factors, settings, names)
 
 
 def test_keys_that_follow_from_a_groups_option_are_no_factors():
-    keys, labels, kind = described([cell(algorithm="sac"), cell(algorithm="td3"), cell(algorithm="ddpg")])
+    keys, labels = described([cell(algorithm="sac"), cell(algorithm="td3"), cell(algorithm="ddpg")])
     assert keys == ["algorithm"]
     assert labels == ["sac", "td3", "ddpg"]
-    assert kind == "list"
 
 
-def test_a_her_ablation_is_factorial_and_its_control_has_no_n_sampled_goal():
+def test_the_control_of_a_her_ablation_has_no_n_sampled_goal():
     crossed = [
         cell(buffer=f"her_{strategy}", buffer__n_sampled_goal=n)
         for strategy, n in product(["future", "final", "random"], [1, 4, 8])
     ]
     factors, settings = find_factors([*crossed, cell(buffer="replay")], ["her"] * 10)
-    assert [(factor.key, factor.log) for factor in factors] == [("buffer", False), ("buffer.n_sampled_goal", True)]
+    assert [(factor.key, factor.numeric) for factor in factors] == [("buffer", False), ("buffer.n_sampled_goal", True)]
     assert factors[1].levels == [1, 4, 8]
     assert settings[-1] == {"buffer": "replay", "buffer.n_sampled_goal": None}
     labels = cell_labels(factors, settings, ["name-key"] * 10)
     assert labels[-1] == "replay"
     assert labels[2] == "her_future, n_sampled_goal=8"
-    assert design(factors, settings) == "factorial"
 
 
 def test_keys_that_always_change_together_count_once():
     small, full = {"evaluation__n_scenes": 20}, {"total_timesteps": 60000, "evaluation__n_scenes": 50}
-    keys, labels, _ = described(
-        [cell(env, **budget) for env in ("parking", "parking_sparse") for budget in (small, full)]
-    )
+    keys, labels = described([cell(env, **budget) for env in ("parking", "parking_sparse") for budget in (small, full)])
     assert keys == ["env", "total_timesteps"]
     assert labels[3] == "parking_sparse, total_timesteps=60000"
 
 
 def test_all_sampled_keys_of_a_search_are_factors():
     goals = enumerate([1, 2, 4, 8, 1, 2, 4, 8, 1])
-    keys, _, kind = described([cell(algorithm__gamma=0.9 + k / 100, buffer__n_sampled_goal=n) for k, n in goals])
+    keys, _ = described([cell(algorithm__gamma=0.9 + k / 100, buffer__n_sampled_goal=n) for k, n in goals])
     assert set(keys) == {"algorithm.gamma", "buffer.n_sampled_goal"}
-    assert kind == "search"
 
 
 def test_seed_store_and_checkpoints_do_not_distinguish_cells():
@@ -81,13 +75,13 @@ def test_seed_store_and_checkpoints_do_not_distinguish_cells():
 
 
 def test_null_is_a_level_where_the_same_option_has_a_value_elsewhere():
-    keys, labels, _ = described([cell(env__training_duration=20.0), cell()])
+    keys, labels = described([cell(env__training_duration=20.0), cell()])
     assert keys == ["env.training_duration"]
     assert labels == ["training_duration=20", "training_duration=null"]
 
 
 def test_experiments_come_first_and_take_what_follows_from_them():
-    keys, labels, _ = described([cell(), cell(algorithm__gamma=0.8), cell(n_envs=8)], ["one", "one", "two"])
+    keys, labels = described([cell(), cell(algorithm__gamma=0.8), cell(n_envs=8)], ["one", "one", "two"])
     assert keys == ["experiment", "algorithm.gamma"]
     assert labels == ["one, gamma=0.95", "one, gamma=0.8", "two, gamma=0.95"]
 
@@ -123,9 +117,3 @@ def test_plans_and_reports_label_the_same_cells_alike(overrides, expected, tmp_p
     planned = {run.config.cell: run.label for run in runs}
     assert planned == {cell.name: cell.label for cell in group(frame)}
     assert expected is None or set(planned.values()) == expected
-
-
-def test_one_factor_with_three_numbers_is_factorial_and_with_two_a_list():
-    assert described([cell(buffer__n_sampled_goal=n) for n in (1, 2, 4)])[2] == "factorial"
-    assert described([cell(buffer__n_sampled_goal=n) for n in (1, 2)])[2] == "list"
-    assert described([cell()])[2] == "single"

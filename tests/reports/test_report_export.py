@@ -57,7 +57,7 @@ def source(store):
 def folder(source, tmp_path_factory):
     """The export of the report on all cells."""
     folder = tmp_path_factory.mktemp("exports") / "one"
-    write_report_export(source, report_of(source), folder, "python scripts/report.py from=one", only_cells=False)
+    write_report_export(source, report_of(source), folder, only_cells=False)
     return folder
 
 
@@ -99,8 +99,8 @@ def test_of_many_episodes_some_are_drawn_at_random_and_the_same_ones_from_the_ex
     results = source.results
     runs = results.runs[results.runs["status"] == "done"]
     whole = report_of(source)
-    write_report_export(source, whole, tmp_path / "one", "", only_cells=False)
-    write_report_export(source, whole, tmp_path / "two", "", only_cells=False)
+    write_report_export(source, whole, tmp_path / "one", only_cells=False)
+    write_report_export(source, whole, tmp_path / "two", only_cells=False)
     for path in (tmp_path / "one").iterdir():
         assert path.read_bytes() == (tmp_path / "two" / path.name).read_bytes()
     kept = read_export(tmp_path / "one")
@@ -119,14 +119,7 @@ def test_of_many_episodes_some_are_drawn_at_random_and_the_same_ones_from_the_ex
         assert drawn != everything[:7]  # not the first ones
 
 
-def test_the_summary_is_small_and_names_no_absolute_path(source, folder):
-    about = json.loads((folder / "report.json").read_text())
-    assert about["experiments"] == ["one"]
-    assert about["report"]["command"] == "python scripts/report.py from=one"
-    cell, whole = about["report"]["cells"][0], report_of(source).cells[0]
-    assert not {"seeds", "curve", "survival", "slots", "failures", "paths"} & {*cell}
-    assert cell["success"]["value"] == float(f"{whole.success.value:.6g}")
-    assert all(len(json.dumps(summary, separators=(",", ":"))) < 2000 for summary in about["report"]["cells"])
+def test_an_export_names_no_absolute_path(folder):
     text = "".join(read_text(path) for path in folder.iterdir())
     assert not re.search(r"/(tmp|dev|home|root|work)\b|sqlite:|run_dir|\.zip: /", text)
 
@@ -135,7 +128,7 @@ def test_an_export_of_some_cells_has_no_others(source, folder, tmp_path):
     options = {"baseline": "her_future, n_sampled_goal=1", "cells": ["her_final*"]}
     selected = report_of(source, **options)
     assert selected.claims == report_of(read_report_export(str(folder)), **options).claims
-    write_report_export(source, selected, tmp_path / "one", "", only_cells=True)
+    write_report_export(source, selected, tmp_path / "one", only_cells=True)
     export = read_report_export(str(tmp_path / "one"))
     runs, curves, episodes = export.results.runs, export.results.curves, export.results.episodes
     assert set(runs["cell"]) == {cell.name for cell in selected.cells}
@@ -148,7 +141,7 @@ def test_the_search_of_an_export_is_the_one_that_was_written(source, tmp_path):
     trial = TrialRow(0, "done", {}, {"algorithm.gamma": 0.9}, 0.5, [0.25, 0.75], ["one/cell/seed=0"], 100)
     search = Tuning("one", "tpe", None, 2, "success_auc", 2, {"algorithm.gamma": kind}, [trial], retested=[])
     data = with_tuning(report_of(source), search)
-    write_report_export(source, data, tmp_path / "one", "", only_cells=False)
+    write_report_export(source, data, tmp_path / "one", only_cells=False)
     export = read_report_export(str(tmp_path / "one"))
     assert export.tuning == search
     assert with_tuning(report_of(export), export.tuning).claims == data.claims
@@ -170,15 +163,12 @@ def test_the_command_writes_an_export_and_reports_on_it_without_a_store(output_d
     from_store = report(output_dir, "experiment=one", "export=docs/results/own name", *options).stdout.splitlines()
     folder = output_dir / "docs" / "results" / "own name"
     assert f"export         {folder}" in from_store
-    about = json.loads((folder / "report.json").read_text())
-    assert about["report"]["command"] == "python scripts/report.py 'from=docs/results/own name' baseline=td3"
     shutil.copytree(folder, tmp_path / "theirs")
     from_export = report(tmp_path, "from=theirs", *options).stdout.splitlines()
     assert from_export[:-1] == [line for line in from_store[:-1] if not line.startswith("export")]
     reports = [place / "reports" / "one" for place in (output_dir, tmp_path)]
     numbers, again = (json.loads((place / "report.json").read_text()) for place in reports)
     assert set(differences(numbers, again)) <= {"made", "command", "uri", "run_dir"}
-    assert again["command"] == f"python scripts/report.py from=theirs baseline=td3 output_dir={tmp_path}"
     assert again["provenance"]["uri"] == "theirs"
     assert sorted(path.name for path in tmp_path.iterdir()) == ["reports", "theirs"]
 

@@ -15,7 +15,7 @@ from support.searches import settings
 
 from parking_exp.errors import ResultsError
 from parking_exp.reports.figures.study_figures import FEWEST_TRIALS, draw_parameter_importance, study_of
-from parking_exp.reports.render.report_pages import markdown, page
+from parking_exp.reports.render.report_pages import page
 from parking_exp.reports.report_files import write_tables
 from parking_exp.reports.search_report import Tuning, search_text, tuning_of, with_search, with_tuning
 from parking_exp.reports.sections import SECTIONS, draw, section_contents
@@ -112,7 +112,7 @@ def report(*experiments, tuning=None):
 
 def written(whole, folder):
     """The rows of the tables of a search, by file."""
-    write_tables(section_contents(whole, sections=OWN), whole.shown, folder)
+    write_tables(section_contents(whole, sections=OWN), folder)
     return {path.stem: [*csv.DictReader(path.read_text().splitlines())] for path in folder.glob("*.csv")}
 
 
@@ -185,7 +185,7 @@ def test_names_in_a_search_can_do_no_harm(folder, tmp_path):
     pictures = draw(whole, tmp_path, ["svg"], OWN)
     assert "slices_1" in [picture.name for picture in pictures]
     contents = section_contents(whole, pictures)
-    assert "<script>window.pwned" not in page(whole, contents) + markdown(whole, contents, "svg")
+    assert "<script>window.pwned" not in page(whole, contents)
 
 
 def test_without_a_search_there_is_nothing_of_it(tmp_path):

@@ -16,7 +16,6 @@ from parking_exp.statistics import (
     Interval,
     coverage_note,
     holm,
-    interaction,
     kaplan_meier,
     log_rank,
     main_effects,
@@ -195,7 +194,7 @@ def test_kaplan_meier_agrees_with_the_leukaemia_table():
     survival = {time: round(1 - reached, 3) for time, reached in zip(curve.times, curve.reached, strict=True)}
     published = {6: 0.857, 7: 0.807, 10: 0.753, 13: 0.690, 16: 0.627, 22: 0.538, 23: 0.448, 35: 0.448}
     assert {time: survival[time] for time in published} == published
-    assert curve.median == 23.0
+    assert (curve.median, curve.n, curve.k) == (23.0, 21, 9)
     assert kaplan_meier(*PLACEBO).median == 8.0
 
 
@@ -216,30 +215,9 @@ def test_log_rank_agrees_with_the_published_leukaemia_trial_and_needs_an_event()
     assert log_rank(([5, 5], [0, 0]), ([5], [0])) is None
 
 
-@pytest.mark.parametrize(
-    ("times", "observed", "horizon", "mean", "error"),
-    [
-        # S is 1 to 2, 1/2 to 4, then 0: 2 + 1 = 3. Greenwood: area right of 2 is 1, 1 / (2 * 1): 0.5, times 2 / 1
-        ([2, 4], [True, True], 5, 3.0, 1.0),
-        # S is 1 to 1, 2/3 to 3: 1 + 4/3. Greenwood: (4/3)^2 / (3 * 2) = 8/27, times 3 / 2 = 4/9
-        ([1, 2, 3], [True, False, True], 3, 7 / 3, 2 / 3),
-        # Only the horizon censors: the mean of the times and its error.
-        ([12.0, 20.0, 30.0, 50.0], [True, True, True, False], 50, 28.0, np.std([12, 20, 30, 50], ddof=1) / 2),
-    ],
-)
-def test_restricted_mean_by_hand(times, observed, horizon, mean, error):
-    result = restricted_mean(times, observed, horizon)
-    ends = score_interval(np.array(mean / horizon), np.array((error / horizon) ** 2), len(times) - 1)
-    assert result.value == pytest.approx(mean)
-    assert [result.low / horizon, result.high / horizon] == pytest.approx([float(end) for end in ends])
-
-
-def test_restricted_mean_without_scatter_one_run_and_beyond_what_was_seen():
-    assert restricted_mean([50, 50], [False, False], 50).high == 50
-    assert restricted_mean([50, 50], [False, False], 50).low == pytest.approx(50 * math.sqrt(0.025))
-    assert restricted_mean([10], [True], 50).low is None
-    with pytest.raises(ValueError, match="beyond the last time that was seen, 40"):
-        restricted_mean([10, 40], [True, False], 50)
+def test_restricted_mean_is_the_mean_of_times_cut_at_the_horizon():
+    result, share = restricted_mean([10, 30, 70, 90], 50), mean_interval([0.2, 0.6, 1.0, 1.0])
+    assert (result.value, result.low, result.high) == pytest.approx((35.0, 50 * share.low, 50 * share.high))
 
 
 # Curves
@@ -258,9 +236,6 @@ def test_normalised_area_is_trapezoids_over_the_covered_range():
 # Factor sweeps
 
 CELLS = {("future", 2): [0.2, 0.4], ("future", 4): [0.6, 0.8, 0.7], ("final", 2): [0.1, 0.1], ("final", 4): [0.3, 0.5]}
-
-
-BALANCED = {("a", 1): [0.9, 0.7], ("a", 2): [0.5, 0.3], ("b", 1): [0.4, 0.2], ("b", 2): [0.2, 0.0]}
 
 
 def frame(cells=CELLS):
@@ -298,41 +273,6 @@ def test_effects_flag_missing_combinations_and_have_no_interval_without_scatter(
     assert (same.levels[0].effect.low, same.largest.low, same.p) == (None, None, None)
 
 
-def test_interaction_residuals_by_hand():
-    table = interaction(frame(), "strategy", "goals", "success")
-    residuals = {place: residual for place, (_, residual) in table.cells.items()}
-    # future, 2: 0.3 - 0.5 - 0.2 + 0.375 = -0.025
-    assert residuals == pytest.approx(
-        {("final", 2): 0.025, ("final", 4): -0.025, ("future", 2): -0.025, ("future", 4): 0.025}
-    )
-    assert table.cells["future", 4][0] == mean_interval([0.6, 0.8, 0.7])
-
-
-def test_the_f_test_of_interaction_is_that_of_a_two_way_table():
-    # Means .8 .4 / .3 .1: residuals +-.05, so that 2 seeds each give 8 * .0025 = .02 on 1 degree of freedom, against
-    # .08 within cells on 4.
-    assert interaction(frame(BALANCED), "strategy", "goals", "success").p == pytest.approx(stats.f.sf(1.0, 1, 4))
-    unequal = BALANCED | {("a", 1): [1.0, 0.6]}  # of one contrast, here .2, it is Welch's test
-    variances = np.array([0.08, 0.02, 0.02, 0.02]) / 2
-    df = variances.sum() ** 2 / (variances**2).sum()
-    expected = 2 * stats.t.sf(0.2 / math.sqrt(variances.sum()), df)
-    assert interaction(frame(unequal), "strategy", "goals", "success").p == pytest.approx(expected)
-    three = {key: values for key, values in BALANCED.items() if key != ("b", 2)}
-    assert interaction(frame(three), "strategy", "goals", "success").p is None  # a sum fits three cells
-    once = {key: values[:1] for key, values in BALANCED.items()}
-    assert interaction(frame(once), "strategy", "goals", "success").p is None
-
-
-def test_the_f_test_of_interaction_holds_its_level_with_unequal_variances():
-    rng, deviations = np.random.default_rng(0), (0.02, 0.05, 0.1, 0.24)
-    rejected = []
-    for _ in range(200):
-        values = [np.clip(rng.normal(0.5, deviation, (4, 4)), 0, 1) for deviation in deviations]
-        cells = {(str(row), goals): values[row][goals] for row in range(4) for goals in range(4)}
-        rejected.append(interaction(frame(cells), "strategy", "goals", "success").p < 0.05)
-    assert 0.02 <= np.mean(rejected) <= 0.08
-
-
 # Coverage
 
 
@@ -341,11 +281,10 @@ def test_interval_of_a_mean_covers_in_93_to_97_of_100_draws(rates, n):
     assert 0.93 <= simulation.of_mean(rates, n).mean() <= 0.97
 
 
-def test_intervals_of_differences_improvements_and_times_cover_in_93_to_97_of_100_draws():
+def test_intervals_of_differences_and_improvements_cover_in_93_to_97_of_100_draws():
     narrow, wide = (Rates(0.75, 0.05), Rates(0.9, 0.03)), (Rates(0.95, 0.06), Rates(0.95, 0.06))
     assert 0.93 <= simulation.of_difference(*narrow, 10).mean() <= 0.97
     assert 0.93 <= simulation.of_improvement(*wide, 10).mean() <= 0.97
-    assert 0.93 <= simulation.of_restricted_mean(30, 0.3, 0.1, 10).mean() <= 0.97
 
 
 def test_note_speaks_exactly_where_a_collapse_shows():
@@ -354,19 +293,15 @@ def test_note_speaks_exactly_where_a_collapse_shows():
     assert np.array_equal(simulation.speaks(rates, 10), (rates.measured(10, 400, seed=2) == 0).any(axis=1))
 
 
-def test_welch_falls_below_93_percent_where_the_noisier_cell_has_a_tail_and_the_note_says_so():
-    first, second = Rates(0.95, 0.1), Rates(0.99, 0.01)
-    assert 0.79 <= simulation.of_difference(first, second, 10).mean() < 0.84
-    assert simulation.speaks(first, 10, second).mean() > 0.85
+def test_welch_falls_below_93_percent_where_the_noisier_cell_has_a_tail():
+    assert 0.79 <= simulation.of_difference(Rates(0.95, 0.1), Rates(0.99, 0.01), 10).mean() < 0.84
 
 
 def test_note_is_silent_on_healthy_seeds_and_names_the_coverage_on_others():
     assert coverage_note(TEN) is None
-    assert coverage_note(TEN, TEN) is None
     assert "fewer than 5" in coverage_note([0.9, 0.95])
     assert "95 points apart" in coverage_note([0.0, 0.95, 0.96, 0.97, 0.98, 0.95])
     assert "covered 62 %" in coverage_note([0.0, 0.95, 0.96, 0.97, 0.98, 0.95])
-    assert "81 % with 10" in coverage_note(TEN, [0.99, 1.0] * 5)
 
 
 @pytest.mark.slow
@@ -379,14 +314,11 @@ def test_mean_never_covers_less_than_93_of_100_draws_and_more_than_97_only_at_th
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("n", simulation.SEEDS)
+@pytest.mark.parametrize("n", simulation.SEEDS[1:])
 @pytest.mark.parametrize("pair", simulation.PAIRS, ids=str)
-def test_differences_and_improvements_cover_in_92_of_100_draws_or_have_three_seeds_and_a_note(pair, n):
-    if n == 3:
-        assert simulation.speaks(pair[0], n, pair[1]).all()
-    else:
-        assert simulation.of_difference(*pair, n).mean() >= 0.93
-        assert simulation.of_improvement(*pair, n).mean() >= 0.925  # 92.8 % where the deviations are 0.05 and 0.15
+def test_differences_and_improvements_cover_in_92_of_100_draws_from_five_seeds_on(pair, n):
+    assert simulation.of_difference(*pair, n).mean() >= 0.93
+    assert simulation.of_improvement(*pair, n).mean() >= 0.925  # 92.8 % where the deviations are 0.05 and 0.15
 
 
 def test_the_difference_of_two_levels_of_one_factor_is_welchs_test():
@@ -400,14 +332,3 @@ def test_the_difference_of_two_levels_of_one_factor_is_welchs_test():
     interval = known.confidence_interval()
     assert (difference.value, effect.p) == pytest.approx((a.mean() - b.mean(), known.pvalue))
     assert (difference.low, difference.high) == pytest.approx((interval.low, interval.high))
-
-
-def test_the_difference_of_two_levels_over_another_factor_weighs_cells_the_same():
-    cells = {("a", 1): [0.9, 0.7], ("a", 2): [0.5, 0.3], ("b", 1): [0.4, 0.2], ("b", 2): [0.2, 0.0]}
-    effect = main_effects(frame(cells), ["strategy", "goals"], "success")[0]
-    difference = effect.largest
-    # (.8 + .4) / 2 - (.3 + .1) / 2; each mean has the variance .02 / 2, a quarter of which counts, four times: .01,
-    # on 4 degrees of freedom, as all are the same: t = .4 / .1
-    assert difference.value == pytest.approx(0.4)
-    assert effect.p == pytest.approx(2 * stats.t.sf(4, 4))
-    assert difference.high - difference.value == pytest.approx(stats.t.ppf(0.975, 4) * 0.1)

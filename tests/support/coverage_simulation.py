@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import stats
 
-from parking_exp.statistics import coverage_note, restricted_mean
+from parking_exp.statistics import coverage_note
 from parking_exp.statistics.comparisons import newcombe
 from parking_exp.statistics.intervals import interval_rows
 
@@ -61,7 +61,6 @@ SKEWED_PAIRS = (
     (Rates(0.99, 0.03), Rates(0.95, 0.06)),
     (Rates(0.95, 0.1), Rates(0.99, 0.01)),
 )
-RESTRICTED = ((20, 0.2, 0.0), (20, 0.5, 0.0), (40, 0.5, 0.0), (30, 0.3, 0.1), (30, 0.3, 0.2))
 
 
 def of_mean(rates, n, draws=DRAWS):
@@ -93,29 +92,9 @@ def of_improvement(a, b, n, draws=DRAWS):
     return (low <= truth) & (truth <= high)
 
 
-def of_restricted_mean(median, deviation, failing, n, draws=DRAWS):
-    """Return in which of the draws the restricted mean's interval holds: log-normal times in thousands of steps, horizon 50.
-
-    Times are seen on a grid of 2.5; the share `failing` never reaches.
-    """
-    horizon = 50.0
-
-    def times(rng, shape):
-        drawn = np.ceil(np.exp(rng.normal(np.log(median), deviation, shape)) / 2.5) * 2.5
-        return np.where(rng.random(shape) < failing, 1000.0, drawn)
-
-    truth = np.minimum(times(np.random.default_rng(7), 400_000), horizon).mean()
-    hits = []
-    for time in times(np.random.default_rng(8), (draws, n)):
-        estimate = restricted_mean(np.minimum(time, horizon), time <= horizon, horizon)
-        hits.append(estimate.low <= truth <= estimate.high)
-    return np.array(hits)
-
-
-def speaks(a, n, b=None, draws=400):
+def speaks(rates, n, draws=400):
     """Return in which of the draws `coverage_note` says something."""
-    sides = [a.measured(n, draws, seed=2)] + ([b.measured(n, draws, seed=3)] if b else [])
-    return np.array([coverage_note(*rows) is not None for rows in zip(*sides, strict=True)])
+    return np.array([coverage_note(row) is not None for row in rates.measured(n, draws, seed=2)])
 
 
 def main():
@@ -125,8 +104,7 @@ def main():
         ("mean", of_mean, [(rates,) for rates in HEALTHY + COLLAPSING]),
         ("difference", of_difference, PAIRS + SKEWED_PAIRS),
         ("improvement", of_improvement, PAIRS + SKEWED_PAIRS),
-        ("note speaks", lambda a, b, n: speaks(a, n, b), PAIRS + SKEWED_PAIRS),
-        ("restricted mean", of_restricted_mean, RESTRICTED),
+        ("note speaks", speaks, [(rates,) for rates in COLLAPSING]),
     )
     for name, coverage, populations in tables:
         for population in populations:

@@ -62,31 +62,12 @@ def her_ablation(n_seeds=10):
     bump = {1: -0.12, 2: -0.03, 4: 0.03, 8: 0.02, 16: -0.06}
     cells = {f"{s}{k}": {"buffer.name": f"her_{s}", "buffer.n_sampled_goal": k} for s in bases for k in bump}
     means = {f"{s}{k}": base + bump[k] * (2 if s == "random" else 1) for s, base in bases.items() for k in bump}
-    shares = {f"{s}{k}": (1 + row) / (k + 1 + row) for row, s in enumerate(sorted(bases)) for k in bump}
-    return _report(cells, n_seeds, means, lambda label, run: replace(run, real_share=shares[label]))
-
-
-@cache
-def search(n_cells=30):
-    """Return a report on a random search over four hyperparameters, three seeds a point."""
-    rng = np.random.default_rng(3)
-    exponents = rng.uniform(-4, -2, n_cells)
-    cells = {
-        str(i): {
-            "algorithm.learning_rate": float(10**exponent),
-            "algorithm.gamma": float(1 - 10 ** rng.uniform(-2, -1)),
-            "algorithm.batch_size": (128, 256, 512)[i % 3],
-            "buffer.name": ("her_future", "her_final")[i // 2 % 2],
-        }
-        for i, exponent in enumerate(exponents)
-    }
-    means = {str(i): 0.95 - 0.35 * abs(exponent + 3) for i, exponent in enumerate(exponents)}
-    return replace(_report(cells, 3, means), design="search", effects=(), interactions=())
+    return _report(cells, n_seeds, means)
 
 
 @cache
 def hostile():
-    """Names that want to run as HTML, JavaScript, Jinja, LaTeX, Markdown or a spreadsheet's formula."""
+    """Names that want to run as HTML, JavaScript, Jinja, LaTeX or a spreadsheet's formula."""
     made = report(len(HOSTILE), 5, labels=list(HOSTILE))
     bad = HOSTILE[0]
     provenance = replace(

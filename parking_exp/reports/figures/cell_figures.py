@@ -20,7 +20,7 @@ from parking_exp.figure_style import (
     row_axes,
     time_axis,
 )
-from parking_exp.reports.report_data import Cell, Curve, ReportData, Survival
+from parking_exp.reports.report_data import Cell, Curve, ReportData
 from parking_exp.tasks.registry import FAILURES
 
 _GOLDEN = 0.6180339887498949  # its multiples, modulo 1, are spread evenly
@@ -40,7 +40,7 @@ def draw_final_success(report: ReportData) -> Iterator[Drawing]:
     cells = report.shown_cells
     if not any(seed.success is not None for cell in cells for seed in cell.seeds):
         return
-    figure, axes = row_axes(cell_labels(cells, 36, lines=2))
+    figure, axes = row_axes(cell_labels(cells, 36, lines=3))
     axes.set_xlabel("final success (% of episodes)")
     axes.axvline(90, **_LINE_90)
     for row, cell in enumerate(cells):
@@ -89,31 +89,25 @@ def draw_learning_curves(report: ReportData) -> Iterator[Drawing]:
     yield (
         figure,
         f"Evaluations during training. Above: mean success over seeds ({_seed_counts(cells)}) with the band of its "
-        f"95 % interval; {lines}dashed: 90 %. Below: mean rate of {' or '.join(names)}. "
-        "Pale where runs of some seeds have ended.",
+        f"95 % interval; {lines}dashed: 90 %. Below: mean rate of {' or '.join(names)}.",
     )
 
 
 def _curve(success: Axes, failure: Axes, cell: Cell, curve: Curve, *, with_seeds: bool) -> None:
     style = cell_style(cell.id)
-    step, n = np.asarray(curve.step), np.asarray(curve.n)
     if with_seeds:
         for _, seed_step, rates in curve.seeds:
             success.plot(seed_step, percentages(rates), color=style.colour, linewidth=0.5, alpha=0.3)
     low, high = (np.clip(percentages(bound), 0, 100) for bound in (curve.low, curve.high))
-    success.fill_between(step, low, high, color=style.colour, alpha=0.13, linewidth=0)
-    complete = np.arange(len(step)) <= np.flatnonzero(n == n.max())[-1]
-    between = max(1, len(step) // 7)
-    markers: dict[str, Any] = {"marker": style.marker, "markevery": (int(cell.id[1:]) % between, between)}
+    success.fill_between(curve.step, low, high, color=style.colour, alpha=0.13, linewidth=0)
+    line = {"color": style.colour, "linestyle": style.line, "marker": style.marker}
     for axes, rates in ((success, curve.mean), (failure, curve.failure)):
-        rate, line = percentages(rates), {"color": style.colour, "linestyle": style.line}
-        axes.plot(step, rate, alpha=0.4, **line)
-        axes.plot(step, np.where(complete, rate, np.nan), **line, **markers)
+        axes.plot(curve.step, percentages(rates), markevery=max(1, len(curve.step) // 7), **line)
 
 
 def _figure_with_legend(height: float, cells: Sequence[Cell]) -> Figure:
     """Return a figure with a legend of the cells at the right, at least as high as that."""
-    labels = cell_labels(cells, 32, lines=2)
+    labels = cell_labels(cells, 32, lines=3)
     figure = new_figure(max(height, 0.4 + sum(0.14 + 0.12 * label.count("\n") for label in labels)))
     styles = [cell_style(cell.id) for cell in cells]
     lines = [Line2D([], [], color=look.colour, linestyle=look.line, marker=look.marker) for look in styles]
@@ -122,41 +116,32 @@ def _figure_with_legend(height: float, cells: Sequence[Cell]) -> Figure:
 
 
 def draw_time_to_90(report: ReportData) -> Iterator[Drawing]:
-    """Draw the share of seeds that have reached 90 %, by env steps and by CPU-seconds."""
-    panels = [
-        [(cell, survival) for cell in report.shown_cells if (survival := getattr(cell, clock)) and survival.n]
-        for clock in ("survival", "survival_cpu")
-    ]
-    panels = [pairs for pairs in panels if pairs]
-    if not panels:
+    """Draw the share of seeds that have reached 90 %, by env steps."""
+    cells = [cell for cell in report.shown_cells if cell.survival]
+    if not any(cell.survival and cell.survival.k for cell in cells):
         return
-    cells = [cell for cell, _ in panels[0]]
-    figure = _figure_with_legend(2.2, cells)
-    row = figure.subplots(1, len(panels), sharey=True, squeeze=False)[0]
-    for axes, pairs in zip(row, panels, strict=True):
-        _survival_panel(axes, pairs)
-    row[0].set(ylim=(-3, 103), ylabel="seeds at 90 % (%)")
+    figure = _figure_with_legend(2.4, cells)
+    axes = figure.subplots()
+    for cell in cells:
+        _survival(axes, cell)
+    axes.set(ylim=(-3, 103), ylabel="seeds at 90 % (%)")
+    time_axis(axes, "env steps")
     yield (
         figure,
         "Share of seeds whose success has reached 90 % in three evaluations in a row (Kaplan–Meier estimate; "  # noqa: RUF001
-        f"{_seed_counts(cells)}). Crosses (+): seeds not there when their observation ended. Bands: 95 % intervals, "
-        "left out where no seed got there, whose lines are drawn a little apart.",
+        f"{_seed_counts(cells)}), with 95 % intervals where some have. Crosses (+): seeds not there when their "
+        "observation ended.",
     )
 
 
-def _survival_panel(axes: Axes, pairs: Sequence[tuple[Cell, Survival]]) -> None:
-    flat = [cell.id for cell, survival in pairs if not survival.k]
-    for cell, survival in pairs:
-        style = cell_style(cell.id)
-        lift = 1.2 * flat.index(cell.id) if cell.id in flat else 0.0  # lines at 0 would hide one another
-        time = np.array([*survival.time, max([*survival.time, *survival.censored])], dtype=float)
-        share, low, high = (
-            percentages([*values, values[-1]]) + lift for values in (survival.reached, survival.low, survival.high)
-        )
-        if survival.k:
-            axes.fill_between(time, low, high, step="post", color=style.colour, alpha=0.07, linewidth=0)
-        line = {"color": style.colour, "linestyle": style.line, "marker": style.marker}
-        axes.plot(time, share, drawstyle="steps-post", markevery=slice(1, -1), **line)
-        reached = share[np.searchsorted(time[:-1], survival.censored, side="right") - 1]
-        axes.plot(survival.censored, reached, linestyle="", marker="+", markersize=6, color=style.colour)
-    time_axis(axes, pairs[0][1].unit)
+def _survival(axes: Axes, cell: Cell) -> None:
+    style, curve = cell_style(cell.id), cell.survival
+    assert curve
+    censored = [seed.steps_to_90 for seed in cell.seeds if seed.steps_to_90 is not None and not seed.reached_90]
+    time = [0.0, *curve.times, max([*curve.times, *censored])]
+    share, low, high = (percentages([0.0, *values, values[-1]]) for values in (curve.reached, curve.low, curve.high))
+    if curve.k:
+        axes.fill_between(time, low, high, step="post", color=style.colour, alpha=0.07, linewidth=0)
+    axes.step(time, share, where="post", color=style.colour, linestyle=style.line, marker=style.marker)
+    at = np.searchsorted(curve.times, censored)
+    axes.plot(censored, share[at + 1], linestyle="", marker="+", markersize=6, color=style.colour)

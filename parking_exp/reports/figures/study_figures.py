@@ -1,8 +1,8 @@
-"""Figures of Optuna studies by `optuna.visualization.matplotlib`: of a search, and of a sweep over many values."""
+"""Figures of a search by `optuna.visualization.matplotlib`."""
 
 import json
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator
 from typing import Any
 
 import matplotlib
@@ -10,9 +10,8 @@ import numpy as np
 from matplotlib.ticker import LogLocator, NullLocator
 
 from parking_exp.errors import ResultsError
-from parking_exp.figure_style import WIDTH_IN, Drawing, clean, report_style
-from parking_exp.reports import formats
-from parking_exp.reports.report_data import Cell, Factor, ReportData
+from parking_exp.figure_style import WIDTH_IN, Drawing, report_style
+from parking_exp.reports.report_data import ReportData
 from parking_exp.reports.search_report import Tuning
 
 MOST_AXES = 8  # of parallel coordinates
@@ -22,23 +21,21 @@ FEWEST_TRIALS = 20  # for importances: PED-ANOVA looks at the best tenth
 
 def study_of(tuning: Tuning) -> Any:
     """Return an in-memory Optuna study of the finished trials of a report, which may be from an export."""
-    from optuna.distributions import json_to_distribution
-
-    try:
-        kinds = {name: json_to_distribution(json.dumps(kind)) for name, kind in tuning.parameters.items()}
-        return _study(kinds, [(trial.parameters, trial.value) for trial in tuning.trials if trial.value is not None])
-    except (ValueError, KeyError, TypeError) as error:
-        raise ResultsError(f"the search of {tuning.experiment} can't be drawn: {error}") from error
-
-
-def _study(distributions: Mapping[str, Any], trials: Sequence[tuple[Mapping[str, Any], float]]) -> Any:
     import optuna
+    from optuna.distributions import json_to_distribution
 
     optuna.logging.set_verbosity(optuna.logging.ERROR)
     study = optuna.create_study(direction="maximize")
-    for parameters, value in trials:
-        used = {name: distributions[name] for name in parameters}
-        study.add_trial(optuna.trial.create_trial(value=value, params={**parameters}, distributions=used))
+    try:
+        kinds = {name: json_to_distribution(json.dumps(kind)) for name, kind in tuning.parameters.items()}
+        for trial in tuning.trials:
+            if trial.value is not None:
+                used = {name: kinds[name] for name in trial.parameters}
+                study.add_trial(
+                    optuna.trial.create_trial(value=trial.value, params={**trial.parameters}, distributions=used)
+                )
+    except (ValueError, KeyError, TypeError) as error:
+        raise ResultsError(f"the search of {tuning.experiment} can't be drawn: {error}") from error
     return study
 
 
@@ -84,8 +81,13 @@ def draw_history(report: ReportData) -> Iterator[Drawing]:
 
 def draw_parameter_importance(report: ReportData) -> Iterator[Drawing]:
     """Draw the importance of parameters, if enough trials differ in their values."""
-    if (tuning := report.tuning) and _varied(tuning):
-        yield from _importance("trials", study_of(tuning), tuning.objective)
+    if (tuning := report.tuning) is None or not (names := _varied(tuning)):
+        return
+    study = study_of(tuning)
+    values = [trial.value for trial in study.trials]
+    if len(values) >= FEWEST_TRIALS and len(set(values)) > 1:
+        figure = _plot("plot_param_importances", study, 1.0 + 0.3 * len(names), target_name=tuning.objective)
+        yield figure, f"Importance of each parameter for the best tenth of trials by {tuning.objective} (PED-ANOVA)."
 
 
 def draw_slices(report: ReportData) -> Iterator[Drawing]:
@@ -101,59 +103,9 @@ def draw_slices(report: ReportData) -> Iterator[Drawing]:
 
 def draw_trial_coordinates(report: ReportData) -> Iterator[Drawing]:
     """Draw each trial as a line across its values and parameters."""
-    if (tuning := report.tuning) and (names := _varied(tuning)):
-        yield _coordinates("trial", study_of(tuning), names, tuning.objective)
-
-
-def draw_cell_coordinates(report: ReportData) -> Iterator[Drawing]:
-    """Draw each cell of a sweep over many hyperparameters as a line."""
-    if study := _cell_study(report):
-        yield _coordinates("cell", study, [clean(factor.name) for factor in report.factors], "success")
-
-
-def draw_cell_importance(report: ReportData) -> Iterator[Drawing]:
-    """Draw the importance of the hyperparameters of such a sweep."""
-    if study := _cell_study(report):
-        yield from _importance("cells", study, "success")
-
-
-def _cell_study(report: ReportData) -> Any:
-    """Return the cells of a sweep over many hyperparameters as an Optuna study; None for other reports."""
-    rated = [cell for cell in report.cells if cell.success.value is not None]
-    if report.design != "search" or report.tuning is not None or not rated:
-        return None
-    factors = report.factors
-    trials = [
-        ({clean(f.name): level for f in factors if (level := _level(f, cell)) is not None}, cell.success.value or 0.0)
-        for cell in rated
-    ]
-    return _study({clean(factor.name): _distribution(factor) for factor in factors}, trials)
-
-
-def _level(factor: Factor, cell: Cell) -> Any:
-    """Return a cell's level of a factor, None where it has none, as `buffer=replay` has no `n_sampled_goal`."""
-    level = cell.settings.get(factor.key)
-    return level if factor.numeric or level is None else clean(formats.level(level))
-
-
-def _distribution(factor: Factor) -> Any:
-    from optuna.distributions import CategoricalDistribution, FloatDistribution
-
-    levels: Sequence[Any] = factor.levels
-    if not factor.numeric:
-        return CategoricalDistribution([clean(formats.level(level)) for level in levels])
-    return FloatDistribution(min(levels), max(levels), log=factor.log and min(levels) > 0)
-
-
-def _importance(nouns: str, study: Any, objective: str) -> Iterator[Drawing]:
-    values = [trial.value for trial in study.trials]
-    if len(values) >= FEWEST_TRIALS and len(set(values)) > 1:
-        height = 1.0 + 0.3 * len(study.trials[0].params)
-        figure = _plot("plot_param_importances", study, height, target_name=objective)
-        yield figure, f"Importance of each parameter for the best tenth of {nouns} by {objective} (PED-ANOVA)."
-
-
-def _coordinates(noun: str, study: Any, names: Sequence[str], objective: str) -> Drawing:
+    if (tuning := report.tuning) is None or not (names := _varied(tuning)):
+        return
     left_out = f" {len(names) - MOST_AXES} parameters are left out." if len(names) > MOST_AXES else ""
-    figure = _plot("plot_parallel_coordinate", study, params=[*names[:MOST_AXES]], target_name=objective)
-    return figure, f"Each {noun} as a line from its value across its parameters.{left_out}"
+    objective = tuning.objective
+    figure = _plot("plot_parallel_coordinate", study_of(tuning), params=names[:MOST_AXES], target_name=objective)
+    yield figure, f"Each trial as a line from its value across its parameters.{left_out}"
