@@ -106,6 +106,7 @@ def load(
         output_dir: where runs are.
 
     Raises:
+        ConfigError: `uri` contains a password.
         ResultsError: there is no such store, it can't be read, there is no such experiment, or it has no runs.
     """
     folder = directory_path(output_dir)

@@ -116,16 +116,6 @@ def test_several_experiments_run_one_after_the_other():
     assert Counter(run.experiment_name for run in expanded) == {"smoke": 1, "her_relabelling": 22}
 
 
-@pytest.mark.slow
-def test_the_her_ablation_is_every_strategy_with_every_share_and_a_control_on_both_rewards():
-    expanded = runs("experiment=her_ablation", "seeds=2")
-    cells = Counter((run.env.reward, run.buffer.name, run.buffer.arguments.get("n_sampled_goal")) for run in expanded)
-    strategies = ("her_future", "her_final", "her_episode", "her_random")
-    expected = {(r, s, n) for r in ("dense", "sparse") for s in strategies for n in (1, 2, 4, 8)}
-    assert cells == dict.fromkeys(expected | {("dense", "replay", None), ("sparse", "replay", None)}, 2)
-    assert len({run.run_key for run in expanded}) == 68
-
-
 @pytest.mark.parametrize("experiment", slow_but(["her_relabelling"], ["her_ablation", "her_relabelling"]))
 @pytest.mark.parametrize(
     ("budget", "steps"), [("small", 96_000), pytest.param("full", 256_000, marks=pytest.mark.slow)]
