@@ -32,4 +32,4 @@ NumberOfEpisodes = Annotated[int, Field(ge=1, le=10_000_000)]
 class ConfigModel(BaseModel):
     """A strict, frozen part of a config: unknown keys and wrong types are errors."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)

@@ -12,7 +12,6 @@ from importlib.metadata import packages_distributions
 import pytest
 from support.runs import ROOT
 
-import parking_exp
 from parking_exp import compose
 from parking_exp.config.schema import RunConfig
 from parking_exp.errors import ConfigError
@@ -94,13 +93,6 @@ def test_every_package_that_is_imported_is_declared():
     owners = packages_distributions()
     third_party = imported - sys.stdlib_module_names - {"parking_exp"}
     assert [n for n in third_party if not {owner.lower().replace("_", "-") for owner in owners[n]} & names] == []
-
-
-def test_the_functions_for_python_are_attributes_of_the_package():
-    assert {"compose", "load", "train"} <= set(dir(parking_exp))
-    assert parking_exp.load.__module__.startswith("parking_exp.results")
-    with pytest.raises(AttributeError, match="has no attribute 'lod'"):
-        _ = parking_exp.lod
 
 
 def test_a_composed_config_is_checked_and_of_one_run():

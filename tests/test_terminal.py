@@ -4,7 +4,6 @@ import io
 import logging
 
 from rich.table import Table
-from support.runs import call_script
 
 from parking_exp.terminal import LogFormatter, Screen, printable, say
 
@@ -42,13 +41,3 @@ def test_a_console_shows_lines_cells_and_headings():
 def test_a_log_record_is_shown_line_by_line():
     record = logging.LogRecord("name", logging.WARNING, "file", 1, "checkpoint %s\nsecond", ("a\x1b[2J",), None)
     assert LogFormatter().format(record) == "checkpoint a\\x1b[2J\nsecond"
-
-
-def test_an_error_that_names_a_hostile_directory_shows_it(tmp_path):
-    path = tmp_path / "mine\x1b]0;t\x07" / "cell" / "seed=0"
-    path.mkdir(parents=True)
-    (path / "status.json").write_text("{}")
-    done = call_script("evaluate", f"run={path}", f"output_dir={tmp_path}")
-    assert done.returncode == 2
-    assert done.stderr.strip().isprintable()
-    assert r"mine\x1b]0;t\x07/cell/seed=0" in done.stderr

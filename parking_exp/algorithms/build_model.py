@@ -62,8 +62,6 @@ def build_model(config: RunConfig, env: VecEnv, seed: int, *, for_training: bool
         if policy not in MIRRORED:
             raise ConfigError(f"algorithm.features={config.algorithm.features}: {target} has no mirrored policy")
         objects["policy"] = MIRRORED[policy]
-    if (noise := arguments.get("action_noise")) is not None:
-        objects["action_noise"] = _action_noise(noise, env)
     if for_training:
         objects["replay_buffer_class"] = get_class(config.buffer.target)
         objects["replay_buffer_kwargs"] = config.buffer.arguments
@@ -71,6 +69,8 @@ def build_model(config: RunConfig, env: VecEnv, seed: int, *, for_training: bool
             (objects["replay_buffer_kwargs"]["reward"],) = env.get_attr("goal_reward", 0)
     _skip_compiler_import()
     try:
+        if (noise := arguments.get("action_noise")) is not None:
+            objects["action_noise"] = _action_noise(noise, env)
         model = build(**objects)
     except (TypeError, ValueError, KeyError, AssertionError) as error:
         raise ConfigError(f"algorithm: {target} refuses its arguments: {error}") from error

@@ -1,66 +1,50 @@
 """Run a command: parse its command line, call it, and turn errors into sentences and exit statuses.
 
-The parser accepts Hydra's flags, our own flags and `key=value` words; Hydra itself shows `--help` and `--cfg job`.
+The command line has Hydra's flags and overrides, where `--dry-run` means `dry_run=true`; Hydra itself shows `--help`.
 Commands import torch and mlflow after our own keys are validated.
 """
 
 import argparse
-import io
 import logging
 import os
 import signal
 import sys
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager, redirect_stdout
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import NoReturn
 
 import hydra
-from omegaconf import DictConfig
+from omegaconf import DictConfig, OmegaConf
 
-from parking_exp.config.compose import VERSION_BASE, composed, config_dir
-from parking_exp.config.credentials import strip_password
-from parking_exp.config.overrides import quoted
-from parking_exp.errors import (
-    DISK_ERRORS,
-    ConfigError,
-    InterruptedRunError,
-    OutputDirectoryError,
-    ParkingError,
-    did_you_mean,
-)
+from parking_exp.config.compose import VERSION_BASE, composed, user_options
+from parking_exp.config.overrides import as_hydra, config_dir
+from parking_exp.errors import DISK_ERRORS, ConfigError, InterruptedRunError, OutputDirectoryError, ParkingError
 from parking_exp.terminal import LogFormatter, say
-
-HYDRA_FLAGS = {"--help", "--cfg", "--resolve", "--multirun", "--config-dir"}
 
 Command = Callable[[list[str], str | None], None]
 """A function of the overrides and Hydra's `--config-dir`."""
 
 
-def run_command(
-    config_name: str,
-    command: Command,
-    *,
-    flags: Mapping[str, str] | None = None,
-    read: Callable[[list[str]], list[str]] = list,
-) -> None:
-    """Run the command of this process, or let Hydra show help or the config.
+def run_command(config_name: str, command: Command, read: Callable[[list[str]], list[str]] = list) -> None:
+    """Run the command of this process, or show its help or config.
 
     Args:
         config_name: root of the command's config.
         command: the function to call.
-        flags: flag, e.g. `--quick`, -> equivalent override.
         read: turns the words of the command line into Hydra's overrides.
     """
     if logging.lastResort is not None:  # handles warnings
         logging.lastResort.setFormatter(LogFormatter())
     with errors_as_sentences():
-        options, words = _parse(sys.argv[1:], flags or {})
-        overrides = [quoted(override) for override in read(words)]
-        if options.cfg:
-            composed(config_name, overrides, options.config_dir)  # for its error messages
-        if options.cfg or options.help:
-            _show(config_name, options, overrides)
+        options, words = _parse(sys.argv[1:])
+        overrides = [as_hydra(override) for override in read(words)]
+        if options.help:
+            sys.argv[1:] = ["--help", *user_options(options.config_dir)]
+            hydra.main(str(config_dir()), config_name, VERSION_BASE)(lambda config: None)()
+        elif options.cfg:
+            configs = composed(config_name, overrides, options.config_dir)
+            sys.stdout.write("---\n".join(map(OmegaConf.to_yaml, configs)))
         else:
             command(overrides, options.config_dir)
 
@@ -106,45 +90,28 @@ def fail(error: ParkingError) -> NoReturn:
         raise error
     prefix = "" if isinstance(error, InterruptedRunError) else "error: "
     # Only the lines of a ConfigError are ours; in others, line breaks come from names or libraries.
-    text = strip_password(str(error).strip())
+    text = str(error).strip()
     lines = text.split("\n") if isinstance(error, ConfigError) else [text]
     say(*(f"{prefix}{line}" for line in lines), stderr=True)
     sys.exit(128 + error.signal_number if isinstance(error, InterruptedRunError) else 2)
 
 
-def _parse(words: list[str], flags: Mapping[str, str]) -> tuple[argparse.Namespace, list[str]]:
-    """Return Hydra's flags, and the overrides, those of our flags last."""
+def _parse(arguments: list[str]) -> tuple[argparse.Namespace, list[str]]:
+    """Return Hydra's flags, and the other words, with `--dry-run` as `dry_run=true`."""
     parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False, exit_on_error=False)
-    parser.add_argument("overrides", nargs="*")
     parser.add_argument("--help", "-h", action="store_true")
-    parser.add_argument("--cfg", "-c", choices=["job", "hydra", "all"])
-    parser.add_argument("--resolve", action="store_true")
+    parser.add_argument("--cfg", "-c", choices=["job"])
     parser.add_argument("--multirun", "-m", action="store_true")  # not needed: several values make a sweep
     parser.add_argument("--config-dir", "-cd")
-    for flag, override in flags.items():
-        parser.add_argument(flag, action="append_const", dest="flags", const=override, default=[])
     try:
-        options, unknown = parser.parse_known_intermixed_args(words)
+        options, words = parser.parse_known_args(arguments)
     except argparse.ArgumentError as error:
         raise ConfigError(f"{error.argument_name}: {error.message}") from error
-    if unknown:
-        flag = next((word for word in unknown if word.startswith("-")), unknown[0]).partition("=")[0]
-        hint = did_you_mean(flag, [*flags, *HYDRA_FLAGS], cutoff=0.8) or "; write KEY=VALUE, without dashes"
-        raise ConfigError(f"{flag}: there is no such flag{hint}")
     if options.config_dir is not None and not Path(options.config_dir).is_dir():
         raise ConfigError(f"--config-dir={options.config_dir} is not a directory")
-    return options, options.overrides + getattr(options, "flags", [])
+    return options, [_as_override(word) for word in words]
 
 
-def _show(config_name: str, options: argparse.Namespace, overrides: list[str]) -> None:
-    """Have Hydra show help or a config, without passwords."""
-    flags = ["--help"] if options.help else [f"--cfg={options.cfg}", *["--resolve"] * options.resolve]
-    if options.config_dir is not None:
-        flags.append(f"--config-dir={options.config_dir}")
-    sys.argv[1:] = [*flags, *overrides]
-    output = io.StringIO()
-    try:
-        with redirect_stdout(output):
-            hydra.main(str(config_dir()), config_name, VERSION_BASE)(lambda config: None)()
-    finally:
-        sys.stdout.write(strip_password(output.getvalue()))
+def _as_override(word: str) -> str:
+    key, equals, value = word.partition("=")
+    return f"{key[2:].replace('-', '_')}={value if equals else 'true'}" if word.startswith("--") else word

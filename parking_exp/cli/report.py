@@ -14,7 +14,7 @@ KEYS = {"experiment_name", "from", "export", "cells", "baseline", "output_dir", 
 
 def main() -> None:
     """Run the command."""
-    run_command("report", report_once, flags={"--quick": "report=quick"}, read=report_overrides)
+    run_command("report", report_once, report_overrides)
 
 
 def report_once(overrides: list[str], extra_config_dir: str | None) -> None:

@@ -3,21 +3,19 @@
 import json
 import re
 import time
-from collections.abc import Iterator
 from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any
 
 from omegaconf import DictConfig
 from pydantic import Field
-from rich.console import Group, RenderableType
-from rich.live import Live
+from rich.console import Console
 
 from parking_exp.cli.command import for_each, run_command
 from parking_exp.config.paths import absolute, default_uri, directory_path, is_same_store
 from parking_exp.config.schema import ConfigModel, Name, StoreConfig
 from parking_exp.config.validate import parse
-from parking_exp.errors import ConfigError, ParkingError, RunNotFoundError, StoreError, plural, suggestion
+from parking_exp.errors import ParkingError, RunNotFoundError, StoreError, plural, suggestion
 from parking_exp.runs.directory import RunDirectory
 from parking_exp.runs.lookup import find_runs
 from parking_exp.runs.run_state import RunState, as_plain, labelled, read_state
@@ -30,12 +28,11 @@ from parking_exp.tuning.search_config import Storage
 from parking_exp.tuning.trials import counts, progress_lines, trial_table
 
 WATCH_S = 2.0
-FLAGS = {"--json": "json=true", "--watch": "watch=true", "--sync": "sync=true"}
 
 
 def main() -> None:
     """Run the command."""
-    run_command("status", for_each("status", validate_status, show), flags=FLAGS, read=status_overrides)
+    run_command("status", for_each("status", validate_status, show), status_overrides)
 
 
 def status_overrides(words: list[str]) -> list[str]:
@@ -62,10 +59,7 @@ class StatusRequest(ConfigModel):
 
 def validate_status(config: DictConfig) -> StatusRequest:
     """Validate a composed config."""
-    request = parse(StatusRequest, config)
-    if request.watch and request.as_json:
-        raise ConfigError("watch=true shows tables; repeat the command with json=true instead")
-    return request
+    return parse(StatusRequest, config)
 
 
 def show(config: DictConfig) -> None:
@@ -73,19 +67,18 @@ def show(config: DictConfig) -> None:
     request, out = validate_status(config), console()
     if request.sync:
         _sync(request)
-    if request.as_json:
-        content = as_plain(_read_states(request)) | {"searches": _searches_plain(request)}
-        say(*json.dumps(content, indent=2).split("\n"))
-    elif request.watch and out.is_terminal:
-        with Live(_tables(request), console=out, auto_refresh=False) as live:
-            while True:
-                time.sleep(WATCH_S)
-                live.update(_tables(request), refresh=True)
-    else:
-        out.print(_tables(request))
-        while request.watch:
-            time.sleep(WATCH_S)
-            out.print(_tables(request))
+    while True:
+        states, searches = _read_states(request), _searches(request)
+        if request.as_json:
+            content = as_plain(states) | {"searches": [_search_plain(*search) for search in searches.items()]}
+            say(*json.dumps(content, indent=2).split("\n"))
+        else:
+            if request.watch:
+                out.clear()
+            _print_tables(out, states, searches)
+        if not request.watch:
+            break
+        time.sleep(WATCH_S)
 
 
 def _read_states(request: StatusRequest) -> list[RunState]:
@@ -106,46 +99,44 @@ def _sync(request: StatusRequest) -> None:
         if uri and not any(is_same_store(uri, absolute(named)) for named in uris):
             say(f"left out: runs that are tracked in {uri}; pass tracking.uri={uri} to send them", stderr=True)
     n_failed = 0
-    stores = [Store(uri, request.output_path) for uri in uris]
-    for directory, problem in (pair for store in stores for pair in mirror_missing(directories, store)):
-        say(f"{directory.path}: {problem or 'the store has everything'}", stderr=True)
-        n_failed += problem is not None
+    for uri in uris:
+        for directory, problem in mirror_missing(directories, Store(uri, request.output_path)):
+            say(f"{directory.path}: {problem or 'the store has everything'}", stderr=True)
+            n_failed += problem is not None
     if n_failed:
         raise StoreError(f"the store lacks data of {plural(n_failed, 'run')}; sync=true tries again")
 
 
-def _tables(request: StatusRequest) -> RenderableType:
-    states = _read_states(request)
-    parts: list[RenderableType] = [cell_table(states)]
+def _print_tables(out: Console, states: list[RunState], searches: dict[str, StoredSearch | ParkingError]) -> None:
+    out.print(cell_table(states))
     for lines in (running_lines, stopped_lines, failure_lines, damaged_lines):
-        parts += lines(states)
-    for name, search in _searches(request):
+        for line in lines(states):
+            out.print(line)
+    for name, search in searches.items():
         if isinstance(search, ParkingError):
-            parts.append(f"search {name}: {search}")
+            out.print(f"search {name}: {search}")
         else:
-            parts += ["", f"search {name}", trial_table(search.trials, search.search.objective)]
-            parts += progress_lines(search.trials, search.search.objective, search.n_trials)
-    return Group(*parts)
+            objective = search.search.objective
+            out.print("", f"search {name}", trial_table(search.trials, objective), sep="\n")
+            out.print(*progress_lines(search.trials, objective, search.n_trials), sep="\n")
 
 
-def _searches(request: StatusRequest) -> Iterator[tuple[str, StoredSearch | ParkingError]]:
-    """Yield the name of each search, and the search or the error of reading it."""
+def _searches(request: StatusRequest) -> dict[str, StoredSearch | ParkingError]:
+    """Return the search of each experiment that has one, or the error of reading it."""
+    searches: dict[str, StoredSearch | ParkingError] = {}
     for file in sorted(request.output_path.glob(f"{request.experiment_name or '*'}/{SEARCH_FILE}")):
         try:
             if (search := study_in(file.parent, request.storage)) is not None:
-                yield file.parent.name, search
+                searches[file.parent.name] = search
         except ParkingError as error:
-            yield file.parent.name, error
+            searches[file.parent.name] = error
+    return searches
 
 
-def _searches_plain(request: StatusRequest) -> list[dict[str, Any]]:
-    """Return the searches and their trials for JSON."""
-    plain: list[dict[str, Any]] = []
-    for name, search in _searches(request):
-        if isinstance(search, ParkingError):
-            plain.append({"experiment": name, "error": str(search)})
-        else:
-            about: dict[str, Any] = {"n_trials": search.n_trials, "objective": search.search.objective}
-            about |= {str(state): number for state, number in counts(search.trials).items()}
-            plain.append({"experiment": name, **about, "trials": [asdict(trial) for trial in search.trials]})
-    return plain
+def _search_plain(name: str, search: StoredSearch | ParkingError) -> dict[str, Any]:
+    """Return a search and its trials for JSON."""
+    if isinstance(search, ParkingError):
+        return {"experiment": name, "error": str(search)}
+    about: dict[str, Any] = {"experiment": name, "n_trials": search.n_trials, "objective": search.search.objective}
+    about |= {str(state): number for state, number in counts(search.trials).items()}
+    return about | {"trials": [asdict(trial) for trial in search.trials]}

@@ -10,7 +10,7 @@ from parking_exp.config.validate import parse
 
 def main() -> None:
     """Run the command."""
-    run_command("config", train, flags={"--dry-run": "dry_run=true"})
+    run_command("config", train)
 
 
 def train(overrides: list[str], extra_config_dir: str | None) -> None:

@@ -5,7 +5,7 @@ from parking_exp.cli.command import run_command
 
 def main() -> None:
     """Run the command."""
-    run_command("tune", tune, flags={"--dry-run": "dry_run=true"})
+    run_command("tune", tune)
 
 
 def tune(overrides: list[str], extra_config_dir: str | None) -> None:

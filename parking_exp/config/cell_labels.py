@@ -4,7 +4,7 @@ A group's option (`algorithm=td3`) changes many keys at once: keys that it deter
 that always change together count once.
 """
 
-from collections.abc import Collection, Hashable, Iterable, Mapping, Sequence
+from collections.abc import Collection, Hashable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -70,9 +70,12 @@ def find_factors(
     # the warm-up that it requires.
     for key in sorted(varying, key=lambda key: (key.startswith("evaluation."), "." in key)):
         values = [config.get(key) for config in configs]
-        if not any(_follows(values, column) for column in options) and not _doubles(values, columns.values()):
+        # In a search all keys change together, since the values of each are drawn from a range.
+        is_drawn = len(set(map(hashable, values))) == len(values) >= FEW_CELLS
+        same = [column for column in columns.values() if not is_drawn and _follows(column, values)]
+        if not any(_follows(values, column) for column in (*options, *same)):
             columns[key] = _with_null(key, values, configs)
-    factors = [_factor(key, _short_name(key, columns), values) for key, values in columns.items()]
+    factors = [_factor(key, values, columns) for key, values in columns.items()]
     return factors, [{key: values[cell] for key, values in columns.items()} for cell in range(len(configs))]
 
 
@@ -121,19 +124,16 @@ def hashable(value: Setting) -> Hashable:
     return (isinstance(value, bool), value)
 
 
-def _factor(key: str, name: str, values: Sequence[Setting]) -> Factor:
+def _factor(key: str, values: Sequence[Setting], keys: Collection[str]) -> Factor:
+    """Return the factor of a key, named by the shortest ending of it that is unique among keys."""
     levels: list[Any] = list({hashable(value): value for value in values if value is not None}.values())
     numeric = bool(levels) and all(isinstance(v, int | float) and not isinstance(v, bool) for v in levels)
     if numeric:
         levels.sort()
-    return Factor(key, name, levels, numeric)
-
-
-def _short_name(key: str, keys: Collection[str]) -> str:
-    """Return the shortest ending of a key that is unique among keys."""
     parts = key.split(".")
     endings = (".".join(parts[start:]) for start in reversed(range(len(parts))))
-    return next((e for e in endings if sum(f".{other}".endswith(f".{e}") for other in keys) == 1), key)
+    name = next((e for e in endings if sum(f".{other}".endswith(f".{e}") for other in keys) == 1), key)
+    return Factor(key, name, levels, numeric)
 
 
 def _follows(values: Sequence[Setting], column: Sequence[Setting]) -> bool:
@@ -142,17 +142,8 @@ def _follows(values: Sequence[Setting], column: Sequence[Setting]) -> bool:
     return len(set(zip(options, map(hashable, values), strict=True))) == len(set(options))
 
 
-def _doubles(values: Sequence[Setting], columns: Iterable[Sequence[Setting]]) -> bool:
-    """Return whether a key changes exactly where another does; in a search, where all keys do, it does not count."""
-    if len(set(map(hashable, values))) == len(values) >= FEW_CELLS:
-        return False
-    return any(_follows(values, column) and _follows(column, values) for column in columns)
-
-
 def _with_null(key: str, values: Sequence[Setting], configs: Sequence[Config]) -> list[Setting]:
     """Return the values, with "null" where the group's option has the key, judged by other cells with this option."""
-    options = [hashable(config.get(f"{key.partition('.')[0]}.name")) for config in configs]
-    having = {option for option, value in zip(options, values, strict=True) if value is not None}
-    return [
-        "null" if value is None and option in having else value for option, value in zip(options, values, strict=True)
-    ]
+    options = [config.get(f"{key.partition('.')[0]}.name") for config in configs]
+    having = [option for option, value in zip(options, values, strict=True) if value is not None]
+    return ["null" if v is None and option in having else v for option, v in zip(options, values, strict=True)]

@@ -22,7 +22,7 @@ from omegaconf.errors import ConfigAttributeError, ConfigKeyError, OmegaConfBase
 
 from parking_exp.config.cell_labels import settings_of
 from parking_exp.config.grid import Point, check_blocks, points, seeds_of
-from parking_exp.config.overrides import axes_of, experiment_option, in_quotes, is_hydras, parse
+from parking_exp.config.overrides import as_hydra, axes_of, config_dir, in_quotes, is_hydras, parse
 from parking_exp.config.schema import RunConfig
 from parking_exp.config.validate import validate
 from parking_exp.errors import ConfigError, ParkingError, did_you_mean, suggestion
@@ -74,7 +74,7 @@ def composed_runs(config_name: str, overrides: list[str], extra_config_dir: str 
     """
     with hydra_ready():
         compose_point = _composer(config_name, [*user_options(extra_config_dir), *filter(is_hydras, overrides)])
-        axes = axes_of(experiment_option(line, config_dir()) for line in overrides if not is_hydras(line))
+        axes = axes_of(as_hydra(line) for line in overrides if not is_hydras(line))
         experiments = axes.pop("experiment", None)
         if experiments is None:
             return _runs(compose_point, axes)
@@ -94,8 +94,6 @@ def _composer(config_name: str, hydra_lines: list[str]) -> Callable[[Point], Com
             config = hydra.compose(config_name, [*hydra_lines, *lines], return_hydra_config=True)
         except ValueError as error:  # a group is set to a number or to null
             raise ConfigError(f"{' '.join([*hydra_lines, *lines])}: {error}") from error
-        if not isinstance(config.hydra.launcher, DictConfig):
-            raise ConfigError(f"hydra.launcher={config.hydra.launcher} is not a group of keys")
         options = {str(k): v for k, v in config.hydra.runtime.choices.items() if not str(k).startswith("hydra")}
         with open_dict(config):
             del config["hydra"]
@@ -147,13 +145,6 @@ def options_of(group: str) -> str:
 OmegaConf.register_new_resolver("options", options_of, replace=True)
 
 
-def config_dir() -> Path:
-    """Return the directory of the Hydra tree: inside the package in a wheel, at the repository's top otherwise."""
-    package = Path(__file__).resolve().parents[1]
-    inside = package / "conf"
-    return inside if inside.is_dir() else package.parent / "conf"
-
-
 def user_options(extra_config_dir: str | None) -> list[str]:
     """Return the override that adds a directory of the user's own options to Hydra's search path, after ours."""
     if extra_config_dir is None:
@@ -184,9 +175,7 @@ def hydra_ready() -> Iterator[None]:
 
 
 def _sentence(error: Exception) -> str:
-    """Say what Hydra, OmegaConf or the YAML parser complain about."""
-    if isinstance(error, yaml.YAMLError):
-        return f"a YAML file can't be read: {' '.join(str(error).split())}"
+    """Return what Hydra, OmegaConf or the YAML parser say in one line, with the closest name for an unknown one."""
     if isinstance(error, OverrideParseException):
         return f"{error.override}: can't be parsed; write KEY=VALUE, KEY=[1,2] for a list, \"KEY='a (b)'\" for text"
     if isinstance(error, MissingConfigException) and error.missing_cfg_file:
@@ -205,12 +194,11 @@ def _unknown_key(error: ConfigKeyError | ConfigAttributeError) -> str:
     key, name, known = str(error.full_key), str(error.key), _container(error.parent_node)
     section = key.rpartition(".")[0]
     if not isinstance(known, dict):
-        return f"{key}: {section or 'the config'} has no keys"
-    deeper = [path for path in settings_of(known) if f".{name}." in f".{path}."]
-    if deeper:  # a section was left out
-        full_path = f"{section}.{deeper[0]}.".lstrip(".")
-        hint = f"; did you mean '{full_path.partition(f'.{name}.')[0]}.{name}'?"
-    elif "_target_" in known or not known or key.startswith("hydra."):  # takes other keys, too
+        return f"{key}: {section} has no keys"
+    path = next((path for path in settings_of(known) if f".{name}." in f"{path}."), None)
+    if path is not None:  # a section was left out
+        hint = f"; did you mean {f'{section}.{path.partition(name)[0]}{name}'.lstrip('.')!r}?"
+    elif "_target_" in known or not known:  # takes other keys, too
         hint = did_you_mean(name, known, cutoff=0.8) or f"; write ++{key}=VALUE to add it"
     else:
         hint = suggestion(name, known)

@@ -12,8 +12,7 @@ from typing import Any, get_args
 
 from pydantic import ConfigDict, TypeAdapter, ValidationError
 
-from parking_exp.config.argument_limits import CLASS_LIMITS, LIMITS
-from parking_exp.config.messages import reason, sentence, unknown_key
+from parking_exp.config.argument_limits import LIMITS
 from parking_exp.config.schema import AlgorithmConfig, BufferConfig, RunConfig
 from parking_exp.errors import ConfigError, suggestion
 
@@ -39,49 +38,37 @@ HYDRA_KEYS = {"_target_", "_partial_", "_convert_", "_recursive_", "_args_"}
 NULLABLE = {"train_freq", "gradient_steps"}
 # By section, our own keys beside the class's arguments.
 SECTION_KEYS = {"algorithm": AlgorithmConfig.model_fields, "buffer": BufferConfig.model_fields}
-# By section, arguments that the run sets itself, and the key to use instead, if there is one.
-SET_BY_RUN: dict[str, dict[str, str | None]] = {
+# By section, arguments that the run sets itself.
+SET_BY_RUN = {
     "algorithm": {
-        **dict.fromkeys(("policy", "n_steps", "optimize_memory_usage", "_init_setup_model")),
-        **{"env": "env", "seed": "seed", "device": "device", "buffer_size": "buffer.buffer_size"},
-        **{"replay_buffer_class": "buffer._target_", "replay_buffer_kwargs": "buffer"},
-        **{"tensorboard_log": "tracking.tensorboard", "verbose": "tracking.stdout"},
+        *("policy", "env", "seed", "device", "buffer_size", "replay_buffer_class", "replay_buffer_kwargs", "n_steps"),
+        *("optimize_memory_usage", "tensorboard_log", "verbose", "_init_setup_model"),
     },
     "buffer": {
-        **dict.fromkeys(("observation_space", "action_space", "optimize_memory_usage", "reward")),
-        **{"buffer_size": "buffer.buffer_size", "env": "env", "n_envs": "n_envs", "device": "device"},
+        *("observation_space", "action_space", "buffer_size", "env", "n_envs", "device", "reward"),
+        "optimize_memory_usage",
     },
-    "algorithm.policy_kwargs": {
-        **dict.fromkeys(("observation_space", "action_space")),
-        **{"lr_schedule": "algorithm.learning_rate", "use_sde": "algorithm.use_sde"},
-    },
-    "algorithm.policy_kwargs.optimizer_kwargs": {"params": None, "lr": "algorithm.learning_rate"},
-    "algorithm.policy_kwargs.features_extractor_kwargs": {"observation_space": "env"},
+    "algorithm.policy_kwargs": {"observation_space", "action_space", "lr_schedule", "use_sde"},
+    "algorithm.policy_kwargs.optimizer_kwargs": {"params", "lr"},
+    "algorithm.policy_kwargs.features_extractor_kwargs": {"observation_space"},
 }
 
 
-def find(target: object) -> Any:
+def find(target: str) -> Any:
     """Import the class or function at a dotted path.
 
     Raises:
         ConfigError: there is none, or its module cannot be imported.
     """
-    if not isinstance(target, str) or "." not in target.strip("."):
-        raise ConfigError("is not a dotted path, PACKAGE.MODULE.CLASS")
-    path, _, name = target.rpartition(".")
+    module, _, name = str(target).rpartition(".")
     try:
-        module = import_module(path)
+        return getattr(import_module(module), name)
     except Exception as error:  # whatever a module does when it is imported
-        extra = "; pip install 'parking-exp[contrib]'" if path.startswith("sb3_contrib") else ""
-        problem = f"{path} cannot be imported: {type(error).__name__}: {error}".splitlines()[0]
-        raise ConfigError(problem + extra) from error
-    if not hasattr(module, name):
-        public = [each for each in vars(module) if not each.startswith("_")]
-        raise ConfigError(f"there is no {name!r} in {path}{suggestion(name, public)}")
-    return getattr(module, name)
+        extra = "; pip install 'parking-exp[contrib]'" if module.startswith("sb3_contrib") else ""
+        raise ConfigError(f"{type(error).__name__}: {' '.join(str(error).split())}{extra}") from error
 
 
-def class_path(value: object) -> object:
+def class_path(value: Any) -> Any:
     """Return the dotted path that a class argument names: itself, or that of its `_target_`."""
     return value.get("_target_") if isinstance(value, Mapping) else value
 
@@ -111,9 +98,7 @@ def _check_policy(algorithm: AlgorithmConfig, algorithm_class: type) -> Iterator
     """Check `policy_kwargs` against the policy's own constructor."""
     key, given = "algorithm.policy_kwargs", algorithm.arguments.get("policy_kwargs") or {}
     features, policy = algorithm.features, policy_class(algorithm_class)
-    if not isinstance(given, Mapping):
-        yield f"{key}={given!r} is not a group of keys"
-    elif "net_arch" in given and not isinstance(given["net_arch"], Mapping):  # a mapping sets actor and critic apart
+    if "net_arch" in given and not isinstance(given["net_arch"], Mapping):  # a mapping sets actor and critic apart
         yield f"{key}.net_arch takes the place of algorithm.net_arch; use algorithm.net_arch"
     elif features != "raw" and (own := [name for name in given if name.startswith("features_extractor")]):
         yield f"{key}.{own[0]} takes the place of algorithm.features; set algorithm.features=raw"
@@ -126,10 +111,7 @@ def _check_policy(algorithm: AlgorithmConfig, algorithm_class: type) -> Iterator
         yield from problems
         for name, default in DEFAULT_CLASSES.items() if not problems else ():
             arguments, target = given.get(f"{name}_kwargs") or {}, class_path(given.get(f"{name}_class", default))
-            if isinstance(arguments, Mapping):
-                yield from _check_target(f"{key}.{name}_kwargs", {**arguments, "_target_": target}, partial=True)
-            else:
-                yield f"{key}.{name}_kwargs={arguments!r} is not a group of keys"
+            yield from _check_target(f"{key}.{name}_kwargs", {**arguments, "_target_": target}, partial=True)
 
 
 def _check_target(key: str, value: Any, base: str | None = None, *, partial: bool = False) -> Iterator[str]:
@@ -151,43 +133,33 @@ def _check_target(key: str, value: Any, base: str | None = None, *, partial: boo
 def _check_call(key: str, call: Any, given: Mapping[str, Any], *, partial: bool = False) -> Iterator[str]:
     """Check the arguments of a call; a `partial` one gets others later."""
     parameters, is_open = _parameters(call)
-    set_by_run = SET_BY_RUN.get(key, {})
-    own_names = [name for name in parameters if name not in set_by_run]
-    limits = CLASS_LIMITS.get(getattr(call, "__name__", ""), LIMITS)
+    set_by_run = SET_BY_RUN.get(key, set())
+    own = {name: parameter for name, parameter in parameters.items() if name not in set_by_run}
     for name, value in given.items():
         path = f"{key}.{name}"
         if name in set_by_run:
-            yield f"{path} is set by the run itself" + (f"; use {set_by_run[name]}" if set_by_run[name] else "")
-        elif name not in parameters and not is_open:
-            yield unknown_key(path, [*own_names, *SECTION_KEYS.get(key, ())])
-        elif isinstance(value, Mapping) and "_target_" in value:
+            yield f"{path} is set by the run itself"
+        elif name not in own and not is_open:
+            yield f"{path}: there is no such key{suggestion(name, [*own, *SECTION_KEYS.get(key, ())])}"
+        elif isinstance(class_path(value), str) and (name in CLASS_ARGUMENTS or isinstance(value, Mapping)):
             yield from _check_target(path, value, CLASS_ARGUMENTS.get(name), partial=name in CLASS_ARGUMENTS)
-        elif isinstance(value, str) and name in CLASS_ARGUMENTS:
-            yield from _check_target(path, value, CLASS_ARGUMENTS[name])
-        elif name in parameters:
-            yield from _check_value(path, value, parameters[name], limits.get(name))
+        elif name in own:
+            yield from _check_value(path, value, own[name])
     if not partial:
-        for name in own_names:
-            if name not in given and parameters[name].default is inspect.Parameter.empty:
-                yield f"{key}.{name} is missing"
+        required = (name for name, parameter in own.items() if parameter.default is inspect.Parameter.empty)
+        yield from (f"{key}.{name} is missing" for name in required if name not in given)
 
 
-def _check_value(key: str, value: Any, parameter: inspect.Parameter, limit: Any) -> Iterator[str]:
+def _check_value(key: str, value: Any, parameter: inspect.Parameter) -> Iterator[str]:
     """Check a value against its range, or else its annotation where that is a plain type."""
     types = set(get_args(parameter.annotation)) or {parameter.annotation}
-    if value is None:
-        if types.isdisjoint({NoneType, inspect.Parameter.empty, Any}) and parameter.name not in NULLABLE:
-            yield f"{key}=null: a value is needed"
+    limit = LIMITS.get(parameter.name, parameter.annotation if types <= {int, float, bool, str, NoneType} else Any)
+    if value is None and (NoneType in types or parameter.name in NULLABLE):
         return
-    if limit is None and types <= {int, float, bool, str, NoneType}:
-        limit = parameter.annotation
-    if limit is not None:
-        try:
-            TypeAdapter(limit, config=ConfigDict(strict=True)).validate_python(value)
-        except ValidationError as error:
-            problems = error.errors()
-            is_union = len(problems) > 1
-            yield f"{key}={value!r}: {' or '.join(map(reason, problems))}" if is_union else sentence(problems[0], key)
+    try:
+        TypeAdapter(limit, config=ConfigDict(strict=True, allow_inf_nan=False)).validate_python(value)
+    except ValidationError as error:
+        yield f"{key}={value!r}: {' or '.join(problem['msg'].lower() for problem in error.errors())}"
 
 
 def _parameters(call: Any) -> tuple[dict[str, inspect.Parameter], bool]:

@@ -14,8 +14,7 @@ from parking_exp.errors import ConfigError
 Block = Mapping[str, Any]
 Point = tuple[str, ...]
 """The overrides of a cell."""
-MOST_SEEDS = 100_000
-MOST_CELLS = 10_000
+MOST_CELLS, MOST_SEEDS = 10_000, 100_000
 
 
 def points(

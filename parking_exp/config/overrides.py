@@ -3,7 +3,6 @@
 import os
 import re
 from collections.abc import Iterable
-from itertools import islice
 from pathlib import Path
 
 from hydra.core.global_hydra import GlobalHydra
@@ -11,8 +10,14 @@ from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import Override
 from hydra.errors import HydraException
 
-from parking_exp.config.grid import MOST_CELLS
 from parking_exp.errors import ConfigError
+
+
+def config_dir() -> Path:
+    """Return the directory of the Hydra tree: inside the package in a wheel, at the repository's top otherwise."""
+    package = Path(__file__).resolve().parents[1]
+    inside = package / "conf"
+    return inside if inside.is_dir() else package.parent / "conf"
 
 
 def in_quotes(value: str) -> str:
@@ -21,16 +26,23 @@ def in_quotes(value: str) -> str:
     return f"'{escaped}'"
 
 
-def quoted(argument: str) -> str:
-    """Quote a path that Hydra's grammar can't parse unquoted, e.g. `run=outputs/.../seed=0`."""
+def as_hydra(argument: str) -> str:
+    """Return an override in Hydra's grammar: a path in quotes, an experiment file as an option relative to `conf/`."""
     key, equals, value = argument.partition("=")
-    if not equals or "/" not in value or key.startswith("-"):
+    if key == "experiment" and value.endswith(".yaml"):
+        path = Path(value).expanduser()
+        if not path.is_file():
+            raise ConfigError(f"{argument}: there is no such file")
+        value = os.path.relpath(path.resolve().with_suffix(""), config_dir() / "experiment")
+    elif not equals or "/" not in value or key.startswith("-"):
         return argument
-    try:
-        OverridesParser.create().parse_override(argument)
-    except HydraException:
-        return f"{key}={in_quotes(value)}"
-    return argument
+    else:
+        try:
+            OverridesParser.create().parse_override(argument)
+            return argument
+        except HydraException:
+            pass
+    return f"{key}={in_quotes(value)}"
 
 
 def is_hydras(override: str) -> bool:
@@ -46,15 +58,10 @@ def hydra_overrides(overrides: Iterable[str]) -> list[str]:
 
 def parse(overrides: Iterable[str]) -> list[Override]:
     """Parse overrides, within `hydra_ready`."""
-    parser = OverridesParser.create(config_loader=GlobalHydra.instance().config_loader())
-    parsed: list[Override] = []
-    for override in overrides:
-        try:
-            parsed += parser.parse_overrides([override])
-        except ValueError as error:  # int() of a long text
-            raise ConfigError(f"{override.partition('=')[0]}: a number has too many digits") from error
-        if not parsed[-1].key_or_group:
-            raise ConfigError(f"{override}: there is no key before the equals sign; write KEY=VALUE")
+    parsed = OverridesParser.create(config_loader=GlobalHydra.instance().config_loader()).parse_overrides([*overrides])
+    for override in parsed:
+        if not override.key_or_group:
+            raise ConfigError(f"{override.input_line}: there is no key before the equals sign; write KEY=VALUE")
     return parsed
 
 
@@ -64,36 +71,10 @@ def axes_of(overrides: Iterable[str]) -> dict[str, list[str]]:
     for override in parse(overrides):
         values = [] if override.is_sweep_override() else [override.get_value_element_as_str()]
         if override.is_discrete_sweep():
-            values = list(islice(override.sweep_string_iterator(), MOST_CELLS + 1))
+            values = list(override.sweep_string_iterator())
         if not values:
             raise ConfigError(f"{override.input_line}: there are no values to sweep over")
-        if len(values) > MOST_CELLS:
-            raise ConfigError(f"{override.input_line}: a sweep has at most {MOST_CELLS} cells")
         axes[override.get_key_element()] = values
     if "seed" in axes and axes.get("seeds", ["null"]) != ["null"]:
         raise ConfigError("seed and seeds are both given; seeds=[...] names several")
     return axes
-
-
-def experiment_option(override: str, config_dir: Path) -> str:
-    """Replace `experiment=PATH.yaml` by an option of Hydra's: a path relative to the config group."""
-    if (path := _experiment_path(override)) is None:
-        return override
-    if not path.is_file():
-        raise ConfigError(f"experiment={path}: there is no such file")
-    return f"experiment={in_quotes(os.path.relpath(path.resolve().with_suffix(''), config_dir / 'experiment'))}"
-
-
-def with_absolute_path(override: str) -> str:
-    """Return an override, with the path of an experiment file made absolute."""
-    path = _experiment_path(override)
-    return override if path is None else f"experiment={in_quotes(str(path.absolute()))}"
-
-
-def _experiment_path(override: str) -> Path | None:
-    """Return the path of an experiment file in an override; None where it has none."""
-    key, _, value = override.partition("=")
-    if value[:1] in {"'", '"'}:
-        value = re.sub(r"\\(.)", r"\1", value[1:-1])  # undo `in_quotes`
-    path = Path(value).expanduser()
-    return path if key == "experiment" and path.suffix == ".yaml" else None

@@ -1,14 +1,28 @@
 """Paths and URIs of output directories, runs and stores, stored relative so that an output directory can be moved."""
 
 import os
+import re
 from collections.abc import Iterable
 from pathlib import Path
 from urllib.parse import unquote, urlparse
 
-from parking_exp.errors import UntrustedError
+from parking_exp.errors import ConfigError, UntrustedError
 
 SQLITE = "sqlite:///"
 ARTIFACTS = "mlflow-artifacts"  # folder of an output directory
+PASSWORD = re.compile(r"://[^:/@?]*:(?!\d+(?:[/?]|$)).*@|[?&](?:ssl)?passw(?:or)?d=")  # `:5432/name` is a port
+
+
+def refuse_password(uri: str) -> str:
+    """Return a URI without a password.
+
+    Raises:
+        ConfigError: it has one, which would be stored with the run and shown in the list of processes.
+    """
+    if PASSWORD.search(uri):
+        variables = "PGPASSWORD, or MLFLOW_TRACKING_USERNAME and MLFLOW_TRACKING_PASSWORD"
+        raise ConfigError(f"the URI contains a password; set it in the environment ({variables})")
+    return uri
 
 
 def directory_path(text: str | Path) -> Path:

@@ -1,7 +1,6 @@
 """Rules between the keys of a config."""
 
-import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator
 
 from parking_exp.config.allowlist import ALLOWED
 from parking_exp.config.argument_limits import HER_OPTIONS
@@ -19,7 +18,7 @@ HER_CLASSES = ("HerBuffer", "HerReplayBuffer")
 def check_rules(run: RunConfig) -> Iterator[str]:
     """Yield a sentence for each rule between keys that the config violates."""
     yield from check_env(run.env)
-    for check in (_check_buffer, _check_algorithm, _check_evaluation, _check_tracking):
+    for check in (_check_buffer, _check_algorithm, _check_evaluation):
         yield from check(run)
 
 
@@ -81,33 +80,16 @@ def check_tasks(runs: Iterable[RunConfig]) -> Iterator[str]:
                 return
         if run.env.for_training().episode_steps() is None:
             yield from check_lengths(run, tasks[key].episode_steps)
-        if run.env.action_size is None:
-            yield from _check_noise(run, *(tasks[key].prediction_env().action_space.shape or (1,)))
 
 
 def _check_algorithm(run: RunConfig) -> Iterator[str]:
-    arguments, size = run.algorithm.arguments, run.env.action_size
-    if run.algorithm.normalize and run.algorithm.features != "raw":
-        yield f"algorithm.normalize needs algorithm.features=raw; {run.algorithm.features} has scales of its own"
-    train_freq, noise = arguments.get("train_freq"), arguments.get("action_noise")
-    if isinstance(train_freq, list):
-        number, unit = train_freq if len(train_freq) == 2 else (0, None)
-        if type(number) is not int or number < 1 or unit not in ("step", "episode"):
-            yield f"algorithm.train_freq={train_freq} is neither NUMBER nor [NUMBER, step] nor [NUMBER, episode]"
-        elif unit == "episode" and run.n_envs > 1:
-            yield "algorithm.train_freq counts episodes, which works with one env only; set n_envs=1"
-    if noise is not None and not (isinstance(noise, Mapping) and "_target_" in noise):
-        yield f"algorithm.action_noise={noise} has no _target_; give one, or null"
-    if size is not None:
-        yield from _check_noise(run, size)
-
-
-def _check_noise(run: RunConfig, size: int) -> Iterator[str]:
-    noise = run.algorithm.arguments.get("action_noise")
-    for name in ("mean", "sigma"):
-        values = noise.get(name) if isinstance(noise, Mapping) else None
-        if isinstance(values, list) and len(values) != size:
-            yield f"algorithm.action_noise.{name} has {len(values)} entries; give one for each dimension of the action"
+    algorithm, train_freq = run.algorithm, run.algorithm.arguments.get("train_freq")
+    if algorithm.normalize and algorithm.features != "raw":
+        yield f"algorithm.normalize needs algorithm.features=raw; {algorithm.features} has scales of its own"
+    if isinstance(train_freq, list) and "episode" in train_freq and run.n_envs > 1:
+        yield "algorithm.train_freq counts episodes, which works with one env only; set n_envs=1"
+    if run.tracking.mlflow and run.experiment_name == "Default":
+        yield "experiment_name=Default is MLflow's own, which keeps artifacts elsewhere; take another name"
 
 
 def _check_evaluation(run: RunConfig) -> Iterator[str]:
@@ -121,13 +103,3 @@ def _check_evaluation(run: RunConfig) -> Iterator[str]:
             f"evaluation.first_scene={evaluation.first_scene} reaches into the seeds of training; "
             f"it can be {TRAINING_SEEDS_START - final} at most"
         )
-
-
-def _check_tracking(run: RunConfig) -> Iterator[str]:
-    """Yield what no store accepts; a server may also be down, which is no error of the config."""
-    uri = run.tracking.uri
-    if run.tracking.mlflow and run.experiment_name == "Default":
-        yield "experiment_name=Default is MLflow's own, which keeps artifacts elsewhere; take another name"
-    stores = r"sqlite:///[^?]+|(https?|postgresql|mysql|mssql)(\+\w+)?://.+|databricks.*"
-    if run.tracking.mlflow and uri is not None and re.fullmatch(stores, uri) is None:
-        yield f"tracking.uri={uri} is no MLflow store; use sqlite:///PATH, or http://HOST:PORT of a tracking server"

@@ -4,25 +4,34 @@ Arguments of third-party classes keep the library's names, and are checked by `c
 """
 
 import math
+import re
 from fractions import Fraction
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
-from parking_exp.config.credentials import strip_password
-from parking_exp.config.paths import absolute, default_uri, directory_path
+from parking_exp.config.paths import absolute, default_uri, directory_path, refuse_password
 from parking_exp.config.run_key import result_part, short_hash
 from parking_exp.config_model import ConfigModel, Count, EpisodeSeed, Name, NumberOfEpisodes, Positive, PositiveFloat
 from parking_exp.tasks.env_config import EnvConfig
 
-Uri = Annotated[str, AfterValidator(strip_password)]
+STORES = re.compile(r"sqlite:///[^?]+|(https?|postgresql|mysql|mssql)(\+\w+)?://.+|databricks.*")
+
+
+def _check_store(uri: str) -> str:
+    if not STORES.fullmatch(refuse_password(uri)):
+        raise ValueError("it is no MLflow store; use sqlite:///PATH, or http://HOST:PORT of a tracking server")
+    return uri
+
+
+Uri = Annotated[str, AfterValidator(_check_store)]
 
 
 class ThirdParty(BaseModel):
     """A section with our own keys and constructor arguments of the class in `_target_`."""
 
-    model_config = ConfigDict(extra="allow", frozen=True, strict=True)
+    model_config = ConfigDict(extra="allow", frozen=True, strict=True, allow_inf_nan=False)
 
     name: Name
     target: Annotated[str, Field(alias="_target_")]

@@ -5,8 +5,7 @@ mlflow; the third-party classes, and torch with them, are imported after that.
 """
 
 import itertools
-import math
-from collections.abc import Iterable, Iterator, Mapping, Set
+from collections.abc import Iterable, Mapping, Set
 from typing import Any, TypeVar
 
 from omegaconf import DictConfig, OmegaConf
@@ -14,18 +13,16 @@ from omegaconf.errors import MissingMandatoryValue, OmegaConfBaseException
 from pydantic import BaseModel, ValidationError
 
 from parking_exp.config.constructor_arguments import check_arguments
-from parking_exp.config.credentials import keep_password
-from parking_exp.config.messages import keys_at, sentence
 from parking_exp.config.rules import check_rules, check_tasks
 from parking_exp.config.schema import RunConfig, SweepOptions
-from parking_exp.errors import ConfigError
+from parking_exp.errors import ConfigError, did_you_mean
+from parking_exp.tasks.env_config import TASKS
 
 Model = TypeVar("Model", bound=BaseModel)
 Config = DictConfig | Mapping[str, Any]
 
 # Keys that define a sweep, not a run.
 SWEEP_KEYS = {"seeds", "cells", *SweepOptions.model_fields}
-LARGEST_NUMBER = 1e15  # of any key: its square is a float, and its digits can be printed
 MOST_ERRORS = 5
 
 
@@ -69,28 +66,34 @@ def parse(model: type[Model], config: Config, without: Set[str] = frozenset()) -
         raise ConfigError(f"{error.full_key} is missing") from error
     except OmegaConfBaseException as error:
         raise ConfigError(f"{error.full_key}: {str(error).splitlines()[0]}") from error
-    tracking = plain.get("tracking")
-    if isinstance(tracking, dict) and isinstance(uri := tracking.get("uri"), str):
-        keep_password(uri)  # the schema drops it
     return check(model, {key: value for key, value in plain.items() if key not in without})
 
 
 def check(model: type[Model], plain: Mapping[str, Any]) -> Model:
     """Check plain values against a schema; raises as `validate`."""
-    refuse(_bad_numbers(plain))
     try:
         return model.model_validate(plain)
     except ValidationError as error:
-        refuse(sentence(item, choices=keys_at(model, item["loc"][:-1])) for item in error.errors())
+        refuse(_sentence(item, model) for item in error.errors())
         raise
 
 
-def _bad_numbers(value: object, key: str = "") -> Iterator[str]:
-    """Yield a sentence for each number in nested containers that is not finite or too large to compute with."""
-    if isinstance(value, float) and not math.isfinite(value):
-        yield f"{key}={value} is not a finite number"
-    elif isinstance(value, int | float) and abs(value) > LARGEST_NUMBER:
-        yield f"{key} is out of range: numbers are at most {LARGEST_NUMBER:.0e}"
-    items = value.items() if isinstance(value, Mapping) else enumerate(value) if isinstance(value, list) else ()
-    for name, item in items:
-        yield from _bad_numbers(item, f"{key}.{name}" if key else str(name))
+def _sentence(error: Any, model: type[BaseModel]) -> str:
+    """Say what is wrong with a value: an item of `ValidationError.errors()`."""
+    key = ".".join(str(part) for part in error["loc"] if part not in TASKS)  # pydantic adds the task to keys of `env`
+    reason = error["msg"].removeprefix("Value error, ")
+    reason = reason[0].lower() + reason[1:]
+    match error["type"]:
+        case "missing":
+            return f"{key} is missing"
+        case "extra_forbidden":
+            schema = model.model_json_schema()
+            known = {
+                name for part in (schema, *schema.get("$defs", {}).values()) for name in part.get("properties", ())
+            }
+            return f"{key}: there is no such key{did_you_mean(str(error['loc'][-1]), known)}"
+        case "union_tag_invalid" | "union_tag_not_found":
+            return f"{key}.task: {reason}"
+        case "value_error":  # the message of one of our validators; the value may be a password
+            return f"{key}: {reason}"
+    return f"{key}={error['input']!r}: {reason}"

@@ -139,7 +139,7 @@ class Provenance:
     difference: Mapping[str, Sequence[Setting]]  # config keys that differ -> value in each cell
     common: Mapping[str, Setting]  # the other config keys -> value
     unfinished: Sequence[FailedRun]
-    uri: str  # of the store, without passwords
+    uri: str  # of the store
     left_out: Sequence[str] = ()  # labels of the experiments' other cells
     first: str | None = None  # start of the first run and end of the last one, as ISO 8601 in UTC
     last: str | None = None

@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING, Any, cast
 
 import pandas as pd
 
-from parking_exp.config.credentials import keep_password
-from parking_exp.config.paths import database, default_uri, directory_path
+from parking_exp.config.paths import database, default_uri, directory_path, refuse_password
 from parking_exp.errors import ParkingError, ResultsError, suggestion
 from parking_exp.results.recordings import read_curves, read_episodes, read_trajectories
 from parking_exp.runs.run_files import TRAJECTORIES_FILE
@@ -107,10 +106,11 @@ def load(
         output_dir: where runs are.
 
     Raises:
+        ConfigError: `uri` contains a password.
         ResultsError: there is no such store, it can't be read, there is no such experiment, or it has no runs.
     """
     folder = directory_path(output_dir)
-    return read_store(Store(keep_password(uri), None) if uri else Store(default_uri(folder), folder), experiments)
+    return read_store(Store(refuse_password(uri), None) if uri else Store(default_uri(folder), folder), experiments)
 
 
 def read_store(store: Store, experiments: str | Iterable[str] | None) -> Results:

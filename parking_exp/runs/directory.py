@@ -21,7 +21,6 @@ from typing import Any
 from filelock import FileLock, Timeout
 from pydantic import TypeAdapter, ValidationError
 
-from parking_exp.config.credentials import strip_password
 from parking_exp.config.paths import absolute, directory_path, refuse_links, relative
 from parking_exp.config.schema import RunConfig
 from parking_exp.errors import OutputDirectoryError, RunLockedError
@@ -83,7 +82,7 @@ class RunDirectory:
     def tracking_uri(self) -> str | None:
         """Store that the run is tracked in; None where it is not tracked."""
         uri = self.read_status().get("tracking_uri")
-        return strip_password(absolute(uri, self.output_dir)) if uri else None
+        return absolute(uri, self.output_dir) if uri else None
 
     @property
     def unsynced(self) -> str | None:

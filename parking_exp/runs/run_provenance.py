@@ -10,7 +10,6 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 from parking_exp import __version__
-from parking_exp.config.credentials import strip_password
 from parking_exp.runs.atomic_files import read_object
 
 PROVENANCE_FILE = "provenance.json"
@@ -33,7 +32,7 @@ def provenance() -> dict[str, str]:
 
 
 def command_line() -> str | None:
-    """Return the command line of this process without passwords, None unless it is a command of this package."""
+    """Return the command line of this process, None unless it is a command of this package."""
     name = Path(sys.argv[0]).name
     if name.startswith("parking-"):
         words = [name]
@@ -41,7 +40,7 @@ def command_line() -> str | None:
         words = ["python", f"scripts/{name}"]
     else:  # called from Python
         return None
-    return shlex.join([*words, *map(strip_password, sys.argv[1:])])
+    return shlex.join([*words, *sys.argv[1:]])
 
 
 def read_provenance(path: Path) -> tuple[int | None, dict[str, str]]:

@@ -39,10 +39,6 @@ class GymnasiumConfig(ConfigModel):
         strange = {f"kwargs.{key}": str(value) for key, value in self.kwargs.items() if not _is_harmless(value)}
         return strange | ({"id": self.id} if ":" in self.id else {})
 
-    @property
-    def action_size(self) -> None:
-        """Number of dimensions of an action: only the environment knows."""
-
     def problems(self) -> Iterator[str]:
         """Yield a sentence for each rule between keys that is violated; there is none."""
         yield from ()

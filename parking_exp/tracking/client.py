@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING, Any
 
 from filelock import FileLock
 
-from parking_exp.config.credentials import strip_password, with_password
 from parking_exp.config.paths import SQLITE, database
 from parking_exp.errors import ParkingError
 
@@ -87,17 +86,17 @@ def write_lock(uri: str) -> AbstractContextManager[Any]:
 
 
 def reason(error: BaseException) -> str:
-    """Return why a store failed in one line, without passwords: what the system or sqlite said, if either did."""
+    """Return why a store failed in one line: what the system or sqlite said, if either did."""
     causes = [error]
     while (cause := causes[-1].__cause__ or causes[-1].__context__) and cause not in causes:
         causes.append(cause)
     if isinstance(error, ParkingError):
-        return strip_password(str(error))
+        return str(error)
     error = next((cause for cause in reversed(causes) if isinstance(cause, OSError | sqlite3.Error)), error)
     text = getattr(error, "strerror", None) or str(error) or type(error).__name__
     if isinstance(error, OSError) and error.filename:
         text += f": {error.filename}"
-    text = strip_password(" ".join(text.split()))
+    text = " ".join(text.split())
     return text if len(text) <= LONGEST_REASON else f"{text[:LONGEST_REASON]}..."
 
 
@@ -158,7 +157,6 @@ def _open(uri: str) -> "MlflowClient":
     from mlflow import MlflowClient
     from sqlalchemy import create_engine, inspect
 
-    uri = with_password(uri)
     if not uri.startswith(("http", "databricks")):  # MLflow tries for two minutes before it raises
         engine = create_engine(uri)
         try:

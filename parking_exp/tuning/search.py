@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING, Any, cast
 from omegaconf import OmegaConf
 
 from parking_exp.config.compose import Composed, composed_runs, hydra_ready
-from parking_exp.config.credentials import strip_password
-from parking_exp.config.overrides import in_quotes, with_absolute_path
+from parking_exp.config.overrides import as_hydra, in_quotes
 from parking_exp.config.schema import RunConfig
 from parking_exp.config.validate import check, parse, validate
 from parking_exp.errors import ConfigError
@@ -139,7 +138,7 @@ class Search:
         extra = self.extra_config_dir
         stored = SearchFile(
             # Workers may be started from another directory.
-            overrides=[strip_password(with_absolute_path(line)) for line in self.overrides],
+            overrides=[as_hydra(line) for line in self.overrides],
             extra_config_dir=extra and str(Path(extra).absolute()),
             storage=self.request.storage,
             n_trials=self.request.n_trials,

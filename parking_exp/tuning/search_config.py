@@ -5,8 +5,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 from pydantic import AfterValidator, Field, model_validator
 
-from parking_exp.config.credentials import keep_password, strip_password
-from parking_exp.config.paths import absolute
+from parking_exp.config.paths import absolute, refuse_password
 from parking_exp.config.schema import ConfigModel, Count, Name, Positive, SweepOptions
 
 if TYPE_CHECKING:
@@ -17,8 +16,8 @@ Value = bool | int | float | str | None | list[Any] | dict[str, Any]
 Range = Annotated[list[float], Field(min_length=2, max_length=2)]
 Objective = Literal["success_auc", "final_success", "final_parked"]
 Seeds = Annotated[list[Annotated[int, Field(ge=0, lt=2**32)]], Field(min_length=1)]
-Storage = Annotated[str, AfterValidator(lambda uri: absolute(keep_password(uri)))]
-"""URI of Optuna's storage without the password, which `with_password` adds where the storage is opened."""
+Storage = Annotated[str, AfterValidator(lambda uri: absolute(refuse_password(uri)))]
+"""URI of Optuna's storage, without a password: database drivers read it from the environment."""
 
 
 class Dimension(ConfigModel):
@@ -125,6 +124,6 @@ class SearchFile(ConfigModel):
 
     overrides: list[str] = Field(default_factory=list)
     extra_config_dir: str | None = None
-    storage: Annotated[str, AfterValidator(strip_password)] | None = None
+    storage: str | None = None
     n_trials: int
     search: SearchConfig

@@ -16,7 +16,6 @@ from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 from filelock import FileLock
 
-from parking_exp.config.credentials import strip_password, with_password
 from parking_exp.config.paths import refuse_links
 from parking_exp.config.schema import RunConfig
 from parking_exp.errors import ConfigError, ParkingError, StoreError
@@ -71,7 +70,7 @@ def storage_errors(name: str) -> Iterator[None]:
     except ParkingError:
         raise
     except Exception as error:
-        line = strip_password((str(error).splitlines() or [type(error).__name__])[0])
+        line = (str(error).splitlines() or [type(error).__name__])[0]
         raise StoreError(f"the study {name} can't be used: {line}") from error
 
 
@@ -91,7 +90,7 @@ def storage_of(folder: Path, uri: str | None) -> Any:
     with storage_errors(folder.name):
         folder.mkdir(parents=True, exist_ok=True)
         if uri is not None:
-            return optuna.storages.get_storage(with_password(uri))
+            return optuna.storages.get_storage(uri)
         path.touch()
         return JournalStorage(JournalFileBackend(str(path), lock_obj=cast(Any, _JournalLock(path))))
 

@@ -11,7 +11,6 @@ from pathlib import Path
 from statistics import mean
 from typing import TYPE_CHECKING, Literal
 
-from parking_exp.config.credentials import strip_password
 from parking_exp.config.schema import RunConfig
 from parking_exp.errors import ConfigError, OutputDirectoryError, StoreError
 from parking_exp.runs.directory import RunDirectory
@@ -73,7 +72,7 @@ def work(folder: Path, n_trials: int, train: Train, storage: str | None = None) 
             finally:
                 lock.release()
     except (OptunaError, SQLAlchemyError) as error:
-        line = strip_password(str(error).splitlines()[0])
+        line = str(error).splitlines()[0]
         raise StoreError(f"the study {folder.name} can't be used: {line}; rerun the same command to resume") from error
 
 

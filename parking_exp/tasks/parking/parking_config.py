@@ -101,11 +101,6 @@ class ParkingConfig(ConfigModel):
         """Keys by which making an env imports a class, and their dotted paths."""
         return {"other_vehicles_type": self.other_vehicles_type}
 
-    @property
-    def action_size(self) -> int:
-        """Number of dimensions of an action."""
-        return self.action.longitudinal + self.action.lateral
-
     def problems(self) -> Iterator[str]:
         """Yield a sentence for each rule between keys that is violated."""
         observation, action = self.observation, self.action
