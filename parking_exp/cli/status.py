@@ -26,8 +26,7 @@ from parking_exp.terminal import console, say
 from parking_exp.tracking.mirror import mirror_missing
 from parking_exp.tracking.store import Store
 from parking_exp.tuning.search import SEARCH_FILE, StoredSearch, study_in
-from parking_exp.tuning.search_config import Storage
-from parking_exp.tuning.trials import counts, progress_lines, trial_table
+from parking_exp.tuning.trials import OBJECTIVE, counts, progress_lines, trial_table
 
 WATCH_S = 2.0
 FLAGS = {"--json": "json=true", "--watch": "watch=true", "--sync": "sync=true"}
@@ -52,7 +51,6 @@ class StatusRequest(ConfigModel):
     watch: bool
     sync: bool
     tracking: StoreConfig
-    storage: Storage | None
 
     @property
     def output_path(self) -> Path:
@@ -123,8 +121,8 @@ def _tables(request: StatusRequest) -> RenderableType:
         if isinstance(search, ParkingError):
             parts.append(f"search {name}: {search}")
         else:
-            parts += ["", f"search {name}", trial_table(search.trials, search.search.objective)]
-            parts += progress_lines(search.trials, search.search.objective, search.n_trials)
+            parts += ["", f"search {name}", trial_table(search.trials)]
+            parts += progress_lines(search.trials, search.n_trials)
     return Group(*parts)
 
 
@@ -132,7 +130,7 @@ def _searches(request: StatusRequest) -> Iterator[tuple[str, StoredSearch | Park
     """Yield the name of each search, and the search or the error of reading it."""
     for file in sorted(request.output_path.glob(f"{request.experiment_name or '*'}/{SEARCH_FILE}")):
         try:
-            if (search := study_in(file.parent, request.storage)) is not None:
+            if (search := study_in(file.parent)) is not None:
                 yield file.parent.name, search
         except ParkingError as error:
             yield file.parent.name, error
@@ -145,7 +143,7 @@ def _searches_plain(request: StatusRequest) -> list[dict[str, Any]]:
         if isinstance(search, ParkingError):
             plain.append({"experiment": name, "error": str(search)})
         else:
-            about: dict[str, Any] = {"n_trials": search.n_trials, "objective": search.search.objective}
+            about: dict[str, Any] = {"n_trials": search.n_trials, "objective": OBJECTIVE}
             about |= {str(state): number for state, number in counts(search.trials).items()}
             plain.append({"experiment": name, **about, "trials": [asdict(trial) for trial in search.trials]})
     return plain

@@ -162,7 +162,7 @@ def _content(request: ReportRequest, source: ReportSource) -> ReportData:
         command=_command(request, source.experiments),
     )
     if request.source is None:
-        return with_search(data, request.output_path, request.storage)
+        return with_search(data, request.output_path)
     return with_tuning(data, source.tuning) if source.tuning else data
 
 
@@ -172,7 +172,6 @@ def _command(request: ReportRequest, experiments: list[str]) -> str:
         "report": "quick" if request.report.quick else None,
         "output_dir": request.output_dir if request.output_path != Path("outputs").absolute() else None,
         "tracking.uri": request.tracking.uri,
-        "storage": request.storage,
         "name": request.name,
     }
     source = f"from={request.source}" if request.source else f"experiment={','.join(experiments)}"

@@ -3,7 +3,6 @@
 Started as `python -m parking_exp.sweeps.worker RUN_DIR SUPERVISOR_PID CORES` (cores with commas, none for all).
 """
 
-import ctypes
 import faulthandler
 import gc
 import os
@@ -21,7 +20,6 @@ from parking_exp.tracking.client import import_mlflow
 
 LOCKED_EXIT = 75  # exit status if another worker, which is about to die, still holds the training lock
 PARENT_POLL_S = 0.5
-PR_SET_PDEATHSIG = 1
 
 
 def main() -> None:
@@ -57,8 +55,6 @@ def main() -> None:
 
 def _die_with(supervisor: int) -> None:
     """Kill this process when its supervisor is gone."""
-    if sys.platform == "linux":
-        ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
 
     def watch() -> None:
         while os.getppid() == supervisor:
