@@ -6,7 +6,7 @@ from typing import Any, Protocol, cast
 
 from hydra.core.global_hydra import GlobalHydra
 from hydra.core.plugins import Plugins
-from hydra.core.utils import JobReturn
+from hydra.core.utils import JobStatus
 from hydra.experimental.callback import Callback
 from hydra.plugins.launcher import Launcher as Plugin
 from hydra.types import HydraContext, RunMode
@@ -68,20 +68,13 @@ class PluginLauncher:
                 raise _unusable(self.name, error) from error
             except Exception as error:  # the run directories have the states of the runs
                 return f"hydra/launcher={self.name} broke: {_first_line(error).rstrip('.')}"
-        errors = list(filter(None, map(_error_of, jobs)))
-        return f"{len(errors)} of {plural(len(jobs), 'job')} ended early; the first: {errors[0]}" if errors else None
+        n_early = sum(job.status is not JobStatus.COMPLETED for job in jobs)
+        return f"{n_early} of {plural(len(jobs), 'job')} ended early" if n_early else None
 
 
 def _train(config: DictConfig) -> None:
     """Train the run of a directory; Hydra's task function."""
     supervise_job(Path(config.run))
-
-
-def _error_of(job: JobReturn) -> Exception | None:
-    try:
-        return job.return_value  # None
-    except Exception as error:
-        return error
 
 
 def _unusable(name: str, error: Exception) -> ConfigError:

@@ -51,7 +51,8 @@ def run_workers(work: Callable[[Train], None], n_workers: int) -> None:
     Raises:
         InterruptedRunError: a signal stopped it.
     """
-    with stop_on_signal(_leave) as request, ThreadPoolExecutor(n_workers) as pool:
+    # Workers die with their supervisor.
+    with stop_on_signal(lambda number, _: os._exit(128 + number)) as request, ThreadPoolExecutor(n_workers) as pool:
 
         def start(some_cores: Sequence[int], device: str | None) -> None:
             def train(path: Path) -> WorkerResult:
@@ -65,7 +66,3 @@ def run_workers(work: Callable[[Train], None], n_workers: int) -> None:
         raise InterruptedRunError("stopped; rerun the same command to resume", request.signal_number)
     for future in futures:
         future.result()
-
-
-def _leave(number: int, _: object) -> None:
-    os._exit(128 + number)  # workers die with their supervisor

@@ -1,4 +1,4 @@
-"""Live view of runs, read from their directories: a table on a terminal, a line for each event elsewhere."""
+"""Live view of runs, read from their directories: a line for each event, and on a terminal one for each running run."""
 
 import threading
 from collections.abc import Callable, Sequence
@@ -8,11 +8,10 @@ from typing import Self
 
 from rich.console import Console, Group, RenderableType
 from rich.live import Live
-from rich.table import Table
 
 from parking_exp.runs.directory import STATUS_FILE
 from parking_exp.runs.run_state import RunState, read_state
-from parking_exp.runs.state_tables import duration, name, under_way
+from parking_exp.runs.state_tables import duration, name, running_lines
 from parking_exp.terminal import console as make_console
 
 POLL_S = 1.0
@@ -49,7 +48,7 @@ class Monitor:
         self._live.stop()
 
     def say(self, text: str) -> None:
-        """Print a line, above the table where there is one."""
+        """Print a line, above the running runs."""
         self._console.print(text, soft_wrap=True)
 
     def _watch(self) -> None:
@@ -83,11 +82,7 @@ class Monitor:
                 self.say(f"stopped  {run}, {f'at step {state.step}' if state.step else 'before its first checkpoint'}")
 
     def _render(self) -> RenderableType:
-        table = Table.grid(padding=(0, 2))
-        for state in list(self._states.values()):
-            if state.stage == "running":
-                table.add_row(name(state), under_way(state), state.host or "")
-        return Group(table, self._progress())
+        return Group(*running_lines(list(self._states.values())), self._progress())
 
     def _progress(self) -> str:
         over = sum(state.stage in ("done", "failed") for state in list(self._states.values()))

@@ -140,12 +140,10 @@ def sync_store(paths: Sequence[Path], configs: Sequence[RunConfig], monitor: Mon
 def _check_all_done(states: Sequence[RunState]) -> None:
     """Raise FailedRunError unless every run is done."""
     by_stage = counts(states)
-    if by_stage["done"] == len(states):
-        return
     words: dict[Stage, str] = {"failed": "failed", "pending": "not done", "running": "still running"}
-    parts = [f"{by_stage[stage]} {word}" for stage, word in words.items() if by_stage[stage]]
-    resumable = by_stage["pending"] or any(state.killed for state in states)
-    retry = any(state.stage == "failed" and not state.killed for state in states)
-    advice = "; rerun the same command to resume" if resumable else ""
-    advice += "; retry=failed runs failed ones again" if retry else ""
+    if not (parts := [f"{by_stage[stage]} {word}" for stage, word in words.items() if by_stage[stage]]):
+        return
+    advice = "; rerun the same command to resume" if by_stage["pending"] or any(s.killed for s in states) else ""
+    if any(state.stage == "failed" and not state.killed for state in states):
+        advice += "; retry=failed runs failed ones again"
     raise FailedRunError(f"of {plural(len(states), 'run')}, {' and '.join(parts)}{advice}")

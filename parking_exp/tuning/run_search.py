@@ -52,14 +52,13 @@ def tune(search: Search, launcher: Launcher) -> None:
     search.check()
     out, request = console(), search.request
     n_trials, n_workers = request.n_trials, request.n_workers or launcher.n_jobs
+    stored = study_in(search.folder)
+    trials = stored.trials[:n_trials] if stored else []
+    _describe(search, trials, n_workers, out)
     if request.dry_run:
-        stored = study_in(search.folder)
-        _describe(search, stored.trials[:n_trials] if stored else [], n_workers, out)
         return
     study = search.open().study
     search.save()
-    trials = rows(study, search.folder, n_trials)
-    _describe(search, trials, n_workers, out)
     if _n_left(trials, n_trials):
         trials = _train(search, study, n_workers)
     out.print(trial_table(trials), *progress_lines(trials, n_trials), sep="\n")
@@ -84,12 +83,10 @@ def _describe(search: Search, trials: Sequence[TrialRow], n_workers: int, out: C
         out.print(f"{key}: {dimension}")
     out.print(f"sampler {settings.sampler}, pruner {settings.pruner or 'none'}")
     left = _n_left(trials, request.n_trials)
-    retested = min(settings.n_retest + 1, request.n_trials) if settings.n_retest else 0
     out.print(
         f"{plural(request.n_trials, 'trial')} x {plural(len(settings.tuning_seeds), 'seed')} x "
-        f"{search.base.total_timesteps:,} env steps at most, {plural(n_workers, 'trial')} at a time; at the end "
-        f"{plural(retested * len(settings.test_seeds), 'run')} on test seeds: {request.n_trials - left} trials over, "
-        f"{left} to do"
+        f"{search.base.total_timesteps:,} env steps at most, {plural(n_workers, 'trial')} at a time: "
+        f"{request.n_trials - left} trials over, {left} to do"
     )
 
 
@@ -115,34 +112,28 @@ def _train(search: Search, study: "Study", n_workers: int) -> list[TrialRow]:
 
 def _retest(search: Search, trials: Sequence[TrialRow], launcher: Launcher) -> list[RetestedTrial]:
     """Train trial 0 and the best trials on the test seeds, as a sweep, and store the results, best first."""
-    request, settings, retested = search.request, search.request.search, []
-    chosen = chosen_trials(trials, settings.n_retest)
-    configs = {trial.number: search.config(trial.changes) for trial in chosen}
-    planned: list[PlannedRun] = []
-    for seed, trial in itertools.product(settings.test_seeds, chosen):
-        config = configs[trial.number].model_copy(update={"seed": seed})
+    request, planned = search.request, list[PlannedRun]()
+    chosen = chosen_trials(trials, request.search.n_retest)
+    for seed, trial in itertools.product(request.search.test_seeds, chosen):
+        config = search.config(trial.changes).model_copy(update={"seed": seed})
         entries = {"search": search.folder.name, "trial": trial.number}
         state = read_state(config.run_dir)
         planned.append(PlannedRun(config, config.run_dir, trial.label, state, request.retry is not None, entries))
     sweep(planned, launcher)
+    retested = []
     for trial in chosen:
-        directories = [RunDirectory(run.path) for run in planned if run.entries["trial"] == trial.number]
-        test = [success_auc(directory) for directory in directories]
+        test = [success_auc(RunDirectory(run.path)) for run in planned if run.entries["trial"] == trial.number]
         retested.append(RetestedTrial(trial.number, trial.label, trial.changes, list(trial.by_seed), test))
     retested.sort(key=lambda trial: (-mean(trial.test), trial.number))
-    seeds = {"tuning_seeds": settings.tuning_seeds, "test_seeds": settings.test_seeds}
-    stored = {"objective": OBJECTIVE, **seeds, "trials": [asdict(trial) for trial in retested]}
-    write_json(search.folder / RETEST_FILE, stored)
+    write_json(search.folder / RETEST_FILE, {"trials": [asdict(trial) for trial in retested]})
     return retested
 
 
 def chosen_trials(trials: Sequence[TrialRow], n_retest: int) -> list[TrialRow]:
     """Return trial 0, if it is done, and the best `n_retest` others, without trials that share the runs of another."""
-    distinct: dict[tuple[str, ...], TrialRow] = {}
-    for trial in ranked(trials):
-        distinct.setdefault(tuple(trial.runs), trial)
-    others = [trial for trial in distinct.values() if trial.number != 0]
-    return [*(trial for trial in distinct.values() if trial.number == 0), *others[:n_retest]]
+    distinct = {tuple(trial.runs): trial for trial in reversed(ranked(trials))}
+    best = ranked([*distinct.values()])
+    return [*(trial for trial in best if trial.number == 0), *[trial for trial in best if trial.number != 0][:n_retest]]
 
 
 def write_winner(search: Search, retested: Sequence[RetestedTrial], out: Console) -> None:

@@ -58,8 +58,7 @@ class Search:
             composed = copy.deepcopy(_composed((*self.overrides, *options), self.extra_config_dir))
             for key, value in changes.items():
                 if key not in groups:
-                    name, is_added = key.lstrip("+"), key.startswith("+")
-                    OmegaConf.update(composed.cell, name, value, merge=True, force_add=is_added)
+                    OmegaConf.update(composed.cell, key.lstrip("+"), value, merge=True, force_add=key.startswith("+"))
         return composed
 
     @cached_property

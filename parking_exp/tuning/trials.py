@@ -3,7 +3,6 @@
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args
 
@@ -34,12 +33,9 @@ class TrialRow:
     Attributes:
         number: 0 is the unchanged config.
         state: `pending` again after its worker was killed.
-        changes: to the search's config.
         parameters: name -> a number or the text of a choice.
         value: mean of the objective over seeds; None unless it is done.
-        by_seed: the objective of each seed.
         runs: run directories, relative to the output directory.
-        reason: why it failed.
     """
 
     number: int
@@ -78,11 +74,6 @@ def rows(study: "Study", folder: Path, n_trials: int) -> list[TrialRow]:
     return [_row(trial, folder) for trial in trials]
 
 
-@cache
-def _trial_rows() -> TypeAdapter[TrialRow]:
-    return TypeAdapter(TrialRow)
-
-
 def _row(trial: "FrozenTrial", folder: Path) -> TrialRow:
     held = trial.state.name == "RUNNING" and is_held(trial_lock_path(folder, trial.number))
     # Optuna takes the last intermediate value of a pruned trial for its value.
@@ -95,7 +86,7 @@ def _row(trial: "FrozenTrial", folder: Path) -> TrialRow:
     }
     try:
         parameters = {name: plain_choice(value) for name, value in trial.params.items()}
-        return _trial_rows().validate_python({**entries, "parameters": parameters})
+        return TypeAdapter(TrialRow).validate_python({**entries, "parameters": parameters})
     except ValueError as error:
         entry = error.errors()[0]["loc"][0] if isinstance(error, ValidationError) else "parameters"
         raise ConfigError(f"the study is damaged: trial {trial.number} has no valid {entry}") from error

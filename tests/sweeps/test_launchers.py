@@ -72,7 +72,7 @@ def test_every_run_is_trained_failures_are_reported_and_nothing_is_done_twice(tm
     assert trained(tmp_path) == [1, 1, 1]
 
 
-@pytest.mark.parametrize("launcher", [BASIC, SLURM, SLURM_CLUSTER], indirect=True, ids=":".join)
+@pytest.mark.parametrize("launcher", [SLURM, SLURM_CLUSTER], indirect=True, ids=":".join)
 @pytest.mark.slow
 def test_a_rerun_resumes_a_sweep_that_was_killed(tmp_path, launcher):
     process = begin(tmp_path, "seeds=3", *SLOW, *launcher)
@@ -84,7 +84,7 @@ def test_a_rerun_resumes_a_sweep_that_was_killed(tmp_path, launcher):
     wait_until(lambda: stages(tmp_path) == ["done"] * 3)  # submitit's jobs outlive the sweep that submitted them
 
 
-@pytest.mark.parametrize("launcher", [BASIC, SLURM, SLURM_CLUSTER], indirect=True, ids=":".join)
+@pytest.mark.parametrize("launcher", [SLURM, SLURM_CLUSTER], indirect=True, ids=":".join)
 @pytest.mark.slow
 def test_ctrl_c_saves_what_is_under_way(tmp_path, launcher):
     process = begin(tmp_path, "seeds=2", *SLOW[:2], "checkpoint.every_n_steps=null", *launcher)

@@ -12,7 +12,7 @@ import yaml
 from rich.console import Console
 from support.runs import call_script, run_script, store
 from support.searches import QUICK, user_search
-from support.sweep_processes import FAILING, begin, statuses, trained, wait_until, workers
+from support.sweep_processes import FAILING, begin, trained, workers
 
 from parking_exp.config.compose import composed_runs
 from parking_exp.config.overrides import in_quotes
@@ -25,7 +25,6 @@ from parking_exp.tuning.trials import RetestedTrial, TrialRow
 
 TWO = "n_workers=2"
 TUNE = {"name": "tune", "options": QUICK}
-LONGER = ("total_timesteps=3000", "checkpoint.every_n_steps=200")
 
 
 def tune(output_dir, *arguments, **keywords):
@@ -104,22 +103,6 @@ def test_training_the_written_experiment_reproduces_the_winner(tmp_path):
     searched = tmp_path / trials(tmp_path)[winner].runs[0]
     assert searched.parent.name == fresh.parent.name
     assert (searched / "episodes.csv").read_bytes() == (fresh / "episodes.csv").read_bytes()
-
-
-@pytest.mark.slow
-def test_ctrl_c_leaves_everything_resumable(tmp_path):
-    options = ("n_trials=3", "search.tuning_seeds=[1001]", "tracking.mlflow=false", TWO, *LONGER)
-    process = begin(tmp_path, *options, **TUNE)
-    wait_until(lambda: any(status["status"] == "running" for status in statuses(tmp_path).values()))
-    time.sleep(3)
-    os.kill(process.pid, signal.SIGINT)
-    _, stderr = process.communicate(timeout=30)
-    assert process.returncode == 130, stderr
-    assert workers(tmp_path) == []
-    assert set(states(tmp_path)) <= {"pending", "done"}
-    done = tune(tmp_path, *options)
-    assert done.returncode == 0, done.stderr
-    assert states(tmp_path) == ["done"] * 3
 
 
 @pytest.mark.slow

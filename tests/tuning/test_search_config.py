@@ -59,7 +59,6 @@ def test_sampled_values_lie_within_both_ends_and_have_six_digits():
         ({"space": {"algorithm.gamma": {"log": [0.99, 0.9]}}}, "space.algorithm.gamma"),
         ({"space": {"seed": {"int": [0, 5]}}}, "tuning_seeds"),
         ({"tuning_seeds": [1, 2], "test_seeds": [2, 3]}, "seed 2"),
-        ({"samplr": "tpe"}, "sampler"),
     ],
 )
 def test_a_wrong_search_is_refused_in_one_sentence_that_names_the_key(changes, words):

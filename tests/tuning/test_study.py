@@ -6,7 +6,6 @@ import os
 import signal
 import time
 
-import optuna
 import pytest
 from support.searches import base, settings
 
@@ -132,20 +131,3 @@ def test_files_of_a_search_that_are_links_out_of_its_folder_are_refused(tmp_path
     with pytest.raises(UntrustedError, match=str(link)):
         opened(tmp_path)
     assert not (tmp_path / "elsewhere").exists()
-
-
-@pytest.mark.parametrize(
-    ("state", "values", "attributes", "entry"),
-    [
-        ("COMPLETE", [0.5], {"changes": ["x"]}, "changes"),
-        ("FAIL", None, {"reason": 7}, "reason"),
-        ("COMPLETE", [float("inf")], {}, "value"),
-    ],
-)
-def test_a_wrong_value_in_a_study_is_named_with_its_trial(tmp_path, state, values, attributes, entry):
-    study = opened(tmp_path)
-    study.study.add_trial(
-        optuna.trial.create_trial(state=optuna.trial.TrialState[state], values=values, user_attrs=attributes)
-    )
-    with pytest.raises(ConfigError, match=f"trial 1 has no valid {entry}"):
-        states(study, 2)
