@@ -37,10 +37,10 @@ PUBLIC_PATHS = (
     "parking_exp.results.load",
     "parking_exp.results.read_export",
     "parking_exp.statistics",
-    "hydra_plugins.parking_launcher.LocalLauncher",
-    "hydra_plugins.parking_launcher.SlurmLauncher",
+    "parking_exp.sweeps.local.LocalLauncher",
+    "parking_exp.sweeps.slurm.SlurmLauncher",
 )
-TARGET = re.compile(r"_target_: ((?:parking_exp|hydra_plugins\.parking_launcher)\.[\w.]+)")
+TARGET = re.compile(r"_target_: (parking_exp\.[\w.]+)")
 NAMED = re.compile(r"\bparking_exp(?:\.\w+)+")
 IMPORTED = re.compile(r"^from (parking_exp[\w.]*) import ([\w, ]+)", re.MULTILINE)
 ROOMS = {path.parent.name for path in (ROOT / "parking_exp").glob("*/__init__.py")}

@@ -8,7 +8,6 @@ from support.runs import run_script
 from support.sweep_processes import FAILING, QUICK
 
 from parking_exp.resources import cores, cuda_devices, shares
-from parking_exp.sweeps.supervisor import WorkerResources
 
 
 @pytest.mark.parametrize(
@@ -20,14 +19,6 @@ from parking_exp.sweeps.supervisor import WorkerResources
 )
 def test_cores_are_dealt_out_evenly(n_cores, n_workers, expected):
     assert shares(range(n_cores), n_workers) == expected
-
-
-def test_resources_of_a_worker_set_threads_and_devices():
-    assert WorkerResources((3, 4), ["1"]).environment() == {
-        "OMP_NUM_THREADS": "2", "MKL_NUM_THREADS": "2", "OPENBLAS_NUM_THREADS": "2", "NUMEXPR_NUM_THREADS": "2",
-        "CUDA_VISIBLE_DEVICES": "1",
-    }  # fmt: skip
-    assert WorkerResources().environment() == {}
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,7 @@ from parking_exp.config.overrides import in_quotes
 from parking_exp.errors import ConfigError
 from parking_exp.reports.report_request import validate_report
 
-KEYS = {"experiment_name", "from", "export", "cells", "baseline", "output_dir", "name", "storage", "tracking", "report"}
+KEYS = {"experiment_name", "from", "export", "cells", "baseline", "output_dir", "name", "tracking", "report"}
 
 
 def main() -> None:

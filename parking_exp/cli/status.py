@@ -24,8 +24,7 @@ from parking_exp.terminal import console, say
 from parking_exp.tracking.mirror import mirror_missing
 from parking_exp.tracking.store import Store
 from parking_exp.tuning.search import SEARCH_FILE, StoredSearch, study_in
-from parking_exp.tuning.search_config import Storage
-from parking_exp.tuning.trials import counts, progress_lines, trial_table
+from parking_exp.tuning.trials import OBJECTIVE, counts, progress_lines, trial_table
 
 WATCH_S = 2.0
 
@@ -49,7 +48,6 @@ class StatusRequest(ConfigModel):
     watch: bool
     sync: bool
     tracking: StoreConfig
-    storage: Storage | None
 
     @property
     def output_path(self) -> Path:
@@ -116,9 +114,8 @@ def _print_tables(out: Console, states: list[RunState], searches: dict[str, Stor
         if isinstance(search, ParkingError):
             out.print(f"search {name}: {search}")
         else:
-            objective = search.search.objective
-            out.print("", f"search {name}", trial_table(search.trials, objective), sep="\n")
-            out.print(*progress_lines(search.trials, objective, search.n_trials), sep="\n")
+            out.print("", f"search {name}", trial_table(search.trials), sep="\n")
+            out.print(*progress_lines(search.trials, search.n_trials), sep="\n")
 
 
 def _searches(request: StatusRequest) -> dict[str, StoredSearch | ParkingError]:
@@ -126,7 +123,7 @@ def _searches(request: StatusRequest) -> dict[str, StoredSearch | ParkingError]:
     searches: dict[str, StoredSearch | ParkingError] = {}
     for file in sorted(request.output_path.glob(f"{request.experiment_name or '*'}/{SEARCH_FILE}")):
         try:
-            if (search := study_in(file.parent, request.storage)) is not None:
+            if (search := study_in(file.parent)) is not None:
                 searches[file.parent.name] = search
         except ParkingError as error:
             searches[file.parent.name] = error
@@ -137,6 +134,6 @@ def _search_plain(name: str, search: StoredSearch | ParkingError) -> dict[str, A
     """Return a search and its trials for JSON."""
     if isinstance(search, ParkingError):
         return {"experiment": name, "error": str(search)}
-    about: dict[str, Any] = {"experiment": name, "n_trials": search.n_trials, "objective": search.search.objective}
+    about: dict[str, Any] = {"experiment": name, "n_trials": search.n_trials, "objective": OBJECTIVE}
     about |= {str(state): number for state, number in counts(search.trials).items()}
     return about | {"trials": [asdict(trial) for trial in search.trials]}

@@ -16,7 +16,7 @@ def main() -> None:
 def train(overrides: list[str], extra_config_dir: str | None) -> None:
     """Train a single run in this process, several as a sweep."""
     gc.disable()  # imports torch 0.8 s faster
-    from parking_exp.sweeps.hydra_launcher import Launch
+    from parking_exp.sweeps.hydra_launcher import launcher_of
     from parking_exp.sweeps.sweep import plan, sweep
 
     runs = composed_runs("config", overrides, extra_config_dir)
@@ -28,7 +28,7 @@ def train(overrides: list[str], extra_config_dir: str | None) -> None:
     supervised = launcher_named or options.dry_run or options.retry or planned[0].config.timeout_s
     if len(planned) > 1 or supervised:
         gc.enable()
-        sweep(planned, Launch(overrides, extra_config_dir), dry_run=options.dry_run)
+        sweep(planned, launcher_of(overrides, extra_config_dir), dry_run=options.dry_run)
     else:
         from parking_exp.training.train_run import train as train_run
 

@@ -10,9 +10,8 @@ def main() -> None:
 
 def tune(overrides: list[str], extra_config_dir: str | None) -> None:
     """Run a search."""
-    from parking_exp.sweeps.hydra_launcher import Launch
+    from parking_exp.sweeps.hydra_launcher import launcher_of
     from parking_exp.tuning.run_search import tune as run_search
     from parking_exp.tuning.search import Search
-    from parking_exp.tuning.trial_worker import do_job
 
-    run_search(Search(overrides, extra_config_dir), Launch(overrides, extra_config_dir, do_job))
+    run_search(Search(overrides, extra_config_dir), launcher_of(overrides, extra_config_dir))

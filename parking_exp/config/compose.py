@@ -1,7 +1,6 @@
 """Compose configs from `conf/` and command-line overrides with Hydra."""
 
 import copy
-import sys
 import textwrap
 import warnings
 from collections.abc import Callable, Iterator, Mapping
@@ -155,10 +154,6 @@ def user_options(extra_config_dir: str | None) -> list[str]:
 @contextmanager
 def hydra_ready() -> Iterator[None]:
     """Initialize Hydra with our tree; errors of Hydra and OmegaConf become a ConfigError of one sentence."""
-    # Hydra finds launchers in `hydra_plugins` only, and a checkout need not be installed.
-    plugins = str(Path(__file__).resolve().parents[1] / "plugins")
-    if plugins not in sys.path and Path(plugins).is_dir():
-        sys.path.append(plugins)
     outer = GlobalHydra.instance().hydra  # we may be called within a Hydra app, such as a benchmark or a user's own
     GlobalHydra.instance().clear()
     try:

@@ -13,7 +13,6 @@ from parking_exp.config.paths import directory_path
 from parking_exp.config.schema import ConfigModel, StoreConfig
 from parking_exp.config.validate import parse
 from parking_exp.errors import ConfigError, did_you_mean
-from parking_exp.tuning.search_config import Storage
 
 SIMILAR = 0.8  # similarity from which on a key is a misspelt one
 
@@ -35,7 +34,6 @@ class ReportRequest(ConfigModel):
     baseline: str | None
     output_dir: str
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._+-]*$", max_length=200)] | None
-    storage: Storage | None
     tracking: StoreConfig
     report: ReportOptions
 
@@ -62,7 +60,6 @@ def validate_report(config: DictConfig) -> ReportRequest:
         "experiment": request.experiments,
         "tracking.uri": request.tracking.uri,
         "export": request.export,
-        "storage": request.storage,
     }
     if request.source and (beside := [key for key, value in of_stores.items() if value]):
         raise ConfigError(f"{beside[0]}: cannot be combined with from={request.source}; leave one of them out")

@@ -133,5 +133,5 @@ def _content(request: ReportRequest, source: ReportSource) -> ReportData:
         command=shlex.join(["python", "scripts/report.py", *sys.argv[1:]]),
     )
     if request.source is None:
-        return with_search(data, request.output_path, request.storage)
+        return with_search(data, request.output_path)
     return with_tuning(data, source.tuning) if source.tuning else data

@@ -20,7 +20,7 @@ from parking_exp.reports.report_data import ReportData
 from parking_exp.reports.tables.table import Table, column, interval_column, record, spread
 from parking_exp.statistics import Interval, mean_interval, welch
 from parking_exp.tuning.search import SEARCH_FILE, study_in
-from parking_exp.tuning.trials import RetestedTrial, TrialRow, plain_choice, ranked, read_retest
+from parking_exp.tuning.trials import OBJECTIVE, RetestedTrial, TrialRow, plain_choice, ranked, read_retest
 
 if TYPE_CHECKING:
     from parking_exp.tuning.search import StoredSearch
@@ -35,7 +35,7 @@ class Tuning:
         objective: its name; it is maximised.
         n_seeds: number of tuning seeds of each trial.
         parameters: name -> Optuna's distribution, as `optuna.distributions.distribution_to_json` describes it.
-        trials: those that have begun or are enqueued, by number.
+        trials: trial 0 and those that have begun, by number.
         retested: trials that were trained again on test seeds, best first.
     """
 
@@ -50,14 +50,14 @@ class Tuning:
     retested: Sequence[RetestedTrial] = ()
 
 
-def with_search(report: ReportData, output_dir: Path, storage: str | None = None) -> ReportData:
+def with_search(report: ReportData, output_dir: Path) -> ReportData:
     """Return a report with the first search of its experiments, or a warning where that cannot be read."""
     folders = [output_dir / name for name in report.experiments if re.fullmatch(NAME, name)]
     folder = next((folder for folder in folders if (folder / SEARCH_FILE).exists()), None)
     if folder is None:
         return report
     try:
-        stored = study_in(folder, storage)
+        stored = study_in(folder)
         return with_tuning(report, tuning_of(folder, stored)) if stored else report
     except ParkingError as error:
         warning = f"The search of {folder.name} is left out: {str(error).splitlines()[0].rstrip('.')}."
@@ -95,7 +95,7 @@ def tuning_of(folder: Path, stored: "StoredSearch") -> Tuning:
         sampler=search.sampler,
         pruner=search.pruner,
         n_trials=stored.n_trials,
-        objective=search.objective,
+        objective=OBJECTIVE,
         n_seeds=len(search.tuning_seeds),
         parameters={name: _plain(distribution) for name, distribution in distributions.items()},
         trials=stored.trials,
@@ -153,17 +153,15 @@ def trial_table(report: ReportData) -> Iterator[Table]:
             column("State", "state", numeric=False),
             column(tuning.objective, tuning.objective, formats.percent),
             *(column(name, name, _parameter, numeric=is_number[name]) for name in tuning.parameters),
-            column("Env steps", "env_steps", formats.number),
-            column("CPU (s)", "cpu_s", formats.number),
             *([column("Why it failed", "reason", numeric=False)] if any(row["reason"] for row in rows) else []),
         ],
-        f"Trials: means over {tuning.n_seeds} tuning seeds (%), parameters, and what they took.",
+        f"Trials: means over {tuning.n_seeds} tuning seeds (%), and parameters.",
         latex=True,
     )
 
 
 def _parameter(value: Any) -> str:
-    """Write a parameter, which conditions may have kept out of a trial."""
+    """Write a parameter, which trial 0 may lack."""
     return "" if value is None else f"{value:.3g}" if isinstance(value, float) else formats.setting(value)
 
 

@@ -44,7 +44,7 @@ LOCK_PATIENCE_S = 2.0  # another process takes a lock for a moment to see whethe
 WORKER_PATIENCE_S = 20.0  # the worker of a supervisor that was killed ends soon after it
 # Space that a run keeps while it trains, so that its end can be written on a disk that is full by then.
 RESERVE, RESERVE_BYTES = ".reserve", 64 * 1024
-ENDS = ("done", "failed", "interrupted", "pruned")
+ENDS = ("done", "failed", "interrupted")
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,7 @@ CONFIG_FILE, STATUS_FILE, RESULT_FILE, HEARTBEAT_FILE = "config.yaml", "status.j
 TRAJECTORIES_FILE = "trajectories.npz"
 OUTPUT_DIR = "../../.."  # from a run directory
 
-Status = Literal["pending", "running", "done", "failed", "interrupted", "pruned"]
+Status = Literal["pending", "running", "done", "failed", "interrupted"]
 """Status in status.json; the process of a `running` run may be gone (`read_state` checks)."""
 Count = Annotated[int, Field(ge=0, le=10**15)]
 Seconds = Annotated[float, Field(ge=0, le=1e12)]

@@ -1,4 +1,4 @@
-"""The state of runs (done, running, failed, pending, pruned), read from the small files of their directories."""
+"""The state of runs (done, running, failed, pending), read from the small files of their directories."""
 
 import time
 from collections.abc import Iterable, Iterator, Sequence
@@ -19,8 +19,8 @@ from parking_exp.runs.run_files import (
     read_entries,
 )
 
-Stage = Literal["done", "running", "failed", "pending", "pruned"]
-STAGES: tuple[Stage, ...] = ("done", "running", "failed", "pending", "pruned")
+Stage = Literal["done", "running", "failed", "pending"]
+STAGES: tuple[Stage, ...] = ("done", "running", "failed", "pending")
 
 
 class RunState(StatusEntries):
@@ -68,8 +68,6 @@ def read_state(path: Path) -> RunState:
         fields["step"] = _saved_step(path)
         if status == "failed":
             fields |= {"stage": "failed", "reason": entries.get("error")}
-        elif status == "pruned":
-            fields["stage"] = "pruned"
     return RunState.model_construct(**fields)  # `read_entries` has checked what may be damaged
 
 

@@ -12,8 +12,7 @@ def cell_table(states: Sequence[RunState]) -> Table:
     """Return one row a cell: how many of its runs are at each stage, and the mean success of those that are done."""
     table = Table(box=None, pad_edge=False)
     table.add_column("cell", overflow="fold")
-    stages = [stage for stage in STAGES if stage != "pruned" or counts(states)["pruned"]]
-    for stage in stages:
+    for stage in STAGES:
         table.add_column(stage, justify="right")
     table.add_column("success", justify="right")
     several = len({state.experiment for state in states}) > 1
@@ -22,10 +21,10 @@ def cell_table(states: Sequence[RunState]) -> Table:
         mean = f"{sum(rates) / len(rates):.0%}" if rates else ""
         label = runs[0].label
         table.add_row(
-            f"{experiment}: {label}" if several else label, *(str(counts(runs)[stage] or "") for stage in stages), mean
+            f"{experiment}: {label}" if several else label, *(str(counts(runs)[stage] or "") for stage in STAGES), mean
         )
     if len(list(by_cell(states))) > 1:
-        table.add_row("all", *(str(counts(states)[stage] or "") for stage in stages), "", style="bold")
+        table.add_row("all", *(str(counts(states)[stage] or "") for stage in STAGES), "", style="bold")
     return table
 
 

@@ -1,98 +1,85 @@
-"""Set up the Hydra launcher of a command line, and have it train run directories."""
+"""The launcher of a command line, `hydra/launcher=NAME`: one of ours, or a plugin of Hydra."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, cast
+from typing import Any, Protocol, cast
 
 from hydra.core.global_hydra import GlobalHydra
 from hydra.core.plugins import Plugins
-from hydra.core.utils import JobReturn
+from hydra.core.utils import JobStatus
 from hydra.experimental.callback import Callback
+from hydra.plugins.launcher import Launcher as Plugin
 from hydra.types import HydraContext, RunMode
-from omegaconf import DictConfig
+from hydra.utils import get_class
+from omegaconf import DictConfig, OmegaConf
 
 from parking_exp.config.compose import hydra_ready, user_options
-from parking_exp.config.overrides import hydra_overrides
-from parking_exp.errors import ConfigError, ParkingError, plural
-from parking_exp.resources import cores
-from parking_exp.sweeps.supervisor import WorkerResult, stop_of_job, supervise
+from parking_exp.config.overrides import hydra_overrides, in_quotes
+from parking_exp.errors import ConfigError, plural
+from parking_exp.sweeps.local import LocalLauncher
+from parking_exp.sweeps.supervisor import supervise_job
 
 EXTRAS = {"slurm", "ray"}
 
 
-class Launch:
-    """A Hydra launcher, as the command line sets it up: its name and `hydra.launcher`.
+class Launcher(Protocol):
+    """Trains run directories, each in a process of its own."""
 
-    Any launcher works: each job of a sweep has one override, `run=PATH`. A search has jobs and a task of its own.
-    """
-
-    def __init__(
-        self,
-        overrides: list[str],
-        extra_config_dir: str | None = None,
-        task: Callable[[DictConfig], object] | None = None,
-    ) -> None:
-        with hydra_ready():
-            loader = GlobalHydra.instance().config_loader()
-            config = loader.load_configuration(
-                "worker", [*user_options(extra_config_dir), *hydra_overrides(overrides)], RunMode.MULTIRUN
-            )
-            self.config: DictConfig = config.hydra.launcher
-            self.name: str = config.hydra.runtime.choices["hydra/launcher"]
-            # Launchers notify the context's callbacks of each job; a plain `Callback` does nothing.
-            context = HydraContext(config_loader=loader, callbacks=cast(Any, Callback()))
-            try:
-                self._launcher = Plugins.instance().instantiate_launcher(context, task or train_run, config)
-            except (ImportError, RuntimeError) as error:
-                raise self._unusable(error) from error
-
-    @property
-    def n_jobs(self) -> int | None:
-        """Number of jobs at a time; None if unknown."""
-        if self.name == "basic":
-            return 1
-        return self.config.get("n_jobs") or (len(cores()) if self.name == "local" else None)
-
-    def jobs(self, overrides: Sequence[Sequence[str]]) -> tuple[list[Any], str | None]:
-        """Run jobs, each with its own overrides.
-
-        Returns:
-            What each job returned or raised, empty if the launcher itself broke; and what broke, or None.
-        """
-        with hydra_ready():
-            try:
-                values = [_value_of(job) for job in self._launcher.launch(overrides, 0)]
-            except ImportError as error:
-                raise self._unusable(error) from error
-            except ParkingError:
-                raise
-            except Exception as error:  # of a third party; the run directories have the states of the runs
-                return [], f"hydra/launcher={self.name} broke: {_first_line(error).rstrip('.')}"
-        if not (errors := [value for value in values if isinstance(value, Exception)]):
-            return values, None
-        return values, f"{len(errors)} of {plural(len(values), 'job')} ended early; the first: {errors[0]}"
-
-    def _unusable(self, error: Exception) -> ConfigError:
-        extra = f"; pip install 'parking-exp[{self.name}]'" if self.name in EXTRAS else ""
-        return ConfigError(f"hydra/launcher={self.name}: {_first_line(error)}{extra}")
+    def train(self, paths: Sequence[Path]) -> str | None:
+        """Train runs until they are over or interrupted; return what went wrong besides them, or None."""
 
 
-def train_run(config: DictConfig) -> WorkerResult:
-    """Train the run of a directory, as a job of any launcher; Hydra's task function.
+def launcher_of(overrides: list[str], extra_config_dir: str | None = None) -> Launcher:
+    """Return the launcher that a command line names, with its settings checked.
 
     Raises:
-        KeyboardInterrupt: a signal to the job stopped it; the run's state is saved.
+        ConfigError: it is unknown, not installed, or set up wrongly.
     """
-    with stop_of_job() as stop:
-        return supervise(Path(config.run), stop)
+    with hydra_ready():
+        loader = GlobalHydra.instance().config_loader()
+        lines = [*user_options(extra_config_dir), *hydra_overrides(overrides)]
+        config = loader.load_configuration("worker", lines, RunMode.MULTIRUN)
+        name, settings = config.hydra.runtime.choices["hydra/launcher"], config.hydra.launcher
+        if name == "basic":  # Hydra's own
+            return LocalLauncher(1)
+        try:
+            if settings._target_.startswith("parking_exp."):
+                keywords = cast(dict[str, Any], OmegaConf.to_container(settings, resolve=True))
+                return get_class(keywords.pop("_target_"))(**keywords)
+            # Launchers notify the context's callbacks of each job; a plain `Callback` does nothing.
+            context = HydraContext(config_loader=loader, callbacks=cast(Any, Callback()))
+            return PluginLauncher(name, Plugins.instance().instantiate_launcher(context, _train, config))
+        except (ImportError, RuntimeError, TypeError) as error:
+            raise _unusable(name, error) from error
 
 
-def _value_of(job: JobReturn) -> Any:
-    """Return what a job returned, or the exception that it raised."""
-    try:
-        return job.return_value
-    except Exception as error:
-        return error
+class PluginLauncher:
+    """A launcher of somebody else, as a plugin of Hydra; each of its jobs has one override, `run=PATH`."""
+
+    def __init__(self, name: str, plugin: Plugin) -> None:
+        self.name, self._plugin = name, plugin
+
+    def train(self, paths: Sequence[Path]) -> str | None:
+        """Train runs as jobs of the plugin; return what broke, or how many jobs ended early."""
+        with hydra_ready():
+            try:
+                jobs = self._plugin.launch([[f"run={in_quotes(str(path))}"] for path in paths], 0)
+            except ImportError as error:
+                raise _unusable(self.name, error) from error
+            except Exception as error:  # the run directories have the states of the runs
+                return f"hydra/launcher={self.name} broke: {_first_line(error).rstrip('.')}"
+        n_early = sum(job.status is not JobStatus.COMPLETED for job in jobs)
+        return f"{n_early} of {plural(len(jobs), 'job')} ended early" if n_early else None
+
+
+def _train(config: DictConfig) -> None:
+    """Train the run of a directory; Hydra's task function."""
+    supervise_job(Path(config.run))
+
+
+def _unusable(name: str, error: Exception) -> ConfigError:
+    extra = f"; pip install 'parking-exp[{name}]'" if name in EXTRAS else ""
+    return ConfigError(f"hydra/launcher={name}: {_first_line(error)}{extra}")
 
 
 def _first_line(error: Exception) -> str:

@@ -1,7 +1,6 @@
-"""Live view of runs, read from their directories: a table on a terminal, a line for each event elsewhere."""
+"""Live view of runs, read from their directories: a line for each event, and on a terminal one for each running run."""
 
 import threading
-import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from pathlib import Path
@@ -9,11 +8,10 @@ from typing import Self
 
 from rich.console import Console, Group, RenderableType
 from rich.live import Live
-from rich.table import Table
 
 from parking_exp.runs.directory import STATUS_FILE
 from parking_exp.runs.run_state import RunState, read_state
-from parking_exp.runs.state_tables import duration, name, under_way
+from parking_exp.runs.state_tables import duration, name, running_lines
 from parking_exp.terminal import console as make_console
 
 POLL_S = 1.0
@@ -33,7 +31,6 @@ class Monitor:
         self._console = console or make_console(stderr=True)
         self._states = {path: read_state(path) for path in find()}
         self._modified: dict[Path, int] = {}  # when status.json was last written, in ns
-        self._begin, self._steps_before = time.monotonic(), self._steps()
         self._live = Live(get_renderable=self._render, console=self._console, refresh_per_second=1, transient=True)
         self._over = threading.Event()
         self._thread = threading.Thread(target=self._watch, daemon=True)
@@ -48,11 +45,10 @@ class Monitor:
         self._over.set()
         self._thread.join()
         self._look()
-        if self._console.is_terminal:
-            self._live.stop()
+        self._live.stop()
 
     def say(self, text: str) -> None:
-        """Print a line, above the table where there is one."""
+        """Print a line, above the running runs."""
         self._console.print(text, soft_wrap=True)
 
     def _watch(self) -> None:
@@ -82,33 +78,12 @@ class Monitor:
                 self.say(f"failed   {run}: {state.reason}  ({self._progress()})")
             case "running":
                 self.say(f"started  {run}{f'  on {state.host}' if state.host else ''}")
-            case stage:
-                step = f"at step {state.step}" if state.step else "before its first checkpoint"
-                self.say(f"{'pruned' if stage == 'pruned' else 'stopped':<8} {run}, {step}")
+            case _:
+                self.say(f"stopped  {run}, {f'at step {state.step}' if state.step else 'before its first checkpoint'}")
 
     def _render(self) -> RenderableType:
-        table = Table.grid(padding=(0, 2))
-        for state in list(self._states.values()):
-            if state.stage == "running":
-                fraction = min(1.0, state.step / state.total_timesteps) if state.total_timesteps else 0.0
-                table.add_row(name(state), f"{'━' * round(20 * fraction):<20}", under_way(state), state.host or "")
-        return Group(table, self._progress())
+        return Group(*running_lines(list(self._states.values())), self._progress())
 
     def _progress(self) -> str:
-        """Return how many runs are over, and the time left at the rate so far."""
-        states = list(self._states.values())
-        over = sum(state.stage in ("done", "failed", "pruned") for state in states)
-        total = max((state.total_timesteps or 0 for state in states), default=0) * self._n_runs
-        steps = self._steps()
-        left = ""
-        if over < self._n_runs and self._steps_before < steps < total:  # afterwards only final evaluations are left
-            seconds = (total - steps) * (time.monotonic() - self._begin) / (steps - self._steps_before)
-            left = f", about {duration(seconds)} left"
-        return f"{over} of {self._n_runs}{left}"
-
-    def _steps(self) -> float:
-        """Return the env steps of all runs so far; a run that has ended counts as if it had trained to the end."""
-        return sum(
-            state.step if state.stage in ("running", "pending") else state.total_timesteps or 0
-            for state in list(self._states.values())
-        )
+        over = sum(state.stage in ("done", "failed") for state in list(self._states.values()))
+        return f"{over} of {self._n_runs}"

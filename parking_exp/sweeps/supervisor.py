@@ -9,9 +9,9 @@ import socket
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from typing import IO, Literal
 
@@ -33,28 +33,14 @@ WorkerResult = Literal["done", "failed", "stopped", "elsewhere"]
 Stop = Callable[[], bool]
 
 
-@dataclass(frozen=True)
-class WorkerResources:
-    """What a worker may use: cores (none: all) with a thread each, and CUDA devices (None: all)."""
-
-    cores: Sequence[int] = ()
-    devices: Sequence[str] | None = None
-
-    def environment(self) -> dict[str, str]:
-        """Return the environment variables that set threads and devices."""
-        variables = dict.fromkeys(THREAD_VARIABLES, str(len(self.cores))) if self.cores else {}
-        if self.devices is not None:
-            variables["CUDA_VISIBLE_DEVICES"] = ",".join(self.devices)
-        return variables
-
-
-def supervise(path: Path, stop: Stop, resources: WorkerResources = WorkerResources()) -> WorkerResult:
+def supervise(path: Path, stop: Stop, cores: Sequence[int] = (), device: str | None = None) -> WorkerResult:
     """Train one run in a fresh process, and record in its directory how it ended.
 
     Args:
         path: the run directory, with its frozen config.
         stop: polled; once it returns true, the run saves a checkpoint and exits, or is killed after GRACE_S.
-        resources: the whole machine by default.
+        cores: for the worker, with a thread each; none: all.
+        device: CUDA device for the worker; None: all.
     """
     directory = RunDirectory(path)
     if directory.under_way:
@@ -63,12 +49,12 @@ def supervise(path: Path, stop: Stop, resources: WorkerResources = WorkerResourc
         with directory.supervisor_lock():
             if (status := directory.status) in ("done", "failed"):
                 return status  # by another sweep, since this one was planned
-            return _run(directory, resources, stop)
+            return _run(directory, partial(_start, path, cores, device), stop)
     except RunLockedError:
         return "elsewhere"
 
 
-def _run(directory: RunDirectory, resources: WorkerResources, stop: Stop) -> WorkerResult:
+def _run(directory: RunDirectory, start: Callable[[IO[bytes]], subprocess.Popen[bytes]], stop: Stop) -> WorkerResult:
     try:
         config = directory.config()
         if config.run_dir != directory_path(directory.path):
@@ -81,7 +67,7 @@ def _run(directory: RunDirectory, resources: WorkerResources, stop: Stop) -> Wor
     started_at = {"host": socket.gethostname(), "started": time.time()}
     directory.update(status="running", error=None, killed=None, **started_at)
     with (directory.path / LOG_FILE).open("ab") as log:
-        process = _start(directory.path, resources, log)
+        process = start(log)
         try:
             directory.update(pid=process.pid)
             cause = _wait(process, config.timeout_s, stop)
@@ -138,27 +124,34 @@ def _result(directory: RunDirectory, code: int, cause: str | None, timeout_s: fl
     return "failed"
 
 
-def _start(path: Path, resources: WorkerResources, log: IO[bytes]) -> subprocess.Popen[bytes]:
+def _start(path: Path, cores: Sequence[int], device: str | None, log: IO[bytes]) -> subprocess.Popen[bytes]:
     root = str(Path(__file__).resolve().parents[2])
     paths = [root, *filter(None, os.environ.get("PYTHONPATH", "").split(os.pathsep))]
-    environment = {**os.environ, **resources.environment(), "PYTHONPATH": os.pathsep.join(paths)}
-    cores = ",".join(map(str, resources.cores))
-    command = [sys.executable, "-m", "parking_exp.sweeps.worker", str(path), str(os.getpid()), cores]
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(paths)}
+    if cores:
+        environment |= dict.fromkeys(THREAD_VARIABLES, str(len(cores)))
+    if device is not None:
+        environment["CUDA_VISIBLE_DEVICES"] = device
+    arguments = [str(path), str(os.getpid()), ",".join(map(str, cores))]
     # A session of its own: Ctrl-C in the terminal reaches the supervisor alone, which passes it on.
     return subprocess.Popen(
-        command, env=environment, stdin=subprocess.DEVNULL, stdout=log, stderr=subprocess.STDOUT, start_new_session=True
+        [sys.executable, "-m", "parking_exp.sweeps.worker", *arguments],
+        env=environment,
+        stdin=subprocess.DEVNULL,
+        stdout=log,
+        stderr=subprocess.STDOUT,
+        start_new_session=True,
     )
 
 
-@contextmanager
-def stop_of_job() -> Iterator[Stop]:
-    """Yield a function that returns whether a signal has asked this job to stop.
+def supervise_job(path: Path) -> None:
+    """Train the run of a directory, as a job of a cluster.
 
     Raises:
-        KeyboardInterrupt: at the end, if one has; not an Exception, so that launchers start no further job.
+        KeyboardInterrupt: a signal stopped it; not an Exception, so that launchers start no further job.
     """
     signals = (signal.SIGINT, signal.SIGTERM, signal.SIGUSR2)  # submitit sends the last when the time is nearly up
     with stop_on_signal(None, signals) as request:
-        yield lambda: request.is_made
+        supervise(path, lambda: request.is_made)
     if request.is_made:
         raise KeyboardInterrupt

@@ -13,14 +13,13 @@ from rich.console import Console
 
 from parking_exp.config.cell_labels import label_by_experiment, settings_of
 from parking_exp.config.compose import Composed
-from parking_exp.config.overrides import in_quotes
 from parking_exp.config.schema import RunConfig
 from parking_exp.config.validate import validate_all
 from parking_exp.errors import FailedRunError, plural
 from parking_exp.runs.directory import RunDirectory
-from parking_exp.runs.run_state import RunState, Stage, by_cell, counts, read_state
-from parking_exp.runs.state_tables import cell_table, damaged_lines, duration, failure_lines, stopped_lines
-from parking_exp.sweeps.hydra_launcher import Launch
+from parking_exp.runs.run_state import RunState, Stage, counts, read_state
+from parking_exp.runs.state_tables import cell_table, damaged_lines, failure_lines, stopped_lines
+from parking_exp.sweeps.hydra_launcher import Launcher
 from parking_exp.sweeps.monitor import Monitor
 from parking_exp.terminal import console
 from parking_exp.tracking.mirror import mirror_problem
@@ -72,8 +71,8 @@ def plan(composed: Sequence[Composed], retry: str | None = None) -> list[Planned
     return list(runs.values())
 
 
-def describe(runs: Sequence[PlannedRun], launch: Launch, out: Console) -> None:
-    """Print the plan: cells x seeds, what is done, what will run, and how long that may take."""
+def describe(runs: Sequence[PlannedRun], out: Console) -> None:
+    """Print the plan: cells x seeds, what is done, and what will run."""
     states = [run.state.model_copy(update={"label": run.label}) for run in runs]
     out.print(cell_table(states))
     for line in damaged_lines(states):
@@ -86,32 +85,10 @@ def describe(runs: Sequence[PlannedRun], launch: Launch, out: Console) -> None:
     failed = by_stage["failed"] - sum(run.state.stage == "failed" for run in due)
     parts = [f"{by_stage['done']} done", f"{by_stage['running']} running elsewhere" if by_stage["running"] else ""]
     parts += [f"{failed} failed before (retry=failed runs them again)" if failed else "", f"{len(due)} to run"]
-    estimate = duration_estimate(states, due, launch.n_jobs) if due else ""
-    out.print(f"{product} = {plural(len(runs), 'run')}: {', '.join(filter(None, parts))}{estimate}")
+    out.print(f"{product} = {plural(len(runs), 'run')}: {', '.join(filter(None, parts))}")
 
 
-def duration_estimate(states: Sequence[RunState], due: Sequence[PlannedRun], n_jobs: int | None) -> str:
-    """Return how long the due runs may take, judged by the finished runs of their cell, or else of the sweep."""
-    finished = [state for state in states if state.stage == "done" and state.wall_s and state.step]
-    if not finished:
-        return "; no run has finished yet to estimate the time from"
-    rates = {key: _seconds_per_step(runs) for key, runs in by_cell(finished)}
-    rate = _seconds_per_step(finished)
-    seconds = sum(
-        rates.get((run.state.experiment, run.state.cell), rate) * (run.config.total_timesteps - run.state.step)
-        for run in due
-    )
-    if n_jobs is None:
-        return f", about {duration(seconds)} of work"
-    parallel = f" with {n_jobs} at a time" if n_jobs > 1 else ""
-    return f", about {duration(seconds / min(n_jobs, len(due)))}{parallel}"
-
-
-def _seconds_per_step(states: Sequence[RunState]) -> float:
-    return sum(state.wall_s or 0 for state in states) / sum(state.step for state in states)
-
-
-def sweep(runs: Sequence[PlannedRun], launch: Launch, *, dry_run: bool = False) -> None:
+def sweep(runs: Sequence[PlannedRun], launcher: Launcher, *, dry_run: bool = False) -> None:
     """Print the plan, run what is due, and print the results.
 
     Raises:
@@ -119,7 +96,7 @@ def sweep(runs: Sequence[PlannedRun], launch: Launch, *, dry_run: bool = False) 
         InterruptedRunError: a signal stopped it.
     """
     out, paths = console(), [run.path for run in runs]
-    describe(runs, launch, out)
+    describe(runs, out)
     if dry_run:
         return
     due = [run for run in runs if run.is_due]
@@ -128,7 +105,7 @@ def sweep(runs: Sequence[PlannedRun], launch: Launch, *, dry_run: bool = False) 
     try:
         if due:
             with Monitor(lambda: paths, len(paths)) as monitor:
-                _launch_all([run.path for run in due], launch, monitor)
+                _launch_all([run.path for run in due], launcher, monitor)
                 sync_store(paths, [run.config for run in runs], monitor)
     finally:
         states = [read_state(path) for path in paths]
@@ -139,19 +116,17 @@ def sweep(runs: Sequence[PlannedRun], launch: Launch, *, dry_run: bool = False) 
     _check_all_done(states)
 
 
-def _launch_all(due: list[Path], launch: Launch, monitor: Monitor) -> None:
+def _launch_all(due: list[Path], launcher: Launcher, monitor: Monitor) -> None:
     """Launch what is due, wait for runs that other sweeps have taken, and resume those that they leave."""
     while due:
         free = [path for path in due if read_state(path).stage != "running"]
         if free:
-            values, problem = launch.jobs([[f"run={in_quotes(str(path))}"] for path in free])
-            results = dict(zip(free, values, strict=False))  # a launcher that broke returns nothing
-            if problem:
+            if problem := launcher.train(free):
                 monitor.say(f"error: {problem}")
-            due = [path for path in due if path not in free or results.get(path) == "elsewhere"]
         else:
             time.sleep(POLL_S)
-        due = [path for path in due if read_state(path).stage in ("running", "pending")]
+        stages = {path: read_state(path).stage for path in due}
+        due = [path for path in due if stages[path] == "running" or (stages[path] == "pending" and path not in free)]
 
 
 def sync_store(paths: Sequence[Path], configs: Sequence[RunConfig], monitor: Monitor) -> None:
@@ -165,12 +140,10 @@ def sync_store(paths: Sequence[Path], configs: Sequence[RunConfig], monitor: Mon
 def _check_all_done(states: Sequence[RunState]) -> None:
     """Raise FailedRunError unless every run is done."""
     by_stage = counts(states)
-    if by_stage["done"] == len(states):
-        return
     words: dict[Stage, str] = {"failed": "failed", "pending": "not done", "running": "still running"}
-    parts = [f"{by_stage[stage]} {word}" for stage, word in words.items() if by_stage[stage]]
-    resumable = by_stage["pending"] or any(state.killed for state in states)
-    retry = any(state.stage == "failed" and not state.killed for state in states)
-    advice = "; rerun the same command to resume" if resumable else ""
-    advice += "; retry=failed runs failed ones again" if retry else ""
+    if not (parts := [f"{by_stage[stage]} {word}" for stage, word in words.items() if by_stage[stage]]):
+        return
+    advice = "; rerun the same command to resume" if by_stage["pending"] or any(s.killed for s in states) else ""
+    if any(state.stage == "failed" and not state.killed for state in states):
+        advice += "; retry=failed runs failed ones again"
     raise FailedRunError(f"of {plural(len(states), 'run')}, {' and '.join(parts)}{advice}")

@@ -3,7 +3,6 @@
 Started as `python -m parking_exp.sweeps.worker RUN_DIR SUPERVISOR_PID CORES` (cores with commas, none for all).
 """
 
-import ctypes
 import faulthandler
 import gc
 import os
@@ -20,8 +19,6 @@ from parking_exp.terminal import say
 from parking_exp.tracking.client import import_mlflow
 
 LOCKED_EXIT = 75  # exit status if another worker, which is about to die, still holds the training lock
-PARENT_POLL_S = 0.5
-PR_SET_PDEATHSIG = 1
 
 
 def main() -> None:
@@ -46,23 +43,19 @@ def main() -> None:
         sys.exit(128 + error.signal_number)
     except RunLockedError:
         sys.exit(LOCKED_EXIT)
-    except FailedRunError as error:
-        say(f"error: {error}", stderr=True)
-        sys.exit(2)
     except ParkingError as error:
-        directory.update(status="failed", error=str(error))
+        if not isinstance(error, FailedRunError):  # which training has recorded
+            directory.update(status="failed", error=str(error))
         say(f"error: {error}", stderr=True)
         sys.exit(2)
 
 
 def _die_with(supervisor: int) -> None:
     """Kill this process when its supervisor is gone."""
-    if sys.platform == "linux":
-        ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
 
     def watch() -> None:
         while os.getppid() == supervisor:
-            time.sleep(PARENT_POLL_S)
+            time.sleep(0.5)
         os.kill(os.getpid(), signal.SIGKILL)
 
     threading.Thread(target=watch, daemon=True).start()

@@ -5,6 +5,7 @@ import shlex
 import time
 from collections.abc import Sequence
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from statistics import mean
 from typing import TYPE_CHECKING
@@ -13,20 +14,21 @@ import yaml
 from rich.console import Console
 from rich.table import Table
 
-from parking_exp.config.overrides import in_quotes
 from parking_exp.config.run_key import result_part
 from parking_exp.errors import ConfigError, FailedRunError, plural
 from parking_exp.runs.atomic_files import write_atomically, write_json
 from parking_exp.runs.directory import RunDirectory
 from parking_exp.runs.lookup import find_runs
 from parking_exp.runs.run_state import read_state
-from parking_exp.sweeps.hydra_launcher import Launch
+from parking_exp.sweeps.hydra_launcher import Launcher
+from parking_exp.sweeps.local import LocalLauncher, run_workers
 from parking_exp.sweeps.monitor import Monitor
 from parking_exp.sweeps.sweep import PlannedRun, sweep, sync_store
 from parking_exp.terminal import console
 from parking_exp.tuning.search import Search, study_in
-from parking_exp.tuning.trial_worker import objective_value
+from parking_exp.tuning.trial_worker import success_auc, work
 from parking_exp.tuning.trials import (
+    OBJECTIVE,
     RETEST_FILE,
     RetestedTrial,
     TrialRow,
@@ -43,31 +45,28 @@ if TYPE_CHECKING:
 POLL_S = 1.0
 
 
-def tune(search: Search, launch: Launch) -> None:
+def tune(search: Search, launcher: Launcher) -> None:
     """Train the remaining trials of a search, retrain the best on test seeds, and write the winner."""
+    if not isinstance(launcher, LocalLauncher):
+        raise ConfigError("a search trains on this machine; leave out hydra/launcher, and start it on several machines")
     search.check()
     out, request = console(), search.request
-    n_trials, objective = request.n_trials, request.search.objective
-    if (n_workers := request.n_workers or launch.n_jobs) is None:
-        raise ConfigError(f"hydra/launcher={launch.name}: set the number of parallel trials, n_workers=N")
+    n_trials, n_workers = request.n_trials, request.n_workers or launcher.n_jobs
+    stored = study_in(search.folder)
+    trials = stored.trials[:n_trials] if stored else []
+    _describe(search, trials, n_workers, out)
     if request.dry_run:
-        stored = study_in(search.folder, request.storage)
-        _describe(search, stored.trials[:n_trials] if stored else [], n_workers, out)
         return
     study = search.open().study
-    trials = rows(study, search.folder, n_trials)
-    _describe(search, trials, n_workers, out)
     search.save()
     if _n_left(trials, n_trials):
-        trials = _train(search, study, launch, n_workers)
-    out.print(trial_table(trials, objective), *progress_lines(trials, objective, n_trials), sep="\n")
-    if left := _n_left(trials, n_trials):
-        raise FailedRunError(f"{plural(left, 'trial')} not over; rerun the same command to resume")
+        trials = _train(search, study, n_workers)
+    out.print(trial_table(trials), *progress_lines(trials, n_trials), sep="\n")
     if not counts(trials)["done"]:
         reason = next((trial.reason for trial in trials if trial.reason), "all were pruned")
         raise FailedRunError(f"no trial is done; the first reason: {reason}")
     if request.search.n_retest:
-        write_winner(search, _retest(search, trials, launch), out)
+        write_winner(search, _retest(search, trials, launcher), out)
     else:
         out.print("search.n_retest=0: no trial is trained on test seeds, and no experiment file is written")
 
@@ -82,78 +81,59 @@ def _describe(search: Search, trials: Sequence[TrialRow], n_workers: int, out: C
     request, settings = search.request, search.request.search
     for key, dimension in settings.space.items():
         out.print(f"{key}: {dimension}")
-    pruner = f"{settings.pruner} after {settings.grace_updates:,} updates" if settings.pruner else "none"
-    out.print(f"objective {settings.objective}; sampler {settings.sampler}, pruner {pruner}")
+    out.print(f"sampler {settings.sampler}, pruner {settings.pruner or 'none'}")
     left = _n_left(trials, request.n_trials)
-    retested = min(settings.n_retest + 1, request.n_trials) if settings.n_retest else 0
     out.print(
         f"{plural(request.n_trials, 'trial')} x {plural(len(settings.tuning_seeds), 'seed')} x "
-        f"{search.base.total_timesteps:,} env steps at most, {plural(n_workers, 'trial')} at a time; at the end "
-        f"{plural(retested * len(settings.test_seeds), 'run')} on test seeds: {request.n_trials - left} trials over, "
-        f"{left} to do"
+        f"{search.base.total_timesteps:,} env steps at most, {plural(n_workers, 'trial')} at a time: "
+        f"{request.n_trials - left} trials over, {left} to do"
     )
 
 
-def _train(search: Search, study: "Study", launch: Launch, n_workers: int) -> list[TrialRow]:
-    """Launch workers while trials are left, wait for trials of other processes, and sync the store in the end."""
-    request, base = search.request, search.base
-    job = [f"study={in_quotes(str(search.folder))}", f"n_trials={request.n_trials}"]
-    if request.storage:
-        job.append(f"storage={in_quotes(request.storage)}")
-    names = {f"seed={seed}" for seed in request.search.tuning_seeds}
+def _train(search: Search, study: "Study", n_workers: int) -> list[TrialRow]:
+    """Train while trials are left, wait for trials of other processes, and sync the store in the end."""
+    base, n_trials = search.base, search.request.n_trials
+    names = {f"seed={seed}" for seed in search.request.search.tuning_seeds}
 
     def runs() -> list[Path]:
         return [path for path in find_runs(base.output_path, base.experiment_name) if path.name in names]
 
-    with Monitor(runs, request.n_trials * len(names)) as monitor:
+    with Monitor(runs, n_trials * len(names)) as monitor:
         try:
-            trials, problem = rows(study, search.folder, request.n_trials), None
-            while (left := _n_left(trials, request.n_trials)) and problem is None:
-                free = left - counts(trials)["running"]
-                if free > 0:
-                    _, problem = launch.jobs([job] * min(n_workers, free))
-                    if problem:
-                        monitor.say(f"error: {problem}")
+            while left := _n_left(trials := rows(study, search.folder, n_trials), n_trials):
+                if (free := left - counts(trials)["running"]) > 0:
+                    run_workers(partial(work, search), min(n_workers, free))
                 else:
                     time.sleep(POLL_S)
-                before, trials = trials, rows(study, search.folder, request.n_trials)
-                if free > 0 and before == trials:  # the launcher did nothing
-                    break
         finally:
             sync_store(runs(), [base], monitor)
     return trials
 
 
-def _retest(search: Search, trials: Sequence[TrialRow], launch: Launch) -> list[RetestedTrial]:
+def _retest(search: Search, trials: Sequence[TrialRow], launcher: Launcher) -> list[RetestedTrial]:
     """Train trial 0 and the best trials on the test seeds, as a sweep, and store the results, best first."""
-    request, settings, retested = search.request, search.request.search, []
-    chosen = chosen_trials(trials, settings.n_retest)
-    configs = {trial.number: search.config(trial.changes) for trial in chosen}
-    planned: list[PlannedRun] = []
-    for seed, trial in itertools.product(settings.test_seeds, chosen):
-        config = configs[trial.number].model_copy(update={"seed": seed})
+    request, planned = search.request, list[PlannedRun]()
+    chosen = chosen_trials(trials, request.search.n_retest)
+    for seed, trial in itertools.product(request.search.test_seeds, chosen):
+        config = search.config(trial.changes).model_copy(update={"seed": seed})
         entries = {"search": search.folder.name, "trial": trial.number}
         state = read_state(config.run_dir)
         planned.append(PlannedRun(config, config.run_dir, trial.label, state, request.retry is not None, entries))
-    sweep(planned, launch)
+    sweep(planned, launcher)
+    retested = []
     for trial in chosen:
-        directories = [RunDirectory(run.path) for run in planned if run.entries["trial"] == trial.number]
-        test = [objective_value(directory, settings.objective) for directory in directories]
+        test = [success_auc(RunDirectory(run.path)) for run in planned if run.entries["trial"] == trial.number]
         retested.append(RetestedTrial(trial.number, trial.label, trial.changes, list(trial.by_seed), test))
     retested.sort(key=lambda trial: (-mean(trial.test), trial.number))
-    seeds = {"tuning_seeds": settings.tuning_seeds, "test_seeds": settings.test_seeds}
-    stored = {"objective": settings.objective, **seeds, "trials": [asdict(trial) for trial in retested]}
-    write_json(search.folder / RETEST_FILE, stored)
+    write_json(search.folder / RETEST_FILE, {"trials": [asdict(trial) for trial in retested]})
     return retested
 
 
 def chosen_trials(trials: Sequence[TrialRow], n_retest: int) -> list[TrialRow]:
     """Return trial 0, if it is done, and the best `n_retest` others, without trials that share the runs of another."""
-    distinct: dict[tuple[str, ...], TrialRow] = {}
-    for trial in ranked(trials):
-        distinct.setdefault(tuple(trial.runs), trial)
-    others = [trial for trial in distinct.values() if trial.number != 0]
-    return [*(trial for trial in distinct.values() if trial.number == 0), *others[:n_retest]]
+    distinct = {tuple(trial.runs): trial for trial in reversed(ranked(trials))}
+    best = ranked([*distinct.values()])
+    return [*(trial for trial in best if trial.number == 0), *[trial for trial in best if trial.number != 0][:n_retest]]
 
 
 def write_winner(search: Search, retested: Sequence[RetestedTrial], out: Console) -> None:
@@ -176,7 +156,7 @@ def write_winner(search: Search, retested: Sequence[RetestedTrial], out: Console
     path = search.folder / f"tuned_{name}.yaml"
     write_atomically(path, head + yaml.safe_dump(experiment, sort_keys=False))
     seeds = plural(len(winner.test), "test seed")
-    out.print(f"the winner is {winner.label}: {search.request.search.objective} {mean(winner.test):.1%} on {seeds}")
+    out.print(f"the winner is {winner.label}: {OBJECTIVE} {mean(winner.test):.1%} on {seeds}")
     out.print(f"experiment     {path}")
     config_dir = ["--config-dir", search.extra_config_dir] if search.extra_config_dir else []
     out.print(f"train it with  {shlex.join(['python', 'scripts/train.py', f'experiment={path}', *config_dir])}")

@@ -1,23 +1,19 @@
-"""The schema of a search: its space in the config and in Optuna, its objective, sampler, pruner and seeds."""
+"""The schema of a search: its space in the config and in Optuna, its sampler, pruner and seeds."""
 
 import json
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
-from pydantic import AfterValidator, Field, model_validator
+from pydantic import Field, model_validator
 
-from parking_exp.config.paths import absolute, refuse_password
 from parking_exp.config.schema import ConfigModel, Count, Name, Positive, SweepOptions
 
 if TYPE_CHECKING:
-    from optuna.trial import BaseTrial
+    from optuna.distributions import BaseDistribution
 
 DIGITS = 6  # of sampled numbers, so that configs stay readable
 Value = bool | int | float | str | None | list[Any] | dict[str, Any]
 Range = Annotated[list[float], Field(min_length=2, max_length=2)]
-Objective = Literal["success_auc", "final_success", "final_parked"]
 Seeds = Annotated[list[Annotated[int, Field(ge=0, lt=2**32)]], Field(min_length=1)]
-Storage = Annotated[str, AfterValidator(lambda uri: absolute(refuse_password(uri)))]
-"""URI of Optuna's storage, without a password: database drivers read it from the environment."""
 
 
 class Dimension(ConfigModel):
@@ -56,14 +52,14 @@ class Dimension(ConfigModel):
         ((form, ends),) = self.model_dump(by_alias=True, exclude_none=True).items()
         return f"{form} {ends}"
 
-    def suggest(self, trial: "BaseTrial", key: str) -> Any:
-        """Return a trial's parameter, sampled if it has none; choices are JSON, since Optuna takes no lists."""
+    def distribution(self) -> "BaseDistribution":
+        """Return the dimension as Optuna's distribution; choices are JSON, since Optuna takes no lists."""
+        from optuna.distributions import CategoricalDistribution, FloatDistribution, IntDistribution
+
         if self.choices is not None:
-            return trial.suggest_categorical(key, [json.dumps(choice) for choice in self.choices])
+            return CategoricalDistribution([json.dumps(choice) for choice in self.choices])
         low, high = self.ends
-        if self.whole is not None:
-            return trial.suggest_int(key, low, high)
-        return trial.suggest_float(key, low, high, log=self.log is not None)
+        return IntDistribution(low, high) if self.whole else FloatDistribution(low, high, log=self.log is not None)
 
     def to_parameter(self, value: Any) -> Any:
         """Return a config's value as Optuna's parameter, or None if it is outside the dimension."""
@@ -91,14 +87,11 @@ class SearchConfig(ConfigModel):
 
     name: Name
     space: Annotated[dict[str, Dimension], Field(min_length=1)]
-    objective: Objective
     sampler: Literal["tpe", "random"]
     pruner: Literal["median"] | None
-    grace_updates: Count
     tuning_seeds: Seeds
     test_seeds: Seeds
     n_retest: Count
-    enqueue: list[dict[str, Value]]
 
     @model_validator(mode="after")
     def _check(self) -> Self:
@@ -116,14 +109,10 @@ class TuneRequest(SweepOptions):
     search: SearchConfig
     n_trials: Positive
     n_workers: Positive | None
-    storage: Storage | None
 
 
 class SearchFile(ConfigModel):
-    """The content of `search.json`, from which workers and other commands find the study and compose trials."""
+    """The content of `search.json`, from which other commands read the search."""
 
-    overrides: list[str] = Field(default_factory=list)
-    extra_config_dir: str | None = None
-    storage: str | None = None
     n_trials: int
     search: SearchConfig

@@ -1,15 +1,14 @@
 """The study of a search: Optuna's record of its trials, and which process works on which trial.
 
-The study is a journal file in the experiment's folder, or is in the database of `storage`. A process holds a lock file
-while it works on a trial; once that process has died, another one resumes the trial. Optuna's own heartbeat is for
-`study.optimize` on databases only.
+The study is a journal file in the experiment's folder. A process holds a lock file while it works on a trial; once that
+process has died, another one resumes the trial.
 """
 
 import json
 import os
 import warnings
 import zlib
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, cast
@@ -27,10 +26,8 @@ if TYPE_CHECKING:
     from optuna.samplers import BaseSampler
 
 STUDY_FILE, CLAIM_LOCK, TRIALS_FOLDER = "study.journal", ".claiming", ".trials"
-Values = Callable[[Mapping[str, Any]], Mapping[str, Any]]
 DEFINITION = "definition"  # attribute of a study
-# Attributes of a trial.
-CHANGES, RUNS, REASON, SEED_VALUES, STEPS, CPU_S = "changes", "runs", "reason", "by_seed", "env_steps", "cpu_s"
+CHANGES, RUNS, REASON, SEED_VALUES = "changes", "runs", "reason", "by_seed"  # attributes of a trial
 
 
 class OpenStudy(NamedTuple):
@@ -63,8 +60,8 @@ class _JournalLock:
 
 
 @contextmanager
-def storage_errors(name: str) -> Iterator[None]:
-    """Turn all other errors, which may come from any database driver, into a StoreError."""
+def study_errors(name: str) -> Iterator[None]:
+    """Turn all errors of reading a journal, which may be damaged in any way, into a StoreError."""
     try:
         yield
     except ParkingError:
@@ -74,8 +71,8 @@ def storage_errors(name: str) -> Iterator[None]:
         raise StoreError(f"the study {name} can't be used: {line}") from error
 
 
-def storage_of(folder: Path, uri: str | None) -> Any:
-    """Return the storage of a study: the database at a URI, or without one the journal in the search's folder.
+def storage_of(folder: Path) -> Any:
+    """Return the storage of a study: the journal in the search's folder.
 
     Raises:
         UntrustedError: a file of the search is a symbolic link that leads out of its folder.
@@ -87,65 +84,59 @@ def storage_of(folder: Path, uri: str | None) -> Any:
     path = folder / STUDY_FILE
     # Not all files of the folder: those of cells may be on another disk.
     refuse_links((file for names in (".*", "study.*", f"{TRIALS_FOLDER}/*") for file in folder.glob(names)), folder)
-    with storage_errors(folder.name):
-        folder.mkdir(parents=True, exist_ok=True)
-        if uri is not None:
-            return optuna.storages.get_storage(uri)
-        path.touch()
-        return JournalStorage(JournalFileBackend(str(path), lock_obj=cast(Any, _JournalLock(path))))
+    folder.mkdir(parents=True, exist_ok=True)
+    path.touch()
+    return JournalStorage(JournalFileBackend(str(path), lock_obj=cast(Any, _JournalLock(path))))
 
 
-def open_study(folder: Path, search: SearchConfig, base: RunConfig, values: Values, storage: Any) -> OpenStudy:
-    """Return the study of a search; create it, with trial 0 and the enqueued configs, if there is none.
+def open_study(folder: Path, search: SearchConfig, base: RunConfig, values: Mapping[str, Any]) -> OpenStudy:
+    """Return the study of a search; create it, with trial 0, the unchanged config, if there is none.
 
     Args:
         folder: of the experiment.
         base: the config that trials change.
-        values: changes -> value of each key of the space in the config with these changes.
+        values: value of each key of the space in this config.
 
     Raises:
-        ConfigError: the study was made with another space, objective, seeds or base config.
+        ConfigError: the study was made with another space, seeds or base config.
+        StoreError: the journal can't be read.
     """
     import optuna
+    from optuna.trial import TrialState, create_trial
 
     name = folder.name
-    with FileLock(folder / CLAIM_LOCK), storage_errors(name):
-        study = optuna.create_study(storage=storage, study_name=name, direction="maximize", load_if_exists=True)
-        definition = _definition(search, base)
-        known = study.user_attrs.get(DEFINITION)
-        if known is None:
-            study.set_user_attr(DEFINITION, definition)
-        elif differing := [key for key in {**known, **definition} if known.get(key) != definition.get(key)]:
-            raise ConfigError(
-                f"the study {name} was made with another {', '.join(differing)}; restore that to resume it, or start "
-                "another study with experiment_name=OTHER"
-            )
-        for changes in [{}, *search.enqueue][len(study.get_trials(deepcopy=False)) :]:
-            _enqueue(study, search, changes, values(changes))
+    with study_errors(name):
+        storage = storage_of(folder)
+        with FileLock(folder / CLAIM_LOCK):
+            study = optuna.create_study(storage=storage, study_name=name, direction="maximize", load_if_exists=True)
+            definition = _definition(search, base)
+            known = study.user_attrs.get(DEFINITION)
+            if known is None:
+                study.set_user_attr(DEFINITION, definition)
+            elif differing := [key for key in {**known, **definition} if known.get(key) != definition.get(key)]:
+                raise ConfigError(
+                    f"the study {name} was made with another {', '.join(differing)}; restore that to resume it, or "
+                    "start another study with experiment_name=OTHER"
+                )
+            if not study.get_trials(deepcopy=False):
+                parameters = {key: dimension.to_parameter(values[key]) for key, dimension in search.space.items()}
+                inside = {key: value for key, value in parameters.items() if value is not None}
+                distributions = {key: search.space[key].distribution() for key in inside}
+                # Running, and in no process's hands: it is claimed as an abandoned trial is.
+                study.add_trial(
+                    create_trial(
+                        state=TrialState.RUNNING, params=inside, distributions=distributions, user_attrs={CHANGES: {}}
+                    )
+                )
     return OpenStudy(study, storage, folder)
 
 
 def _definition(search: SearchConfig, base: RunConfig) -> dict[str, Any]:
-    """Return what must not change for trials to be comparable: objective, seeds, space and base config."""
+    """Return what must not change for trials to be comparable: seeds, space and base config."""
     plain = json.loads(search.model_dump_json(by_alias=True, exclude_none=True))
-    definition = {f"search.{key}": plain[key] for key in ("objective", "tuning_seeds", "enqueue")}
-    definition |= {f"search.space.{key}": value for key, value in plain["space"].items()}
-    return definition | {"base config": base.model_copy(update={"seed": 0}).run_key}
-
-
-def _enqueue(study: "Study", search: SearchConfig, changes: Mapping[str, Any], values: Mapping[str, Any]) -> None:
-    """Add a waiting trial, with the parameters that are inside the space, so that samplers know them."""
-    from optuna.trial import FixedTrial, TrialState, create_trial
-
-    parameters = {key: dimension.to_parameter(values[key]) for key, dimension in search.space.items()}
-    parameters = {key: parameter for key, parameter in parameters.items() if parameter is not None}
-    fixed = FixedTrial(parameters)
-    for key in parameters:
-        search.space[key].suggest(fixed, key)
-    trial = create_trial(
-        state=TrialState.WAITING, params=fixed.params, distributions=fixed.distributions, user_attrs={CHANGES: changes}
-    )
-    study.add_trial(trial)
+    definition = {f"search.space.{key}": value for key, value in plain["space"].items()}
+    run_key = base.model_copy(update={"seed": 0}).run_key
+    return definition | {"search.tuning_seeds": search.tuning_seeds, "base config": run_key}
 
 
 def trial_lock_path(folder: Path, number: int) -> Path:
@@ -157,26 +148,24 @@ def claim(opened: OpenStudy, search: SearchConfig, n_trials: int) -> "tuple[Tria
     """Resume an abandoned trial or begin the next one; return it and the lock to release, or None if none is left."""
     import optuna
 
-    study, folder = opened.study, opened.folder
+    study, storage, folder = opened
     with FileLock(folder / CLAIM_LOCK):
-        free = {t.number for t in study.get_trials(deepcopy=False) if not is_held(trial_lock_path(folder, t.number))}
+        held = {number for number in range(n_trials) if is_held(trial_lock_path(folder, number))}
         trials = study.get_trials(deepcopy=False)[:n_trials]  # after the locks: a trial may just have ended
-        abandoned = [t.number for t in trials if t.state.name == "RUNNING" and t.number in free]
-        waiting = [t.number for t in trials if t.state.name == "WAITING"]
-        number = next(iter([*abandoned, *waiting]), len(trials))
+        abandoned = [t.number for t in trials if t.state.name == "RUNNING" and t.number not in held]
+        number = abandoned[0] if abandoned else len(trials)
         if number == n_trials:
             return None
-        study.sampler = make_sampler(search, zlib.crc32(f"{study.study_name} {number}".encode()))
         if abandoned:
-            study_id = opened.storage.get_study_id_from_name(study.study_name)
-            trial = optuna.Trial(study, opened.storage.get_trial_id_from_study_id_trial_number(study_id, number))
+            study_id = storage.get_study_id_from_name(study.study_name)
+            trial = optuna.Trial(study, storage.get_trial_id_from_study_id_trial_number(study_id, number))
         else:
-            trial = study.ask()
-        if CHANGES not in trial.user_attrs:
-            space = search.space.items()
-            changes = {key: dimension.to_value(dimension.suggest(trial, key)) for key, dimension in space}
+            study.sampler = make_sampler(search, zlib.crc32(f"{study.study_name} {number}".encode()))
+            trial = study.ask({key: dimension.distribution() for key, dimension in search.space.items()})
+        if CHANGES not in trial.user_attrs:  # a process may have died before it had sampled all of them
+            changes = {key: search.space[key].to_value(parameter) for key, parameter in trial.params.items()}
             trial.set_user_attr(CHANGES, changes)
-        path = trial_lock_path(folder, trial.number)
+        path = trial_lock_path(folder, number)
         path.parent.mkdir(parents=True, exist_ok=True)
         lock = FileLock(path, thread_local=False)
         lock.acquire()
@@ -192,5 +181,5 @@ def make_sampler(search: SearchConfig, seed: int) -> "BaseSampler":
         return samplers.RandomSampler(seed=seed)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", ExperimentalWarning)
-        # `group`: enqueued trials may lack parameters.
+        # `group`: trial 0 may lack parameters.
         return samplers.TPESampler(multivariate=True, group=True, constant_liar=True, seed=seed)

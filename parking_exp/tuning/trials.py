@@ -3,7 +3,6 @@
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args
 
@@ -13,14 +12,15 @@ from rich.table import Table
 from parking_exp.errors import ConfigError, plural
 from parking_exp.runs.atomic_files import read_object
 from parking_exp.runs.directory import is_held
-from parking_exp.tuning.study import storage_errors, trial_lock_path
+from parking_exp.tuning.study import study_errors, trial_lock_path
 
 if TYPE_CHECKING:
     from optuna import Study
     from optuna.trial import FrozenTrial
 
 TrialState = Literal["done", "pruned", "failed", "running", "pending"]
-STATES: Mapping[str, TrialState] = {"COMPLETE": "done", "PRUNED": "pruned", "FAIL": "failed", "WAITING": "pending"}
+STATES: Mapping[str, TrialState] = {"COMPLETE": "done", "PRUNED": "pruned", "FAIL": "failed"}
+OBJECTIVE = "success_auc"  # in tables, and in files of reports
 Rates = Annotated[list[Annotated[float, Field(ge=0, le=1)]], Field(min_length=1)]
 RETEST_FILE = "retest.json"
 MOST_SHOWN = 15
@@ -33,13 +33,9 @@ class TrialRow:
     Attributes:
         number: 0 is the unchanged config.
         state: `pending` again after its worker was killed.
-        changes: to the search's config.
         parameters: name -> a number or the text of a choice.
         value: mean of the objective over seeds; None unless it is done.
-        by_seed: the objective of each seed.
         runs: run directories, relative to the output directory.
-        env_steps, cpu_s: total of its runs; None if unknown.
-        reason: why it failed.
     """
 
     number: int
@@ -49,8 +45,6 @@ class TrialRow:
     value: FiniteFloat | None = None
     by_seed: Sequence[FiniteFloat] = field(default_factory=list)
     runs: Sequence[str] = field(default_factory=list)
-    env_steps: int | None = None
-    cpu_s: FiniteFloat | None = None
     reason: str | None = None
 
     @property
@@ -74,15 +68,10 @@ class RetestedTrial:
 
 
 def rows(study: "Study", folder: Path, n_trials: int) -> list[TrialRow]:
-    """Return the trials that have begun or are enqueued, of the first `n_trials`."""
-    with storage_errors(study.study_name):
+    """Return trial 0 and those that have begun, of the first `n_trials`."""
+    with study_errors(study.study_name):
         trials = study.get_trials(deepcopy=False)[:n_trials]
     return [_row(trial, folder) for trial in trials]
-
-
-@cache
-def _trial_rows() -> TypeAdapter[TrialRow]:
-    return TypeAdapter(TrialRow)
 
 
 def _row(trial: "FrozenTrial", folder: Path) -> TrialRow:
@@ -97,7 +86,7 @@ def _row(trial: "FrozenTrial", folder: Path) -> TrialRow:
     }
     try:
         parameters = {name: plain_choice(value) for name, value in trial.params.items()}
-        return _trial_rows().validate_python({**entries, "parameters": parameters})
+        return TypeAdapter(TrialRow).validate_python({**entries, "parameters": parameters})
     except ValueError as error:
         entry = error.errors()[0]["loc"][0] if isinstance(error, ValidationError) else "parameters"
         raise ConfigError(f"the study is damaged: trial {trial.number} has no valid {entry}") from error
@@ -131,9 +120,9 @@ def counts(trials: Sequence[TrialRow]) -> dict[TrialState, int]:
     return {state: states.count(state) for state in get_args(TrialState)}
 
 
-def trial_table(trials: Sequence[TrialRow], objective: str) -> Table:
+def trial_table(trials: Sequence[TrialRow]) -> Table:
     """Return the best trials, then running and failed ones: state, value and changes."""
-    table = Table("trial", "state", objective, "changes", box=None, pad_edge=False)
+    table = Table("trial", "state", OBJECTIVE, "changes", box=None, pad_edge=False)
     best, others = ranked(trials), [trial for trial in trials if trial.state in ("running", "failed")]
     for trial in [*best[: max(1, MOST_SHOWN - len(others))], *others[:MOST_SHOWN]]:
         value = "" if trial.value is None else f"{trial.value:.1%}"
@@ -141,11 +130,11 @@ def trial_table(trials: Sequence[TrialRow], objective: str) -> Table:
     return table
 
 
-def progress_lines(trials: Sequence[TrialRow], objective: str, n_trials: int) -> Iterator[str]:
+def progress_lines(trials: Sequence[TrialRow], n_trials: int) -> Iterator[str]:
     """Yield how many trials are in each state, and the best so far."""
     by_state = counts(trials)
     by_state["pending"] += n_trials - len(trials)
     states = ", ".join(f"{number} {state}" for state, number in by_state.items() if number)
     yield f"{plural(n_trials, 'trial')}: {states}"
     for best in ranked(trials)[:1]:
-        yield f"best so far: {best.label} ({objective} {best.value:.1%})"
+        yield f"best so far: {best.label} ({OBJECTIVE} {best.value:.1%})"

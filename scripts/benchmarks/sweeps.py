@@ -11,7 +11,7 @@ from benchmarks.timing import seconds, spread
 from parking_exp.config.compose import composed_runs
 from parking_exp.runs.atomic_files import write_json
 from parking_exp.runs.directory import STATUS_FILE, RunDirectory
-from parking_exp.sweeps.local import launch
+from parking_exp.sweeps.local import LocalLauncher
 from parking_exp.sweeps.sweep import plan
 
 BARE = (
@@ -62,10 +62,9 @@ def _launch_seconds(output_dir: Path, workers: int, *overrides: str) -> float:
     planned = plan(composed_runs("config", [*overrides, f"output_dir={output_dir}"]))
     for run in planned:
         RunDirectory(run.path).freeze(run.config, run.label, None)
-    endings: dict[Path, str] = {}
-    duration = seconds(lambda: endings.update(launch([run.path for run in planned], workers)))
-    if set(endings.values()) != {"done"}:
-        raise RuntimeError(f"a timed run failed: {endings}")
+    duration = seconds(lambda: LocalLauncher(workers).train([run.path for run in planned]))
+    if any(RunDirectory(run.path).status != "done" for run in planned):
+        raise RuntimeError(f"a timed run failed; see {output_dir}")
     return duration
 
 

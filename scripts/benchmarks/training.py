@@ -27,7 +27,8 @@ def tutorial(rounds: int, steps: int) -> dict[str, Any]:
     """Compare training steps per second of the tutorial's recipe, over `steps` on each side after a warm-up."""
     options = ("experiment=tutorial", "torch_threads=1")
     config = compose(*options)
-    peer = _sb3_model(compose(*options, *sb3_classes("sac")), SAC, Monitor(make_env(config.env)))
+    env: Any = config.env
+    peer = _sb3_model(compose(*options, *sb3_classes("sac")), SAC, Monitor(make_env(env)))
     return _training_rates(config, peer, rounds, steps) | {"peer": "plain stable-baselines3 + highway-env"}
 
 
@@ -35,7 +36,8 @@ def fetch_reach(rounds: int, steps: int) -> dict[str, Any]:
     """Compare CPU time per env step, updates included, of FetchReach with the same settings on both sides."""
     options = ("env=fetch_reach", "algorithm=td3", "algorithm.normalize=false", "torch_threads=1")
     config = compose(*options)
-    envs = make_vec_env(config.env.id, config.n_envs)
+    env: Any = config.env
+    envs = make_vec_env(env.id, config.n_envs)
     peer = _sb3_model(compose(*options, *sb3_classes("td3")), TD3, envs)
     entry = _training_rates(config, peer, rounds, steps)
     times = {

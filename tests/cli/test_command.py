@@ -147,7 +147,6 @@ def test_a_built_wheel_works_from_any_directory(tmp_path):
     assert done.returncode == 0, done.stderr
     assert done.stdout.startswith(str(site / "parking_exp" / "conf"))
     assert (elsewhere / "outputs" / "mlflow.db").exists()
-    assert (site / "hydra_plugins" / "parking_launcher" / "__init__.py").exists()
     for name in ("default", "parked"):
         files = {path.name for path in (site / "parking_exp" / "pretrained" / name).iterdir()}
         assert files == {"README.md", "config.yaml", "policy.safetensors"}

@@ -137,37 +137,24 @@ def test_a_running_run_shows_step_rate_time_left_and_host(smoke, tmp_path):
     assert shown.splitlines()[-1] == "running  a seed=0: 400 of 1000 steps, 20 steps/s, 30 s left   here"
 
 
-def search_in(folder, uri, **stored):
-    """Write a search whose study, with one trial, is in a storage."""
-    study = optuna.create_study(study_name=folder.name, storage=storage_of(folder, uri), direction="maximize")
+def search_in(folder, **stored):
+    """Write a search whose study has one trial."""
+    study = optuna.create_study(study_name=folder.name, storage=storage_of(folder), direction="maximize")
     study.add_trial(optuna.trial.create_trial(value=0.5))
-    write_json(folder / "search.json", {"n_trials": 3, "search": SETTINGS, "storage": uri, **stored})
+    write_json(folder / "search.json", {"n_trials": 3, "search": SETTINGS, **stored})
     return study
-
-
-def test_a_database_that_only_a_stored_search_names_is_not_opened(tmp_path):
-    folder, elsewhere = run_dir(tmp_path / "outputs", status="done").parents[1], tmp_path / "elsewhere.db"
-    write_json(folder / "search.json", {"n_trials": 3, "search": SETTINGS, "storage": f"sqlite:///{elsewhere}"})
-    shown = call_script("status", f"output_dir={tmp_path / 'outputs'}")
-    assert shown.returncode == 0, shown.stderr
-    words = f"the study is in sqlite:///{elsewhere}; pass storage=sqlite:///{elsewhere} to read it"
-    assert shown.stdout.splitlines()[-1] == f"search mine: {words}"
-    assert not elsewhere.exists()
-    search_in(folder, f"sqlite:///{elsewhere}")
-    shown = call_script("status", f"output_dir={tmp_path / 'outputs'}", f"storage=sqlite:///{elsewhere}")
-    assert "3 trials: 1 done, 2 pending" in shown.stdout
 
 
 @pytest.mark.parametrize(
     ("stored", "attributes", "problem"),
     [
-        ({"search": SETTINGS | {"objective": ["success_auc", "final_success"]}}, {}, "objective"),
+        ({"search": SETTINGS | {"sampler": "gp"}}, {}, "sampler"),
         ({}, {"changes": ["x"]}, "trial 1 has no valid changes"),
     ],
 )
 def test_a_damaged_search_is_shown_beside_the_runs(tmp_path, stored, attributes, problem):
     folder = run_dir(tmp_path, status="done").parents[1]
-    search_in(folder, None, **stored).add_trial(optuna.trial.create_trial(value=0.5, user_attrs=attributes))
+    search_in(folder, **stored).add_trial(optuna.trial.create_trial(value=0.5, user_attrs=attributes))
     lines = call_script("status", f"output_dir={tmp_path}").stdout.splitlines()
     assert lines[1].split() == ["a", "1"]
     assert lines[-1].startswith("search mine: ")

@@ -44,7 +44,7 @@ def trial(*values, rate=1e-3, buffer="her_future", **attributes):
         values=values or None,
         params=parameters,
         distributions={name: DISTRIBUTIONS[name] for name in parameters},
-        user_attrs={"changes": changes, "env_steps": 800, "cpu_s": 12.5, **attributes},
+        user_attrs={"changes": changes, **attributes},
     )
 
 
@@ -73,7 +73,7 @@ def write_retest(folder, *trials):
 def write_search(folder, **changes):
     folder.mkdir(exist_ok=True)
     plain = settings().model_dump(by_alias=True)
-    write_json(folder / "search.json", {"overrides": [], "storage": None, "n_trials": 3, "search": plain, **changes})
+    write_json(folder / "search.json", {"n_trials": 3, "search": plain, **changes})
 
 
 @pytest.fixture
@@ -84,10 +84,10 @@ def folder(tmp_path):
     return path
 
 
-def add(folder, *trials, uri=None):
-    """Add trials to the study in a storage."""
+def add(folder, *trials):
+    """Add trials to the study."""
     optuna.create_study(
-        study_name="smoke", storage=storage_of(folder, uri), direction="maximize", load_if_exists=True
+        study_name="smoke", storage=storage_of(folder), direction="maximize", load_if_exists=True
     ).add_trials(trials)
 
 
@@ -151,16 +151,16 @@ def test_retrained_trials_have_intervals_and_welchs_for_tuning_minus_test(folder
 
 
 def test_figures_and_tables_show_the_trials(folder, tmp_path):
-    search = tuning(folder, [trial(0.45), trial(0.85, rate=2e-3, buffer="replay"), trial(env_steps=8)])
+    search = tuning(folder, [trial(0.45), trial(0.85, rate=2e-3, buffer="replay"), trial()])
     whole = report(tuning=search)
     pictures = draw(whole, tmp_path / "figures", [], OWN)
     assert [picture.name for picture in pictures] == ["optimisation_history", "slices_1", "trial_coordinates"]
     (text,) = search_text(whole)
     assert "3 trials (sampler tpe, pruner none): 2 done, 1 pruned." in text
     assert "learning_rate=0.002, replay” with 85.0 %" in text
-    columns = ("state", "success_auc", "buffer.n_sampled_goal", "env_steps")
+    columns = ("state", "success_auc", "buffer.n_sampled_goal")
     assert [tuple(row[name] for name in columns) for row in written(whole, tmp_path / "tables")["trials"]] == [
-        ("done", "0.45", "4", "800"), ("done", "0.85", "", "800"), ("pruned", "", "4", "8"),
+        ("done", "0.45", "4"), ("done", "0.85", ""), ("pruned", "", "4"),
     ]  # fmt: skip
 
 
@@ -221,17 +221,3 @@ def test_a_search_that_is_damaged_is_left_out_with_a_warning(begun, damage, word
     (warning,) = whole.warnings
     assert warning.startswith("The search of smoke is left out: ") and words in warning
     assert replace(whole, warnings=plain.warnings) == plain
-
-
-def test_a_study_is_read_from_the_storage_that_is_passed_and_from_no_other(folder, tmp_path):
-    uri = f"sqlite:///{tmp_path}/elsewhere.db"
-    write_search(folder, storage=uri)
-    plain = report("smoke")
-    (warning,) = with_search(plain, folder.parent).warnings
-    assert warning.endswith(f"pass storage={uri} to read it.")
-    assert not (tmp_path / "elsewhere.db").exists()
-    add(folder, trial(0.5), uri=uri)
-    assert [trial.value for trial in with_search(plain, folder.parent, uri).tuning.trials] == [0.5]
-    write_search(folder, storage="nonsense+driver://me@localhost/studies")
-    (warning,) = with_search(report("smoke"), folder.parent, "nonsense+driver://me@localhost/studies").warnings
-    assert warning.startswith("The search of smoke is left out: ")

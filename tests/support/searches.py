@@ -10,14 +10,11 @@ from support.runs import make_config
 SETTINGS = {
     "name": "test",
     "space": {"algorithm.gamma": {"uniform": [0.9, 0.99]}},
-    "objective": "success_auc",
     "sampler": "tpe",
     "pruner": None,
-    "grace_updates": 0,
     "tuning_seeds": [1001, 1002],
     "test_seeds": [2001, 2002],
     "n_retest": 1,
-    "enqueue": [],
 }
 QUICK = (
     "search=smoke", "total_timesteps=60", "evaluation.final_n_scenes=3", "evaluation.every_n_steps=20",

@@ -1,7 +1,6 @@
 """One contract for all launchers: what runs, what fails, and what a rerun resumes."""
 
 import os
-import pickle
 import shutil
 import signal
 import subprocess
@@ -73,7 +72,7 @@ def test_every_run_is_trained_failures_are_reported_and_nothing_is_done_twice(tm
     assert trained(tmp_path) == [1, 1, 1]
 
 
-@pytest.mark.parametrize("launcher", [BASIC, SLURM, SLURM_CLUSTER], indirect=True, ids=":".join)
+@pytest.mark.parametrize("launcher", [SLURM, SLURM_CLUSTER], indirect=True, ids=":".join)
 @pytest.mark.slow
 def test_a_rerun_resumes_a_sweep_that_was_killed(tmp_path, launcher):
     process = begin(tmp_path, "seeds=3", *SLOW, *launcher)
@@ -85,7 +84,7 @@ def test_a_rerun_resumes_a_sweep_that_was_killed(tmp_path, launcher):
     wait_until(lambda: stages(tmp_path) == ["done"] * 3)  # submitit's jobs outlive the sweep that submitted them
 
 
-@pytest.mark.parametrize("launcher", [BASIC, SLURM, SLURM_CLUSTER], indirect=True, ids=":".join)
+@pytest.mark.parametrize("launcher", [SLURM, SLURM_CLUSTER], indirect=True, ids=":".join)
 @pytest.mark.slow
 def test_ctrl_c_saves_what_is_under_way(tmp_path, launcher):
     process = begin(tmp_path, "seeds=2", *SLOW[:2], "checkpoint.every_n_steps=null", *launcher)
@@ -114,7 +113,7 @@ def test_a_job_that_is_killed_is_reported_in_one_sentence_and_the_sweep_returns(
 def fake(tmp_path, monkeypatch):
     """Put shell scripts on PATH: the n-th call of a command does its n-th line, further ones its last."""
     monkeypatch.setenv("PATH", str(tmp_path), prepend=os.pathsep)
-    monkeypatch.setattr(slurm_launcher, "SLURM_POLL_S", 0)
+    monkeypatch.setitem(slurm_launcher.POLL_S, "slurm", 0)
 
     def write(name, *lines):
         cases = "".join(f"{number}) {line};;\n" for number, line in enumerate(lines[:-1], 1))
@@ -125,50 +124,32 @@ def fake(tmp_path, monkeypatch):
         )
         path.chmod(0o755)
 
+    write("srun", "true")
     return write
 
 
-@pytest.fixture
-def job(tmp_path):
-    """A job of Slurm that has no result yet."""
-    submitit = pytest.importorskip("submitit")
-    folder = tmp_path / "submitit"
-    folder.mkdir()
-    return submitit.SlurmJob(folder, job_id="7_1", tasks=[0])
-
-
-def calls(tmp_path):
-    return (tmp_path / "calls").read_text().split()
-
-
-def test_a_job_is_waited_for_while_squeue_lists_or_fails_and_until_it_has_a_result(tmp_path, fake, job, capsys):
-    fail = "echo no controller >&2; exit 1"
-    fake("squeue", "echo 7_1; echo 7_10", fail, fail, "echo 7_1", "echo 7_10")
-    slurm_launcher._wait([job])
-    assert calls(tmp_path) == ["squeue"] * 5
-    assert capsys.readouterr().err.count("warning: ") == 1
-    job.paths.result_pickle.write_bytes(pickle.dumps(("success", "done")))
-    slurm_launcher._wait([job])
-    assert calls(tmp_path) == ["squeue"] * 5  # a job with a result is not asked about
-
-
-def test_arrays_wait_for_each_other_and_one_that_slurm_refuses_cancels_those_before_it(tmp_path, fake, monkeypatch):
+def train_on_slurm(tmp_path, n_jobs=None):
+    """Train two runs, which the fake Slurm never starts."""
     pytest.importorskip("submitit")
-    monkeypatch.setattr(slurm_launcher, "MAX_ARRAY_SIZE", 1)
-    fake("srun", "true")
+    launcher = slurm_launcher.SlurmLauncher("slurm", n_jobs, str(tmp_path / "submitit"), {"mem_gb": 1})
+    problem = launcher.train([tmp_path / f"seed={seed}" for seed in range(2)])
+    return problem, (tmp_path / "calls").read_text().split()
+
+
+def test_a_job_is_waited_for_while_squeue_lists_it_or_fails_and_its_log_is_named(tmp_path, fake, capsys):
+    fake("sbatch", "echo Submitted batch job 7", "echo Submitted batch job 8")
+    fake("squeue", "echo 7; echo 70", "echo no controller >&2; exit 1", "echo 70", "echo 8", "true")
+    problem, calls = train_on_slurm(tmp_path, n_jobs=1)
+    assert calls == ["sbatch", *["squeue"] * 3, "sbatch", *["squeue"] * 2]
+    assert capsys.readouterr().err.count("warning: ") == 1
+    assert problem.startswith("2 of 2 jobs ended early, stopped by Slurm or a signal; the first log: ")
+    assert problem.endswith(f"{tmp_path}/submitit/7/7_0_log.err")
+
+
+def test_a_job_that_slurm_refuses_cancels_those_before_it(tmp_path, fake):
     fake("sbatch", "echo Submitted batch job 7", "echo over the limit >&2; exit 1")
     fake("scancel", f"echo $2 >> {tmp_path}/calls")
     fake("squeue", "true")
     with pytest.raises(FailedRunError, match="over the limit"):
-        slurm_launcher.launch(str.upper, ["a", "b"], "slurm", None, tmp_path / "submitit", {"mem_gb": 1})
-    assert calls(tmp_path) == ["sbatch", "squeue", "sbatch", "scancel", "7", "squeue"]
-
-
-def test_what_a_job_raised_or_left_unreadable_is_an_error_of_that_job_with_its_log(job):
-    for content in (pickle.dumps(("error", "Traceback:\n  File x\nValueError: a bad day\n")), b"no pickle"):
-        job.paths.result_pickle.write_bytes(content)
-        error = slurm_launcher._result(job)
-        assert isinstance(error, FailedRunError)
-        assert str(job.paths.stderr) in str(error)
-    job.paths.result_pickle.write_bytes(pickle.dumps(("success", "done")))
-    assert slurm_launcher._result(job) == "done"
+        train_on_slurm(tmp_path)
+    assert (tmp_path / "calls").read_text().split() == ["sbatch", "sbatch", "scancel", "7", "squeue"]

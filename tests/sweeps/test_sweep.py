@@ -3,7 +3,6 @@
 import io
 import json
 import os
-import re
 import signal
 import subprocess
 import time
@@ -15,7 +14,8 @@ from support.sweep_processes import QUICK, SLOW, begin, stages, statuses, sweep,
 from parking_exp.config.compose import composed_runs
 from parking_exp.runs.directory import RunDirectory
 from parking_exp.runs.run_state import read_state
-from parking_exp.sweeps.local import launch
+from parking_exp.sweeps.hydra_launcher import launcher_of
+from parking_exp.sweeps.local import LocalLauncher
 from parking_exp.sweeps.monitor import Monitor
 from parking_exp.sweeps.sweep import plan
 from parking_exp.terminal import Screen
@@ -43,7 +43,7 @@ def test_a_rerun_does_only_what_is_missing_and_retry_runs_a_failed_run_again(tmp
     assert "1 cell x 2 seeds = 2 runs: 2 done, 0 to run" in rerun.stdout
     assert statuses(tmp_path) == before
     planned = call_script(*command[:-1], "seeds=3", "algorithm=sac,td3", "dry_run=true")
-    assert re.search(r"6 runs: 2 done, 4 to run, about \d+ s", planned.stdout)
+    assert "6 runs: 2 done, 4 to run" in planned.stdout
 
 
 @pytest.mark.slow
@@ -165,7 +165,8 @@ def test_a_run_whose_frozen_config_is_broken_or_of_another_run_fails(tmp_path):
         RunDirectory(run.path).freeze(config, run.label, None)
     (broken.path / "config.yaml").write_text("a: [b")
     paths = [broken.path, another.path]
-    assert launch(paths, n_jobs=1) == dict.fromkeys(paths, "failed")
+    LocalLauncher(1).train(paths)
+    assert [read_state(path).stage for path in paths] == ["failed"] * 2
     assert all(str(path / "config.yaml") in read_state(path).reason for path in paths)
 
 
@@ -217,10 +218,9 @@ def test_a_sweep_or_launcher_that_is_wrong_is_refused_before_anything_is_made(tm
     assert list(tmp_path.iterdir()) == []
 
 
-def test_keys_of_submitit_that_the_yaml_lists_or_that_are_added_are_accepted(tmp_path):
-    parameters = ("hydra.launcher.parameters.slurm_qos=high", "+hydra.launcher.parameters.slurm_nodelist=n1")
-    done = call_script("train", *QUICK, f"output_dir={tmp_path}", "seeds=2", *SLURM, *parameters, "dry_run=true")
-    assert (done.returncode, done.stderr) == (0, "")
+def test_keys_of_submitit_that_the_yaml_lists_or_that_are_added_are_accepted():
+    keys = ("hydra.launcher.parameters.slurm_qos=high", "+hydra.launcher.parameters.slurm_nodelist=n1")
+    assert launcher_of([*SLURM, *keys]).parameters["slurm_nodelist"] == "n1"
 
 
 @pytest.mark.slow

@@ -1,7 +1,5 @@
 """A search and the configs of its trials, validated before anything starts."""
 
-import json
-
 import pytest
 from support.runs import make_config, options
 from support.searches import user_search
@@ -19,7 +17,6 @@ def refused(search):
 
 
 def test_a_trial_has_the_config_that_train_composes_from_the_same_keys(tmp_path):
-    search = Search([*SMOKE, f"output_dir={tmp_path}"])
     schedule = {"_target_": "stable_baselines3.common.utils.LinearSchedule", "start": 0.002, "end": 1e-5}
     changes = {
         "algorithm": "td3",
@@ -28,52 +25,31 @@ def test_a_trial_has_the_config_that_train_composes_from_the_same_keys(tmp_path)
         "algorithm.policy_ema_half_life": None,
         "buffer.goal_selection_strategy": "final",
     }
+    space = {key: {"choices": [value]} for key, value in changes.items()}
+    search = user_search(tmp_path, [f"output_dir={tmp_path}"], space=space)
     lines = ["end_fraction:1.0", *(f"{key}:{value}" for key, value in schedule.items())]
     keys = (
         "algorithm=td3", "algorithm.net_arch=[8,8]", "algorithm.policy_ema_half_life=null",
         "buffer.goal_selection_strategy=final", f"algorithm.learning_rate={{{','.join(lines)}}}",
     )  # fmt: skip
-    search.request.search.enqueue.append(changes)
-    plain = make_config("experiment=smoke", "total_timesteps=200", "evaluation.every_n_steps=50", *keys)
-    assert search.config(changes).run_key == plain.run_key
+    assert search.config(changes).run_key == make_config("experiment=smoke", *keys).run_key
     assert search.config(changes).algorithm.name == "td3"
-    assert search.folder == tmp_path / "smoke"
-    assert search.values({}) == {  # of trial 0
-        "algorithm": "sac", "algorithm.learning_rate": 0.003, "algorithm.gamma": search.base.algorithm.arguments["gamma"],
-        "algorithm.net_arch": [16, 16], "buffer.n_sampled_goal": 2,
-    }  # fmt: skip
+    assert search.folder == tmp_path / "mine"
 
 
-def test_a_worker_loads_the_search_from_another_working_directory(tmp_path, monkeypatch):
-    (tmp_path / "here").mkdir()
-    monkeypatch.chdir(tmp_path / "here")
+def test_trial_0_has_the_values_of_the_unchanged_config_and_other_commands_read_the_last_call(tmp_path):
     for n_trials in (7, 3):
-        search = Search([*SMOKE, "output_dir=out", "storage=sqlite:///study.db", f"n_trials={n_trials}"])
+        search = Search([*SMOKE, f"output_dir={tmp_path}", f"n_trials={n_trials}"])
         search.open()
         search.save()
-    monkeypatch.chdir(tmp_path)
-    loaded = Search.load(tmp_path / "here" / "out" / "smoke", search.request.storage)
-    assert loaded.folder == tmp_path / "here" / "out" / "smoke"
-    assert loaded.request.storage == f"sqlite:///{tmp_path / 'here' / 'study.db'}"
-    assert loaded.request.n_trials == study_in(loaded.folder, loaded.request.storage).n_trials == 3
-
-
-@pytest.mark.parametrize("key", ["storage", "tracking.uri"])
-@pytest.mark.parametrize("uri", ["postgresql://me:sec@ret@host:5432/a", "postgresql://me@host/a?password=secret"])
-def test_a_password_in_a_uri_is_refused_without_showing_it(key, uri):
-    search = Search([*SMOKE, f'{key}="{uri}"'])
-    with pytest.raises(ConfigError, match=rf"^{key}: the URI contains a password; .*PGPASSWORD[^\n]*$") as refusal:
-        assert search.request and search.base
-    assert "ret" not in str(refusal.value)
-
-
-def test_a_worker_takes_its_storage_from_its_caller_alone(tmp_path):
-    search = Search([*SMOKE, "storage=postgresql://me@host:5432/a", f"output_dir={tmp_path}"])
-    search.folder.mkdir()
-    search.save()
-    assert json.loads((search.folder / "search.json").read_text())["storage"] == search.request.storage
-    assert Search.load(search.folder, "sqlite:////other.db").request.storage == "sqlite:////other.db"
-    assert Search.load(search.folder, None).request.storage is None
+    stored = study_in(search.folder)
+    assert stored.n_trials == 3
+    (trial,) = stored.trials
+    assert (trial.state, trial.changes) == ("pending", {})
+    assert trial.parameters == {
+        "algorithm": "sac", "algorithm.learning_rate": 0.003, "algorithm.gamma": search.base.algorithm.arguments["gamma"],
+        "algorithm.net_arch": "[16, 16]", "buffer.n_sampled_goal": 2,
+    }  # fmt: skip
 
 
 @pytest.mark.parametrize("name", options("search"))
@@ -109,7 +85,6 @@ def test_a_wrong_override_is_named(overrides, words):
     [
         ({"space": {"algorithm.gama": {"uniform": [0.9, 0.99]}}}, "search.space.algorithm.gama: "),
         ({"space": {"algorithm.gamma": {"uniform": [0.9, 1.5]}}}, "search.space.algorithm.gamma: algorithm.gamma=1.5"),
-        ({"enqueue": [{"algorithm.gamma": 2.0}]}, "search.enqueue.0: algorithm.gamma=2.0"),
         ({"space": {"algorithm": {"choices": ["sac", "td3"]}, "algorithm.ent_coef": {"uniform": [0.1, 0.2]}}},
          "search.space.algorithm.ent_coef: "),
     ],

@@ -1,22 +1,24 @@
-"""Workers of a search: how many trials they train, and how they handle runs that fail, are killed or pruned."""
+"""Workers of a search: the objective, and how they handle runs that fail, are killed or pruned."""
 
 import errno
+import json
 import os
 
 import optuna
 import pytest
+from support.runs import make_config
 from support.searches import QUICK
 
 from parking_exp.errors import OutputDirectoryError
-from parking_exp.runs.directory import RunDirectory
-from parking_exp.sweeps.supervisor import supervise
+from parking_exp.runs.directory import RunDirectory, RunResult
+from parking_exp.runs.run_state import read_state
 from parking_exp.tuning.search import Search, study_in
-from parking_exp.tuning.trial_worker import work
+from parking_exp.tuning.trial_worker import success_auc, work
 
 
 @pytest.fixture
 def search(tmp_path):
-    options = ["n_trials=2", "search.tuning_seeds=[1001,1002]", "tracking.mlflow=false", "search.grace_updates=0"]
+    options = ["n_trials=2", "search.tuning_seeds=[1001,1002]", "tracking.mlflow=false"]
     search = Search([*QUICK, *options, f"output_dir={tmp_path}"])
     search.open()
     search.save()
@@ -26,7 +28,7 @@ def search(tmp_path):
 def training_that_ends_with(calls, **status):
     """A function that trains nothing and writes a status."""
 
-    def train(path, stop):
+    def train(path):
         calls.append(path)
         RunDirectory(path).update(**status)
         return "failed"
@@ -34,32 +36,56 @@ def training_that_ends_with(calls, **status):
     return train
 
 
+def succeed(path, rate=0.5):
+    """Finish a run, with one success rate from beginning to end."""
+    RunDirectory(path).finish(RunResult(str(path), None, 60, {"final/success_rate": rate}), wall_s=1)
+    return "done"
+
+
 def trials(search):
     return study_in(search.folder).trials
 
 
-def test_a_failed_run_fails_its_trial_a_killed_one_is_tried_three_times_and_a_full_disk_leaves_it_open(search):
-    full_disk = training_that_ends_with([], status="failed", error=f"OSError: {os.strerror(errno.ENOSPC)}")
-    with pytest.raises(OutputDirectoryError, match=r"trial 0: .*No space left"):
-        work(search.folder, 1, full_disk)
-    assert trials(search)[0].state == "pending"
-    work(search.folder, 1, training_that_ends_with([], status="failed", error="broken"))
-    failed, other = trials(search)
-    assert (failed.state, failed.reason, other.state) == ("failed", "seed 1001: broken", "pending")
+def test_a_killed_run_is_tried_three_times_and_a_full_disk_leaves_the_trial_open(search):
     calls = []
-    work(search.folder, 2, training_that_ends_with(calls, status="failed", error="killed by SIGKILL", killed=True))
-    assert len(calls) == 3
-    assert trials(search)[1].state == "failed"
+    full_disk = training_that_ends_with(calls, status="failed", error=f"OSError: {os.strerror(errno.ENOSPC)}")
+    with pytest.raises(OutputDirectoryError, match=r"trial 0: .*No space left"):
+        work(search, full_disk)
+    assert (len(calls), trials(search)[0].state) == (3, "pending")
+    work(search, training_that_ends_with(calls, status="failed", error="killed by SIGKILL", killed=True))
+    assert len(calls) == 9
+    assert [trial.state for trial in trials(search)] == ["failed"] * 2
 
 
-@pytest.mark.slow
-def test_a_trial_that_is_worse_than_the_median_is_pruned_and_trial_0_is_not(search):
+def test_a_failed_run_fails_its_trial_and_a_stopped_one_leaves_it_open(search):
+    work(search, training_that_ends_with([], status="failed", error="broken"))
+    assert [(trial.state, trial.reason) for trial in trials(search)] == [("failed", "seed 1001: broken")] * 2
+    more = Search([*search.overrides, "n_trials=3"])
+    work(more, lambda path: "stopped")
+    more.save()
+    assert trials(more)[2].state == "pending"
+    work(more, succeed)
+    assert (trials(more)[2].state, trials(more)[2].by_seed, trials(more)[2].value) == ("done", [0.5, 0.5], 0.5)
+
+
+def test_a_trial_that_is_worse_than_the_median_is_pruned_after_a_seed_and_trial_0_is_not(search):
     study = search.open().study
     for _ in range(5):
-        study.add_trial(optuna.trial.create_trial(value=1.0, intermediate_values=dict.fromkeys(range(20), 1.0)))
-
+        study.add_trial(optuna.trial.create_trial(value=1.0, intermediate_values={1: 1.0, 2: 1.0}))
+    more = Search([*search.overrides, "n_trials=7"])
     for _ in range(2):  # the second time there is nothing to do
-        work(search.folder, 2, lambda path, stop: supervise(path, stop=stop))
-        assert [trial.state for trial in trials(search)] == ["done", "pruned"]
-        assert [len(trial.runs) for trial in trials(search)] == [2, 1]
-    assert trials(search)[0].env_steps == 120
+        work(more, succeed)
+        more.save()
+        first, *_, last = trials(more)
+        assert (first.state, len(first.runs), last.state, len(last.runs)) == ("done", 2, "pruned", 1)
+    assert read_state(more.base.output_path / last.runs[0]).stage == "done"
+
+
+def test_the_objective_is_the_normalised_area_under_the_success_curve(tmp_path):
+    directory = RunDirectory(tmp_path / "seed=0")
+    directory.create(make_config(f"output_dir={tmp_path}"))
+    rates = {1000: 0.0, 2000: 0.5, 3000: 0.96, 4000: 0.95}
+    lines = [{"step": step, "time_ms": 0, "metrics": {"eval/success_rate": rate}} for step, rate in rates.items()]
+    (directory.path / "metrics.jsonl").write_text("".join(json.dumps(line) + "\n" for line in lines))
+    directory.finish(RunResult(str(directory.path), None, 5000, {"final/success_rate": 1.0}), wall_s=1)
+    assert success_auc(directory) == pytest.approx((0.25 + 0.73 + 0.955 + 0.975) / 4)
