@@ -40,7 +40,6 @@ class Run:
     curve: Sequence[float] = (0.2, 0.4, 0.6, 0.8)
     status: str = "done"
     error: str | None = None
-    real_share: float = 0.5
     cpu_s: float = 300.0
     columns: Mapping[str, object] = field(default_factory=dict)
 
@@ -55,7 +54,7 @@ def results(cells, seeds=range(3), look=lambda label, seed: Run(), experiment="o
             runs.append(_row(len(runs), run, run_id, experiment, label, seed, config))
             steps = np.linspace(0, config["total_timesteps"], len(run.curve) + 1).astype(int)[1:]
             curves += [
-                (run_id, step, rate, 1 - rate, run.cpu_s * step / steps[-1], run.real_share)
+                (run_id, step, rate, 1 - rate, run.cpu_s * step / steps[-1])
                 for step, rate in zip(steps, run.curve, strict=True)
             ]
             if run.status == "done":
@@ -64,7 +63,7 @@ def results(cells, seeds=range(3), look=lambda label, seed: Run(), experiment="o
                 ends = ["success"] * good + ["crash"] * (bad - good) + ["timeout"] * (n - bad)
                 episodes += [(run_id, "final", first + scene, end) for scene, end in enumerate(ends)]
     outcomes = pd.CategoricalDtype(list(OUTCOMES))
-    names = ["run_id", "step", "success_rate", "crash_rate", "cpu_s", "real_share"]
+    names = ["run_id", "step", "success_rate", "crash_rate", "cpu_s"]
     return Frames(
         pd.DataFrame(runs),
         pd.DataFrame(curves, columns=names),
