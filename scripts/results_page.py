@@ -32,7 +32,7 @@ from parking_exp.terminal import say
 DOCS = ROOT / "docs"
 EXPORTS, PAGE, README = DOCS / "results", DOCS / "results.md", ROOT / "README.md"
 FIGURES = {  # of an experiment; the others have final_success
-    "algorithms": ("learning_curves", "trajectories"),
+    "algorithms": ("learning_curves",),
     "tutorial": ("learning_curves",),
 }
 FIGURE_CELLS = {  # the cells that a figure shows; the others show all

@@ -2,7 +2,6 @@
 
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import replace
 from datetime import UTC, datetime
 from itertools import chain
 from typing import NamedTuple
@@ -17,7 +16,6 @@ from parking_exp.reports.cell_selection import CellRuns, choose, group, one_cell
 from parking_exp.reports.cell_summaries import RunEvaluations, real_share, shared_horizons, summarise
 from parking_exp.reports.report_data import Cell, FailedRun, Provenance, ReportData
 from parking_exp.results.frames import Results
-from parking_exp.tasks.registry import task_reports
 
 VERSION = "version."
 SHORT_COMMIT = 10
@@ -113,10 +111,6 @@ def build_report(
     horizons = shared_horizons(groups, evaluations)
     summaries = [summarise(cell, number, evaluations, horizons, quick) for number, cell in enumerate(groups)]
     shown = _shown(summaries, selection.baseline)
-    problems = [*results.problems]
-    for number, cell in enumerate(summaries):
-        if cell.id in shown:
-            summaries[number] = _with_recordings(cell, groups[number], results, evaluations, problems)
     design = cell_comparisons.design(factors, [cell.settings for cell in groups])
     effects, interactions = [], []
     if design == "factorial":
@@ -147,7 +141,7 @@ def build_report(
             findings.about_cells(summaries, family),
             findings.about_factors(factors, effects, interactions, is_search=design == "search"),
         ),
-        warnings=_unique(warnings.warnings(groups, summaries, family.pairs, origin), _first(problems)),
+        warnings=_unique(warnings.warnings(groups, summaries, family.pairs, origin), _first(results.problems)),
         missing=_unique(warnings.missing(summaries, experiments, results.runs["experiment"])),
         provenance=origin,
         notes=list(_notes(summaries, shown, selection, results.ignored, crossed=bool(effects))),
@@ -184,18 +178,6 @@ def _refuse_unfinished(cells: Sequence[CellRuns], override: str, hint: str = "")
         raise RunNotFoundError(f"{override}: of its {plural(runs, 'run')}, none is done{hint}")
 
 
-def _with_recordings(
-    cell: Cell, runs: CellRuns, results: Results, evaluations: RunEvaluations, problems: list[str]
-) -> Cell:
-    """Return a cell with what its task shows of recordings; what is wrong with these is appended to `problems`."""
-    finished = [(seed.seed, seed.run_id) for seed in cell.seeds]
-    for task in task_reports([runs.task]):
-        shown, unreadable = task.recordings(finished, results.trajectories, evaluations.final, runs.config)
-        cell = replace(cell, task_data={**cell.task_data, **shown})
-        problems += unreadable
-    return cell
-
-
 def _shown(cells: Sequence[Cell], baseline: str | None) -> list[str]:
     """Return the ids of the cells in figures, in the order of the report."""
     if len(cells) <= SHOWN_WHOLE:
@@ -222,11 +204,6 @@ def _notes(
     if len(shown) < len(cells):
         best = f"the {len(shown)} with the highest success"
         yield f"Pictures show {best} of {len(cells)} cells; tables have all."
-    if any(cell.seeds and not all(cell.task_data.values()) for cell in cells if cell.id in shown):
-        yield (
-            "Some cells have nothing to show in a section: their runs have no recordings, or the export has only those "
-            "that its own report showed."
-        )
     if outside := [cell.label for cell in cells if None in cell.settings.values()] if crossed else []:
         yield f"Not part of the main effects, without a value of every factor: {warnings.named(outside)}."
     if n_left_out := len(selection.left_out):

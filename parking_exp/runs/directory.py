@@ -2,7 +2,7 @@
 
     outputs/<experiment_name>/<cell>/seed=<n>/
         config.yaml  status.json  result.json  metrics.jsonl  episodes.csv  monitor.csv  progress.csv
-        provenance.json  trajectories.npz  checkpoints/  models/  evaluations/  exports/  tensorboard/  video.mp4
+        provenance.json  checkpoints/  models/  evaluations/  exports/  tensorboard/  video.mp4
         curves.png  log.txt  beat.json  traceback.txt
 
 The run directory is the truth; MLflow is its index. Two locks keep processes apart: `.claim` is held by the process

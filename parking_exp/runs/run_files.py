@@ -15,7 +15,6 @@ from parking_exp.errors import ConfigError
 from parking_exp.runs.atomic_files import read_json, read_plain_yaml, write_atomically
 
 CONFIG_FILE, STATUS_FILE, RESULT_FILE, HEARTBEAT_FILE = "config.yaml", "status.json", "result.json", "beat.json"
-TRAJECTORIES_FILE = "trajectories.npz"
 OUTPUT_DIR = "../../.."  # from a run directory
 
 Status = Literal["pending", "running", "done", "failed", "interrupted", "pruned"]

@@ -40,7 +40,6 @@ LONGEST_PARAM = 6000  # MLflow refuses longer values; the whole config is an art
 MLFLOW_STATUS = {"done": "FINISHED", "failed": "FAILED"}  # others: KILLED
 AT_THE_END = (
     "episodes.csv",
-    "trajectories.npz",
     "curves.png",
     "video.mp4",
     "monitor.csv",

@@ -102,7 +102,7 @@ def test_the_store_has_all_files_and_the_path_of_the_replay_buffer(smoke):
     assert artifacts(client, directory.run_id) == [
         "checkpoints/step=0000000300/model.zip", "checkpoints/step=0000000300/replay_buffer.json",
         f"{last}/model.zip", f"{last}/replay_buffer.json", "config.yaml", "curves.png", "episodes.csv", "metrics.jsonl",
-        "models/best.zip", "models/final.zip", "monitor.csv", "progress.csv", "trajectories.npz", "video.mp4",
+        "models/best.zip", "models/final.zip", "monitor.csv", "progress.csv", "video.mp4",
     ]  # fmt: skip
     record = read_json(directory.path / client.download_artifacts(directory.run_id, f"{last}/replay_buffer.json"))
     assert record["path"] == f"{last}/replay_buffer.npz"  # in the run directory
