@@ -144,7 +144,7 @@ def build_report(
         warnings=_unique(warnings.warnings(groups, summaries, family.pairs, origin), _first(results.problems)),
         missing=_unique(warnings.missing(summaries, experiments, results.runs["experiment"])),
         provenance=origin,
-        notes=list(_notes(summaries, shown, selection, results.ignored, crossed=bool(effects))),
+        notes=list(_notes(summaries, shown, selection, crossed=bool(effects))),
         reference=family.reference,
     )
 
@@ -197,9 +197,7 @@ def _first(problems: Sequence[str]) -> list[str]:
     return [*problems[:MOST_PROBLEMS], *rest]
 
 
-def _notes(
-    cells: Sequence[Cell], shown: Sequence[str], selection: Selection, n_foreign: int, *, crossed: bool
-) -> Iterator[str]:
+def _notes(cells: Sequence[Cell], shown: Sequence[str], selection: Selection, *, crossed: bool) -> Iterator[str]:
     """Yield notes on what figures and main effects, or the report as a whole, leave out."""
     if len(shown) < len(cells):
         best = f"the {len(shown)} with the highest success"
@@ -212,9 +210,4 @@ def _notes(
         were, are = ("was", "it is") if n_pruned == 1 else ("were", "they are")
         yield (
             f"{plural(n_pruned, 'trial')} of the search {were} pruned before a run was done; {are} not among the cells."
-        )
-    if n_foreign:
-        yield (
-            f"The store has {plural(n_foreign, 'more run')} that this package did not make, and that the report "
-            "leaves out."
         )

@@ -31,11 +31,7 @@ LOCAL_COLUMNS = ("run_dir", "artifact_uri", "config.output_dir", "config.trackin
 PATH = re.compile(r"(?<![\w.~:/])(?:(?:sqlite|file):/*)?~?/(?:[^\s/'\",:;)\]]+/)*([^\s/'\",:;)\]]+)/?")
 
 
-def write_export(
-    results: Results,
-    folder: str | Path,
-    about: Mapping[str, Any] | None = None,
-) -> Path:
+def write_export(results: Results, folder: str | Path, about: Mapping[str, Any] | None = None) -> Path:
     """Write an export of results, in place of an earlier one, and return its folder.
 
     The same results give the same bytes. An export that is interrupted has no `report.json` and can't be read.
@@ -62,7 +58,7 @@ def write_export(
         with replacing(folder / name) as temporary:  # writes through no link
             temporary.write_bytes(gzip.compress(text.encode(), mtime=1))  # the same content gives the same bytes
     sentences = [without_paths(problem) for problem in results.problems]
-    write_json(folder / REPORT, {"problems": sentences, "ignored": results.ignored, **(about or {})})
+    write_json(folder / REPORT, {"problems": sentences, **(about or {})})
     return folder
 
 
@@ -77,12 +73,12 @@ def read_export(folder: str | Path) -> Results:
         raise ResultsError(f"{folder} is not a whole export: it has no {absent[0]}")
     with as_results_error(f"{folder} can't be read"):
         about = json.loads((folder / REPORT).read_text(encoding="utf-8"))
-        problems, ignored = tuple(map(str, about["problems"])), int(about["ignored"])
+        problems = tuple(map(str, about["problems"]))
         runs = _read_runs(folder / "runs.csv.gz")
         curves = pd.read_csv(folder / "curves.csv.gz", dtype=CURVE_TYPES, float_precision="round_trip")
         curves = curves[curves["run_id"].isin(runs["run_id"])].sort_values(["run_id", "step"], ignore_index=True)
         episodes = _read_episodes(folder / "outcomes.csv.gz", runs)
-        return Results(runs, curves.reindex(columns=[*CURVE_TYPES]), episodes, uri, problems, ignored, about)
+        return Results(runs, curves.reindex(columns=[*CURVE_TYPES]), episodes, uri, problems, about)
 
 
 def refuse_foreign(folder: Path) -> None:

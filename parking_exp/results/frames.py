@@ -61,7 +61,6 @@ class Results:
     episodes: pd.DataFrame
     uri: str  # the store
     problems: tuple[str, ...] = ()  # a sentence for each thing that is missing or broken
-    ignored: int = 0  # number of runs by other programs
     about: Mapping[str, Any] = field(default_factory=dict)  # of an export: its report.json
 
     def __repr__(self) -> str:
@@ -92,12 +91,11 @@ def read_store(store: Store, experiments: str | Iterable[str] | None) -> Results
         raise ResultsError(f"there is no store {path}; train something first, or name another output_dir or store")
     with as_results_error(f"the store {store.uri} can't be read"):
         ids = _chosen(store, experiments)
-        stored = [run for run in store.search(list(ids.values())) if run.info.lifecycle_stage == "active"]
-        kept = [run for run in stored if _is_from_this_package(run)]
+        stored = store.search(list(ids.values()))
+        kept = [run for run in stored if run.info.lifecycle_stage == "active" and _is_from_this_package(run)]
         if not kept:
             searched = store.uri if experiments is None else f"experiment={','.join(ids)}"
-            others = f", but {len(stored)} by others" if stored else ""
-            raise ResultsError(f"{searched}: it has no runs of parking_exp{others}")
+            raise ResultsError(f"{searched}: it has no runs of parking_exp")
         runs = _runs(kept, {experiment_id: name for name, experiment_id in ids.items()}, store.run_dir)
     logs, log_problems = _read_files(store, runs, "metrics.jsonl", read_points)
     points = [{"run_id": run_id, **point} for run_id, log in logs.items() for point in log]
@@ -113,7 +111,6 @@ def read_store(store: Store, experiments: str | Iterable[str] | None) -> Results
         _episodes(tables, runs["run_id"].to_list()),
         store.uri,
         (*_duplicates(runs), *log_problems, *table_problems),
-        len(stored) - len(kept),
     )
 
 

@@ -1,12 +1,8 @@
 """Mirror run directories to an MLflow store; the directory is the truth, and the store its index.
 
-`mirror` needs nothing but a run directory, in any state that a kill can leave it in, and sends what the store lacks:
-after each checkpoint, at the end, and later for a run whose store was down or that was killed. The tag `mirrored`
-of a stored run, written last, is a digest of the files that the store has. A store that was lost
-or replaced, or an older copy of one, is filled again in the same way.
-
-Metrics are sent as soon as they are final: up to the last checkpoint, and all of them when the run is done. An
-interrupted run resumes from that checkpoint and logs everything after it again.
+`mirror` sends what the store lacks of a run directory, in any state that a kill can leave it in. The tag `mirrored`
+of a stored run, written last, is a digest of the files that the store has. Metrics are sent as soon as they are final:
+up to the last checkpoint, from which an interrupted run resumes, and all of them when the run is done.
 """
 
 import json
@@ -23,7 +19,7 @@ from parking_exp.config.paths import database, default_uri, is_same_store, relat
 from parking_exp.config.run_key import short_hash
 from parking_exp.config.schema import RunConfig
 from parking_exp.errors import plural
-from parking_exp.runs.atomic_files import fingerprint, read_object
+from parking_exp.runs.atomic_files import read_object
 from parking_exp.runs.directory import BUFFER, MANIFEST, MODEL, RunDirectory, Status
 from parking_exp.runs.metric_logs import read_metrics
 from parking_exp.runs.run_provenance import PROVENANCE_FILE
@@ -119,10 +115,7 @@ def mirror_missing(directories: Iterable[RunDirectory], store: Store) -> Iterato
         return
     mirrored = {(place.resolve(), run.data.tags.get(DIGEST)) for run in runs if (place := store.run_dir(run))}
     for directory in idle:
-        digest = None
-        with suppress(OSError):  # a file has vanished or can't be read, which `try_mirror` reports for this run
-            digest = _digest(directory)
-        if (directory.path.resolve(), digest) not in mirrored or digest is None:
+        if (directory.path.resolve(), _digest(directory)) not in mirrored:
             yield directory, try_mirror(directory, store)
 
 
@@ -157,7 +150,8 @@ def _digest(directory: RunDirectory) -> str:
     entries, provenance = directory.read_status(), directory.path / PROVENANCE_FILE
     state = [_status(directory), *(entries.get(name) for name in ("error", *FROM_STATUS))]
     files = [*([provenance] if provenance.exists() else []), *_files(directory).values()]
-    return short_hash([state, *([str(file.relative_to(directory.path)), *fingerprint(file)] for file in files)])
+    stats = [(str(file.relative_to(directory.path)), file.stat()) for file in files]
+    return short_hash([state, *([name, stat.st_size, stat.st_mtime_ns] for name, stat in stats)])
 
 
 def _tags(directory: RunDirectory, config: RunConfig, uri: str, status: Status) -> dict[str, str]:

@@ -86,18 +86,17 @@ def test_curves_and_outcomes_come_back_rounded_to_six_digits(stored, written):
 
 
 def test_problems_and_runs_of_others_are_kept_and_the_folder_is_the_source(stored, tmp_path):
-    reported = replace(stored, problems=("a: /tmp/x/y.csv is missing", "b"), ignored=3)
+    reported = replace(stored, problems=("a: /tmp/x/y.csv is missing", "b"))
     results = read_export(write_export(reported, tmp_path / "one"))
     assert results.problems == ("a: y.csv is missing", "b")
-    assert results.ignored == 3
     assert results.uri == str(tmp_path / "one")
 
 
 def test_the_same_results_give_the_same_bytes_and_replace_an_earlier_export(stored, written):
     before = {path.name: path.read_bytes() for path in written.iterdir()}
     assert set(before) == set(FILES)
-    write_export(replace(stored, ignored=1), written)
-    assert json.loads((written / "report.json").read_text())["ignored"] == 1
+    write_export(replace(stored, problems=("a",)), written)
+    assert json.loads((written / "report.json").read_text())["problems"] == ["a"]
     write_export(stored, written)
     assert {path.name: path.read_bytes() for path in written.iterdir()} == before
     assert [path.name for path in written.parent.iterdir()] == ["her"]
@@ -145,7 +144,7 @@ def test_an_export_does_not_write_through_links(stored, written, tmp_path):
 @pytest.mark.parametrize(
     ("name", "old", "new"),
     [
-        ("report.json", '"ignored"', '"ignore"'), ("report.json", "{", "["), ("runs.csv.gz", "run_id,", "run,"),
+        ("report.json", '"problems"', '"problem"'), ("report.json", "{", "["), ("runs.csv.gz", "run_id,", "run,"),
         ("runs.csv.gz", ",200,", ",200.5,"), ("runs.csv.gz", "2023-11-14 ", "2023-99-14 "),
         ("curves.csv.gz", ",0.333333", ",a"), ("outcomes.csv.gz", "scene", "scenes"),
     ],
