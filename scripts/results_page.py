@@ -31,10 +31,7 @@ from parking_exp.terminal import say
 
 DOCS = ROOT / "docs"
 EXPORTS, PAGE, README = DOCS / "results", DOCS / "results.md", ROOT / "README.md"
-FIGURES = {  # of an experiment; the others have final_success
-    "algorithms": ("learning_curves", "trajectories"),
-    "tutorial": ("learning_curves",),
-}
+FIGURES = {"algorithms": "learning_curves", "tutorial": "learning_curves"}  # the others have final_success
 FIGURE_CELLS = {  # the cells that a figure shows; the others show all
     "her_ablation": ("her_future*", "replay"),
     "her_relabelling": ("her_future*", "algorithm.features=ego_mirrored"),
@@ -300,16 +297,14 @@ def _row(cells: list[str]) -> str:
 
 
 def _draw(name: str, report: ReportData) -> None:
-    """Draw the figures of an experiment as docs/images/results_NAME.png, results_NAME_FIGURE.png, ..."""
+    """Draw the figure of an experiment as docs/images/results_NAME.png."""
     from parking_exp.reports.sections import draw, sections_of
 
-    first, *others = FIGURES.get(name, ("final_success",))
-    files = {first: f"results_{name}", **{figure: f"results_{name}_{figure}" for figure in others}}
-    sections = [section for section in sections_of(report) if any(figure.name in files for figure in section.figures)]
+    wanted = FIGURES.get(name, "final_success")
+    sections = [section for section in sections_of(report) if wanted in {figure.name for figure in section.figures}]
     with TemporaryDirectory() as folder:
         draw(report, Path(folder), ["png"], sections)
-        for figure, file in files.items():
-            shutil.copy(Path(folder) / f"{figure}.png", DOCS / "images" / f"{file}.png")
+        shutil.copy(Path(folder) / f"{wanted}.png", DOCS / "images" / f"results_{name}.png")
 
 
 if __name__ == "__main__":

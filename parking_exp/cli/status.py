@@ -18,7 +18,7 @@ from parking_exp.config.validate import parse
 from parking_exp.errors import ParkingError, RunNotFoundError, StoreError, plural, suggestion
 from parking_exp.runs.directory import RunDirectory
 from parking_exp.runs.lookup import find_runs
-from parking_exp.runs.run_state import RunState, as_plain, labelled, read_state
+from parking_exp.runs.run_state import RunState, as_plain, read_state
 from parking_exp.runs.state_tables import cell_table, damaged_lines, failure_lines, running_lines, stopped_lines
 from parking_exp.terminal import console, say
 from parking_exp.tracking.mirror import mirror_missing
@@ -81,7 +81,7 @@ def show(config: DictConfig) -> None:
 
 def _read_states(request: StatusRequest) -> list[RunState]:
     experiment, folder = request.experiment_name, request.output_path
-    if states := labelled([read_state(path) for path in find_runs(folder, experiment)]):
+    if states := [read_state(path) for path in find_runs(folder, experiment)]:
         return states
     if experiment is None:
         raise RunNotFoundError(f"there are no runs in {folder}; train one first, or set output_dir")

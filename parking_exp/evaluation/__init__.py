@@ -1,1 +1,1 @@
-"""Evaluation of a policy from fixed seeds: episodes, metrics, trajectories, video."""
+"""Evaluation of a policy from fixed seeds: episodes, metrics, video."""

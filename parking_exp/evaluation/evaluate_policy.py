@@ -1,13 +1,11 @@
 """Evaluate a policy on episodes with fixed seeds, one row per episode, and summarise them in numbers and sentences."""
 
 from collections.abc import Callable, Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
-from parking_exp.runs.atomic_files import replacing
 from parking_exp.statistics import wilson_interval
 from parking_exp.tasks.metrics import EPISODE_SEED, Episode, Metric, episode_columns, outcome
 from parking_exp.tasks.task import EvaluationBatch, Policy, Task
@@ -16,36 +14,12 @@ TOLERANCE = 1e-9  # of numbers, between two simulators
 Metrics = Sequence[Metric]
 
 
-class Recorder:
-    """Collects what a task records of each step of many episodes, which are stepped together."""
-
-    def __init__(self, columns: Sequence[str]) -> None:
-        self.columns = columns
-        self._seeds: list[np.ndarray] = []
-        self._positions: list[np.ndarray] = []
-
-    def add(self, seeds: np.ndarray, positions: np.ndarray) -> None:
-        """Add the start, or a step, of unfinished episodes: their seeds, shape (n,), and positions, (n, columns)."""
-        self._seeds.append(seeds.copy())
-        self._positions.append(positions.astype(np.float32))
-
-    def save(self, path: Path) -> None:
-        """Write an npz file: the seeds, sorted, and `length`, shape (n,), and the columns of all episodes in turn."""
-        rows, positions = np.concatenate(self._seeds), np.concatenate(self._positions)
-        order = np.argsort(rows, kind="stable")  # rows of an episode stay in the order of time
-        seeds, length = np.unique(rows, return_counts=True)
-        columns = dict(zip(self.columns, positions[order].T, strict=True))
-        with replacing(path) as temporary, temporary.open("wb") as file:
-            np.savez_compressed(file, **{EPISODE_SEED: seeds, "length": length, **columns})
-
-
 def evaluate(
     policy: Policy,
     task: Task,
     seeds: Sequence[int],
     on_step: Callable[[int], None] | None = None,
     simulator: str | None = None,
-    recorder: Recorder | None = None,
 ) -> pd.DataFrame:
     """Run one episode from each seed and return one row per episode, in the order of `seeds`.
 
@@ -56,13 +30,12 @@ def evaluate(
         seeds: of `env.reset`.
         on_step: called after each step of a batch with the number of finished episodes; may raise to stop.
         simulator: one of the config's `simulators`; None: its own.
-        recorder: is given the positions in all episodes at the start and after each step.
     """
     rows: list[dict[str, Any]] = []
     for first in range(0, len(seeds), task.batch_size):
         chosen = seeds[first : first + task.batch_size]
         batch = task.evaluation_batch([*chosen], simulator or task.config.simulator)
-        _run_batch(policy, task, batch, np.asarray(chosen), rows, on_step, recorder)
+        _run_batch(policy, task, batch, np.asarray(chosen), rows, on_step)
     order = {seed: number for number, seed in enumerate(seeds)}
     rows.sort(key=lambda row: order[row[EPISODE_SEED]])
     return pd.DataFrame(rows, columns=episode_columns(task.metrics))
@@ -124,16 +97,11 @@ def _run_batch(
     seeds: np.ndarray,
     rows: list[dict[str, Any]],
     on_step: Callable[[int], None] | None,
-    recorder: Recorder | None,
 ) -> None:
     """Step a batch until all episodes have ended; append the row of each when it ends."""
     observation, steps, totals = batch.observe(), 0, np.zeros(len(seeds))
-    if recorder is not None:
-        recorder.add(seeds, batch.positions())
     while len(batch):
         step = batch.step(policy(observation))
-        if recorder is not None:
-            recorder.add(seeds, batch.positions())
         steps += 1
         totals += step.reward
         done = step.terminated | step.truncated

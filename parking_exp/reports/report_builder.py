@@ -2,7 +2,6 @@
 
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
 from datetime import UTC, datetime
 from typing import NamedTuple
 
@@ -16,7 +15,6 @@ from parking_exp.reports.cell_selection import CellRuns, choose, group, one_cell
 from parking_exp.reports.cell_summaries import RunEvaluations, shared_horizon, summarise
 from parking_exp.reports.report_data import Cell, FailedRun, Provenance, ReportData
 from parking_exp.results.frames import Results
-from parking_exp.tasks.registry import task_reports
 
 VERSION = "version."
 SHORT_COMMIT = 10
@@ -113,9 +111,6 @@ def build_report(
     summaries = [summarise(cell, number, evaluations, horizon, quick) for number, cell in enumerate(groups)]
     shown = _shown(summaries, selection.baseline)
     problems = [*results.problems]
-    for number, cell in enumerate(summaries):
-        if cell.id in shown:
-            summaries[number] = _with_recordings(cell, groups[number], results, evaluations, problems)
     effects = cell_comparisons.main_effects(summaries, factors)
     family = cell_comparisons.compare_pairs(summaries, selection.baseline)
     origin = provenance(groups, selection.left_out, results.uri)
@@ -139,7 +134,7 @@ def build_report(
         warnings=list(dict.fromkeys([*warnings.warnings(groups, summaries, origin), *problems[:MOST_PROBLEMS]])),
         missing=list(warnings.missing(summaries, experiments, results.runs["experiment"])),
         provenance=origin,
-        notes=list(_notes(summaries, shown, selection, results.ignored, crossed=bool(effects))),
+        notes=list(_notes(summaries, shown, selection, crossed=bool(effects))),
         reference=family.reference,
     )
 
@@ -173,18 +168,6 @@ def _refuse_unfinished(cells: Sequence[CellRuns], override: str, hint: str = "")
         raise RunNotFoundError(f"{override}: of its {plural(runs, 'run')}, none is done{hint}")
 
 
-def _with_recordings(
-    cell: Cell, runs: CellRuns, results: Results, evaluations: RunEvaluations, problems: list[str]
-) -> Cell:
-    """Return a cell with what its task shows of recordings; what is wrong with these is appended to `problems`."""
-    finished = [(seed.seed, seed.run_id) for seed in cell.seeds]
-    for task in task_reports([runs.task]):
-        shown, unreadable = task.recordings(finished, results.trajectories, evaluations.final, runs.config)
-        cell = replace(cell, task_data={**cell.task_data, **shown})
-        problems += unreadable
-    return cell
-
-
 def _shown(cells: Sequence[Cell], baseline: str | None) -> list[str]:
     """Return the ids of the cells in figures, in the order of the report."""
     if len(cells) <= SHOWN_WHOLE:
@@ -194,20 +177,11 @@ def _shown(cells: Sequence[Cell], baseline: str | None) -> list[str]:
     return [cell.id for cell in cells if cell.id in best]
 
 
-def _notes(
-    cells: Sequence[Cell], shown: Sequence[str], selection: Selection, n_foreign: int, *, crossed: bool
-) -> Iterator[str]:
+def _notes(cells: Sequence[Cell], shown: Sequence[str], selection: Selection, *, crossed: bool) -> Iterator[str]:
     """Yield notes on what figures and main effects, or the report as a whole, leave out."""
     if len(shown) < len(cells):
         yield f"Pictures show the {len(shown)} of {len(cells)} cells with the highest success; tables have all."
-    if any(cell.seeds and not all(cell.task_data.values()) for cell in cells if cell.id in shown):
-        yield (
-            "Some cells have nothing to show in a section: their runs have no recordings, or the export has only those "
-            "that its own report showed."
-        )
     if outside := [cell.label for cell in cells if None in cell.settings.values()] if crossed else []:
         yield f"Not part of the main effects, without a value of every factor: {warnings.named(outside)}."
     if selection.n_pruned:
         yield f"Not among the cells, since pruned before a run was done: {plural(selection.n_pruned, 'trial')}."
-    if n_foreign:
-        yield f"Left out, since this package did not make them: {plural(n_foreign, 'run')} of the store."

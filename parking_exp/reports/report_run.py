@@ -14,7 +14,6 @@ from pydantic import TypeAdapter, ValidationError
 
 from parking_exp.config.paths import default_uri, directory_path, refuse_links
 from parking_exp.errors import ConfigError, ResultsError, plural
-from parking_exp.reports.cell_summaries import RunEvaluations
 from parking_exp.reports.report_builder import build_report
 from parking_exp.reports.report_data import ReportData
 from parking_exp.reports.report_files import write_report
@@ -24,7 +23,6 @@ from parking_exp.results.frame_export import REPORT, read_export, refuse_foreign
 from parking_exp.results.frames import Results, load, read_store
 from parking_exp.runs.directory import RunDirectory
 from parking_exp.runs.lookup import find_runs
-from parking_exp.tasks.registry import task_reports
 from parking_exp.terminal import console, say
 from parking_exp.tracking.mirror import mirror_problem
 from parking_exp.tracking.store import Store
@@ -41,16 +39,9 @@ class ReportSource(NamedTuple):
 def write_report_export(source: ReportSource, report: ReportData, folder: Path, *, only_cells: bool) -> None:
     """Write the export of a report: with `only_cells`, the runs of its cells and not all of the experiments."""
     results = _of_cells(source.results, report) if only_cells else source.results
-    final = RunEvaluations.of(results).final
-    trajectories, problems = {}, []
-    for cell in report.shown_cells:
-        for task in task_reports(report.tasks):
-            rows, unread = task.exported([(seed.seed, seed.run_id) for seed in cell.seeds], results.trajectories, final)
-            trajectories.update(rows)
-            problems += unread
     tuning = json.loads(without_paths(json.dumps(report.plain()["tuning"])))
     about = {"experiments": source.experiments, "report": {"tuning": tuning}}
-    write_export(results, folder, trajectories, about, problems)
+    write_export(results, folder, about)
 
 
 def read_report_export(folder: str) -> ReportSource:

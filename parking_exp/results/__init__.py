@@ -49,21 +49,18 @@
     steps, return                              int64, float64: length; sum of rewards
     distance_m, heading_error_rad, speed_mps   float64   absolute values at its end
 
-A column that the table of a run of an earlier version does not have is missing in its rows: NaN, or <NA> in `parked`
-and `steps`, which are boolean and Int64 then. phase, step, scene and outcome are always there.
+A column that a run's task does not have is missing in its rows. phase, step, scene and outcome are always there.
 
 `read_export(FOLDER)` gives the same frames from what `scripts/report.py export=FOLDER` has written: gzipped CSV files,
 which `pandas.read_csv` reads as well, and a JSON file:
 
-    runs.csv.gz          `Results.runs`; config.KEY as text
-    curves.csv.gz        `Results.curves`
-    outcomes.csv.gz      outcomes of the final episodes: a row per seed of an episode, a column per run id
-    trajectories.csv.gz  trajectories that reports draw: run_id, scene, step, x_m, y_m, heading_rad, rounded to 0.01; of
-                         some every fifth step, or the end alone
-    report.json          problems; what the report says of its cells, without what the tables have
+    runs.csv.gz      `Results.runs`; config.KEY as text
+    curves.csv.gz    `Results.curves`
+    outcomes.csv.gz  outcomes of the final episodes: a row per seed of an episode, a column per run id
+    report.json      problems; what the report says of its cells, without what the tables have
 
-Left out are evaluation episodes during training, what `Results.episodes` has besides outcomes, speeds, and everything
-that names a place on the machine. Other numbers are rounded to 6 significant digits.
+Left out are evaluation episodes during training, what `Results.episodes` has besides outcomes, and everything that
+names a place on the machine. Numbers are rounded to 6 significant digits.
 """
 
 from parking_exp.results.frame_export import read_export, write_export

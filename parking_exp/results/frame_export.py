@@ -9,10 +9,8 @@
 import gzip
 import json
 import re
-import zlib
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -21,49 +19,25 @@ import pandas as pd
 
 from parking_exp.config.paths import directory_path
 from parking_exp.errors import ConfigError, ResultsError
-from parking_exp.results.frames import FINAL, RUN_TYPES, TEXT, Results, config_column
-from parking_exp.results.recordings import CURVE_TYPES, EPISODES, REQUIRED, TRAJECTORIES, empty_frame
+from parking_exp.results.frames import FINAL, RUN_TYPES, TEXT, Results, as_results_error, config_column
+from parking_exp.results.run_logs import CURVE_TYPES, EPISODES, REQUIRED
 from parking_exp.runs.atomic_files import replacing, write_json
 from parking_exp.tasks.metrics import EPISODE_SEED
-from parking_exp.tracking.client import reason
 
 REPORT = "report.json"
-FILES = ("runs.csv.gz", "curves.csv.gz", "outcomes.csv.gz", "trajectories.csv.gz", REPORT)
+FILES = ("runs.csv.gz", "curves.csv.gz", "outcomes.csv.gz", REPORT)
 LOCAL_COLUMNS = ("run_dir", "artifact_uri", "config.output_dir", "config.tracking.uri")
 """Columns of runs that name a place on the machine; an export has none of them."""
 PATH = re.compile(r"(?<![\w.~:/])(?:(?:sqlite|file):/*)?~?/(?:[^\s/'\",:;)\]]+/)*([^\s/'\",:;)\]]+)/?")
-DAMAGED = (ValueError, TypeError, KeyError, OSError, EOFError, OverflowError, RecursionError, zlib.error)
 
 
-@dataclass(frozen=True, eq=False)
-class Export(Results):
-    """Results that were read from an export; `uri` is its folder."""
-
-    recordings: pd.DataFrame = field(default_factory=pd.DataFrame)  # `trajectories` of all runs, with their run_id
-    about: Mapping[str, Any] = field(default_factory=dict)  # content of report.json
-
-    def trajectories(self, run_id: str) -> pd.DataFrame:
-        """Return the exported trajectories of a run; `speed_mps` is missing."""
-        self._check_run_id(run_id)
-        rows = self.recordings[self.recordings["run_id"] == run_id]
-        return rows[list(TRAJECTORIES)].astype(TRAJECTORIES).reset_index(drop=True)
-
-
-def write_export(
-    results: Results,
-    folder: str | Path,
-    trajectories: Mapping[str, pd.DataFrame] | None = None,
-    about: Mapping[str, Any] | None = None,
-    problems: Sequence[str] = (),
-) -> Path:
+def write_export(results: Results, folder: str | Path, about: Mapping[str, Any] | None = None) -> Path:
     """Write an export of results, in place of an earlier one, and return its folder.
 
     The same results give the same bytes. An export that is interrupted has no `report.json` and can't be read.
 
     Args:
-        trajectories: rows of `Results.trajectories` to export, by run id.
         about: further entries of `report.json`.
-        problems: sentences to export besides those of the results.
 
     Raises:
         ConfigError: the folder holds other files.
@@ -73,28 +47,23 @@ def write_export(
     folder.mkdir(parents=True, exist_ok=True)
     (folder / REPORT).unlink(missing_ok=True)
     final = results.episodes[results.episodes["phase"] == "final"].astype({"run_id": str})
-    recordings = [rows.assign(run_id=run_id) for run_id, rows in sorted((trajectories or {}).items())]
-    columns = ["run_id", *TRAJECTORIES]
     tables = {
         "runs.csv.gz": _exported_runs(results.runs),
         "curves.csv.gz": results.curves,
         # One column per run: equal columns compress to almost nothing.
         "outcomes.csv.gz": final.pivot(index=EPISODE_SEED, columns="run_id", values="outcome").reset_index(),
-        "trajectories.csv.gz": pd.concat([empty_frame(dict.fromkeys(columns, object)), *recordings])
-        .astype(TRAJECTORIES)
-        .drop(columns="speed_mps"),
     }
     for name, table in tables.items():
-        text = table.to_csv(index=False, float_format="%.2f" if name == "trajectories.csv.gz" else "%.6g")
+        text = table.to_csv(index=False, float_format="%.6g")
         with replacing(folder / name) as temporary:  # writes through no link
             temporary.write_bytes(gzip.compress(text.encode(), mtime=1))  # the same content gives the same bytes
-    sentences = [without_paths(problem) for problem in dict.fromkeys([*problems, *results.problems])]
-    write_json(folder / REPORT, {"problems": sentences, "ignored": results.ignored, **(about or {})})
+    sentences = [without_paths(problem) for problem in results.problems]
+    write_json(folder / REPORT, {"problems": sentences, **(about or {})})
     return folder
 
 
-def read_export(folder: str | Path) -> Export:
-    """Read an export.
+def read_export(folder: str | Path) -> Results:
+    """Read an export; `Results.uri` is its folder.
 
     Raises:
         ResultsError: it is not there, not whole, or damaged.
@@ -102,17 +71,14 @@ def read_export(folder: str | Path) -> Export:
     uri, folder = str(folder), directory_path(folder)
     if absent := [name for name in FILES if not (folder / name).is_file()]:
         raise ResultsError(f"{folder} is not a whole export: it has no {absent[0]}")
-    try:
+    with as_results_error(f"{folder} can't be read"):
         about = json.loads((folder / REPORT).read_text(encoding="utf-8"))
-        problems, ignored = tuple(map(str, about["problems"])), int(about["ignored"])
+        problems = tuple(map(str, about["problems"]))
         runs = _read_runs(folder / "runs.csv.gz")
-        curves = _read_table(folder / "curves.csv.gz", runs, CURVE_TYPES)
-        recordings = _read_table(folder / "trajectories.csv.gz", runs, TRAJECTORIES)
+        curves = pd.read_csv(folder / "curves.csv.gz", dtype=CURVE_TYPES, float_precision="round_trip")
+        curves = curves[curves["run_id"].isin(runs["run_id"])].sort_values(["run_id", "step"], ignore_index=True)
         episodes = _read_episodes(folder / "outcomes.csv.gz", runs)
-    except DAMAGED as error:
-        raise ResultsError(f"{folder} can't be read: {reason(error)}") from error
-    curves = curves.sort_values(["run_id", "step"], ignore_index=True)
-    return Export(runs, curves, episodes, uri, problems, ignored, None, recordings, about)
+        return Results(runs, curves.reindex(columns=[*CURVE_TYPES]), episodes, uri, problems, about)
 
 
 def refuse_foreign(folder: Path) -> None:
@@ -151,13 +117,6 @@ def _read_runs(path: Path) -> pd.DataFrame:
     others.sort(key=lambda name: name.startswith("config."))
     of_other_tasks = {name: np.nan for name in FINAL.values() if name not in runs}
     return runs.assign(run_dir=None, artifact_uri=None, **of_other_tasks)[[*RUN_TYPES, *others]].astype(RUN_TYPES)
-
-
-def _read_table(path: Path, runs: pd.DataFrame, types: Mapping[str, Any]) -> pd.DataFrame:
-    """Return the rows of a table that belong to runs of the export; a column that it lacks is missing."""
-    table = pd.read_csv(path, dtype={**types, "run_id": TEXT}, float_precision="round_trip")
-    table = table.reindex(columns=[*dict.fromkeys(["run_id", *types])])
-    return table[table["run_id"].isin(runs["run_id"])].reset_index(drop=True)
 
 
 def _read_episodes(path: Path, runs: pd.DataFrame) -> pd.DataFrame:

@@ -1,11 +1,9 @@
 """Load the results of runs from an MLflow store."""
 
-import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
-from dataclasses import dataclass
-from functools import lru_cache
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
@@ -13,8 +11,7 @@ import pandas as pd
 
 from parking_exp.config.paths import database, default_uri, directory_path, refuse_password
 from parking_exp.errors import ParkingError, ResultsError, suggestion
-from parking_exp.results.recordings import read_curves, read_episodes, read_trajectories
-from parking_exp.runs.run_files import TRAJECTORIES_FILE
+from parking_exp.results.run_logs import CURVE, CURVE_TYPES, EPISODES, read_episodes, read_points
 from parking_exp.tasks.registry import METRICS
 from parking_exp.tracking.client import reason
 from parking_exp.tracking.store import Store
@@ -50,10 +47,6 @@ RUN_TYPES: dict[str, Any] = {
 """Columns of `runs` before those of versions and config, and their types."""
 
 DOWNLOADS_AT_ONCE = 16
-SEED = re.compile(r"\d{1,18}")
-# Narrower than what int() and float() accept: 2024_11 is a name.
-INTEGER = re.compile(r"[+-]?\d{1,300}")
-FLOAT = re.compile(r"[+-]?(?!\d+$)(\d+\.?\d*|\.\d+)(e[+-]?\d+)?|[+-]?inf|nan", re.IGNORECASE)
 TAGS = ("cell", "seed", "run_key", "run_dir", "status")
 """Tags of every run of this package; other runs are ignored."""
 
@@ -67,32 +60,11 @@ class Results:
     episodes: pd.DataFrame
     uri: str  # the store
     problems: tuple[str, ...] = ()  # a sentence for each thing that is missing or broken
-    ignored: int = 0  # number of runs by other programs
-    store: Store | None = None  # to read trajectories from
+    about: Mapping[str, Any] = field(default_factory=dict)  # of an export: its report.json
 
     def __repr__(self) -> str:
         sizes = ", ".join(f"{len(getattr(self, name))} {name}" for name in ("runs", "curves", "episodes"))
         return f"<Results of {self.uri}: rows of {sizes}; {len(self.problems)} problems>"
-
-    def trajectories(self, run_id: str) -> pd.DataFrame:
-        """Return what a run recorded of final episodes: one row per step, the start (step 0) included.
-
-        Columns are those of the episode's seed, step (int64), x_m, y_m, heading_rad, speed_mps (float32), of parking-v0
-        alone. A run without a recording has none.
-
-        Raises:
-            ResultsError: there is no such run, or its recording can't be read.
-        """
-        self._check_run_id(run_id)
-        places = self.runs.loc[self.runs["run_id"] == run_id, "artifact_uri"]
-        with _as_results_error(f"run {run_id}: {TRAJECTORIES_FILE} can't be read"):
-            stored = self.store.artifact(run_id, places.iloc[0], TRAJECTORIES_FILE) if self.store else None
-            return read_trajectories(stored)
-
-    def _check_run_id(self, run_id: str) -> None:
-        if run_id not in set(self.runs["run_id"]):
-            hint = suggestion(run_id, self.runs["run_id"])
-            raise ResultsError(f"run_id={run_id}: there is no such run{hint}")
 
 
 def load(
@@ -117,31 +89,33 @@ def read_store(store: Store, experiments: str | Iterable[str] | None) -> Results
     """Read runs from a store; see `load`."""
     if (path := database(store.uri)) is not None and not path.is_file():
         raise ResultsError(f"there is no store {path}; train something first, or name another output_dir or store")
-    with _as_results_error(f"the store {store.uri} can't be read"):
+    with as_results_error(f"the store {store.uri} can't be read"):
         ids = _chosen(store, experiments)
-        stored = [run for run in store.runs(list(ids.values())) if run.info.lifecycle_stage == "active"]
-    kept = [run for run in stored if _is_from_this_package(run)]
-    if not kept:
-        searched = store.uri if experiments is None else f"experiment={','.join(ids)}"
-        others = f", but {len(stored)} by others" if stored else ""
-        raise ResultsError(f"{searched}: it has no runs of parking_exp{others}")
-    with _as_results_error(f"the store {store.uri} can't be read"):
+        stored = store.search(list(ids.values()))
+        kept = [run for run in stored if run.info.lifecycle_stage == "active" and _is_from_this_package(run)]
+        if not kept:
+            searched = store.uri if experiments is None else f"experiment={','.join(ids)}"
+            raise ResultsError(f"{searched}: it has no runs of parking_exp")
         runs = _runs(kept, {experiment_id: name for name, experiment_id in ids.items()}, store.run_dir)
-    logs, log_problems = _artifacts(store, runs, "metrics.jsonl")
-    curves, steps, damaged_logs = read_curves(logs)
+    logs, log_problems = _read_files(store, runs, "metrics.jsonl", read_points)
+    points = [{"run_id": run_id, **point} for run_id, log in logs.items() for point in log]
+    curves = pd.DataFrame(
+        [point for point in points if any(name in point for name in CURVE.values())], columns=[*CURVE_TYPES]
+    ).astype(CURVE_TYPES)
+    steps = {run_id: max((point["step"] for point in log), default=0) for run_id, log in logs.items()}
     runs["steps"] = runs["run_id"].map(steps).fillna(0).astype("int64")
-    tables, table_problems = _artifacts(store, runs[runs["status"] != "running"], "episodes.csv")
-    episodes, damaged_tables = read_episodes(tables, runs["run_id"].to_list())
-    problems = (
-        *_duplicates(runs),
-        *_sentences(runs, log_problems | damaged_logs),
-        *_sentences(runs, table_problems | damaged_tables),
+    tables, table_problems = _read_files(store, runs[runs["status"] != "running"], "episodes.csv", read_episodes)
+    return Results(
+        runs,
+        curves.sort_values(["run_id", "step"], ignore_index=True),
+        _episodes(tables, runs["run_id"].to_list()),
+        store.uri,
+        (*_duplicates(runs), *log_problems, *table_problems),
     )
-    return Results(runs, curves, episodes, store.uri, problems, len(stored) - len(kept), store)
 
 
 @contextmanager
-def _as_results_error(what: str) -> Iterator[None]:
+def as_results_error(what: str) -> Iterator[None]:
     """Turn any error of a store or its files into a ResultsError."""
     try:
         yield
@@ -165,23 +139,19 @@ def _chosen(store: Store, experiments: str | Iterable[str] | None) -> dict[str, 
 
 def _is_from_this_package(run: "Run") -> bool:
     tags = run.data.tags
-    return all(name in tags for name in TAGS) and tags["status"] in STATUSES and bool(SEED.fullmatch(tags["seed"]))
+    return all(name in tags for name in TAGS) and tags["status"] in STATUSES and tags["seed"].isdecimal()
 
 
-@lru_cache(maxsize=100_000)
 def parse_value(text: str | None) -> Any:
     """Return the value that a parameter is the text of: None, a bool, a number. Lists, mappings and words stay text."""
     if text in (None, "None", "True", "False"):
         return {"True": True, "False": False}.get(text or "")
-    if INTEGER.fullmatch(text):
-        return int(text)
-    return float(text) if FLOAT.fullmatch(text) else text
-
-
-def _int64(text: str | None) -> int | None:
-    """Return the whole number that a text is; None for any other."""
-    value = parse_value(text)
-    return value if type(value) is int and abs(value) < 2**63 else None
+    for number in (int, float):
+        try:
+            return number(text) if "_" not in text else text  # 2024_11 is a name
+        except ValueError:
+            continue
+    return text
 
 
 def config_column(texts: Iterable[str | None]) -> pd.Series:
@@ -201,7 +171,7 @@ def _runs(stored: Sequence["Run"], names: Mapping[str, str], run_dir: Callable[[
             {name: tags.get(name) for name in ("cell", "run_key", "seed", "status", "git_commit", "cpu")}
             | {"run_id": info.run_id, "name": info.run_name, "experiment": names[info.experiment_id]}
             | {"error": tags.get("error") or None, "steps": 0}
-            | {column: _int64(params.get(key)) for key, column in CONFIGURED.items()}
+            | {column: parse_value(params.get(key)) for key, column in CONFIGURED.items()}
             | {column: metrics.get(key) for key, column in (final | COST).items()}
             | {"started": info.start_time, "ended": info.end_time}
             | {"run_dir": str(place) if place else None, "artifact_uri": info.artifact_uri}
@@ -218,30 +188,36 @@ def _runs(stored: Sequence["Run"], names: Mapping[str, str], run_dir: Callable[[
     return runs.sort_values(["experiment", "cell", "seed", "started"], ignore_index=True)
 
 
-def _artifacts(store: Store, runs: pd.DataFrame, name: str) -> tuple[dict[str, bytes], dict[str, str]]:
-    """Return an artifact of each run that has it, and what is wrong with the others', by run id."""
-    contents, problems = {}, {}
+def _read_files(
+    store: Store, runs: pd.DataFrame, name: str, parse: Callable[[bytes], Any]
+) -> tuple[dict[str, Any], list[str]]:
+    """Return the parsed artifact of each run that has it, by run id, and a sentence for each one that is damaged."""
 
-    def fetch(run_id: str, folder_uri: str, status: str) -> None:
+    def read(run: Any) -> tuple[Any, str | None]:
         try:
-            content = store.artifact(run_id, folder_uri, name)
+            if (content := store.artifact(run["run_id"], run["artifact_uri"], name)) is not None:
+                return parse(content), None
+            problem = f"{name} is missing in the store" if run["status"] == "done" else None
         except Exception as error:
-            problems[run_id] = f"{name} can't be read: {reason(error)}"
-            return
-        if content is not None:
-            contents[run_id] = content
-        elif status == "done":  # others may not have come to an evaluation
-            problems[run_id] = f"{name} is missing in the store"
+            problem = f"{name} can't be read: {reason(error)}"
+        return None, problem and f"run {run['run_id']} ({run['cell']}, seed {run['seed']}): {problem}"
 
     with ThreadPoolExecutor(DOWNLOADS_AT_ONCE) as pool:
-        list(pool.map(fetch, runs["run_id"], runs["artifact_uri"], runs["status"]))
-    return contents, problems
+        files = list(pool.map(read, runs.to_dict("records")))
+    parsed = {
+        run_id: content for run_id, (content, _) in zip(runs["run_id"], files, strict=True) if content is not None
+    }
+    return parsed, [problem for _, problem in files if problem]
 
 
-def _sentences(runs: pd.DataFrame, problems: Mapping[str, str]) -> Iterator[str]:
-    for run_id, cell, seed in zip(runs["run_id"], runs["cell"], runs["seed"], strict=True):
-        if run_id in problems:
-            yield f"run {run_id} ({cell}, seed {seed}): {problems[run_id]}"
+def _episodes(tables: Mapping[str, pd.DataFrame], run_ids: Sequence[str]) -> pd.DataFrame:
+    """Return the episodes of all runs; the categories of the column `run_id` are in the order of the runs."""
+    ids = pd.CategoricalDtype(pd.Index([*run_ids], dtype="str"))
+    columns = ["run_id", *EPISODES]
+    if not tables:
+        return pd.DataFrame(columns=columns).astype({"run_id": ids, **EPISODES})
+    episodes = pd.concat(tables, names=["run_id"]).reset_index("run_id").reindex(columns=columns)
+    return episodes.astype({"run_id": ids}).sort_values("run_id", kind="stable", ignore_index=True)
 
 
 def _duplicates(runs: pd.DataFrame) -> Iterator[str]:

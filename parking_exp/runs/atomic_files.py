@@ -47,20 +47,11 @@ def read_json(path: Path) -> Any:
 
 
 def read_plain_yaml(path: Path) -> Any:
-    """Read a YAML file that holds what JSON has; raises ValueError for a tag, a date or an alias."""
+    """Read a YAML file that holds what JSON has; raises ValueError for a tag or a date."""
     try:
-        return json.loads(json.dumps(yaml.load(path.read_text(encoding="utf-8"), _LoaderWithoutAliases)))
+        return json.loads(json.dumps(yaml.safe_load(path.read_text(encoding="utf-8"))))
     except (yaml.YAMLError, RecursionError, LookupError, AttributeError, TypeError) as error:
         raise ValueError(str(error).splitlines()[0] or type(error).__name__) from error
-
-
-class _LoaderWithoutAliases(yaml.SafeLoader):
-    """Refuses aliases, by which a small file becomes a huge value."""
-
-    def compose_node(self, parent: Any, index: Any) -> Any:
-        if self.check_event(yaml.AliasEvent):
-            raise yaml.YAMLError("it has an alias")
-        return super().compose_node(parent, index)
 
 
 def read_object(path: Path) -> dict[str, Any]:
@@ -76,12 +67,6 @@ def sha256(path: Path) -> str:
     """Return the SHA-256 of a file's content, in hex."""
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
-
-
-def fingerprint(path: Path) -> list[int]:
-    """Return size and time of a file, which change when it is written to."""
-    status = path.stat()
-    return [status.st_size, status.st_mtime_ns]
 
 
 def fsync(path: Path) -> None:

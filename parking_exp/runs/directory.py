@@ -2,7 +2,7 @@
 
     outputs/<experiment_name>/<cell>/seed=<n>/
         config.yaml  status.json  result.json  metrics.jsonl  episodes.csv  monitor.csv  progress.csv
-        provenance.json  trajectories.npz  checkpoints/  models/  evaluations/  exports/  tensorboard/  video.mp4
+        provenance.json  checkpoints/  models/  evaluations/  exports/  tensorboard/  video.mp4
         curves.png  log.txt  beat.json  traceback.txt
 
 The run directory is the truth; MLflow is its index. Two locks keep processes apart: `.claim` is held by the process
@@ -13,7 +13,7 @@ import fcntl
 import os
 import time
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager, suppress
+from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -24,7 +24,7 @@ from pydantic import TypeAdapter, ValidationError
 from parking_exp.config.paths import absolute, directory_path, refuse_links, relative
 from parking_exp.config.schema import RunConfig
 from parking_exp.errors import OutputDirectoryError, RunLockedError
-from parking_exp.runs.atomic_files import read_object, replacing, write_json
+from parking_exp.runs.atomic_files import read_object, write_json
 from parking_exp.runs.run_files import (
     HEARTBEAT_FILE,
     OUTPUT_DIR,
@@ -130,8 +130,8 @@ class RunDirectory:
 
     def reserve(self) -> None:
         """Occupy the space in which the run's end can be written, until that is done."""
-        with self._writable(), replacing(self.path / RESERVE, durable=False) as temporary:
-            temporary.write_bytes(os.urandom(RESERVE_BYTES))  # what can't be compressed
+        with self._writable():
+            (self.path / RESERVE).write_bytes(os.urandom(RESERVE_BYTES))  # what can't be compressed
 
     def freeze(
         self, config: RunConfig, label: str, started: float | None, entries: Mapping[str, Any] | None = None
@@ -167,8 +167,7 @@ class RunDirectory:
         """Raise UntrustedError if a symbolic link leads out of the directory: it would be written to, or sent."""
         refuse_links(self.path.rglob("*"), self.path)
 
-    @contextmanager
-    def supervisor_lock(self) -> Iterator[None]:
+    def supervisor_lock(self) -> AbstractContextManager[None]:
         """Hold the lock of the process that is responsible for the run.
 
         Raises:
@@ -176,14 +175,11 @@ class RunDirectory:
             OutputDirectoryError: the directory cannot be made.
             UntrustedError: a symbolic link leads out of it.
         """
-        with self._held(SUPERVISOR_LOCK, LOCK_PATIENCE_S):
-            yield
+        return self._held(SUPERVISOR_LOCK, LOCK_PATIENCE_S)
 
-    @contextmanager
-    def training_lock(self) -> Iterator[None]:
+    def training_lock(self) -> AbstractContextManager[None]:
         """Hold the lock of the process that trains the run; see `supervisor_lock`."""
-        with self._held(TRAINING_LOCK, WORKER_PATIENCE_S):
-            yield
+        return self._held(TRAINING_LOCK, WORKER_PATIENCE_S)
 
     @contextmanager
     def _held(self, name: str, patience_s: float) -> Iterator[None]:

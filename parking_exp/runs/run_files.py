@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import yaml
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field
 
 from parking_exp.config.paths import absolute, relative
 from parking_exp.config.schema import RunConfig
@@ -15,13 +15,10 @@ from parking_exp.errors import ConfigError
 from parking_exp.runs.atomic_files import read_json, read_plain_yaml, write_atomically
 
 CONFIG_FILE, STATUS_FILE, RESULT_FILE, HEARTBEAT_FILE = "config.yaml", "status.json", "result.json", "beat.json"
-TRAJECTORIES_FILE = "trajectories.npz"
 OUTPUT_DIR = "../../.."  # from a run directory
 
 Status = Literal["pending", "running", "done", "failed", "interrupted"]
 """Status in status.json; the process of a `running` run may be gone (`read_state` checks)."""
-Count = Annotated[int, Field(ge=0, le=10**15)]
-Seconds = Annotated[float, Field(ge=0, le=1e12)]
 
 
 class _Entries(BaseModel):
@@ -35,53 +32,42 @@ class StatusEntries(_Entries):
     label: str | None = None
     error: str | None = None
     killed: bool | None = None
-    total_timesteps: Count | None = None
-    steps: Count | None = None
-    success_rate: Annotated[float, Field(ge=0, le=1)] | None = None
-    wall_s: Seconds | None = None
-    cpu_s: Seconds | None = None
-    memory_bytes: Count | None = None
+    total_timesteps: int | None = None
+    steps: int | None = None
+    success_rate: float | None = None
+    wall_s: float | None = None
+    cpu_s: float | None = None
+    memory_bytes: int | None = None
     host: str | None = None
-    pid: Count | None = None
-    started: Seconds | None = None
+    pid: int | None = None
+    started: float | None = None
     run_id: str | None = None
     tracking_uri: Annotated[str, Field(pattern=r"^[^\x00-\x1f]+$")] | None = None
     unsynced: str | None = None
     command: str | None = None
     search: str | None = None
-    trial: Count | None = None
+    trial: int | None = None
 
 
 class HeartbeatEntries(_Entries):
     """Entries of beat.json, which a process that trains writes every second."""
 
-    time: Seconds | None = None
-    step: Count | None = None
-    steps_per_s: Annotated[float, Field(ge=0, le=1e9)] | None = None
+    time: float = 0.0
+    step: int = 0
+    steps_per_s: float = 0.0
     doing: str | None = None
 
 
-def read_entries(path: Path, schema: type[BaseModel]) -> tuple[dict[str, Any], str | None]:
-    """Return a file's entries, without those of a type other than the schema's, and what is wrong with it.
-
-    A missing file has no entries.
-    """
+def read_entries(path: Path, schema: type[BaseModel]) -> tuple[dict[str, Any], bool]:
+    """Return a file's entries, none of a damaged or missing one, and whether it is damaged: of another type, say."""
     try:
         stored = read_json(path)
+        if stored is not None:
+            schema.model_validate(stored)
+            return {key: value for key, value in stored.items() if value is not None}, False
     except (OSError, ValueError):
-        stored = "damaged"
-    if stored is None:
-        return {}, None
-    if not isinstance(stored, dict):
-        return {}, f"{path.name} can't be read"
-    entries = {key: value for key, value in stored.items() if value is not None}
-    try:
-        schema.model_validate(entries)
-    except ValidationError as error:
-        wrong = {str(problem["loc"][0]) for problem in error.errors()}
-        valid = {key: value for key, value in entries.items() if key not in wrong}
-        return valid, f"{path.name} has no valid {' and no valid '.join(sorted(wrong))}"
-    return entries, None
+        return {}, True
+    return {}, False
 
 
 def write_config(directory: Path, config: RunConfig, *, durable: bool) -> None:
@@ -108,8 +94,6 @@ def read_config(directory: Path, output_dir: Path) -> RunConfig:
         raise ConfigError(f"{path} can't be read: it is no config, but a {type(stored).__name__}")
     if interpolation := re.search(r'[^"]*\$\{[^"]*', json.dumps(stored)):
         raise ConfigError(f"{path} has the interpolation {interpolation[0]}; stored configs have values only")
-    if isinstance(stored.get("env"), dict):
-        stored["env"] = {"task": "parking", **stored["env"]}  # runs from before there were others
     try:
         config = check(RunConfig, stored)
     except ConfigError as error:

@@ -10,10 +10,8 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 from parking_exp import __version__
-from parking_exp.runs.atomic_files import read_object
 
 PROVENANCE_FILE = "provenance.json"
-TAGS = {"git_commit", "git_dirty", "cpu"}  # and version.PACKAGE
 PACKAGES = [
     *("torch", "stable-baselines3", "highway-env", "gymnasium", "gymnasium-robotics", "mujoco", "numpy", "hydra-core"),
     "mlflow-skinny",
@@ -41,18 +39,6 @@ def command_line() -> str | None:
     else:  # called from Python
         return None
     return shlex.join([*words, *sys.argv[1:]])
-
-
-def read_provenance(path: Path) -> tuple[int | None, dict[str, str]]:
-    """Return when a run was started, in ms since 1970, and its tags; other tags are left out."""
-    stored = read_object(path)
-    started_ms, tags = stored.get("started_ms"), stored.get("tags")
-    valid_tags = {
-        name: value
-        for name, value in (tags.items() if isinstance(tags, dict) else ())
-        if isinstance(value, str) and (name in TAGS or name.startswith("version."))
-    }
-    return started_ms if type(started_ms) is int and 0 <= started_ms < 2**53 else None, valid_tags
 
 
 def _git() -> dict[str, str]:

@@ -2,16 +2,11 @@
 
 import time
 from collections.abc import Iterable, Iterator, Sequence
-from contextlib import suppress
-from functools import cache
 from pathlib import Path
 from typing import Any, Literal
 
-from parking_exp.config.cell_labels import label_by_experiment, settings_of
-from parking_exp.runs.atomic_files import fingerprint, read_plain_yaml
 from parking_exp.runs.directory import RunDirectory
 from parking_exp.runs.run_files import (
-    CONFIG_FILE,
     HEARTBEAT_FILE,
     STATUS_FILE,
     HeartbeatEntries,
@@ -30,7 +25,7 @@ class RunState(StatusEntries):
     experiment: str
     cell: str
     seed: int
-    label: str  # how its cell differs from the others of its sweep, or of its experiment (`labelled`)
+    label: str  # how its cell differs from the others of its sweep
     stage: Stage  # running: a process holds one of its locks; an interrupted one is pending
     step: int  # env steps done (pending: saved)
     killed: bool = False
@@ -38,7 +33,7 @@ class RunState(StatusEntries):
     left_s: float | None = None  # until the training is over, at that rate
     doing: str | None = None  # what a running one does, e.g. `train`, `certification on highway-env`
     reason: str | None = None  # why it failed
-    damaged: str | None = None  # what is wrong with its status.json
+    damaged: bool = False  # whether its status.json can't be read
 
     def plain(self) -> dict[str, Any]:
         """Return the entries of public interest as JSON can hold them."""
@@ -71,30 +66,6 @@ def read_state(path: Path) -> RunState:
     return RunState.model_construct(**fields)  # `read_entries` has checked what may be damaged
 
 
-def labelled(states: Sequence[RunState]) -> list[RunState]:
-    """Label runs by how the config of their cell differs from the others of its experiment, as reports do.
-
-    Runs of a search, and those whose config can't be read, keep their label.
-    """
-    configs: dict[tuple[str, str], Any] = {}
-    for key, runs in by_cell(states):
-        with suppress(OSError, ValueError):
-            path = Path(runs[0].run_dir) / CONFIG_FILE
-            config = _read_config(path, *fingerprint(path))
-            if isinstance(config, dict) and runs[0].trial is None:
-                configs[key] = settings_of(config)
-    labels = label_by_experiment(configs)
-    return [
-        state.model_copy(update={"label": labels.get((state.experiment, state.cell), state.label)}) for state in states
-    ]
-
-
-@cache
-def _read_config(path: Path, size: int, time_ns: int) -> Any:
-    """Read a config once while its file is unchanged, since `status.py watch=true` reads it every other second."""
-    return read_plain_yaml(path)
-
-
 def counts(states: Iterable[RunState]) -> dict[Stage, int]:
     """Return how many runs are at which stage."""
     stages = [state.stage for state in states]
@@ -110,12 +81,13 @@ def by_cell(states: Iterable[RunState]) -> Iterator[tuple[tuple[str, str], list[
 
 
 def _under_way(path: Path, entries: dict[str, Any]) -> dict[str, Any]:
-    heartbeat, _ = read_entries(path / HEARTBEAT_FILE, HeartbeatEntries)
-    if heartbeat.get("time", 0.0) < entries.get("started", time.time()):  # of an earlier process, or none yet
+    beat = HeartbeatEntries(**read_entries(path / HEARTBEAT_FILE, HeartbeatEntries)[0])
+    if beat.time < entries.get("started", time.time()):  # of an earlier process, or none yet
         return {"step": _saved_step(path), "doing": "starting"}
-    step, rate, total = heartbeat.get("step", 0), heartbeat.get("steps_per_s") or None, entries.get("total_timesteps")
-    left = (total - step) / rate if rate and total is not None else None
-    return {"step": step, "steps_per_s": rate, "left_s": left, "doing": heartbeat.get("doing")}
+    total, left = entries.get("total_timesteps"), None
+    if beat.steps_per_s > 0 and total is not None:
+        left = (total - beat.step) / beat.steps_per_s
+    return {"step": beat.step, "steps_per_s": beat.steps_per_s or None, "left_s": left, "doing": beat.doing}
 
 
 def _saved_step(path: Path) -> int:

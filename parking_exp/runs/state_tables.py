@@ -39,7 +39,7 @@ def damaged_lines(states: Sequence[RunState]) -> Iterator[str]:
     """Yield a line for every run whose status.json is damaged."""
     for state in states:
         if state.damaged:
-            yield f"damaged  {name(state)}: {state.damaged}; it counts as {state.stage}   {state.run_dir}"
+            yield f"damaged  {name(state)}: status.json can't be read; it counts as {state.stage}   {state.run_dir}"
 
 
 def stopped_lines(states: Sequence[RunState]) -> Iterator[str]:

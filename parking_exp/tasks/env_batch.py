@@ -47,7 +47,3 @@ class EnvBatch:
 
     def ending(self, row: int) -> Any:
         """Return None: the outcome is all that is known of the end of an episode."""
-
-    def positions(self) -> np.ndarray:
-        """Return an array of shape (n, 0): nothing is recorded."""
-        return np.empty((len(self), 0))

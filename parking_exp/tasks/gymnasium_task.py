@@ -30,7 +30,6 @@ class GymnasiumTask:
     metrics = GYMNASIUM_METRICS
     failure = "failure"
     ranking: tuple[str, ...] = ("success", "failure", "steps")
-    recorded: tuple[str, ...] = ()
     monitored: tuple[str, ...] = ("is_success",)
     batch_size = 10  # each has an env of its own, which may take a second to make
 

@@ -18,8 +18,6 @@ FAILURES = tuple(name for name in OUTCOMES if name not in ("success", "timeout")
 """Outcomes of episodes that ended badly; each task has one of them."""
 DTYPES: dict[str, str] = {metric.name: metric.dtype for metric in METRICS if not metric.is_outcome}
 """Types of the columns of an episodes table, but for seed and outcome."""
-RECORDED = parking_metrics.RECORDED
-"""Columns of recordings; parking alone has them."""
 
 
 def make_task(config: EnvConfig) -> "Task":

@@ -79,9 +79,6 @@ class EvaluationBatch(Protocol):
     def ending(self, row: int) -> Any:
         """Return the state at the end of an episode that has just ended, as `Episode.end` of its metrics."""
 
-    def positions(self) -> np.ndarray:
-        """Return the numbers to record of each episode, shape (n, len(Task.recorded))."""
-
 
 class Task(Protocol):
     """A goal-conditioned task, made from its `env` group by `registry.make_task`."""
@@ -90,7 +87,6 @@ class Task(Protocol):
     metrics: tuple[Metric, ...]  # of an evaluation episode; `success` is always there
     failure: str  # the outcome of an episode that ends badly, by its name in this task
     ranking: tuple[str, ...]  # metrics by which the best model is chosen, each where those before it are equal
-    recorded: tuple[str, ...]  # numbers that a recording has of each step; none: there is no recording
     env_id: str
     monitored: tuple[str, ...]  # entries of `info` that `monitor.csv` has of each training episode
     batch_size: int  # evaluation episodes that are stepped together
@@ -152,14 +148,8 @@ class TaskReport:
         methods: sentences on how results are defined.
         sections: of the report, left out where no cell has their data.
         rates: returns data of a cell for the sections, from the final episodes (seed, outcome) of its runs.
-        recordings: returns data from the recordings of a cell's runs, and sentences on unreadable ones. Its arguments
-            are (seed, run id) of each run, a function from run id to its recording, final episodes by run id, and
-            the cell's config as dotted keys.
-        exported: returns the rows of recordings that `recordings` needs, by run id, and such sentences.
     """
 
     methods: Sequence[str]
     sections: Sequence[TaskSection]
     rates: Callable[["Sequence[pd.DataFrame]"], dict[str, Any]]
-    recordings: Callable[..., tuple[dict[str, Any], list[str]]]
-    exported: Callable[..., "tuple[dict[str, pd.DataFrame], list[str]]"]

@@ -47,42 +47,44 @@ def import_mlflow() -> None:
     import mlflow  # noqa: F401
 
 
-def connect(uri: str) -> "MlflowClient":
+def connect(uri: str, output_dir: Path | None = None) -> "MlflowClient":
     """Return a client of a store that has answered, after making an embedded store if need be.
 
     Raises whatever MLflow, SQLAlchemy or the disk raise; `reason` makes a sentence of it.
+
+    Args:
+        uri: of the store.
+        output_dir: the directory that an embedded store is in, and may have been moved with.
     """
     import_mlflow()
     for name in ("alembic", "mlflow"):
         logging.getLogger(name).setLevel(logging.WARNING)
     logging.getLogger("mlflow.store").setLevel(logging.CRITICAL)  # it prints the traceback of what it raises
     path = database(uri)
-    if path is None:
+    if path is None or (path.exists() and not os.access(path.parent, os.W_OK)):  # who can't write may still read
         return _open(uri)
     path.parent.mkdir(parents=True, exist_ok=True)
-    if not os.access(path.parent, os.W_OK):
-        return _open(uri)
     with write_lock(uri):  # processes that make the same store at once collide in MLflow's migrations
         if not path.exists():
-            _make_database(path.resolve())
+            _make_database(path)
         try:
             client = _open(uri)
         except Exception:
-            if not _is_half_made(path):
+            if _has_runs(path):
                 raise
-            _make_database(path.resolve())
+            # MLflow can't complete a store whose migrations were interrupted.
+            path.replace(path.with_name(f"{path.name}.unusable"))
+            _make_database(path)
             client = _open(uri)
-        if os.access(path, os.W_OK):
-            _relocate_artifacts(path)
+        if output_dir is not None:
+            _relocate_artifacts(path, output_dir)
         return client
 
 
 def write_lock(uri: str) -> AbstractContextManager[Any]:
     """Return the lock that all writers to an embedded store share; other stores have their own."""
     path = database(uri)
-    if path is None or (path.exists() and not os.access(path.parent, os.W_OK)):  # who can't write may still read
-        return nullcontext()
-    return FileLock(path.with_name(f".{path.name}.lock"), timeout=WAIT_S, poll_interval=0.01)
+    return FileLock(path.with_name(f".{path.name}.lock"), timeout=WAIT_S, poll_interval=0.01) if path else nullcontext()
 
 
 def reason(error: BaseException) -> str:
@@ -90,14 +92,9 @@ def reason(error: BaseException) -> str:
     causes = [error]
     while (cause := causes[-1].__cause__ or causes[-1].__context__) and cause not in causes:
         causes.append(cause)
-    if isinstance(error, ParkingError):
-        return str(error)
-    error = next((cause for cause in reversed(causes) if isinstance(cause, OSError | sqlite3.Error)), error)
-    text = getattr(error, "strerror", None) or str(error) or type(error).__name__
-    if isinstance(error, OSError) and error.filename:
-        text += f": {error.filename}"
-    text = " ".join(text.split())
-    return text if len(text) <= LONGEST_REASON else f"{text[:LONGEST_REASON]}..."
+    if not isinstance(error, ParkingError):
+        error = next((cause for cause in reversed(causes) if isinstance(cause, OSError | sqlite3.Error)), error)
+    return (" ".join(str(error).split()) or type(error).__name__)[:LONGEST_REASON]
 
 
 def _make_database(path: Path) -> None:
@@ -105,51 +102,38 @@ def _make_database(path: Path) -> None:
     from mlflow import MlflowClient
 
     new = path.with_name(f".{path.name}.new")
-    _delete_database(new)  # a process that was killed may have left one
+    leftovers = (new, Path(f"{new}-journal"))  # of a process that was killed
+    for file in (*leftovers, Path(f"{path}-journal")):  # a lost database's would be rolled back into the new one
+        file.unlink(missing_ok=True)
     try:
         MlflowClient(f"{SQLITE}{new}").search_experiments(max_results=1)
-        _delete_database(path)  # a journal of the old file would be rolled back into the new one
         new.replace(path)
     finally:
-        _delete_database(new)
+        for file in leftovers:
+            file.unlink(missing_ok=True)
 
 
-def _delete_database(path: Path) -> None:
-    for file in (path, path.with_name(f"{path.name}-journal")):
-        file.unlink(missing_ok=True)
-
-
-def _is_half_made(path: Path) -> bool:
-    """Return whether a database is an empty store whose migrations were interrupted; MLflow can't complete it."""
+def _has_runs(path: Path) -> bool:
     with closing(sqlite3.connect(path)) as connection:
-        tables = {name for (name,) in connection.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
-        for table in tables - {"alembic_version", "workspaces"}:
-            user_made = "WHERE experiment_id != 0" if table == "experiments" else ""
-            if connection.execute(f'SELECT 1 FROM "{table}" {user_made} LIMIT 1').fetchone():
-                return False
-        return not tables or "experiments" in tables
+        has_table = connection.execute("SELECT 1 FROM sqlite_master WHERE name = 'runs'").fetchone()
+        return bool(has_table and connection.execute("SELECT 1 FROM runs").fetchone())
 
 
-def _relocate_artifacts(path: Path) -> None:
+def _relocate_artifacts(path: Path, output_dir: Path) -> None:
     """Point an embedded store to artifacts below the output directory that it is in now.
 
     MLflow keeps absolute locations, which its client can't change: a moved store would go on writing to the old place,
     a copied one to the original's. Experiments without the tag, of runs in other output directories, stay as they are.
     """
     with closing(sqlite3.connect(path)) as connection, connection:
-        tagged = "SELECT experiment_id, value FROM experiment_tags WHERE key = ?"
-        for experiment_id, earlier in connection.execute(tagged, (OUTPUT_DIR_TAG,)).fetchall():
-            if earlier == str(path.parent) or not Path(earlier).is_absolute():
-                continue
-            old, new = f"{Path(earlier).as_uri()}/", f"{path.parent.as_uri()}/"
+        tagged = "SELECT experiment_id, value FROM experiment_tags WHERE key = ? AND value != ?"
+        for experiment_id, earlier in connection.execute(tagged, (OUTPUT_DIR_TAG, str(output_dir))).fetchall():
+            old, new = f"{Path(earlier).absolute().as_uri()}/", f"{output_dir.as_uri()}/"
             for table, column in (("experiments", "artifact_location"), ("runs", "artifact_uri")):
-                connection.execute(
-                    f"UPDATE {table} SET {column} = ? || substr({column}, ?)"
-                    f" WHERE experiment_id = ? AND substr({column}, 1, ?) = ?",
-                    (new, len(old) + 1, experiment_id, len(old), old),
-                )
+                moved = f"UPDATE {table} SET {column} = replace({column}, ?, ?) WHERE experiment_id = ?"
+                connection.execute(moved, (old, new, experiment_id))
             renamed = "UPDATE experiment_tags SET value = ? WHERE experiment_id = ? AND key = ?"
-            connection.execute(renamed, (str(path.parent), experiment_id, OUTPUT_DIR_TAG))
+            connection.execute(renamed, (str(output_dir), experiment_id, OUTPUT_DIR_TAG))
 
 
 def _open(uri: str) -> "MlflowClient":

@@ -1,17 +1,12 @@
 """Mirror run directories to an MLflow store; the directory is the truth, and the store its index.
 
-`mirror` needs nothing but a run directory, in any state that a kill can leave it in, and sends what the store lacks:
-after each checkpoint, at the end, and later for a run whose store was down or that was killed. The tag `mirrored`
-of a stored run, written last, is a digest of the files that the store has. A store that was lost
-or replaced, or an older copy of one, is filled again in the same way.
-
-Metrics are sent as soon as they are final: up to the last checkpoint, and all of them when the run is done. An
-interrupted run resumes from that checkpoint and logs everything after it again.
+`mirror` sends what the store lacks of a run directory, in any state that a kill can leave it in. The tag `mirrored`
+of a stored run, written last, is a digest of the files that the store has. Metrics are sent as soon as they are final:
+up to the last checkpoint, from which an interrupted run resumes, and all of them when the run is done.
 """
 
 import json
 import shlex
-import shutil
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
 from pathlib import Path
@@ -20,27 +15,28 @@ from typing import TYPE_CHECKING
 from filelock import FileLock
 
 from parking_exp.config.cell_labels import settings_of
-from parking_exp.config.paths import default_uri, is_same_store
+from parking_exp.config.paths import database, default_uri, is_same_store, relative_path
 from parking_exp.config.run_key import short_hash
+from parking_exp.config.schema import RunConfig
 from parking_exp.errors import plural
-from parking_exp.runs.atomic_files import fingerprint, read_object
+from parking_exp.runs.atomic_files import read_object
 from parking_exp.runs.directory import BUFFER, MANIFEST, MODEL, RunDirectory, Status
 from parking_exp.runs.metric_logs import read_metrics
 from parking_exp.runs.run_provenance import PROVENANCE_FILE
 from parking_exp.tracking.client import reason
 from parking_exp.tracking.store import Store
-from parking_exp.tracking.tags import NOTE, STARTED, run_note, run_tags
 
 if TYPE_CHECKING:
     from mlflow.entities import Metric, Run
 
-DIGEST = "mirrored"  # a tag
+DIGEST, STARTED = "mirrored", "started_ms"  # tags
 WAIT_S = 120  # for another process that mirrors the same run
+LONGEST_ERROR = 500
 LONGEST_PARAM = 6000  # MLflow refuses longer values; the whole config is an artifact besides
 MLFLOW_STATUS = {"done": "FINISHED", "failed": "FAILED"}  # others: KILLED
+FROM_STATUS = ("command", "search", "trial")  # tags
 AT_THE_END = (
     "episodes.csv",
-    "trajectories.npz",
     "curves.png",
     "video.mp4",
     "monitor.csv",
@@ -57,7 +53,7 @@ def mirror(directory: RunDirectory, store: Store) -> None:
     directory.check_links()
     with FileLock(directory.path / ".sync.lock", timeout=WAIT_S):
         status, digest, files = _status(directory), _digest(directory), _files(directory)
-        tags = run_tags(directory, config, store.uri, status)
+        tags = _tags(directory, config, store.uri, status)
         experiment_id = store.experiment_id(config)
         run = _find(directory, store, experiment_id, tags)
         if run is None:
@@ -68,19 +64,16 @@ def mirror(directory: RunDirectory, store: Store) -> None:
             directory.update(run_id=run.info.run_id, tracking_uri=store.uri)
         if (run.data.tags.get(DIGEST), run.data.tags.get("run_dir")) == (digest, tags["run_dir"]):
             return
-        note = run_note(directory, config)
-        if run.data.tags.get(NOTE, note).partition(":")[0] == note.partition(":")[0]:  # else a user has written another
-            tags[NOTE] = note
         params = {key: str(value)[:LONGEST_PARAM] for key, value in settings_of(config.plain()).items()}
         store.log(run, params, tags, list(_new_metrics(run, files.get("metrics.jsonl"))))
         for name, file in files.items():
             store.put_artifact(run, name, file.read_bytes() if file.name != MANIFEST else _buffer_record(file))
-        _delete_stale(store, run, directory)
         with store.writing() as client:
             if status == "running":
                 client.update_run(run.info.run_id, "RUNNING")
             else:
-                client.set_terminated(run.info.run_id, MLFLOW_STATUS.get(status, "KILLED"), _end_ms(directory))
+                end_ms = files.get("metrics.jsonl", files["config.yaml"]).stat().st_mtime_ns // 1_000_000
+                client.set_terminated(run.info.run_id, MLFLOW_STATUS.get(status, "KILLED"), end_ms)
         store.log(run, {}, {DIGEST: digest})
 
 
@@ -116,16 +109,13 @@ def mirror_missing(directories: Iterable[RunDirectory], store: Store) -> Iterato
     try:
         ids = store.experiments()
         names = {directory.path.parents[1].name for directory in idle}
-        runs = store.runs([ids[name] for name in names if name in ids])
+        runs = store.search([ids[name] for name in names if name in ids])
     except Exception as error:
         yield from ((directory, reason(error)) for directory in idle)
         return
     mirrored = {(place.resolve(), run.data.tags.get(DIGEST)) for run in runs if (place := store.run_dir(run))}
     for directory in idle:
-        digest = None
-        with suppress(OSError):  # a file has vanished or can't be read, which `try_mirror` reports for this run
-            digest = _digest(directory)
-        if (directory.path.resolve(), digest) not in mirrored or digest is None:
+        if (directory.path.resolve(), _digest(directory)) not in mirrored:
             yield directory, try_mirror(directory, store)
 
 
@@ -157,11 +147,31 @@ def _status(directory: RunDirectory) -> Status:
 
 def _digest(directory: RunDirectory) -> str:
     """Return a hash that changes when the store is to have something else of a run; nothing is parsed for it."""
-    entries = directory.read_status()
-    state = [_status(directory), *(entries.get(name) for name in ("error", "command", "search", "trial"))]
-    about = [file for name in (PROVENANCE_FILE, "result.json") if (file := directory.path / name).exists()]
-    files = [*about, *_files(directory).values()]
-    return short_hash([state, *([str(file.relative_to(directory.path)), *fingerprint(file)] for file in files)])
+    entries, provenance = directory.read_status(), directory.path / PROVENANCE_FILE
+    state = [_status(directory), *(entries.get(name) for name in ("error", *FROM_STATUS))]
+    files = [*([provenance] if provenance.exists() else []), *_files(directory).values()]
+    stats = [(str(file.relative_to(directory.path)), file.stat()) for file in files]
+    return short_hash([state, *([name, stat.st_size, stat.st_mtime_ns] for name, stat in stats)])
+
+
+def _tags(directory: RunDirectory, config: RunConfig, uri: str, status: Status) -> dict[str, str]:
+    """Return the tags of a run; those that identify it overwrite others of the same name in its provenance."""
+    path, entries = database(uri), directory.read_status()
+    provenance = read_object(directory.path / PROVENANCE_FILE)
+    error = " ".join(str(entries.get("error", "")).split()) if status == "failed" else ""
+    stored = provenance.get("tags")
+    return {
+        **({str(name): str(value) for name, value in stored.items()} if isinstance(stored, dict) else {}),
+        **({STARTED: str(provenance[STARTED])} if STARTED in provenance else {}),
+        **{name: str(entries[name]) for name in FROM_STATUS if name in entries},
+        "experiment": config.experiment_name,
+        "cell": config.cell,
+        "seed": str(config.seed),
+        "run_key": config.run_key,
+        "run_dir": relative_path(directory.path, path.parent) if path else str(directory.path.absolute()),
+        "status": status,
+        "error": error[:LONGEST_ERROR],
+    }
 
 
 def _files(directory: RunDirectory) -> dict[str, Path]:
@@ -171,8 +181,8 @@ def _files(directory: RunDirectory) -> dict[str, Path]:
     if checkpoints := sorted(directory.checkpoints.glob("step=*")):
         newest = checkpoints[-1]
         files["metrics.jsonl"] = newest / "metrics.jsonl"  # what is final of it
-        files[f"checkpoints/{newest.name}/{MODEL}"] = newest / MODEL
-        files[f"checkpoints/{newest.name}/replay_buffer.json"] = newest / MANIFEST
+        files["checkpoint/model.zip"] = newest / MODEL
+        files["checkpoint/replay_buffer.json"] = newest / MANIFEST
     if status == "done":
         files["metrics.jsonl"] = path / "metrics.jsonl"
     if status != "running":
@@ -215,28 +225,6 @@ def _new_metrics(run: "Run", log: Path | None) -> "Iterator[Metric]":
 
 
 def _buffer_record(manifest: Path) -> bytes:
-    """Return path, hash and size of a checkpoint's replay buffer, which stays in the run directory, as JSON."""
-    buffer = manifest.with_name(BUFFER)
-    size = buffer.stat().st_size if buffer.exists() else None
-    path = str(buffer.relative_to(manifest.parents[2]))  # in the run directory, wherever that may be moved
-    return json.dumps({"path": path, "sha256": read_object(manifest).get(BUFFER), "bytes": size}, indent=2).encode()
-
-
-def _delete_stale(store: Store, run: "Run", directory: RunDirectory) -> None:
-    """Delete models of old checkpoints and the traceback of an earlier failure, which MLflow's client can't delete."""
-    folder = store.artifact_path(run.info.artifact_uri, "checkpoints")
-    kept = [checkpoint.name for checkpoint in directory.checkpoints.glob("step=*")]
-    if folder is None:
-        return
-    for old in folder.glob("*") if kept else ():  # a user who has deleted all checkpoints made room here
-        if old.name not in kept:
-            shutil.rmtree(old, ignore_errors=True)
-    if not (directory.path / "traceback.txt").exists():
-        (folder.parent / "traceback.txt").unlink(missing_ok=True)
-
-
-def _end_ms(directory: RunDirectory) -> int:
-    """Return when the run last wrote something: it may have ended long before it is mirrored."""
-    names = ("config.yaml", "metrics.jsonl", "traceback.txt", "result.json")
-    times = [file.stat().st_mtime_ns for name in names if (file := directory.path / name).exists()]
-    return max(times) // 1_000_000
+    """Return path and hash of a checkpoint's replay buffer, which stays in the run directory, as JSON."""
+    path = manifest.with_name(BUFFER).relative_to(manifest.parents[2])  # wherever the run directory may be moved
+    return json.dumps({"path": str(path), "sha256": read_object(manifest).get(BUFFER)}, indent=2).encode()

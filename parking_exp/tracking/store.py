@@ -12,14 +12,13 @@ from parking_exp.config.schema import RunConfig
 from parking_exp.errors import StoreError
 from parking_exp.runs.atomic_files import replacing
 from parking_exp.tracking.client import OUTPUT_DIR_TAG, connect, write_lock
-from parking_exp.tracking.tags import experiment_tags
 
 if TYPE_CHECKING:
     from mlflow import MlflowClient
     from mlflow.entities import Metric, Run
 
 METRICS_A_BATCH, PARAMS_A_BATCH = 1000, 100  # MLflow's own limits
-RUNS_A_PAGE = 10_000  # one request for most stores; MLflow's limit is 50,000
+RUNS_A_PAGE, EXPERIMENTS = 10_000, 50_000  # one request for most stores; the latter is MLflow's limit
 
 
 class Store:
@@ -33,7 +32,6 @@ class Store:
         self.uri = absolute(uri)
         self._database = path = database(self.uri)
         self._own_directory = output_dir if path and output_dir and path.is_relative_to(output_dir) else None
-        self._runs: dict[str, list[Run]] = {}  # by experiment id, as of the last search
 
     @cached_property
     def client(self) -> "MlflowClient":
@@ -41,31 +39,19 @@ class Store:
         path, own = self._database, self._own_directory
         if path and own and not lies_inside(path, own):
             raise StoreError(f"{path} is a symbolic link that leads out of {own}; name the store with tracking.uri=")
-        return connect(self.uri)
+        return connect(self.uri, own)
 
     @contextmanager
     def writing(self) -> "Iterator[MlflowClient]":
         """Yield MLflow's client, with the lock that all writers share."""
         client = self.client
-        self._runs.clear()
         with write_lock(self.uri):
             yield client
 
     def experiments(self) -> dict[str, str]:
         """Return the ids of all experiments that are not deleted, by name."""
-        ids, token = dict[str, str](), None
-        while True:
-            page = self.client.search_experiments(page_token=token)
-            ids |= {experiment.name: experiment.experiment_id for experiment in page}
-            if not (token := page.token):
-                return ids
-
-    def runs(self, experiment_ids: Sequence[str]) -> "list[Run]":
-        """Return all runs of some experiments, deleted ones too. They are searched again after this has written."""
-        if unknown := [each for each in experiment_ids if each not in self._runs]:
-            runs = self.search(unknown)
-            self._runs |= {each: [run for run in runs if run.info.experiment_id == each] for each in unknown}
-        return [run for each in experiment_ids for run in self._runs[each]]
+        experiments = self.client.search_experiments(max_results=EXPERIMENTS)
+        return {experiment.name: experiment.experiment_id for experiment in experiments}
 
     def search(self, experiment_ids: Sequence[str], condition: str = "") -> "list[Run]":
         """Return the runs of some experiments, deleted ones too, that match a filter string of MLflow."""
@@ -89,9 +75,8 @@ class Store:
 
     def experiment_id(self, config: RunConfig) -> str:
         """Return the id of a run's experiment, which is made if need be."""
-        from mlflow.exceptions import MlflowException
-
-        name, location, tags = config.experiment_name, None, experiment_tags(config.experiment_name)
+        name, location = config.experiment_name, None
+        tags = {"mlflow.experimentKind": "custom_model_development"}  # else the UI shows traces and prompts of GenAI
         # A tracking server has its own place for artifacts; a database would put them into the current directory.
         if not self.uri.startswith(("http", "databricks")):
             location = (config.output_path / ARTIFACTS / name).as_uri()
@@ -100,13 +85,8 @@ class Store:
         with self.writing() as client:
             experiment = client.get_experiment_by_name(name)
             if experiment is None:
-                try:
-                    return client.create_experiment(name, location, tags)
-                except MlflowException:  # another process may have been first: servers have no such lock
-                    experiment = client.get_experiment_by_name(name)
-                    if experiment is None:
-                        raise
-        self.artifact_path(experiment.artifact_location, "")
+                return client.create_experiment(name, location, tags)
+        self._artifact_path(experiment.artifact_location, "")
         return experiment.experiment_id
 
     def log(
@@ -125,9 +105,9 @@ class Store:
                 client.log_batch(run.info.run_id, **batch)
 
     def put_artifact(self, run: "Run", name: str, content: bytes) -> None:
-        """Store an artifact of a run, in place of an earlier one of that name; see `artifact_path`."""
+        """Store an artifact of a run, in place of an earlier one of that name; see `_artifact_path`."""
         # MLflow's client caches folders by run id, whatever the store: a copied store would write to the original's.
-        if (path := self.artifact_path(run.info.artifact_uri, name)) is not None:
+        if (path := self._artifact_path(run.info.artifact_uri, name)) is not None:
             path.parent.mkdir(parents=True, exist_ok=True)
             with replacing(path, durable=False) as temporary:
                 temporary.write_bytes(content)
@@ -139,21 +119,15 @@ class Store:
             self.client.log_artifact(run.info.run_id, str(file), folder or None)
 
     def artifact(self, run_id: str, folder_uri: str, name: str) -> bytes | None:
-        """Return the content of a run's artifact, None if it has none of that name; see `artifact_path`."""
-        if (path := self.artifact_path(folder_uri, name)) is not None:
-            try:
-                return path.read_bytes()
-            except FileNotFoundError:
-                return None
+        """Return the content of a run's artifact, None if it has none of that name; see `_artifact_path`."""
+        if (path := self._artifact_path(folder_uri, name)) is not None:
+            return path.read_bytes() if path.exists() else None
+        if not any(item.path == name for item in self.client.list_artifacts(run_id)):
+            return None
         with TemporaryDirectory() as temporary:
-            try:
-                return Path(self.client.download_artifacts(run_id, name, temporary)).read_bytes()
-            except Exception:
-                if any(item.path == name for item in self.client.list_artifacts(run_id)):
-                    raise
-                return None
+            return Path(self.client.download_artifacts(run_id, name, temporary)).read_bytes()
 
-    def artifact_path(self, folder_uri: str, name: str) -> Path | None:
+    def _artifact_path(self, folder_uri: str, name: str) -> Path | None:
         """Return the path of an artifact, None if artifacts are not files of this machine.
 
         Raises:

@@ -4,37 +4,30 @@ import time
 from collections.abc import Callable
 
 from parking_exp.config.schema import RunConfig
-from parking_exp.runs.atomic_files import write_json
+from parking_exp.runs.atomic_files import read_object, write_json
 from parking_exp.runs.directory import RunDirectory
-from parking_exp.runs.run_provenance import PROVENANCE_FILE, provenance, read_provenance
+from parking_exp.runs.run_provenance import PROVENANCE_FILE, provenance
 from parking_exp.tracking.mirror import sync_hint, try_mirror
 from parking_exp.tracking.store import Store
 
-# Between attempts at a store that fails: at most a twentieth of a training's time is spent on them.
-SHORTEST_PAUSE_S, PAUSE_TO_ATTEMPT = 30.0, 20.0
-
 
 class Tracker:
-    """Mirrors a run to its store, if it has one; after a failure, not again for a while."""
+    """Mirrors a run to its store, if it has one; after a failure, not again before the run ends."""
 
     def __init__(self, directory: RunDirectory, uri: str | None = None, say: Callable[[str], None] = print) -> None:
         self.directory, self.uri, self.say = directory, uri, say
         self.problem: str | None = None
-        self._next_attempt = 0.0
 
     def sync(self) -> None:
-        """Mirror a new checkpoint, unless the store has just failed."""
-        if time.monotonic() >= self._next_attempt:
+        """Mirror a new checkpoint, unless the store has failed: each attempt could take minutes."""
+        if self.problem is None:
             self.close()
 
     def close(self) -> None:
         """Mirror the run; to be called when its last status is written."""
         if self.uri is None:
             return
-        start, before = time.monotonic(), self.problem
-        self.problem = try_mirror(self.directory, Store(self.uri, self.directory.output_dir))
-        now = time.monotonic()
-        self._next_attempt = now + max(SHORTEST_PAUSE_S, PAUSE_TO_ATTEMPT * (now - start)) if self.problem else 0.0
+        before, self.problem = self.problem, try_mirror(self.directory, Store(self.uri, self.directory.output_dir))
         if before and self.problem is None:
             self.say("the store is complete again")
         elif self.problem and before is None:
@@ -49,7 +42,7 @@ def open_tracker(config: RunConfig, directory: RunDirectory, say: Callable[[str]
         return Tracker(directory)
     # Of the process that trains, not of one that mirrors later.
     path = directory.path / PROVENANCE_FILE
-    started_ms = read_provenance(path)[0] or time.time_ns() // 1_000_000
+    started_ms = read_object(path).get("started_ms") or time.time_ns() // 1_000_000
     write_json(path, {"started_ms": started_ms, "tags": provenance()})
     uri = config.store_uri
     directory.update(tracking_uri=uri)

@@ -6,9 +6,8 @@ import pandas as pd
 from parking_exp.algorithms.model_files import save_model
 from parking_exp.config.schema import RunConfig
 from parking_exp.errors import CertificationError, VideoError
-from parking_exp.evaluation.evaluate_policy import Recorder, differences, success_line
+from parking_exp.evaluation.evaluate_policy import differences, success_line
 from parking_exp.evaluation.video import record
-from parking_exp.runs.run_files import TRAJECTORIES_FILE
 from parking_exp.tasks.metrics import EPISODE_SEED
 from parking_exp.training.loop import TrainingLoop, derive_seeds
 from parking_exp.training.plot_curves import learning_curves
@@ -21,14 +20,11 @@ def finish(loop: TrainingLoop) -> pd.DataFrame:
         CertificationError: an episode differs between two simulators of the task; all files are written.
     """
     config, path, metrics = loop.config, loop.directory.path, loop.task.metrics
-    recorder = Recorder(loop.task.recorded) if loop.task.recorded else None
     loop.bar.busy("final evaluation")
     chosen = certified_seeds(config)
     # Certified episodes are stepped by themselves, since a policy's last bits depend on what is in its batch.
     others = [seed for seed in loop.episode_seeds(config.evaluation.final_n_scenes) if seed not in chosen]
-    parts = [loop.run_episodes(seeds, recorder=recorder) for seeds in (chosen, others) if len(seeds)]
-    if recorder is not None:
-        recorder.save(path / TRAJECTORIES_FILE)
+    parts = [loop.run_episodes(seeds) for seeds in (chosen, others) if len(seeds)]
     episodes = pd.concat(parts).sort_values(EPISODE_SEED, ignore_index=True)
     summary = loop.record_evaluation(episodes.head(config.evaluation.n_scenes), "eval")
     loop.bar.say(success_line(summary, loop.model.num_timesteps, metrics))

@@ -18,7 +18,7 @@ from parking_exp.buffers import HerBuffer
 from parking_exp.config.schema import RunConfig
 from parking_exp.config_model import TRAINING_SEEDS_START
 from parking_exp.errors import InterruptedRunError
-from parking_exp.evaluation.evaluate_policy import Recorder, evaluate, rank, success_line, summarise
+from parking_exp.evaluation.evaluate_policy import evaluate, rank, success_line, summarise
 from parking_exp.runs.directory import RunDirectory
 from parking_exp.runs.metric_logs import MetricsLog, append_episodes
 from parking_exp.tasks.registry import make_task
@@ -106,11 +106,9 @@ class TrainingLoop:
         self.dump_metrics()
         self.bar.say(success_line(summary, self.model.num_timesteps, self.task.metrics))
 
-    def run_episodes(
-        self, seeds: Sequence[int], simulator: str | None = None, recorder: Recorder | None = None
-    ) -> pd.DataFrame:
+    def run_episodes(self, seeds: Sequence[int], simulator: str | None = None) -> pd.DataFrame:
         """Return the greedy policy's episodes, or raise when a signal asks to stop."""
-        return evaluate(self.policy, self.task, seeds, lambda _: self.stop_if_asked(), simulator, recorder)
+        return evaluate(self.policy, self.task, seeds, lambda _: self.stop_if_asked(), simulator)
 
     def episode_seeds(self, number: int) -> range:
         """Return the seeds of the first `number` of the fixed evaluation episodes."""

@@ -61,15 +61,15 @@ def test_a_damaged_status_affects_only_its_run(tmp_path):
     shown = call_script("status", f"output_dir={tmp_path}")
     assert shown.returncode == 0, shown.stderr
     lines = shown.stdout.splitlines()
-    assert [line.split() for line in lines[1:4]] == [["a", "1", "50%"], ["cell-b", "1", "5"], ["all", "2", "5"]]
+    assert [line.split() for line in lines[1:4]] == [["a", "1", "50%"], ["cell-b", "6"], ["all", "1", "6"]]
     assert [line.split()[:3] for line in lines[4:]] == [["damaged", "cell-b", f"seed={n}:"] for n in range(6)]
     plain = json.loads(call_script("status", f"output_dir={tmp_path}", "--json").stdout)
-    assert [run["damaged"] for run in plain["cells"][1]["runs"]][4] == "status.json has no valid success_rate"
+    assert [run["damaged"] for cell in plain["cells"] for run in cell["runs"]] == [False, *6 * [True]]
     process = RunDirectory(tmp_path / "mine" / "cell-b" / "seed=0")
     with process.supervisor_lock():
         assert (read_state(process.path).stage, read_state(process.path).step) == ("running", 0)
     process.update(host="here")
-    assert read_state(process.path).damaged is None
+    assert not read_state(process.path).damaged
 
 
 def test_control_characters_of_a_foreign_run_are_escaped(tmp_path):

@@ -7,16 +7,13 @@ import pandas as pd
 import pytest
 from support.runs import make_config
 
-from parking_exp.evaluation.evaluate_policy import Recorder, describe, evaluate, rank, summarise
-from parking_exp.results.recordings import read_trajectories
+from parking_exp.evaluation.evaluate_policy import describe, evaluate, rank, summarise
 from parking_exp.runs.metric_logs import append_episodes
 from parking_exp.tasks.metrics import episode_columns, outcome
-from parking_exp.tasks.parking.geometry import SLOT_POSITIONS
 from parking_exp.tasks.parking.highway import make_env
 from parking_exp.tasks.parking.outcomes import Pose, relative_pose
-from parking_exp.tasks.parking.parking_metrics import METRICS, RECORDED
+from parking_exp.tasks.parking.parking_metrics import METRICS
 from parking_exp.tasks.parking.parking_task import ParkingTask
-from parking_exp.tasks.parking.scenes import Scenes
 from parking_exp.tasks.registry import make_task
 
 
@@ -36,27 +33,6 @@ def test_one_row_per_scene_in_the_order_asked_for():
     assert table["scene"].tolist() == scenes
     assert set(table["outcome"]) == {"timeout"}
     assert set(table["steps"]) == {11}
-
-
-@pytest.mark.parametrize("simulator", ["vectorized", "highway_env"])
-def test_trajectories_lead_from_the_origin_to_where_the_episode_ended(simulator, tmp_path):
-    env = make_config("env.duration=4").env
-    recorder = Recorder(RECORDED)
-    table = evaluate(straight_on, make_task(env), [5, 3, 40], simulator=simulator, recorder=recorder)
-    recorder.save(tmp_path / "trajectories.npz")
-    rows = read_trajectories((tmp_path / "trajectories.npz").read_bytes())
-    assert list(rows.columns) == ["scene", "step", "x_m", "y_m", "heading_rad", "speed_mps"]
-    assert rows["scene"].unique().tolist() == [3, 5, 40]
-    scenes = Scenes.from_seeds([3, 5, 40])
-    for number, (scene, steps) in enumerate(rows.groupby("scene")):
-        end = table.set_index("scene").loc[scene]
-        assert steps["step"].tolist() == list(range(end["steps"] + 1))
-        assert steps.iloc[0][["x_m", "y_m", "speed_mps"]].tolist() == [0, 0, 0]
-        assert steps.iloc[0]["heading_rad"] == np.float32(scenes.heading[number])
-        slot = SLOT_POSITIONS[scenes.goal[number]]
-        away = np.hypot(*(steps.iloc[-1][["x_m", "y_m"]].to_numpy(float) - slot))
-        assert away == pytest.approx(end["distance_m"], abs=1e-5)
-        assert abs(steps.iloc[-1]["speed_mps"]) == pytest.approx(end["speed_mps"], abs=1e-6)
 
 
 def test_rows_are_what_a_plain_loop_sees():

@@ -13,7 +13,7 @@ from parking_exp.reports.sections import Picture, section_contents
 ARGUMENTS = ["--no-sandbox", "--disable-gpu", "--no-first-run", "--disable-background-networking", "--disable-sync"]
 SECTIONS = {
     "final_success": "results", "learning_curves": "curves", "time_to_90": "time", "pairwise": "pairs",
-    "scene_map": "scenes", "trajectories": "trajectories",
+    "scene_map": "scenes",
 }  # fmt: skip
 SVG = b'<svg xmlns="http://www.w3.org/2000/svg" width="490" height="200"><circle cx="90" cy="80" r="20"/></svg>'
 PICTURES = [

@@ -51,7 +51,7 @@ def test_a_report_has_a_page_tables_figures_and_every_number(made):
     assert done.stdout.startswith("sac has the highest final success: 80.0 % [")
     files = {path.name for path in folder.iterdir() if not path.name.startswith(".")}
     assert files == {"figures", "index.html", "report.json", "tables"}
-    names = ("final_success", "learning_curves", "pairwise", "scene_map", "trajectories")
+    names = ("final_success", "learning_curves", "pairwise", "scene_map")
     figures = {path.name for path in (folder / "figures").iterdir()}
     assert figures == {f"{name}.{ending}" for name in names for ending in ("svg", "png")}
     tables = {path.name for path in (folder / "tables").iterdir()}

@@ -11,12 +11,10 @@ from support.report_command import report
 from support.runs import in_memory, read_text
 from support.store_factory import Look, make_store
 
-from parking_exp.reports.cell_summaries import RunEvaluations
 from parking_exp.reports.report_builder import build_report
 from parking_exp.reports.report_run import ReportSource, read_report_export, write_report_export
 from parking_exp.reports.search_report import Tuning, with_tuning
-from parking_exp.results import load, read_export
-from parking_exp.tasks.parking import lot_map
+from parking_exp.results import load
 from parking_exp.tuning.trials import TrialRow
 
 CELLS = {
@@ -30,12 +28,8 @@ def look(label, seed):
         return Look(status="failed", error="no file /tmp/here/x.zip", curve=(0.2, 0.9, 0.9, 0.9))
     if (label, seed) == ("final4", 2):
         return Look(status="interrupted")
-    contents = {"trajectories.npz": b"damaged"} if (label, seed) == ("final1", 0) else {}
     curve = (0.1, 1 / 3, 0.9 + seed / 100, 0.95, 1.0) if label.startswith("future") else None
-    # Trajectories of 150 steps are thinned.
-    return Look(
-        success=0.3, crash=0.4, steps=150, trajectories=40, cpu_s=200 / 3 + seed, curve=curve, contents=contents
-    )
+    return Look(success=0.3, crash=0.4, steps=150, cpu_s=200 / 3 + seed, curve=curve)
 
 
 @pytest.fixture(scope="module")
@@ -86,37 +80,6 @@ def test_a_report_from_an_export_differs_in_places_and_rounding_only(source, sto
     assert [run.reason for run in from_export.provenance.unfinished if run.status == "failed"] == ["no file x.zip"]
     assert f"The store lacks {store}/x: no." in from_store.warnings
     assert sorted(from_export.warnings) == sorted(text.replace(f"{store}/x", "x") for text in from_store.warnings)
-    assert any("trajectories.npz can't be read" in text for text in from_export.warnings)
-    paths = [path for cell in from_export.cells for path in cell.task_data["paths"]]
-    assert len(paths) > 20
-    assert all(len(path.x_m) == -(-path.steps // 5) + 1 for path in paths)  # every fifth pose, and the last
-    assert all(len(cell.task_data["failures"]) > 10 for cell in from_export.cells)
-
-
-def test_of_many_episodes_some_are_drawn_at_random_and_the_same_ones_from_the_export(source, tmp_path, monkeypatch):
-    monkeypatch.setattr(lot_map, "MOST_FAILURES", 7)
-    monkeypatch.setattr(lot_map, "PATHS_AN_OUTCOME", 2)
-    results = source.results
-    runs = results.runs[results.runs["status"] == "done"]
-    whole = report_of(source)
-    write_report_export(source, whole, tmp_path / "one", only_cells=False)
-    write_report_export(source, whole, tmp_path / "two", only_cells=False)
-    for path in (tmp_path / "one").iterdir():
-        assert path.read_bytes() == (tmp_path / "two" / path.name).read_bytes()
-    kept = read_export(tmp_path / "one")
-    final = RunEvaluations.of(results).final
-    for _, cell in runs.groupby("cell"):
-        pairs = list(zip(cell["seed"].tolist(), cell["run_id"].tolist(), strict=True))
-        for vehicles in (0, 3):
-            paths, drawn, _ = lot_map.sample(pairs, results.trajectories, final, vehicles)
-            assert (len(paths), len(drawn)) == (3 if vehicles else 6, 7)
-            assert lot_map.sample(pairs, kept.trajectories, final, vehicles)[:2] == (paths, drawn)
-        with monkeypatch.context() as patch:
-            patch.setattr(lot_map, "MOST_FAILURES", 500)
-            _, everything, _ = lot_map.sample(pairs, results.trajectories, final, 0)
-        rest = iter(everything)
-        assert all(failure in rest for failure in drawn)  # in the same order
-        assert drawn != everything[:7]  # not the first ones
 
 
 def test_an_export_names_no_absolute_path(folder):

@@ -8,7 +8,6 @@ import shutil
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import pandas as pd
 import pytest
 from support.runs import in_memory, read_text
@@ -86,34 +85,18 @@ def test_curves_and_outcomes_come_back_rounded_to_six_digits(stored, written):
     assert results.episodes[["parked", "steps", "return"]].isna().all(axis=None)
 
 
-def test_trajectories_come_back_in_centimetres_without_speeds(stored, tmp_path):
-    run_id, steps = stored.runs["run_id"][0], [0, 5, 10, 12]
-    x = np.array([0, 1.001, 0.5, 0.534])
-    trajectory = pd.DataFrame({"scene": 3, "step": steps, "x_m": x, "y_m": -x, "heading_rad": x / 10, "speed_mps": 1.0})
-    folder = write_export(stored, tmp_path / "one", {run_id: trajectory})
-    rows = read_export(folder).trajectories(run_id)
-    assert rows["step"].tolist() == steps
-    assert rows["x_m"].tolist() == pytest.approx(x.round(2).tolist(), abs=1e-6)
-    assert rows["y_m"].tolist() == pytest.approx((-x).round(2).tolist(), abs=1e-6)
-    assert rows["heading_rad"].tolist() == pytest.approx((x / 10).round(2).tolist(), abs=1e-6)
-    assert rows["speed_mps"].isna().all()
-    assert rows.dtypes.to_dict() == stored.trajectories(run_id).dtypes.to_dict()
-    assert read_export(folder).trajectories(stored.runs["run_id"][1]).empty
-
-
 def test_problems_and_runs_of_others_are_kept_and_the_folder_is_the_source(stored, tmp_path):
-    reported = replace(stored, problems=("a: /tmp/x/y.csv is missing", "b"), ignored=3)
-    results = read_export(write_export(reported, tmp_path / "one", problems=["b", "c"]))
-    assert results.problems == ("b", "c", "a: y.csv is missing")
-    assert results.ignored == 3
+    reported = replace(stored, problems=("a: /tmp/x/y.csv is missing", "b"))
+    results = read_export(write_export(reported, tmp_path / "one"))
+    assert results.problems == ("a: y.csv is missing", "b")
     assert results.uri == str(tmp_path / "one")
 
 
 def test_the_same_results_give_the_same_bytes_and_replace_an_earlier_export(stored, written):
     before = {path.name: path.read_bytes() for path in written.iterdir()}
     assert set(before) == set(FILES)
-    write_export(replace(stored, ignored=1), written)
-    assert json.loads((written / "report.json").read_text())["ignored"] == 1
+    write_export(replace(stored, problems=("a",)), written)
+    assert json.loads((written / "report.json").read_text())["problems"] == ["a"]
     write_export(stored, written)
     assert {path.name: path.read_bytes() for path in written.iterdir()} == before
     assert [path.name for path in written.parent.iterdir()] == ["her"]
@@ -161,7 +144,7 @@ def test_an_export_does_not_write_through_links(stored, written, tmp_path):
 @pytest.mark.parametrize(
     ("name", "old", "new"),
     [
-        ("report.json", '"ignored"', '"ignore"'), ("report.json", "{", "["), ("runs.csv.gz", "run_id,", "run,"),
+        ("report.json", '"problems"', '"problem"'), ("report.json", "{", "["), ("runs.csv.gz", "run_id,", "run,"),
         ("runs.csv.gz", ",200,", ",200.5,"), ("runs.csv.gz", "2023-11-14 ", "2023-99-14 "),
         ("curves.csv.gz", ",0.333333", ",a"), ("outcomes.csv.gz", "scene", "scenes"),
     ],

@@ -13,13 +13,13 @@ import pandas as pd
 import pytest
 from support.mlflow_servers import closed_port, mlflow_server, needs_server
 from support.runs import ROOT, in_memory, store
-from support.store_factory import STARTED_MS, Look, compose, made_episodes, made_trajectories, make_store
+from support.store_factory import STARTED_MS, Look, compose, made_episodes, make_store
 
 import parking_exp.results
 from parking_exp.config.paths import default_uri
 from parking_exp.errors import ResultsError
 from parking_exp.results import frames, load
-from parking_exp.results.recordings import CURVE, CURVE_TYPES, EPISODES
+from parking_exp.results.run_logs import CURVE, CURVE_TYPES, EPISODES
 from parking_exp.tasks.metrics import episode_columns
 from parking_exp.tasks.parking.parking_metrics import METRICS
 
@@ -104,8 +104,15 @@ def test_config_columns_are_typed_and_what_a_cell_does_not_have_is_missing(ablat
     assert runs["config.timeout_s"].isna().all()
 
 
-PARAMS = [("3", 3), ("5e-05", 5e-05), ("inf", math.inf), ("True", True), ("None", None), (None, None), ("[1, 2]", "[1, 2]"),
-          ("2024_11", "2024_11"), (" 5 ", " 5 "), ("9" * 400, "9" * 400)]  # fmt: skip
+PARAMS = [
+    ("3", 3),
+    ("5e-05", 5e-05),
+    ("inf", math.inf),
+    ("True", True),
+    (None, None),
+    ("[1, 2]", "[1, 2]"),
+    ("2024_11", "2024_11"),
+]
 
 
 @pytest.mark.parametrize(("text", "value"), PARAMS)
@@ -186,7 +193,6 @@ def test_runs_of_others_and_deleted_ones_are_left_out(output_dir):
     results = load("e", output_dir=output_dir)
     assert list(results.runs["run_id"]) == [made["", 0].run_id]
     assert set(results.curves["run_id"]) == set(results.runs["run_id"]) == set(results.episodes["run_id"])
-    assert results.ignored == 2
 
 
 def test_a_run_that_was_stored_twice_is_a_problem(output_dir, tmp_path):
@@ -195,39 +201,6 @@ def test_a_run_that_was_stored_twice_is_a_problem(output_dir, tmp_path):
     results = load("e", output_dir=output_dir)
     assert len(results.runs) == 2
     assert results.problems == (f"e, {twin.config().cell}, seed 0: 2 runs have this cell and seed",)
-
-
-def test_trajectories_are_read_as_they_were_recorded(ablation):
-    output_dir, made = ablation
-    results = load("her", output_dir=output_dir)
-    trajectories = results.trajectories(made["four", 0].run_id)
-    recorded = made_trajectories(made_episodes(LOOKS["four", 0], 0.8, range(5), 0))
-    assert [str(dtype) for dtype in trajectories.dtypes] == ["int64", "int64"] + 4 * ["float32"]
-    assert list(trajectories.columns) == ["scene", "step", "x_m", "y_m", "heading_rad", "speed_mps"]
-    assert list(trajectories.groupby("scene").size()) == list(recorded["length"])
-    for name in ("x_m", "y_m", "heading_rad", "speed_mps"):
-        np.testing.assert_array_equal(trajectories[name], recorded[name])
-    for key in (("none", 1), ("four", 2)):
-        empty = results.trajectories(made[key].run_id)
-        assert (len(empty), list(empty.dtypes)) == (0, list(trajectories.dtypes))
-
-
-def test_damaged_trajectories_are_refused_with_their_run(output_dir, tmp_path):
-    arrays = {"scene": np.arange(2), "length": np.array([2, 3])}
-    arrays |= dict.fromkeys(("x_m", "y_m", "heading_rad", "speed_mps"), np.zeros(5))
-    np.savez(tmp_path / "short.npz", **{**arrays, "x_m": np.zeros(4)})
-    np.savez(tmp_path / "pickled.npz", **{**arrays, "x_m": np.array([print] * 5, dtype=object)})
-    np.savez(tmp_path / "huge.npz", **{**arrays, "length": np.array([2, 10**15])})
-    np.savez(tmp_path / "infinite.npz", **{**arrays, "x_m": np.full(5, np.inf)})
-    short, *others = ((tmp_path / f"{name}.npz").read_bytes() for name in ("short", "pickled", "huge", "infinite"))
-    looks = [Look(contents={"trajectories.npz": content}, trajectories=0) for content in (short[:300], short, *others)]
-    make_store(output_dir, "e", {"": []}, range(5), lambda _, seed: looks[seed])
-    results = load("e", output_dir=output_dir)
-    for run_id in results.runs["run_id"]:
-        with pytest.raises(ResultsError, match=rf"^run {run_id}: trajectories.npz can't be read: "):
-            results.trajectories(run_id)
-    with pytest.raises(ResultsError, match=r"^run_id=x: .*; choose from "):
-        results.trajectories("x")
 
 
 def test_a_missing_store_is_not_made(tmp_path):
@@ -240,7 +213,7 @@ def test_an_unreadable_store_is_a_sentence(tmp_path):
     (tmp_path / "mlflow.db").write_text("this is not a database, and it is long enough to be looked at " * 20)
     with pytest.raises(ResultsError, match="can't be read: file is not a database"):
         load("her", output_dir=tmp_path)
-    refused = pytest.raises(ResultsError, match=r"http://me@127\S+ can't be read: Connection refused")
+    refused = pytest.raises(ResultsError, match=r"http://me@127\S+ can't be read: .*Connection refused")
     with closed_port() as port, refused:
         load("her", uri=f"http://me@127.0.0.1:{port}")
 
@@ -253,7 +226,7 @@ def test_an_experiment_that_is_unknown_or_has_no_runs_is_refused(ablation, outpu
         load(["her", "zzz"], uri=uri)
     client = store(output_dir)
     client.create_run(client.create_experiment("void"))
-    with pytest.raises(ResultsError, match=r"^experiment=void: .*, but 1 by others$"):
+    with pytest.raises(ResultsError, match="experiment=void: it has no runs"):
         load("void", output_dir=output_dir)
 
 
@@ -261,7 +234,6 @@ def test_an_experiment_that_is_unknown_or_has_no_runs_is_refused(ablation, outpu
 def test_results_are_read_without_torch_and_simulators(ablation):
     code = (
         "import sys; from parking_exp.results import load; results = load('her', output_dir=sys.argv[1]); "
-        "results.trajectories(results.runs['run_id'][0]); "
         "print(sorted({'torch', 'gymnasium', 'highway_env', 'stable_baselines3', 'matplotlib'} & set(sys.modules)))"
     )
     command = [sys.executable, "-c", code, str(ablation[0])]
@@ -289,7 +261,7 @@ def test_a_real_run_is_loaded_as_it_was_trained(smoke):
     stored = results.episodes.drop(columns="run_id")
     pd.testing.assert_frame_equal(stored, pd.read_csv(directory.path / "episodes.csv").astype(EPISODES))
     assert run["config.total_timesteps"] == 400
-    assert (results.problems, results.ignored) == ((), 0)
+    assert results.problems == ()
 
 
 @needs_server
@@ -301,7 +273,7 @@ def test_a_server_gives_the_same_frames_as_an_embedded_store(tmp_path, capfd):
     with closed_port() as port:
         pass
     with mlflow_server(port, tmp_path) as uri:
-        made = make_store(tmp_path, "her", HER, range(3), lambda *key: looks[key], uri=uri)
+        make_store(tmp_path, "her", HER, range(3), lambda *key: looks[key], uri=uri)
         results = load("her", uri=uri)
         assert capfd.readouterr() == ("", "")  # no progress bars of downloads
         assert results.runs["artifact_uri"].str.startswith("mlflow-artifacts:").all()
@@ -310,8 +282,6 @@ def test_a_server_gives_the_same_frames_as_an_embedded_store(tmp_path, capfd):
         for name in ("curves", "episodes"):
             pd.testing.assert_frame_equal(by_cell_and_seed(results, name), by_cell_and_seed(local, name))
         assert [problem.partition("episodes.csv ")[2] for problem in results.problems] == ["is missing in the store"]
-        assert len(results.trajectories(made["four", 0].run_id)) > 0
-        assert results.trajectories(made["four", 2].run_id).empty
 
 
 def by_cell_and_seed(results, name):

@@ -8,7 +8,7 @@ import numpy as np
 from parking_exp.reports.report_builder import build_report
 from parking_exp.reports.report_data import FailedRun
 from parking_exp.tasks.parking.geometry import SLOT_POSITIONS
-from parking_exp.tasks.parking.lot_map import Path, SlotRate
+from parking_exp.tasks.parking.lot_map import SlotRate
 from support.result_frames import Run, results
 
 BUDGET = 40_000
@@ -88,7 +88,7 @@ def hostile():
 
 
 def _report(cells, n_seeds, means, look=lambda label, run: run):
-    """Return a report on cells with these mean rates, with a scene map and paths."""
+    """Return a report on cells with these mean rates, with a scene map."""
     rng = np.random.default_rng(len(cells) * 1000 + n_seeds)
 
     def made(label, seed):
@@ -104,11 +104,7 @@ def _report(cells, n_seeds, means, look=lambda label, run: run):
     drawn = [
         replace(
             cell,
-            task_data={
-                "slots": _slots(cell.success.value, n_seeds, rng),
-                "failures": _failures(cell.success.value, n_seeds, rng),
-                "paths": [_path(outcome, n) for n, outcome in enumerate(("success", "success", "crash", "timeout"))],
-            },
+            task_data={"slots": _slots(cell.success.value, n_seeds, rng)},
         )
         if cell.seeds
         else cell
@@ -121,20 +117,3 @@ def _slots(mean, n_seeds, rng):
     rates = [float(np.clip(mean - 0.15 * (abs(x) / 26) ** 2 + rng.normal(0, 0.02), 0, 1)) for x, _ in SLOT_POSITIONS]
     n = N_SCENES * n_seeds // len(rates)
     return [SlotRate(slot, n, rate, (1 - rate) * 0.6, (1 - rate) * 0.4) for slot, rate in enumerate(rates)]
-
-
-def _failures(mean, n_seeds, rng):
-    n = int(min(200, (1 - mean) * N_SCENES * n_seeds / 4))
-    places = zip(rng.uniform(-34, 34, n).tolist(), rng.uniform(-20, 20, n).tolist(), strict=True)
-    return [(x, y, ("crash", "timeout")[i % 3 == 0]) for i, (x, y) in enumerate(places)]
-
-
-def _path(outcome, number):
-    """Return a path that is straight, and ends in its slot if it succeeds."""
-    slot, steps, reach = {"success": (3, 30, 1.0), "crash": (9, 18, 0.8), "timeout": (20, 100, 0.6)}[outcome]
-    x, y = SLOT_POSITIONS[slot]
-    way = np.linspace(0, reach, steps)
-    heading = [float(np.arctan2(y, x))] * steps
-    return Path(
-        number % 3, 1000 + number, outcome, slot, (way * x).tolist(), (way * y).tolist(), heading, steps - 1, [5]
-    )

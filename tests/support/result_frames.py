@@ -64,7 +64,7 @@ def results(cells, seeds=range(3), look=lambda label, seed: Run(), experiment="o
                 episodes += [(run_id, "final", first + scene, end) for scene, end in enumerate(ends)]
     outcomes = pd.CategoricalDtype(list(OUTCOMES))
     names = ["run_id", "step", "success_rate", "crash_rate", "cpu_s"]
-    return Frames(
+    return Results(
         pd.DataFrame(runs),
         pd.DataFrame(curves, columns=names),
         pd.DataFrame(episodes, columns=["run_id", "phase", "scene", "outcome"]).astype({"outcome": outcomes}),
@@ -75,15 +75,7 @@ def results(cells, seeds=range(3), look=lambda label, seed: Run(), experiment="o
 def together(*parts: Results) -> Results:
     """Return the results of several experiments."""
     names = ("runs", "curves", "episodes")
-    return Frames(*(pd.concat([getattr(part, name) for part in parts], ignore_index=True) for name in names), "")
-
-
-class Frames(Results):
-    """Results whose runs have no recordings."""
-
-    def trajectories(self, run_id: str) -> pd.DataFrame:
-        """Return no rows."""
-        return pd.DataFrame()
+    return Results(*(pd.concat([getattr(part, name) for part in parts], ignore_index=True) for name in names), "")
 
 
 def _row(number, run, run_id, experiment, label, seed, config):

@@ -25,8 +25,7 @@ def contents(path):
     found["episodes.csv"] = (path / "episodes.csv").read_text()
     found["monitor.csv"] = table(path / "monitor.csv", comment=1, without={"t"})
     found |= state(folder / "state.json") | {"checkpoint": folder.name}
-    recordings = path.glob("trajectories.npz")  # not every task has them
-    for archive in (folder / "replay_buffer.npz", folder / "state.npz", *recordings):
+    for archive in (folder / "replay_buffer.npz", folder / "state.npz"):
         with np.load(archive) as arrays:
             found |= {f"{archive.name}/{name}": exact(arrays[name]) for name in arrays}
     for model in (folder / "model.zip", path / "models" / "best.zip", path / "models" / "final.zip"):

@@ -27,7 +27,6 @@ from parking_exp.runs.directory import RunDirectory, RunResult
 from parking_exp.runs.metric_logs import append_episodes, copy_logs
 from parking_exp.runs.run_provenance import provenance
 from parking_exp.tasks.metrics import episode_columns
-from parking_exp.tasks.parking.geometry import SLOT_POSITIONS
 from parking_exp.tasks.parking.parking_metrics import METRICS
 from parking_exp.tracking.mirror import mirror
 from parking_exp.tracking.store import Store
@@ -64,7 +63,6 @@ class Look:
     real_share: float = 0.5
     tags: Mapping[str, str | None] = field(default_factory=dict)
     params: Mapping[str, str] = field(default_factory=dict)
-    trajectories: int = 6
     rows: int = 2
     started_ms: int = STARTED_MS
 
@@ -132,17 +130,6 @@ def made_episodes(look: Look, success: float, scenes: range, seed: int) -> pd.Da
     return table.assign(**{name: rng.uniform(0, 1, n) for name in episode_columns(METRICS) if name not in table})
 
 
-def made_trajectories(episodes: pd.DataFrame) -> dict[str, np.ndarray]:
-    """Return the arrays of `trajectories.npz`: from the middle of the lot to a slot, one row per step and the start."""
-    lengths = episodes["steps"].to_numpy() + 1
-    way = np.concatenate([*(np.linspace(0, 1, length) for length in lengths), []])
-    goals = np.array(SLOT_POSITIONS)[episodes["scene"].to_numpy() % len(SLOT_POSITIONS)].repeat(lengths, axis=0)
-    heading = way * np.copysign(math.pi / 2, goals[:, 1])
-    arrays = {"x_m": way * goals[:, 0], "y_m": way**2 * goals[:, 1], "heading_rad": heading, "speed_mps": 4 * (1 - way)}
-    floats = {name: values.astype(np.float32) for name, values in arrays.items()}
-    return {"scene": episodes["scene"].to_numpy(), "length": lengths, **floats}
-
-
 def _evaluated(config: RunConfig, look: Look) -> list[tuple[int, float]]:
     """Return (step, success rate) of the evaluations that a run has made."""
     total, rates = config.total_timesteps, look.curve
@@ -207,8 +194,6 @@ def _write(directory: RunDirectory, config: RunConfig, look: Look, label: str, u
     (path / "metrics.jsonl").write_text("".join(json.dumps(line) + "\n" for line in lines))
     for phase, step, table in tables:
         append_episodes(path / "episodes.csv", table, phase, step)
-        if phase == "final" and look.trajectories:
-            np.savez_compressed(path / "trajectories.npz", **made_trajectories(table.head(look.trajectories)))
     for name, content in look.contents.items():
         (path / name).write_bytes(content)
     for name in look.missing:

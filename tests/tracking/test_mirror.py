@@ -99,8 +99,8 @@ def test_sixteen_processes_write_into_a_fresh_store_at_once_and_each_number_arri
     assert rows(fresh_dir, "SELECT name FROM experiments ORDER BY name") == [("Default",), ("smoke",)]
     assert_mirrored(*directories)
     for directory in directories:
-        assert [path.split("/")[1] for path in artifacts(store(fresh_dir), directory.run_id, "checkpoints")] == [
-            "step=0000000180", "step=0000000180", "step=0000000360", "step=0000000360"]  # fmt: skip
+        stored = artifacts(store(fresh_dir), directory.run_id, "checkpoint")
+        assert stored == ["checkpoint/model.zip", "checkpoint/replay_buffer.json"]
 
 
 @pytest.mark.slow
@@ -183,7 +183,7 @@ def test_a_killed_run_is_mirrored_up_to_its_last_checkpoint_and_whole_once_resum
 
 
 @pytest.mark.parametrize(("status", "mlflow_status"), [("failed", "FAILED"), ("interrupted", "KILLED")])
-def test_an_unfinished_run_has_its_traceback_in_the_store_until_it_is_resumed(output_dir, status, mlflow_status):
+def test_an_unfinished_run_has_its_error_in_the_store_until_it_is_resumed(output_dir, status, mlflow_status):
     directory, client = written_run(output_dir), store(output_dir)
     grow(directory, rows=20)
     grow(directory, rows=7, checkpoint=False)
@@ -193,14 +193,12 @@ def test_an_unfinished_run_has_its_traceback_in_the_store_until_it_is_resumed(ou
     assert stored_points(output_dir, directory.run_id) == local_points(directory, up_to=20)
     run = stored_run(directory)
     assert (run.info.status, run.data.tags["status"]) == (mlflow_status, status)
-    assert run.data.tags["error"] == ("ValueError: a loss of NaN " + 471 * "x" + "..." if status == "failed" else "")
+    assert run.data.tags["error"] == ("ValueError: a loss of NaN " + 474 * "x" if status == "failed" else "")
     assert "traceback.txt" in artifacts(client, directory.run_id)
-    (directory.path / "traceback.txt").unlink()
     directory.update(status="running", error=None)
     with directory.training_lock():
         sync(directory)
     assert stored_run(directory).data.tags["error"] == ""
-    assert "traceback.txt" not in artifacts(client, directory.run_id)
 
 
 def test_a_new_training_in_the_same_directory_replaces_the_stored_run(output_dir):
@@ -232,27 +230,15 @@ def test_what_a_user_logs_tags_or_deletes_in_the_store_stays(output_dir):
     assert directory.run_id == run_id
 
 
-def test_a_run_has_its_provenance_and_a_description_that_a_user_may_replace(output_dir):
-    directory, client = finished_run(output_dir, started_ms=1234567), store(output_dir)
+def test_a_run_has_its_provenance_and_its_command_as_tags(output_dir):
+    directory = finished_run(output_dir, started_ms=1234567)
     directory.update(command="python scripts/train.py experiment=smoke")
     tags = {**provenance(), "version.torch": "1.2.3", "cpu": "another machine's"}
     write_json(directory.path / "provenance.json", {"started_ms": 1234567, "tags": tags})
-    rates = {f"final/{name}_rate": rate for name, rate in {"success": 0.94, "crash": 0.04, "parked": 0.0}.items()}
-    write_json(directory.path / "result.json", {"run_dir": "", "run_id": None, "steps": 60000, "metrics": rates})
     sync(directory)
     run = stored_run(directory)
-    experiment = client.get_experiment_by_name("smoke")
-    assert experiment.tags["mlflow.experimentKind"] == "custom_model_development"
-    view = json.loads(experiment.tags["mlflow.sharedViewState.results"])
-    assert json.loads(view["state"])["selectedColumns"][0] == "metrics.`final/success_rate`"
-    assert tags.items() <= run.data.tags.items()
+    assert (tags | {"command": "python scripts/train.py experiment=smoke"}).items() <= run.data.tags.items()
     assert run.info.start_time == 1234567
-    note = run.data.tags["mlflow.note.content"]
-    assert all(words in note for words in ("seed 0: success 94.0%", "60,000", "train.py experiment=smoke"))
-    client.set_tag(directory.run_id, "mlflow.note.content", "my own words")
-    directory.update(command="python scripts/train.py")
-    sync(directory)
-    assert stored_run(directory).data.tags["mlflow.note.content"] == "my own words"
 
 
 def test_a_failed_store_is_not_tried_again_until_the_end_of_the_run(fresh_dir):
@@ -261,7 +247,7 @@ def test_a_failed_store_is_not_tried_again_until_the_end_of_the_run(fresh_dir):
     uri = f"sqlite:///{blocked / 'mlflow.db'}"
     directory, messages = written_run(fresh_dir, uri=uri), []
     tracker = open_tracker(directory.config(), directory, messages.append)
-    problem = f"File exists: {blocked}"
+    problem = f"[Errno 17] File exists: '{blocked}'"
     assert directory.unsynced == problem
     assert problem in messages[0]
     assert sync_hint(fresh_dir, uri) in messages[0]
@@ -277,7 +263,7 @@ def test_a_server_that_is_down_is_asked_once_for_all_runs(fresh_dir):
     with closed_port() as port:
         uri = f"http://127.0.0.1:{port}"
         directories = [written_run(fresh_dir, seed, uri) for seed in range(3)]
-        assert mirror_all(fresh_dir, uri) == ["Connection refused"] * 3
+        assert mirror_all(fresh_dir, uri) == ["[Errno 111] Connection refused"] * 3
         assert "3 runs" in mirror_problem(directories, Store(uri, fresh_dir))
     assert [directory.unsynced for directory in directories] == [None] * 3
 
@@ -316,7 +302,7 @@ def test_a_server_that_comes_up_later_gets_everything_artifacts_too(tmp_path):
         directory = written_run(tmp_path, uri=uri)
         grow(directory, rows=400)
         finish(directory)
-        assert try_mirror(directory, Store(uri, tmp_path)) == "Connection refused"
+        assert try_mirror(directory, Store(uri, tmp_path)) == "[Errno 111] Connection refused"
     with mlflow_server(port, tmp_path):
         assert mirror_all(tmp_path, uri) == [None]
         grow(directory, rows=5)
@@ -324,6 +310,6 @@ def test_a_server_that_comes_up_later_gets_everything_artifacts_too(tmp_path):
         client = connect(uri)
         stored = [(key, step, value) for key in KEYS for step, value in history(client, directory.run_id, key)]
         assert sorted(stored) == [point[:3] for point in local_points(directory)]
-        names = [f"checkpoints/step=0000000{step}/{name}" for step in (400, 405)
-                 for name in ("model.zip", "replay_buffer.json")]  # fmt: skip
-        assert artifacts(client, directory.run_id) == [*names, "config.yaml", "episodes.csv", "metrics.jsonl"]
+        assert artifacts(client, directory.run_id) == [
+            "checkpoint/model.zip", "checkpoint/replay_buffer.json", "config.yaml", "episodes.csv", "metrics.jsonl"
+        ]  # fmt: skip

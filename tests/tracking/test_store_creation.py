@@ -15,30 +15,29 @@ from parking_exp.config.paths import default_uri
 from parking_exp.tracking.client import connect
 
 
-def tables(database):
-    if not database.exists():
-        return set()
-    with closing(sqlite3.connect(database)) as connection:
-        return {name for (name,) in connection.execute("SELECT name FROM sqlite_master")}
+def execute(database, *statements):
+    with closing(sqlite3.connect(database)) as connection, connection:
+        return [connection.execute(statement).fetchall() for statement in statements][-1]
 
 
-def test_a_store_that_a_kill_has_left_half_made_is_made_anew(tmp_path):
+def test_a_store_that_a_kill_has_left_half_made_is_set_aside_and_made_anew(tmp_path):
     uri, store, new = default_uri(tmp_path), tmp_path / "mlflow.db", tmp_path / ".mlflow.db.new"
     code = f"from parking_exp.tracking.client import connect; connect({uri!r})"
     process = subprocess.Popen([sys.executable, "-c", code], stderr=subprocess.DEVNULL)
-    while process.poll() is None and "alembic_version" not in tables(new):
+    tables = "SELECT name FROM sqlite_master"
+    while process.poll() is None and not (new.exists() and ("alembic_version",) in execute(new, tables)):
         time.sleep(0.005)
     process.send_signal(signal.SIGKILL)
     assert process.wait() == -signal.SIGKILL
     assert not store.exists()
     for file in tmp_path.glob(f"{new.name}*"):  # and its journal, as MLflow itself would have left them
         shutil.copy(file, tmp_path / file.name.replace(new.name, store.name))
-    with closing(sqlite3.connect(store)) as connection, connection:
-        connection.execute("CREATE TABLE IF NOT EXISTS _alembic_tmp_jobs (id TEXT)")  # by which some never work again
+    execute(store, "CREATE TABLE IF NOT EXISTS _alembic_tmp_jobs (id TEXT)")  # by which some never work again
     client = connect(uri)
     run = client.create_run(client.create_experiment("after"))
     assert connect(uri).get_run(run.info.run_id).info.status == "RUNNING"
     assert not list(tmp_path.glob(".mlflow.db.new*"))
+    assert ("_alembic_tmp_jobs",) in execute(tmp_path / "mlflow.db.unusable", tables)
 
 
 def test_a_disk_that_is_full_while_a_store_is_made_leaves_no_store_under_its_name(tmp_path):
@@ -52,28 +51,21 @@ def test_a_disk_that_is_full_while_a_store_is_made_leaves_no_store_under_its_nam
     assert [path.name for path in tmp_path.iterdir()] == [".mlflow.db.lock"]
 
 
-@pytest.mark.parametrize("change", [
-    "INSERT INTO registered_models (name) VALUES ('theirs')",
-    "CREATE TABLE theirs AS SELECT 1",
-    "INSERT INTO runs (run_uuid, experiment_id, lifecycle_stage) VALUES ('a', 0, 'active')",
-])  # fmt: skip
-def test_a_store_of_another_mlflow_that_has_something_is_left_as_it_is(output_dir, change):
+def test_a_store_of_another_mlflow_that_has_runs_is_left_as_it_is(output_dir):
     database = output_dir / "mlflow.db"
-    with closing(sqlite3.connect(database)) as connection, connection:
-        connection.execute("UPDATE alembic_version SET version_num = '728d730b5ebd'")
-        connection.execute(change)
+    execute(
+        database,
+        "UPDATE alembic_version SET version_num = '728d730b5ebd'",
+        "INSERT INTO runs (run_uuid, experiment_id, lifecycle_stage) VALUES ('a', 0, 'active')",
+    )
     before = database.read_bytes()
-    with pytest.raises(Exception, match=r"out-of-date database schema|already exists"):
+    with pytest.raises(Exception, match="out-of-date database schema"):
         connect(default_uri(output_dir))
     assert database.read_bytes() == before
 
 
-def test_the_database_of_another_program_is_not_replaced(tmp_path):
-    database = tmp_path / "other.db"
-    with closing(sqlite3.connect(database)) as connection, connection:
-        connection.execute("CREATE TABLE alembic_version (version_num TEXT)")
-        connection.execute("CREATE TABLE studies (name TEXT)")
-        connection.execute("INSERT INTO studies VALUES ('theirs')")
-    connect(f"sqlite:///{database}")
-    with closing(sqlite3.connect(database)) as connection:
-        assert connection.execute("SELECT name FROM studies").fetchall() == [("theirs",)]
+def test_what_is_no_database_is_not_replaced(tmp_path):
+    (tmp_path / "mlflow.db").write_text("this is not a database, and it is long enough to be looked at " * 20)
+    with pytest.raises(Exception, match="file is not a database"):
+        connect(default_uri(tmp_path))
+    assert [path.name for path in sorted(tmp_path.iterdir())] == [".mlflow.db.lock", "mlflow.db"]

@@ -98,15 +98,14 @@ def test_the_store_has_the_resolved_config_and_what_was_run(smoke):
 
 def test_the_store_has_all_files_and_the_path_of_the_replay_buffer(smoke):
     directory, _, output_dir = smoke
-    client, last = store(output_dir), "checkpoints/step=0000000400"
+    client = store(output_dir)
     assert artifacts(client, directory.run_id) == [
-        "checkpoints/step=0000000300/model.zip", "checkpoints/step=0000000300/replay_buffer.json",
-        f"{last}/model.zip", f"{last}/replay_buffer.json", "config.yaml", "curves.png", "episodes.csv", "metrics.jsonl",
-        "models/best.zip", "models/final.zip", "monitor.csv", "progress.csv", "trajectories.npz", "video.mp4",
+        "checkpoint/model.zip", "checkpoint/replay_buffer.json", "config.yaml", "curves.png", "episodes.csv", "metrics.jsonl",
+        "models/best.zip", "models/final.zip", "monitor.csv", "progress.csv", "video.mp4",
     ]  # fmt: skip
-    record = read_json(directory.path / client.download_artifacts(directory.run_id, f"{last}/replay_buffer.json"))
-    assert record["path"] == f"{last}/replay_buffer.npz"  # in the run directory
-    assert record["sha256"] == sha256(directory.path / last / "replay_buffer.npz")
+    record = read_json(directory.path / client.download_artifacts(directory.run_id, "checkpoint/replay_buffer.json"))
+    assert record["path"] == "checkpoints/step=0000000400/replay_buffer.npz"  # in the run directory
+    assert record["sha256"] == sha256(directory.path / record["path"])
 
 
 def test_episodes_have_one_row_each_and_the_final_ones_are_certified_on_highway_env(smoke):

@@ -54,8 +54,3 @@ class HighwayBatch(EnvBatch):
         """Return the pose of a car relative to its goal."""
         car = self.envs[row].unwrapped.vehicle
         return relative_pose(car.position, car.heading, car.speed, car.goal.position, car.goal.heading)
-
-    def positions(self) -> np.ndarray:
-        """Return x [m], y [m], heading [rad] and signed speed [m/s] of all cars, shape (n, 4)."""
-        cars = [env.unwrapped.vehicle for env in self.envs]
-        return np.array([[*car.position, car.heading, car.speed] for car in cars])

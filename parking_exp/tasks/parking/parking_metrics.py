@@ -19,5 +19,3 @@ METRICS: tuple[Metric, ...] = (
     ),
     Metric("speed_mps", lambda e: abs(e.end.speed_mps), "Speed at the end", "m/s", higher_is_better=False),
 )  # fmt: skip
-RECORDED: tuple[str, ...] = ("x_m", "y_m", "heading_rad", "speed_mps")
-"""What a recording has of a car at each step; speed is signed."""

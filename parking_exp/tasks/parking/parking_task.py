@@ -10,7 +10,7 @@ from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv
 from parking_exp.tasks.parking.highway import HighwayBatch, make_env
 from parking_exp.tasks.parking.highway_video import frames
 from parking_exp.tasks.parking.parking_config import ENV_ID, ParkingConfig
-from parking_exp.tasks.parking.parking_metrics import METRICS, RECORDED
+from parking_exp.tasks.parking.parking_metrics import METRICS
 from parking_exp.tasks.parking.scenes import Scenes
 from parking_exp.tasks.parking.simulator import Simulator
 from parking_exp.tasks.parking.vec_env import ParkingVecEnv
@@ -24,7 +24,6 @@ class ParkingTask:
     metrics = METRICS
     failure = "crash"
     ranking: tuple[str, ...] = ("success", "crash", "steps")
-    recorded = RECORDED
     env_id = ENV_ID
     monitored: tuple[str, ...] = ("is_success", "crashed")
     batch_size = 250  # more are no faster, and a signal is noticed between two steps

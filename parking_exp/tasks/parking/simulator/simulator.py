@@ -112,10 +112,6 @@ class Simulator:
             state.position[:, row], state.heading[row], state.speed[row], SLOT_POSITIONS[goal], SLOT_HEADINGS[goal]
         )
 
-    def positions(self) -> np.ndarray:
-        """Return x [m], y [m], heading [rad] and signed speed [m/s] of all cars, shape (n, 4)."""
-        return np.column_stack([*self.state.position, self.state.heading, self.state.speed])
-
     def get_state(self) -> dict[str, np.ndarray]:
         """Return a copy of the state as plain arrays, to be saved and given to `set_state`."""
         return {name: array.copy() for name, array in vars(self.state).items()}

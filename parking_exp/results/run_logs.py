@@ -1,0 +1,52 @@
+"""Parsers of a run's files, as the store has them: metrics to points of curves, episodes to a frame."""
+
+import io
+import json
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from parking_exp.config_model import TRAINING_SEEDS_START
+from parking_exp.tasks.metrics import EPISODE_SEED
+from parking_exp.tasks.registry import DTYPES, METRICS, OUTCOMES
+
+CURVE = {f"eval/{metric.key}": metric.key for metric in METRICS if metric.in_curves}
+CURVE_KEYS = {**CURVE, "time/cpu_s": "cpu_s", "buffer/real_share": "real_share"}
+CURVE_TYPES: dict[str, Any] = {"run_id": "str", "step": "int64", **dict.fromkeys(CURVE_KEYS.values(), "float64")}
+"""Columns of `Results.curves`, and their types."""
+REQUIRED: dict[str, Any] = {
+    "phase": pd.CategoricalDtype(["eval", "final", "certified"]),
+    "step": "int64",
+    EPISODE_SEED: "int64",
+    "outcome": pd.CategoricalDtype([*OUTCOMES]),
+}
+"""Columns of episodes that every task has; each task lacks some of the others."""
+EPISODES: dict[str, Any] = {**REQUIRED, **DTYPES}
+"""Columns of `Results.episodes` after the run id, and their types."""
+
+
+def read_points(log: bytes) -> list[dict[str, Any]]:
+    """Return the points of curves in the content of a `metrics.jsonl`, by step; any error means that it is damaged."""
+    points: dict[int, dict[str, Any]] = {}
+    for record in map(json.loads, log.splitlines()):
+        values = {CURVE_KEYS[key]: float(value) for key, value in record["metrics"].items() if key in CURVE_KEYS}
+        if values:
+            step = int(np.int64(record["step"]))
+            points.setdefault(step, {"step": step}).update(values)
+    return list(points.values())
+
+
+def read_episodes(table: bytes) -> pd.DataFrame:
+    """Return the rows of the content of an `episodes.csv` with its columns in EPISODES.
+
+    Raises:
+        ValueError: it is damaged.
+    """
+    episodes = pd.read_csv(io.BytesIO(table), dtype=EPISODES, usecols=lambda name: name in EPISODES)
+    if absent := [name for name in REQUIRED if name not in episodes]:
+        raise ValueError(f"it has no column {absent[0]}")
+    is_seed = episodes[EPISODE_SEED].between(0, TRAINING_SEEDS_START - 1)
+    if episodes[[*REQUIRED]].isna().any(axis=None) or not is_seed.all():
+        raise ValueError("it has rows that are no episodes")
+    return episodes
