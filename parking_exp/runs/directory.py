@@ -3,7 +3,7 @@
     outputs/<experiment_name>/<cell>/seed=<n>/
         config.yaml  status.json  result.json  metrics.jsonl  episodes.csv  monitor.csv  progress.csv
         provenance.json  trajectories.npz  checkpoints/  models/  evaluations/  exports/  tensorboard/  video.mp4
-        curves.png  log.txt  beat.json  traceback.txt
+        log.txt  beat.json  traceback.txt
 
 The run directory is the truth; MLflow is its index. Two locks keep processes apart: `.claim` is held by the process
 that is responsible for the run (its supervisor, or the one that trains it without any), `.lock` by the one that trains.

@@ -89,7 +89,6 @@ class Task(Protocol):
     config: Any  # its `env` group
     metrics: tuple[Metric, ...]  # of an evaluation episode; `success` is always there
     failure: str  # the outcome of an episode that ends badly, by its name in this task
-    ranking: tuple[str, ...]  # metrics by which the best model is chosen, each where those before it are equal
     recorded: tuple[str, ...]  # numbers that a recording has of each step; none: there is no recording
     env_id: str
     monitored: tuple[str, ...]  # entries of `info` that `monitor.csv` has of each training episode
@@ -114,9 +113,6 @@ class Task(Protocol):
 
     def problems(self) -> Iterator[str]:
         """Yield what is wrong with the environment itself, which may take seconds to find out."""
-
-    def notes(self) -> Iterator[str]:
-        """Yield what a user should know when a training starts."""
 
     def features(self, name: str) -> tuple[type, dict[str, Any]] | None:
         """Return the class of a named features extractor and its arguments; None for `raw`."""

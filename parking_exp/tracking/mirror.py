@@ -41,7 +41,6 @@ MLFLOW_STATUS = {"done": "FINISHED", "failed": "FAILED"}  # others: KILLED
 AT_THE_END = (
     "episodes.csv",
     "trajectories.npz",
-    "curves.png",
     "video.mp4",
     "monitor.csv",
     "progress.csv",

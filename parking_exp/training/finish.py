@@ -1,4 +1,4 @@
-"""The end of a run: final evaluation, certification on the reference simulator, final model, learning curves, video."""
+"""The end of a run: final evaluation, certification on the reference simulator, final model, video."""
 
 import numpy as np
 import pandas as pd
@@ -11,7 +11,6 @@ from parking_exp.evaluation.video import record
 from parking_exp.runs.run_files import TRAJECTORIES_FILE
 from parking_exp.tasks.metrics import EPISODE_SEED
 from parking_exp.training.loop import TrainingLoop, derive_seeds
-from parking_exp.training.plot_curves import learning_curves
 
 
 def finish(loop: TrainingLoop) -> pd.DataFrame:
@@ -42,8 +41,6 @@ def finish(loop: TrainingLoop) -> pd.DataFrame:
     loop.dump_metrics()
     loop.model.logger.close()
     save_model(loop.model, loop.directory.models / "final.zip")
-    title = f"{config.experiment_name}: {path.parent.name}"
-    learning_curves(loop.metrics.frame(), metrics, title, path / "curves.png")
     if number := config.evaluation.video_episodes:
         loop.bar.busy("video")
         try:
