@@ -2,13 +2,10 @@
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from pathlib import Path
 
+import numpy as np
 import torch
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
-
-from parking_exp.algorithms.model_files import read_weights
-from parking_exp.errors import ConfigError
 
 ACTOR = "actor."  # prefix of the names of the actor's weights in a policy
 
@@ -21,17 +18,12 @@ class PolicyEMA:
     Args:
         model: a Stable-Baselines3 model with an actor.
         half_life: in gradient updates; None: no average, the actor as it is.
-
-    Raises:
-        ConfigError: the model's policy has no actor.
     """
 
     def __init__(self, model: OffPolicyAlgorithm, half_life: float | None) -> None:
         self.model, self.half_life = model, half_life
         weights = model.policy.state_dict().items()
         self._names = [name for name, weight in weights if name.startswith(ACTOR) and weight.is_floating_point()]
-        if half_life is not None and not self._names:
-            raise ConfigError(f"algorithm.policy_ema_half_life: {type(model).__name__} has no actor; use null")
         self._weights: list[torch.Tensor] = []
         self._updates = 0
 
@@ -57,16 +49,15 @@ class PolicyEMA:
         finally:
             self._set_actor(trained)
 
-    def load(self, path: Path) -> None:
-        """Restore the average from a model file that was saved while it was applied; the model is as it was then.
+    def get_state(self) -> list[np.ndarray]:
+        """Return the averaged weights; none before the first update."""
+        self.update()
+        return [weight.cpu().numpy() for weight in self._weights]
 
-        Raises:
-            DamagedModelError: the file cannot be read.
-        """
-        if self.model._n_updates:  # otherwise there was nothing to average yet
-            policy = read_weights(path, self.model.device)["policy"]
-            self._weights = [policy[name] for name in self._names]
-            self._updates = self.model._n_updates
+    def set_state(self, weights: Sequence[np.ndarray]) -> None:
+        """Restore the average; the model is as it was then."""
+        self._weights = [torch.as_tensor(weight, device=self.model.device) for weight in weights]
+        self._updates = self.model._n_updates
 
     def _actor(self) -> list[torch.Tensor]:
         weights = self.model.policy.state_dict()

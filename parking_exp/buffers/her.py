@@ -189,18 +189,6 @@ class HerBuffer(HerReplayBuffer):
         self.storage.set_state(state)
         self.episodes.set_state(state)
 
-    def __getstate__(self) -> dict[str, Any]:
-        """Return the state for pickling: without the env, and with the filled part of the rows only."""
-        without = {"env", "storage", "episodes"}
-        return {name: value for name, value in vars(self).items() if name not in without} | {"state": self.get_state()}
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        """Restore a pickled state; without a `reward`, call `set_env` before sampling."""
-        stored = state.pop("state")
-        vars(self).update(state, env=None)
-        self._make_empty()
-        self.set_state(stored)
-
     def _make_empty(self) -> None:
         assert isinstance(self.observation_space, spaces.Dict)
         self._info_keys = self.reward.info_keys if self.reward else ()

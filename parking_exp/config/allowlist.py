@@ -13,7 +13,6 @@ from parking_exp.errors import UntrustedError
 
 # Module -> classes, under each name that a config may use. Their constructors have no side effects.
 CLASSES = {
-    "highway_env.vehicle.behavior": ["IDMVehicle", "LinearVehicle", "AggressiveVehicle", "DefensiveVehicle"],
     "highway_env.vehicle.controller": ["ControlledVehicle", "MDPVehicle"],
     "highway_env.vehicle.kinematics": ["Vehicle"],
     "parking_exp.algorithms": ["DDPG", "SAC", "TD3"],

@@ -2,13 +2,9 @@
 
 from collections.abc import Iterable, Iterator
 
-from parking_exp.config.allowlist import ALLOWED
 from parking_exp.config.argument_limits import HER_OPTIONS
-from parking_exp.config.constructor_arguments import find
 from parking_exp.config.schema import RunConfig
 from parking_exp.config_model import TRAINING_SEEDS_START
-from parking_exp.errors import ConfigError
-from parking_exp.tasks.env_config import EnvConfig
 from parking_exp.tasks.registry import make_task
 from parking_exp.tasks.task import Task
 
@@ -17,20 +13,9 @@ HER_CLASSES = ("HerBuffer", "HerReplayBuffer")
 
 def check_rules(run: RunConfig) -> Iterator[str]:
     """Yield a sentence for each rule between keys that the config violates."""
-    yield from check_env(run.env)
+    yield from run.env.problems()
     for check in (_check_buffer, _check_algorithm, _check_evaluation):
         yield from check(run)
-
-
-def check_env(env: EnvConfig) -> Iterator[str]:
-    """Yield a sentence for each rule of the `env` group that is violated."""
-    yield from env.problems()
-    for key, path in env.imports.items() if env.task == "parking" else ():
-        if path not in ALLOWED:  # the import takes a second
-            try:
-                find(path)
-            except ConfigError as error:
-                yield f"env.{key}={path}: {error}"
 
 
 def _check_buffer(run: RunConfig) -> Iterator[str]:
@@ -39,7 +24,7 @@ def _check_buffer(run: RunConfig) -> Iterator[str]:
         yield f"buffer.{her_options[0]} has no effect without virtual goals; leave it out, or use buffer=her_future"
     if (longest := run.env.for_training().episode_steps()) is not None:
         yield from check_lengths(run, longest)
-    yield from run.env.model_problems(run.algorithm.features, run.buffer.arguments, relabels=_relabels(run))
+    yield from run.env.model_problems(run.algorithm.features, run.buffer.arguments)
 
 
 def _relabels(run: RunConfig) -> bool:

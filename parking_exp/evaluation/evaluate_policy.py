@@ -58,10 +58,8 @@ def summarise(episodes: pd.DataFrame, metrics: Metrics) -> dict[str, float]:
 
 
 def rank(summary: dict[str, float], task: Task) -> tuple[float, ...]:
-    """Return the sort key of an evaluation: of parking, success rate, then fewer failures. Larger is better."""
-    metrics = {metric.name: metric for metric in task.metrics}
-    ranked = [metrics[name] for name in task.ranking]
-    return tuple(summary[metric.key] if metric.higher_is_better else -summary[metric.key] for metric in ranked)
+    """Return the sort key of an evaluation: success rate, then fewer failures, then fewer steps. Larger is better."""
+    return summary["success_rate"], -summary[f"{task.failure}_rate"], -summary["steps_mean"]
 
 
 def intervals(episodes: pd.DataFrame, metrics: Metrics) -> dict[str, tuple[float, float]]:

@@ -5,7 +5,6 @@ from pathlib import Path
 from omegaconf import DictConfig
 
 from parking_exp.config.paths import default_uri, directory_path, is_same_store
-from parking_exp.config.rules import check_env
 from parking_exp.config.run_key import short_hash
 from parking_exp.config.schema import RunConfig, StoreConfig
 from parking_exp.config.validate import parse, refuse
@@ -35,7 +34,6 @@ class EvaluationRequest(AgentRequest):
     first_scene: EpisodeSeed
     simulator: str | None
     video: Count
-    gif: bool
     name: Name | None
     tracking: ResultsTracking
     env: EnvConfig | None = None
@@ -53,13 +51,9 @@ def validate_request(config: DictConfig) -> EvaluationRequest:
     n_episodes = len(request.seeds)
     if request.video > n_episodes:
         raise ConfigError(f"video={request.video} is above episodes; the closest valid choice is {n_episodes}")
-    if request.gif and not request.video:
-        raise ConfigError("gif=true needs a video; set video=N as well")
     if request.seeds.stop > TRAINING_SEEDS_START:
         highest = TRAINING_SEEDS_START - n_episodes
         raise ConfigError(f"first_scene={request.first_scene} reaches into the seeds of training; at most {highest}")
-    if request.env is not None:
-        _env(request, request.env)
     return request
 
 
@@ -91,8 +85,7 @@ def _evaluate(request: EvaluationRequest, agent: Agent, env: EnvConfig, folder: 
         shown = bar.add_task(f"{plural(len(seeds), 'episode')} of {env.name}", total=len(seeds))
         episodes = evaluate(policy, task, seeds, lambda finished: bar.update(shown, completed=finished), simulator)
     folder.mkdir(parents=True, exist_ok=True)
-    for outdated in folder.glob("video.*"):
-        outdated.unlink()
+    (folder / "video.mp4").unlink(missing_ok=True)
     episodes.to_csv(folder / "episodes.csv", index=False)
     chosen = {"simulator": simulator, "model": request.model, "first_scene": request.first_scene}
     rates = {**summarise(episodes, task.metrics), "intervals": intervals(episodes, task.metrics)}
@@ -104,10 +97,10 @@ def _evaluate(request: EvaluationRequest, agent: Agent, env: EnvConfig, folder: 
     )
     if request.video:
         try:
-            record(policy, task, seeds[: request.video], folder / "video.mp4", request.gif)
+            record(policy, task, seeds[: request.video], folder / "video.mp4")
+            say(f"video          {folder / 'video.mp4'}")
         except VideoError as error:
             say(str(error))
-        say(*(f"video          {path}" for path in sorted(folder.glob("video.*"))))
 
 
 def _store(request: EvaluationRequest, directory: RunDirectory) -> None:
@@ -135,7 +128,7 @@ def _env(request: EvaluationRequest, env: EnvConfig) -> EnvConfig:
     """Return an `env` group with the request's simulator; ConfigError where they do not go together."""
     if (simulator := _simulator(request, env)) != env.simulator:
         env = env.model_copy(update={"simulator": simulator})
-    refuse([*check_env(env), *make_task(env).problems()])
+    refuse([*env.problems(), *make_task(env).problems()])
     return env
 
 

@@ -17,8 +17,6 @@ class SymmetricFeatures(TaskFeatures):
     The policies of `algorithms.mirrored_policies` mirror actions accordingly.
     """
 
-    mirrors_actions = True  # False: actions are the same in both images
-
     def sign(self, observations: dict[str, torch.Tensor]) -> torch.Tensor:
         """Return -1 where the observation is mirrored, else 1; shape (batch, 1)."""
         raise NotImplementedError

@@ -15,6 +15,7 @@ class GymnasiumConfig(ConfigModel):
 
     simulators: ClassVar[tuple[str, ...]] = ("gymnasium",)
     simulator: ClassVar[str] = "gymnasium"
+    action_size: ClassVar[None] = None  # only the environment knows
 
     task: Literal["gymnasium"]
     name: Name
@@ -43,7 +44,7 @@ class GymnasiumConfig(ConfigModel):
         """Yield a sentence for each rule between keys that is violated; there is none."""
         yield from ()
 
-    def model_problems(self, features: str, buffer: Mapping[str, Any], *, relabels: bool) -> Iterator[str]:
+    def model_problems(self, features: str, buffer: Mapping[str, Any]) -> Iterator[str]:
         """Yield what does not go with this task: of the policy's features and of the arguments of the buffer."""
         if features != "raw":
             yield f"algorithm.features={features} is of parking-v0; use algorithm.features=raw"

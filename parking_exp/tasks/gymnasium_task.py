@@ -2,12 +2,10 @@
 
 import os
 import signal
-import subprocess
 import sys
 from collections.abc import Iterator, Sequence
 from contextlib import closing
 from functools import cached_property, partial
-from typing import Any
 
 import gymnasium as gym
 import numpy as np
@@ -16,7 +14,7 @@ from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecEnv
 from parking_exp.errors import VideoError
 from parking_exp.tasks.captions import LAST_FRAME_S, captioned
 from parking_exp.tasks.env_batch import EnvBatch
-from parking_exp.tasks.environment_checks import check_env, resumes_exactly
+from parking_exp.tasks.environment_checks import check_env
 from parking_exp.tasks.gymnasium_config import GymnasiumConfig
 from parking_exp.tasks.gymnasium_env import make_env, one_line
 from parking_exp.tasks.metrics import GYMNASIUM_METRICS, outcome
@@ -29,7 +27,6 @@ class GymnasiumTask:
 
     metrics = GYMNASIUM_METRICS
     failure = "failure"
-    ranking: tuple[str, ...] = ("success", "failure", "steps")
     monitored: tuple[str, ...] = ("is_success",)
     batch_size = 10  # each has an env of its own, which may take a second to make
 
@@ -70,11 +67,6 @@ class GymnasiumTask:
         """Yield a sentence for each thing that the environment lacks to be a goal task."""
         return check_env(self.config)
 
-    def notes(self) -> Iterator[str]:
-        """Yield whether an interrupted run resumes exactly."""
-        if not resumes_exactly(self.config):
-            yield f"{self.config.id} is not deterministic: an interrupted run resumes, but not bit-identically"
-
     def features(self, name: str) -> None:
         """Return None, as there are raw features only."""
 
@@ -87,12 +79,12 @@ class GymnasiumTask:
                 observation, info = env.reset(seed=seed)
                 done = False
                 while not done:
-                    yield captioned(_frame(env), f"seed {seed}")
+                    yield captioned(np.asarray(env.render()), f"seed {seed}")
                     action = policy({key: value[np.newaxis] for key, value in observation.items()})[0]
                     observation, _, terminated, truncated, info = env.step(action)
                     done = terminated or truncated
                 ending = outcome(self.failure, info["is_failure"], info["is_success"])
-                last = captioned(_frame(env), f"seed {seed}: {ending}")
+                last = captioned(np.asarray(env.render()), f"seed {seed}: {ending}")
                 yield from [last] * round(LAST_FRAME_S * self.frame_rate)
 
 
@@ -103,15 +95,10 @@ def _env_of_worker(config: GymnasiumConfig) -> gym.Env:
     return ReplayActions(make_env(config))
 
 
-def _frame(env: gym.Env) -> np.ndarray:
-    frame: Any = env.render()
-    return np.asarray(frame)
-
-
 def _rendered(config: GymnasiumConfig) -> gym.Env:
     """Make an env that renders; VideoError where none can."""
-    if "mujoco" in sys.modules and "MUJOCO_GL" not in os.environ:
-        os.environ["MUJOCO_GL"] = _mujoco_backend()
+    if sys.platform == "linux":
+        os.environ.setdefault("MUJOCO_GL", "egl")  # which needs no display
     try:
         env = make_env(config, "rgb_array")
         env.reset(seed=0)
@@ -119,20 +106,3 @@ def _rendered(config: GymnasiumConfig) -> gym.Env:
     except Exception as error:  # of drivers, bindings and shared libraries
         raise VideoError(f"no video of env.id={config.id}: {one_line(error)}") from error
     return env
-
-
-def _mujoco_backend() -> str:
-    """Return how MuJoCo renders without a display on this machine; VideoError where neither EGL nor OSMesa is there.
-
-    Each is tried in a process of its own: a failed one leaves settings that spoil the next.
-    """
-    problems = []
-    for backend in ("egl", "osmesa"):
-        command = [sys.executable, "-c", "import mujoco; mujoco.GLContext(8, 8).make_current()"]
-        done = subprocess.run(
-            command, env={**os.environ, "MUJOCO_GL": backend}, capture_output=True, text=True, check=False
-        )
-        if done.returncode == 0:
-            return backend
-        problems.append(f"{backend}: {(done.stderr.strip().splitlines() or ['?'])[-1]}")
-    raise VideoError(f"no video: MuJoCo renders by neither EGL nor OSMesa ({'; '.join(problems)})")

@@ -86,7 +86,6 @@ class Task(Protocol):
     config: Any  # its `env` group
     metrics: tuple[Metric, ...]  # of an evaluation episode; `success` is always there
     failure: str  # the outcome of an episode that ends badly, by its name in this task
-    ranking: tuple[str, ...]  # metrics by which the best model is chosen, each where those before it are equal
     env_id: str
     monitored: tuple[str, ...]  # entries of `info` that `monitor.csv` has of each training episode
     batch_size: int  # evaluation episodes that are stepped together
@@ -110,9 +109,6 @@ class Task(Protocol):
 
     def problems(self) -> Iterator[str]:
         """Yield what is wrong with the environment itself, which may take seconds to find out."""
-
-    def notes(self) -> Iterator[str]:
-        """Yield what a user should know when a training starts."""
 
     def features(self, name: str) -> tuple[type, dict[str, Any]] | None:
         """Return the class of a named features extractor and its arguments; None for `raw`."""

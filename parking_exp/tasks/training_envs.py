@@ -2,7 +2,7 @@
 
 import time
 from pathlib import Path
-from typing import Any, Protocol, runtime_checkable
+from typing import Any
 
 import gymnasium as gym
 import numpy as np
@@ -14,17 +14,6 @@ from parking_exp.tasks.env_config import EnvConfig
 from parking_exp.tasks.registry import make_task
 
 MONITOR_STATE = ("episode_returns", "episode_lengths", "episode_count")
-
-
-@runtime_checkable
-class StatefulVecEnv(Protocol):
-    """A VecEnv that saves and restores its own state."""
-
-    def get_state(self) -> dict[str, Any]:
-        """Return the whole state."""
-
-    def set_state(self, state: dict[str, Any]) -> None:
-        """Restore a state; what follows is identical."""
 
 
 class ReplayActions(gym.Wrapper):
@@ -88,20 +77,21 @@ def make_training_envs(
 def get_state(envs: VecEnv) -> dict[str, Any]:
     """Return the state of training envs as nested dicts and lists of arrays and numbers."""
     assert isinstance(envs, VecMonitor)
-    simulated = envs.venv
-    monitor = {name: getattr(envs, name) for name in MONITOR_STATE}
-    if isinstance(simulated, StatefulVecEnv):
-        return {"monitor": monitor, "envs": simulated.get_state()}
-    return {"monitor": monitor, "envs": simulated.env_method("get_state")}
+    simulated: Any = envs.venv
+    has_state = hasattr(simulated, "get_state")  # of all envs together, as the simulator of parking
+    return {
+        "monitor": {name: getattr(envs, name) for name in MONITOR_STATE},
+        "envs": simulated.get_state() if has_state else simulated.env_method("get_state"),
+    }
 
 
 def set_state(envs: VecEnv, state: dict[str, Any]) -> None:
     """Bring training envs of the same config to a saved state; what follows is identical."""
     assert isinstance(envs, VecMonitor)
-    simulated = envs.venv
+    simulated: Any = envs.venv
     for name in MONITOR_STATE:
         setattr(envs, name, state["monitor"][name])
-    if isinstance(simulated, StatefulVecEnv):
+    if hasattr(simulated, "get_state"):
         simulated.set_state(state["envs"])
         return
     simulated._reset_seeds()  # the seeds of a first reset, which was before the state was saved

@@ -1,20 +1,21 @@
 """Checkpoints: the whole training state, written atomically, restored only if all hashes match.
 
 A checkpoint is a directory `step=<n>` with the model (policy, target networks, optimizers: Stable-Baselines3's zip),
-the filled part of the replay buffer, counters and rollout state as JSON and arrays, the logs so far, and a manifest of
-hashes. A training that is restored from it is bit-identical to one that was not interrupted. Nothing is unpickled.
+the filled part of the replay buffer, counters and rollout state, the logs so far, and a manifest of hashes. A training
+that is restored from it is bit-identical to one that was not interrupted. Nothing is unpickled.
 """
 
 import logging
 import shutil
 from collections import deque
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import torch
 from stable_baselines3.common.buffers import ReplayBuffer
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 
@@ -22,21 +23,19 @@ from parking_exp.algorithms.fast.fast_training import FastTraining
 from parking_exp.algorithms.model_files import load_weights
 from parking_exp.algorithms.policy_ema import PolicyEMA
 from parking_exp.buffers import HerBuffer
-from parking_exp.runs.atomic_files import fsync, read_json, read_object, sha256, write_json
+from parking_exp.runs.atomic_files import fsync, read_object, sha256, write_json
 from parking_exp.runs.directory import BUFFER, MANIFEST, MODEL
 from parking_exp.runs.metric_logs import copy_logs
 from parking_exp.training import rollout_state
 
 log = logging.getLogger(__name__)
 
-AVERAGED, BEST = "averaged.zip", "best.zip"
-STATE, ARRAYS = "state.json", "state.npz"
+BEST, STATE = "best.zip", "state.pt"
 ATTRIBUTES = (
     *("num_timesteps", "_n_updates", "_episode_num", "_current_progress_remaining"),
     *("_last_obs", "_last_episode_starts"),
 )
 RECENT = ("ep_info_buffer", "ep_success_buffer")
-ARRAY, SCALAR = "__array__", "__scalar__"  # keys of the dicts that stand for an array and for a NumPy scalar
 
 
 @dataclass
@@ -66,19 +65,20 @@ def save(
     target = directory / f"step={progress.step:010d}"
     with _new_directory(target) as folder:
         model.save(folder / MODEL)
-        if average is not None and average.half_life is not None:
-            with average.applied():
-                model.save(folder / AVERAGED)
-        _write_arrays(folder / BUFFER, _buffer_state(model.replay_buffer))
+        with (folder / BUFFER).open("wb") as file:
+            np.savez(file, allow_pickle=False, **_buffer_state(model.replay_buffer))
         if best.exists():
             shutil.copyfile(best, folder / BEST)
         copy_logs(directory.parent, folder)
         attributes = {name: getattr(model, name) for name in ATTRIBUTES}
-        recent = {name: list(getattr(model, name) or ()) for name in RECENT}
-        state = {"model": attributes | recent, "streams": rollout_state.get_state(model)}
-        plain, arrays = split_state(state)
-        _write_arrays(folder / ARRAYS, arrays)
-        write_json(folder / STATE, {"progress": asdict(progress), **plain})
+        recent = {name: getattr(model, name) or () for name in RECENT}
+        state = {
+            "progress": asdict(progress),
+            "model": attributes | recent,
+            "rollout": rollout_state.get_state(model),
+            "average": average.get_state() if average is not None else [],
+        }
+        torch.save(to_tensors(state), folder / STATE)
     folders = _folders(directory)
     number = folders.index(target) + 1
     # A later step is of a checkpoint that was damaged when the run was resumed.
@@ -104,9 +104,10 @@ def _problem(folder: Path) -> str | None:
     return None
 
 
-def read_progress(folder: Path) -> Progress:
-    """Return a checkpoint's progress."""
-    return Progress(**read_json(folder / STATE)["progress"])
+def read_state(folder: Path) -> dict[str, Any]:
+    """Return a checkpoint's state but for model and buffer; `progress` has the fields of `Progress`."""
+    state: dict[str, Any] = to_arrays(torch.load(folder / STATE, map_location="cpu", weights_only=True))
+    return state
 
 
 def restore(folder: Path, model: OffPolicyAlgorithm, best: Path, average: PolicyEMA | None = None) -> dict[str, Any]:
@@ -120,8 +121,7 @@ def restore(folder: Path, model: OffPolicyAlgorithm, best: Path, average: Policy
         shutil.copyfile(folder / BEST, best)
     else:
         best.unlink(missing_ok=True)
-    with np.load(folder / ARRAYS, allow_pickle=False) as arrays:
-        state = join_state(read_json(folder / STATE), arrays)
+    state = read_state(folder)
     for name in ATTRIBUTES:
         setattr(model, name, state["model"][name])
     for name in RECENT:
@@ -129,9 +129,9 @@ def restore(folder: Path, model: OffPolicyAlgorithm, best: Path, average: Policy
     _load_buffer(model.replay_buffer, folder / BUFFER)
     if isinstance(model, FastTraining) and model._n_updates:
         model.bind()
-    if average is not None and (folder / AVERAGED).exists():
-        average.load(folder / AVERAGED)
-    return state["streams"]
+    if average is not None:
+        average.set_state(state["average"])
+    return state["rollout"]
 
 
 @contextmanager
@@ -159,11 +159,6 @@ def _new_directory(target: Path) -> Iterator[Path]:
 
 def _folders(directory: Path) -> list[Path]:
     return sorted(directory.glob("step=*"))
-
-
-def _write_arrays(path: Path, arrays: dict[str, np.ndarray]) -> None:
-    with path.open("wb") as file:
-        np.savez(file, allow_pickle=False, **arrays)
 
 
 def _buffer_state(buffer: ReplayBuffer | None) -> dict[str, np.ndarray]:
@@ -197,44 +192,23 @@ def _arrays(buffer: ReplayBuffer) -> Iterator[tuple[str, np.ndarray]]:
                 yield (name if key is None else f"{name}/{key}"), entry
 
 
-def split_state(state: Any, name: str = "") -> tuple[Any, dict[str, np.ndarray]]:
-    """Split nested dicts and sequences into what JSON holds, and arrays by the path to them (`a/b/0`).
-
-    NumPy scalars keep their type, since a mean of float32 is not a mean of float64. Sequences become lists.
-    (`torch.load(weights_only=True)` would need NumPy's private constructors on its allow-list.)
-
-    Raises:
-        TypeError: something is of another kind.
-    """
-    if isinstance(state, np.ndarray) and state.dtype != object:
-        return {ARRAY: name}, {name: state}
-    if isinstance(state, np.generic):
-        return {SCALAR: [state.dtype.str, state.item()]}, {}
-    if state is None or isinstance(state, bool | int | float | str):
-        return state, {}
-    arrays: dict[str, np.ndarray] = {}
-
-    def part(key: object, value: Any) -> Any:
-        plain, its_arrays = split_state(value, f"{name}/{key}" if name else str(key))
-        arrays.update(its_arrays)
-        return plain
-
+def to_tensors(state: Any) -> Any:
+    """Return nested dicts and sequences with tensors in place of arrays: what `torch.load(weights_only=True)` reads."""
+    if isinstance(state, np.ndarray | np.generic):
+        return torch.from_numpy(np.array(state))
     if isinstance(state, Mapping):
-        return {str(key): part(key, value) for key, value in state.items()}, arrays
-    if isinstance(state, Iterable):
-        return [part(number, value) for number, value in enumerate(state)], arrays
-    raise TypeError(f"{name} is a {type(state).__name__}, which can't be saved without pickling it")
+        return {key: to_tensors(value) for key, value in state.items()}
+    if isinstance(state, list | tuple | deque):
+        return [to_tensors(value) for value in state]
+    return state
 
 
-def join_state(plain: Any, arrays: Mapping[str, np.ndarray]) -> Any:
-    """Return the state that `split_state` took apart."""
-    if isinstance(plain, list):
-        return [join_state(value, arrays) for value in plain]
-    if not isinstance(plain, dict):
-        return plain
-    if ARRAY in plain:
-        return arrays[plain[ARRAY]]
-    if SCALAR in plain:
-        dtype, value = plain[SCALAR]
-        return np.dtype(dtype).type(value)
-    return {key: join_state(value, arrays) for key, value in plain.items()}
+def to_arrays(state: Any) -> Any:
+    """Return the state that `to_tensors` was given; 0-dimensional tensors become scalars of the same type."""
+    if isinstance(state, torch.Tensor):
+        return state.numpy()[()]
+    if isinstance(state, dict):
+        return {key: to_arrays(value) for key, value in state.items()}
+    if isinstance(state, list):
+        return [to_arrays(value) for value in state]
+    return state

@@ -55,7 +55,8 @@ class TrainingLoop:
         self, config: RunConfig, directory: RunDirectory, tracker: Tracker, checkpoint: Path | None, stop: StopRequest
     ) -> None:
         self.config, self.directory, self.tracker, self.stop = config, directory, tracker, stop
-        self.progress = progress = checkpoints.read_progress(checkpoint) if checkpoint else Progress()
+        saved = checkpoints.read_state(checkpoint)["progress"] if checkpoint else {}
+        self.progress = progress = Progress(**saved)
         path = directory.path
         self._cpu_start = time.process_time() - progress.cpu_s
         self._wall_start = time.monotonic() - progress.wall_s
@@ -73,12 +74,10 @@ class TrainingLoop:
             self._best.unlink(missing_ok=True)  # of an attempt that was killed before its first checkpoint
         else:
             self._rollout_state = checkpoints.restore(checkpoint, self.model, self._best, self.average)
-        self.model.set_logger(make_logger(config.tracking, path, self.metrics, progress.step))
+        self.model.set_logger(make_logger(config.tracking, path, self.metrics))
         shown = config.tracking.progress_bar
         self.bar = TrainingProgress(config.total_timesteps, progress.step, shown, heartbeat=directory.heartbeat)
         self.bar.say(f"{config.cell}, seed {config.seed}: {config.total_timesteps} env steps, in {path}")
-        for note in self.task.notes():
-            self.bar.say(note)
         if checkpoint is not None:
             self.bar.say(f"resuming at step {progress.step}")
 

@@ -37,11 +37,8 @@ def set_state(model: OffPolicyAlgorithm, state: Mapping[str, Any]) -> None:
     """Restore the rollout state of a model of the same config; what follows is identical."""
     assert model.env is not None
     training_envs.set_state(model.env, state["envs"])
-    noise, n_envs = model.action_noise, model.env.num_envs
-    if noise is not None and n_envs > 1 and not isinstance(noise, VectorizedActionNoise):
-        # `learn` does the same, but is not called when no steps remain.
-        model.action_noise = VectorizedActionNoise(noise, n_envs)
-    for env_noise, saved in zip(_noises(model.action_noise), state["noise"], strict=True):
+    # Where no steps remain, `learn` has not been called, and noise of several envs is not vectorised yet: nor needed.
+    for env_noise, saved in zip(_noises(model.action_noise), state["noise"], strict=False):
         vars(env_noise).update(saved)
     if sde := _sde(model):
         for name in MATRICES:

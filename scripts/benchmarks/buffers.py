@@ -1,13 +1,10 @@
-"""Benchmark the HER buffer: sampling time, bytes in memory and on disk."""
+"""Benchmark the HER buffer: sampling time, bytes in memory."""
 
-import tempfile
 from functools import cache
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from stable_baselines3 import HerReplayBuffer
-from stable_baselines3.common.save_util import save_to_pkl
 
 from benchmarks.timing import Side, interleave, rounded
 from parking_exp import compose
@@ -35,19 +32,8 @@ def against_sb3(capacity: int, samples: int, rounds: int) -> dict[str, Any]:
 def memory(capacity: int) -> dict[str, Any]:
     """Return the memory of a full buffer in bytes per transition."""
     buffer = _filled(HerBuffer, capacity, capacity)
-    return _exact(sum(array.nbytes for array in buffer.get_state().values()) / capacity)
-
-
-def file_size(capacity: int) -> dict[str, Any]:
-    """Return the size of a half-filled buffer saved by Stable-Baselines3, in bytes per transition."""
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "buffer.pkl"
-        save_to_pkl(path, _filled(HerBuffer, capacity, capacity // 2))
-        return _exact(path.stat().st_size / (capacity // 2))
-
-
-def _exact(value: float) -> dict[str, Any]:
-    return {"value": rounded(value), "lowest": rounded(value), "highest": rounded(value), "rounds": 1}
+    value = rounded(sum(array.nbytes for array in buffer.get_state().values()) / capacity)
+    return {"value": value, "lowest": value, "highest": value, "rounds": 1}
 
 
 def _sampling(buffer: HerReplayBuffer, samples: int) -> Side:

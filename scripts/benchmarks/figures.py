@@ -42,7 +42,6 @@ def figures(rounds: int, all_cores: Sequence[int], *, quick: bool) -> dict[str, 
         "her.sample.capacity_ratio": Figure("<=", 1.3, partial(buffers.capacity_ratio, capacity, samples, rounds)),
         "her.sample.ratio": Figure(">=", 5, partial(buffers.against_sb3, capacity, samples, rounds)),
         "her.bytes_per_transition": Figure("<=", 150, partial(buffers.memory, capacity)),
-        "her.save.bytes_per_transition": Figure("<=", 120, partial(buffers.file_size, capacity)),
         "sweep.scaling.2_workers": Figure(
             ">=", 1.85, partial(sweeps.scaling, few, sweeps.SHORT if quick else ("total_timesteps=80000",), all_cores)
         ),

@@ -21,7 +21,7 @@ def stepping(option: str, n_scenes: int, rounds: int, seconds_per_side: float) -
     env: Any = compose(f"env={option}").env
     rng = np.random.default_rng(0)
     simulator, peer = Simulator(env, Scenes.random(rng, n_scenes, env.vehicles_count)), make_env(env)
-    actions = rng.uniform(-1, 1, (256, n_scenes, simulator.action_size)).astype(np.float32)
+    actions = rng.uniform(-1, 1, (256, n_scenes, 2)).astype(np.float32)
     peer.reset(seed=0)
 
     def step_ours(step: int) -> None:

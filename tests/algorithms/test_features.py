@@ -30,7 +30,7 @@ def features(car, goal, make=EgoFrameExtractor):
         "desired_goal": desired / SCALES,
     }
     tensors = {key: torch.tensor(value, dtype=torch.float32)[None] for key, value in batch.items()}
-    return make(space, SCALES)(tensors)[0].tolist()
+    return make(space)(tensors)[0].tolist()
 
 
 @pytest.mark.parametrize(
@@ -57,7 +57,7 @@ def test_goal_features_do_not_depend_on_where_the_scene_lies():
 
 
 def fine(weights=WEIGHTS):
-    return lambda space, scales: FineEgoFrameExtractor(space, scales, weights)
+    return lambda space: FineEgoFrameExtractor(space, weights)
 
 
 def test_the_goal_at_the_scale_of_a_slot():

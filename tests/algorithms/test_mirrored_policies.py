@@ -78,14 +78,6 @@ def test_the_scene_is_mirrored_where_the_goal_is_to_the_right_of_the_car():
     assert mirrored.tolist() == [[0.5, 0.5], [0.5, -0.5], [0.5, -0.5]]
 
 
-def test_without_steering_there_is_nothing_to_mirror():
-    model = make_model("td3", "env.action.lateral=false", "algorithm.action_noise=null")
-    car, goal = scenes()
-    with torch.no_grad():
-        action, other = model.actor(tensors(car, goal)), model.actor(tensors(car * MIRROR, goal * MIRROR))
-    torch.testing.assert_close(action, other)
-
-
 def test_a_policy_that_mirrors_no_steering_is_refused():
     message = "^algorithm.features=ego_mirrored: .*ego_fine$"
     with pytest.raises(ConfigError, match=message):

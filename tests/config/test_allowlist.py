@@ -80,7 +80,7 @@ def test_an_environment_imports_and_opens_nothing_until_the_user_trusts_it(forei
     ("key", "value", "named"),
     [
         *((key, "hostile.Made", key) for key in (
-            "algorithm._target_", "buffer._target_", "env.other_vehicles_type", "algorithm.learning_rate._target_", ACTIVATION,
+            "algorithm._target_", "buffer._target_", "algorithm.learning_rate._target_", ACTIVATION,
             "algorithm.policy_kwargs.optimizer_class", "algorithm.policy_kwargs.features_extractor_class",
         )),
         *((key, {"_target_": "hostile.make"}, f"{key}._target_") for key in (

@@ -15,7 +15,7 @@ from parking_exp.errors import ConfigError
 DELETED = object()
 DEFAULT_OPTIONS = {}
 NOISE = {"_target_": "stable_baselines3.common.noise.NormalActionNoise", "mean": [0, 0], "sigma": [1, 1]}
-POLICY, FEATURES = "algorithm.policy_kwargs", ["y", "x", "vx", "vy", "cos_h", "sin_h"]
+POLICY = "algorithm.policy_kwargs"
 
 
 def changed(values, *options):
@@ -56,10 +56,10 @@ def refusal(plain):
         ("evaluation.final_n_scenes", 1, "evaluation.n_scenes"),
         ("experiment_name", "a/b", ""),
         ("tracking.uri", "ftp://host/store", "sqlite:///PATH"),
-        ("env.other_vehicles_type", "nowhere.Car", "nowhere"),
+        ("env.other_vehicles_type", "nowhere.Car", "IDMVehicle"),
         ("env.action.speed_range", [5, -5], ""),
-        ("env.action.dynamical", True, "highway_env"),
-        ("env.observation.scales", [1], "env.observation.features"),
+        ("env.action.dynamical", True, "False"),
+        ("env.observation.scales", [1], "[100, 100, 5, 5, 1, 1]"),
         ("algorithm.gamma", 1.5, "1"),
         ("algorithm.gama", 1, "'gamma'"),
         ("algorithm.net_arch", [9999999, 9999999], ""),
@@ -95,10 +95,6 @@ def test_a_wrong_value_is_refused_in_a_sentence_that_names_its_key(key, value, h
     [
         ({"buffer.n_sampled_goal": DELETED, "algorithm.learning_starts": 10}, "algorithm.learning_starts=10"),
         ({"buffer.goal_selection_strategy": None}, "buffer.n_sampled_goal"),
-        ({"env.observation.features": ["x"], "env.observation.scales": [1], "algorithm.features": "raw"}, "env.observation"),
-        ({"env.observation.features": FEATURES, "buffer.goal_selection_strategy": None, "buffer.n_sampled_goal": DELETED,
-          "buffer.relabel_collision": DELETED, "buffer.relabel_terminated": DELETED, "buffer.goal_velocity": DELETED}, "algorithm.features"),
-        ({"env.action.longitudinal": False, "env.action.lateral": False}, "env.action.longitudinal"),
         ({"env.success_goal_reward": 0.08}, "env.training_success_goal_reward"),
         ({f"{POLICY}.optimizer_class": "torch.optim.Adamm", f"{POLICY}.optimizer_kwargs.eps": 1}, f"{POLICY}.optimizer_class"),
     ],

@@ -24,8 +24,8 @@ def contents(path):
     found = {"metrics": metrics(path), "progress.csv": table(path / "progress.csv"), **events(path / "tensorboard")}
     found["episodes.csv"] = (path / "episodes.csv").read_text()
     found["monitor.csv"] = table(path / "monitor.csv", comment=1, without={"t"})
-    found |= state(folder / "state.json") | {"checkpoint": folder.name}
-    for archive in (folder / "replay_buffer.npz", folder / "state.npz"):
+    found |= state(folder / "state.pt") | {"checkpoint": folder.name}
+    for archive in (folder / "replay_buffer.npz",):
         with np.load(archive) as arrays:
             found |= {f"{archive.name}/{name}": exact(arrays[name]) for name in arrays}
     for model in (folder / "model.zip", path / "models" / "best.zip", path / "models" / "final.zip"):
@@ -69,15 +69,15 @@ def events(path):
 
 
 def state(path):
-    found = json.loads(path.read_text())
+    found = torch.load(path, weights_only=True)
     for name in ("cpu_s", "wall_s"):
         del found["progress"][name]
     for episode in found["model"]["ep_info_buffer"]:
         del episode["t"]
-    for waiting in found["streams"]["metrics"].values():
+    for waiting in found["rollout"]["metrics"].values():
         for name in CLOCKED:
             waiting.pop(name, None)
-    return {f"state.json/{name}": value for name, value in found.items()}
+    return leaves(found, path.name)
 
 
 def parameters(path):

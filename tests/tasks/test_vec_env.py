@@ -18,8 +18,6 @@ def test_spaces_are_highway_envs(config):
     ours, theirs = ParkingVecEnv(config, 2), make_env(config)
     assert ours.observation_space == theirs.observation_space
     assert ours.action_space == theirs.action_space
-    throttle = make_config("algorithm=sac", "env.action.lateral=false").env
-    assert ParkingVecEnv(throttle, 2).action_space == make_env(throttle).action_space
 
 
 def test_until_the_first_reset_it_equals_highway_env_in_a_dummy_vec_env(config):

@@ -78,11 +78,11 @@ def test_keep_last_limits_the_checkpoints_on_disk_by_step(tmp_path, model):
     assert sorted(path.name for path in tmp_path.iterdir()) == ["step=0000001000", "step=0000100000"]
     assert checkpoints.latest(tmp_path).name == "step=0000100000"
     assert sorted(path.name for path in checkpoints.latest(tmp_path).iterdir()) == [
-        "manifest.json", "metrics.jsonl", "model.zip", "replay_buffer.npz", "state.json", "state.npz",
+        "manifest.json", "metrics.jsonl", "model.zip", "replay_buffer.npz", "state.pt",
     ]  # fmt: skip
 
 
-@pytest.mark.parametrize("name", ["model.zip", "state.npz", "manifest.json"])
+@pytest.mark.parametrize("name", ["model.zip", "state.pt", "manifest.json"])
 @pytest.mark.parametrize("damage", ["truncated", "changed", "missing"])
 def test_a_damaged_checkpoint_is_skipped_and_deleted_with_the_next_save(tmp_path, model, name, damage):
     older, newer = save(tmp_path, model, 10), save(tmp_path, model, 20)

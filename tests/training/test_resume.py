@@ -1,7 +1,5 @@
 """A run that was interrupted and resumed equals one that was not: every number, to the last bit."""
 
-import copy
-import json
 import random
 import signal
 from contextlib import contextmanager
@@ -12,14 +10,13 @@ import pytest
 import torch
 from support.marks import slow_but
 from support.models import model_of
-from support.run_equality import differences, exact
+from support.run_equality import differences, leaves
 from support.runs import make_config, only_run
 
 from parking_exp.algorithms.build_model import greedy_policy
 from parking_exp.errors import FailedRunError, InterruptedRunError
 from parking_exp.evaluation.evaluate_policy import evaluate
 from parking_exp.evaluation.video import record
-from parking_exp.runs.atomic_files import read_json
 from parking_exp.tasks.parking.highway import make_env
 from parking_exp.tasks.registry import make_task
 from parking_exp.tasks.training_envs import ReplayActions
@@ -96,12 +93,6 @@ def configured(output_dir, *overrides):
     return composed_once(*overrides).model_copy(update={"output_dir": str(output_dir)})
 
 
-@pytest.fixture(autouse=True)
-def without_curves(monkeypatch):
-    """Drawing them takes longer than all the rest of a run."""
-    monkeypatch.setattr(finish, "learning_curves", lambda *_: None)
-
-
 def run(output_dir, *overrides, cuts=()):
     """Return the directory of a run that each of `cuts` interrupts, one after the other, and that is then finished."""
     config = configured(output_dir, *overrides)
@@ -142,9 +133,10 @@ def test_the_comparison_sees_everything(uninterrupted, tmp_path):
     for name in (
         "episodes.csv", "metrics", "monitor.csv", "progress.csv", "best.zip/", "final.zip/", "model.zip/policy.pth/",
         "model.zip/actor.optimizer.pth/", "model.zip/critic.optimizer.pth/", "model.zip/ent_coef_optimizer.pth/",
-        "model.zip/pytorch_variables.pth/log_ent_coef", "replay_buffer.npz/rows", "replay_buffer.npz/rng", "state.json/streams", "state.json/model",
-        "state.npz/model/_last_obs/observation", "state.npz/streams/envs/envs/simulator/position", "state.npz/streams/envs/monitor/episode_returns",
-        "state.npz/streams/rng/numpy/state/key", "state.npz/streams/rng/python/numbers", "state.npz/streams/rng/torch",
+        "model.zip/pytorch_variables.pth/log_ent_coef", "replay_buffer.npz/rows", "replay_buffer.npz/rng",
+        "state.pt/model/_last_obs/observation", "state.pt/rollout/envs/envs/simulator/position",
+        "state.pt/rollout/envs/monitor/episode_returns", "state.pt/rollout/rng/numpy/state/key",
+        "state.pt/rollout/rng/python/numbers", "state.pt/rollout/rng/torch",
     ):  # fmt: skip
         assert name in different
 
@@ -158,8 +150,8 @@ def cut_in_the_third_evaluation():
     "cuts",
     [
         [cut_in_the_third_evaluation],
-        [lambda: cut(checkpoints, "fsync", lambda path: path.name == "state.json" and "100" in path.parent.name)],
-        [lambda: cut(finish, "learning_curves", lambda *_: True)] * 2,
+        [lambda: cut(checkpoints, "fsync", lambda path: path.name == "state.pt" and "100" in path.parent.name)],
+        [lambda: cut(finish, "save_model", lambda *_: True)] * 2,
     ],
     ids=["in an evaluation", "in a checkpoint", "between its end and its result, twice"],
 )
@@ -173,7 +165,7 @@ def test_a_run_whose_logs_and_newest_checkpoint_were_damaged(uninterrupted, tmp_
         train(config)
     directory = only_run(tmp_path)
     newest = sorted(directory.checkpoints.glob("step=*"))[-1]
-    (newest / "state.npz").write_bytes(b"")
+    (newest / "state.pt").write_bytes(b"")
     (directory.path / "metrics.jsonl").unlink()
     (directory.path / "episodes.csv").write_bytes((directory.path / "episodes.csv").read_bytes()[:40])
     (directory.path / "monitor.csv").write_bytes(b"\x00" * 40)
@@ -197,9 +189,9 @@ def test_a_run_that_a_signal_stopped_between_checkpoints(uninterrupted, tmp_path
         with pytest.raises(InterruptedRunError):
             train(config)
     step = 60 if in_evaluation else 134
-    state = read_json(only_run(tmp_path).checkpoints / f"step={step:010d}" / "state.json")
+    state = checkpoints.read_state(only_run(tmp_path).checkpoints / f"step={step:010d}")
     assert state["progress"]["evaluated"] < 60 * (step // 60) or not in_evaluation
-    assert "train/critic_loss" in state["streams"]["metrics"]["name_to_value"] or in_evaluation
+    assert "train/critic_loss" in state["rollout"]["metrics"]["name_to_value"] or in_evaluation
     train(config)
     assert differences(uninterrupted, only_run(tmp_path).path) == []
 
@@ -220,12 +212,11 @@ def test_evaluations_and_videos_leave_the_random_generators_of_the_training_alon
 
 
 def comparable(tree):
-    plain, arrays = checkpoints.split_state(tree)
-    return plain, {name: exact(array) for name, array in arrays.items()}
+    return leaves(checkpoints.to_tensors(tree), "")
 
 
 @pytest.mark.parametrize("kind", slow_but(["sac, by episodes, in one highway_env, replay"], KINDS))
-def test_rollout_state_is_restored_as_it_was_saved(kind):
+def test_rollout_state_is_restored_as_it_was_saved(kind, tmp_path):
     """In a model that was trained otherwise since; the next random numbers are the same."""
 
     def draws(model):
@@ -236,12 +227,14 @@ def test_rollout_state_is_restored_as_it_was_saved(kind):
     model.logger.record("train/loss", 0.5, exclude="tensorboard")
     model.logger.record_mean("train/mean", 0.25)
     saved = rollout_state.get_state(model)
-    plain, arrays = checkpoints.split_state(copy.deepcopy(saved))
+    torch.save(checkpoints.to_tensors(saved), tmp_path / "state.pt")
     expected = draws(model)
     other.learn(30)
     disturb()
-    rollout_state.set_state(other, checkpoints.join_state(json.loads(json.dumps(plain)), arrays))
-    assert comparable(rollout_state.get_state(other)) == comparable(saved)
+    loaded = checkpoints.read_state(tmp_path)
+    before = comparable(loaded)
+    rollout_state.set_state(other, loaded)
+    assert comparable(rollout_state.get_state(other)) == before
     assert list(other.logger.name_to_excluded["train/loss"]) == ["tensorboard"]
     assert draws(other) == expected
 

@@ -71,7 +71,7 @@ def _collate(model: Any, samples: list[Any], steps: int) -> Iterator[Minibatch]:
 def _tensors(model: Any, data: Any) -> tuple[torch.Tensor, ...]:
     """Return the features of a sample, those of its next observations, and what else a `Minibatch` has of it."""
     extractor, actions, next_signs = model.actor.features_extractor, data.actions, torch.ones_like(data.rewards)
-    if isinstance(extractor, SymmetricFeatures) and extractor.mirrors_actions:
+    if isinstance(extractor, SymmetricFeatures):
         actions, next_signs = extractor.mirror(actions, data.observations), extractor.sign(data.next_observations)
     gamma = model.gamma if getattr(data, "discounts", None) is None else data.discounts
     features, next_features = (

@@ -7,8 +7,10 @@ from gymnasium import spaces
 
 from parking_exp.tasks.feature_extractors import SymmetricFeatures, TaskFeatures
 from parking_exp.tasks.parking.geometry import LOT_LENGTH_M, LOT_WIDTH_M
+from parking_exp.tasks.parking.parking_config import DEFAULT_SCALES
 
 GOAL_SCALE_M, NEAR_M = 10.0, 2.0
+X_SCALE, Y_SCALE = map(float, DEFAULT_SCALES[:2])  # metres that stand for 1 in the observation
 
 
 class EgoFrameExtractor(TaskFeatures):
@@ -21,21 +23,16 @@ class EgoFrameExtractor(TaskFeatures):
     Output, shape (batch, 10): goal ahead and to the side (10 m), cos and sin of the goal's heading relative to the
     car's, signed speed (observation units), distance to the goal (10 m), x and y in the lot (half its length and
     width), cos and sin of the heading.
-
-    Args:
-        observation_space: parking-v0's, with the features x, y, vx, vy, cos_h, sin_h.
-        scales: metres (or m/s) that stand for 1 in each of them: `env.observation.scales`.
     """
 
-    def __init__(self, observation_space: spaces.Dict, scales: Sequence[float]) -> None:
+    def __init__(self, observation_space: spaces.Dict) -> None:
         super().__init__(observation_space, features_dim=10)
-        self.x_scale, self.y_scale = float(scales[0]), float(scales[1])
 
     def forward(self, observations: dict[str, torch.Tensor]) -> torch.Tensor:
         """Return features of shape (batch, 10) for observations of shape (batch, 6) each."""
         x, y, vx, vy, cos_h, sin_h = observations["observation"].unbind(-1)
         goal_x, goal_y, _, _, goal_cos, goal_sin = observations["desired_goal"].unbind(-1)
-        dx, dy = (goal_x - x) * self.x_scale, (goal_y - y) * self.y_scale
+        dx, dy = (goal_x - x) * X_SCALE, (goal_y - y) * Y_SCALE
         return torch.stack(
             (
                 (cos_h * dx + sin_h * dy) / GOAL_SCALE_M,
@@ -44,8 +41,8 @@ class EgoFrameExtractor(TaskFeatures):
                 goal_sin * cos_h - goal_cos * sin_h,
                 vx * cos_h + vy * sin_h,
                 torch.sqrt(dx * dx + dy * dy) / GOAL_SCALE_M,
-                x * (2 * self.x_scale / LOT_LENGTH_M),
-                y * (2 * self.y_scale / LOT_WIDTH_M),
+                x * (2 * X_SCALE / LOT_LENGTH_M),
+                y * (2 * Y_SCALE / LOT_WIDTH_M),
                 cos_h,
                 sin_h,
             ),
@@ -68,10 +65,8 @@ class FineEgoFrameExtractor(EgoFrameExtractor):
     (observation units).
     """
 
-    def __init__(
-        self, observation_space: spaces.Dict, scales: Sequence[float], reward_weights: Sequence[float]
-    ) -> None:
-        super().__init__(observation_space, scales)
+    def __init__(self, observation_space: spaces.Dict, reward_weights: Sequence[float]) -> None:
+        super().__init__(observation_space)
         self.reward_weights = [float(weight) for weight in reward_weights]
         # Virtual goals may move, real ones never do: networks see the difference only if the reward depends on it.
         self.moving_goals = any(self.reward_weights[2:4])
@@ -106,20 +101,9 @@ class MirroredEgoFrameExtractor(FineEgoFrameExtractor, SymmetricFeatures):
     policies in `mirrored_policies` turn the steering around with them.
 
     Output: that of `FineEgoFrameExtractor`; if the goal is to the right, all lateral features have the other sign.
-    `steering` is whether the last action is steering, `env.action.lateral`.
     """
 
     ACROSS = (1, 3, 6, 8, 11, 13, 15, 17)  # features that a mirror turns around
-
-    def __init__(
-        self,
-        observation_space: spaces.Dict,
-        scales: Sequence[float],
-        reward_weights: Sequence[float],
-        steering: bool = True,
-    ) -> None:
-        super().__init__(observation_space, scales, reward_weights)
-        self.steering = self.mirrors_actions = steering
 
     def forward(self, observations: dict[str, torch.Tensor]) -> torch.Tensor:
         """Return features of shape (batch, 19 or 20) for observations of shape (batch, 6) each."""
@@ -132,12 +116,10 @@ class MirroredEgoFrameExtractor(FineEgoFrameExtractor, SymmetricFeatures):
         """Return -1 where the scene is mirrored, else 1; shape (batch, 1)."""
         # In single precision as in the networks, whatever the buffer holds: one sign for features and actions.
         observation, goal = observations["observation"].float(), observations["desired_goal"].float()
-        x, y = ((goal[:, :2] - observation[:, :2]) * goal.new_tensor([self.x_scale, self.y_scale])).split(1, dim=1)
+        x, y = ((goal[:, :2] - observation[:, :2]) * goal.new_tensor([X_SCALE, Y_SCALE])).split(1, dim=1)
         left = y * observation[:, 4:5] - x * observation[:, 5:6]
         return torch.where(left < 0, -1.0, 1.0)
 
     def mirror(self, actions: torch.Tensor, observations: dict[str, torch.Tensor]) -> torch.Tensor:
         """Return actions, shape (batch, actions), with the steering turned around where the scene is mirrored."""
-        if not self.steering:
-            return actions
         return torch.cat((actions[:, :-1], actions[:, -1:] * self.sign(observations)), dim=1)

@@ -25,7 +25,7 @@ class ObservationConfig(ConfigModel):
     """highway-env's `observation` options."""
 
     type: Literal["KinematicsGoal"]  # stored, so that highway-env accepts the `env` section of a run's config
-    features: Annotated[list[Literal["x", "y", "vx", "vy", "cos_h", "sin_h"]], Field(min_length=1)]
+    features: list[str]
     scales: list[PositiveFloat]
     normalize: bool
 
@@ -37,9 +37,9 @@ class ActionConfig(ConfigModel):
     acceleration_range: Range | None
     steering_range: Range | None
     speed_range: Range | None
-    longitudinal: bool
-    lateral: bool
-    dynamical: bool
+    longitudinal: Literal[True]
+    lateral: Literal[True]
+    dynamical: Literal[False]
     clip: bool
 
 
@@ -47,6 +47,8 @@ class ParkingConfig(ConfigModel):
     """The `env` group of parking-v0."""
 
     simulators: ClassVar[tuple[str, ...]] = ("vectorized", "highway_env")
+    action_size: ClassVar[int] = 2
+    imports: ClassVar[dict[str, str]] = {}  # keys by which making an env imports a module: none
 
     task: Literal["parking"]
     name: Name
@@ -66,7 +68,7 @@ class ParkingConfig(ConfigModel):
     duration: Duration
     vehicles_count: Annotated[int, Field(ge=0, le=26)]
     add_walls: bool
-    other_vehicles_type: str
+    other_vehicles_type: Literal["highway_env.vehicle.behavior.IDMVehicle"]
     neighbour_vehicles_connected_lanes: bool
     screen_width: Pixels
     screen_height: Pixels
@@ -96,18 +98,11 @@ class ParkingConfig(ConfigModel):
             steps += 1
         return steps
 
-    @property
-    def imports(self) -> dict[str, str]:
-        """Keys by which making an env imports a class, and their dotted paths."""
-        return {"other_vehicles_type": self.other_vehicles_type}
-
     def problems(self) -> Iterator[str]:
         """Yield a sentence for each rule between keys that is violated."""
-        observation, action = self.observation, self.action
-        if len(observation.scales) != len(observation.features):
-            yield "env.observation.scales has another length than env.observation.features; give one scale for each"
-        if not (action.longitudinal or action.lateral):
-            yield "env.action.longitudinal and env.action.lateral are both false; set one of them to true"
+        for name, value in (("features", DEFAULT_FEATURES), ("scales", DEFAULT_SCALES)):
+            if getattr(self.observation, name) != value:
+                yield f"env.observation.{name} has one legal value: {value}"
         if (stricter := self.training_success_goal_reward) is not None and stricter > self.success_goal_reward:
             yield (
                 f"env.training_success_goal_reward={stricter} is above env.success_goal_reward="
@@ -115,13 +110,7 @@ class ParkingConfig(ConfigModel):
             )
         if self.policy_frequency > self.simulation_frequency:
             yield f"env.policy_frequency={self.policy_frequency} is above env.simulation_frequency"
-        if self.simulator == "vectorized" and action.dynamical:
-            yield "env.action.dynamical is not simulated by env.simulator=vectorized; use env.simulator=highway_env"
 
-    def model_problems(self, features: str, buffer: Mapping[str, Any], *, relabels: bool) -> Iterator[str]:
-        """Yield what is wrong with the observation for the policy's features, and for HER if that is used."""
-        observation = self.observation
-        if relabels and (observation.features != DEFAULT_FEATURES or observation.scales != DEFAULT_SCALES):
-            yield "env.observation: HER needs the features and scales of conf/env/parking.yaml; or use buffer=replay"
-        if observation.features != DEFAULT_FEATURES and features != "raw":
-            yield "algorithm.features needs the observation features of conf/env/parking.yaml; or use raw"
+    def model_problems(self, features: str, buffer: Mapping[str, Any]) -> Iterator[str]:
+        """Yield nothing: parking goes with all features and buffers."""
+        yield from ()

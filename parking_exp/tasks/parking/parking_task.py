@@ -23,7 +23,6 @@ class ParkingTask:
 
     metrics = METRICS
     failure = "crash"
-    ranking: tuple[str, ...] = ("success", "crash", "steps")
     env_id = ENV_ID
     monitored: tuple[str, ...] = ("is_success", "crashed")
     batch_size = 250  # more are no faster, and a signal is noticed between two steps
@@ -58,8 +57,6 @@ class ParkingTask:
         """Yield nothing: the config says everything."""
         yield from ()
 
-    notes = problems
-
     def features(self, name: str) -> tuple[type, dict[str, Any]] | None:
         """Return the class of a named features extractor and its arguments; None for `raw`."""
         from parking_exp.tasks.parking.features import (
@@ -68,12 +65,11 @@ class ParkingTask:
             MirroredEgoFrameExtractor,
         )
 
-        scales = {"scales": list(self.config.observation.scales)}
-        fine = {**scales, "reward_weights": list(self.config.reward_weights)}
+        weights = {"reward_weights": list(self.config.reward_weights)}
         extractors: dict[str, tuple[type, dict[str, Any]]] = {
-            "ego": (EgoFrameExtractor, scales),
-            "ego_fine": (FineEgoFrameExtractor, fine),
-            "ego_mirrored": (MirroredEgoFrameExtractor, {**fine, "steering": self.config.action.lateral}),
+            "ego": (EgoFrameExtractor, {}),
+            "ego_fine": (FineEgoFrameExtractor, weights),
+            "ego_mirrored": (MirroredEgoFrameExtractor, weights),
         }
         return extractors.get(name)
 

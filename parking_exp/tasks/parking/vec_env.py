@@ -29,8 +29,8 @@ class ParkingVecEnv(VecEnv):
         self.goal_reward = self.simulator.reward
         goal = spaces.Box(-np.inf, np.inf, (len(config.observation.features),), np.float64)
         observation_space = spaces.Dict(dict.fromkeys(("observation", "achieved_goal", "desired_goal"), goal))
-        super().__init__(n_envs, observation_space, spaces.Box(-1.0, 1.0, (self.simulator.action_size,), np.float32))
-        self._actions = np.zeros((n_envs, self.simulator.action_size))
+        super().__init__(n_envs, observation_space, spaces.Box(-1.0, 1.0, (2,), np.float32))
+        self._actions = np.zeros((n_envs, 2))
 
     def reset(self) -> VecEnvObs:
         """Start a scene in every env and return the first observations."""
@@ -43,7 +43,7 @@ class ParkingVecEnv(VecEnv):
         return self.simulator.observe()
 
     def step_async(self, actions: np.ndarray) -> None:
-        """Take the actions of the next step, shape (n_envs, 1 or 2)."""
+        """Take the actions of the next step, shape (n_envs, 2)."""
         self._actions = actions
 
     def step_wait(self) -> VecEnvStepReturn:

@@ -7,7 +7,6 @@ the frame before, detect collisions.
 
 import numpy as np
 
-from parking_exp.errors import ConfigError
 from parking_exp.tasks.parking.geometry import (
     CAR_DIAGONAL_M,
     CAR_LENGTH_M,
@@ -42,30 +41,23 @@ class Simulator:
     state: SceneState
 
     def __init__(self, config: ParkingConfig, scenes: Scenes) -> None:
-        if config.action.dynamical:
-            raise ConfigError("env.action.dynamical is not simulated; use env.simulator=highway_env")
         action = config.action
-        acceleration = _range(action.acceleration_range, ACCELERATION_RANGE_MPS2) if action.longitudinal else None
-        steering = _range(action.steering_range, STEERING_RANGE_RAD) if action.lateral else None
-        ranges = [bounds for bounds in (acceleration, steering) if bounds is not None]
+        acceleration = action.acceleration_range or ACCELERATION_RANGE_MPS2
+        ranges = [acceleration, action.steering_range or STEERING_RANGE_RAD]
         self._low = np.array([low for low, _ in ranges])
         self._span = np.array([high - low for low, high in ranges])
-        self.speed_range = _range(action.speed_range, SPEED_RANGE_MPS)
-        self.longitudinal, self.clip = action.longitudinal, action.clip
-        self.action_size = action.longitudinal + action.lateral
+        low, high = action.speed_range or SPEED_RANGE_MPS
+        self.speed_range, self.clip = (low, high), action.clip
         self.frames = config.simulation_frequency // config.policy_frequency
         self.dt = 1 / config.simulation_frequency
         self.episode_steps = config.episode_steps()
         self.walls = config.add_walls
         self.reward = GoalReward.of(config)
-        self.features = [DEFAULT_FEATURES.index(name) for name in config.observation.features]
-        self.scales = np.array(config.observation.scales, np.float64)
-        self.plain = config.observation.features == DEFAULT_FEATURES and config.observation.scales == DEFAULT_SCALES
+        self.scales = np.array(DEFAULT_SCALES, np.float64)
         slots = np.zeros((len(SLOT_HEADINGS), len(DEFAULT_FEATURES)))
         slots[:, :2] = SLOT_POSITIONS
         slots[:, 4], slots[:, 5] = np.cos(SLOT_HEADINGS), np.sin(SLOT_HEADINGS)
-        self._slot_goals = slots / DEFAULT_SCALES
-        self._slot_observed = slots[:, self.features] / self.scales
+        self._slot_goals = slots / self.scales
         self._collisions = Collisions(self.dt, config.vehicles_count, walls=config.add_walls)
         self.start(scenes)
 
@@ -88,12 +80,12 @@ class Simulator:
         return self._observation(self._pose(rows), self.state.goal[rows])
 
     def step(self, actions: np.ndarray) -> Step:
-        """Drive all scenes for one policy step; actions have the shape (n, 1 or 2): acceleration, then steering."""
+        """Drive all scenes for one policy step; actions have the shape (n, 2): acceleration, then steering."""
         state = self.state
         actions = np.asarray(actions)
         if actions.dtype.kind != "f":
             actions = actions.astype(np.float64)
-        assert actions.shape == (len(self), self.action_size), f"actions have the shape {actions.shape}"
+        assert actions.shape == (len(self), 2), f"actions have the shape {actions.shape}"
         acceleration, steering = self._controls(actions)
         before = state.position, state.heading, state.speed
         rows = self._drive(acceleration, steering)
@@ -120,7 +112,8 @@ class Simulator:
         """Restore a state; what follows is identical."""
         self.state = SceneState(**{name: np.array(array) for name, array in state.items()})
 
-    def _controls(self, actions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def _controls(self, actions: np.ndarray) -> np.ndarray:
+        """Return accelerations and steering angles, shape (2, n)."""
         if self.clip:
             actions = np.minimum(np.maximum(actions, -1), 1)
         # From [-1, 1] to the ranges, in the precision of the actions, as highway-env does.
@@ -128,11 +121,7 @@ class Simulator:
         scaled *= self._span.astype(actions.dtype)
         scaled /= 2
         scaled += self._low.astype(actions.dtype)
-        controls = scaled.T.astype(np.float64)
-        if self.action_size == 2:
-            return controls[0], controls[1]
-        none = np.zeros(len(actions))
-        return (controls[0], none) if self.longitudinal else (none, controls[0])
+        return scaled.T.astype(np.float64)
 
     def _drive(self, acceleration: np.ndarray, steering: np.ndarray) -> np.ndarray:
         """Integrate all frames of a step as if there were no obstacles; return the rows where that may be wrong."""
@@ -209,19 +198,17 @@ class Simulator:
         return pose.T
 
     def _observation(self, pose: np.ndarray, goal: np.ndarray) -> dict[str, np.ndarray]:
-        observed = np.divide(pose if self.plain else pose[:, self.features], self.scales, order="C")
+        observed = np.divide(pose, self.scales, order="C")
         return {
             "observation": observed,
             "achieved_goal": observed.copy(),
-            "desired_goal": self._slot_observed[goal],
+            "desired_goal": self._slot_goals[goal],
         }
 
     def _outcome(self) -> Step:
         state, pose = self.state, self._pose()
         observation = self._observation(pose, state.goal)
-        # Rewards are always computed in highway-env's own features and scales.
-        achieved = observation["achieved_goal"] if self.plain else pose / DEFAULT_SCALES
-        reward, success = self.reward(achieved, self._slot_goals[state.goal])
+        reward, success = self.reward(observation["achieved_goal"], observation["desired_goal"])
         crashed = state.crashed.copy()
         return Step(
             observation=observation,
@@ -238,7 +225,3 @@ def _direction(heading: np.ndarray) -> np.ndarray:
     np.cos(heading, out=direction[0])
     np.sin(heading, out=direction[1])
     return direction
-
-
-def _range(bounds: list[float] | None, default: Range) -> Range:
-    return default if bounds is None else (bounds[0], bounds[1])
