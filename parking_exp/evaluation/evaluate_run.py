@@ -34,6 +34,7 @@ class EvaluationRequest(AgentRequest):
     first_scene: EpisodeSeed
     simulator: str | None
     video: Count
+    gif: bool
     name: Name | None
     tracking: ResultsTracking
     env: EnvConfig | None = None
@@ -51,6 +52,8 @@ def validate_request(config: DictConfig) -> EvaluationRequest:
     n_episodes = len(request.seeds)
     if request.video > n_episodes:
         raise ConfigError(f"video={request.video} is above episodes; the closest valid choice is {n_episodes}")
+    if request.gif and not request.video:
+        raise ConfigError("gif=true needs a video; set video=N as well")
     if request.seeds.stop > TRAINING_SEEDS_START:
         highest = TRAINING_SEEDS_START - n_episodes
         raise ConfigError(f"first_scene={request.first_scene} reaches into the seeds of training; at most {highest}")
@@ -85,7 +88,8 @@ def _evaluate(request: EvaluationRequest, agent: Agent, env: EnvConfig, folder: 
         shown = bar.add_task(f"{plural(len(seeds), 'episode')} of {env.name}", total=len(seeds))
         episodes = evaluate(policy, task, seeds, lambda finished: bar.update(shown, completed=finished), simulator)
     folder.mkdir(parents=True, exist_ok=True)
-    (folder / "video.mp4").unlink(missing_ok=True)
+    for outdated in folder.glob("video.*"):
+        outdated.unlink()
     episodes.to_csv(folder / "episodes.csv", index=False)
     chosen = {"simulator": simulator, "model": request.model, "first_scene": request.first_scene}
     rates = {**summarise(episodes, task.metrics), "intervals": intervals(episodes, task.metrics)}
@@ -97,10 +101,10 @@ def _evaluate(request: EvaluationRequest, agent: Agent, env: EnvConfig, folder: 
     )
     if request.video:
         try:
-            record(policy, task, seeds[: request.video], folder / "video.mp4")
-            say(f"video          {folder / 'video.mp4'}")
+            record(policy, task, seeds[: request.video], folder / "video.mp4", request.gif)
         except VideoError as error:
             say(str(error))
+        say(*(f"video          {path}" for path in sorted(folder.glob("video.*"))))
 
 
 def _store(request: EvaluationRequest, directory: RunDirectory) -> None:

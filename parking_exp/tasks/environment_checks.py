@@ -8,7 +8,16 @@ from gymnasium import spaces
 
 from parking_exp.errors import ConfigError
 from parking_exp.tasks.gymnasium_config import GymnasiumConfig
-from parking_exp.tasks.gymnasium_env import GOAL_KEYS, SUCCESS_KEYS, GymnasiumReward, make_env, one_line, random_steps
+from parking_exp.tasks.gymnasium_env import (
+    GOAL_KEYS,
+    RANDOM_STEPS,
+    SUCCESS_KEYS,
+    GymnasiumReward,
+    make_env,
+    one_line,
+    random_steps,
+)
+from parking_exp.tasks.training_envs import ReplayActions
 
 TOLERANCE = 1e-6  # of rewards, which may be float32
 
@@ -68,3 +77,23 @@ def _check_steps(env: gym.Env, config: GymnasiumConfig, place: str) -> Iterator[
             "the penalty of a failure, name its entry of info as env.failure_key"
         )
     _ = GymnasiumReward(config).terminates  # calls `compute_terminated`, whose error is then reported here
+
+
+def resumes_exactly(config: GymnasiumConfig) -> bool:
+    """Return whether an env that is restored by replaying another one's actions continues like that."""
+    first, second = ReplayActions(make_env(config)), ReplayActions(make_env(config))
+    random_steps(first)
+    first.reset()  # what an episode leaves behind has to be no part of the next
+    for _ in range(3):
+        first.step(first.action_space.sample())
+    second.set_state(first.get_state())
+    for _ in range(RANDOM_STEPS):
+        action = first.action_space.sample()
+        (expected, reward, *ended, _), (observation, *others, _) = first.step(action), second.step(action)
+        same = all(np.array_equal(expected[key], observation[key]) for key in GOAL_KEYS)
+        if not (same and [reward, *ended] == others):
+            return False
+        if any(ended):
+            first.reset()
+            second.reset()
+    return True

@@ -2,6 +2,7 @@
 
 import os
 import signal
+import subprocess
 import sys
 from collections.abc import Iterator, Sequence
 from contextlib import closing
@@ -14,7 +15,7 @@ from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecEnv
 from parking_exp.errors import VideoError
 from parking_exp.tasks.captions import LAST_FRAME_S, captioned
 from parking_exp.tasks.env_batch import EnvBatch
-from parking_exp.tasks.environment_checks import check_env
+from parking_exp.tasks.environment_checks import check_env, resumes_exactly
 from parking_exp.tasks.gymnasium_config import GymnasiumConfig
 from parking_exp.tasks.gymnasium_env import make_env, one_line
 from parking_exp.tasks.metrics import GYMNASIUM_METRICS, outcome
@@ -67,6 +68,11 @@ class GymnasiumTask:
         """Yield a sentence for each thing that the environment lacks to be a goal task."""
         return check_env(self.config)
 
+    def notes(self) -> Iterator[str]:
+        """Yield whether an interrupted run resumes exactly."""
+        if not resumes_exactly(self.config):
+            yield f"{self.config.id} is not deterministic: an interrupted run resumes, but not bit-identically"
+
     def features(self, name: str) -> None:
         """Return None, as there are raw features only."""
 
@@ -97,8 +103,8 @@ def _env_of_worker(config: GymnasiumConfig) -> gym.Env:
 
 def _rendered(config: GymnasiumConfig) -> gym.Env:
     """Make an env that renders; VideoError where none can."""
-    if sys.platform == "linux":
-        os.environ.setdefault("MUJOCO_GL", "egl")  # which needs no display
+    if "mujoco" in sys.modules and "MUJOCO_GL" not in os.environ:
+        os.environ["MUJOCO_GL"] = _mujoco_backend()
     try:
         env = make_env(config, "rgb_array")
         env.reset(seed=0)
@@ -106,3 +112,16 @@ def _rendered(config: GymnasiumConfig) -> gym.Env:
     except Exception as error:  # of drivers, bindings and shared libraries
         raise VideoError(f"no video of env.id={config.id}: {one_line(error)}") from error
     return env
+
+
+def _mujoco_backend() -> str:
+    """Return how MuJoCo renders without a display on this machine; VideoError where neither EGL nor OSMesa works.
+
+    Each is tried in a process of its own: a failed one leaves settings that spoil the next.
+    """
+    program = [sys.executable, "-c", "import mujoco; mujoco.GLContext(8, 8).make_current()"]
+    for backend in ("egl", "osmesa"):
+        environment = {**os.environ, "MUJOCO_GL": backend}
+        if subprocess.run(program, env=environment, capture_output=True, check=False).returncode == 0:
+            return backend
+    raise VideoError("no video: MuJoCo renders by EGL or OSMesa, and neither works here; install e.g. libosmesa6")

@@ -110,6 +110,9 @@ class Task(Protocol):
     def problems(self) -> Iterator[str]:
         """Yield what is wrong with the environment itself, which may take seconds to find out."""
 
+    def notes(self) -> Iterator[str]:
+        """Yield what a user should know when a training starts."""
+
     def features(self, name: str) -> tuple[type, dict[str, Any]] | None:
         """Return the class of a named features extractor and its arguments; None for `raw`."""
 

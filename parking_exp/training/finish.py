@@ -1,4 +1,4 @@
-"""The end of a run: final evaluation, certification on the reference simulator, final model, video."""
+"""The end of a run: final evaluation, certification on the reference simulator, final model, learning curves, video."""
 
 import numpy as np
 import pandas as pd
@@ -10,6 +10,7 @@ from parking_exp.evaluation.evaluate_policy import differences, success_line
 from parking_exp.evaluation.video import record
 from parking_exp.tasks.metrics import EPISODE_SEED
 from parking_exp.training.loop import TrainingLoop, derive_seeds
+from parking_exp.training.plot_curves import learning_curves
 
 
 def finish(loop: TrainingLoop) -> pd.DataFrame:
@@ -37,6 +38,8 @@ def finish(loop: TrainingLoop) -> pd.DataFrame:
     loop.dump_metrics()
     loop.model.logger.close()
     save_model(loop.model, loop.directory.models / "final.zip")
+    title = f"{config.experiment_name}: {path.parent.name}"
+    learning_curves(loop.metrics.frame(), metrics, title, path / "curves.png")
     if number := config.evaluation.video_episodes:
         loop.bar.busy("video")
         try:

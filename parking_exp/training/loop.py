@@ -78,6 +78,8 @@ class TrainingLoop:
         shown = config.tracking.progress_bar
         self.bar = TrainingProgress(config.total_timesteps, progress.step, shown, heartbeat=directory.heartbeat)
         self.bar.say(f"{config.cell}, seed {config.seed}: {config.total_timesteps} env steps, in {path}")
+        for note in self.task.notes():
+            self.bar.say(note)
         if checkpoint is not None:
             self.bar.say(f"resuming at step {progress.step}")
 

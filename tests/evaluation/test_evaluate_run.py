@@ -9,6 +9,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from omegaconf import OmegaConf
+from PIL import Image, ImageSequence
 from support.runs import artifacts, call_script, only_run, store
 
 from parking_exp.config.compose import composed
@@ -27,7 +28,9 @@ def finished(smoke, tmp_path):
 
 def test_episodes_rates_and_a_video_are_printed_and_stored(finished):
     directory, output_dir = finished
-    done = call_script("evaluate", f"run={directory.run_id}", f"output_dir={output_dir}", "episodes=6", "video=1")
+    done = call_script(
+        "evaluate", f"run={directory.run_id}", f"output_dir={output_dir}", "episodes=6", "video=1", "gif=true"
+    )
     assert (done.returncode, done.stderr) == (0, "")
     for name in ("success", "crash", "timeout", "parked"):
         assert re.search(rf"^{name} +\d+\.\d%   95 % interval", done.stdout, re.MULTILINE)
@@ -40,8 +43,11 @@ def test_episodes_rates_and_a_video_are_printed_and_stored(finished):
     video = iio.imread(folder / "video.mp4", plugin="FFMPEG")
     assert video.shape == (frames, 300, 600, 3)
     assert len(np.unique(video[:16], axis=0)) > 10  # the car moves, also between two policy steps
+    with Image.open(folder / "video.gif") as gif:  # frames that repeat are shown longer instead
+        shown_ms = sum(frame.info["duration"] for frame in ImageSequence.Iterator(gif))
+    assert shown_ms == 200 * -(-frames // 3)
     stored = artifacts(store(output_dir), directory.run_id, f"evaluations/{folder.name}")
-    assert [path.rpartition("/")[2] for path in stored] == ["episodes.csv", "summary.json", "video.mp4"]
+    assert [path.rpartition("/")[2] for path in stored] == ["episodes.csv", "summary.json", "video.gif", "video.mp4"]
     # The same model on the same scenes: what the run itself saw at its end.
     final = pd.read_csv(directory.path / "episodes.csv").query("phase == 'final'").reset_index(drop=True)
     pd.testing.assert_frame_equal(table.head(5), final[episode_columns(METRICS)], rtol=1e-6)
@@ -88,6 +94,7 @@ def test_a_model_that_does_not_fit_its_config_or_is_damaged_or_missing_is_named(
         (["epsodes=3"], "epsodes"),
         (["episodes=0"], "episodes=0"),
         (["episodes=3", "video=5"], "video=5"),
+        (["gif=true"], "gif=true"),
         (["first_scene=2147483600"], "first_scene=2147483600"),
         (["env.duration=2"], "env"),
         (["env=parking", "env.policy_frequency=20"], "env.policy_frequency=20"),

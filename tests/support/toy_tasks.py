@@ -69,6 +69,13 @@ class Priced(BitFlip):
         return np.squeeze(super().compute_reward(achieved_goal, desired_goal, info) - price)
 
 
+class Unseeded(BitFlip):
+    """Its steps are not reproducible."""
+
+    def step(self, action):
+        return super().step(np.random.default_rng().uniform(-1, 1, BITS))
+
+
 class Silent(BitFlip):
     """`info` does not say whether the goal is reached."""
 
@@ -95,6 +102,6 @@ class Plain(BitFlip):
     observation_space = gym.spaces.Box(0, 1, (BITS,), np.float64)
 
 
-for cls in (BitFlip, OneByOne, OtherReward, Priced, Silent, Broken, Discrete, Plain):
+for cls in (BitFlip, OneByOne, OtherReward, Priced, Silent, Broken, Unseeded, Discrete, Plain):
     gym.register(f"{cls.__name__}-v0", cls, max_episode_steps=BITS)
 gym.register("Endless-v0", BitFlip)

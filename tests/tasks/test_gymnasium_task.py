@@ -20,6 +20,7 @@ from parking_exp.config.validate import validate, validate_all
 from parking_exp.errors import ConfigError
 from parking_exp.evaluation import evaluate_run
 from parking_exp.evaluation.evaluate_policy import evaluate
+from parking_exp.tasks.environment_checks import resumes_exactly
 from parking_exp.tasks.gymnasium_env import GymnasiumReward
 from parking_exp.tasks.registry import make_task
 from parking_exp.tasks.training_envs import get_state, make_training_envs, set_state
@@ -130,6 +131,14 @@ def test_training_envs_go_on_as_if_they_had_not_been_saved(vectorization):
         assert (rewards.tolist(), dones.tolist()) == (other_rewards.tolist(), other_dones.tolist())
     first.close()
     second.close()
+
+
+@pytest.mark.parametrize(
+    ("env_id", "exactly"),
+    [(f"{TOY}BitFlip-v0", True), (f"{TOY}Unseeded-v0", False), ("FetchReach-v4", True), ("PointMaze_UMaze-v3", True)],
+)
+def test_environments_that_cannot_resume_exactly_are_recognised(env_id, exactly):
+    assert resumes_exactly(config(env_id, "n_envs=1").env) is exactly
 
 
 def test_a_sweep_is_refused_if_one_of_its_runs_is():

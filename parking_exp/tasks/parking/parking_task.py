@@ -57,6 +57,8 @@ class ParkingTask:
         """Yield nothing: the config says everything."""
         yield from ()
 
+    notes = problems
+
     def features(self, name: str) -> tuple[type, dict[str, Any]] | None:
         """Return the class of a named features extractor and its arguments; None for `raw`."""
         from parking_exp.tasks.parking.features import (

@@ -1,0 +1,36 @@
+"""Draw the learning curves of a run, `curves.png`."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+from parking_exp.tasks.metrics import Metric
+
+
+def learning_curves(log: pd.DataFrame, metrics: Sequence[Metric], title: str, path: Path) -> None:
+    """Draw a run's evaluation rates and returns against env steps, from the columns of `MetricsLog.frame`."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(6.4, 5.6), dpi=150, layout="constrained")
+    rates, returns = figure.subplots(2, 1, sharex=True, height_ratios=[2, 1])
+
+    def plot(axes: Any, column: str, scale: float = 1, **style: Any) -> None:
+        if column in log:
+            curve = log[["step", column]].dropna()
+            axes.plot(curve["step"], scale * curve[column], **style)
+
+    for metric in (metric for metric in metrics if metric.colour):
+        style = {"color": metric.colour, "label": metric.name, "linestyle": "-" if metric.is_outcome else "--"}
+        plot(rates, f"eval/{metric.key}", 100, marker="o", markersize=3, **style)
+    plot(returns, "eval/return_mean", color="#0072B2", label="evaluation")
+    plot(returns, "rollout/ep_rew_mean", color="#999999", label="training")
+    rates.set(ylabel="evaluation episodes (%)", ylim=(-3, 103))
+    rates.set_title(title, fontsize=9)
+    returns.set(xlabel="env steps", ylabel="mean return")
+    for axes in (rates, returns):
+        axes.legend(frameon=False, fontsize=9)
+        axes.grid(alpha=0.3)
+        axes.spines[["top", "right"]].set_visible(False)
+    figure.savefig(path)
