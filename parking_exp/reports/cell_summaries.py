@@ -201,8 +201,7 @@ def _mean(values: Sequence[float | None], *, is_rate: bool = False) -> Interval:
 
 def _counts(status: pd.Series) -> dict[str, int]:
     stages = [STAGES.get(stage, stage) for stage in status]
-    pruned = ["pruned"] if "pruned" in stages else []
-    return {stage: stages.count(stage) for stage in ("done", "running", "failed", "pending", *pruned)}
+    return {stage: stages.count(stage) for stage in ("done", "running", "failed", "pending")}
 
 
 def _whole(value: Any) -> int | None:

@@ -46,7 +46,7 @@ def provenance(cells: Sequence[CellRuns], left_out: Sequence[str], uri: str) -> 
 
 
 def _unfinished(cell: CellRuns) -> list[FailedRun]:
-    runs = cell.runs[~cell.runs["status"].isin(["done", "pruned"])]
+    runs = cell.runs[cell.runs["status"] != "done"]
     return [
         FailedRun(
             cell.label,
@@ -78,7 +78,6 @@ class Selection(NamedTuple):
     factors: list[Factor]
     baseline: str | None  # id of the cell
     left_out: list[str]  # labels of the other cells
-    n_pruned: int  # trials of a search without a finished run
 
 
 def build_report(
@@ -151,14 +150,12 @@ def _select(
         _refuse_unfinished(chosen, f"experiment={','.join(experiments)}", "; report=quick shows what there is so far")
         if reference is not None:
             _refuse_unfinished([reference], f"baseline={baseline}")
-    kept = [cell for cell in chosen if cell is reference or set(cell.runs["status"]) != {"pruned"}] or chosen
-    labelled, factors = relabelled(kept)
+    labelled, factors = relabelled(chosen)
     return Selection(
         labelled,
         factors,
-        baseline=None if reference is None else f"c{kept.index(reference)}",
+        baseline=None if reference is None else f"c{chosen.index(reference)}",
         left_out=[cell.label for cell in cells if cell not in chosen],
-        n_pruned=len(chosen) - len(kept),
     )
 
 
@@ -183,5 +180,3 @@ def _notes(cells: Sequence[Cell], shown: Sequence[str], selection: Selection, *,
         yield f"Pictures show the {len(shown)} of {len(cells)} cells with the highest success; tables have all."
     if outside := [cell.label for cell in cells if None in cell.settings.values()] if crossed else []:
         yield f"Not part of the main effects, without a value of every factor: {warnings.named(outside)}."
-    if selection.n_pruned:
-        yield f"Not among the cells, since pruned before a run was done: {plural(selection.n_pruned, 'trial')}."

@@ -64,7 +64,7 @@ class Cell:
     experiment: str
     name: str  # folder of its runs
     settings: Mapping[str, Setting]  # value of each factor
-    counts: Mapping[str, int]  # number of runs done, running, failed, pending and, if there are any, pruned
+    counts: Mapping[str, int]  # number of runs done, running, failed and pending
     total_timesteps: int | None
     success: Interval
     timeout: Interval

@@ -48,11 +48,11 @@ def warnings(runs: Sequence[CellRuns], cells: Sequence[Cell], origin: Provenance
 
 
 def missing(cells: Sequence[Cell], experiments: Iterable[str], stored: Iterable[str]) -> Iterator[str]:
-    """Yield which runs have no result, and which experiments have no runs. Pruned runs are over, and do not count."""
+    """Yield which runs have no result, and which experiments have no runs."""
     total = sum((Counter(cell.counts) for cell in cells), Counter())
     waiting = {"running": "under way", "failed": "failed", "pending": "interrupted or not started"}
     if stages := [f"{total[stage]} {words}" for stage, words in waiting.items() if total[stage]]:
-        yield f"Runs done: {total['done']} of {total.total() - total['pruned']}; {', '.join(stages)}."
+        yield f"Runs done: {total['done']} of {total.total()}; {', '.join(stages)}."
     if empty := [cell.label for cell in cells if not cell.counts["done"]]:
         yield f"No run is done of {named(empty)}."
     known = set(stored)

@@ -10,7 +10,7 @@
     run_id, name, experiment, cell, run_key    str       MLflow run id and name; what it belongs to; hash of all that
                                                          can change its result
     seed                                       int64
-    status                                     category  done, running, failed, interrupted, pruned: in the store
+    status                                     category  done, running, failed, interrupted: in the store
     error                                      str       why it failed, in one line; missing for others
     total_timesteps, n_scenes, first_scene,    Int64     as configured: env steps; episodes of the final evaluation and
     eval_n_scenes                                        their first seed; episodes of evaluations during training

@@ -19,7 +19,7 @@ from parking_exp.tracking.store import Store
 if TYPE_CHECKING:
     from mlflow.entities import Run
 
-STATUSES = ("done", "running", "failed", "interrupted", "pruned")
+STATUSES = ("done", "running", "failed", "interrupted")
 # Parameters and metrics, and their columns.
 CONFIGURED = {
     "total_timesteps": "total_timesteps",

@@ -258,20 +258,6 @@ def test_of_two_runs_with_the_same_seed_the_one_that_is_done_counts():
     assert any("has the same seed" in line for line in report.warnings)
 
 
-def test_pruned_runs_are_neither_missing_nor_unfinished_and_cells_of_them_alone_are_left_out():
-    def look(label, seed):
-        return Run(status="pruned") if label in ("td3", "far") or (label, seed) == ("ddpg", 1) else Run()
-
-    cells = {**ALGORITHMS, "ddpg": {"algorithm.name": "ddpg"}, "far": {"algorithm.gamma": 0.5}}
-    report = content(cells, range(2), look)
-    assert {cell.label: cell.counts for cell in report.cells} == {
-        "sac": {"done": 2, "running": 0, "failed": 0, "pending": 0},
-        "ddpg": {"done": 1, "running": 0, "failed": 0, "pending": 0, "pruned": 1},
-    }
-    assert (report.missing, [*report.provenance.unfinished]) == ([], [])
-    assert any(note.endswith("pruned before a run was done: 2 trials.") for note in report.notes)
-
-
 def test_levels_that_do_not_differ_are_said_to_be_indistinguishable():
     rng = np.random.default_rng(5)
     rates = {(label, seed): rng.choice([0.4, 0.6, 0.8]) for label in crossed() for seed in range(4)}

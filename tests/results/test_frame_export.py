@@ -157,16 +157,6 @@ def test_a_damaged_export_is_refused_in_one_sentence(written, name, old, new):
     assert "\n" not in str(error.value)
 
 
-def test_an_export_with_a_truncated_or_missing_file_is_refused(written):
-    path = written / "curves.csv.gz"
-    path.write_bytes(path.read_bytes()[:-30])
-    with pytest.raises(ResultsError, match="can't be read"):
-        read_export(written)
-    path.unlink()
-    with pytest.raises(ResultsError, match=r"it has no curves\.csv\.gz"):
-        read_export(written)
-
-
 def test_rows_of_runs_that_an_export_does_not_have_are_left_out(written):
     edit(written / "curves.csv.gz", "\n", "\nx")
     edit(written / "outcomes.csv.gz", "scene,", "scene,x")

@@ -4,15 +4,13 @@ import json
 import math
 import re
 import shutil
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
 from support.mlflow_servers import closed_port, mlflow_server, needs_server
-from support.runs import ROOT, in_memory, store
+from support.runs import in_memory, store
 from support.store_factory import STARTED_MS, Look, compose, made_episodes, make_store
 
 import parking_exp.results
@@ -104,15 +102,8 @@ def test_config_columns_are_typed_and_what_a_cell_does_not_have_is_missing(ablat
     assert runs["config.timeout_s"].isna().all()
 
 
-PARAMS = [
-    ("3", 3),
-    ("5e-05", 5e-05),
-    ("inf", math.inf),
-    ("True", True),
-    (None, None),
-    ("[1, 2]", "[1, 2]"),
-    ("2024_11", "2024_11"),
-]
+PARAMS = [("3", 3), ("5e-05", 5e-05), ("inf", math.inf), ("True", True), (None, None), ("[1, 2]", "[1, 2]"),
+          ("2024_11", "2024_11")]  # fmt: skip
 
 
 @pytest.mark.parametrize(("text", "value"), PARAMS)
@@ -121,35 +112,30 @@ def test_a_parameter_has_the_value_that_was_logged(text, value):
     assert type(frames.parse_value(text)) is type(value)
 
 
-def test_a_damaged_table_of_episodes_is_a_problem_of_its_run_alone(output_dir):
+def test_a_damaged_file_is_a_problem_of_its_run_alone(output_dir):
     header = "phase,step,scene,outcome,parked,steps,return,distance_m,heading_error_rad,speed_mps\n"
     line = "certified,400,0,success,True,9,-1.5,0.1,0.01,0.2\n"
-    damaged = ["no table", "", header + line[:20], header + line.replace("success", "glory"), header + "a,b\n",
-               header + line.replace("9", "nine"), header.replace("scene", "start") + line,
-               header + line.replace("0,success", "-1,success"), "\udcff\udcfe\n"]  # fmt: skip
-    older = ["phase,step,scene,outcome\ncertified,400,0,success\n", f"note,{header}x,{line}"]  # fewer and more columns
-    contents = [text.encode(errors="surrogateescape") for text in (*damaged, *older)]
+    damaged = ["", header + line[:20], header + line.replace("success", "glory"), header + line.replace("9", "nine"),
+               header.replace("scene", "start") + line, header + line.replace("0,success", "-1,success"),
+               "\udcff\udcfe\n"]  # fmt: skip
+    fewer_columns, more_columns = "phase,step,scene,outcome\ncertified,400,0,success\n", f"note,{header}x,{line}"
+    contents = [text.encode(errors="surrogateescape") for text in (*damaged, fewer_columns, more_columns)]
     looks = [Look(contents={"episodes.csv": content}) for content in contents]
-    looks += [Look(missing=["episodes.csv"]), Look(nan=["eval/success_rate", "final/success_rate"])]
+    looks += [Look(missing=["episodes.csv"]), Look()]
     made = make_store(output_dir, "e", {"": []}, range(len(looks)), lambda _, seed: looks[seed])
+    artifacts = output_dir / "mlflow-artifacts" / "e" / made["", 10].run_id / "artifacts"
+    (artifacts / "metrics.jsonl").write_text('{"step": 1}\n')
     results = load("e", output_dir=output_dir)
     assert len(results.runs) == len(looks)
     by_run = dict(list(results.episodes.groupby("run_id", observed=True)))
-    fewer, more, whole = (made["", seed].run_id for seed in (9, 10, 12))
-    assert set(by_run) == {fewer, more, whole}
+    fewer, more, no_log = (made["", seed].run_id for seed in (7, 8, 10))
+    assert set(by_run) == {fewer, more, no_log}
     episode = by_run[more].iloc[0]
     assert episode[["phase", "outcome", "steps", "return"]].tolist() == ["certified", "success", 9, -1.5]
     assert by_run[fewer][["parked", "steps", "distance_m"]].isna().all(axis=None)
-    pattern = rf"run \w+ \({results.runs['cell'][0]}, seed (\d+)\): episodes\.csv (.+)"
-    problems = dict(re.fullmatch(pattern, problem).groups() for problem in results.problems)
-    assert list(map(int, problems)) == [*range(9), 11]
-    assert "scene" in problems["6"]
-    assert "missing" in problems["11"]
-    run, curve = row(results.runs, made["", 12]), results.curves[results.curves["run_id"] == whole]
-    assert (run["steps"], run["crash_rate"]) == (400, 0.0)
-    assert math.isnan(run["success_rate"])
-    assert list(curve["step"]) == [100, 200, 300, 400]
-    assert curve["success_rate"].isna().all()
+    pattern = rf"run \w+ \({results.runs['cell'][0]}, seed (\d+)\): (\S+) (is missing|can't be read: ).*"
+    problems = [re.fullmatch(pattern, problem).groups()[:2] for problem in results.problems]
+    assert problems == [("10", "metrics.jsonl"), *((str(seed), "episodes.csv") for seed in (*range(7), 9))]
 
 
 def test_runs_that_are_not_done_have_what_they_came_to_and_no_final_numbers(ablation):
@@ -169,17 +155,6 @@ def test_runs_that_are_not_done_have_what_they_came_to_and_no_final_numbers(abla
     counts = results.episodes["run_id"].value_counts()
     assert [counts[made[key].run_id] for key in (("four", 2), ("none", 1), ("none", 2))] == [2 * 3, 0, 0]
     assert results.problems == ()
-
-
-def test_hostile_names_are_kept_as_text(ablation, output_dir):
-    output_dir_, made = ablation
-    assert row(load("her", output_dir=output_dir_).runs, made["none", 0])["cpu"] == "Zürich <script>alert(1)</script>"
-    evil = "<img src=x onerror=alert(1)> 東京"
-    look = Look(tags={"cell": evil, "mlflow.runName": evil}, params={"note": evil, "env.other": "1e400"})
-    (directory,) = make_store(output_dir, "e", {"": []}, [0], lambda *_: look).values()
-    run = row(load("e", output_dir=output_dir).runs, directory)
-    assert (run["cell"], run["name"], run["config.note"]) == (evil, evil, evil)
-    assert run["config.env.other"] == math.inf
 
 
 def test_runs_of_others_and_deleted_ones_are_left_out(output_dir):
@@ -210,9 +185,10 @@ def test_a_missing_store_is_not_made(tmp_path):
 
 
 def test_an_unreadable_store_is_a_sentence(tmp_path):
-    (tmp_path / "mlflow.db").write_text("this is not a database, and it is long enough to be looked at " * 20)
+    (tmp_path / "mlflow.db").write_text(text := "this is not a database, and it is long enough to be looked at " * 20)
     with pytest.raises(ResultsError, match="can't be read: file is not a database"):
         load("her", output_dir=tmp_path)
+    assert (tmp_path / "mlflow.db").read_text() == text
     refused = pytest.raises(ResultsError, match=r"http://me@127\S+ can't be read: .*Connection refused")
     with closed_port() as port, refused:
         load("her", uri=f"http://me@127.0.0.1:{port}")
@@ -226,19 +202,8 @@ def test_an_experiment_that_is_unknown_or_has_no_runs_is_refused(ablation, outpu
         load(["her", "zzz"], uri=uri)
     client = store(output_dir)
     client.create_run(client.create_experiment("void"))
-    with pytest.raises(ResultsError, match="experiment=void: it has no runs"):
+    with pytest.raises(ResultsError, match=r"^experiment=void: it has no runs"):
         load("void", output_dir=output_dir)
-
-
-@pytest.mark.slow
-def test_results_are_read_without_torch_and_simulators(ablation):
-    code = (
-        "import sys; from parking_exp.results import load; results = load('her', output_dir=sys.argv[1]); "
-        "print(sorted({'torch', 'gymnasium', 'highway_env', 'stable_baselines3', 'matplotlib'} & set(sys.modules)))"
-    )
-    command = [sys.executable, "-c", code, str(ablation[0])]
-    done = subprocess.run(command, check=False, capture_output=True, text=True, timeout=120, cwd=ROOT)
-    assert (done.stdout, done.returncode) == ("[]\n", 0), done.stderr
 
 
 def test_a_real_run_is_loaded_as_it_was_trained(smoke):

@@ -1,13 +1,10 @@
-"""Stores with made-up runs, for tests of what reads a store, and for its benchmarks.
+"""Stores with made-up runs, for tests of what reads a store.
 
 Configs are really composed, run directories have the files that a training leaves, and the store gets them by `mirror`.
-`python tests/support/store_factory.py OUTPUT_DIR [RUNS]` makes a store for benchmarks.
 """
 
 import json
 import math
-import sys
-import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, field
@@ -225,22 +222,3 @@ def _send(directory: RunDirectory, look: Look, store: Store) -> None:
             store.client.set_tag(directory.run_id, key, value)
     for key, value in look.params.items():
         store.client.log_param(directory.run_id, key, value)
-
-
-def benchmark_store(output_dir: Path, n_runs: int = 1000, n_cells: int = 100) -> None:
-    """Make a store as large as reports have to be fast for: 12 evaluations of 20 scenes, 100 final ones a run."""
-    base = compose()
-    evaluation = base.evaluation.model_copy(update={"n_scenes": 20, "final_n_scenes": 100, "every_n_steps": 5000})
-    base = base.model_copy(update={"total_timesteps": 60000, "evaluation": evaluation})
-    cells = {
-        f"collision {k}": base.model_copy(update={"env": base.env.model_copy(update={"collision_reward": -float(k)})})
-        for k in range(n_cells)
-    }
-    looks = {label: Look(success=min(1.0, 0.5 + k / n_cells / 2), rows=20) for k, label in enumerate(cells)}
-    make_store(output_dir, "bench", cells, range(n_runs // n_cells), lambda label, seed: looks[label])
-
-
-if __name__ == "__main__":
-    begin = time.perf_counter()
-    benchmark_store(Path(sys.argv[1]), *map(int, sys.argv[2:]))
-    print(f"{time.perf_counter() - begin:.1f} s")

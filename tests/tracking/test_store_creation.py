@@ -62,10 +62,3 @@ def test_a_store_of_another_mlflow_that_has_runs_is_left_as_it_is(output_dir):
     with pytest.raises(Exception, match="out-of-date database schema"):
         connect(default_uri(output_dir))
     assert database.read_bytes() == before
-
-
-def test_what_is_no_database_is_not_replaced(tmp_path):
-    (tmp_path / "mlflow.db").write_text("this is not a database, and it is long enough to be looked at " * 20)
-    with pytest.raises(Exception, match="file is not a database"):
-        connect(default_uri(tmp_path))
-    assert [path.name for path in sorted(tmp_path.iterdir())] == [".mlflow.db.lock", "mlflow.db"]
