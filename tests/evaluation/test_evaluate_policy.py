@@ -8,7 +8,6 @@ import pytest
 from support.runs import make_config
 
 from parking_exp.evaluation.evaluate_policy import describe, evaluate, rank, summarise
-from parking_exp.runs.metric_logs import append_episodes
 from parking_exp.tasks.metrics import episode_columns, outcome
 from parking_exp.tasks.parking.highway import make_env
 from parking_exp.tasks.parking.outcomes import Pose, relative_pose
@@ -113,10 +112,3 @@ def test_the_best_is_chosen_by_success_then_crashes_then_steps():
     best_first = [summary(0.9, 0.1, 50), summary(0.9, 0.1, 60), summary(0.9, 0.05, 500), summary(0.8, 0.0, 10)]
     order = sorted(best_first, key=lambda summary: rank(summary, ParkingTask), reverse=True)
     assert order == [best_first[2], best_first[0], best_first[1], best_first[3]]
-
-
-def test_a_run_that_began_before_a_metric_was_added_keeps_the_columns_of_its_table(tmp_path):
-    path = tmp_path / "episodes.csv"
-    append_episodes(path, pd.DataFrame({"scene": [3], "steps": [7]}), "eval", 100)
-    append_episodes(path, pd.DataFrame({"scene": [4], "side_m": [0.5], "steps": [9]}), "eval", 200)
-    assert path.read_text() == "phase,step,scene,steps\neval,100,3,7\neval,200,4,9\n"

@@ -111,7 +111,7 @@ def test_the_command_writes_into_the_run_directory_or_to_a_path(file_format, run
 @pytest.mark.parametrize(
     ("arguments", "named"),
     [
-        (["format=onx"], "format=onx"),
+        (["format=onx"], "format='onx'"),
         (["path=."], "path=."),
         (["path=policy.onnx", "format=safetensors"], "path=policy.onnx"),
         (["run=parked"], "run=parked"),

@@ -101,7 +101,7 @@ def test_an_export_of_some_cells_has_no_others(source, folder, tmp_path):
 
 def test_the_search_of_an_export_is_the_one_that_was_written(source, tmp_path):
     kind = {"name": "FloatDistribution", "attributes": {"low": 0.9, "high": 0.99, "log": False, "step": None}}
-    trial = TrialRow(0, "done", {}, {"algorithm.gamma": 0.9}, 0.5, [0.25, 0.75], ["one/cell/seed=0"], 100)
+    trial = TrialRow(0, "done", {}, {"algorithm.gamma": 0.9}, 0.5, [0.25, 0.75], ["one/cell/seed=0"])
     search = Tuning("one", "tpe", None, 2, "success_auc", 2, {"algorithm.gamma": kind}, [trial], retested=[])
     data = with_tuning(report_of(source), search)
     write_report_export(source, data, tmp_path / "one", only_cells=False)

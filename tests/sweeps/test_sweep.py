@@ -197,13 +197,13 @@ SLURM = ("hydra/launcher=slurm", "hydra.launcher.executor=local")
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["retry=all"], "retry=all"),
+        (["retry=all"], "retry='all'"),
         (["dry_run=maybe"], "dry_run='maybe'"),
         (["hydra/launcher=locl"], "did you mean 'local'?"),
         (["hydra/launcher=ray_a"], "hydra/launcher=ray_a"),
         (["hydra.launcher.n_jobs=0"], "hydra.launcher.n_jobs=0"),
         ([*SLURM, "hydra.launcher.executor=slurm"], "srun"),
-        ([*SLURM, "hydra.launcher.parameters.slurm_nodelist=n1"], "+hydra.launcher.parameters.slurm_nodelist"),
+        ([*SLURM, "hydra.launcher.parameters.slurm_nodelist=n1"], "hydra.launcher.parameters.slurm_nodelist"),
         ([*SLURM, "+hydra.launcher.parameters.slurm_qso=high"], "qso"),
         ([*SLURM, "hydra.launcher.parameters.timeout_min=long"], "timeout_min"),
     ],

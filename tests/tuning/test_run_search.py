@@ -15,7 +15,6 @@ from support.searches import QUICK, user_search
 from support.sweep_processes import FAILING, begin, trained, workers
 
 from parking_exp.config.compose import composed_runs
-from parking_exp.config.overrides import in_quotes
 from parking_exp.config.validate import validate
 from parking_exp.runs.atomic_files import read_json
 from parking_exp.runs.run_state import read_state
@@ -81,7 +80,7 @@ def test_the_winner_becomes_an_experiment_file_that_composes_to_its_config(tmp_p
     content = yaml.safe_load(path.read_text())
     assert content["defaults"][1] == {"override /algorithm": "mine"}
     assert content["experiment_name"] == "tuned_mine"
-    (run,) = composed_runs("config", [f"experiment={in_quotes(str(path))}"], str(folder))
+    (run,) = composed_runs("config", [f"experiment={path}"], str(folder))
     assert validate(run.cell).cell_key == search.config({"algorithm.gamma": 0.97}).cell_key
     assert shlex.split(out.getvalue().splitlines()[-1])[-3:] == [f"experiment={path}", "--config-dir", str(folder)]
 
