@@ -21,7 +21,7 @@ from parking_exp.errors import ConfigError, ParkingError, RunNotFoundError, Stor
 from parking_exp.runs.directory import RunDirectory
 from parking_exp.runs.lookup import find_runs
 from parking_exp.runs.run_state import RunState, as_plain, read_state
-from parking_exp.runs.state_tables import cell_table, damaged_lines, failure_lines, running_lines, stopped_lines
+from parking_exp.runs.state_tables import cell_table, state_lines
 from parking_exp.terminal import console, say
 from parking_exp.tracking.mirror import mirror_missing
 from parking_exp.tracking.store import Store
@@ -116,9 +116,7 @@ def _sync(request: StatusRequest) -> None:
 
 def _tables(request: StatusRequest) -> RenderableType:
     states = _read_states(request)
-    parts: list[RenderableType] = [cell_table(states)]
-    for lines in (running_lines, stopped_lines, failure_lines, damaged_lines):
-        parts += lines(states)
+    parts: list[RenderableType] = [cell_table(states), *state_lines(states, "running", "stopped", "failed", "damaged")]
     for name, search in _searches(request):
         if isinstance(search, ParkingError):
             parts.append(f"search {name}: {search}")

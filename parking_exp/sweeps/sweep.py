@@ -19,7 +19,7 @@ from parking_exp.config.validate import validate_all
 from parking_exp.errors import FailedRunError, plural
 from parking_exp.runs.directory import RunDirectory
 from parking_exp.runs.run_state import RunState, Stage, by_cell, counts, read_state
-from parking_exp.runs.state_tables import cell_table, damaged_lines, duration, failure_lines, stopped_lines
+from parking_exp.runs.state_tables import cell_table, duration, state_lines
 from parking_exp.sweeps.hydra_launcher import Launch
 from parking_exp.sweeps.monitor import Monitor
 from parking_exp.terminal import console
@@ -76,7 +76,7 @@ def describe(runs: Sequence[PlannedRun], launch: Launch, out: Console) -> None:
     """Print the plan: cells x seeds, what is done, what will run, and how long that may take."""
     states = [run.state.model_copy(update={"label": run.label}) for run in runs]
     out.print(cell_table(states))
-    for line in damaged_lines(states):
+    for line in state_lines(states, "damaged"):
         out.print(line)
     by_stage, due = counts(states), [run for run in runs if run.is_due and run.state.stage != "running"]
     n_cells, n_seeds = len({run.path.parent for run in runs}), len({run.config.seed for run in runs})
@@ -134,7 +134,7 @@ def sweep(runs: Sequence[PlannedRun], launch: Launch, *, dry_run: bool = False) 
         states = [read_state(path) for path in paths]
         if due:
             out.print(cell_table(states))
-        for line in (*stopped_lines(states), *failure_lines(states)):
+        for line in state_lines(states, "stopped", "failed"):
             out.print(line)
     _check_all_done(states)
 
