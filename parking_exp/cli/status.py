@@ -19,7 +19,7 @@ from parking_exp.errors import ParkingError, RunNotFoundError, StoreError, plura
 from parking_exp.runs.directory import RunDirectory
 from parking_exp.runs.lookup import find_runs
 from parking_exp.runs.run_state import RunState, as_plain, read_state
-from parking_exp.runs.state_tables import cell_table, damaged_lines, failure_lines, running_lines, stopped_lines
+from parking_exp.runs.state_tables import cell_table, state_lines
 from parking_exp.terminal import console, say
 from parking_exp.tracking.mirror import mirror_missing
 from parking_exp.tracking.store import Store
@@ -107,9 +107,8 @@ def _sync(request: StatusRequest) -> None:
 
 def _print_tables(out: Console, states: list[RunState], searches: dict[str, StoredSearch | ParkingError]) -> None:
     out.print(cell_table(states))
-    for lines in (running_lines, stopped_lines, failure_lines, damaged_lines):
-        for line in lines(states):
-            out.print(line)
+    for line in state_lines(states, "running", "stopped", "failed", "damaged"):
+        out.print(line)
     for name, search in searches.items():
         if isinstance(search, ParkingError):
             out.print(f"search {name}: {search}")

@@ -47,11 +47,20 @@ def read_json(path: Path) -> Any:
 
 
 def read_plain_yaml(path: Path) -> Any:
-    """Read a YAML file that holds what JSON has; raises ValueError for a tag or a date."""
+    """Read a YAML file that holds what JSON has; raises ValueError for a tag, a date or an alias."""
     try:
-        return json.loads(json.dumps(yaml.safe_load(path.read_text(encoding="utf-8"))))
+        return json.loads(json.dumps(yaml.load(path.read_text(encoding="utf-8"), _LoaderWithoutAliases)))
     except (yaml.YAMLError, RecursionError, LookupError, AttributeError, TypeError) as error:
         raise ValueError(str(error).splitlines()[0] or type(error).__name__) from error
+
+
+class _LoaderWithoutAliases(yaml.SafeLoader):
+    """Refuse aliases, by which a small file becomes a huge value."""
+
+    def compose_node(self, parent: Any, index: Any) -> Any:
+        if self.check_event(yaml.AliasEvent):
+            raise yaml.YAMLError("it has an alias")
+        return super().compose_node(parent, index)
 
 
 def read_object(path: Path) -> dict[str, Any]:

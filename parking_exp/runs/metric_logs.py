@@ -96,4 +96,7 @@ class MetricsLog:
 def append_episodes(path: Path, episodes: "pd.DataFrame", phase: str, step: int) -> None:
     """Append an evaluation's episodes to `episodes.csv`, with its phase (`eval` or `final`) and env step."""
     table = episodes.assign(phase=phase, step=step)[["phase", "step", *episodes.columns]]
+    if path.exists():  # rows of a metric that was added since would not fit under the header
+        with path.open(encoding="utf-8") as file:
+            table = table.reindex(columns=file.readline().strip().split(","))
     table.to_csv(path, mode="a", header=not path.exists(), index=False)

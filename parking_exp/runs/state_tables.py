@@ -1,6 +1,7 @@
 """Tables and lines of run states for a terminal."""
 
 from collections.abc import Iterator, Sequence
+from typing import Literal
 
 from rich.table import Table
 
@@ -28,32 +29,23 @@ def cell_table(states: Sequence[RunState]) -> Table:
     return table
 
 
-def failure_lines(states: Sequence[RunState]) -> Iterator[str]:
-    """Yield a line for every failed run, with the reason and the run directory."""
-    for state in states:
-        if state.stage == "failed":
-            yield f"failed   {name(state)}: {state.reason or 'no reason is known'}   {state.run_dir}"
-
-
-def damaged_lines(states: Sequence[RunState]) -> Iterator[str]:
-    """Yield a line for every run whose status.json is damaged."""
-    for state in states:
-        if state.damaged:
-            yield f"damaged  {name(state)}: status.json can't be read; it counts as {state.stage}   {state.run_dir}"
-
-
-def stopped_lines(states: Sequence[RunState]) -> Iterator[str]:
-    """Yield a line for every interrupted run, with the step at which it resumes."""
-    for state in states:
-        if state.stage == "pending" and state.step:
-            yield f"stopped  {name(state)}: resumes at step {_steps(state)}"
-
-
-def running_lines(states: Sequence[RunState]) -> Iterator[str]:
-    """Yield a line for every running run: step, rate, time left, host."""
-    for state in states:
-        if state.stage == "running":
-            yield f"running  {name(state)}: {under_way(state)}   {state.host}"
+def state_lines(
+    states: Sequence[RunState], *kinds: Literal["running", "stopped", "failed", "damaged"]
+) -> Iterator[str]:
+    """Yield a line for every run of each kind in turn: how far it is, where it resumes, or what is wrong."""
+    for kind in kinds:
+        for state in states:
+            about = None
+            if kind == "running" and state.stage == "running":
+                about = f"{under_way(state)}   {state.host}"
+            elif kind == "stopped" and state.stage == "pending" and state.step:
+                about = f"resumes at step {_steps(state)}"
+            elif kind == "failed" and state.stage == "failed":
+                about = f"{state.reason or 'no reason is known'}   {state.run_dir}"
+            elif kind == "damaged" and state.damaged:
+                about = f"status.json can't be read; it counts as {state.stage}   {state.run_dir}"
+            if about is not None:
+                yield f"{kind:<8} {name(state)}: {about}"
 
 
 def under_way(state: RunState) -> str:

@@ -11,7 +11,7 @@ from rich.live import Live
 
 from parking_exp.runs.directory import STATUS_FILE
 from parking_exp.runs.run_state import RunState, read_state
-from parking_exp.runs.state_tables import duration, name, running_lines
+from parking_exp.runs.state_tables import duration, name, state_lines
 from parking_exp.terminal import console as make_console
 
 POLL_S = 1.0
@@ -82,7 +82,7 @@ class Monitor:
                 self.say(f"stopped  {run}, {f'at step {state.step}' if state.step else 'before its first checkpoint'}")
 
     def _render(self) -> RenderableType:
-        return Group(*running_lines(list(self._states.values())), self._progress())
+        return Group(*state_lines(list(self._states.values()), "running"), self._progress())
 
     def _progress(self) -> str:
         over = sum(state.stage in ("done", "failed") for state in list(self._states.values()))

@@ -18,7 +18,7 @@ from parking_exp.config.validate import validate_all
 from parking_exp.errors import FailedRunError, plural
 from parking_exp.runs.directory import RunDirectory
 from parking_exp.runs.run_state import RunState, Stage, counts, read_state
-from parking_exp.runs.state_tables import cell_table, damaged_lines, failure_lines, stopped_lines
+from parking_exp.runs.state_tables import cell_table, state_lines
 from parking_exp.sweeps.hydra_launcher import Launcher
 from parking_exp.sweeps.monitor import Monitor
 from parking_exp.terminal import console
@@ -75,7 +75,7 @@ def describe(runs: Sequence[PlannedRun], out: Console) -> None:
     """Print the plan: cells x seeds, what is done, and what will run."""
     states = [run.state.model_copy(update={"label": run.label}) for run in runs]
     out.print(cell_table(states))
-    for line in damaged_lines(states):
+    for line in state_lines(states, "damaged"):
         out.print(line)
     by_stage, due = counts(states), [run for run in runs if run.is_due and run.state.stage != "running"]
     n_cells, n_seeds = len({run.path.parent for run in runs}), len({run.config.seed for run in runs})
@@ -111,7 +111,7 @@ def sweep(runs: Sequence[PlannedRun], launcher: Launcher, *, dry_run: bool = Fal
         states = [read_state(path) for path in paths]
         if due:
             out.print(cell_table(states))
-        for line in (*stopped_lines(states), *failure_lines(states)):
+        for line in state_lines(states, "stopped", "failed"):
             out.print(line)
     _check_all_done(states)
 
