@@ -4,7 +4,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
-from parking_exp.config_model import Count, Positive, PositiveFloat, Share
+from parking_exp.config_model import Count, NonNegative, Positive, PositiveFloat, Share
 
 GoalStrategy = Literal["future", "final", "episode", "random"]
 RelabelCollision = Literal["keep", "sb3", "exclude"]
@@ -19,6 +19,7 @@ RELABEL_OPTIONS: dict[str, Any] = {
 # Arguments that have no effect without virtual goals.
 HER_OPTIONS = ("n_sampled_goal", *RELABEL_OPTIONS)
 
+Decay = Annotated[float, Field(ge=0, lt=1)]
 LIMITS: dict[str, Any] = {
     "learning_rate": PositiveFloat,
     "learning_starts": Count,
@@ -29,12 +30,27 @@ LIMITS: dict[str, Any] = {
     "gradient_steps": Annotated[int, Field(ge=-1)],  # -1: as many as steps
     "policy_delay": Positive,
     "target_update_interval": Positive,
+    "target_policy_noise": NonNegative,
+    "target_noise_clip": NonNegative,
     "ent_coef": PositiveFloat | Annotated[str, Field(pattern=r"^auto(_\d+(\.\d*)?(e-?\d+)?)?$")],
     "target_entropy": float | Literal["auto"],
+    "stats_window_size": Positive,
+    "top_quantiles_to_drop_per_net": Count,
     "n_sampled_goal": Positive,
     "goal_selection_strategy": GoalStrategy,
     **RELABEL_OPTIONS,
     "n_critics": Annotated[int, Field(ge=1, le=100)],
     "n_quantiles": Annotated[int, Field(ge=1, le=10_000)],
+    "weight_decay": NonNegative,
+    "eps": NonNegative,
+    "betas": Annotated[list[Decay], Field(min_length=2, max_length=2)],
     **dict.fromkeys(("policy_kwargs", "optimizer_kwargs", "features_extractor_kwargs"), dict),
+}
+# By class, arguments whose names mean something else elsewhere.
+NOISE = {"mean": float | list[float], "sigma": NonNegative | list[NonNegative]}
+CLASS_LIMITS: dict[str, dict[str, Any]] = {
+    "LinearSchedule": {"start": PositiveFloat, "end": NonNegative, "end_fraction": Share},
+    "ConstantSchedule": {"val": PositiveFloat},
+    "NormalActionNoise": NOISE,
+    "OrnsteinUhlenbeckActionNoise": {**NOISE, "theta": NonNegative, "dt": PositiveFloat},
 }

@@ -12,7 +12,7 @@ from typing import Any, get_args
 
 from pydantic import ConfigDict, TypeAdapter, ValidationError
 
-from parking_exp.config.argument_limits import LIMITS
+from parking_exp.config.argument_limits import CLASS_LIMITS, LIMITS
 from parking_exp.config.schema import AlgorithmConfig, BufferConfig, RunConfig
 from parking_exp.errors import ConfigError, suggestion
 
@@ -133,7 +133,7 @@ def _check_target(key: str, value: Any, base: str | None = None, *, partial: boo
 def _check_call(key: str, call: Any, given: Mapping[str, Any], *, partial: bool = False) -> Iterator[str]:
     """Check the arguments of a call; a `partial` one gets others later."""
     parameters, is_open = _parameters(call)
-    set_by_run = SET_BY_RUN.get(key, set())
+    set_by_run, limits = SET_BY_RUN.get(key, set()), CLASS_LIMITS.get(getattr(call, "__name__", ""), LIMITS)
     own = {name: parameter for name, parameter in parameters.items() if name not in set_by_run}
     for name, value in given.items():
         path = f"{key}.{name}"
@@ -144,16 +144,16 @@ def _check_call(key: str, call: Any, given: Mapping[str, Any], *, partial: bool 
         elif isinstance(class_path(value), str) and (name in CLASS_ARGUMENTS or isinstance(value, Mapping)):
             yield from _check_target(path, value, CLASS_ARGUMENTS.get(name), partial=name in CLASS_ARGUMENTS)
         elif name in own:
-            yield from _check_value(path, value, own[name])
+            yield from _check_value(path, value, own[name], limits)
     if not partial:
         required = (name for name, parameter in own.items() if parameter.default is inspect.Parameter.empty)
         yield from (f"{key}.{name} is missing" for name in required if name not in given)
 
 
-def _check_value(key: str, value: Any, parameter: inspect.Parameter) -> Iterator[str]:
+def _check_value(key: str, value: Any, parameter: inspect.Parameter, limits: Mapping[str, Any]) -> Iterator[str]:
     """Check a value against its range, or else its annotation where that is a plain type."""
     types = set(get_args(parameter.annotation)) or {parameter.annotation}
-    limit = LIMITS.get(parameter.name, parameter.annotation if types <= {int, float, bool, str, NoneType} else Any)
+    limit = limits.get(parameter.name, parameter.annotation if types <= {int, float, bool, str, NoneType} else Any)
     if value is None and (NoneType in types or parameter.name in NULLABLE):
         return
     try:

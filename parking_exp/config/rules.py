@@ -1,6 +1,6 @@
 """Rules between the keys of a config."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 
 from parking_exp.config.argument_limits import HER_OPTIONS
 from parking_exp.config.schema import RunConfig
@@ -65,6 +65,19 @@ def check_tasks(runs: Iterable[RunConfig]) -> Iterator[str]:
                 return
         if run.env.for_training().episode_steps() is None:
             yield from check_lengths(run, tasks[key].episode_steps)
+        yield from _check_noise(run, tasks[key])
+
+
+def _check_noise(run: RunConfig, task: Task) -> Iterator[str]:
+    noise = run.algorithm.arguments.get("action_noise")
+    if noise is not None and not (isinstance(noise, Mapping) and "_target_" in noise):
+        yield f"algorithm.action_noise={noise} has no _target_; give one, or null"
+        return
+    lists = {name: values for name, values in (noise or {}).items() if isinstance(values, list)}
+    (size,) = (task.prediction_env().action_space.shape or (1,)) if lists else (1,)
+    for name, values in lists.items():
+        if len(values) != size:
+            yield f"algorithm.action_noise.{name} has {len(values)} entries; an action has {size} dimensions"
 
 
 def _check_algorithm(run: RunConfig) -> Iterator[str]:
