@@ -17,6 +17,6 @@ def without_training_keys(overrides: list[str]) -> list[str]:
     for override in overrides:
         if re.split(r"[=./]", override.lstrip("+~"))[0] in OF_RECIPES:
             raise ConfigError(
-                f"{override}: a key of training; evaluate.py takes those of conf/evaluate.yaml, and env.KEY"
+                f"{override} is a key of training; evaluate.py takes the keys of conf/evaluate.yaml and env.KEY"
             )
     return overrides

@@ -13,8 +13,6 @@ from parking_exp.errors import UntrustedError
 
 # Module -> classes, under each name that a config may use. Their constructors have no side effects.
 CLASSES = {
-    "highway_env.vehicle.controller": ["ControlledVehicle", "MDPVehicle"],
-    "highway_env.vehicle.kinematics": ["Vehicle"],
     "parking_exp.algorithms": ["DDPG", "SAC", "TD3"],
     "parking_exp.algorithms.crossq": ["CrossQ"],
     "parking_exp.tasks.parking.features": ["EgoFrameExtractor", "FineEgoFrameExtractor", "MirroredEgoFrameExtractor"],

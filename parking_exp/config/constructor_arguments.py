@@ -141,6 +141,8 @@ def _check_call(key: str, call: Any, given: Mapping[str, Any], *, partial: bool 
             yield f"{path} is set by the run itself"
         elif name not in own and not is_open:
             yield f"{path}: there is no such key{suggestion(name, [*own, *SECTION_KEYS.get(key, ())])}"
+        elif name in CLASS_ARGUMENTS and value is not None and not isinstance(class_path(value), str):
+            yield f"{path}={value!r} is not a class; give a dotted path or a node with a _target_"
         elif isinstance(class_path(value), str) and (name in CLASS_ARGUMENTS or isinstance(value, Mapping)):
             yield from _check_target(path, value, CLASS_ARGUMENTS.get(name), partial=name in CLASS_ARGUMENTS)
         elif name in own:

@@ -57,7 +57,7 @@ which `pandas.read_csv` reads as well, and a JSON file:
     runs.csv.gz      `Results.runs`; config.KEY as text
     curves.csv.gz    `Results.curves`
     outcomes.csv.gz  outcomes of the final episodes: a row per seed of an episode, a column per run id
-    report.json      problems; what the report says of its cells, without what the tables have
+    report.json      problems; names of the experiments; the search, if there is one
 
 Left out are evaluation episodes during training, what `Results.episodes` has besides outcomes, and everything that
 names a place on the machine. Numbers are rounded to 6 significant digits.

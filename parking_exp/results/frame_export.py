@@ -45,7 +45,8 @@ def write_export(results: Results, folder: str | Path, about: Mapping[str, Any] 
     folder = directory_path(folder)
     refuse_foreign(folder)
     folder.mkdir(parents=True, exist_ok=True)
-    (folder / REPORT).unlink(missing_ok=True)
+    for outdated in (folder / REPORT, *folder.glob(".tmp-*")):
+        outdated.unlink(missing_ok=True)
     final = results.episodes[results.episodes["phase"] == "final"].astype({"run_id": str})
     tables = {
         "runs.csv.gz": _exported_runs(results.runs),
@@ -85,7 +86,8 @@ def refuse_foreign(folder: Path) -> None:
     """Raise ConfigError if a folder for an export holds other files."""
     if folder.exists() and not folder.is_dir():
         raise ConfigError(f"export={folder}: a file is in the way")
-    others = sorted(path.name for path in folder.iterdir() if path.name not in FILES) if folder.exists() else []
+    names = sorted(path.name for path in folder.iterdir()) if folder.exists() else []
+    others = [name for name in names if name not in FILES and not name.startswith(".tmp-")]  # of a killed export
     if others:
         raise ConfigError(f"export={folder}: it holds other files, e.g. {others[0]}; name a folder of its own")
 

@@ -78,7 +78,7 @@ def _train(config: DictConfig) -> None:
 
 
 def _unusable(name: str, error: Exception) -> ConfigError:
-    extra = f"; pip install 'parking-exp[{name}]'" if name in EXTRAS else ""
+    extra = f"; pip install 'parking-exp[{name}]'" if name in EXTRAS and not isinstance(error, TypeError) else ""
     return ConfigError(f"hydra/launcher={name}: {_first_line(error)}{extra}")
 
 

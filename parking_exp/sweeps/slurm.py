@@ -38,6 +38,10 @@ class SlurmLauncher:
     """
 
     def __init__(self, executor: str, n_jobs: int | None, folder: str | None, parameters: Mapping[str, Any]) -> None:
+        if not isinstance(parameters, Mapping):
+            raise ConfigError(f"hydra.launcher.parameters={parameters} is not a mapping, {{KEY: VALUE}}")
+        if not isinstance(folder, str | None):
+            raise ConfigError(f"hydra.launcher.folder={folder} is not a path")
         self.executor, self.folder = executor, folder and Path(folder)
         self.n_jobs = checked_n_jobs(n_jobs) or (len(cores()) if executor == "local" else None)
         self.parameters = {key: value for key, value in parameters.items() if value is not None}
@@ -62,8 +66,13 @@ class SlurmLauncher:
                 while (waiting or active) and not request.is_made:
                     while waiting and len(active) < (self.n_jobs or len(paths)) and not request.is_made:
                         path = waiting.pop(0)
-                        jobs[path] = submitter.submit(supervise_job, path)
-                        active.append(jobs[path])
+                        # Ctrl-C waits for `sbatch`, so that every submitted job is known, and cancelled.
+                        signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+                        try:
+                            jobs[path] = submitter.submit(supervise_job, path)
+                            active.append(jobs[path])
+                        finally:
+                            signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
                     time.sleep(POLL_S[self.executor])
                     active = self._unfinished(active)
             except FailedJobError as error:
@@ -72,7 +81,7 @@ class SlurmLauncher:
                 self._cancel(active)
         if request.signal_number is not None:
             raise InterruptedRunError("stopped; rerun the same command to resume", request.signal_number)
-        early = [job.paths.stderr for path, job in jobs.items() if read_state(path).stage not in ("done", "failed")]
+        early = [job.paths.stderr for path, job in jobs.items() if read_state(path).stage == "pending"]
         number = f"{len(early)} of {plural(len(jobs), 'job')}"
         return f"{number} ended early, stopped by Slurm or a signal; the first log: {early[0]}" if early else None
 

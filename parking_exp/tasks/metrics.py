@@ -37,7 +37,7 @@ class Metric:
     in_curves: bool = False  # whether `Results.curves` has it
     in_reports: bool = False  # whether reports have its mean over seeds
     is_outcome: bool = False  # whether it is the share of episodes that ended like this
-    colour: str | None = None  # in figures of its task
+    colour: str | None = None  # of its curve in curves.png; None: it has none
     note: str = ""  # its definition, beside its rate on the terminal
 
     @property

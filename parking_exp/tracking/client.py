@@ -70,13 +70,12 @@ def connect(uri: str, output_dir: Path | None = None) -> "MlflowClient":
         try:
             client = _open(uri)
         except Exception:
-            if _has_runs(path):
+            if not _is_half_made(path):
                 raise
-            # MLflow can't complete a store whose migrations were interrupted.
             path.replace(path.with_name(f"{path.name}.unusable"))
             _make_database(path)
             client = _open(uri)
-        if output_dir is not None:
+        if output_dir is not None and os.access(path, os.W_OK):
             _relocate_artifacts(path, output_dir)
         return client
 
@@ -113,10 +112,15 @@ def _make_database(path: Path) -> None:
             file.unlink(missing_ok=True)
 
 
-def _has_runs(path: Path) -> bool:
+def _is_half_made(path: Path) -> bool:
+    """Return whether a database is an empty store whose migrations were interrupted; MLflow can't complete it."""
     with closing(sqlite3.connect(path)) as connection:
-        has_table = connection.execute("SELECT 1 FROM sqlite_master WHERE name = 'runs'").fetchone()
-        return bool(has_table and connection.execute("SELECT 1 FROM runs").fetchone())
+        tables = {name for (name,) in connection.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
+        for table in tables - {"alembic_version", "workspaces"}:
+            user_made = "WHERE experiment_id != 0" if table == "experiments" else ""
+            if connection.execute(f'SELECT 1 FROM "{table}" {user_made} LIMIT 1').fetchone():
+                return False
+        return not tables or "experiments" in tables
 
 
 def _relocate_artifacts(path: Path, output_dir: Path) -> None:

@@ -200,7 +200,9 @@ def to_tensors(state: Any) -> Any:
         return {key: to_tensors(value) for key, value in state.items()}
     if isinstance(state, list | tuple | deque):
         return [to_tensors(value) for value in state]
-    return state
+    if state is None or isinstance(state, bool | int | float | str):
+        return state
+    raise TypeError(f"a {type(state).__name__} can't be saved without pickling it")
 
 
 def to_arrays(state: Any) -> Any:

@@ -62,3 +62,13 @@ def test_a_store_of_another_mlflow_that_has_runs_is_left_as_it_is(output_dir):
     with pytest.raises(Exception, match="out-of-date database schema"):
         connect(default_uri(output_dir))
     assert database.read_bytes() == before
+
+
+def test_a_database_of_another_program_stays_where_it_is(tmp_path):
+    database = tmp_path / "other.db"
+    execute(database, "CREATE TABLE alembic_version (version_num TEXT)", "INSERT INTO alembic_version VALUES ('1')")
+    execute(database, "CREATE TABLE studies (id INTEGER)", "INSERT INTO studies VALUES (1)")
+    with pytest.raises(Exception, match="1"):
+        connect(f"sqlite:///{database}")
+    assert execute(database, "SELECT id FROM studies") == [(1,)]
+    assert [path.name for path in tmp_path.glob("other*")] == ["other.db"]
