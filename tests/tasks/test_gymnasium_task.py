@@ -10,7 +10,6 @@ import numpy as np
 import pandas as pd
 import pytest
 from stable_baselines3.common.logger import Logger
-from support.marks import slow_but
 from support.runs import call_script, only_run, options, run_script, script
 from support.sweep_processes import wait_until
 
@@ -161,7 +160,8 @@ LEARNS = [
 ]  # fmt: skip
 
 
-@pytest.mark.parametrize("buffer", slow_but(["her_future"], ["her_future", "replay"]))
+@pytest.mark.slow  # tests/algorithms/test_learning.py proves the same on a reach toy in seconds
+@pytest.mark.parametrize("buffer", ["her_future", "replay"])
 def test_bit_flipping_is_learned_with_her_and_not_without(buffer, tmp_path):
     done = call_script("train", "env=gymnasium", *LEARNS, f"buffer={buffer}", f"output_dir={tmp_path}")
     assert done.returncode == 0, done.stderr
