@@ -20,7 +20,7 @@ class LabelledCell(Protocol):
 
     @property
     def label(self) -> str:
-        """What distinguishes it."""
+        """Return what distinguishes it from the others."""
 
 
 Drawing = tuple[Figure, str]

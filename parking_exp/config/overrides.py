@@ -3,6 +3,7 @@
 import os
 import re
 from collections.abc import Iterable
+from contextlib import suppress
 from pathlib import Path
 
 from hydra.core.global_hydra import GlobalHydra
@@ -37,11 +38,9 @@ def as_hydra(argument: str) -> str:
     elif not equals or "/" not in value or key.startswith("-"):
         return argument
     else:
-        try:
+        with suppress(HydraException):  # a path that is no word of Hydra's grammar is quoted below
             OverridesParser.create().parse_override(argument)
             return argument
-        except HydraException:
-            pass
     return f"{key}={in_quotes(value)}"
 
 

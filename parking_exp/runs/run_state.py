@@ -85,7 +85,7 @@ def _under_way(path: Path, entries: dict[str, Any]) -> dict[str, Any]:
     if beat.time < entries.get("started", time.time()):  # of an earlier process, or none yet
         return {"step": _saved_step(path), "doing": "starting"}
     total, left = entries.get("total_timesteps"), None
-    if beat.steps_per_s > 0 and total is not None:
+    if beat.steps_per_s > 1e-3 and total is not None:
         left = (total - beat.step) / beat.steps_per_s
     return {"step": beat.step, "steps_per_s": beat.steps_per_s or None, "left_s": left, "doing": beat.doing}
 

@@ -15,7 +15,6 @@ class GymnasiumConfig(ConfigModel):
 
     simulators: ClassVar[tuple[str, ...]] = ("gymnasium",)
     simulator: ClassVar[str] = "gymnasium"
-    action_size: ClassVar[None] = None  # only the environment knows
 
     task: Literal["gymnasium"]
     name: Name

@@ -47,7 +47,6 @@ class ParkingConfig(ConfigModel):
     """The `env` group of parking-v0."""
 
     simulators: ClassVar[tuple[str, ...]] = ("vectorized", "highway_env")
-    action_size: ClassVar[int] = 2
     imports: ClassVar[dict[str, str]] = {}  # keys by which making an env imports a module: none
 
     task: Literal["parking"]
