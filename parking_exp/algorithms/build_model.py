@@ -5,17 +5,16 @@ from contextlib import contextmanager
 from itertools import chain
 from typing import Any
 
-import numpy as np
 import torch
 from gymnasium import spaces
 from hydra.utils import get_class, instantiate
-from stable_baselines3.common.noise import ActionNoise, NormalActionNoise, VectorizedActionNoise
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from stable_baselines3.common.save_util import recursive_getattr
 from stable_baselines3.common.torch_layers import CombinedExtractor
 from stable_baselines3.common.vec_env import VecEnv
 from torch import nn
 
+from parking_exp.algorithms.action_noise import make_action_noise
 from parking_exp.algorithms.mirrored_policies import MIRRORED
 from parking_exp.algorithms.normalization import NormalizedExtractor, Normalizer
 from parking_exp.buffers import HerBuffer
@@ -70,7 +69,7 @@ def build_model(config: RunConfig, env: VecEnv, seed: int, *, for_training: bool
     _skip_compiler_import()
     try:
         if (noise := arguments.get("action_noise")) is not None:
-            objects["action_noise"] = _action_noise(noise, env)
+            objects["action_noise"] = make_action_noise(noise, env)
         model = build(**objects)
     except (TypeError, ValueError, KeyError, AssertionError) as error:
         raise ConfigError(f"algorithm: {target} refuses its arguments: {error}") from error
@@ -131,29 +130,6 @@ def _class(value: Any) -> Any:
     if isinstance(value, Mapping):
         return instantiate({**value, "_convert_": "all", "_partial_": True})
     return get_class(value) if isinstance(value, str) else value
-
-
-def _action_noise(node: Mapping[str, Any], env: VecEnv) -> ActionNoise:
-    """Make action noise, with arrays where YAML has lists, or one number for all dimensions of the action."""
-    shape = env.action_space.shape or ()
-    arrays = {
-        name: np.broadcast_to(np.array(node[name], np.float64), shape) for name in ("mean", "sigma") if name in node
-    }
-    rest = {name: value for name, value in node.items() if name not in arrays}
-    noise: ActionNoise = instantiate({**rest, "_partial_": True, "_convert_": "all"})(**arrays)
-    n_envs = env.num_envs
-    return VectorizedNormalNoise(noise, n_envs) if n_envs > 1 and type(noise) is NormalActionNoise else noise
-
-
-class VectorizedNormalNoise(VectorizedActionNoise):
-    """Stable-Baselines3's `VectorizedActionNoise` of normal noise: the same numbers in one call instead of `n_envs`."""
-
-    base_noise: NormalActionNoise
-
-    def __call__(self) -> np.ndarray:
-        """Return noise of shape (n_envs, actions)."""
-        base = self.base_noise
-        return np.random.normal(base._mu, base._sigma, (self.n_envs, len(base._mu))).astype(base._dtype)
 
 
 @contextmanager

@@ -14,6 +14,7 @@ from parking_exp.errors import UntrustedError
 # Module -> classes, under each name that a config may use. Their constructors have no side effects.
 CLASSES = {
     "parking_exp.algorithms": ["DDPG", "SAC", "TD3"],
+    "parking_exp.algorithms.action_noise": ["EpsilonRandomActionNoise"],
     "parking_exp.algorithms.crossq": ["CrossQ"],
     "parking_exp.tasks.parking.features": ["EgoFrameExtractor", "FineEgoFrameExtractor", "MirroredEgoFrameExtractor"],
     "parking_exp.buffers": ["HerBuffer"],

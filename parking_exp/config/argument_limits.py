@@ -52,5 +52,6 @@ CLASS_LIMITS: dict[str, dict[str, Any]] = {
     "LinearSchedule": {"start": PositiveFloat, "end": NonNegative, "end_fraction": Share},
     "ConstantSchedule": {"val": PositiveFloat},
     "NormalActionNoise": NOISE,
+    "EpsilonRandomActionNoise": {**NOISE, "epsilon": Share},
     "OrnsteinUhlenbeckActionNoise": {**NOISE, "theta": NonNegative, "dt": PositiveFloat},
 }

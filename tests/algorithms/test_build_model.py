@@ -4,17 +4,15 @@ import subprocess
 import sys
 from pathlib import Path
 
-import numpy as np
 import pytest
 import torch
-from stable_baselines3.common.noise import NormalActionNoise, VectorizedActionNoise
 from stable_baselines3.common.torch_layers import CombinedExtractor
 from stable_baselines3.common.vec_env import DummyVecEnv
 from support.models import make_model
 from support.reach import Reach
 from support.runs import make_config, options
 
-from parking_exp.algorithms.build_model import VectorizedNormalNoise, build_model, torch_settings
+from parking_exp.algorithms.build_model import build_model, torch_settings
 from parking_exp.buffers import HerBuffer
 from parking_exp.errors import ConfigError
 from parking_exp.tasks.training_envs import make_training_envs
@@ -104,18 +102,6 @@ def test_a_runs_threads_and_precision_hold_while_it_runs():
     with torch_settings(make_config("torch_threads=2", "precision=medium")):
         assert (torch.get_num_threads(), torch.get_float32_matmul_precision()) == (2, "medium")
     assert (torch.get_num_threads(), torch.get_float32_matmul_precision()) == before
-
-
-@pytest.mark.parametrize("actions", [1, 3])
-def test_noise_of_many_envs_is_what_stable_baselines3_draws_one_by_one(actions):
-    base, draws = NormalActionNoise(np.arange(actions) / 10, np.arange(1, actions + 1) / 10), []
-    for vectorized in (VectorizedNormalNoise, VectorizedActionNoise):
-        np.random.seed(7)
-        noise = vectorized(base, 5)
-        draws.append(np.stack([noise() for _ in range(4)]))
-    ours, theirs = draws
-    assert (ours.shape, ours.dtype) == ((4, 5, actions), theirs.dtype)
-    np.testing.assert_array_equal(ours, theirs)
 
 
 @pytest.mark.slow

@@ -1,0 +1,61 @@
+"""Exploration noise of actions, made from a config."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from hydra.utils import instantiate
+from numpy.typing import DTypeLike
+from stable_baselines3.common.noise import ActionNoise, NormalActionNoise, VectorizedActionNoise
+from stable_baselines3.common.vec_env import VecEnv
+
+
+class EpsilonRandomActionNoise(NormalActionNoise):
+    """Add normal noise, and with probability `epsilon` noise so large that the action is random.
+
+    HER's authors explore so (Andrychowicz et al. 2017, appendix A): small noise alone seldom leads a robot's gripper
+    to a box. The large noise is uniform in [-2, 2], the width of an action; Stable-Baselines3 clips the sum to [-1, 1].
+
+    Args:
+        mean: of the normal noise, shape (actions,).
+        sigma: its standard deviation, shape (actions,).
+        epsilon: probability of a random action at each step, in [0, 1].
+        dtype: of the noise.
+    """
+
+    def __init__(self, mean: np.ndarray, sigma: np.ndarray, epsilon: float, dtype: DTypeLike = np.float32) -> None:
+        super().__init__(mean, sigma, dtype)
+        self.epsilon = epsilon
+
+    def __call__(self) -> np.ndarray:
+        """Return noise of shape (actions,)."""
+        noise = super().__call__()
+        if np.random.random() < self.epsilon:
+            return np.random.uniform(-2, 2, noise.shape).astype(noise.dtype)
+        return noise
+
+
+class VectorizedNormalNoise(VectorizedActionNoise):
+    """Stable-Baselines3's `VectorizedActionNoise` of normal noise: the same numbers in one call instead of `n_envs`."""
+
+    base_noise: NormalActionNoise
+
+    def __call__(self) -> np.ndarray:
+        """Return noise of shape (n_envs, actions)."""
+        base = self.base_noise
+        return np.random.normal(base._mu, base._sigma, (self.n_envs, len(base._mu))).astype(base._dtype)
+
+
+def make_action_noise(node: Mapping[str, Any], env: VecEnv) -> ActionNoise:
+    """Make action noise, with arrays where YAML has lists, or one number for all dimensions of the action."""
+    shape = env.action_space.shape or ()
+    arrays = {
+        name: np.broadcast_to(np.array(node[name], np.float64), shape) for name in ("mean", "sigma") if name in node
+    }
+    rest = {name: value for name, value in node.items() if name not in arrays}
+    noise: ActionNoise = instantiate({**rest, "_partial_": True, "_convert_": "all"})(**arrays)
+    if env.num_envs == 1:
+        return noise
+    if type(noise) is NormalActionNoise:
+        return VectorizedNormalNoise(noise, env.num_envs)
+    return noise
