@@ -11,7 +11,7 @@ import pandas as pd
 
 from parking_exp.config.paths import database, default_uri, directory_path, refuse_password
 from parking_exp.errors import ParkingError, ResultsError, suggestion
-from parking_exp.results.run_logs import CURVE, CURVE_TYPES, EPISODES, read_episodes, read_points
+from parking_exp.results.run_logs import CATEGORIES, CURVE, CURVE_TYPES, EPISODES, read_episodes, read_points
 from parking_exp.tasks.registry import METRICS
 from parking_exp.tracking.client import reason
 from parking_exp.tracking.store import Store
@@ -91,7 +91,7 @@ def read_store(store: Store, experiments: str | Iterable[str] | None) -> Results
         raise ResultsError(f"there is no store {path}; train something first, or name another output_dir or store")
     with as_results_error(f"the store {store.uri} can't be read"):
         ids = _chosen(store, experiments)
-        stored = store.search(list(ids.values()))
+        stored = store.runs(ids.values())
         kept = [run for run in stored if run.info.lifecycle_stage == "active" and _is_from_this_package(run)]
         if not kept:
             searched = store.uri if experiments is None else f"experiment={','.join(ids)}"
@@ -193,21 +193,19 @@ def _read_files(
 ) -> tuple[dict[str, Any], list[str]]:
     """Return the parsed artifact of each run that has it, by run id, and a sentence for each one that is damaged."""
 
-    def read(run: Any) -> tuple[Any, str | None]:
+    records, parsed, problems = runs.to_dict("records"), dict[str, Any](), list[str]()
+    with ThreadPoolExecutor(1 if database(store.uri) else DOWNLOADS_AT_ONCE) as pool:
+        files = [pool.submit(store.artifact, run["run_id"], run["artifact_uri"], name) for run in records]
+    for run, file in zip(records, files, strict=True):
+        problem = f"{name} is missing in the store" if run["status"] == "done" else None
         try:
-            if (content := store.artifact(run["run_id"], run["artifact_uri"], name)) is not None:
-                return parse(content), None
-            problem = f"{name} is missing in the store" if run["status"] == "done" else None
+            if (content := file.result()) is not None:
+                parsed[run["run_id"]], problem = parse(content), None
         except Exception as error:
             problem = f"{name} can't be read: {reason(error)}"
-        return None, problem and f"run {run['run_id']} ({run['cell']}, seed {run['seed']}): {problem}"
-
-    with ThreadPoolExecutor(DOWNLOADS_AT_ONCE) as pool:
-        files = list(pool.map(read, runs.to_dict("records")))
-    parsed = {
-        run_id: content for run_id, (content, _) in zip(runs["run_id"], files, strict=True) if content is not None
-    }
-    return parsed, [problem for _, problem in files if problem]
+        if problem:
+            problems.append(f"run {run['run_id']} ({run['cell']}, seed {run['seed']}): {problem}")
+    return parsed, problems
 
 
 def _episodes(tables: Mapping[str, pd.DataFrame], run_ids: Sequence[str]) -> pd.DataFrame:
@@ -217,7 +215,7 @@ def _episodes(tables: Mapping[str, pd.DataFrame], run_ids: Sequence[str]) -> pd.
     if not tables:
         return pd.DataFrame(columns=columns).astype({"run_id": ids, **EPISODES})
     episodes = pd.concat(tables, names=["run_id"]).reset_index("run_id").reindex(columns=columns)
-    return episodes.astype({"run_id": ids}).sort_values("run_id", kind="stable", ignore_index=True)
+    return episodes.astype({"run_id": ids, **CATEGORIES}).sort_values("run_id", kind="stable", ignore_index=True)
 
 
 def _duplicates(runs: pd.DataFrame) -> Iterator[str]:

@@ -24,6 +24,8 @@ REQUIRED: dict[str, Any] = {
 """Columns of episodes that every task has; each task lacks some of the others."""
 EPISODES: dict[str, Any] = {**REQUIRED, **DTYPES}
 """Columns of `Results.episodes` after the run id, and their types."""
+CATEGORIES = {name: kind for name, kind in EPISODES.items() if isinstance(kind, pd.CategoricalDtype)}
+NUMBERS = {name: kind for name, kind in EPISODES.items() if name not in CATEGORIES}
 
 
 def read_points(log: bytes) -> list[dict[str, Any]]:
@@ -38,15 +40,15 @@ def read_points(log: bytes) -> list[dict[str, Any]]:
 
 
 def read_episodes(table: bytes) -> pd.DataFrame:
-    """Return the rows of the content of an `episodes.csv` with its columns in EPISODES.
+    """Return the rows of the content of an `episodes.csv` with its columns in EPISODES; categories stay text.
 
     Raises:
         ValueError: it is damaged.
     """
-    episodes = pd.read_csv(io.BytesIO(table), dtype=EPISODES, usecols=lambda name: name in EPISODES)
+    episodes = pd.read_csv(io.BytesIO(table), dtype=NUMBERS, usecols=lambda name: name in EPISODES)
     if absent := [name for name in REQUIRED if name not in episodes]:
         raise ValueError(f"it has no column {absent[0]}")
-    is_seed = episodes[EPISODE_SEED].between(0, TRAINING_SEEDS_START - 1)
-    if episodes[[*REQUIRED]].isna().any(axis=None) or not is_seed.all():
+    unknown = [name for name, kind in CATEGORIES.items() if not {*episodes[name].unique()} <= {*kind.categories}]
+    if unknown or not episodes[EPISODE_SEED].between(0, TRAINING_SEEDS_START - 1).all():
         raise ValueError("it has rows that are no episodes")
     return episodes

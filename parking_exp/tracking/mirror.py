@@ -109,7 +109,7 @@ def mirror_missing(directories: Iterable[RunDirectory], store: Store) -> Iterato
     try:
         ids = store.experiments()
         names = {directory.path.parents[1].name for directory in idle}
-        runs = store.search([ids[name] for name in names if name in ids])
+        runs = store.runs(ids[name] for name in names if name in ids)
     except Exception as error:
         yield from ((directory, reason(error)) for directory in idle)
         return
