@@ -20,7 +20,7 @@ def stepping(option: str, n_scenes: int, rounds: int, seconds_per_side: float) -
     """Compare steps per second with uniformly random actions; ended episodes are restarted."""
     env: Any = compose(f"env={option}").env
     rng = np.random.default_rng(0)
-    simulator, peer = Simulator(env, Scenes.random(rng, n_scenes, env.vehicles_count)), make_env(env)
+    simulator, peer = Simulator(env, Scenes.random(rng, n_scenes, env.vehicles_range)), make_env(env)
     actions = rng.uniform(-1, 1, (256, n_scenes, 2)).astype(np.float32)
     peer.reset(seed=0)
 
@@ -28,7 +28,7 @@ def stepping(option: str, n_scenes: int, rounds: int, seconds_per_side: float) -
         ended = simulator.step(actions[step % 256])
         rows = np.flatnonzero(ended.terminated | ended.truncated)
         if len(rows):
-            simulator.start(Scenes.random(rng, len(rows), env.vehicles_count), rows)
+            simulator.start(Scenes.random(rng, len(rows), env.vehicles_range), rows)
 
     def ours() -> float:
         steps, until = 0, time.perf_counter() + seconds_per_side

@@ -40,7 +40,7 @@ def compare(config, scenes, act):
 
 def record(config, scenes, act):
     """Run whole episodes in the simulator; return first observations, and (action, observation, reward, flags) of steps."""
-    simulator = Simulator(config, Scenes.from_seeds(scenes, config.vehicles_count))
+    simulator = Simulator(config, Scenes.from_seeds(scenes, config.vehicles_range))
     records = [[] for _ in scenes]
     rows, observation = np.arange(len(scenes)), simulator.observe()
     starts = {key: value.copy() for key, value in observation.items()}
@@ -79,7 +79,7 @@ def different_scenes(seeds, parked):
     """Seeds whose scenes are not what highway-env makes of them."""
     found = []
     env = make_env(make_config(f"env.vehicles_count={parked}").env).unwrapped
-    scenes = Scenes.from_seeds(seeds, parked)
+    scenes = Scenes.from_seeds(seeds, (parked, parked))
     for row, seed in enumerate(seeds):
         env.reset(seed=seed)
         things = [env.vehicle.goal, *env.road.vehicles[1:]]

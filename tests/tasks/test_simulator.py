@@ -66,8 +66,8 @@ def test_scenes_are_highway_envs_bit_for_bit(parked):
 def test_random_scenes_have_the_distribution_of_highway_envs():
     """Two samples of 20,000: goals and parked slots uniform over what is free, headings uniform."""
     n = 20_000
-    drawn = Scenes.random(np.random.default_rng(0), n, 3)
-    seeded = Scenes.from_seeds(range(n), 3)
+    drawn = Scenes.random(np.random.default_rng(0), n, (3, 3))
+    seeded = Scenes.from_seeds(range(n), (3, 3))
     for scenes in (drawn, seeded):
         assert abs(scenes.heading.mean() - np.pi) < 5 * (2 * np.pi / np.sqrt(12 * n))
         taken = np.concatenate([start_slot(scenes.heading)[:, None], scenes.goal[:, None], scenes.parked], axis=1)
@@ -80,8 +80,8 @@ def test_random_scenes_have_the_distribution_of_highway_envs():
 def test_a_scene_does_not_depend_on_its_neighbours():
     config = env_config("env=parking_crowded")
     actions = np.random.default_rng(0).uniform(-1, 1, (60, 50, 2))
-    together = Simulator(config, Scenes.from_seeds(range(50), 10))
-    alone = Simulator(config, Scenes.from_seeds([37], 10))
+    together = Simulator(config, Scenes.from_seeds(range(50), (10, 10)))
+    alone = Simulator(config, Scenes.from_seeds([37], (10, 10)))
     for step in range(60):
         many, one = together.step(actions[step]), alone.step(actions[step, 37:38])
         np.testing.assert_array_equal(many.observation["observation"][37], one.observation["observation"][0])

@@ -123,7 +123,7 @@ def test_a_users_variant_is_a_yaml_of_their_own():
     """In the directory given with --config-dir: tests/support/user_conf/env. Both simulators run it, and agree."""
     (composed_config,) = composed("config", ["env=parking_slow"], str(USER_CONF))
     config = validate(composed_config).env
-    simulator, env = Simulator(config, Scenes.from_seeds([3], config.vehicles_count)), make_env(config)
+    simulator, env = Simulator(config, Scenes.from_seeds([3], config.vehicles_range)), make_env(config)
     env.reset(seed=3)
     for number in range(30):
         action = np.array([1.0, 0.2 * (number > 10)], np.float32)

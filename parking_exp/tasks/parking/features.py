@@ -7,9 +7,10 @@ from gymnasium import spaces
 
 from parking_exp.tasks.feature_extractors import SymmetricFeatures, TaskFeatures
 from parking_exp.tasks.parking.geometry import LOT_LENGTH_M, LOT_WIDTH_M
-from parking_exp.tasks.parking.parking_config import DEFAULT_SCALES
+from parking_exp.tasks.parking.nearby_vehicles import ENTRIES
+from parking_exp.tasks.parking.parking_config import DEFAULT_FEATURES, DEFAULT_SCALES
 
-GOAL_SCALE_M, NEAR_M = 10.0, 2.0
+GOAL_SCALE_M, NEAR_M, VEHICLE_M = 10.0, 2.0, 4.0
 X_SCALE, Y_SCALE = map(float, DEFAULT_SCALES[:2])  # metres that stand for 1 in the observation
 
 
@@ -20,17 +21,51 @@ class EgoFrameExtractor(TaskFeatures):
     units of 10 m, the policy can see it. The features are computed inside the policy, from `observation` and
     `desired_goal`, so goals that HER relabels pass through them like any other.
 
-    Output, shape (batch, 10): goal ahead and to the side (10 m), cos and sin of the goal's heading relative to the
-    car's, signed speed (observation units), distance to the goal (10 m), x and y in the lot (half its length and
-    width), cos and sin of the heading.
+    Other vehicles that the observation shows come last, each in the car's frame, too.
+
+    Output, shape (batch, 10 + 5 K) for K other vehicles: goal ahead and to the side (10 m), cos and sin of the goal's
+    heading relative to the car's, signed speed (observation units), distance to the goal (10 m), x and y in the lot
+    (half its length and width), cos and sin of the heading; of each vehicle presence, ahead and to the side (10 m), cos
+    and sin of its heading relative to the car's.
     """
 
-    def __init__(self, observation_space: spaces.Dict) -> None:
-        super().__init__(observation_space, features_dim=10)
+    of_each_vehicle = 5  # features
+    laterals: tuple[int, ...] = (2, 4)  # those that a mirror turns around
+
+    def __init__(self, observation_space: spaces.Dict, features_dim: int = 10) -> None:
+        size = spaces.flatdim(observation_space["observation"]) - len(DEFAULT_FEATURES)
+        self.vehicles_count = size // len(ENTRIES)
+        super().__init__(observation_space, features_dim + self.vehicles_count * self.of_each_vehicle)
 
     def forward(self, observations: dict[str, torch.Tensor]) -> torch.Tensor:
-        """Return features of shape (batch, 10) for observations of shape (batch, 6) each."""
-        x, y, vx, vy, cos_h, sin_h = observations["observation"].unbind(-1)
+        """Return features of shape (batch, features) for observations of shape (batch, 6 + 5 K) and goals of 6."""
+        features = self.of_car(observations)
+        return torch.cat((features, self.of_vehicles(observations)), dim=-1) if self.vehicles_count else features
+
+    def of_vehicles(self, observations: dict[str, torch.Tensor]) -> torch.Tensor:
+        """Return the features of the vehicles, shape (batch, features); they are 0 where there is none."""
+        return self._vehicles(observations).flatten(1)
+
+    def _vehicles(self, observations: dict[str, torch.Tensor]) -> torch.Tensor:
+        observation = observations["observation"]
+        seen = observation[:, len(DEFAULT_FEATURES) :].unflatten(-1, (self.vehicles_count, len(ENTRIES)))
+        cos_h, sin_h = observation[:, 4:5], observation[:, 5:6]
+        presence, x, y, cos, sin = seen.unbind(-1)
+        dx, dy = x * (X_SCALE / GOAL_SCALE_M), y * (Y_SCALE / GOAL_SCALE_M)
+        return torch.stack(
+            (
+                presence,
+                cos_h * dx + sin_h * dy,
+                cos_h * dy - sin_h * dx,
+                cos * cos_h + sin * sin_h,
+                sin * cos_h - cos * sin_h,
+            ),
+            dim=-1,
+        )
+
+    def of_car(self, observations: dict[str, torch.Tensor]) -> torch.Tensor:
+        """Return the features of car and goal, shape (batch, 10)."""
+        x, y, vx, vy, cos_h, sin_h = observations["observation"][:, : len(DEFAULT_FEATURES)].unbind(-1)
         goal_x, goal_y, _, _, goal_cos, goal_sin = observations["desired_goal"].unbind(-1)
         dx, dy = (goal_x - x) * X_SCALE, (goal_y - y) * Y_SCALE
         return torch.stack(
@@ -58,24 +93,42 @@ class FineEgoFrameExtractor(EgoFrameExtractor):
     and the reward has a cusp there: positions and reward come at that scale, too. To enter a slot the car must be in
     line with it: from the ego frame alone networks would have to learn products of features to see that.
 
-    Output, shape (batch, 19), or (batch, 20) if `reward_weights` weigh velocity: the features of `EgoFrameExtractor`;
-    the car's position along and across the goal's heading, seen from the goal (10 m), and its velocity in these
-    directions (observation units); the goal ahead and to the side, and the car along and across, as tanh of their
-    distance / 2 m; the root of the weighted distance, which is minus the dense reward; the goal's signed speed
-    (observation units).
+    The other vehicles are seen from the goal, too: that tells which of its neighbours are there.
+
+    Output, shape (batch, 19 + 9 K), or (batch, 20 + 9 K) if `reward_weights` weigh velocity: the features of
+    `EgoFrameExtractor` but for the vehicles; the car's position along and across the goal's heading, seen from the goal
+    (10 m), and its velocity in these directions (observation units); the goal ahead and to the side, and the car along
+    and across, as tanh of their distance / 2 m; the root of the weighted distance, which is minus the dense reward; the
+    goal's signed speed (observation units); of each vehicle those of `EgoFrameExtractor`, ahead and to the side as tanh
+    of the distance / 4 m, and along and across the goal's heading, seen from the goal, as tanh of the distance / 4 m.
     """
 
-    def __init__(self, observation_space: spaces.Dict, reward_weights: Sequence[float]) -> None:
-        super().__init__(observation_space)
-        self.reward_weights = [float(weight) for weight in reward_weights]
-        # Virtual goals may move, real ones never do: networks see the difference only if the reward depends on it.
-        self.moving_goals = any(self.reward_weights[2:4])
-        self._features_dim = 20 if self.moving_goals else 19
+    of_each_vehicle = 9
+    laterals = (2, 4, 6, 8)
 
-    def forward(self, observations: dict[str, torch.Tensor]) -> torch.Tensor:
-        """Return features of shape (batch, 19 or 20) for observations of shape (batch, 6) each."""
-        features = super().forward(observations)
-        observation, goal = observations["observation"], observations["desired_goal"]
+    def __init__(self, observation_space: spaces.Dict, reward_weights: Sequence[float]) -> None:
+        weights = [float(weight) for weight in reward_weights]
+        # Virtual goals may move, real ones never do: networks see the difference only if the reward depends on it.
+        moving_goals = any(weights[2:4])
+        super().__init__(observation_space, 20 if moving_goals else 19)
+        self.reward_weights, self.moving_goals = weights, moving_goals
+
+    def of_vehicles(self, observations: dict[str, torch.Tensor]) -> torch.Tensor:
+        """Return the features of the vehicles, shape (batch, 9 K); they are 0 where there is none."""
+        vehicles, (ahead, left, cos, sin) = (
+            self._vehicles(observations),
+            super().of_car(observations)[:, :4].split(1, -1),
+        )
+        dx, dy = vehicles[..., 1] - ahead, vehicles[..., 2] - left
+        near = torch.stack((vehicles[..., 1], vehicles[..., 2], cos * dx + sin * dy, cos * dy - sin * dx), dim=-1) * (
+            GOAL_SCALE_M / VEHICLE_M
+        )
+        return torch.cat((vehicles, torch.tanh(near) * vehicles[..., :1]), dim=-1).flatten(1)
+
+    def of_car(self, observations: dict[str, torch.Tensor]) -> torch.Tensor:
+        """Return the features of car and goal, shape (batch, 19 or 20)."""
+        features = super().of_car(observations)
+        observation, goal = observations["observation"][:, : len(DEFAULT_FEATURES)], observations["desired_goal"]
         side = torch.where(goal[:, 1:2] < 0, -1.0, 1.0).to(features)
         ahead, left, cos, sin, speed = features[:, :5].split(1, dim=-1)
         from_goal = torch.cat((-cos * ahead - sin * left, sin * ahead - cos * left), dim=-1)
@@ -106,10 +159,12 @@ class MirroredEgoFrameExtractor(FineEgoFrameExtractor, SymmetricFeatures):
     ACROSS = (1, 3, 6, 8, 11, 13, 15, 17)  # features that a mirror turns around
 
     def forward(self, observations: dict[str, torch.Tensor]) -> torch.Tensor:
-        """Return features of shape (batch, 19 or 20) for observations of shape (batch, 6) each."""
+        """Return features of shape (batch, features) for observations of shape (batch, 6 + 5 K) and goals of 6."""
         features = super().forward(observations)
         signs = features.new_ones(self._features_dim)
         signs[list(self.ACROSS)] = -1.0
+        first = self._features_dim - self.vehicles_count * self.of_each_vehicle
+        signs[first:].view(-1, self.of_each_vehicle)[:, list(self.laterals)] = -1.0
         return torch.where(self.sign(observations) < 0, features * signs, features)
 
     def sign(self, observations: dict[str, torch.Tensor]) -> torch.Tensor:

@@ -7,6 +7,7 @@ import gymnasium as gym
 import numpy as np
 
 from parking_exp.tasks.env_batch import EnvBatch
+from parking_exp.tasks.parking.nearby_vehicles import NearbyVehicles, RandomVehiclesCount
 from parking_exp.tasks.parking.outcomes import Pose, relative_pose
 from parking_exp.tasks.parking.parking_config import ENV_ID, ParkingConfig
 from parking_exp.tasks.parking.reward import GoalReward
@@ -41,7 +42,12 @@ def make_env(config: ParkingConfig, *, render_mode: str | None = None) -> gym.En
     # Gymnasium's checker tests every space at every step and costs time; our tests run it instead.
     env = gym.make(ENV_ID, config=config.highway_options(), render_mode=render_mode, disable_env_checker=True)
     env.unwrapped.goal_reward = GoalReward.of(config)
-    return SparseReward(env) if config.reward == "sparse" else env
+    if config.reward == "sparse":
+        env = SparseReward(env)
+    if isinstance(config.vehicles_count, list):
+        env = RandomVehiclesCount(env, *config.vehicles_range)
+    seen = config.observation.vehicles_count
+    return NearbyVehicles(env, seen) if seen else env
 
 
 class HighwayBatch(EnvBatch):

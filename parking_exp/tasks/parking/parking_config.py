@@ -21,13 +21,17 @@ DEFAULT_SCALES = [100, 100, 5, 5, 1, 1]
 OURS = {"task", "name", "simulator", "reward", "training_duration", "training_success_goal_reward"}
 
 
+VehiclesCount = Annotated[int, Field(ge=0, le=26)]
+
+
 class ObservationConfig(ConfigModel):
-    """highway-env's `observation` options."""
+    """highway-env's `observation` options, and how many other vehicles are seen."""
 
     type: Literal["KinematicsGoal"]  # stored, so that highway-env accepts the `env` section of a run's config
     features: list[str]
     scales: list[PositiveFloat]
     normalize: bool
+    vehicles_count: VehiclesCount = 0
 
 
 class ActionConfig(ConfigModel):
@@ -65,7 +69,7 @@ class ParkingConfig(ConfigModel):
     simulation_frequency: Annotated[int, Field(ge=1, le=1000)]
     policy_frequency: Annotated[int, Field(ge=1, le=100)]  # episode_steps() counts duration x policy_frequency steps
     duration: Duration
-    vehicles_count: Annotated[int, Field(ge=0, le=26)]
+    vehicles_count: VehiclesCount | Annotated[list[VehiclesCount], Field(min_length=2, max_length=2)]
     add_walls: bool
     other_vehicles_type: Literal["highway_env.vehicle.behavior.IDMVehicle"]
     neighbour_vehicles_connected_lanes: bool
@@ -85,9 +89,16 @@ class ParkingConfig(ConfigModel):
 
     def highway_options(self) -> dict[str, Any]:
         """Return the `config` for `gym.make(ENV_ID, config=...)`."""
-        options = self.model_dump(exclude=OURS)
+        options = self.model_dump(exclude={**dict.fromkeys(OURS, True), "observation": {"vehicles_count"}})
+        options["vehicles_count"] = self.vehicles_range[1]
         options["action"] = {key: value for key, value in options["action"].items() if value is not None}
         return options
+
+    @property
+    def vehicles_range(self) -> tuple[int, int]:
+        """The lowest and the highest number of parked cars of a scene."""
+        low, high = [self.vehicles_count] * 2 if isinstance(self.vehicles_count, int) else self.vehicles_count
+        return low, high
 
     def episode_steps(self) -> int:
         """Return the longest episode in policy steps, counted like highway-env does: by adding floats."""
@@ -102,6 +113,8 @@ class ParkingConfig(ConfigModel):
         for name, value in (("features", DEFAULT_FEATURES), ("scales", DEFAULT_SCALES)):
             if getattr(self.observation, name) != value:
                 yield f"env.observation.{name} has one legal value: {value}"
+        if self.vehicles_range[0] > self.vehicles_range[1]:
+            yield f"env.vehicles_count={self.vehicles_count}: the lower bound comes first"
         if (stricter := self.training_success_goal_reward) is not None and stricter > self.success_goal_reward:
             yield (
                 f"env.training_success_goal_reward={stricter} is above env.success_goal_reward="

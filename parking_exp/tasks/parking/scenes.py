@@ -6,6 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from parking_exp.tasks.parking.geometry import N_SLOTS, SLOT_HEADINGS, SLOT_POSITIONS, SLOTS_A_ROW
+from parking_exp.tasks.parking.nearby_vehicles import drawn_number
+
+NO_SLOT = -1  # of a car that a scene with fewer cars than others lacks
 
 # Of each row, the first of the slots nearest to the origin; its distance, as highway-env adds it up; its heading.
 _START_SLOTS = tuple(
@@ -21,33 +24,39 @@ class Scenes:
 
     heading: np.ndarray  # the car's heading at the start, shape (n,) [rad], in [0, 2 pi)
     goal: np.ndarray  # goal slots, shape (n,)
-    parked: np.ndarray  # slots of the parked cars, in highway-env's order, shape (n, vehicles_count)
+    parked: np.ndarray  # slots of the parked cars, in highway-env's order, NO_SLOT for none, shape (n, vehicles)
 
     def __len__(self) -> int:
         return len(self.heading)
 
     @staticmethod
-    def from_seeds(seeds: Sequence[int], vehicles_count: int = 0) -> "Scenes":
-        """Make highway-env's own scenes, those of `env.reset(seed=s)`, bit for bit; at most 26 cars are parked."""
-        heading = np.empty(len(seeds))
-        slots = np.empty((len(seeds), 1 + vehicles_count), np.int64)
+    def from_seeds(seeds: Sequence[int], vehicles_range: tuple[int, int] = (0, 0)) -> "Scenes":
+        """Make highway-env's own scenes, those of `env.reset(seed=s)`, bit for bit.
+
+        `vehicles_range` are the lowest and the highest number of parked cars, at most 26; see `drawn_number`.
+        """
+        heading, number = np.empty(len(seeds)), np.empty(len(seeds), np.int64)
+        slots = np.zeros((len(seeds), 1 + vehicles_range[1]), np.int64)
         for row, seed in enumerate(seeds):
             # What gymnasium's `np_random(seed)` makes; Generator.choice draws as `integers` does.
             rng = np.random.Generator(np.random.PCG64(np.random.SeedSequence(int(seed))))
+            number[row] = drawn_number(rng.bit_generator, *vehicles_range)
             heading[row] = 2.0 * np.pi * rng.uniform()
-            slots[row] = [rng.integers(N_SLOTS - 1 - taken) for taken in range(1 + vehicles_count)]
-        return Scenes._placed(heading, slots)
+            drawn = [rng.integers(N_SLOTS - 1 - taken) for taken in range(1 + number[row])]
+            slots[row, : len(drawn)] = drawn
+        return Scenes._placed(heading, slots, number)
 
     @staticmethod
-    def random(rng: np.random.Generator, number: int, vehicles_count: int = 0) -> "Scenes":
+    def random(rng: np.random.Generator, n: int, vehicles_range: tuple[int, int] = (0, 0)) -> "Scenes":
         """Draw scenes from the same distribution, many at once."""
-        heading = 2.0 * np.pi * rng.uniform(size=number)
-        slots = rng.integers(N_SLOTS - 1 - np.arange(1 + vehicles_count), size=(number, 1 + vehicles_count))
-        return Scenes._placed(heading, slots)
+        low, high = vehicles_range
+        heading = 2.0 * np.pi * rng.uniform(size=n)
+        slots = rng.integers(N_SLOTS - 1 - np.arange(1 + high), size=(n, 1 + high))
+        return Scenes._placed(heading, slots, rng.integers(low, high + 1, n) if low < high else np.full(n, high))
 
     @staticmethod
-    def _placed(heading: np.ndarray, draws: np.ndarray) -> "Scenes":
-        """Turn draws from the slots that are left, shape (n, 1 + vehicles_count), into slots."""
+    def _placed(heading: np.ndarray, draws: np.ndarray, number: np.ndarray) -> "Scenes":
+        """Turn draws from the slots that are left, shape (n, 1 + vehicles), into slots; `number` of the cars count."""
         taken = np.empty((len(draws), 1 + draws.shape[1]), np.int64)
         taken[:, 0] = start_slot(heading)
         for column in range(draws.shape[1]):
@@ -55,7 +64,9 @@ class Scenes:
             for occupied in np.sort(taken[:, : column + 1], axis=1).T:
                 slot += slot >= occupied
             taken[:, column + 1] = slot
-        return Scenes(heading, taken[:, 1], taken[:, 2:])
+        parked = taken[:, 2:]
+        parked[np.arange(parked.shape[1]) >= number[:, None]] = NO_SLOT
+        return Scenes(heading, taken[:, 1], parked)
 
 
 def start_slot(heading: np.ndarray) -> np.ndarray:

@@ -8,6 +8,7 @@ from gymnasium import spaces
 from stable_baselines3.common.vec_env import VecEnv
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvObs, VecEnvStepReturn
 
+from parking_exp.tasks.parking.nearby_vehicles import observation_size
 from parking_exp.tasks.parking.parking_config import ParkingConfig
 from parking_exp.tasks.parking.scenes import Scenes
 from parking_exp.tasks.parking.simulator import Simulator
@@ -28,7 +29,8 @@ class ParkingVecEnv(VecEnv):
         self.simulator = Simulator(config, self._draw(n_envs))
         self.goal_reward = self.simulator.reward
         goal = spaces.Box(-np.inf, np.inf, (len(config.observation.features),), np.float64)
-        observation_space = spaces.Dict(dict.fromkeys(("observation", "achieved_goal", "desired_goal"), goal))
+        seen = spaces.Box(-np.inf, np.inf, (observation_size(config.observation.vehicles_count),), np.float64)
+        observation_space = spaces.Dict({"observation": seen, "achieved_goal": goal, "desired_goal": goal})
         super().__init__(n_envs, observation_space, spaces.Box(-1.0, 1.0, (2,), np.float32))
         self._actions = np.zeros((n_envs, 2))
 
@@ -36,7 +38,7 @@ class ParkingVecEnv(VecEnv):
         """Start a scene in every env and return the first observations."""
         if self._seeds[0] is not None:
             self._rng = np.random.default_rng((self._seeds[0], 1))  # not the stream that scene s itself is drawn from
-            self.simulator.start(Scenes.from_seeds([s or 0 for s in self._seeds], self.config.vehicles_count))
+            self.simulator.start(Scenes.from_seeds([s or 0 for s in self._seeds], self.config.vehicles_range))
         else:
             self.simulator.start(self._draw(self.num_envs))
         self._reset_seeds()
@@ -102,4 +104,4 @@ class ParkingVecEnv(VecEnv):
         return [False for _ in self._get_indices(indices)]
 
     def _draw(self, number: int) -> Scenes:
-        return Scenes.random(self._rng, number, self.config.vehicles_count)
+        return Scenes.random(self._rng, number, self.config.vehicles_range)

@@ -6,7 +6,8 @@ from typing import Self
 import numpy as np
 
 from parking_exp.tasks.parking.geometry import SLOT_HEADINGS, SLOT_POSITIONS
-from parking_exp.tasks.parking.scenes import Scenes
+from parking_exp.tasks.parking.nearby_vehicles import FAR_M
+from parking_exp.tasks.parking.scenes import NO_SLOT, Scenes
 
 COLUMNS = ("position", "direction")
 
@@ -22,16 +23,21 @@ class SceneState:
     speed: np.ndarray  # signed, shape (n,) [m/s]
     crashed: np.ndarray  # shape (n,)
     steps: np.ndarray  # policy steps since the start, shape (n,)
-    parked: np.ndarray  # positions of the parked cars, shape (n, vehicles_count, 2) [m]
-    parked_heading: np.ndarray  # shape (n, vehicles_count) [rad]
-    hit: np.ndarray  # whether `impact` applies in the next frame, shape (n, 1 + vehicles_count); first the car itself
-    impact: np.ndarray  # what a predicted collision will displace each by, shape (n, 1 + vehicles_count, 2) [m]
+    parked: (
+        np.ndarray
+    )  # positions of the parked cars, shape (n, vehicles, 2) [m]; those that a scene lacks are far away
+    parked_heading: np.ndarray  # shape (n, vehicles) [rad]
+    hit: np.ndarray  # whether `impact` applies in the next frame, shape (n, 1 + vehicles); first the car itself
+    impact: np.ndarray  # what a predicted collision will displace each by, shape (n, 1 + vehicles, 2) [m]
     disturbed: np.ndarray  # whether a parked car has been hit, shape (n,)
 
     @classmethod
     def at_start(cls, scenes: Scenes) -> Self:
         """Return the state in which scenes start."""
         n, count = scenes.parked.shape
+        parked = SLOT_POSITIONS[scenes.parked]
+        row, vehicle = np.nonzero(scenes.parked == NO_SLOT)
+        parked[row, vehicle, 0] = 2 * FAR_M * (1 + vehicle)  # apart from each other
         return cls(
             goal=scenes.goal.copy(),
             position=np.zeros((2, n)),
@@ -40,7 +46,7 @@ class SceneState:
             speed=np.zeros(n),
             crashed=np.zeros(n, bool),
             steps=np.zeros(n, np.int64),
-            parked=SLOT_POSITIONS[scenes.parked],
+            parked=parked,
             parked_heading=SLOT_HEADINGS[scenes.parked],
             hit=np.zeros((n, 1 + count), bool),
             impact=np.zeros((n, 1 + count, 2)),

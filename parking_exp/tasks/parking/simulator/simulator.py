@@ -16,6 +16,7 @@ from parking_exp.tasks.parking.geometry import (
     SLOT_POSITIONS,
     WALL_THICKNESS_M,
 )
+from parking_exp.tasks.parking.nearby_vehicles import nearest_vehicles
 from parking_exp.tasks.parking.outcomes import Pose, relative_pose
 from parking_exp.tasks.parking.parking_config import DEFAULT_FEATURES, DEFAULT_SCALES, ParkingConfig
 from parking_exp.tasks.parking.reward import GoalReward
@@ -53,12 +54,13 @@ class Simulator:
         self.episode_steps = config.episode_steps()
         self.walls = config.add_walls
         self.reward = GoalReward.of(config)
+        self.seen = config.observation.vehicles_count
         self.scales = np.array(DEFAULT_SCALES, np.float64)
         slots = np.zeros((len(SLOT_HEADINGS), len(DEFAULT_FEATURES)))
         slots[:, :2] = SLOT_POSITIONS
         slots[:, 4], slots[:, 5] = np.cos(SLOT_HEADINGS), np.sin(SLOT_HEADINGS)
         self._slot_goals = slots / self.scales
-        self._collisions = Collisions(self.dt, config.vehicles_count, walls=config.add_walls)
+        self._collisions = Collisions(self.dt, config.vehicles_range[1], walls=config.add_walls)
         self.start(scenes)
 
     def __len__(self) -> int:
@@ -77,7 +79,7 @@ class Simulator:
 
     def observe(self, rows: np.ndarray | slice = slice(None)) -> dict[str, np.ndarray]:
         """Return the observation of all scenes, or of some."""
-        return self._observation(self._pose(rows), self.state.goal[rows])
+        return self._observation(rows)
 
     def step(self, actions: np.ndarray) -> Step:
         """Drive all scenes for one policy step; actions have the shape (n, 2): acceleration, then steering."""
@@ -197,17 +199,17 @@ class Simulator:
         np.multiply(state.speed[rows], pose[4:], out=pose[2:4])
         return pose.T
 
-    def _observation(self, pose: np.ndarray, goal: np.ndarray) -> dict[str, np.ndarray]:
+    def _observation(self, rows: np.ndarray | slice = slice(None)) -> dict[str, np.ndarray]:
+        state, pose = self.state, self._pose(rows)
         observed = np.divide(pose, self.scales, order="C")
-        return {
-            "observation": observed,
-            "achieved_goal": observed.copy(),
-            "desired_goal": self._slot_goals[goal],
-        }
+        goals = {"achieved_goal": observed.copy(), "desired_goal": self._slot_goals[state.goal[rows]]}
+        if self.seen:
+            others = state.parked[rows], state.parked_heading[rows]
+            observed = np.concatenate([observed, nearest_vehicles(pose[:, :2], *others, self.seen)], axis=1)
+        return {"observation": observed, **goals}
 
     def _outcome(self) -> Step:
-        state, pose = self.state, self._pose()
-        observation = self._observation(pose, state.goal)
+        state, observation = self.state, self._observation()
         reward, success = self.reward(observation["achieved_goal"], observation["desired_goal"])
         crashed = state.crashed.copy()
         return Step(

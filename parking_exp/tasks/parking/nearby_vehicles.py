@@ -1,0 +1,97 @@
+"""What the car sees of other vehicles: the nearest ones, as further entries of `observation`."""
+
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+from gymnasium import spaces
+
+from parking_exp.tasks.parking.parking_config import DEFAULT_FEATURES, DEFAULT_SCALES
+
+ENTRIES = ("presence", "x", "y", "cos_h", "sin_h")
+"""Of each vehicle, in highway-env's words and scales: x and y are relative to the car, along the axes of the lot."""
+FAR_M = 1e6  # a vehicle this far away is none
+
+
+def nearest_vehicles(position: np.ndarray, others: np.ndarray, heading: np.ndarray, count: int) -> np.ndarray:
+    """Return the vehicles nearest to each of n cars, nearest first, shape (n, count * len(ENTRIES)).
+
+    Where there are fewer than `count`, all entries of the others are 0.
+
+    Args:
+        position: of the cars, shape (n, 2) [m].
+        others: positions of the other vehicles, shape (n, vehicles, 2) [m].
+        heading: of the other vehicles, shape (n, vehicles) [rad].
+        count: number of vehicles that are seen.
+    """
+    offset = others - position[:, None]
+    squared = offset[..., 0] ** 2 + offset[..., 1] ** 2
+    nearest = np.argsort(squared, axis=1, kind="stable")[:, :count]
+    rows, found = np.arange(len(position))[:, None], nearest.shape[1]
+    seen = np.zeros((len(position), count, len(ENTRIES)))
+    seen[:, :found, 0] = squared[rows, nearest] < FAR_M**2
+    seen[:, :found, 1:3] = offset[rows, nearest] / DEFAULT_SCALES[:2]
+    angle = heading[rows, nearest]
+    seen[:, :found, 3], seen[:, :found, 4] = np.cos(angle), np.sin(angle)
+    seen *= seen[..., :1]
+    return seen.reshape(len(position), -1)
+
+
+def observation_size(vehicles_count: int) -> int:
+    """Return the number of entries of an observation that shows `vehicles_count` other vehicles."""
+    return len(DEFAULT_FEATURES) + vehicles_count * len(ENTRIES)
+
+
+class NearbyVehicles(gym.ObservationWrapper, gym.utils.RecordConstructorArgs):
+    """Append the nearest other vehicles to `observation` of parking-v0; goals stay as they are.
+
+    The observation gets the shape (6 + 5 * vehicles_count,); see `ENTRIES` for what it has of each vehicle.
+
+    Args:
+        env: highway-env's parking-v0 with the observation type KinematicsGoal, for example
+            `gym.make("parking-v0", config={"vehicles_count": 10})`.
+        vehicles_count: number of vehicles that are seen, nearest first.
+    """
+
+    def __init__(self, env: gym.Env, vehicles_count: int) -> None:
+        gym.utils.RecordConstructorArgs.__init__(self, vehicles_count=vehicles_count)
+        gym.ObservationWrapper.__init__(self, env)
+        assert isinstance(env.observation_space, spaces.Dict)
+        self.vehicles_count = vehicles_count
+        seen = spaces.Box(-np.inf, np.inf, (observation_size(vehicles_count),), np.float64)
+        self.observation_space = spaces.Dict(env.observation_space.spaces | {"observation": seen})
+
+    def observation(self, observation: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+        """Return the observation with the nearest vehicles."""
+        car, vehicles = self.unwrapped.vehicle, self.unwrapped.road.vehicles
+        others = [vehicle for vehicle in vehicles if vehicle is not car]
+        positions = np.array([vehicle.position for vehicle in others]).reshape(1, -1, 2)
+        headings = np.array([[vehicle.heading for vehicle in others]])
+        seen = nearest_vehicles(car.position[None], positions, headings, self.vehicles_count)[0]
+        return observation | {"observation": np.concatenate([observation["observation"], seen])}
+
+
+def drawn_number(bit_generator: Any, low: int, high: int) -> int:
+    """Return the number of vehicles of a scene, uniform in low ... high, without using up its random generator.
+
+    The number is drawn by the scene's generator, jumped once: `env.reset(seed=s)` has
+    `Generator(PCG64(SeedSequence(s)).jumped()).integers(low, high + 1)` vehicles.
+    """
+    if low == high:
+        return low
+    return int(np.random.Generator(bit_generator.jumped()).integers(low, high + 1))
+
+
+class RandomVehiclesCount(gym.Wrapper, gym.utils.RecordConstructorArgs):
+    """Draw `vehicles_count` of parking-v0 anew at each reset, uniformly from `low` to `high`; see `drawn_number`."""
+
+    def __init__(self, env: gym.Env, low: int, high: int) -> None:
+        gym.utils.RecordConstructorArgs.__init__(self, low=low, high=high)
+        gym.Wrapper.__init__(self, env)
+        self.low, self.high = low, high
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+        """Start an episode."""
+        rng = self.unwrapped.np_random if seed is None else gym.utils.seeding.np_random(seed)[0]
+        config = {"vehicles_count": drawn_number(rng.bit_generator, self.low, self.high)}
+        return self.env.reset(seed=seed, options={**(options or {}), "config": config})

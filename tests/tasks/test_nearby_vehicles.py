@@ -1,0 +1,139 @@
+"""Other vehicles in the observation and their number: in the simulator, on highway-env, in the features."""
+
+import gymnasium as gym
+import highway_env
+import numpy as np
+import pytest
+import torch
+from gymnasium.utils.env_checker import check_env
+from support.runs import make_config
+from support.simulator_equality import actions_of, compare
+
+from parking_exp import NearbyVehicles
+from parking_exp.tasks.parking.features import EgoFrameExtractor, FineEgoFrameExtractor, MirroredEgoFrameExtractor
+from parking_exp.tasks.parking.highway import make_env
+from parking_exp.tasks.parking.nearby_vehicles import nearest_vehicles
+from parking_exp.tasks.parking.parking_task import ParkingTask
+from parking_exp.tasks.parking.scenes import NO_SLOT, Scenes
+
+WEIGHTS = [1, 0.3, 0, 0, 0.02, 0.02]
+
+
+def env_config(vehicles, seen, *overrides):
+    options = [f"env.vehicles_count={vehicles}", f"env.observation.vehicles_count={seen}", *overrides]
+    return make_config(*options).env
+
+
+@pytest.mark.parametrize(("vehicles", "seen"), [("10", 4), ("[0,20]", 8), ("2", 4)])
+def test_simulator_and_highway_env_show_the_same_vehicles(vehicles, seen):
+    config = env_config(vehicles, seen, "env.duration=6")
+    steps, mismatches = compare(config, range(8), actions_of("biased", np.random.default_rng(1), (8, 2)))
+    assert steps > 150
+    assert mismatches == []
+
+
+def test_the_nearest_come_first_and_absent_ones_are_zero():
+    others = np.array([[[30.0, 0.0], [1.0, -2.0], [2e6, 0.0]]])
+    seen = nearest_vehicles(np.array([[1.0, 0.0]]), others, np.array([[0.0, np.pi / 2, 0.0]]), 4).reshape(4, 5)
+    expected = [[1, 0, -0.02, 0, 1], [1, 0.29, 0, 1, 0], [0] * 5, [0] * 5]
+    np.testing.assert_allclose(seen, expected, rtol=0, atol=1e-15)
+
+
+def test_the_wrapper_goes_around_a_users_own_env():
+    gym.register_envs(highway_env)
+    env = NearbyVehicles(gym.make("parking-v0", config={"vehicles_count": 3}), vehicles_count=2)
+    check_env(env, skip_render_check=True)
+    observation, _ = env.reset(seed=5)
+    assert env.observation_space["observation"].shape == (16,)
+    assert env.observation_space.contains(observation)
+    car, *others = env.unwrapped.road.vehicles
+    nearest = min(others, key=lambda vehicle: np.linalg.norm(vehicle.position - car.position))
+    presence, x, y, cos, sin = observation["observation"][6:11]
+    np.testing.assert_allclose([x, y], (nearest.position - car.position) / 100, rtol=0, atol=1e-12)
+    np.testing.assert_allclose([presence, cos, sin], [1, *nearest.direction], rtol=0, atol=1e-12)
+    assert observation["achieved_goal"].shape == observation["desired_goal"].shape == (6,)
+    again = gym.make(env.spec)
+    np.testing.assert_array_equal(again.reset(seed=5)[0]["observation"], observation["observation"])
+
+
+def test_a_scenes_number_of_vehicles_follows_the_documented_rule():
+    env, scenes = make_env(env_config("[3,9]", 0)), Scenes.from_seeds(range(40), (3, 9))
+    numbers = (scenes.parked != NO_SLOT).sum(axis=1)
+    for seed, number in enumerate(numbers):
+        generator = np.random.PCG64(np.random.SeedSequence(seed))
+        assert number == np.random.Generator(generator.jumped()).integers(3, 10)
+        if seed < 5:
+            env.reset(seed=seed)
+            assert len(env.unwrapped.road.vehicles) == 1 + number
+    assert {*numbers} == {*range(3, 10)}
+    # The other draws of a scene are those of a fixed number.
+    np.testing.assert_array_equal(scenes.goal, Scenes.from_seeds(range(40), (0, 0)).goal)
+
+
+def test_random_scenes_have_all_numbers_equally_often():
+    scenes = Scenes.random(np.random.default_rng(0), 21_000, (0, 20))
+    counts = np.bincount((scenes.parked != NO_SLOT).sum(axis=1), minlength=21)
+    assert (np.abs(counts - 1000) < 5 * np.sqrt(1000)).all()
+
+
+def test_training_envs_show_the_vehicles_of_the_next_scene_after_an_end():
+    envs = ParkingTask(env_config("[0,20]", 3, "env.training_duration=1")).training_envs(4)
+    envs.seed(3)
+    envs.reset()
+    for _ in range(5):
+        observations, _, dones, infos = envs.step(np.zeros((4, 2), np.float32))
+    assert dones.all()
+    assert envs.observation_space["observation"].shape == (21,) == observations["observation"][0].shape
+    for row, info in enumerate(infos):
+        assert info["terminal_observation"]["observation"].shape == (21,)
+        np.testing.assert_array_equal(observations["observation"][row], envs.simulator.observe()["observation"][row])
+
+
+def scene(turn=0.0, mirror=1.0):
+    """A car, a goal and two of three vehicles; the whole lot turned, or mirrored at the x axis before."""
+
+    def entry(x, y, heading):
+        y, heading = mirror * y, mirror * heading
+        cos, sin = np.cos(turn), np.sin(turn)
+        return [(cos * x - sin * y) / 100, (sin * x + cos * y) / 100, np.cos(heading + turn), np.sin(heading + turn)]
+
+    x, y, cos_h, sin_h = entry(3.0, 2.0, 0.4)
+    goal_x, goal_y, goal_cos, goal_sin = entry(10.0, 14.0, np.pi / 2)
+    observation = [x, y, 0.2 * cos_h, 0.2 * sin_h, cos_h, sin_h]
+    for vehicle in ((14.0, 14.0, np.pi / 2), (6.0, 14.0, np.pi / 2)):
+        other_x, other_y, *direction = entry(*vehicle)
+        observation += [1.0, other_x - x, other_y - y, *direction]
+    return {
+        "observation": torch.tensor([observation + 5 * [0.0]], dtype=torch.float32),
+        "desired_goal": torch.tensor([[goal_x, goal_y, 0, 0, goal_cos, goal_sin]], dtype=torch.float32),
+    }
+
+
+def extractor(kind):
+    weights = [] if kind is EgoFrameExtractor else [WEIGHTS]
+    return kind(make_env(env_config(2, 3)).observation_space, *weights)
+
+
+def test_vehicles_in_the_cars_frame_exactly():
+    features = extractor(EgoFrameExtractor)(scene())[0].tolist()
+    cos, sin = np.cos(0.4), np.sin(0.4)
+    expected = []
+    for dx, dy in ((1.1, 1.2), (0.3, 1.2)):
+        expected += [1, cos * dx + sin * dy, cos * dy - sin * dx, sin, cos]
+    assert features[10:20] == pytest.approx(expected, abs=1e-5)
+    assert features[20:] == [0] * 5
+
+
+def test_vehicles_as_the_goal_sees_them():
+    """Its neighbours: 4 m to the right of the slot, and 4 m to its left."""
+    features = extractor(FineEgoFrameExtractor)(scene())[0, 19:].reshape(3, 9)
+    np.testing.assert_allclose(features[:2, 7:], [[0, -np.tanh(1)], [0, np.tanh(1)]], atol=1e-5)
+    assert features[2].tolist() == [0] * 9
+
+
+def test_a_lot_with_vehicles_turned_by_180_degrees_or_mirrored_has_the_same_features():
+    fine, mirrored = extractor(FineEgoFrameExtractor), extractor(MirroredEgoFrameExtractor)
+    torch.testing.assert_close(fine(scene(turn=np.pi)), fine(scene()), rtol=0, atol=1e-5)
+    for turn in (0.0, np.pi):
+        torch.testing.assert_close(mirrored(scene(turn, mirror=-1)), mirrored(scene()), rtol=0, atol=1e-5)
+    assert not torch.allclose(fine(scene(mirror=-1)), fine(scene()), atol=0.1)
