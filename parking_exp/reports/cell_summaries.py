@@ -115,7 +115,7 @@ def _metric_fields(values: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _task_data(cell: CellRuns, final: Sequence[pd.DataFrame]) -> dict[str, Any]:
-    return {key: value for task in task_reports([cell.task]) for key, value in task.rates(final).items()}
+    return {key: value for task in task_reports([cell.task]) for key, value in task.rates(final, cell.config).items()}
 
 
 def _seed(run: dict[str, Any], evaluations: RunEvaluations) -> Seed:

@@ -1,6 +1,6 @@
 """The task interface: how to train on a goal-conditioned task, evaluate it and judge an episode."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
@@ -146,9 +146,10 @@ class TaskReport:
     Attributes:
         methods: sentences on how results are defined.
         sections: of the report, left out where no cell has their data.
-        rates: returns data of a cell for the sections, from the final episodes (seed, outcome) of its runs.
+        rates: returns data of a cell for the sections, from the final episodes (seed, outcome) of its runs, and from
+            its config by dotted keys.
     """
 
     methods: Sequence[str]
     sections: Sequence[TaskSection]
-    rates: Callable[["Sequence[pd.DataFrame]"], dict[str, Any]]
+    rates: Callable[["Sequence[pd.DataFrame]", Mapping[str, Any]], dict[str, Any]]

@@ -1,8 +1,11 @@
 """Other vehicles in the observation and their number: in the simulator, on highway-env, in the features."""
 
+from types import SimpleNamespace
+
 import gymnasium as gym
 import highway_env
 import numpy as np
+import pandas as pd
 import pytest
 import torch
 from gymnasium.utils.env_checker import check_env
@@ -15,6 +18,7 @@ from parking_exp.tasks.parking.highway import make_env
 from parking_exp.tasks.parking.nearby_vehicles import nearest_vehicles
 from parking_exp.tasks.parking.parking_task import ParkingTask
 from parking_exp.tasks.parking.scenes import NO_SLOT, Scenes
+from parking_exp.tasks.parking.vehicle_rates import VehicleRate, draw_vehicle_rates, vehicle_rates
 
 WEIGHTS = [1, 0.3, 0, 0, 0.02, 0.02]
 
@@ -137,3 +141,21 @@ def test_a_lot_with_vehicles_turned_by_180_degrees_or_mirrored_has_the_same_feat
     for turn in (0.0, np.pi):
         torch.testing.assert_close(mirrored(scene(turn, mirror=-1)), mirrored(scene()), rtol=0, atol=1e-5)
     assert not torch.allclose(fine(scene(mirror=-1)), fine(scene()), atol=0.1)
+
+
+def test_rates_by_number_of_vehicles_and_their_figure():
+    numbers = (Scenes.from_seeds(range(40), (0, 2)).parked != NO_SLOT).sum(axis=1)
+    outcomes = np.array(["success", "crash", "timeout"])[numbers]
+    runs = [pd.DataFrame({"scene": rows, "outcome": outcomes[rows]}) for rows in (np.arange(25), np.arange(10, 40))]
+    rates = vehicle_rates(runs, {"env.vehicles_count": "[0, 2]"})
+    seen = np.concatenate([numbers[:25], numbers[10:]])
+    assert rates == [
+        VehicleRate(k, int((seen == k).sum()), float(k == 0), float(k == 1), float(k == 2)) for k in range(3)
+    ]
+    assert vehicle_rates(runs, {"env.vehicles_count": 10}) == vehicle_rates([], {"env.vehicles_count": "[0, 2]"}) == []
+    cells = [SimpleNamespace(id="c0", label="sac", task_data={"vehicles": rates}), SimpleNamespace(task_data={})]
+    ((figure, _),) = draw_vehicle_rates(cells)
+    success, crash = figure.axes
+    assert success.lines[0].get_xydata().tolist() == [[0, 100], [1, 0], [2, 0]]
+    assert crash.lines[0].get_xydata().tolist() == [[0, 0], [1, 100], [2, 0]]
+    assert figure.legends[0].get_texts()[0].get_text() == "sac"

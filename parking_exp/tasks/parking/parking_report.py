@@ -1,18 +1,20 @@
 """Report section of parking: definition of success, map of the lot."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import pandas as pd
 
 from parking_exp.tasks.parking.lot_figures import draw_scene_map
 from parking_exp.tasks.parking.lot_map import slot_rates
+from parking_exp.tasks.parking.vehicle_rates import draw_vehicle_rates, vehicle_rates
 from parking_exp.tasks.task import TaskFigure, TaskReport, TaskSection
 
 
-def rates(runs: Sequence[pd.DataFrame]) -> dict[str, Any]:
-    """Return the rates of outcomes by goal slot."""
-    return {"slots": slot_rates(runs)}
+def rates(runs: Sequence[pd.DataFrame], config: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the rates of outcomes by goal slot, and by number of parked cars where that varies."""
+    by_vehicles = vehicle_rates(runs, config)
+    return {"slots": slot_rates(runs)} | ({"vehicles": by_vehicles} if by_vehicles else {})
 
 
 PARKING_REPORT = TaskReport(
@@ -26,6 +28,12 @@ PARKING_REPORT = TaskReport(
             "Where episodes fail",
             [TaskFigure("scene_map", "Where on the lot episodes fail", draw_scene_map)],
             table="slots",
+        ),
+        TaskSection(
+            "vehicles",
+            "How many cars are parked",
+            [TaskFigure("vehicles", "Success and crashes by number of parked cars", draw_vehicle_rates)],
+            table="vehicles",
         ),
     ],
     rates=rates,
