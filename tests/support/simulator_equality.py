@@ -40,7 +40,7 @@ def compare(config, scenes, act):
 
 def record(config, scenes, act):
     """Run whole episodes in the simulator; return first observations, and (action, observation, reward, flags) of steps."""
-    simulator = Simulator(config, Scenes.from_seeds(scenes, config.vehicles_range))
+    simulator = Simulator(config, Scenes.from_seeds(scenes, config.vehicles_range, config.obstacles))
     records = [[] for _ in scenes]
     rows, observation = np.arange(len(scenes)), simulator.observe()
     starts = {key: value.copy() for key, value in observation.items()}

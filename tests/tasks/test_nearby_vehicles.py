@@ -16,6 +16,7 @@ from parking_exp import NearbyVehicles
 from parking_exp.tasks.parking.features import EgoFrameExtractor, FineEgoFrameExtractor, MirroredEgoFrameExtractor
 from parking_exp.tasks.parking.highway import make_env
 from parking_exp.tasks.parking.nearby_vehicles import nearest_vehicles
+from parking_exp.tasks.parking.obstacles import drawn_places
 from parking_exp.tasks.parking.parking_task import ParkingTask
 from parking_exp.tasks.parking.scenes import NO_SLOT, Scenes
 from parking_exp.tasks.parking.vehicle_rates import VehicleRate, draw_vehicle_rates, vehicle_rates
@@ -34,6 +35,26 @@ def test_simulator_and_highway_env_show_the_same_vehicles(vehicles, seen):
     steps, mismatches = compare(config, range(8), actions_of("biased", np.random.default_rng(1), (8, 2)))
     assert steps > 150
     assert mismatches == []
+
+
+@pytest.mark.parametrize("vehicles", ["0", "[0,26]"])
+def test_simulator_and_highway_env_have_the_same_obstacles(vehicles):
+    config = env_config(vehicles, 5, "env.obstacles=12", "env.duration=6", "env.policy_frequency=1")
+    steps, mismatches = compare(config, range(16), actions_of("biased", np.random.default_rng(2), (16, 2)))
+    assert steps > 60
+    assert mismatches == []
+
+
+def test_obstacles_are_random_places_in_the_aisle_by_the_documented_rule():
+    scenes = Scenes.from_seeds(range(50), (0, 0), 4)
+    for seed, places in enumerate(scenes.obstacles):
+        rng = np.random.Generator(np.random.PCG64(np.random.SeedSequence(seed)).jumped(2))
+        np.testing.assert_array_equal(places, drawn_places(rng, 4))
+    drawn = Scenes.random(np.random.default_rng(0), 5_000, (0, 0), 4).obstacles.reshape(-1, 2)
+    for places in (scenes.obstacles.reshape(-1, 2), drawn):
+        assert (np.linalg.norm(places, axis=1) > 6).all()
+        assert (np.abs(places) <= [33, 8.5]).all()
+    assert np.abs(drawn.mean(axis=0)).max() < 0.5
 
 
 def test_the_nearest_come_first_and_absent_ones_are_zero():

@@ -8,6 +8,7 @@ import numpy as np
 
 from parking_exp.tasks.env_batch import EnvBatch
 from parking_exp.tasks.parking.nearby_vehicles import NearbyVehicles, RandomVehiclesCount
+from parking_exp.tasks.parking.obstacles import RandomObstacles
 from parking_exp.tasks.parking.outcomes import Pose, relative_pose
 from parking_exp.tasks.parking.parking_config import ENV_ID, ParkingConfig
 from parking_exp.tasks.parking.reward import GoalReward
@@ -46,6 +47,8 @@ def make_env(config: ParkingConfig, *, render_mode: str | None = None) -> gym.En
         env = SparseReward(env)
     if isinstance(config.vehicles_count, list):
         env = RandomVehiclesCount(env, *config.vehicles_range)
+    if config.obstacles:
+        env = RandomObstacles(env, config.obstacles)
     seen = config.observation.vehicles_count
     return NearbyVehicles(env, seen) if seen else env
 

@@ -43,7 +43,7 @@ def observation_size(vehicles_count: int) -> int:
 
 
 class NearbyVehicles(gym.ObservationWrapper, gym.utils.RecordConstructorArgs):
-    """Append the nearest other vehicles to `observation` of parking-v0; goals stay as they are.
+    """Append the nearest other vehicles and obstacles to `observation` of parking-v0; goals stay as they are.
 
     The observation gets the shape (6 + 5 * vehicles_count,); see `ENTRIES` for what it has of each vehicle.
 
@@ -63,8 +63,12 @@ class NearbyVehicles(gym.ObservationWrapper, gym.utils.RecordConstructorArgs):
 
     def observation(self, observation: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
         """Return the observation with the nearest vehicles."""
-        car, vehicles = self.unwrapped.vehicle, self.unwrapped.road.vehicles
-        others = [vehicle for vehicle in vehicles if vehicle is not car]
+        from highway_env.vehicle.objects import Obstacle
+
+        car, road = self.unwrapped.vehicle, self.unwrapped.road
+        others = [vehicle for vehicle in road.vehicles if vehicle is not car]
+        # Walls are obstacles with a length of their own.
+        others += [thing for thing in road.objects if isinstance(thing, Obstacle) and thing.LENGTH == Obstacle.LENGTH]
         positions = np.array([vehicle.position for vehicle in others]).reshape(1, -1, 2)
         headings = np.array([[vehicle.heading for vehicle in others]])
         seen = nearest_vehicles(car.position[None], positions, headings, self.vehicles_count)[0]

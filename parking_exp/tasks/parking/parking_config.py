@@ -1,4 +1,4 @@
-"""The `env` group of parking-v0: highway-env's options under their own names, and six of ours."""
+"""The `env` group of parking-v0: highway-env's options under their own names, and seven of ours."""
 
 from collections.abc import Iterator, Mapping
 from typing import Annotated, Any, ClassVar, Literal, Self
@@ -18,7 +18,7 @@ from parking_exp.config_model import (
 ENV_ID = "parking-v0"
 DEFAULT_FEATURES = ["x", "y", "vx", "vy", "cos_h", "sin_h"]
 DEFAULT_SCALES = [100, 100, 5, 5, 1, 1]
-OURS = {"task", "name", "simulator", "reward", "training_duration", "training_success_goal_reward"}
+OURS = {"task", "name", "simulator", "reward", "training_duration", "training_success_goal_reward", "obstacles"}
 
 
 VehiclesCount = Annotated[int, Field(ge=0, le=26)]
@@ -59,6 +59,7 @@ class ParkingConfig(ConfigModel):
     reward: Literal["dense", "sparse"]
     training_duration: Duration | None
     training_success_goal_reward: PositiveFloat | None
+    obstacles: Annotated[int, Field(ge=0, le=50)] = 0
 
     observation: ObservationConfig
     action: ActionConfig

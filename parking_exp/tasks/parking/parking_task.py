@@ -42,7 +42,8 @@ class ParkingTask:
         """Start the scenes of some seeds: those of `env.reset(seed=s)` of highway-env."""
         if simulator == "highway_env":
             return HighwayBatch(self.config, seeds)
-        return Simulator(self.config, Scenes.from_seeds(seeds, self.config.vehicles_range))
+        scenes = Scenes.from_seeds(seeds, self.config.vehicles_range, self.config.obstacles)
+        return Simulator(self.config, scenes)
 
     def prediction_env(self) -> gym.Env:
         """Make one env of highway-env."""

@@ -7,6 +7,7 @@ import numpy as np
 
 from parking_exp.tasks.parking.geometry import N_SLOTS, SLOT_HEADINGS, SLOT_POSITIONS, SLOTS_A_ROW
 from parking_exp.tasks.parking.nearby_vehicles import drawn_number
+from parking_exp.tasks.parking.obstacles import drawn_places, places_of_scene
 
 NO_SLOT = -1  # of a car that a scene with fewer cars than others lacks
 
@@ -25,37 +26,45 @@ class Scenes:
     heading: np.ndarray  # the car's heading at the start, shape (n,) [rad], in [0, 2 pi)
     goal: np.ndarray  # goal slots, shape (n,)
     parked: np.ndarray  # slots of the parked cars, in highway-env's order, NO_SLOT for none, shape (n, vehicles)
+    obstacles: np.ndarray  # places of the obstacles, shape (n, obstacles, 2) [m]
 
     def __len__(self) -> int:
         return len(self.heading)
 
     @staticmethod
-    def from_seeds(seeds: Sequence[int], vehicles_range: tuple[int, int] = (0, 0)) -> "Scenes":
+    def from_seeds(seeds: Sequence[int], vehicles_range: tuple[int, int] = (0, 0), n_obstacles: int = 0) -> "Scenes":
         """Make highway-env's own scenes, those of `env.reset(seed=s)`, bit for bit.
 
         `vehicles_range` are the lowest and the highest number of parked cars, at most 26; see `drawn_number`.
         """
         heading, number = np.empty(len(seeds)), np.empty(len(seeds), np.int64)
         slots = np.zeros((len(seeds), 1 + vehicles_range[1]), np.int64)
+        obstacles = np.empty((len(seeds), n_obstacles, 2))
         for row, seed in enumerate(seeds):
             # What gymnasium's `np_random(seed)` makes; Generator.choice draws as `integers` does.
             rng = np.random.Generator(np.random.PCG64(np.random.SeedSequence(int(seed))))
             number[row] = drawn_number(rng.bit_generator, *vehicles_range)
+            if n_obstacles:
+                obstacles[row] = places_of_scene(rng.bit_generator, n_obstacles)
             heading[row] = 2.0 * np.pi * rng.uniform()
             drawn = [rng.integers(N_SLOTS - 1 - taken) for taken in range(1 + number[row])]
             slots[row, : len(drawn)] = drawn
-        return Scenes._placed(heading, slots, number)
+        return Scenes._placed(heading, slots, number, obstacles)
 
     @staticmethod
-    def random(rng: np.random.Generator, n: int, vehicles_range: tuple[int, int] = (0, 0)) -> "Scenes":
+    def random(
+        rng: np.random.Generator, n: int, vehicles_range: tuple[int, int] = (0, 0), n_obstacles: int = 0
+    ) -> "Scenes":
         """Draw scenes from the same distribution, many at once."""
         low, high = vehicles_range
         heading = 2.0 * np.pi * rng.uniform(size=n)
         slots = rng.integers(N_SLOTS - 1 - np.arange(1 + high), size=(n, 1 + high))
-        return Scenes._placed(heading, slots, rng.integers(low, high + 1, n) if low < high else np.full(n, high))
+        number = rng.integers(low, high + 1, n) if low < high else np.full(n, high)
+        obstacles = drawn_places(rng, n * n_obstacles).reshape(n, n_obstacles, 2)
+        return Scenes._placed(heading, slots, number, obstacles)
 
     @staticmethod
-    def _placed(heading: np.ndarray, draws: np.ndarray, number: np.ndarray) -> "Scenes":
+    def _placed(heading: np.ndarray, draws: np.ndarray, number: np.ndarray, obstacles: np.ndarray) -> "Scenes":
         """Turn draws from the slots that are left, shape (n, 1 + vehicles), into slots; `number` of the cars count."""
         taken = np.empty((len(draws), 1 + draws.shape[1]), np.int64)
         taken[:, 0] = start_slot(heading)
@@ -66,7 +75,7 @@ class Scenes:
             taken[:, column + 1] = slot
         parked = taken[:, 2:]
         parked[np.arange(parked.shape[1]) >= number[:, None]] = NO_SLOT
-        return Scenes(heading, taken[:, 1], parked)
+        return Scenes(heading, taken[:, 1], parked, obstacles)
 
 
 def start_slot(heading: np.ndarray) -> np.ndarray:

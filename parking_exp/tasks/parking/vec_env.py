@@ -38,7 +38,8 @@ class ParkingVecEnv(VecEnv):
         """Start a scene in every env and return the first observations."""
         if self._seeds[0] is not None:
             self._rng = np.random.default_rng((self._seeds[0], 1))  # not the stream that scene s itself is drawn from
-            self.simulator.start(Scenes.from_seeds([s or 0 for s in self._seeds], self.config.vehicles_range))
+            seeds = [s or 0 for s in self._seeds]
+            self.simulator.start(Scenes.from_seeds(seeds, self.config.vehicles_range, self.config.obstacles))
         else:
             self.simulator.start(self._draw(self.num_envs))
         self._reset_seeds()
@@ -104,4 +105,4 @@ class ParkingVecEnv(VecEnv):
         return [False for _ in self._get_indices(indices)]
 
     def _draw(self, number: int) -> Scenes:
-        return Scenes.random(self._rng, number, self.config.vehicles_range)
+        return Scenes.random(self._rng, number, self.config.vehicles_range, self.config.obstacles)

@@ -1,8 +1,9 @@
 """Collision detection and response for one frame, in highway-env's order.
 
-In each scene highway-env tests the car against the parked cars, then the walls, then the parked cars against each other
-and the walls. The last push of a frame counts. A pair of rectangles is tested twice (`RoadObject._is_colliding`,
-`utils.are_polygons_intersecting`): the circles around both, then the separating axis theorem, now and one frame ahead.
+In each scene highway-env tests the car against the parked cars, the walls and the obstacles, then the parked cars
+against each other, the walls and the obstacles. The last push of a frame counts. A pair of rectangles is tested twice
+(`RoadObject._is_colliding`, `utils.are_polygons_intersecting`): the circles around both, then the separating axis
+theorem, now and one frame ahead.
 
 A car that was pushed out of another is exactly at contact in the next frame, where the last bit decides. Therefore the
 arithmetic is highway-env's to the last bit: `vecdot` and `matmul` make the same BLAS calls as its dot products.
@@ -20,6 +21,7 @@ from parking_exp.tasks.parking.geometry import (
     WALL_POSITIONS,
     WALL_THICKNESS_M,
 )
+from parking_exp.tasks.parking.obstacles import OBSTACLE_DIAGONAL_M, OBSTACLE_M
 from parking_exp.tasks.parking.simulator.scene_state import SceneState
 
 ALONG, ACROSS = np.array([-0.5, -0.5, 0.5, 0.5]), np.array([-0.5, 0.5, 0.5, -0.5])
@@ -117,14 +119,19 @@ WALL_CORNERS = corners(
 
 
 class Collisions:
-    """Collisions of all scenes in a frame of `dt` seconds; obstacles are the `count` parked cars, then the walls."""
+    """Collisions of all scenes in a frame of `dt` seconds.
 
-    def __init__(self, dt: float, count: int, *, walls: bool) -> None:
-        self.dt, self.count, self.walls = dt, count, walls
-        obstacles = count + len(WALL_LENGTHS) * walls
-        pairs = [(first, second) for first in range(count) for second in range(first + 1, obstacles)]
+    What can be hit is numbered: the `count` parked cars, then the walls, also where there are none, then the obstacles.
+    """
+
+    def __init__(self, dt: float, count: int, n_obstacles: int, *, walls: bool) -> None:
+        self.dt, self.count, self.n_obstacles, self.walls = dt, count, n_obstacles, walls
+        first_obstacle = count + len(WALL_LENGTHS)
+        others = [*range(first_obstacle if walls else count), *range(first_obstacle, first_obstacle + n_obstacles)]
+        pairs = [(first, second) for first in range(count) for second in others if second > first]
         self._pairs = np.array(pairs, int).reshape(-1, 2)
-        self._diagonals = np.append(np.full(count, CAR_DIAGONAL_M), WALL_DIAGONALS)
+        diagonals = np.full(count, CAR_DIAGONAL_M), WALL_DIAGONALS, np.full(n_obstacles, OBSTACLE_DIAGONAL_M)
+        self._diagonals = np.concatenate(diagonals)
 
     def resolve(self, state: SceneState) -> None:
         """Detect the collisions of a frame; set crashes, and the impacts of the next frame, in the state."""
@@ -147,7 +154,7 @@ class Collisions:
             self._push(state, scene[soon], obstacle[soon], push[soon])
 
     def _push(self, state: SceneState, scene: np.ndarray, obstacle: np.ndarray, push: np.ndarray) -> None:
-        """Set the impacts on cars: a wall pushes all the way out, a parked car half, and is pushed as far itself."""
+        """Set impacts: walls and obstacles push all the way out, parked cars half, and are pushed as far themselves."""
         if self.count:
             cars = obstacle < self.count
             push[cars] /= 2
@@ -160,7 +167,8 @@ class Collisions:
 
     def _resolve_parked(self, state: SceneState) -> None:
         rows = np.flatnonzero(state.disturbed)
-        positions = np.concatenate([state.parked[rows], np.tile(WALL_POSITIONS, (len(rows), 1, 1))], axis=1)
+        walls = np.tile(WALL_POSITIONS, (len(rows), 1, 1))
+        positions = np.concatenate([state.parked[rows], walls, state.obstacles[rows]], axis=1)
         first, second = self._pairs.T
         offset = positions[:, second] - positions[:, first]
         row, pair = np.nonzero(~out_of_reach(offset, CAR_DIAGONAL_M, self._diagonals[second], 0.0))
@@ -179,7 +187,11 @@ class Collisions:
     def _corners(self, state: SceneState, scene: np.ndarray, obstacle: np.ndarray) -> np.ndarray:
         """Return the corners of obstacles, shape (n, 4, 2)."""
         wall = obstacle - self.count
-        obstacle_corners: np.ndarray = WALL_CORNERS.take(np.maximum(wall, 0), axis=0)
+        obstacle_corners: np.ndarray = WALL_CORNERS.take(np.clip(wall, 0, len(WALL_LENGTHS) - 1), axis=0)
+        if self.n_obstacles:
+            placed = wall >= len(WALL_LENGTHS)
+            places = state.obstacles[scene[placed], wall[placed] - len(WALL_LENGTHS)]
+            obstacle_corners[placed] = corners(places, np.tile([1.0, 0.0], (len(places), 1)), OBSTACLE_M, OBSTACLE_M)
         if self.count:
             cars = wall < 0
             which = scene[cars], obstacle[cars]
@@ -189,14 +201,19 @@ class Collisions:
         return obstacle_corners
 
     def _near_cars(self, state: SceneState) -> tuple[np.ndarray, np.ndarray]:
-        """Return scenes and numbers of the obstacles that the cars may touch, parked cars first."""
+        """Return scenes and numbers of what the cars may touch, in highway-env's order."""
         travel = state.speed * self.dt
-        if not self.count:
-            return self._near_walls(state, travel)
-        offset = state.parked - state.position.T[:, None]
-        scene, obstacle = np.nonzero(~out_of_reach(offset, CAR_DIAGONAL_M, CAR_DIAGONAL_M, travel[:, None]))
         at_wall, wall = self._near_walls(state, travel)
-        return np.concatenate([scene, at_wall]), np.concatenate([obstacle, self.count + wall])
+        scenes, numbers = [at_wall], [self.count + wall]
+        if self.count:
+            offset = state.parked - state.position.T[:, None]
+            scene, car = np.nonzero(~out_of_reach(offset, CAR_DIAGONAL_M, CAR_DIAGONAL_M, travel[:, None]))
+            scenes, numbers = [scene, *scenes], [car, *numbers]
+        if self.n_obstacles:
+            offset = state.obstacles - state.position.T[:, None]
+            scene, number = np.nonzero(~out_of_reach(offset, CAR_DIAGONAL_M, OBSTACLE_DIAGONAL_M, travel[:, None]))
+            scenes, numbers = [*scenes, scene], [*numbers, self.count + len(WALL_LENGTHS) + number]
+        return np.concatenate(scenes), np.concatenate(numbers)
 
     def _near_walls(self, state: SceneState, travel: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         if not self.walls:

@@ -27,6 +27,7 @@ class SceneState:
         np.ndarray
     )  # positions of the parked cars, shape (n, vehicles, 2) [m]; those that a scene lacks are far away
     parked_heading: np.ndarray  # shape (n, vehicles) [rad]
+    obstacles: np.ndarray  # places of the obstacles, shape (n, obstacles, 2) [m]
     hit: np.ndarray  # whether `impact` applies in the next frame, shape (n, 1 + vehicles); first the car itself
     impact: np.ndarray  # what a predicted collision will displace each by, shape (n, 1 + vehicles, 2) [m]
     disturbed: np.ndarray  # whether a parked car has been hit, shape (n,)
@@ -48,6 +49,7 @@ class SceneState:
             steps=np.zeros(n, np.int64),
             parked=parked,
             parked_heading=SLOT_HEADINGS[scenes.parked],
+            obstacles=scenes.obstacles.copy(),
             hit=np.zeros((n, 1 + count), bool),
             impact=np.zeros((n, 1 + count, 2)),
             disturbed=np.zeros(n, bool),

@@ -60,7 +60,7 @@ class Simulator:
         slots[:, :2] = SLOT_POSITIONS
         slots[:, 4], slots[:, 5] = np.cos(SLOT_HEADINGS), np.sin(SLOT_HEADINGS)
         self._slot_goals = slots / self.scales
-        self._collisions = Collisions(self.dt, config.vehicles_range[1], walls=config.add_walls)
+        self._collisions = Collisions(self.dt, config.vehicles_range[1], config.obstacles, walls=config.add_walls)
         self.start(scenes)
 
     def __len__(self) -> int:
@@ -153,8 +153,12 @@ class Simulator:
             near = farthest + reach + (ahead + turn * (CAR_DIAGONAL_M / 2)) > FREE_M
             may |= near[0]
             may |= near[1]
+        reach_m = ahead * (self.frames + 1) + CAR_DIAGONAL_M
         if state.parked.shape[1]:
-            may |= self._near_parked(ahead * (self.frames + 1) + CAR_DIAGONAL_M)
+            may |= self._near_parked(reach_m)
+        if state.obstacles.shape[1]:
+            offset = state.obstacles - state.position.T[:, None]
+            may |= (offset[..., 0] ** 2 + offset[..., 1] ** 2 < reach_m[:, None] ** 2).any(axis=1)
         return np.flatnonzero(may)
 
     def _near_parked(self, reach: np.ndarray) -> np.ndarray:
@@ -204,8 +208,11 @@ class Simulator:
         observed = np.divide(pose, self.scales, order="C")
         goals = {"achieved_goal": observed.copy(), "desired_goal": self._slot_goals[state.goal[rows]]}
         if self.seen:
-            others = state.parked[rows], state.parked_heading[rows]
-            observed = np.concatenate([observed, nearest_vehicles(pose[:, :2], *others, self.seen)], axis=1)
+            others, heading = state.parked[rows], state.parked_heading[rows]
+            if state.obstacles.shape[1]:
+                others = np.concatenate([others, state.obstacles[rows]], axis=1)
+                heading = np.concatenate([heading, np.zeros((len(pose), state.obstacles.shape[1]))], axis=1)
+            observed = np.concatenate([observed, nearest_vehicles(pose[:, :2], others, heading, self.seen)], axis=1)
         return {"observation": observed, **goals}
 
     def _outcome(self) -> Step:
