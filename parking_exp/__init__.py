@@ -1,7 +1,7 @@
 """Hydra-configured experiment sweeps for goal-conditioned parking.
 
 `compose` makes the checked config of a run, `train` trains it, `load` reads the results of many runs, and `load_model`
-a trained agent; `NearbyVehicles` is a Gymnasium wrapper that shows other vehicles:
+a trained agent:
 
     from parking_exp import compose, load, load_model, train
 
@@ -17,14 +17,12 @@ if TYPE_CHECKING:
     from parking_exp.config.compose import compose
     from parking_exp.evaluation.agents import load_model
     from parking_exp.results import load
-    from parking_exp.tasks.parking.nearby_vehicles import NearbyVehicles
     from parking_exp.training.train_run import train
 
 __version__ = "0.1.0"
-__all__ = ["NearbyVehicles", "compose", "load", "load_model", "train"]
+__all__ = ["compose", "load", "load_model", "train"]
 
 _HOMES = {
-    "NearbyVehicles": "parking_exp.tasks.parking.nearby_vehicles",
     "compose": "parking_exp.config.compose",
     "load": "parking_exp.results",
     "load_model": "parking_exp.evaluation.agents",
@@ -33,7 +31,7 @@ _HOMES = {
 
 
 def __getattr__(name: str) -> Any:
-    """Import a name when it is first asked for: torch and pandas take seconds."""
+    """Import a function when it is first asked for: torch and pandas take seconds."""
     if name in _HOMES:
         return getattr(import_module(_HOMES[name]), name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -87,11 +87,11 @@ def _sentence(error: Any, model: type[BaseModel]) -> str:
         case "missing":
             return f"{key} is missing"
         case "extra_forbidden":
-            schema = model.model_json_schema()
+            schema, name = model.model_json_schema(), str(error["loc"][-1])
             known = {
                 name for part in (schema, *schema.get("$defs", {}).values()) for name in part.get("properties", ())
             }
-            return f"{key}: there is no such key{did_you_mean(str(error['loc'][-1]), known)}"
+            return f"{key}: there is no such key{did_you_mean(name, known - {name})}"
         case "union_tag_invalid" | "union_tag_not_found":
             return f"{key}.task: {reason}"
         case "value_error":  # the message of one of our validators; the value may be a password

@@ -76,7 +76,12 @@ def _check_steps(env: gym.Env, config: GymnasiumConfig, place: str) -> Iterator[
             f"{place}: compute_reward gives {computed[step]:.6g} for a step of reward {rewards[step]:.6g}; if that is "
             "the penalty of a failure, name its entry of info as env.failure_key"
         )
-    _ = GymnasiumReward(config).terminates  # calls `compute_terminated`, whose error is then reported here
+        return
+    reward = GymnasiumReward(config)
+    rows = np.array([[float(info[key]) for key in reward.info_keys] for info in infos])
+    relabelled, _ = reward(achieved, desired, rows)  # calls `compute_terminated`, whose error is then reported
+    if not np.allclose(relabelled, computed, rtol=0, atol=TOLERANCE):
+        yield f"{place}: compute_reward needs more than goals and the numbers that all infos have"
 
 
 def resumes_exactly(config: GymnasiumConfig) -> bool:

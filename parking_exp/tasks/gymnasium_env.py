@@ -4,6 +4,7 @@ import importlib
 import importlib.util
 import io
 import sys
+import warnings
 from contextlib import redirect_stderr, redirect_stdout
 from functools import cached_property
 from typing import Any
@@ -17,7 +18,8 @@ from parking_exp.tasks.gymnasium_config import GymnasiumConfig
 GOAL_KEYS = ("observation", "achieved_goal", "desired_goal")
 ROBOTICS = ("Fetch", "Hand", "PointMaze", "AntMaze", "FrankaKitchen", "Adroit")  # how ids of gymnasium-robotics begin
 SUCCESS_KEYS = ("is_success", "success")
-RANDOM_STEPS = 60
+RANDOM_STEPS = 60  # at least; see `random_steps`
+MOST_RANDOM_STEPS = 1_000
 NUMBERS = (bool, int, float, np.number, np.bool_)
 
 
@@ -55,7 +57,9 @@ class GymnasiumReward:
     @cached_property
     def env(self) -> Any:
         """An environment to ask, made when it is first needed: copies of this object go to other processes."""
-        return make_env(self.config).unwrapped
+        env = make_env(self.config)
+        env.reset(seed=0)
+        return env.unwrapped
 
     @cached_property
     def _steps(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[dict[str, Any]]]:
@@ -91,14 +95,18 @@ class GymnasiumReward:
 
 
 def random_steps(env: gym.Env) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[dict[str, Any]]]:
-    """Return achieved goals, desired goals, rewards and infos of some random steps, always the same."""
+    """Return achieved goals, desired goals, rewards and infos of random steps, always the same.
+
+    Where episodes are not too long for that, one comes to its end: some rewards and entries of `info` come only there.
+    """
     env.action_space.seed(0)
     env.reset(seed=0)
-    steps = []
-    for _ in range(RANDOM_STEPS):
+    steps, n_ended = list[Any](), 0
+    while len(steps) < RANDOM_STEPS or (not n_ended and len(steps) < MOST_RANDOM_STEPS):
         observation, reward, terminated, truncated, info = env.step(env.action_space.sample())
         steps.append((*(np.array(observation[key]) for key in ("achieved_goal", "desired_goal")), float(reward), info))
         if terminated or truncated:
+            n_ended += 1
             env.reset()
     achieved, desired, rewards, infos = zip(*steps, strict=True)
     return np.array(achieved), np.array(desired), np.array(rewards), list(infos)
@@ -117,7 +125,9 @@ def make_env(config: GymnasiumConfig, render_mode: str | None = None) -> gym.Env
                     gym.register_envs(importlib.import_module(package))
     options = {**config.kwargs, **({"render_mode": render_mode} if render_mode else {})}
     try:
-        env = gym.make(config.id, max_episode_steps=config.max_episode_steps, disable_env_checker=True, **options)
+        with redirect_stdout(sys.stderr), redirect_stderr(io.StringIO()), warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # deprecations inside of other packages
+            env = gym.make(config.id, max_episode_steps=config.max_episode_steps, disable_env_checker=True, **options)
     except (gym.error.UnregisteredEnv, ModuleNotFoundError) as error:
         raise ConfigError(_not_found(config.id, error)) from error
     except gym.error.DependencyNotInstalled as error:
@@ -135,7 +145,8 @@ def one_line(error: Exception) -> str:
 
 def _not_found(env_id: str, error: Exception) -> str:
     if isinstance(error, ModuleNotFoundError):
-        return f"env.id={env_id}: {error}"
+        name = getattr(error.__cause__, "name", None) or error.name
+        return f"env.id={env_id} needs the module {name}, which is not installed or not on PYTHONPATH"
     if env_id.startswith(ROBOTICS) and not importlib.util.find_spec("gymnasium_robotics"):
         return f"env.id={env_id} needs gymnasium-robotics, which is not installed; pip install 'parking-exp[robotics]'"
     return f"env.id={env_id} is not registered with Gymnasium{suggestion(env_id, gym.registry)}"

@@ -69,6 +69,33 @@ class Priced(BitFlip):
         return np.squeeze(super().compute_reward(achieved_goal, desired_goal, info) - price)
 
 
+class Worded(Priced):
+    """`compute_reward` needs an entry of `info` that is no number."""
+
+    def compute_reward(self, achieved_goal, desired_goal, info):
+        infos = [info] if isinstance(info, dict) else info
+        malus = np.array([2.0 * (entry.get("word") == "wrong") for entry in infos])
+        return np.squeeze(BitFlip.compute_reward(self, achieved_goal, desired_goal, info) - malus)
+
+    def step(self, action):
+        observation, _, terminated, truncated, info = BitFlip.step(self, action)
+        info["word"] = "wrong"
+        reward = self.compute_reward(observation["achieved_goal"], observation["desired_goal"], info)
+        return observation, float(reward), terminated, truncated, info
+
+
+class Drawn(BitFlip):
+    """It renders: a column of 10 pixels for each bit."""
+
+    metadata = {"render_modes": ["rgb_array"], "render_fps": 4}  # noqa: RUF012
+
+    def __init__(self, render_mode=None):
+        self.render_mode = render_mode
+
+    def render(self):
+        return np.repeat(np.broadcast_to((255 * self.bits).astype(np.uint8)[None, :, None], (40, BITS, 3)), 10, axis=1)
+
+
 class Unseeded(BitFlip):
     """Its steps are not reproducible."""
 
@@ -102,6 +129,6 @@ class Plain(BitFlip):
     observation_space = gym.spaces.Box(0, 1, (BITS,), np.float64)
 
 
-for cls in (BitFlip, OneByOne, OtherReward, Priced, Silent, Broken, Unseeded, Discrete, Plain):
+for cls in (BitFlip, OneByOne, OtherReward, Priced, Silent, Broken, Unseeded, Discrete, Plain, Worded, Drawn):
     gym.register(f"{cls.__name__}-v0", cls, max_episode_steps=BITS)
 gym.register("Endless-v0", BitFlip)

@@ -16,9 +16,10 @@ from support.sweep_processes import wait_until
 from parking_exp.algorithms.build_model import build_model
 from parking_exp.config.compose import composed
 from parking_exp.config.validate import validate, validate_all
-from parking_exp.errors import ConfigError
+from parking_exp.errors import ConfigError, VideoError
 from parking_exp.evaluation import evaluate_run
 from parking_exp.evaluation.evaluate_policy import evaluate
+from parking_exp.tasks import gymnasium_task
 from parking_exp.tasks.environment_checks import resumes_exactly
 from parking_exp.tasks.gymnasium_env import GymnasiumReward
 from parking_exp.tasks.registry import make_task
@@ -37,7 +38,8 @@ def config(env_id, *overrides):
     ("env_id", "overrides", "reason"),
     [
         ("FetchReech-v4", [], "not registered with Gymnasium; did you mean 'FetchReach-v4'"),
-        ("no_such_module:X-v0", [], "No module named 'no_such_module'"),
+        ("no_such_module:X-v0", [], "needs the module no_such_module, which is not installed"),
+        (f"{TOY}Worded-v0", [], "compute_reward needs more than goals and the numbers"),
         ("racetrack-v0", [], "not a goal environment: its observation has no desired_goal"),
         (f"{TOY}Plain-v0", [], "not a goal environment: its observation has no desired_goal"),
         (f"{TOY}Discrete-v0", [], r"Discrete\(8\).* continuous"),
@@ -144,6 +146,36 @@ def test_a_sweep_is_refused_if_one_of_its_runs_is():
     lines = ["env=gymnasium", f"env.id={TOY}BitFlip-v0", "algorithm.learning_starts=63,400"]
     with pytest.raises(ConfigError, match=r"algorithm\.learning_starts=63"):
         validate_all(composed("config", lines))
+
+
+def test_a_refusal_is_one_line_even_where_packages_print_notices():
+    done = run_script("train", "env=gymnasium", "env.id=racetrack-v0")
+    assert (done.returncode, done.stdout, done.stderr.count("\n")) == (2, "", 1)
+
+
+def test_an_env_that_renders_gives_a_video_and_others_a_reason():
+    def act(observation):
+        return np.zeros((1, 8), np.float32)
+
+    frames = list(make_task(config(f"{TOY}Drawn-v0").env).frames(act, [0, 1]))
+    assert {frame.shape for frame in frames} == {(40, 80, 3)}
+    assert len(frames) == 2 * (8 + 4)  # a frame for each step, and one second of the end
+    with pytest.raises(VideoError, match="BitFlip-v0 does not render"):
+        next(make_task(config(f"{TOY}BitFlip-v0").env).frames(act, [0]))
+
+
+def test_without_egl_and_osmesa_there_is_a_reason_and_no_video(monkeypatch):
+    monkeypatch.delenv("MUJOCO_GL", raising=False)
+    monkeypatch.setenv("PYOPENGL_PLATFORM", "none")
+    monkeypatch.setattr(gymnasium_task.sys, "executable", "false")
+    task = make_task(validate(composed("config", ["env=fetch_reach"])[0]).env)
+    with pytest.raises(VideoError, match="EGL or OSMesa"):
+        next(task.frames(lambda observation: np.zeros((1, 4)), [0]))
+
+
+def test_any_goal_task_can_be_searched(tmp_path):
+    done = call_script("tune", "search=goal_task", "env=fetch_reach", "dry_run=true", f"output_dir={tmp_path}")
+    assert done.returncode == 0, done.stderr
 
 
 @pytest.mark.parametrize("option", options("env"))

@@ -12,10 +12,9 @@ from gymnasium.utils.env_checker import check_env
 from support.runs import make_config
 from support.simulator_equality import actions_of, compare
 
-from parking_exp import NearbyVehicles
 from parking_exp.tasks.parking.features import EgoFrameExtractor, FineEgoFrameExtractor, MirroredEgoFrameExtractor
 from parking_exp.tasks.parking.highway import make_env
-from parking_exp.tasks.parking.nearby_vehicles import nearest_vehicles
+from parking_exp.tasks.parking.nearby_vehicles import NearbyVehicles, nearest_vehicles
 from parking_exp.tasks.parking.obstacles import drawn_places
 from parking_exp.tasks.parking.parking_task import ParkingTask
 from parking_exp.tasks.parking.scenes import NO_SLOT, Scenes
