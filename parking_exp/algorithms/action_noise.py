@@ -11,10 +11,11 @@ from stable_baselines3.common.vec_env import VecEnv
 
 
 class EpsilonRandomActionNoise(NormalActionNoise):
-    """Add normal noise, and with probability `epsilon` noise so large that the action is random.
+    """Add normal noise, and with probability `epsilon` instead noise of the width of an action.
 
-    HER's authors explore so (Andrychowicz et al. 2017, appendix A): small noise alone seldom leads a robot's gripper
-    to a box. The large noise is uniform in [-2, 2], the width of an action; Stable-Baselines3 clips the sum to [-1, 1].
+    As HER's authors explore (Plappert et al. 2018, arXiv:1802.09464, appendix): normal noise alone seldom leads a
+    robot's gripper to a box. Theirs is a random action; noise does not know the action, so this one is uniform in
+    [-2, 2], and Stable-Baselines3 clips the sum to [-1, 1]. Half of the sums are uniform in [-1, 1], others at a bound.
 
     Args:
         mean: of the normal noise, shape (actions,).

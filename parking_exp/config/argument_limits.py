@@ -52,6 +52,6 @@ CLASS_LIMITS: dict[str, dict[str, Any]] = {
     "LinearSchedule": {"start": PositiveFloat, "end": NonNegative, "end_fraction": Share},
     "ConstantSchedule": {"val": PositiveFloat},
     "NormalActionNoise": NOISE,
-    "EpsilonRandomActionNoise": {**NOISE, "epsilon": Share},
+    "EpsilonRandomActionNoise": {**NOISE, "epsilon": Annotated[float, Field(ge=0, le=1)]},
     "OrnsteinUhlenbeckActionNoise": {**NOISE, "theta": NonNegative, "dt": PositiveFloat},
 }

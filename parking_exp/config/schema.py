@@ -142,12 +142,16 @@ class RunConfig(ConfigModel):
     @property
     def cell_key(self) -> str:
         """Short hash of everything that can change a result, except the seed."""
-        return short_hash({key: value for key, value in result_part(self.plain()).items() if key != "seed"})
+        return short_hash({key: value for key, value in self._result_part().items() if key != "seed"})
 
     @property
     def run_key(self) -> str:
         """Short hash of everything that can change a result, the seed included."""
-        return short_hash(result_part(self.plain()))
+        return short_hash(self._result_part())
+
+    def _result_part(self) -> dict[str, Any]:
+        """Return what can change a result; a key that came later, with a default, changes no hash of earlier runs."""
+        return result_part(self.model_dump(by_alias=True, exclude_defaults=True))
 
     @property
     def cell(self) -> str:

@@ -194,17 +194,17 @@ def _read_files(
     """Return the parsed artifact of each run that has it, by run id, and a sentence for each one that is damaged."""
 
     records, parsed, problems = runs.to_dict("records"), dict[str, Any](), list[str]()
-    with ThreadPoolExecutor(1 if database(store.uri) else DOWNLOADS_AT_ONCE) as pool:
+    with ThreadPoolExecutor(1 if database(store.uri) else DOWNLOADS_AT_ONCE) as pool:  # more cost CPU time locally
         files = [pool.submit(store.artifact, run["run_id"], run["artifact_uri"], name) for run in records]
-    for run, file in zip(records, files, strict=True):
-        problem = f"{name} is missing in the store" if run["status"] == "done" else None
-        try:
-            if (content := file.result()) is not None:
-                parsed[run["run_id"]], problem = parse(content), None
-        except Exception as error:
-            problem = f"{name} can't be read: {reason(error)}"
-        if problem:
-            problems.append(f"run {run['run_id']} ({run['cell']}, seed {run['seed']}): {problem}")
+        for run, file in zip(records, files, strict=True):
+            problem = f"{name} is missing in the store" if run["status"] == "done" else None
+            try:
+                if (content := file.result()) is not None:
+                    parsed[run["run_id"]], problem = parse(content), None
+            except Exception as error:
+                problem = f"{name} can't be read: {reason(error)}"
+            if problem:
+                problems.append(f"run {run['run_id']} ({run['cell']}, seed {run['seed']}): {problem}")
     return parsed, problems
 
 

@@ -32,7 +32,7 @@ class Store:
         self.uri = absolute(uri)
         self._database = path = database(self.uri)
         self._own_directory = output_dir if path and output_dir and path.is_relative_to(output_dir) else None
-        self._found = dict[frozenset[str], "list[Run]"]()  # of `runs`
+        self._runs = dict[frozenset[str], "list[Run]"]()  # of `runs`
 
     @cached_property
     def client(self) -> "MlflowClient":
@@ -46,7 +46,7 @@ class Store:
     def writing(self) -> "Iterator[MlflowClient]":
         """Yield MLflow's client, with the lock that all writers share."""
         client = self.client
-        self._found.clear()
+        self._runs.clear()
         with write_lock(self.uri):
             yield client
 
@@ -58,9 +58,9 @@ class Store:
     def runs(self, experiment_ids: Iterable[str]) -> "list[Run]":
         """Return all runs of some experiments, as of the first call since the last writing: 1,000 take seconds."""
         ids = frozenset(experiment_ids)
-        if ids not in self._found:
-            self._found[ids] = self.search([*ids])
-        return self._found[ids]
+        if ids not in self._runs:
+            self._runs[ids] = self.search([*ids])
+        return self._runs[ids]
 
     def search(self, experiment_ids: Sequence[str], condition: str = "") -> "list[Run]":
         """Return the runs of some experiments, deleted ones too, that match a filter string of MLflow."""

@@ -59,6 +59,7 @@ def refusal(plain):
         ("env.other_vehicles_type", "nowhere.Car", "IDMVehicle"),
         ("env.action.speed_range", [5, -5], ""),
         ("env.action.dynamical", True, "False"),
+        *(("env.vehicles_count", value, "from 0 to 26, or") for value in (27, [3], [5, 2], [0, 27], True, "many")),
         ("env.observation.scales", [1], "[100, 100, 5, 5, 1, 1]"),
         ("algorithm.gamma", 1.5, "1"),
         ("algorithm.learning_rate.start", -1, ""),

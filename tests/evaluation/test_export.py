@@ -28,6 +28,7 @@ BLOCKED = "import sys; sys.modules |= dict.fromkeys(['torch', 'stable_baselines3
 AGENTS = {
     **{f"td3 {features}": ("algorithm=td3", f"algorithm.features={features}")
        for features in ("raw", "ego", "ego_fine", "ego_mirrored")},
+    "td3 among cars": ("algorithm=td3", "env.observation.vehicles_count=3", "env.vehicles_count=5"),
     "td3 with moving goals": ("env=parking_stop", "algorithm=td3"),
     "sac": ("algorithm=sac",),
     "sac with gSDE": ("algorithm=sac", "algorithm.use_sde=true", "algorithm.features=raw"),
@@ -55,10 +56,11 @@ def test_an_onnx_file_gives_the_actions_of_predict_whatever_the_batch(name, tmp_
     assert [path.name for path in tmp_path.iterdir()] == ["policy.onnx"]
     session = onnxruntime.InferenceSession(tmp_path / "policy.onnx")
     inputs = [(node.name, node.shape, node.type) for node in session.get_inputs()]
-    assert inputs == [(name, ["batch", 6], "tensor(float)") for name in NAMES]
+    sizes = {key: space.shape[0] for key, space in model.observation_space.items()}
+    assert inputs == [(name, ["batch", sizes[name]], "tensor(float)") for name in NAMES]
     rng = np.random.default_rng(7)
     for batch in (1, 7, 200):
-        observations = {name: rng.normal(0, 0.3, (batch, 6)).astype(np.float32) for name in NAMES}
+        observations = {name: rng.normal(0, 0.3, (batch, sizes[name])).astype(np.float32) for name in NAMES}
         (actions,), (expected, _) = session.run(["action"], observations), model.predict(observations, None, None, True)
         assert (actions.shape, actions.dtype) == ((batch, 2), np.float32)
         assert np.abs(actions - expected).max() < 1e-5

@@ -30,7 +30,6 @@ class EgoFrameExtractor(TaskFeatures):
     """
 
     of_each_vehicle = 5  # features
-    laterals: tuple[int, ...] = (2, 4)  # those that a mirror turns around
 
     def __init__(self, observation_space: spaces.Dict, features_dim: int = 10) -> None:
         size = spaces.flatdim(observation_space["observation"]) - len(DEFAULT_FEATURES)
@@ -40,13 +39,12 @@ class EgoFrameExtractor(TaskFeatures):
     def forward(self, observations: dict[str, torch.Tensor]) -> torch.Tensor:
         """Return features of shape (batch, features) for observations of shape (batch, 6 + 5 K) and goals of 6."""
         features = self.of_car(observations)
-        return torch.cat((features, self.of_vehicles(observations)), dim=-1) if self.vehicles_count else features
+        if not self.vehicles_count:
+            return features
+        return torch.cat((features, self.of_vehicles(observations, features).flatten(1)), dim=-1)
 
-    def of_vehicles(self, observations: dict[str, torch.Tensor]) -> torch.Tensor:
-        """Return the features of the vehicles, shape (batch, features); they are 0 where there is none."""
-        return self._vehicles(observations).flatten(1)
-
-    def _vehicles(self, observations: dict[str, torch.Tensor]) -> torch.Tensor:
+    def of_vehicles(self, observations: dict[str, torch.Tensor], of_car: torch.Tensor) -> torch.Tensor:
+        """Return the features of the vehicles, shape (batch, K, features of each); they are 0 where there is none."""
         observation = observations["observation"]
         seen = observation[:, len(DEFAULT_FEATURES) :].unflatten(-1, (self.vehicles_count, len(ENTRIES)))
         cos_h, sin_h = observation[:, 4:5], observation[:, 5:6]
@@ -104,7 +102,6 @@ class FineEgoFrameExtractor(EgoFrameExtractor):
     """
 
     of_each_vehicle = 9
-    laterals = (2, 4, 6, 8)
 
     def __init__(self, observation_space: spaces.Dict, reward_weights: Sequence[float]) -> None:
         weights = [float(weight) for weight in reward_weights]
@@ -113,17 +110,14 @@ class FineEgoFrameExtractor(EgoFrameExtractor):
         super().__init__(observation_space, 20 if moving_goals else 19)
         self.reward_weights, self.moving_goals = weights, moving_goals
 
-    def of_vehicles(self, observations: dict[str, torch.Tensor]) -> torch.Tensor:
-        """Return the features of the vehicles, shape (batch, 9 K); they are 0 where there is none."""
-        vehicles, (ahead, left, cos, sin) = (
-            self._vehicles(observations),
-            super().of_car(observations)[:, :4].split(1, -1),
-        )
-        dx, dy = vehicles[..., 1] - ahead, vehicles[..., 2] - left
-        near = torch.stack((vehicles[..., 1], vehicles[..., 2], cos * dx + sin * dy, cos * dy - sin * dx), dim=-1) * (
-            GOAL_SCALE_M / VEHICLE_M
-        )
-        return torch.cat((vehicles, torch.tanh(near) * vehicles[..., :1]), dim=-1).flatten(1)
+    def of_vehicles(self, observations: dict[str, torch.Tensor], of_car: torch.Tensor) -> torch.Tensor:
+        """Return the features of the vehicles, shape (batch, K, 9); they are 0 where there is none."""
+        vehicles = super().of_vehicles(observations, of_car)
+        presence, ahead, left = vehicles[..., :3].unbind(-1)
+        goal_ahead, goal_left, cos, sin = of_car[:, :4].split(1, dim=-1)
+        dx, dy = ahead - goal_ahead, left - goal_left
+        near = torch.stack((ahead, left, cos * dx + sin * dy, cos * dy - sin * dx), dim=-1)
+        return torch.cat((vehicles, torch.tanh(near * (GOAL_SCALE_M / VEHICLE_M)) * presence[..., None]), dim=-1)
 
     def of_car(self, observations: dict[str, torch.Tensor]) -> torch.Tensor:
         """Return the features of car and goal, shape (batch, 19 or 20)."""
@@ -157,14 +151,15 @@ class MirroredEgoFrameExtractor(FineEgoFrameExtractor, SymmetricFeatures):
     """
 
     ACROSS = (1, 3, 6, 8, 11, 13, 15, 17)  # features that a mirror turns around
+    ACROSS_OF_VEHICLE = (2, 4, 6, 8)  # of each vehicle
 
     def forward(self, observations: dict[str, torch.Tensor]) -> torch.Tensor:
         """Return features of shape (batch, features) for observations of shape (batch, 6 + 5 K) and goals of 6."""
         features = super().forward(observations)
         signs = features.new_ones(self._features_dim)
-        signs[list(self.ACROSS)] = -1.0
-        first = self._features_dim - self.vehicles_count * self.of_each_vehicle
-        signs[first:].view(-1, self.of_each_vehicle)[:, list(self.laterals)] = -1.0
+        vehicles = range(self._features_dim - self.vehicles_count * self.of_each_vehicle, self._features_dim)
+        across = [first + lateral for first in vehicles[:: self.of_each_vehicle] for lateral in self.ACROSS_OF_VEHICLE]
+        signs[[*self.ACROSS, *across]] = -1.0
         return torch.where(self.sign(observations) < 0, features * signs, features)
 
     def sign(self, observations: dict[str, torch.Tensor]) -> torch.Tensor:

@@ -27,12 +27,12 @@ def nearest_vehicles(position: np.ndarray, others: np.ndarray, heading: np.ndarr
     offset = others - position[:, None]
     squared = offset[..., 0] ** 2 + offset[..., 1] ** 2
     nearest = np.argsort(squared, axis=1, kind="stable")[:, :count]
-    rows, found = np.arange(len(position))[:, None], nearest.shape[1]
+    rows, n_nearest = np.arange(len(position))[:, None], nearest.shape[1]
     seen = np.zeros((len(position), count, len(ENTRIES)))
-    seen[:, :found, 0] = squared[rows, nearest] < FAR_M**2
-    seen[:, :found, 1:3] = offset[rows, nearest] / DEFAULT_SCALES[:2]
+    seen[:, :n_nearest, 0] = squared[rows, nearest] < FAR_M**2
+    seen[:, :n_nearest, 1:3] = offset[rows, nearest] / DEFAULT_SCALES[:2]
     angle = heading[rows, nearest]
-    seen[:, :found, 3], seen[:, :found, 4] = np.cos(angle), np.sin(angle)
+    seen[:, :n_nearest, 3], seen[:, :n_nearest, 4] = np.cos(angle), np.sin(angle)
     seen *= seen[..., :1]
     return seen.reshape(len(position), -1)
 
@@ -45,7 +45,7 @@ def observation_size(vehicles_count: int) -> int:
 class NearbyVehicles(gym.ObservationWrapper, gym.utils.RecordConstructorArgs):
     """Append the nearest other vehicles and obstacles to `observation` of parking-v0; goals stay as they are.
 
-    The observation gets the shape (6 + 5 * vehicles_count,); see `ENTRIES` for what it has of each vehicle.
+    The observation gets 5 entries more for each vehicle, see `ENTRIES`; x and y are in 100 m, whatever the scales are.
 
     Args:
         env: highway-env's parking-v0 with the observation type KinematicsGoal, for example
@@ -58,7 +58,8 @@ class NearbyVehicles(gym.ObservationWrapper, gym.utils.RecordConstructorArgs):
         gym.ObservationWrapper.__init__(self, env)
         assert isinstance(env.observation_space, spaces.Dict)
         self.vehicles_count = vehicles_count
-        seen = spaces.Box(-np.inf, np.inf, (observation_size(vehicles_count),), np.float64)
+        size = spaces.flatdim(env.observation_space["observation"]) + vehicles_count * len(ENTRIES)
+        seen = spaces.Box(-np.inf, np.inf, (size,), np.float64)
         self.observation_space = spaces.Dict(env.observation_space.spaces | {"observation": seen})
 
     def observation(self, observation: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
@@ -97,5 +98,6 @@ class RandomVehiclesCount(gym.Wrapper, gym.utils.RecordConstructorArgs):
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         """Start an episode."""
         rng = self.unwrapped.np_random if seed is None else gym.utils.seeding.np_random(seed)[0]
-        config = {"vehicles_count": drawn_number(rng.bit_generator, self.low, self.high)}
-        return self.env.reset(seed=seed, options={**(options or {}), "config": config})
+        number = {"vehicles_count": drawn_number(rng.bit_generator, self.low, self.high)}
+        given = options or {}
+        return self.env.reset(seed=seed, options={**given, "config": given.get("config", {}) | number})

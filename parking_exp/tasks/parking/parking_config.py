@@ -1,9 +1,9 @@
-"""The `env` group of parking-v0: highway-env's options under their own names, and seven of ours."""
+"""The `env` group of parking-v0: highway-env's options under their own names, and some of ours."""
 
 from collections.abc import Iterator, Mapping
 from typing import Annotated, Any, ClassVar, Literal, Self
 
-from pydantic import Field
+from pydantic import AfterValidator, Field
 
 from parking_exp.config_model import (
     Bounds,
@@ -21,17 +21,25 @@ DEFAULT_SCALES = [100, 100, 5, 5, 1, 1]
 OURS = {"task", "name", "simulator", "reward", "training_duration", "training_success_goal_reward", "obstacles"}
 
 
-VehiclesCount = Annotated[int, Field(ge=0, le=26)]
+MOST_VEHICLES = 26  # slots but for those of start and goal
+
+
+def _check_vehicles_count(value: Any) -> Any:
+    """Refuse what is neither a number of cars nor a range."""
+    low, high = value if isinstance(value, list) and len(value) == 2 else (value, value)
+    if not (type(low) is type(high) is int and 0 <= low <= high <= MOST_VEHICLES):
+        raise ValueError(f"give a number from 0 to {MOST_VEHICLES}, or the lowest and the highest number: [0, 20]")
+    return value
 
 
 class ObservationConfig(ConfigModel):
     """highway-env's `observation` options, and how many other vehicles are seen."""
 
-    type: Literal["KinematicsGoal"]  # stored, so that highway-env accepts the `env` section of a run's config
+    type: Literal["KinematicsGoal"]  # stored, so that highway-env accepts the `env` section of most configs
     features: list[str]
     scales: list[PositiveFloat]
     normalize: bool
-    vehicles_count: VehiclesCount = 0
+    vehicles_count: Annotated[int, Field(ge=0, le=100)] = 0
 
 
 class ActionConfig(ConfigModel):
@@ -70,7 +78,7 @@ class ParkingConfig(ConfigModel):
     simulation_frequency: Annotated[int, Field(ge=1, le=1000)]
     policy_frequency: Annotated[int, Field(ge=1, le=100)]  # episode_steps() counts duration x policy_frequency steps
     duration: Duration
-    vehicles_count: VehiclesCount | Annotated[list[VehiclesCount], Field(min_length=2, max_length=2)]
+    vehicles_count: Annotated[Any, AfterValidator(_check_vehicles_count)]
     add_walls: bool
     other_vehicles_type: Literal["highway_env.vehicle.behavior.IDMVehicle"]
     neighbour_vehicles_connected_lanes: bool
@@ -114,8 +122,6 @@ class ParkingConfig(ConfigModel):
         for name, value in (("features", DEFAULT_FEATURES), ("scales", DEFAULT_SCALES)):
             if getattr(self.observation, name) != value:
                 yield f"env.observation.{name} has one legal value: {value}"
-        if self.vehicles_range[0] > self.vehicles_range[1]:
-            yield f"env.vehicles_count={self.vehicles_count}: the lower bound comes first"
         if (stricter := self.training_success_goal_reward) is not None and stricter > self.success_goal_reward:
             yield (
                 f"env.training_success_goal_reward={stricter} is above env.success_goal_reward="

@@ -1,6 +1,6 @@
 """Report data and figure: outcomes by number of parked cars, where scenes draw it from a range."""
 
-import json
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -29,13 +29,13 @@ def vehicle_rates(runs: Sequence[pd.DataFrame], config: Mapping[str, Any]) -> li
 
     There are none where `env.vehicles_count` of the config, by dotted keys, is not a range.
     """
-    count = config.get("env.vehicles_count", 0)
-    bounds = json.loads(count) if isinstance(count, str) else count
-    if not (runs and isinstance(bounds, list)):
+    bounds = re.fullmatch(r"\[(\d+), ?(\d+)\]", str(config.get("env.vehicles_count")))
+    if not (runs and bounds):
         return []
+    low, high = map(int, bounds.groups())
     episodes = pd.concat(runs)
     numbers = {
-        scene: drawn_number(np.random.PCG64(np.random.SeedSequence(scene)), *bounds)
+        scene: drawn_number(np.random.PCG64(np.random.SeedSequence(scene)), low, high)
         for scene in episodes["scene"].unique().tolist()
     }
     counts = pd.crosstab(episodes["scene"].map(numbers), episodes["outcome"].astype(object))

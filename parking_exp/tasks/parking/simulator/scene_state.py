@@ -23,9 +23,7 @@ class SceneState:
     speed: np.ndarray  # signed, shape (n,) [m/s]
     crashed: np.ndarray  # shape (n,)
     steps: np.ndarray  # policy steps since the start, shape (n,)
-    parked: (
-        np.ndarray
-    )  # positions of the parked cars, shape (n, vehicles, 2) [m]; those that a scene lacks are far away
+    parked: np.ndarray  # positions of the parked cars, shape (n, vehicles, 2) [m]; missing ones are far away
     parked_heading: np.ndarray  # shape (n, vehicles) [rad]
     obstacles: np.ndarray  # places of the obstacles, shape (n, obstacles, 2) [m]
     hit: np.ndarray  # whether `impact` applies in the next frame, shape (n, 1 + vehicles); first the car itself

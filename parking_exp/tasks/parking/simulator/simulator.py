@@ -61,6 +61,8 @@ class Simulator:
         slots[:, 4], slots[:, 5] = np.cos(SLOT_HEADINGS), np.sin(SLOT_HEADINGS)
         self._slot_goals = slots / self.scales
         self._collisions = Collisions(self.dt, config.vehicles_range[1], config.obstacles, walls=config.add_walls)
+        sizes = scenes.parked.shape[1], scenes.obstacles.shape[1]
+        assert sizes == (config.vehicles_range[1], config.obstacles), f"scenes have {sizes} vehicles and obstacles"
         self.start(scenes)
 
     def __len__(self) -> int:
