@@ -21,7 +21,7 @@ STORES = re.compile(r"sqlite:///[^?]+|(https?|postgresql|mysql|mssql)(\+\w+)?://
 
 def _check_store(uri: str) -> str:
     if not STORES.fullmatch(refuse_password(uri)):
-        raise ValueError("it is no MLflow store; use sqlite:///PATH, or http://HOST:PORT of a tracking server")
+        raise ValueError("it is not an MLflow store; use sqlite:///PATH, or http://HOST:PORT of a tracking server")
     return uri
 
 

@@ -7,7 +7,6 @@
 """
 
 import gzip
-import json
 import re
 from collections import defaultdict
 from collections.abc import Mapping
@@ -21,7 +20,7 @@ from parking_exp.config.paths import directory_path
 from parking_exp.errors import ConfigError, ResultsError
 from parking_exp.results.frames import FINAL, RUN_TYPES, TEXT, Results, as_results_error, config_column
 from parking_exp.results.run_logs import CURVE_TYPES, EPISODES, REQUIRED
-from parking_exp.runs.atomic_files import replacing, write_json
+from parking_exp.runs.atomic_files import read_json, replacing, write_json
 from parking_exp.tasks.metrics import EPISODE_SEED
 
 REPORT = "report.json"
@@ -73,7 +72,7 @@ def read_export(folder: str | Path) -> Results:
     if absent := [name for name in FILES if not (folder / name).is_file()]:
         raise ResultsError(f"{folder} is not a whole export: it has no {absent[0]}")
     with as_results_error(f"{folder} can't be read"):
-        about = json.loads((folder / REPORT).read_text(encoding="utf-8"))
+        about = read_json(folder / REPORT)
         problems = tuple(map(str, about["problems"]))
         runs = _read_runs(folder / "runs.csv.gz")
         curves = pd.read_csv(folder / "curves.csv.gz", dtype=CURVE_TYPES, float_precision="round_trip")

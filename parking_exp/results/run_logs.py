@@ -50,5 +50,5 @@ def read_episodes(table: bytes) -> pd.DataFrame:
         raise ValueError(f"it has no column {absent[0]}")
     unknown = [name for name, kind in CATEGORIES.items() if not {*episodes[name].unique()} <= {*kind.categories}]
     if unknown or not episodes[EPISODE_SEED].between(0, TRAINING_SEEDS_START - 1).all():
-        raise ValueError("it has rows that are no episodes")
+        raise ValueError("it has rows that are not episodes")
     return episodes

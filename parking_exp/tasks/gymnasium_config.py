@@ -46,7 +46,7 @@ class GymnasiumConfig(ConfigModel):
     def model_problems(self, features: str, buffer: Mapping[str, Any]) -> Iterator[str]:
         """Yield what does not go with this task: of the policy's features and of the arguments of the buffer."""
         if features != "raw":
-            yield f"algorithm.features={features} is of parking-v0; use algorithm.features=raw"
+            yield f"algorithm.features={features} is available for parking only; use algorithm.features=raw"
         if buffer.get("relabel_collision") == "keep":
             yield "buffer.relabel_collision=keep needs to know the penalty of a failure; use exclude or sb3"
         if buffer.get("goal_velocity") == "zero":

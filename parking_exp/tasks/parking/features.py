@@ -156,8 +156,8 @@ class MirroredEgoFrameExtractor(FineEgoFrameExtractor, SymmetricFeatures):
     def forward(self, observations: dict[str, torch.Tensor]) -> torch.Tensor:
         """Return features of shape (batch, features) for observations of shape (batch, 6 + 5 K) and goals of 6."""
         features = super().forward(observations)
-        signs = features.new_ones(self._features_dim)
-        vehicles = range(self._features_dim - self.vehicles_count * self.of_each_vehicle, self._features_dim)
+        signs = features.new_ones(self.features_dim)
+        vehicles = range(self.features_dim - self.vehicles_count * self.of_each_vehicle, self.features_dim)
         across = [first + lateral for first in vehicles[:: self.of_each_vehicle] for lateral in self.ACROSS_OF_VEHICLE]
         signs[[*self.ACROSS, *across]] = -1.0
         return torch.where(self.sign(observations) < 0, features * signs, features)
