@@ -29,7 +29,7 @@ def figures(rounds: int, all_cores: Sequence[int], *, quick: bool) -> dict[str, 
     return {
         "simulator.n512.ratio": Figure(">=", 3000, partial(simulation.stepping, "parking", 512, rounds, step_s)),
         "simulator.n8.ratio": Figure(">=", 250, partial(simulation.stepping, "parking", 8, rounds, step_s)),
-        "simulator.parked.n512.ratio": Figure(
+        "simulator.crowded.n512.ratio": Figure(
             ">=", 1500, partial(simulation.stepping, "parking_crowded", 512, rounds, step_s)
         ),
         "evaluation.500_scenes.wall_s": Figure("<=", 1, partial(simulation.evaluation, 50 if quick else 500, rounds)),

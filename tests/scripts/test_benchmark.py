@@ -17,11 +17,11 @@ def test_chosen_figures_are_measured_printed_and_added_to_the_file(tmp_path):
     first, _ = benchmark(tmp_path, "simulator.n8")
     assert list(first) == ["simulator.n8.ratio"]
     figures, printed = benchmark(
-        tmp_path, "simulator.parked", "update.ddpg.2x64", "run.tutorial", "her", "sweep.overhead", "sweep.resume"
+        tmp_path, "simulator.crowded", "update.ddpg.2x64", "run.tutorial", "her", "sweep.overhead", "sweep.resume"
     )
     assert sorted(figures) == [
         "her.bytes_per_transition", "her.sample.capacity_ratio", "her.sample.ratio",
-        "run.tutorial.ratio", "simulator.n8.ratio", "simulator.parked.n512.ratio", "sweep.overhead_s_per_run",
+        "run.tutorial.ratio", "simulator.n8.ratio", "simulator.crowded.n512.ratio", "sweep.overhead_s_per_run",
         "sweep.resume_scan_s.1000_runs", "update.ddpg.2x64.ratio",
     ]  # fmt: skip
     assert figures["simulator.n8.ratio"] == first["simulator.n8.ratio"]
