@@ -15,9 +15,8 @@ from support.simulator_equality import actions_of, compare
 from parking_exp.tasks.parking.features import EgoFrameExtractor, FineEgoFrameExtractor, MirroredEgoFrameExtractor
 from parking_exp.tasks.parking.highway import make_env
 from parking_exp.tasks.parking.nearby_vehicles import NearbyVehicles, nearest_vehicles
-from parking_exp.tasks.parking.obstacles import drawn_places
 from parking_exp.tasks.parking.parking_task import ParkingTask
-from parking_exp.tasks.parking.scenes import NO_SLOT, Scenes
+from parking_exp.tasks.parking.scenes import NO_SLOT, Scenes, drawn_places
 from parking_exp.tasks.parking.vehicle_rates import VehicleRate, draw_vehicle_rates, vehicle_rates
 
 WEIGHTS = [1, 0.3, 0, 0, 0.02, 0.02]

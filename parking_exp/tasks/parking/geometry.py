@@ -26,3 +26,6 @@ WALL_POSITIONS = np.array(
 WALL_HEADINGS = np.array([0.0, 0.0, np.pi / 2, np.pi / 2])
 WALL_LENGTHS = np.array([LOT_LENGTH_M, LOT_LENGTH_M, LOT_WIDTH_M, LOT_WIDTH_M])
 WALL_DIAGONALS = np.sqrt(WALL_LENGTHS**2 + WALL_THICKNESS_M**2)
+
+OBSTACLE_M = 2.0  # of highway-env's obstacles, which are squares
+OBSTACLE_DIAGONAL_M = float(np.sqrt(2 * OBSTACLE_M**2))

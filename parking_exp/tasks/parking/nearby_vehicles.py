@@ -7,6 +7,7 @@ import numpy as np
 from gymnasium import spaces
 
 from parking_exp.tasks.parking.parking_config import DEFAULT_FEATURES, DEFAULT_SCALES
+from parking_exp.tasks.parking.scenes import drawn_number
 
 ENTRIES = ("presence", "x", "y", "cos_h", "sin_h")
 """Of each vehicle, in highway-env's words and scales: x and y are relative to the car, along the axes of the lot."""
@@ -74,17 +75,6 @@ class NearbyVehicles(gym.ObservationWrapper, gym.utils.RecordConstructorArgs):
         headings = np.array([[vehicle.heading for vehicle in others]])
         seen = nearest_vehicles(car.position[None], positions, headings, self.vehicles_count)[0]
         return observation | {"observation": np.concatenate([observation["observation"], seen])}
-
-
-def drawn_number(bit_generator: Any, low: int, high: int) -> int:
-    """Return the number of vehicles of a scene, uniform in low ... high, without using up its random generator.
-
-    The number is drawn by the scene's generator, jumped once: `env.reset(seed=s)` has
-    `Generator(PCG64(SeedSequence(s)).jumped()).integers(low, high + 1)` vehicles.
-    """
-    if low == high:
-        return low
-    return int(np.random.Generator(bit_generator.jumped()).integers(low, high + 1))
 
 
 class RandomVehiclesCount(gym.Wrapper, gym.utils.RecordConstructorArgs):

@@ -3,30 +3,8 @@
 from typing import Any
 
 import gymnasium as gym
-import numpy as np
 
-OBSTACLE_M = 2.0
-OBSTACLE_DIAGONAL_M = float(np.sqrt(2 * OBSTACLE_M**2))
-AISLE_M = np.array([33.0, 8.5])  # half the length and width of the area: within the walls, outside of the slots
-START_M = 6.0  # distance from the middle of the lot, where the car starts
-
-
-def drawn_places(rng: np.random.Generator, n: int) -> np.ndarray:
-    """Draw n places of obstacles, shape (n, 2) [m]: uniform in the aisle, but not where the car starts."""
-    places = np.empty((0, 2))
-    while len(places) < n:
-        drawn = rng.uniform(-AISLE_M, AISLE_M, (n, 2))
-        places = np.concatenate([places, drawn[np.sqrt((drawn**2).sum(axis=1)) > START_M]])
-    return places[:n]
-
-
-def places_of_scene(bit_generator: Any, n: int) -> np.ndarray:
-    """Return the places of a scene's obstacles, without using up its random generator.
-
-    They are drawn by that generator, jumped twice: `env.reset(seed=s)` has
-    `drawn_places(Generator(PCG64(SeedSequence(s)).jumped(2)), n)`.
-    """
-    return drawn_places(np.random.Generator(bit_generator.jumped(2)), n)
+from parking_exp.tasks.parking.scenes import places_of_scene
 
 
 class RandomObstacles(gym.Wrapper, gym.utils.RecordConstructorArgs):

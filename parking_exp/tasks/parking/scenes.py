@@ -2,14 +2,15 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from parking_exp.tasks.parking.geometry import N_SLOTS, SLOT_HEADINGS, SLOT_POSITIONS, SLOTS_A_ROW
-from parking_exp.tasks.parking.nearby_vehicles import drawn_number
-from parking_exp.tasks.parking.obstacles import drawn_places, places_of_scene
 
 NO_SLOT = -1  # of a car that a scene with fewer cars than others lacks
+AISLE_M = np.array([33.0, 8.5])  # half the length and width of the area: within the walls, outside of the slots
+START_M = 6.0  # distance from the middle of the lot, where the car starts
 
 # Of each row, the first of the slots nearest to the origin; its distance, as highway-env adds it up; its heading.
 _START_SLOTS = tuple(
@@ -89,3 +90,32 @@ def start_slot(heading: np.ndarray) -> np.ndarray:
     turn -= np.pi
     above, below = _START_DISTANCE_M + np.abs(turn)
     return np.where(above <= below, *_START_SLOTS)
+
+
+def drawn_number(bit_generator: Any, low: int, high: int) -> int:
+    """Return the number of vehicles of a scene, uniform in low ... high, without using up its random generator.
+
+    The number is drawn by the scene's generator, jumped once: `env.reset(seed=s)` has
+    `Generator(PCG64(SeedSequence(s)).jumped()).integers(low, high + 1)` vehicles.
+    """
+    if low == high:
+        return low
+    return int(np.random.Generator(bit_generator.jumped()).integers(low, high + 1))
+
+
+def drawn_places(rng: np.random.Generator, n: int) -> np.ndarray:
+    """Draw n places of obstacles, shape (n, 2) [m]: uniform in the aisle, but not where the car starts."""
+    places = np.empty((0, 2))
+    while len(places) < n:
+        drawn = rng.uniform(-AISLE_M, AISLE_M, (n, 2))
+        places = np.concatenate([places, drawn[np.sqrt((drawn**2).sum(axis=1)) > START_M]])
+    return places[:n]
+
+
+def places_of_scene(bit_generator: Any, n: int) -> np.ndarray:
+    """Return the places of a scene's obstacles, without using up its random generator.
+
+    They are drawn by that generator, jumped twice: `env.reset(seed=s)` has
+    `drawn_places(Generator(PCG64(SeedSequence(s)).jumped(2)), n)`.
+    """
+    return drawn_places(np.random.Generator(bit_generator.jumped(2)), n)

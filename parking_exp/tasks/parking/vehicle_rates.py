@@ -10,7 +10,7 @@ import pandas as pd
 
 from parking_exp.figure_style import Drawing, cell_labels, cell_style, new_figure, percentages
 from parking_exp.tasks.parking.lot_map import OUTCOMES
-from parking_exp.tasks.parking.nearby_vehicles import drawn_number
+from parking_exp.tasks.parking.scenes import drawn_number
 
 
 @dataclass(frozen=True)

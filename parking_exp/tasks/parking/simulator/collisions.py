@@ -15,13 +15,14 @@ from parking_exp.tasks.parking.geometry import (
     CAR_DIAGONAL_M,
     CAR_LENGTH_M,
     CAR_WIDTH_M,
+    OBSTACLE_DIAGONAL_M,
+    OBSTACLE_M,
     WALL_DIAGONALS,
     WALL_HEADINGS,
     WALL_LENGTHS,
     WALL_POSITIONS,
     WALL_THICKNESS_M,
 )
-from parking_exp.tasks.parking.obstacles import OBSTACLE_DIAGONAL_M, OBSTACLE_M
 from parking_exp.tasks.parking.simulator.scene_state import SceneState
 
 ALONG, ACROSS = np.array([-0.5, -0.5, 0.5, 0.5]), np.array([-0.5, 0.5, 0.5, -0.5])
