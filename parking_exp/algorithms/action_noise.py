@@ -55,8 +55,5 @@ def make_action_noise(node: Mapping[str, Any], env: VecEnv) -> ActionNoise:
     }
     rest = {name: value for name, value in node.items() if name not in arrays}
     noise: ActionNoise = instantiate({**rest, "_partial_": True, "_convert_": "all"})(**arrays)
-    if env.num_envs == 1:
-        return noise
-    if type(noise) is NormalActionNoise:
-        return VectorizedNormalNoise(noise, env.num_envs)
-    return noise
+    is_vectorized = env.num_envs > 1 and type(noise) is NormalActionNoise
+    return VectorizedNormalNoise(noise, env.num_envs) if is_vectorized else noise

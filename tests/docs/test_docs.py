@@ -97,9 +97,10 @@ def test_python_examples_run(page, output_dir, tmp_path, monkeypatch):
         make_store(output_dir, "her_ablation", {"four": ["buffer.n_sampled_goal=4"]}, seeds=range(1))
     monkeypatch.chdir(tmp_path)
     Path("outputs").symlink_to(output_dir)
-    for title, text in blocks(page, "python"):
-        if not title:
-            exec(compile(text, str(page), "exec"), {})
+    examples = [text for title, text in blocks(page, "python") if not title]
+    assert examples
+    for text in examples:
+        exec(compile(text, str(page), "exec"), {})  # raises where an example is wrong
 
 
 def test_the_search_of_the_tuning_page_is_valid(tmp_path):

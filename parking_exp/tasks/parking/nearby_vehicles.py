@@ -1,4 +1,4 @@
-"""What the car sees of other vehicles: the nearest ones, as further entries of `observation`."""
+"""Observation of the nearest other vehicles, and Gymnasium wrappers that add it and draw the number of vehicles."""
 
 from typing import Any
 

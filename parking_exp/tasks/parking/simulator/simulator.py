@@ -81,7 +81,16 @@ class Simulator:
 
     def observe(self, rows: np.ndarray | slice = slice(None)) -> dict[str, np.ndarray]:
         """Return the observation of all scenes, or of some."""
-        return self._observation(rows)
+        state, pose = self.state, self._pose(rows)
+        observed = np.divide(pose, self.scales, order="C")
+        goals = {"achieved_goal": observed.copy(), "desired_goal": self._slot_goals[state.goal[rows]]}
+        if self.seen:
+            others, heading = state.parked[rows], state.parked_heading[rows]
+            if state.obstacles.shape[1]:
+                others = np.concatenate([others, state.obstacles[rows]], axis=1)
+                heading = np.concatenate([heading, np.zeros((len(pose), state.obstacles.shape[1]))], axis=1)
+            observed = np.concatenate([observed, nearest_vehicles(pose[:, :2], others, heading, self.seen)], axis=1)
+        return {"observation": observed, **goals}
 
     def step(self, actions: np.ndarray) -> Step:
         """Drive all scenes for one policy step; actions have the shape (n, 2): acceleration, then steering."""
@@ -205,20 +214,8 @@ class Simulator:
         np.multiply(state.speed[rows], pose[4:], out=pose[2:4])
         return pose.T
 
-    def _observation(self, rows: np.ndarray | slice = slice(None)) -> dict[str, np.ndarray]:
-        state, pose = self.state, self._pose(rows)
-        observed = np.divide(pose, self.scales, order="C")
-        goals = {"achieved_goal": observed.copy(), "desired_goal": self._slot_goals[state.goal[rows]]}
-        if self.seen:
-            others, heading = state.parked[rows], state.parked_heading[rows]
-            if state.obstacles.shape[1]:
-                others = np.concatenate([others, state.obstacles[rows]], axis=1)
-                heading = np.concatenate([heading, np.zeros((len(pose), state.obstacles.shape[1]))], axis=1)
-            observed = np.concatenate([observed, nearest_vehicles(pose[:, :2], others, heading, self.seen)], axis=1)
-        return {"observation": observed, **goals}
-
     def _outcome(self) -> Step:
-        state, observation = self.state, self._observation()
+        state, observation = self.state, self.observe()
         reward, success = self.reward(observation["achieved_goal"], observation["desired_goal"])
         crashed = state.crashed.copy()
         return Step(
