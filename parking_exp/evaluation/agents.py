@@ -10,11 +10,12 @@ from parking_exp.config.allowlist import check_trust
 from parking_exp.config.paths import directory_path, refuse_links
 from parking_exp.config.schema import RunConfig
 from parking_exp.config_model import ConfigModel
-from parking_exp.errors import RunNotFoundError
+from parking_exp.errors import RunNotFoundError, plural
 from parking_exp.runs.directory import RunDirectory
-from parking_exp.runs.lookup import find_run
+from parking_exp.runs.lookup import find_run, find_runs_below
 from parking_exp.runs.run_files import CONFIG_FILE, read_config
 from parking_exp.tasks.env_config import EnvConfig
+from parking_exp.terminal import say
 
 if TYPE_CHECKING:
     from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
@@ -79,6 +80,16 @@ def find_agent(run: str, output_dir: Path, model: ModelName = "final", *, trust:
     if not trust:
         check_trust(config, directory.path / CONFIG_FILE)
     return Agent(f"{model} model", config, weights, directory.path, directory)
+
+
+def find_agents(run: str, output_dir: Path, model: ModelName = "final", *, trust: bool = False) -> list[Agent]:
+    """Find the agent of a run, or those of all finished runs in a directory of runs, such as an experiment's."""
+    runs = find_runs_below(directory_path(run))
+    finished = [path for path in runs if (path / f"models/{model}.zip").exists()]
+    if skipped := len(runs) - len(finished):
+        say(f"left out       {plural(skipped, 'run')} without model={model}")
+    names = [str(path) for path in finished] or [run]
+    return [find_agent(name, output_dir, model, trust=trust) for name in names]
 
 
 def load_model(

@@ -1,16 +1,20 @@
-"""Evaluate a stored run, of parking on real highway-env: rates with intervals, an episodes table, a video."""
+"""Evaluate stored runs, of parking on real highway-env: rates with intervals, an episodes table, a video."""
 
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
-from omegaconf import DictConfig
+from omegaconf import DictConfig, OmegaConf
 
+from parking_exp.config.cell_labels import label_cells, settings_of
 from parking_exp.config.paths import default_uri, directory_path, is_same_store
 from parking_exp.config.run_key import short_hash
 from parking_exp.config.schema import RunConfig, StoreConfig
-from parking_exp.config.validate import parse, refuse
-from parking_exp.config_model import TRAINING_SEEDS_START, Count, EpisodeSeed, Name, NumberOfEpisodes
+from parking_exp.config.validate import check, parse, refuse
+from parking_exp.config_model import TRAINING_SEEDS_START, ConfigModel, Count, EpisodeSeed, Name, NumberOfEpisodes
 from parking_exp.errors import ConfigError, VideoError, plural
-from parking_exp.evaluation.agents import Agent, AgentRequest, is_pretrained
+from parking_exp.evaluation.agents import Agent, AgentRequest, find_agents, is_pretrained
 from parking_exp.runs.atomic_files import write_json
 from parking_exp.runs.directory import RunDirectory
 from parking_exp.tasks.env_config import EnvConfig
@@ -27,6 +31,12 @@ class ResultsTracking(StoreConfig):
     mlflow: bool
 
 
+class EvaluatedEnv(ConfigModel):
+    """The env that an agent is evaluated on."""
+
+    env: EnvConfig
+
+
 class EvaluationRequest(AgentRequest):
     """The config of scripts/evaluate.py."""
 
@@ -37,7 +47,7 @@ class EvaluationRequest(AgentRequest):
     gif: bool
     name: Name | None
     tracking: ResultsTracking
-    env: EnvConfig | None = None
+    env: dict[str, Any] | None = None  # an option of `env` with its changes, or changes of the env of training
 
     @property
     def seeds(self) -> range:
@@ -46,10 +56,29 @@ class EvaluationRequest(AgentRequest):
         return range(self.first_scene, self.first_scene + n_episodes)
 
 
+@dataclass(frozen=True)
+class Evaluation:
+    """Results of one agent.
+
+    Attributes:
+        config: of the agent's training.
+        request: what was asked for.
+        folder: where the results are.
+        rates: means of the task's metrics over episodes.
+    """
+
+    config: RunConfig
+    request: EvaluationRequest
+    folder: Path
+    rates: dict[str, float]
+
+
 def validate_request(config: DictConfig) -> EvaluationRequest:
     """Validate a composed config."""
     request = parse(EvaluationRequest, config, without=OF_RECIPES)
     n_episodes = len(request.seeds)
+    if request.env and "task" in request.env:
+        check(EvaluatedEnv, {"env": request.env})
     if request.video > n_episodes:
         raise ConfigError(f"video={request.video} is above episodes; the closest valid choice is {n_episodes}")
     if request.gif and not request.video:
@@ -60,22 +89,56 @@ def validate_request(config: DictConfig) -> EvaluationRequest:
     return request
 
 
-def evaluate_run(config: DictConfig) -> Path:
-    """Evaluate, print, and store; return the folder of the results."""
-    request = validate_request(config)
-    agent = request.agent()
-    env = _env(request, request.env or agent.config.env)
+def evaluate_runs(configs: Sequence[DictConfig]) -> list[Evaluation]:
+    """Evaluate the agents that each config names; print, and store; print a table if there are several."""
+    requests = [validate_request(config) for config in configs]
+    found = [
+        (request, agent, evaluated_env(request, agent))
+        for request in requests
+        for agent in find_agents(request.run, directory_path(request.output_dir), request.model, trust=request.trust)
+    ]
+    results = [_evaluate_agent(*item) for item in found]
+    if len(results) > 1:
+        say("", *comparison(results).split("\n"))
+    return results
+
+
+def comparison(results: Sequence[Evaluation]) -> str:
+    """Return a table of rates in percent by cell and by what the evaluations differ in: means and lowest of runs."""
+    import pandas as pd
+
+    cells = _labels([settings_of(result.config.model_dump(exclude={"seed"})) for result in results], "agent")
+    others = {"run", "output_dir", "name", "tracking", "video", "gif"}
+    asked = _labels([settings_of(result.request.model_dump(exclude=others)) for result in results], "env of training")
+    rates = [{key: 100 * rate for key, rate in result.rates.items() if key.endswith("_rate")} for result in results]
+    frame = pd.DataFrame(rates).rename(columns=lambda key: key.removesuffix("_rate"))
+    groups = frame.groupby([pd.Series(cells, name="agent"), pd.Series(asked, name="evaluated on")], sort=False)
+    table = groups.mean().add_suffix(", %")
+    table.insert(0, "runs", groups.size())
+    table.insert(2, "lowest", groups["success"].min())
+    return table.reset_index().to_string(index=False, float_format="{:.2f}".format)
+
+
+def _labels(settings: Sequence[dict[str, Any]], default: str) -> list[str]:
+    """Return what each of some settings differs in from the others; equal ones have equal labels."""
+    keys = [tuple(config.items()) for config in settings]
+    distinct = dict(zip(keys, settings, strict=True))
+    labels = label_cells([*distinct.values()], [default] * len(distinct))
+    return [dict(zip(distinct, labels, strict=True))[key] for key in keys]
+
+
+def _evaluate_agent(request: EvaluationRequest, agent: Agent, env: EnvConfig) -> Evaluation:
     folder = agent.folder / "evaluations" / (request.name or _folder_name(request, agent, env))
     if agent.directory is not None:
         say(f"run directory  {agent.directory.path}")
-    _evaluate(request, agent, env, folder)
+    rates = _evaluate(request, agent, env, folder)
     if agent.directory is not None and request.tracking.mlflow:
         _store(request, agent.directory)
     say(f"results        {folder}")
-    return folder
+    return Evaluation(agent.config, request, folder, rates)
 
 
-def _evaluate(request: EvaluationRequest, agent: Agent, env: EnvConfig, folder: Path) -> None:
+def _evaluate(request: EvaluationRequest, agent: Agent, env: EnvConfig, folder: Path) -> dict[str, float]:
     from rich.progress import Progress
 
     from parking_exp.algorithms.build_model import greedy_policy, torch_settings
@@ -92,8 +155,9 @@ def _evaluate(request: EvaluationRequest, agent: Agent, env: EnvConfig, folder: 
         outdated.unlink()
     episodes.to_csv(folder / "episodes.csv", index=False)
     chosen = {"simulator": simulator, "model": request.model, "first_scene": request.first_scene}
-    rates = {**summarise(episodes, task.metrics), "intervals": intervals(episodes, task.metrics)}
-    write_json(folder / "summary.json", {"env": env.name, **chosen, "episodes": len(episodes), **rates})
+    rates = summarise(episodes, task.metrics)
+    numbers = {"episodes": len(episodes), **rates, "intervals": intervals(episodes, task.metrics)}
+    write_json(folder / "summary.json", {"env": env.name, **chosen, **numbers})
     say(
         f"{agent.name} on {plural(len(seeds), 'episode')} of {env.name}, from seed {request.first_scene}, "
         f"simulated by {simulator}",
@@ -105,6 +169,7 @@ def _evaluate(request: EvaluationRequest, agent: Agent, env: EnvConfig, folder: 
         except VideoError as error:
             say(str(error))
         say(*(f"video          {path}" for path in sorted(folder.glob("video.*"))))
+    return rates
 
 
 def _store(request: EvaluationRequest, directory: RunDirectory) -> None:
@@ -128,8 +193,13 @@ def _store(request: EvaluationRequest, directory: RunDirectory) -> None:
         say(f"not stored     {problem}; {sync_hint(directory.output_dir, uri)}")
 
 
-def _env(request: EvaluationRequest, env: EnvConfig) -> EnvConfig:
-    """Return an `env` group with the request's simulator; ConfigError where they do not go together."""
+def evaluated_env(request: EvaluationRequest, agent: Agent) -> EnvConfig:
+    """Return the env that an agent is evaluated on, with the agent's observation; ConfigError where that is wrong."""
+    own, asked = agent.config.env, request.env or {}
+    merged: Any = asked if "task" in asked else OmegaConf.to_container(OmegaConf.merge(own.model_dump(), asked))
+    if merged["task"] == own.task:
+        merged = merged | own.model_dump(include={*own.of_agent})
+    env = check(EvaluatedEnv, {"env": merged}).env
     if (simulator := _simulator(request, env)) != env.simulator:
         env = env.model_copy(update={"simulator": simulator})
     refuse([*env.problems(), *make_task(env).problems()])

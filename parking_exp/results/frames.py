@@ -1,17 +1,27 @@
 """Load the results of runs from an MLflow store."""
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections import defaultdict
+from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
+import numpy as np
 import pandas as pd
 
 from parking_exp.config.paths import database, default_uri, directory_path, refuse_password
 from parking_exp.errors import ParkingError, ResultsError, suggestion
-from parking_exp.results.run_logs import CATEGORIES, CURVE, CURVE_TYPES, EPISODES, read_episodes, read_points
+from parking_exp.results.run_logs import (
+    CATEGORIES,
+    CURVE,
+    CURVE_TYPES,
+    EPISODES,
+    number_of_rows,
+    read_episodes,
+    read_points,
+)
 from parking_exp.tasks.registry import METRICS
 from parking_exp.tracking.client import reason
 from parking_exp.tracking.store import Store
@@ -104,13 +114,14 @@ def read_store(store: Store, experiments: str | Iterable[str] | None) -> Results
     ).astype(CURVE_TYPES)
     steps = {run_id: max((point["step"] for point in log), default=0) for run_id, log in logs.items()}
     runs["steps"] = runs["run_id"].map(steps).fillna(0).astype("int64")
-    tables, table_problems = _read_files(store, runs[runs["status"] != "running"], "episodes.csv", read_episodes)
+    tables, table_problems = _read_files(store, runs[runs["status"] != "running"], "episodes.csv", bytes)
+    episodes, damaged = _read_episodes(tables, runs)
     return Results(
         runs,
         curves.sort_values(["run_id", "step"], ignore_index=True),
-        _episodes(tables, runs["run_id"].to_list()),
+        episodes,
         store.uri,
-        (*_duplicates(runs), *log_problems, *table_problems),
+        (*_duplicates(runs), *log_problems, *table_problems, *damaged),
     )
 
 
@@ -204,18 +215,38 @@ def _read_files(
             except Exception as error:
                 problem = f"{name} can't be read: {reason(error)}"
             if problem:
-                problems.append(f"run {run['run_id']} ({run['cell']}, seed {run['seed']}): {problem}")
+                problems.append(_of_run(run, problem))
     return parsed, problems
 
 
-def _episodes(tables: Mapping[str, pd.DataFrame], run_ids: Sequence[str]) -> pd.DataFrame:
-    """Return the episodes of all runs; the categories of the column `run_id` are in the order of the runs."""
-    ids = pd.CategoricalDtype(pd.Index([*run_ids], dtype="str"))
-    columns = ["run_id", *EPISODES]
-    if not tables:
-        return pd.DataFrame(columns=columns).astype({"run_id": ids, **EPISODES})
-    episodes = pd.concat(tables, names=["run_id"]).reset_index("run_id").reindex(columns=columns)
-    return episodes.astype({"run_id": ids, **CATEGORIES}).sort_values("run_id", kind="stable", ignore_index=True)
+def _of_run(run: Mapping[Hashable, Any], problem: str) -> str:
+    return f"run {run['run_id']} ({run['cell']}, seed {run['seed']}): {problem}"
+
+
+def _read_episodes(tables: Mapping[str, bytes], runs: pd.DataFrame) -> tuple[pd.DataFrame, list[str]]:
+    """Return the episodes of all runs, in the order of `runs`, and a sentence for each file that is damaged."""
+    parsed, problems = [pd.DataFrame(columns=["run_id", *EPISODES]).astype(EPISODES)], list[str]()
+    by_header = defaultdict[bytes, list[str]](list)
+    for run_id, table in tables.items():
+        by_header[table.partition(b"\n")[0]].append(run_id)
+    for together in by_header.values():
+        with suppress(Exception):
+            parsed.append(_episodes_of(together, tables))
+            continue
+        for run_id in together:  # at least one is damaged
+            try:
+                parsed.append(_episodes_of([run_id], tables))
+            except Exception as error:
+                (run,) = runs[runs["run_id"] == run_id].to_dict("records")
+                problems.append(_of_run(run, f"episodes.csv can't be read: {reason(error)}"))
+    ids = pd.CategoricalDtype(pd.Index(runs["run_id"].to_list(), dtype="str"))
+    episodes = pd.concat(parsed).astype({"run_id": ids, **CATEGORIES})
+    return episodes.sort_values("run_id", kind="stable", ignore_index=True), problems
+
+
+def _episodes_of(run_ids: Sequence[str], tables: Mapping[str, bytes]) -> pd.DataFrame:
+    episodes = read_episodes(*(tables[run_id] for run_id in run_ids))
+    return episodes.assign(run_id=np.repeat(run_ids, [number_of_rows(tables[run_id]) for run_id in run_ids]))
 
 
 def _duplicates(runs: pd.DataFrame) -> Iterator[str]:

@@ -15,6 +15,11 @@ def find_runs(output_dir: Path, experiment: str | None = None) -> list[Path]:
     return sorted(path for path in directories if experiment in (None, path.parents[1].name))  # a name is no pattern
 
 
+def find_runs_below(folder: Path) -> list[Path]:
+    """Return the run directories in a folder, such as an experiment's or a cell's, sorted."""
+    return sorted(file.parent for depth in ("*", "*/*", "*/*/*") for file in folder.glob(f"{depth}/{STATUS_FILE}"))
+
+
 def find_run(name: str, output_dir: Path, having: str, others: Sequence[str] = ()) -> RunDirectory:
     """Find a run by its directory, its MLflow run id, or `latest`: the one whose file `having` was written last.
 

@@ -12,7 +12,7 @@ from parking_exp.config.allowlist import ALLOWED, check_trust
 from parking_exp.config.compose import composed
 from parking_exp.config.constructor_arguments import find
 from parking_exp.errors import UntrustedError
-from parking_exp.evaluation.evaluate_run import evaluate_run
+from parking_exp.evaluation.evaluate_run import evaluate_runs
 from parking_exp.runs.run_files import read_config
 
 SIDE_EFFECT = "from pathlib import Path\nPath({path!r}).touch()\ndef make(**_):\n    Path({path!r}).touch()\n    raise LookupError\nclass Made: pass\n"
@@ -46,7 +46,7 @@ def hostile(tmp_path, monkeypatch):
 
 def evaluate(directory, *arguments):
     (config,) = composed("evaluate", [f"run='{directory}'", "episodes=1", "tracking.mlflow=false", *arguments])
-    return evaluate_run(config)
+    return evaluate_runs([config])
 
 
 def test_evaluating_a_foreign_run_refuses_its_class_until_the_user_trusts_it(foreign_run, hostile):

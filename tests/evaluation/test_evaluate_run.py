@@ -14,7 +14,9 @@ from support.runs import artifacts, call_script, only_run, store
 
 from parking_exp.config.compose import composed
 from parking_exp.errors import ModelError, RunNotFoundError
-from parking_exp.evaluation.evaluate_run import evaluate_run, validate_request
+from parking_exp.evaluation.agents import find_agent
+from parking_exp.evaluation.evaluate_run import evaluate_runs, evaluated_env, validate_request
+from parking_exp.runs.atomic_files import read_json
 from parking_exp.tasks.metrics import episode_columns
 from parking_exp.tasks.parking.parking_metrics import METRICS
 
@@ -66,9 +68,40 @@ def test_another_env_the_best_model_and_a_name_can_be_chosen_and_an_earlier_vide
     assert len(pd.read_csv(folder / "episodes.csv")) == 2
 
 
+def test_a_folder_of_runs_is_evaluated_on_changes_of_the_env_of_training_with_a_table(finished):
+    directory, output_dir = finished
+    twin = directory.path.with_name("seed=8")
+    shutil.copytree(directory.path, twin)
+    (twin / "models" / "best.zip").unlink()
+    arguments = (f"run={directory.path.parents[1]}", f"output_dir={output_dir}", "episodes=3", "simulator=vectorized",
+                 "tracking.mlflow=false", "env.vehicles_count=0,20")  # fmt: skip
+    done = call_script("evaluate", *arguments)
+    assert done.returncode == 0, done.stderr
+    table = [line.split() for line in done.stdout.splitlines()[-2:]]
+    assert [row[-6] for row in table] == ["2", "2"]  # runs
+    assert [row[-7] for row in table] == ["vehicles_count=0", "vehicles_count=20"]
+    folders = {path.name for path in (twin / "evaluations").iterdir()}
+    assert len(folders) == 2  # the env of training has no cars
+    rates = [read_json(directory.path / "evaluations" / name / "summary.json") for name in folders]
+    assert {rate["episodes"] for rate in rates} == {3}
+    done = call_script("evaluate", *arguments, "model=best")
+    assert "1 run without model=best" in done.stdout
+
+
+def test_an_agent_keeps_its_observation_on_another_option_of_env(finished):
+    directory, _ = finished
+    config = OmegaConf.load(directory.path / "config.yaml")
+    OmegaConf.update(config, "env.observation.vehicles_count", 4)
+    OmegaConf.save(config, directory.path / "config.yaml")
+    (request,) = (validate_request(config) for config in composed("evaluate", ["env=parking_crowded"]))
+    env = evaluated_env(request, find_agent(str(directory.path), directory.output_dir))
+    assert (env.name, env.vehicles_count) == ("parking_crowded", 10)
+    assert env.observation.vehicles_count == 4
+
+
 def evaluate_stored(directory, *arguments):
     (config,) = composed("evaluate", [f"run='{directory.path}'", "episodes=1", "simulator=vectorized", *arguments])
-    return evaluate_run(config)
+    return evaluate_runs([config])
 
 
 def test_a_model_that_does_not_fit_its_config_or_is_damaged_or_missing_is_named(finished):
@@ -96,7 +129,8 @@ def test_a_model_that_does_not_fit_its_config_or_is_damaged_or_missing_is_named(
         (["episodes=3", "video=5"], "video=5"),
         (["gif=true"], "gif=true"),
         (["first_scene=2147483600"], "first_scene=2147483600"),
-        (["env.duration=2"], "env"),
+        (["env.durtion=2"], "env.durtion"),
+        (["env.observation.vehicles_count=4"], "env.observation.vehicles_count=4"),
         (["env=parking", "env.policy_frequency=20"], "env.policy_frequency=20"),
         (["algorithm=td3"], "algorithm"),
     ],

@@ -182,7 +182,7 @@ def test_any_goal_task_can_be_searched(tmp_path):
 def test_evaluate_takes_every_env(option):
     lines = [f"env={option}", *(["env.id=FetchReach-v4"] if option == "gymnasium" else [])]
     request = evaluate_run.validate_request(composed("evaluate", lines)[0])
-    assert request.env.name == option
+    assert request.env["name"] == option
 
 
 LEARNS = [

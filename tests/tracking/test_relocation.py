@@ -13,7 +13,7 @@ from support.tracked_runs import finished_run, rows
 from parking_exp.config.compose import composed
 from parking_exp.config.paths import default_uri
 from parking_exp.errors import ConfigError, ParkingError, StoreError, UntrustedError
-from parking_exp.evaluation.evaluate_run import evaluate_run
+from parking_exp.evaluation.evaluate_run import evaluate_runs
 from parking_exp.results.frames import load
 from parking_exp.runs.atomic_files import read_json, write_json
 from parking_exp.runs.directory import RunDirectory
@@ -28,7 +28,7 @@ EVALUATE = ("episodes=1", "simulator=vectorized", "name=again")
 def evaluate(directory, *arguments):
     """`scripts/evaluate.py run=DIRECTORY ...` in this process."""
     (config,) = composed("evaluate", [f"run='{directory.path}'", *EVALUATE, *arguments])
-    return evaluate_run(config)
+    return evaluate_runs([config])
 
 
 def snapshot(folder):
