@@ -114,7 +114,7 @@ def load_model(
 
 
 def is_pretrained(run: str) -> bool:
-    """Whether a name means an agent of this package."""
+    """Return whether a name means an agent of this package."""
     return run.partition("/")[0] == PRETRAINED
 
 

@@ -42,7 +42,7 @@ def command_line() -> str | None:
 
 
 def _git() -> dict[str, str]:
-    """Commit of this package's checkout, and whether tracked files differ from it."""
+    """Return the commit of this package's checkout, and whether tracked files differ from it."""
     root = Path(__file__).resolve().parents[2]
     if not (root / ".git").exists():
         return {}

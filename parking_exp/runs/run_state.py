@@ -91,7 +91,7 @@ def _under_way(path: Path, entries: dict[str, Any]) -> dict[str, Any]:
 
 
 def _saved_step(path: Path) -> int:
-    """Env step of the newest checkpoint; 0 without one."""
+    """Return the env step of the newest checkpoint; 0 without one."""
     names = [folder.name.removeprefix("step=") for folder in (path / "checkpoints").glob("step=*")]
     return max((int(name) for name in names if name.isdecimal()), default=0)
 

@@ -95,7 +95,7 @@ def try_mirror(directory: RunDirectory, store: Store) -> str | None:
 
 
 def mirror_missing(directories: Iterable[RunDirectory], store: Store) -> Iterator[tuple[RunDirectory, str | None]]:
-    """Mirror the runs that are tracked in a store and that it lacks or has an older state of, as one search tells.
+    """Mirror the runs that a store lacks or has an older state of, found by one search.
 
     Runs under way are skipped. The store that a run directory names is not connected to: it may come from elsewhere.
 
@@ -146,7 +146,7 @@ def _status(directory: RunDirectory) -> Status:
 
 
 def _digest(directory: RunDirectory) -> str:
-    """Return a hash that changes when the store is to have something else of a run; nothing is parsed for it."""
+    """Return a hash of what the store should have of a run, without parsing any file."""
     entries, provenance = directory.read_status(), directory.path / PROVENANCE_FILE
     state = [_status(directory), *(entries.get(name) for name in ("error", *FROM_STATUS))]
     files = [*([provenance] if provenance.exists() else []), *_files(directory).values()]

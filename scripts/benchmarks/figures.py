@@ -32,6 +32,9 @@ def figures(rounds: int, all_cores: Sequence[int], *, quick: bool) -> dict[str, 
         "simulator.crowded.n512.ratio": Figure(
             ">=", 1500, partial(simulation.stepping, "parking_crowded", 512, rounds, step_s)
         ),
+        "simulator.crowded.8_seen.n512.ratio": Figure(
+            ">=", 2500, partial(simulation.stepping, "parking_crowded", 512, rounds, step_s, seen=8)
+        ),
         "evaluation.500_scenes.wall_s": Figure("<=", 1, partial(simulation.evaluation, 50 if quick else 500, rounds)),
         **_updates(rounds, quick=quick),
         "run.tutorial.ratio": Figure(">=", 1.8, partial(training.tutorial, rounds, rounds * 8 if quick else 3000)),

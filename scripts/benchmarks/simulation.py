@@ -16,11 +16,21 @@ from parking_exp.tasks.parking.simulator import Simulator
 from parking_exp.tasks.registry import make_task
 
 
-def stepping(option: str, n_scenes: int, rounds: int, seconds_per_side: float) -> dict[str, Any]:
-    """Compare steps per second with uniformly random actions; ended episodes are restarted."""
-    env: Any = compose(f"env={option}").env
+def stepping(option: str, n_scenes: int, rounds: int, seconds_per_side: float, seen: int = 0) -> dict[str, Any]:
+    """Compare steps per second with uniformly random actions; ended episodes are restarted.
+
+    Args:
+        option: of the group `env`.
+        n_scenes: of our simulator; highway-env has one.
+        rounds: number of measurements of each side.
+        seconds_per_side: length of a measurement.
+        seen: other vehicles in our observation; highway-env's has none.
+    """
+    env: Any = compose(f"env={option}", f"env.observation.vehicles_count={seen}").env
     rng = np.random.default_rng(0)
-    simulator, peer = Simulator(env, Scenes.random(rng, n_scenes, env.vehicles_range)), make_env(env)
+    simulator = Simulator(env, Scenes.random(rng, n_scenes, env.vehicles_range))
+    unseen: Any = compose(f"env={option}").env
+    peer = make_env(unseen)
     actions = rng.uniform(-1, 1, (256, n_scenes, 2)).astype(np.float32)
     peer.reset(seed=0)
 

@@ -75,15 +75,15 @@ def repeat(config, scenes, starts, records):
     return mismatches
 
 
-def different_scenes(seeds, parked):
+def different_scenes(seeds, vehicles):
     """Seeds whose scenes are not what highway-env makes of them."""
     found = []
-    env = make_env(make_config(f"env.vehicles_count={parked}").env).unwrapped
-    scenes = Scenes.from_seeds(seeds, (parked, parked))
+    env = make_env(make_config(f"env.vehicles_count={vehicles}").env).unwrapped
+    scenes = Scenes.from_seeds(seeds, (vehicles, vehicles))
     for row, seed in enumerate(seeds):
         env.reset(seed=seed)
         things = [env.vehicle.goal, *env.road.vehicles[1:]]
-        slots = [scenes.goal[row], *scenes.parked[row]]
+        slots = [scenes.goal[row], *scenes.vehicles[row]]
         same_slots = [(*thing.position, thing.heading) for thing in things] == [
             (*SLOT_POSITIONS[slot], SLOT_HEADINGS[slot]) for slot in slots
         ]

@@ -9,6 +9,7 @@ import pandas as pd
 import pytest
 import torch
 from gymnasium.utils.env_checker import check_env
+from highway_env.vehicle.kinematics import Vehicle
 from support.runs import make_config
 from support.simulator_equality import actions_of, compare
 
@@ -81,7 +82,7 @@ def test_the_wrapper_goes_around_a_users_own_env():
 
 def test_a_scenes_number_of_vehicles_follows_the_documented_rule():
     env, scenes = make_env(env_config("[3,9]", 0)), Scenes.from_seeds(range(40), (3, 9))
-    numbers = (scenes.parked != NO_SLOT).sum(axis=1)
+    numbers = (scenes.vehicles != NO_SLOT).sum(axis=1)
     for seed, number in enumerate(numbers):
         generator = np.random.PCG64(np.random.SeedSequence(seed))
         assert number == np.random.Generator(generator.jumped()).integers(3, 10)
@@ -93,9 +94,20 @@ def test_a_scenes_number_of_vehicles_follows_the_documented_rule():
     np.testing.assert_array_equal(scenes.goal, Scenes.from_seeds(range(40), (0, 0)).goal)
 
 
+def test_no_vehicle_stands_in_the_goal_or_on_the_start_by_highway_envs_own_check():
+    env = gym.make("parking-v0", config={"vehicles_count": 26}).unwrapped
+    for seed in range(30):
+        env.reset(seed=seed)
+        (car,) = env.controlled_vehicles
+        parked = Vehicle(env.road, car.goal.position, car.goal.heading)
+        others = [vehicle for vehicle in env.road.vehicles if vehicle is not car]
+        assert len(others) == 26
+        assert not any(place._is_colliding(other, 0)[0] for place in (car, parked) for other in others)
+
+
 def test_random_scenes_have_all_numbers_equally_often():
     scenes = Scenes.random(np.random.default_rng(0), 21_000, (0, 20))
-    counts = np.bincount((scenes.parked != NO_SLOT).sum(axis=1), minlength=21)
+    counts = np.bincount((scenes.vehicles != NO_SLOT).sum(axis=1), minlength=21)
     assert (np.abs(counts - 1000) < 5 * np.sqrt(1000)).all()
 
 
@@ -163,7 +175,7 @@ def test_a_lot_with_vehicles_turned_by_180_degrees_or_mirrored_has_the_same_feat
 
 
 def test_rates_by_number_of_vehicles_and_their_figure():
-    numbers = (Scenes.from_seeds(range(40), (0, 2)).parked != NO_SLOT).sum(axis=1)
+    numbers = (Scenes.from_seeds(range(40), (0, 2)).vehicles != NO_SLOT).sum(axis=1)
     outcomes = np.array(["success", "crash", "timeout"])[numbers]
     runs = [pd.DataFrame({"scene": rows, "outcome": outcomes[rows]}) for rows in (np.arange(25), np.arange(10, 40))]
     rates = vehicle_rates(runs, {"env.vehicles_count": "[0, 2]"})

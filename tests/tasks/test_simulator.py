@@ -70,9 +70,9 @@ def test_random_scenes_have_the_distribution_of_highway_envs():
     seeded = Scenes.from_seeds(range(n), (3, 3))
     for scenes in (drawn, seeded):
         assert abs(scenes.heading.mean() - np.pi) < 5 * (2 * np.pi / np.sqrt(12 * n))
-        taken = np.concatenate([start_slot(scenes.heading)[:, None], scenes.goal[:, None], scenes.parked], axis=1)
+        taken = np.concatenate([start_slot(scenes.heading)[:, None], scenes.goal[:, None], scenes.vehicles], axis=1)
         assert all(len(set(row)) == 5 for row in taken.tolist())
-    for ours, theirs in zip((drawn.goal, *drawn.parked.T), (seeded.goal, *seeded.parked.T), strict=True):
+    for ours, theirs in zip((drawn.goal, *drawn.vehicles.T), (seeded.goal, *seeded.vehicles.T), strict=True):
         counts, expected = np.bincount(ours, minlength=28), np.bincount(theirs, minlength=28)
         assert (np.abs(counts - expected) < 5 * np.sqrt(2 * expected.mean())).all()
 

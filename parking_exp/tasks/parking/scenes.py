@@ -26,7 +26,7 @@ class Scenes:
 
     heading: np.ndarray  # the car's heading at the start, shape (n,) [rad], in [0, 2 pi)
     goal: np.ndarray  # goal slots, shape (n,)
-    parked: np.ndarray  # slots of the parked cars, in highway-env's order, NO_SLOT for none, shape (n, vehicles)
+    vehicles: np.ndarray  # slots of the parked cars, in highway-env's order, NO_SLOT for none, shape (n, vehicles)
     obstacles: np.ndarray  # places of the obstacles, shape (n, obstacles, 2) [m]
 
     def __len__(self) -> int:
@@ -74,9 +74,9 @@ class Scenes:
             for occupied in np.sort(taken[:, : column + 1], axis=1).T:
                 slot += slot >= occupied
             taken[:, column + 1] = slot
-        parked = taken[:, 2:]
-        parked[np.arange(parked.shape[1]) >= number[:, None]] = NO_SLOT
-        return Scenes(heading, taken[:, 1], parked, obstacles)
+        vehicles = taken[:, 2:]
+        vehicles[np.arange(vehicles.shape[1]) >= number[:, None]] = NO_SLOT
+        return Scenes(heading, taken[:, 1], vehicles, obstacles)
 
 
 def start_slot(heading: np.ndarray) -> np.ndarray:

@@ -80,7 +80,7 @@ class ParkingVecEnv(VecEnv):
         self._seeds = list(state["seeds"])
 
     def close(self) -> None:
-        """Nothing to close."""
+        """Do nothing: there is nothing to close."""
 
     def get_attr(self, attr_name: str, indices: int | Iterable[int] | None = None) -> list[Any]:
         """Return an attribute for each of the envs, which share it."""
@@ -101,7 +101,7 @@ class ParkingVecEnv(VecEnv):
         return self.goal_reward(achieved_goal, desired_goal)[0]
 
     def env_is_wrapped(self, wrapper_class: type, indices: int | Iterable[int] | None = None) -> list[bool]:
-        """Whether the envs are wrapped: never."""
+        """Return that no env is wrapped."""
         return [False for _ in self._get_indices(indices)]
 
     def _draw(self, number: int) -> Scenes:

@@ -139,7 +139,7 @@ class Collisions:
         self._resolve_cars(state)
         # Parked cars stand apart until one of them is pushed.
         if state.disturbed.any():
-            self._resolve_parked(state)
+            self._resolve_vehicles(state)
 
     def _resolve_cars(self, state: SceneState) -> None:
         scene, obstacle = self._near_cars(state)
@@ -166,10 +166,10 @@ class Collisions:
         state.hit[scene, 0] = True
         state.impact[scene, 0] = push
 
-    def _resolve_parked(self, state: SceneState) -> None:
+    def _resolve_vehicles(self, state: SceneState) -> None:
         rows = np.flatnonzero(state.disturbed)
         walls = np.tile(WALL_POSITIONS, (len(rows), 1, 1))
-        positions = np.concatenate([state.parked[rows], walls, state.obstacles[rows]], axis=1)
+        positions = np.concatenate([state.vehicles[rows], walls, state.obstacles[rows]], axis=1)
         first, second = self._pairs.T
         offset = positions[:, second] - positions[:, first]
         row, pair = np.nonzero(~out_of_reach(offset, CAR_DIAGONAL_M, self._diagonals[second], 0.0))
@@ -196,9 +196,9 @@ class Collisions:
         if self.count:
             cars = wall < 0
             which = scene[cars], obstacle[cars]
-            heading = state.parked_heading[which]
+            heading = state.vehicle_heading[which]
             direction = np.stack([np.cos(heading), np.sin(heading)], axis=-1)
-            obstacle_corners[cars] = corners(state.parked[which], direction, CAR_LENGTH_M, CAR_WIDTH_M)
+            obstacle_corners[cars] = corners(state.vehicles[which], direction, CAR_LENGTH_M, CAR_WIDTH_M)
         return obstacle_corners
 
     def _near_cars(self, state: SceneState) -> tuple[np.ndarray, np.ndarray]:
@@ -207,7 +207,7 @@ class Collisions:
         at_wall, wall = self._near_walls(state, travel)
         scenes, numbers = [at_wall], [self.count + wall]
         if self.count:
-            offset = state.parked - state.position.T[:, None]
+            offset = state.vehicles - state.position.T[:, None]
             scene, car = np.nonzero(~out_of_reach(offset, CAR_DIAGONAL_M, CAR_DIAGONAL_M, travel[:, None]))
             scenes, numbers = [scene, *scenes], [car, *numbers]
         if self.n_obstacles:

@@ -23,8 +23,8 @@ class SceneState:
     speed: np.ndarray  # signed, shape (n,) [m/s]
     crashed: np.ndarray  # shape (n,)
     steps: np.ndarray  # policy steps since the start, shape (n,)
-    parked: np.ndarray  # positions of the parked cars, shape (n, vehicles, 2) [m]; missing ones are far away
-    parked_heading: np.ndarray  # shape (n, vehicles) [rad]
+    vehicles: np.ndarray  # positions of the parked cars, shape (n, vehicles, 2) [m]; missing ones are far away
+    vehicle_heading: np.ndarray  # shape (n, vehicles) [rad]
     obstacles: np.ndarray  # places of the obstacles, shape (n, obstacles, 2) [m]
     hit: np.ndarray  # whether `impact` applies in the next frame, shape (n, 1 + vehicles); first the car itself
     impact: np.ndarray  # what a predicted collision will displace each by, shape (n, 1 + vehicles, 2) [m]
@@ -33,10 +33,10 @@ class SceneState:
     @classmethod
     def at_start(cls, scenes: Scenes) -> Self:
         """Return the state in which scenes start."""
-        n, count = scenes.parked.shape
-        parked = SLOT_POSITIONS[scenes.parked]
-        row, vehicle = np.nonzero(scenes.parked == NO_SLOT)
-        parked[row, vehicle, 0] = 2 * FAR_M * (1 + vehicle)  # apart from each other
+        n, count = scenes.vehicles.shape
+        vehicles = SLOT_POSITIONS[scenes.vehicles]
+        row, vehicle = np.nonzero(scenes.vehicles == NO_SLOT)
+        vehicles[row, vehicle, 0] = 2 * FAR_M * (1 + vehicle)  # apart from each other
         return cls(
             goal=scenes.goal.copy(),
             position=np.zeros((2, n)),
@@ -45,8 +45,8 @@ class SceneState:
             speed=np.zeros(n),
             crashed=np.zeros(n, bool),
             steps=np.zeros(n, np.int64),
-            parked=parked,
-            parked_heading=SLOT_HEADINGS[scenes.parked],
+            vehicles=vehicles,
+            vehicle_heading=SLOT_HEADINGS[scenes.vehicles],
             obstacles=scenes.obstacles.copy(),
             hit=np.zeros((n, 1 + count), bool),
             impact=np.zeros((n, 1 + count, 2)),

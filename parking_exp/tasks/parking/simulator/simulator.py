@@ -61,7 +61,7 @@ class Simulator:
         slots[:, 4], slots[:, 5] = np.cos(SLOT_HEADINGS), np.sin(SLOT_HEADINGS)
         self._slot_goals = slots / self.scales
         self._collisions = Collisions(self.dt, config.vehicles_range[1], config.obstacles, walls=config.add_walls)
-        sizes = scenes.parked.shape[1], scenes.obstacles.shape[1]
+        sizes = scenes.vehicles.shape[1], scenes.obstacles.shape[1]
         assert sizes == (config.vehicles_range[1], config.obstacles), f"scenes have {sizes} vehicles and obstacles"
         self.start(scenes)
 
@@ -85,7 +85,7 @@ class Simulator:
         observed = np.divide(pose, self.scales, order="C")
         goals = {"achieved_goal": observed.copy(), "desired_goal": self._slot_goals[state.goal[rows]]}
         if self.seen:
-            others, heading = state.parked[rows], state.parked_heading[rows]
+            others, heading = state.vehicles[rows], state.vehicle_heading[rows]
             if state.obstacles.shape[1]:
                 others = np.concatenate([others, state.obstacles[rows]], axis=1)
                 heading = np.concatenate([heading, np.zeros((len(pose), state.obstacles.shape[1]))], axis=1)
@@ -165,19 +165,19 @@ class Simulator:
             may |= near[0]
             may |= near[1]
         reach_m = ahead * (self.frames + 1) + CAR_DIAGONAL_M
-        if state.parked.shape[1]:
-            may |= self._near_parked(reach_m)
+        if state.vehicles.shape[1]:
+            may |= self._near_vehicles(reach_m)
         if state.obstacles.shape[1]:
             offset = state.obstacles - state.position.T[:, None]
             may |= (offset[..., 0] ** 2 + offset[..., 1] ** 2 < reach_m[:, None] ** 2).any(axis=1)
         return np.flatnonzero(may)
 
-    def _near_parked(self, reach: np.ndarray) -> np.ndarray:
+    def _near_vehicles(self, reach: np.ndarray) -> np.ndarray:
         """Return a mask of the scenes where a parked car is near, or has been moved."""
         state = self.state
         near: np.ndarray = state.disturbed.copy()
         close = np.flatnonzero(np.abs(state.position[1]) + reach > ROW_M)
-        offset = state.parked[close] - state.position[:, close].T[:, None, :]
+        offset = state.vehicles[close] - state.position[:, close].T[:, None, :]
         near[close] |= (offset[..., 0] ** 2 + offset[..., 1] ** 2 < reach[close, None] ** 2).any(axis=1)
         return near
 
@@ -200,7 +200,7 @@ class Simulator:
             if state.hit.any():
                 impact = np.where(state.hit[..., None], state.impact, 0.0)
                 state.position += impact[:, 0].T
-                state.parked += impact[:, 1:]
+                state.vehicles += impact[:, 1:]
                 state.crashed |= state.hit[:, 0]
                 state.hit[:] = False
             state.direction = _direction(state.heading)
