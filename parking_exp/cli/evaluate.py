@@ -1,11 +1,9 @@
 """`scripts/evaluate.py` and `parking-evaluate`: evaluate trained agents."""
 
-import re
-
 from parking_exp.cli.command import run_command
 from parking_exp.config.compose import composed
 from parking_exp.errors import ConfigError
-from parking_exp.evaluation.evaluate_run import OF_RECIPES, evaluate_runs
+from parking_exp.evaluation.evaluate_run import TRAINING_KEYS, evaluate_runs
 
 
 def main() -> None:
@@ -22,15 +20,20 @@ def as_overrides(words: list[str]) -> list[str]:
     """Return words as overrides: without an option of `env`, `env.KEY` changes the env of the agent's training.
 
     Raises:
-        ConfigError: a word is a key of training, which options of `env` add to the config.
+        ConfigError: a word is a key of training, which options of `env` add to the config, or of the agent.
     """
     has_option = any(word.startswith("env=") for word in words)
     for word in words:
-        key = re.split(r"=", word.lstrip("+~"), maxsplit=1)[0]
-        if re.split(r"[./]", key)[0] in OF_RECIPES:
+        key, _, value = word.lstrip("+~").partition("=")
+        section = key.replace("/", ".").partition(".")[0]
+        if section in TRAINING_KEYS:
             raise ConfigError(
                 f"{word} is a key of training; evaluate.py takes the keys of conf/evaluate.yaml and env.KEY"
             )
         if f"{key}.".startswith("env.observation."):
-            raise ConfigError(f"{word}: the observation is the one that the agent was trained with")
+            raise ConfigError(f"{word}: the observation is always that of the agent's training")
+        if key == "env.simulator":
+            raise ConfigError(f"{word}: choose it by simulator={value}")
+        if key == "env.task" or (key == "env" and value.startswith("{")):
+            raise ConfigError(f"{word}: choose an option by env=NAME, and change its keys by env.KEY=VALUE")
     return words if has_option else [f"++{word}" if word.startswith("env.") else word for word in words]

@@ -83,13 +83,17 @@ def find_agent(run: str, output_dir: Path, model: ModelName = "final", *, trust:
 
 
 def find_agents(run: str, output_dir: Path, model: ModelName = "final", *, trust: bool = False) -> list[Agent]:
-    """Find the agent of a run, or those of all finished runs in a directory of runs, such as an experiment's."""
-    runs = find_runs_below(directory_path(run))
-    finished = [path for path in runs if (path / f"models/{model}.zip").exists()]
-    if skipped := len(runs) - len(finished):
-        say(f"left out       {plural(skipped, 'run')} without model={model}")
-    names = [str(path) for path in finished] or [run]
-    return [find_agent(name, output_dir, model, trust=trust) for name in names]
+    """Find the agent of a run, or those of all finished runs in a directory, such as an experiment's."""
+    folder = directory_path(run)
+    runs = [] if is_pretrained(run) else [RunDirectory(path) for path in find_runs_below(folder)]
+    if not runs:
+        return [find_agent(run, output_dir, model, trust=trust)]
+    finished = [directory for directory in runs if directory.status == "done"]
+    if not finished:
+        raise RunNotFoundError(f"run={run}: none of its {plural(len(runs), 'run')} is finished")
+    if unfinished := len(runs) - len(finished):
+        say(f"left out       {plural(unfinished, 'run')} that {'is' if unfinished == 1 else 'are'} not finished")
+    return [find_agent(str(directory.path), output_dir, model, trust=trust) for directory in finished]
 
 
 def load_model(

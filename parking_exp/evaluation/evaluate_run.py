@@ -1,17 +1,18 @@
-"""Evaluate stored runs, of parking on real highway-env: rates with intervals, an episodes table, a video."""
+"""Evaluate stored runs: rates with intervals, a table of episodes, a video."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 from omegaconf import DictConfig, OmegaConf
 
-from parking_exp.config.cell_labels import label_cells, settings_of
+from parking_exp.config.cell_labels import can_matter, cell_labels, find_factors, settings_of
 from parking_exp.config.paths import default_uri, directory_path, is_same_store
 from parking_exp.config.run_key import short_hash
 from parking_exp.config.schema import RunConfig, StoreConfig
-from parking_exp.config.validate import check, parse, refuse
+from parking_exp.config.validate import SWEEP_KEYS, check, parse, refuse
 from parking_exp.config_model import TRAINING_SEEDS_START, ConfigModel, Count, EpisodeSeed, Name, NumberOfEpisodes
 from parking_exp.errors import ConfigError, VideoError, plural
 from parking_exp.evaluation.agents import Agent, AgentRequest, find_agents, is_pretrained
@@ -21,7 +22,8 @@ from parking_exp.tasks.env_config import EnvConfig
 from parking_exp.tasks.registry import make_task
 from parking_exp.terminal import Screen, say
 
-OF_RECIPES = {*RunConfig.model_fields} - {"env", "output_dir", "tracking"}  # keys that an option of `env` may set
+TRAINING_KEYS = ({*RunConfig.model_fields} | SWEEP_KEYS) - {"env", "output_dir", "tracking"}
+"""Keys of the recipe that an option of `env` may set."""
 EPISODES, PRETRAINED_EPISODES = 100, 20  # by default; the cards of pretrained agents have the rates of 500
 
 
@@ -58,24 +60,26 @@ class EvaluationRequest(AgentRequest):
 
 @dataclass(frozen=True)
 class Evaluation:
-    """Results of one agent.
+    """An agent, and what it is evaluated on."""
 
-    Attributes:
-        config: of the agent's training.
-        request: what was asked for.
-        folder: where the results are.
-        rates: means of the task's metrics over episodes.
-    """
-
-    config: RunConfig
     request: EvaluationRequest
-    folder: Path
-    rates: dict[str, float]
+    agent: Agent
+    env: EnvConfig
+
+    @property
+    def folder(self) -> Path:
+        """Where the results go."""
+        return self.agent.folder / "evaluations" / (self.request.name or _folder_name(self))
+
+    def settings(self, env: EnvConfig) -> dict[str, Any]:
+        """Return what was asked for, with an env: dotted keys without what belongs to the agent."""
+        asked = self.request.model_dump(include={"model", "episodes", "first_scene", "simulator"})
+        return settings_of({**asked, "env": env.model_dump(exclude={"simulator", *env.agent_keys})})
 
 
 def validate_request(config: DictConfig) -> EvaluationRequest:
     """Validate a composed config."""
-    request = parse(EvaluationRequest, config, without=OF_RECIPES)
+    request = parse(EvaluationRequest, config, without=TRAINING_KEYS)
     n_episodes = len(request.seeds)
     if request.env and "task" in request.env:
         check(EvaluatedEnv, {"env": request.env})
@@ -89,62 +93,72 @@ def validate_request(config: DictConfig) -> EvaluationRequest:
     return request
 
 
-def evaluate_runs(configs: Sequence[DictConfig]) -> list[Evaluation]:
-    """Evaluate the agents that each config names; print, and store; print a table if there are several."""
+def evaluate_runs(configs: Sequence[DictConfig]) -> None:
+    """Evaluate the agents that each config names, print and store their results; several make a table."""
     requests = [validate_request(config) for config in configs]
-    found = [
-        (request, agent, evaluated_env(request, agent))
+    find = cache(find_agents)  # once, for all the envs that they are evaluated on
+    evaluations = [
+        Evaluation(request, agent, evaluated_env(request, agent))
         for request in requests
-        for agent in find_agents(request.run, directory_path(request.output_dir), request.model, trust=request.trust)
+        for agent in find(request.run, directory_path(request.output_dir), request.model, trust=request.trust)
     ]
-    results = [_evaluate_agent(*item) for item in found]
-    if len(results) > 1:
-        say("", *comparison(results).split("\n"))
-    return results
+    if len({evaluation.folder for evaluation in evaluations}) < len(evaluations):
+        raise ConfigError("these are several evaluations of one agent, each with a folder of its own; leave name out")
+    rates = [_evaluate_and_store(evaluation) for evaluation in evaluations]
+    if len(evaluations) > 1:
+        say("", *comparison(evaluations, rates).split("\n"))
 
 
-def comparison(results: Sequence[Evaluation]) -> str:
-    """Return a table of rates in percent by cell and by what the evaluations differ in: means and lowest of runs."""
+def comparison(evaluations: Sequence[Evaluation], rates: Sequence[dict[str, float]]) -> str:
+    """Return a table of mean rates by cell and evaluated env, with the lowest success of a run."""
     import pandas as pd
 
-    cells = _labels([settings_of(result.config.model_dump(exclude={"seed"})) for result in results], "agent")
-    others = {"run", "output_dir", "name", "tracking", "video", "gif"}
-    asked = _labels([settings_of(result.request.model_dump(exclude=others)) for result in results], "env of training")
-    rates = [{key: 100 * rate for key, rate in result.rates.items() if key.endswith("_rate")} for result in results]
-    frame = pd.DataFrame(rates).rename(columns=lambda key: key.removesuffix("_rate"))
-    groups = frame.groupby([pd.Series(cells, name="agent"), pd.Series(asked, name="evaluated on")], sort=False)
+    configs = [settings_of(evaluation.agent.config.model_dump(exclude={"seed"})) for evaluation in evaluations]
+    cells = _labels(configs, [evaluation.agent.config.experiment_name for evaluation in evaluations], "agent")
+    # Changes are named, too, where there is one evaluation of each agent.
+    asked = [evaluation.settings(evaluation.env) for evaluation in evaluations]
+    unchanged = [evaluation.settings(evaluation.agent.config.env) for evaluation in evaluations]
+    changes = _labels([*asked, *unchanged], [""] * 2 * len(asked), "env of training")[: len(asked)]
+    percent = [{key: 100 * rate for key, rate in row.items() if key.endswith("_rate")} for row in rates]
+    frame = pd.DataFrame(percent).rename(columns=lambda key: key.removesuffix("_rate"))
+    groups = frame.groupby([pd.Series(cells, name="agent"), pd.Series(changes, name="evaluated on")], sort=False)
     table = groups.mean().add_suffix(", %")
     table.insert(0, "runs", groups.size())
-    table.insert(2, "lowest", groups["success"].min())
-    return table.reset_index().to_string(index=False, float_format="{:.2f}".format)
+    table.insert(2, "lowest success, %", groups["success"].min())
+    return table.reset_index().to_string(index=False, float_format="{:.2f}".format, na_rep="")
 
 
-def _labels(settings: Sequence[dict[str, Any]], default: str) -> list[str]:
-    """Return what each of some settings differs in from the others; equal ones have equal labels."""
-    keys = [tuple(config.items()) for config in settings]
+def _labels(settings: Sequence[dict[str, Any]], experiments: Sequence[str], default: str) -> list[str]:
+    """Return what differs between settings; equal ones have equal labels, a single one the default."""
+    keys = [
+        (name, tuple(sorted(item for item in config.items() if can_matter(item[0]))))
+        for name, config in zip(experiments, settings, strict=True)
+    ]
     distinct = dict(zip(keys, settings, strict=True))
-    labels = label_cells([*distinct.values()], [default] * len(distinct))
+    factors, values = find_factors([*distinct.values()], [key[0] for key in distinct])
+    labels = cell_labels(factors, values, [default] * len(distinct)) if len(distinct) > 1 else [default]
     return [dict(zip(distinct, labels, strict=True))[key] for key in keys]
 
 
-def _evaluate_agent(request: EvaluationRequest, agent: Agent, env: EnvConfig) -> Evaluation:
-    folder = agent.folder / "evaluations" / (request.name or _folder_name(request, agent, env))
-    if agent.directory is not None:
-        say(f"run directory  {agent.directory.path}")
-    rates = _evaluate(request, agent, env, folder)
-    if agent.directory is not None and request.tracking.mlflow:
-        _store(request, agent.directory)
-    say(f"results        {folder}")
-    return Evaluation(agent.config, request, folder, rates)
+def _evaluate_and_store(evaluation: Evaluation) -> dict[str, float]:
+    directory, request = evaluation.agent.directory, evaluation.request
+    if directory is not None:
+        say(f"run directory  {directory.path}")
+    rates = _evaluate(evaluation)
+    if directory is not None and request.tracking.mlflow:
+        _store(request, directory)
+    say(f"results        {evaluation.folder}")
+    return rates
 
 
-def _evaluate(request: EvaluationRequest, agent: Agent, env: EnvConfig, folder: Path) -> dict[str, float]:
+def _evaluate(evaluation: Evaluation) -> dict[str, float]:
     from rich.progress import Progress
 
     from parking_exp.algorithms.build_model import greedy_policy, torch_settings
     from parking_exp.evaluation.evaluate_policy import describe, evaluate, intervals, summarise
     from parking_exp.evaluation.video import record
 
+    request, agent, env, folder = evaluation.request, evaluation.agent, evaluation.env, evaluation.folder
     task, simulator = make_task(env), _simulator(request, env)
     policy, seeds, screen = greedy_policy(agent.model(env)), request.seeds, Screen(stderr=True)
     with torch_settings(agent.config), Progress(console=screen, transient=True, disable=not screen.is_terminal) as bar:
@@ -157,9 +171,9 @@ def _evaluate(request: EvaluationRequest, agent: Agent, env: EnvConfig, folder: 
     chosen = {"simulator": simulator, "model": request.model, "first_scene": request.first_scene}
     rates = summarise(episodes, task.metrics)
     numbers = {"episodes": len(episodes), **rates, "intervals": intervals(episodes, task.metrics)}
-    write_json(folder / "summary.json", {"env": env.name, **chosen, **numbers})
+    write_json(folder / "summary.json", {"env": env.name, "env_config": env.model_dump(), **chosen, **numbers})
     say(
-        f"{agent.name} on {plural(len(seeds), 'episode')} of {env.name}, from seed {request.first_scene}, "
+        f"{agent.name} on {plural(len(seeds), 'episode')} of {_env_text(evaluation)}, from seed {request.first_scene}, "
         f"simulated by {simulator}",
         *describe(episodes, task.metrics).split("\n"),
     )
@@ -197,13 +211,21 @@ def evaluated_env(request: EvaluationRequest, agent: Agent) -> EnvConfig:
     """Return the env that an agent is evaluated on, with the agent's observation; ConfigError where that is wrong."""
     own, asked = agent.config.env, request.env or {}
     merged: Any = asked if "task" in asked else OmegaConf.to_container(OmegaConf.merge(own.model_dump(), asked))
-    if merged["task"] == own.task:
-        merged = merged | own.model_dump(include={*own.of_agent})
-    env = check(EvaluatedEnv, {"env": merged}).env
+    if merged["task"] != own.task:
+        raise ConfigError(f"env={merged.get('name')}: the agent was trained on env={own.name}, which is another task")
+    env = check(EvaluatedEnv, {"env": merged | own.model_dump(include={*own.agent_keys})}).env
     if (simulator := _simulator(request, env)) != env.simulator:
         env = env.model_copy(update={"simulator": simulator})
     refuse([*env.problems(), *make_task(env).problems()])
     return env
+
+
+def _env_text(evaluation: Evaluation) -> str:
+    """Return the name of an env, with what differs from an agent's own env of that name."""
+    env, own = evaluation.env, evaluation.agent.config.env
+    before, now = evaluation.settings(own), evaluation.settings(env)
+    changes = [f"{key.removeprefix('env.')}={value}" for key, value in now.items() if before.get(key) != value]
+    return f"{env.name} ({', '.join(changes)})" if changes and env.name == own.name else env.name
 
 
 def _simulator(request: EvaluationRequest, env: EnvConfig) -> str:
@@ -213,11 +235,12 @@ def _simulator(request: EvaluationRequest, env: EnvConfig) -> str:
     return request.simulator or env.simulators[-1]
 
 
-def _folder_name(request: EvaluationRequest, agent: Agent, env: EnvConfig) -> str:
+def _folder_name(evaluation: Evaluation) -> str:
+    request, env = evaluation.request, evaluation.env
     name = f"{env.name}-{request.model}-seeds-{request.seeds[0]}-{request.seeds[-1]}"
     if env.simulator != env.simulators[-1]:
         name += f"-{env.simulator}"
-    own = agent.config.env.model_dump()
+    own = evaluation.agent.config.env.model_dump()
     if env.model_dump() != own | ({"simulator": env.simulator} if "simulator" in own else {}):
         name += f"-{short_hash(env.model_dump())}"  # the same option with other values is another evaluation
     return name

@@ -15,7 +15,7 @@ class GymnasiumConfig(ConfigModel):
 
     simulators: ClassVar[tuple[str, ...]] = ("gymnasium",)
     simulator: ClassVar[str] = "gymnasium"
-    of_agent: ClassVar[tuple[str, ...]] = ()
+    agent_keys: ClassVar[tuple[str, ...]] = ()
 
     task: Literal["gymnasium"]
     name: Name

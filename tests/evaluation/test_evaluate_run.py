@@ -17,6 +17,7 @@ from parking_exp.errors import ModelError, RunNotFoundError
 from parking_exp.evaluation.agents import find_agent
 from parking_exp.evaluation.evaluate_run import evaluate_runs, evaluated_env, validate_request
 from parking_exp.runs.atomic_files import read_json
+from parking_exp.runs.directory import RunDirectory
 from parking_exp.tasks.metrics import episode_columns
 from parking_exp.tasks.parking.parking_metrics import METRICS
 
@@ -72,7 +73,6 @@ def test_a_folder_of_runs_is_evaluated_on_changes_of_the_env_of_training_with_a_
     directory, output_dir = finished
     twin = directory.path.with_name("seed=8")
     shutil.copytree(directory.path, twin)
-    (twin / "models" / "best.zip").unlink()
     arguments = (f"run={directory.path.parents[1]}", f"output_dir={output_dir}", "episodes=3", "simulator=vectorized",
                  "tracking.mlflow=false", "env.vehicles_count=0,20")  # fmt: skip
     done = call_script("evaluate", *arguments)
@@ -80,12 +80,19 @@ def test_a_folder_of_runs_is_evaluated_on_changes_of_the_env_of_training_with_a_
     table = [line.split() for line in done.stdout.splitlines()[-2:]]
     assert [row[-6] for row in table] == ["2", "2"]  # runs
     assert [row[-7] for row in table] == ["vehicles_count=0", "vehicles_count=20"]
-    folders = {path.name for path in (twin / "evaluations").iterdir()}
-    assert len(folders) == 2  # the env of training has no cars
-    rates = [read_json(directory.path / "evaluations" / name / "summary.json") for name in folders]
-    assert {rate["episodes"] for rate in rates} == {3}
-    done = call_script("evaluate", *arguments, "model=best")
-    assert "1 run without model=best" in done.stdout
+    summaries = [read_json(path) for path in (twin / "evaluations").glob("*/summary.json")]
+    assert {summary["env_config"]["vehicles_count"] for summary in summaries} == {0, 20}
+    assert "3 episodes of parking (vehicles_count=20), from seed 0" in done.stdout
+    done = call_script("evaluate", *arguments[:-1], "env.vehicles_count=20")
+    assert done.stdout.splitlines()[-1].split()[1] == "vehicles_count=20"  # named, where it is the only one
+    done = call_script("evaluate", *arguments, "name=same")
+    assert done.returncode == 2 and "name" in done.stderr
+    RunDirectory(twin).update(status="failed")
+    done = call_script("evaluate", *arguments[:-1])
+    assert "1 run that is not finished" in done.stdout
+    RunDirectory(directory.path).update(status="running")
+    done = call_script("evaluate", *arguments)
+    assert "none of its 2 runs is finished" in done.stderr
 
 
 def test_an_agent_keeps_its_observation_on_another_option_of_env(finished):
@@ -131,6 +138,11 @@ def test_a_model_that_does_not_fit_its_config_or_is_damaged_or_missing_is_named(
         (["first_scene=2147483600"], "first_scene=2147483600"),
         (["env.durtion=2"], "env.durtion"),
         (["env.observation.vehicles_count=4"], "env.observation.vehicles_count=4"),
+        (["env.simulator=vectorized"], "simulator=vectorized"),
+        (["env.task=gymnasium"], "env.task=gymnasium"),
+        (["env={duration: 3}"], "env={duration: 3}"),
+        (["env=fetch_reach"], "env=fetch_reach"),
+        (["seeds=3"], "seeds=3"),
         (["env=parking", "env.policy_frequency=20"], "env.policy_frequency=20"),
         (["algorithm=td3"], "algorithm"),
     ],

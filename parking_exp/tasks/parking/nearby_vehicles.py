@@ -11,7 +11,7 @@ from parking_exp.tasks.parking.scenes import drawn_number
 
 ENTRIES = ("presence", "x", "y", "cos_h", "sin_h")
 """Of each vehicle, in highway-env's words and scales: x and y are relative to the car, along the axes of the lot."""
-FAR_M = 1e6  # a vehicle this far away is none
+FAR_M = 1e6  # vehicles farther away than this count as absent
 
 
 def nearest_vehicles(position: np.ndarray, others: np.ndarray, heading: np.ndarray, count: int) -> np.ndarray:
@@ -70,7 +70,7 @@ class NearbyVehicles(gym.ObservationWrapper, gym.utils.RecordConstructorArgs):
         car, road = self.unwrapped.vehicle, self.unwrapped.road
         others = [vehicle for vehicle in road.vehicles if vehicle is not car]
         # Walls are obstacles with a length of their own.
-        others += [thing for thing in road.objects if isinstance(thing, Obstacle) and thing.LENGTH == Obstacle.LENGTH]
+        others += [item for item in road.objects if isinstance(item, Obstacle) and item.LENGTH == Obstacle.LENGTH]
         positions = np.array([vehicle.position for vehicle in others]).reshape(1, -1, 2)
         headings = np.array([[vehicle.heading for vehicle in others]])
         seen = nearest_vehicles(car.position[None], positions, headings, self.vehicles_count)[0]

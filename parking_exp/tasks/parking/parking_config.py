@@ -60,7 +60,7 @@ class ParkingConfig(ConfigModel):
 
     simulators: ClassVar[tuple[str, ...]] = ("vectorized", "highway_env")
     imports: ClassVar[dict[str, str]] = {}  # keys by which making an env imports a module: none
-    of_agent: ClassVar[tuple[str, ...]] = ("observation",)  # keys that evaluation takes from an agent's training
+    agent_keys: ClassVar[tuple[str, ...]] = ("observation",)  # keys that evaluation takes from an agent's training
 
     task: Literal["parking"]
     name: Name
