@@ -28,11 +28,7 @@ class UntrustedError(ParkingError):
 
 
 class ModelError(ParkingError):
-    """A model file that does not fit the model, or a class whose files do not contain all weights."""
-
-
-class DamagedModelError(ModelError):
-    """A model file that can't be read, or contains anything but weights."""
+    """A model file that is damaged or does not fit the model, or a class whose files do not contain all weights."""
 
 
 class OutputDirectoryError(ParkingError):
@@ -59,7 +55,7 @@ class VideoError(ParkingError):
     """An environment cannot be rendered on this machine."""
 
 
-class CertificationError(ParkingError):
+class CrossCheckError(ParkingError):
     """The simulator and highway-env disagree on an episode."""
 
 
@@ -73,6 +69,11 @@ class InterruptedRunError(ParkingError):
 
 class FailedRunError(ParkingError):
     """A run that failed. The cause is its `__cause__`; the traceback is in the run directory."""
+
+
+def first_line(error: BaseException) -> str:
+    """Return the first line of an error's message, or the name of its class where it has none."""
+    return (str(error).splitlines() or [type(error).__name__])[0]
 
 
 def plural(number: int, noun: str) -> str:

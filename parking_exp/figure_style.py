@@ -6,22 +6,13 @@ from collections.abc import Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import matplotlib.style
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import EngFormatter
-
-
-class LabelledCell(Protocol):
-    """A cell of a report, as far as figures name it."""
-
-    @property
-    def label(self) -> str:
-        """Return what distinguishes it from the others."""
-
 
 Drawing = tuple[Figure, str]
 """A figure and its caption."""
@@ -73,7 +64,7 @@ def clean(text: str) -> str:
     return " ".join("".join(kept).split())
 
 
-def cell_labels(cells: Sequence[LabelledCell], width: int, lines: int = 1) -> list[str]:
+def wrapped_labels(cells: Sequence[Any], width: int, lines: int = 1) -> list[str]:
     """Return a label for each cell of at most `lines` lines of `width` characters; longer ones are cut at their end."""
     return [textwrap.fill(clean(cell.label), width, max_lines=lines, placeholder="…") for cell in cells]
 

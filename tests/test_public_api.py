@@ -31,7 +31,7 @@ PUBLIC_PATHS = (
     "parking_exp.tasks.parking.features.FineEgoFrameExtractor",
     "parking_exp.algorithms.policy_files.load_policy",
     "parking_exp.buffers.HerBuffer",
-    "parking_exp.tasks.parking.reward.GoalReward",
+    "parking_exp.tasks.parking.reward.ParkingReward",
     "parking_exp.tasks.parking.nearby_vehicles.NearbyVehicles",
     "parking_exp.tasks.parking.nearby_vehicles.RandomVehiclesCount",
     "parking_exp.tasks.parking.obstacles",

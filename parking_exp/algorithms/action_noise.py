@@ -11,7 +11,7 @@ from stable_baselines3.common.vec_env import VecEnv
 
 
 class EpsilonRandomActionNoise(NormalActionNoise):
-    """Add normal noise, and with probability `epsilon` instead noise of the width of an action.
+    """Draw normal noise, or with probability `epsilon` uniform noise in [-2, 2].
 
     As HER's authors explore (Plappert et al. 2018, arXiv:1802.09464, appendix): normal noise alone seldom leads a
     robot's gripper to a box. Theirs is a random action; noise does not know the action, so this one is uniform in

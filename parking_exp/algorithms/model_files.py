@@ -13,7 +13,7 @@ import torch
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from stable_baselines3.common.save_util import recursive_getattr
 
-from parking_exp.errors import DamagedModelError, ModelError
+from parking_exp.errors import ModelError
 from parking_exp.runs.atomic_files import replacing
 
 VARIABLES = "pytorch_variables"
@@ -35,8 +35,8 @@ def load_weights(path: Path, model: OffPolicyAlgorithm) -> None:
     """Load all parameters, optimizers and other tensors of a model.
 
     Raises:
-        DamagedModelError: the file cannot be read, or holds something else than weights.
-        ModelError: it is the file of another model; the model may have some of its weights then.
+        ModelError: the file cannot be read, holds something else than weights, or is that of another model, which may
+            have some of its weights then.
     """
     weights = read_weights(path, model.device)
     variables = weights.pop(VARIABLES, None) or {}
@@ -58,7 +58,7 @@ def read_weights(path: Path, device: torch.device) -> dict[str, Any]:
     """Return all state dicts of a model file by name, and its single tensors under `pytorch_variables`.
 
     Raises:
-        DamagedModelError: bytes are missing or changed, or there is something else than weights.
+        ModelError: bytes are missing or changed, or there is something else than weights.
     """
     content = io.BytesIO(path.read_bytes())
     try:
@@ -72,4 +72,4 @@ def read_weights(path: Path, device: torch.device) -> dict[str, Any]:
             }
     except Exception as error:  # damaged bytes make zipfile and torch raise anything; no disk is read here
         reason = re.split(r"\.\s|\n", str(error))[0] or type(error).__name__
-        raise DamagedModelError(f"{path} is damaged ({reason})") from error
+        raise ModelError(f"{path} is damaged ({reason})") from error

@@ -15,7 +15,7 @@ from torch import nn
 
 from parking_exp.tasks.feature_extractors import TaskFeatures
 
-SMALLEST_STD, LARGEST = 1e-2, 5.0  # of the paper's implementation: clipped to five standard deviations
+MIN_STD, CLIP = 1e-2, 5.0  # of the paper's implementation: clipped to five standard deviations
 KINDS = {"observation": "observation", "achieved_goal": "goal", "desired_goal": "goal"}
 
 
@@ -46,9 +46,9 @@ class Normalizer(nn.Module):
         count, total, squares = (self.get_buffer(f"{kind}_{name}") for name in ("count", "sum", "squares"))
         known = torch.clamp(count, min=1.0)
         mean = total / known
-        deviation = torch.sqrt(torch.clamp(squares / known - mean**2, min=SMALLEST_STD**2))
+        deviation = torch.sqrt(torch.clamp(squares / known - mean**2, min=MIN_STD**2))
         deviation = torch.where(count > 0, deviation, torch.ones_like(deviation))
-        return ((values - mean) / deviation).clamp(-LARGEST, LARGEST).float()
+        return ((values - mean) / deviation).clamp(-CLIP, CLIP).float()
 
 
 class NormalizedExtractor(TaskFeatures):

@@ -70,7 +70,7 @@ def export_onnx(model: OffPolicyAlgorithm, path: Path) -> None:
             dynamo=False,
         )
         graph = onnx.load(temporary)
-        # Entries that the policy does not look at have vanished; whole observations are fed.
+        # Restore the inputs that the exporter dropped because the policy does not use them.
         del graph.graph.input[:]
         for name, value in observations.items():
             shape = ["batch", *value.shape[1:]]

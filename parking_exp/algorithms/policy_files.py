@@ -1,7 +1,7 @@
 """Save and load an actor's weights as safetensors: nothing in such a file can be executed.
 
-Two policies can have weights of the same names and shapes, and other actions: the file's metadata names the classes of
-its policy and of its features extractor.
+Policies of different classes can have weights of the same names and shapes, so the file's metadata names the classes of
+the policy and of its features extractor.
 """
 
 from pathlib import Path
@@ -12,7 +12,7 @@ from safetensors.torch import save
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 
 from parking_exp.algorithms.policy_ema import ACTOR
-from parking_exp.errors import DamagedModelError, ModelError
+from parking_exp.errors import ModelError
 from parking_exp.runs.atomic_files import replacing
 
 
@@ -32,15 +32,14 @@ def load_policy(path: Path, model: OffPolicyAlgorithm) -> None:
     """Give a model's actor the weights of a file, all of them or none; its critics stay as they are.
 
     Raises:
-        DamagedModelError: the file cannot be read.
-        ModelError: it is the actor of another model.
+        ModelError: the file cannot be read, or is the actor of another model.
     """
     try:
         with safe_open(path, framework="pt") as file:
             metadata = file.metadata() or {}
             weights = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 (it has no items)
     except SafetensorError as error:
-        raise DamagedModelError(f"{path} is damaged ({error})") from error
+        raise ModelError(f"{path} is damaged ({error})") from error
     actor = _actor(model)
     for part, name in _classes(model).items():
         if metadata.get(part, name) != name:

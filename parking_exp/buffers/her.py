@@ -14,10 +14,10 @@ from stable_baselines3.common.type_aliases import DictReplayBufferSamples
 from stable_baselines3.common.vec_env import VecEnv, VecNormalize
 
 from parking_exp.buffers.episode_index import NONE
-from parking_exp.buffers.storage import Observation, Storage, Transitions
+from parking_exp.buffers.storage import Storage, Transitions
 from parking_exp.buffers.strategies import STRATEGIES
 from parking_exp.config.argument_limits import GoalStrategy, GoalVelocity, RelabelCollision, RelabelTerminated
-from parking_exp.tasks.task import GoalReward
+from parking_exp.tasks.task import GoalReward, Observation
 
 NO_GOALS = np.empty(0, np.int64)
 

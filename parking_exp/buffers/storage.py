@@ -10,9 +10,9 @@ from stable_baselines3.common.buffers import ReplayBuffer
 from stable_baselines3.common.preprocessing import get_action_dim, get_obs_shape
 
 from parking_exp.buffers.episode_index import EpisodeIndex
+from parking_exp.tasks.task import Observation
 
 TERMINATED, FAILED, ID_SHIFT = 1, 2, 2  # bits of `mark`; above them is the id of the episode's record
-Observation = dict[str, np.ndarray]
 
 
 @dataclass
@@ -57,7 +57,7 @@ class Storage:
         }
 
     def other_goals(self, obs: Observation) -> np.ndarray:
-        """Return the envs whose goal is not the one their episode started with; none where storage is not compact."""
+        """Return the envs whose desired goal changed within their episode; empty if storage is not compact."""
         if not self.compact or not self.episodes.steps:
             return np.empty(0, np.int64)
         differs = obs["desired_goal"] != self.episodes.table["goal"][self.episodes.current]

@@ -12,16 +12,17 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import NoReturn
+from typing import NoReturn, TypeVar
 
 import hydra
 from omegaconf import DictConfig, OmegaConf
 
 from parking_exp.config.compose import VERSION_BASE, composed, user_options
-from parking_exp.config.overrides import as_hydra, config_dir
+from parking_exp.config.overrides import config_dir, to_hydra_syntax
 from parking_exp.errors import DISK_ERRORS, ConfigError, InterruptedRunError, OutputDirectoryError, ParkingError
 from parking_exp.terminal import LogFormatter, say
 
+Request = TypeVar("Request")
 Command = Callable[[list[str], str | None], None]
 """A function of the overrides and Hydra's `--config-dir`."""
 
@@ -38,7 +39,7 @@ def run_command(config_name: str, command: Command, read: Callable[[list[str]], 
         logging.lastResort.setFormatter(LogFormatter())
     with errors_as_sentences():
         options, words = _parse(sys.argv[1:])
-        overrides = [as_hydra(override) for override in read(words)]
+        overrides = [to_hydra_syntax(override) for override in read(words)]
         if options.help:
             sys.argv[1:] = ["--help", *user_options(options.config_dir)]
             hydra.main(str(config_dir()), config_name, VERSION_BASE)(lambda config: None)()
@@ -49,15 +50,13 @@ def run_command(config_name: str, command: Command, read: Callable[[list[str]], 
             command(overrides, options.config_dir)
 
 
-def for_each(config_name: str, check: Callable[[DictConfig], object], task: Callable[[DictConfig], object]) -> Command:
-    """Return a command that runs a task for each config of the overrides, after all are checked."""
+def for_each(config_name: str, validate: Callable[[DictConfig], Request], task: Callable[[Request], object]) -> Command:
+    """Return a command that runs a task for each config of the overrides, after all are validated."""
 
     def command(overrides: list[str], extra_config_dir: str | None) -> None:
-        configs = composed(config_name, overrides, extra_config_dir)
-        for config in configs:
-            check(config)
-        for config in configs:
-            task(config)
+        requests = [validate(config) for config in composed(config_name, overrides, extra_config_dir)]
+        for request in requests:
+            task(request)
 
     return command
 

@@ -23,7 +23,7 @@ def report_once(overrides: list[str], extra_config_dir: str | None) -> None:
     if len(configs) > 1:
         raise ConfigError("a report takes one value for each key; name=... makes another one beside it")
     request = validate_report(configs[0])
-    from parking_exp.reports.report_run import report  # imports pandas and matplotlib: after the check
+    from parking_exp.reports.make_report import report  # imports pandas and matplotlib: after the check
 
     gc.disable()  # saves a third of the time of a large report, whose objects all live to its end
     report(request)

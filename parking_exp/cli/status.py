@@ -4,17 +4,18 @@ import json
 import re
 import time
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
-from omegaconf import DictConfig
 from pydantic import Field
 from rich.console import Console
 
 from parking_exp.cli.command import for_each, run_command
 from parking_exp.config.paths import absolute, default_uri, directory_path, is_same_store
-from parking_exp.config.schema import ConfigModel, Name, StoreConfig
+from parking_exp.config.schema import StoreConfig
 from parking_exp.config.validate import parse
+from parking_exp.config_model import ConfigModel, Name
 from parking_exp.errors import ParkingError, RunNotFoundError, StoreError, plural, suggestion
 from parking_exp.runs.directory import RunDirectory
 from parking_exp.runs.lookup import find_runs
@@ -31,7 +32,7 @@ WATCH_S = 2.0
 
 def main() -> None:
     """Run the command."""
-    run_command("status", for_each("status", validate_status, show), status_overrides)
+    run_command("status", for_each("status", partial(parse, StatusRequest), show), status_overrides)
 
 
 def status_overrides(words: list[str]) -> list[str]:
@@ -55,14 +56,9 @@ class StatusRequest(ConfigModel):
         return directory_path(self.output_dir)
 
 
-def validate_status(config: DictConfig) -> StatusRequest:
-    """Validate a composed config."""
-    return parse(StatusRequest, config)
-
-
-def show(config: DictConfig) -> None:
+def show(request: StatusRequest) -> None:
     """Print the progress of runs, repeatedly with `watch`."""
-    request, out = validate_status(config), console()
+    out = console()
     if request.sync:
         _sync(request)
     while True:

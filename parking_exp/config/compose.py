@@ -21,10 +21,17 @@ from omegaconf.errors import ConfigAttributeError, ConfigKeyError, OmegaConfBase
 
 from parking_exp.config.cell_labels import settings_of
 from parking_exp.config.grid import Point, check_blocks, points, seeds_of
-from parking_exp.config.overrides import as_hydra, axes_of, config_dir, in_quotes, is_hydras, parse
+from parking_exp.config.overrides import (
+    axes_of,
+    config_dir,
+    in_quotes,
+    is_hydra_override,
+    parse_overrides,
+    to_hydra_syntax,
+)
 from parking_exp.config.schema import RunConfig
 from parking_exp.config.validate import validate
-from parking_exp.errors import ConfigError, ParkingError, did_you_mean, suggestion
+from parking_exp.errors import ConfigError, ParkingError, did_you_mean, first_line, suggestion
 
 VERSION_BASE = "1.3"
 
@@ -72,8 +79,8 @@ def composed_runs(config_name: str, overrides: list[str], extra_config_dir: str 
         ConfigError: an override names no key or option, or the config does not compose.
     """
     with hydra_ready():
-        compose_point = _composer(config_name, [*user_options(extra_config_dir), *filter(is_hydras, overrides)])
-        axes = axes_of(as_hydra(line) for line in overrides if not is_hydras(line))
+        compose_point = _composer(config_name, [*user_options(extra_config_dir), *filter(is_hydra_override, overrides)])
+        axes = axes_of(to_hydra_syntax(line) for line in overrides if not is_hydra_override(line))
         experiments = axes.pop("experiment", None)
         if experiments is None:
             return _runs(compose_point, axes)
@@ -100,7 +107,7 @@ def _composer(config_name: str, hydra_lines: list[str]) -> Callable[[Point], Com
 
     def compose_point(lines: Point) -> Composed:
         chosen = [line for line in lines if line.partition("=")[0] in groups and "={" not in line]
-        changes = parse(line for line in lines if line not in chosen)
+        changes = parse_overrides(line for line in lines if line not in chosen)
         if any(change.type is not OverrideType.CHANGE or change.package is not None for change in changes):
             return copy.deepcopy(compose_with_hydra(*lines))
         run = copy.deepcopy(compose_with_hydra(*chosen))
@@ -115,8 +122,9 @@ def _runs(compose_point: Callable[[Point], Composed], axes: dict[str, list[str]]
     """Compose every cell of an experiment with its first seed, then with its second, and so on."""
     base = compose_point(tuple(f"{key}={axes[key][0]}" for key in ("experiment", "cells") if key in axes)).cell
     blocks = check_blocks(_container(base.cells)) if "seeds" in base else []  # a report's cells are labels
-    passed = [yaml.safe_load(value) for value in axes.pop("seeds", [])]
-    seeds = seeds_of((passed[0] if len(passed) == 1 else passed) if passed else _container(base.get("seeds")))
+    seed_values = [yaml.safe_load(value) for value in axes.pop("seeds", [])]
+    overriding = seed_values[0] if len(seed_values) == 1 else seed_values
+    seeds = seeds_of(overriding if seed_values else _container(base.get("seeds")))
     if "seed" in axes or any("seed" in block for block in blocks):
         seeds = None
 
@@ -180,7 +188,7 @@ def _sentence(error: Exception) -> str:
     if isinstance(cause, ConfigKeyError | ConfigAttributeError) and cause.parent_node is not None:
         return _unknown_key(cause)
     if isinstance(cause, OmegaConfBaseException) and cause.full_key:
-        return f"{cause.full_key}: {str(cause).splitlines()[0]}"
+        return f"{cause.full_key}: {first_line(cause)}"
     return " ".join(str(error).split())
 
 

@@ -54,7 +54,7 @@ SET_BY_RUN = {
 }
 
 
-def find(target: str) -> Any:
+def import_object(target: str) -> Any:
     """Import the class or function at a dotted path.
 
     Raises:
@@ -80,7 +80,7 @@ def check_arguments(run: RunConfig) -> Iterator[str]:
         problems = list(_check_target(key, {"_target_": section.target, **section.arguments}, base))
         yield from problems
         if not problems and isinstance(section, AlgorithmConfig):
-            yield from _check_policy(section, find(section.target))
+            yield from _check_policy(section, import_object(section.target))
 
 
 def policy_class(algorithm: type) -> type | None:
@@ -104,7 +104,7 @@ def _check_policy(algorithm: AlgorithmConfig, algorithm_class: type) -> Iterator
         yield f"{key}.{own[0]} takes the place of algorithm.features; set algorithm.features=raw"
     elif features != "raw" and policy is not None and not takes(policy, "features_extractor_class"):
         yield f"algorithm.features={features}: {algorithm.class_name}'s policy ignores it; use raw"
-    elif features == "ego_mirrored" and policy not in map(find, MIRRORED_POLICIES):
+    elif features == "ego_mirrored" and policy not in map(import_object, MIRRORED_POLICIES):
         yield f"algorithm.features={features}: {algorithm.class_name}'s policy can't mirror its steering; use ego_fine"
     elif policy is not None:
         problems = list(_check_call(key, policy, given))
@@ -119,11 +119,11 @@ def _check_target(key: str, value: Any, base: str | None = None, *, partial: boo
     target = class_path(value)
     place = f"{key}._target_={target}" if isinstance(value, Mapping) else f"{key}={target}"
     try:
-        call = find(target)
+        call = import_object(target)
     except ConfigError as error:
         yield f"{place}: {error}"
         return
-    if base is not None and not (isinstance(call, type) and issubclass(call, find(base))):
+    if base is not None and not (isinstance(call, type) and issubclass(call, import_object(base))):
         yield f"{place} is not a subclass of {base}"
     elif isinstance(value, Mapping):
         given = {name: argument for name, argument in value.items() if name not in HYDRA_KEYS}

@@ -14,7 +14,7 @@ from parking_exp.errors import ConfigError
 Block = Mapping[str, Any]
 Point = tuple[str, ...]
 """The overrides of a cell."""
-MOST_CELLS, MOST_SEEDS = 10_000, 100_000
+MAX_CELLS, MAX_SEEDS = 10_000, 100_000
 
 
 def points(
@@ -51,8 +51,8 @@ def points(
         for key, values in axes.items():
             if key not in block and (key not in listed or has(key, first)):
                 lines.append([f"{key}={v}" for v in values])
-        if len(cells) + math.prod(map(len, lines)) > MOST_CELLS:
-            raise ConfigError(f"a sweep has at most {MOST_CELLS} cells")
+        if len(cells) + math.prod(map(len, lines)) > MAX_CELLS:
+            raise ConfigError(f"a sweep has at most {MAX_CELLS} cells")
         cells |= dict.fromkeys(itertools.product(*lines))
     if not cells:
         narrowed = " ".join(f"{key}={','.join(axes[key])}" for key in axes if key in listed)
@@ -69,12 +69,12 @@ def check_blocks(value: Any) -> list[Block]:
 
 def seeds_of(value: object) -> list[int] | None:
     """Return the seeds that `seeds` defines: 0 to n - 1 for n, the seeds of a list, None for the run's own seed."""
-    if type(value) is int and 0 < value <= MOST_SEEDS:
+    if type(value) is int and 0 < value <= MAX_SEEDS:
         return list(range(value))
     if isinstance(value, list) and value and all(type(seed) is int and 0 <= seed < 2**32 for seed in value):
         return list(dict.fromkeys(value))
     if value is not None:
-        raise ConfigError(f"seeds={value!r} is neither a number up to {MOST_SEEDS} nor a list of seeds below {2**32}")
+        raise ConfigError(f"seeds={value!r} is neither a number up to {MAX_SEEDS} nor a list of seeds below {2**32}")
     return None
 
 

@@ -27,7 +27,7 @@ def in_quotes(value: str) -> str:
     return f"'{escaped}'"
 
 
-def as_hydra(argument: str) -> str:
+def to_hydra_syntax(argument: str) -> str:
     """Return an override in Hydra's grammar: a path in quotes, an experiment file as an option relative to `conf/`."""
     key, equals, value = argument.partition("=")
     if key == "experiment" and value.endswith(".yaml"):
@@ -44,7 +44,7 @@ def as_hydra(argument: str) -> str:
     return f"{key}={in_quotes(value)}"
 
 
-def is_hydras(override: str) -> bool:
+def is_hydra_override(override: str) -> bool:
     """Return whether an override changes Hydra's own config, e.g. its launcher."""
     return re.match(r"[+~]*hydra\b", override) is not None
 
@@ -52,10 +52,10 @@ def is_hydras(override: str) -> bool:
 def hydra_overrides(overrides: Iterable[str]) -> list[str]:
     """Return the overrides that choose and set up the launcher."""
     others = re.compile(r"[+~]*hydra[./](sweeper|mode|run|sweep|help)\b")
-    return [override for override in overrides if is_hydras(override) and not others.match(override)]
+    return [override for override in overrides if is_hydra_override(override) and not others.match(override)]
 
 
-def parse(overrides: Iterable[str]) -> list[Override]:
+def parse_overrides(overrides: Iterable[str]) -> list[Override]:
     """Parse overrides, within `hydra_ready`."""
     parsed = OverridesParser.create(config_loader=GlobalHydra.instance().config_loader()).parse_overrides([*overrides])
     for override in parsed:
@@ -67,7 +67,7 @@ def parse(overrides: Iterable[str]) -> list[Override]:
 def axes_of(overrides: Iterable[str]) -> dict[str, list[str]]:
     """Return the values of each key, in Hydra's syntax; of a key that is overridden twice, the last."""
     axes = {}
-    for override in parse(overrides):
+    for override in parse_overrides(overrides):
         values = [] if override.is_sweep_override() else [override.get_value_element_as_str()]
         if override.is_discrete_sweep():
             values = list(override.sweep_string_iterator())

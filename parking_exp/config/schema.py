@@ -150,7 +150,7 @@ class RunConfig(ConfigModel):
         return short_hash(self._result_part())
 
     def _result_part(self) -> dict[str, Any]:
-        """Return what can change a result; a key that came later, with a default, changes no hash of earlier runs."""
+        """Return the keys that can change a result, but for defaults: so a new key keeps existing hashes."""
         return result_part(self.model_dump(by_alias=True, exclude_defaults=True))
 
     @property

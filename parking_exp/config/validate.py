@@ -15,7 +15,7 @@ from pydantic import BaseModel, ValidationError
 from parking_exp.config.constructor_arguments import check_arguments
 from parking_exp.config.rules import check_rules, check_tasks
 from parking_exp.config.schema import RunConfig, SweepOptions
-from parking_exp.errors import ConfigError, did_you_mean
+from parking_exp.errors import ConfigError, did_you_mean, first_line
 from parking_exp.tasks.env_config import TASKS
 
 Model = TypeVar("Model", bound=BaseModel)
@@ -23,7 +23,7 @@ Config = DictConfig | Mapping[str, Any]
 
 # Keys that define a sweep, not a run.
 SWEEP_KEYS = {"seeds", "cells", *SweepOptions.model_fields}
-MOST_ERRORS = 5
+MAX_ERRORS = 5
 
 
 def refuse(problems: Iterable[str]) -> None:
@@ -32,7 +32,7 @@ def refuse(problems: Iterable[str]) -> None:
     Raises:
         ConfigError: with the first five of them.
     """
-    if first := list(itertools.islice(problems, MOST_ERRORS)):
+    if first := list(itertools.islice(problems, MAX_ERRORS)):
         raise ConfigError("\n".join(first))
 
 
@@ -65,7 +65,7 @@ def parse(model: type[Model], config: Config, without: Set[str] = frozenset()) -
     except MissingMandatoryValue as error:
         raise ConfigError(f"{error.full_key} is missing") from error
     except OmegaConfBaseException as error:
-        raise ConfigError(f"{error.full_key}: {str(error).splitlines()[0]}") from error
+        raise ConfigError(f"{error.full_key}: {first_line(error)}") from error
     return check(model, {key: value for key, value in plain.items() if key not in without})
 
 

@@ -33,14 +33,12 @@ def validate_request(config: DictConfig) -> ExportRequest:
     return request
 
 
-def export_run(config: DictConfig) -> Path:
+def export_run(request: ExportRequest) -> Path:
     """Write the policy; return the file's path.
 
     Raises:
-        ConfigError: the config is not valid; also what `agents.load_model` raises.
-        ModelError: the model can't be exported.
+        ModelError: the model can't be exported; also what `agents.load_model` raises.
     """
-    request = validate_request(config)
     agent = request.agent()
     agent = replace(agent, config=agent.config.model_copy(update={"device": "cpu"}))  # files are for any machine
     path = directory_path(request.path) if request.path else agent.folder / "exports" / f"policy.{request.format}"

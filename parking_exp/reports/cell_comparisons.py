@@ -101,7 +101,7 @@ def _verdict(difference: Interval, p: float | None) -> Verdict:
     return "a" if difference.value > 0 else "b"
 
 
-MOST_LEVELS = 12  # of a factor; more are values drawn from a range
+MAX_LEVELS = 12  # of a factor; more are values drawn from a range
 COVERED = 0.5  # share of the combinations that makes a design crossed
 
 
@@ -117,7 +117,7 @@ def main_effects(cells: Sequence[Cell], factors: Sequence[Factor]) -> list[MainE
     is_series = len(factors) == 1 and factors[0].numeric and len(factors[0].levels) > 2
     if len(crossed) < 2 and not is_series:
         return []
-    if max(sizes) > MOST_LEVELS or len(full) < COVERED * math.prod(sizes):
+    if max(sizes) > MAX_LEVELS or len(full) < COVERED * math.prod(sizes):
         return []
     rows = [
         {**cell.settings, "success": seed.success} for cell in full for seed in cell.seeds if seed.success is not None

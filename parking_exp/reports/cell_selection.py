@@ -105,7 +105,7 @@ def choose(cells: Sequence[CellRuns], wanted: Sequence[str], key: str = "cells")
     return chosen
 
 
-def one_cell(cells: Sequence[CellRuns], baseline: str, preferred: Sequence[CellRuns] = ()) -> CellRuns:
+def find_baseline(cells: Sequence[CellRuns], baseline: str, preferred: Sequence[CellRuns] = ()) -> CellRuns:
     """Return the one cell that fits a label, a name or a pattern; where several do, the one that is preferred."""
     fitting = _named(cells, baseline) or choose(cells, [baseline], "baseline")
     if len(fitting) > 1:

@@ -29,7 +29,7 @@ from parking_exp.statistics import (
 from parking_exp.tasks.metrics import EPISODE_SEED, Metric
 from parking_exp.tasks.registry import FAILURES, METRICS, task_reports
 
-GOOD = 0.9
+SUCCESS_THRESHOLD = 0.9
 HOLD = 3  # evaluations in a row
 STAGES = {"interrupted": "pending"}
 REPORTED: dict[str, Metric] = {
@@ -92,7 +92,7 @@ def summarise(
         total_timesteps=_whole(cell.config.get("total_timesteps")),
         cpu_s=_mean([seed.cpu_s for seed in seeds]),
         area=_mean([seed.area for seed in seeds], is_rate=True),
-        reaching_90=share_reaching(success, GOOD) if success else Proportion(0, 0, None, None),
+        reaching_90=share_reaching(success, SUCCESS_THRESHOLD) if success else Proportion(0, 0, None, None),
         seeds=seeds,
         curve=_curve(cell.runs if unfinished else cell.done, evaluations),
         task_data=_task_data(cell, [evaluations.final[s.run_id] for s in seeds if s.run_id in evaluations.final]),
@@ -139,9 +139,9 @@ def _seed(run: dict[str, Any], evaluations: RunEvaluations) -> Seed:
 
 
 def _evaluation_curve(curve: pd.DataFrame) -> dict[str, Any]:
-    """Return the fields of a seed that its evaluations during training tell."""
+    """Return the fields of a seed that are computed from its learning curve."""
     step, success = curve["step"].to_numpy(), curve["success_rate"].to_numpy()
-    time, reached = steps_to(step, success, GOOD, HOLD)
+    time, reached = steps_to(step, success, SUCCESS_THRESHOLD, HOLD)
     return {
         "steps_to_90": time,
         "reached_90": reached,

@@ -2,12 +2,12 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 
-from parking_exp.config.cell_labels import Factor
+from parking_exp.config.cell_labels import Factor, setting
 from parking_exp.errors import quoted_label
 from parking_exp.reports.cell_comparisons import SIGNIFICANT, Family
-from parking_exp.reports.formats import p_value, points_interval, rate_interval, setting
+from parking_exp.reports.formats import p_value, points_interval, rate_interval
 from parking_exp.reports.report_data import Cell, Pair
-from parking_exp.reports.warnings import FEW_NAMES, named
+from parking_exp.reports.report_warnings import FEW_NAMES, named
 from parking_exp.statistics import MainEffect, Proportion
 
 VERDICTS = {"a": "is better than", "b": "is worse than", "same": "is indistinguishable from"}

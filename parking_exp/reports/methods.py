@@ -34,7 +34,7 @@ def methods(report: ReportData) -> Iterator[str]:
     intervals = [value for cell in report.cells for value in vars(cell).values() if isinstance(value, Interval)]
     used = {interval.method for interval in intervals if interval.n}
     yield from (sentence for method, sentence in INTERVALS.items() if method in used)
-    yield "CPU-seconds of a run count everything, its final evaluation and certification included."
+    yield "CPU-seconds of a run count everything, its final evaluation and cross-check included."
     yield "All intervals are at 95 %. Shares of episodes and of seeds have Wilson's."
     fewest = min((cell.success.n for cell in report.cells if cell.success.n), default=0)
     if fewest > 1:

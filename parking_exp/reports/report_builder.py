@@ -10,8 +10,8 @@ import pandas as pd
 from parking_exp import __version__
 from parking_exp.config.cell_labels import Factor, can_matter, differing
 from parking_exp.errors import RunNotFoundError, plural
-from parking_exp.reports import cell_comparisons, findings, warnings
-from parking_exp.reports.cell_selection import CellRuns, choose, group, one_cell, relabelled
+from parking_exp.reports import cell_comparisons, findings, report_warnings
+from parking_exp.reports.cell_selection import CellRuns, choose, find_baseline, group, relabelled
 from parking_exp.reports.cell_summaries import RunEvaluations, shared_horizon, summarise
 from parking_exp.reports.report_data import Cell, FailedRun, Provenance, ReportData
 from parking_exp.results.frames import Results
@@ -67,7 +67,7 @@ def _text(value: object) -> str | None:
     return value if isinstance(value, str) and value else None
 
 
-MOST_PROBLEMS = 5
+MAX_PROBLEMS = 5
 SHOWN_WHOLE, SHOWN = 16, 12  # cells in figures: all of up to 16, else the 12 best
 
 
@@ -130,8 +130,12 @@ def build_report(
         effects=effects,
         horizon=horizon,
         claims=[*findings.about_cells(summaries, family), *findings.about_factors(factors, effects)],
-        warnings=list(dict.fromkeys([*warnings.warnings(groups, summaries, origin), *problems[:MOST_PROBLEMS]])),
-        missing=list(warnings.missing(summaries, experiments, results.runs["experiment"])),
+        warnings=list(
+            dict.fromkeys(
+                [*report_warnings.comparability_warnings(groups, summaries, origin), *problems[:MAX_PROBLEMS]]
+            )
+        ),
+        missing=list(report_warnings.missing(summaries, experiments, results.runs["experiment"])),
         provenance=origin,
         notes=list(_notes(summaries, shown, selection, crossed=bool(effects))),
         reference=family.reference,
@@ -144,7 +148,7 @@ def _select(
     """Return the wanted cells, all without any, and the baseline; both must have a finished run unless `quick`."""
     cells = group(results.runs)
     chosen = choose(cells, wanted) if wanted else cells
-    reference = one_cell(cells, baseline, preferred=chosen) if baseline else None
+    reference = find_baseline(cells, baseline, preferred=chosen) if baseline else None
     chosen = chosen if reference is None or reference in chosen else [reference, *chosen]
     if not quick:
         _refuse_unfinished(chosen, f"experiment={','.join(experiments)}", "; report=quick shows what there is so far")
@@ -179,4 +183,4 @@ def _notes(cells: Sequence[Cell], shown: Sequence[str], selection: Selection, *,
     if len(shown) < len(cells):
         yield f"Pictures show the {len(shown)} of {len(cells)} cells with the highest success; tables have all."
     if outside := [cell.label for cell in cells if None in cell.settings.values()] if crossed else []:
-        yield f"Not part of the main effects, without a value of every factor: {warnings.named(outside)}."
+        yield f"Not part of the main effects, without a value of every factor: {report_warnings.named(outside)}."

@@ -11,8 +11,8 @@ import numpy as np
 import pandas as pd
 
 from parking_exp.figure_style import clean
-from parking_exp.reports.render.report_pages import page
 from parking_exp.reports.report_data import ReportData
+from parking_exp.reports.report_page import page
 from parking_exp.reports.sections import SectionContent, draw, section_contents
 from parking_exp.reports.tables.table import Table
 from parking_exp.runs.atomic_files import write_atomically

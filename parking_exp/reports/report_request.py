@@ -10,8 +10,9 @@ from pydantic import Field
 from parking_exp.config.cell_labels import settings_of
 from parking_exp.config.compose import composed
 from parking_exp.config.paths import directory_path
-from parking_exp.config.schema import ConfigModel, StoreConfig
+from parking_exp.config.schema import StoreConfig
 from parking_exp.config.validate import parse
+from parking_exp.config_model import ConfigModel
 from parking_exp.errors import ConfigError, did_you_mean
 
 SIMILAR = 0.8  # similarity from which on a key is a misspelt one

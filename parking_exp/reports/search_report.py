@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 from pydantic import ValidationError
 
 from parking_exp.config_model import NAME
-from parking_exp.errors import ParkingError, ResultsError, plural
+from parking_exp.errors import ParkingError, ResultsError, first_line, plural
 from parking_exp.reports import formats
 from parking_exp.reports.report_data import ReportData
 from parking_exp.reports.tables.table import Table, column, interval_column, record, spread
@@ -60,7 +60,7 @@ def with_search(report: ReportData, output_dir: Path) -> ReportData:
         stored = study_in(folder)
         return with_tuning(report, tuning_of(folder, stored)) if stored else report
     except ParkingError as error:
-        warning = f"The search of {folder.name} is left out: {str(error).splitlines()[0].rstrip('.')}."
+        warning = f"The search of {folder.name} is left out: {first_line(error).rstrip('.')}."
         return replace(report, warnings=[*report.warnings, warning])
 
 

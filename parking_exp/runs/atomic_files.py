@@ -10,6 +10,8 @@ from typing import Any
 
 import yaml
 
+from parking_exp.errors import first_line
+
 
 @contextmanager
 def replacing(path: Path, *, durable: bool = True) -> Iterator[Path]:
@@ -51,7 +53,7 @@ def read_plain_yaml(path: Path) -> Any:
     try:
         return json.loads(json.dumps(yaml.load(path.read_text(encoding="utf-8"), _LoaderWithoutAliases)))
     except (yaml.YAMLError, RecursionError, LookupError, AttributeError, TypeError) as error:
-        raise ValueError(str(error).splitlines()[0] or type(error).__name__) from error
+        raise ValueError(first_line(error)) from error
 
 
 class _LoaderWithoutAliases(yaml.SafeLoader):

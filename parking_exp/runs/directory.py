@@ -5,7 +5,7 @@
         provenance.json  checkpoints/  models/  evaluations/  exports/  tensorboard/  video.mp4
         curves.png  log.txt  beat.json  traceback.txt
 
-The run directory is the truth; MLflow is its index. Two locks keep processes apart: `.claim` is held by the process
+The run directory is the truth; the store is a copy. Two locks keep processes apart: `.claim` is held by the process
 that is responsible for the run (its supervisor, or the one that trains it without any), `.lock` by the one that trains.
 """
 
@@ -94,7 +94,7 @@ class RunDirectory:
         """Whether a process, this one included, holds one of the run's locks."""
         return any(is_held(self.path / name) for name in (SUPERVISOR_LOCK, TRAINING_LOCK))
 
-    def update(self, durable: bool = True, /, **values: Any) -> None:
+    def update(self, *, durable: bool = True, **values: Any) -> None:
         """Change entries of status.json; None removes one."""
         if uri := values.get("tracking_uri"):
             values["tracking_uri"] = relative(uri, self.output_dir)
@@ -152,7 +152,7 @@ class RunDirectory:
             plan = {"label": label, "total_timesteps": config.total_timesteps, "command": command_line()}
             uri = config.store_uri if config.tracking.mlflow else None
             fresh = {"status": "pending", "error": None, "killed": None, "tracking_uri": uri}
-            self.update(False, **fresh, **plan, **(entries or {}))
+            self.update(durable=False, **fresh, **plan, **(entries or {}))
 
     def heartbeat(self, **values: Any) -> None:
         """Write how far the run is, for processes that watch it."""

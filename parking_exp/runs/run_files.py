@@ -11,7 +11,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from parking_exp.config.paths import absolute, relative
 from parking_exp.config.schema import RunConfig
 from parking_exp.config.validate import check
-from parking_exp.errors import ConfigError
+from parking_exp.errors import ConfigError, first_line
 from parking_exp.runs.atomic_files import read_json, read_plain_yaml, write_atomically
 
 CONFIG_FILE, STATUS_FILE, RESULT_FILE, HEARTBEAT_FILE = "config.yaml", "status.json", "result.json", "beat.json"
@@ -92,7 +92,7 @@ def read_config(directory: Path, output_dir: Path) -> RunConfig:
     try:
         stored = read_plain_yaml(path)
     except (OSError, ValueError) as error:
-        raise ConfigError(f"{path} can't be read: {str(error).splitlines()[0]}") from error
+        raise ConfigError(f"{path} can't be read: {first_line(error)}") from error
     if not isinstance(stored, dict):
         raise ConfigError(f"{path} can't be read: it is no config, but a {type(stored).__name__}")
     if interpolation := re.search(r'[^"]*\$\{[^"]*', json.dumps(stored)):

@@ -31,7 +31,7 @@ class RunState(StatusEntries):
     killed: bool = False
     steps_per_s: float | None = None  # while training
     left_s: float | None = None  # until the training is over, at that rate
-    doing: str | None = None  # what a running one does, e.g. `train`, `certification on highway-env`
+    doing: str | None = None  # what a running one does, e.g. `train`, `cross-check on highway-env`
     reason: str | None = None  # why it failed
     damaged: bool = False  # whether its status.json can't be read
 

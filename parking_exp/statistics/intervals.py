@@ -21,7 +21,7 @@ SCORE = "score, effective sample size"
 BOOTSTRAP = "bootstrap-t"
 EXACT = "exact bound, no scatter"
 
-FEWEST_TO_RESAMPLE = 5  # below, the resamples without scatter alone decide where the interval ends
+MIN_TO_RESAMPLE = 5  # below, the resamples without scatter alone decide where the interval ends
 BAND_RESAMPLES = 1999
 ROUNDING = 1e-9  # how far a rate may lie outside 0 ... 1
 CHUNK = 256  # rows that are resampled at once: 256 x 9,999 floats are 20 MB
@@ -111,7 +111,7 @@ def interval_rows(rows: np.ndarray, resamples: int) -> tuple[np.ndarray, np.ndar
     scatter = np.ptp(rows, axis=1) > 0
     live = rows[scatter]
     mean, error = live.mean(axis=1), live.std(axis=1, ddof=1) / np.sqrt(n)
-    if n < FEWEST_TO_RESAMPLE:
+    if n < MIN_TO_RESAMPLE:
         low[scatter], high[scatter] = score_interval(mean, error**2, n - 1)
         method = SCORE
     else:
@@ -175,9 +175,9 @@ def coverage_note(values: ArrayLike) -> str | None:
     Collapses that no seed shows go unnoticed (see `unseen_share`).
     """
     rates = finite(values, "a note on coverage")
-    if len(rates) < FEWEST_TO_RESAMPLE:
+    if len(rates) < MIN_TO_RESAMPLE:
         return (
-            f"{plural(len(rates), 'seed')}: too few for a reliable interval; with fewer than {FEWEST_TO_RESAMPLE}, "
+            f"{plural(len(rates), 'seed')}: too few for a reliable interval; with fewer than {MIN_TO_RESAMPLE}, "
             "95 % intervals covered 89 % where rates scatter widely below the ceiling, and 59 % where one in ten "
             "collapses."
         )

@@ -15,7 +15,7 @@ from omegaconf import DictConfig, OmegaConf
 
 from parking_exp.config.compose import hydra_ready, user_options
 from parking_exp.config.overrides import hydra_overrides, in_quotes
-from parking_exp.errors import ConfigError, plural
+from parking_exp.errors import ConfigError, first_line, plural
 from parking_exp.sweeps.local import LocalLauncher
 from parking_exp.sweeps.supervisor import supervise_job
 
@@ -67,7 +67,7 @@ class PluginLauncher:
             except ImportError as error:
                 raise _unusable(self.name, error) from error
             except Exception as error:  # the run directories have the states of the runs
-                return f"hydra/launcher={self.name} broke: {_first_line(error).rstrip('.')}"
+                return f"hydra/launcher={self.name} broke: {first_line(error).rstrip('.')}"
         n_early = sum(job.status is not JobStatus.COMPLETED for job in jobs)
         return f"{n_early} of {plural(len(jobs), 'job')} ended early" if n_early else None
 
@@ -79,8 +79,4 @@ def _train(config: DictConfig) -> None:
 
 def _unusable(name: str, error: Exception) -> ConfigError:
     extra = f"; pip install 'parking-exp[{name}]'" if name in EXTRAS and not isinstance(error, TypeError) else ""
-    return ConfigError(f"hydra/launcher={name}: {_first_line(error)}{extra}")
-
-
-def _first_line(error: Exception) -> str:
-    return (str(error) or type(error).__name__).splitlines()[0]
+    return ConfigError(f"hydra/launcher={name}: {first_line(error)}{extra}")

@@ -9,7 +9,7 @@ from typing import Self
 from rich.console import Console, Group, RenderableType
 from rich.live import Live
 
-from parking_exp.runs.directory import STATUS_FILE
+from parking_exp.runs.run_files import STATUS_FILE
 from parking_exp.runs.run_state import RunState, read_state
 from parking_exp.runs.state_tables import duration, name, state_lines
 from parking_exp.terminal import console as make_console

@@ -13,7 +13,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from parking_exp.errors import ConfigError, FailedRunError, InterruptedRunError, plural
+from parking_exp.errors import ConfigError, FailedRunError, InterruptedRunError, first_line, plural
 from parking_exp.resources import cores
 from parking_exp.runs.run_state import read_state
 from parking_exp.sweeps.local import checked_n_jobs
@@ -92,7 +92,7 @@ class SlurmLauncher:
             submitter = submitit.AutoExecutor(folder=folder / "%j", cluster=self.executor)
             submitter.update_parameters(**self.parameters)
         except (NameError, TypeError, ValueError, AssertionError, RuntimeError) as error:
-            raise ConfigError(f"hydra.launcher: {str(error).splitlines()[0]}") from error
+            raise ConfigError(f"hydra.launcher: {first_line(error)}") from error
         return submitter
 
     def _unfinished(self, jobs: list[Any]) -> list[Any]:

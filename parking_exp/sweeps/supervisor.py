@@ -13,7 +13,7 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from functools import partial
 from pathlib import Path
-from typing import IO, Literal
+from typing import IO, Any, Literal
 
 from parking_exp.config.paths import directory_path
 from parking_exp.errors import ConfigError, OutputDirectoryError, RunLockedError
@@ -64,7 +64,7 @@ def _run(directory: RunDirectory, start: Callable[[IO[bytes]], subprocess.Popen[
         directory.update(status="failed", error=str(error))
         return "failed"
     # Written before the worker starts, whose entries must not be overwritten.
-    started_at = {"host": socket.gethostname(), "started": time.time()}
+    started_at: dict[str, Any] = {"host": socket.gethostname(), "started": time.time()}
     directory.update(status="running", error=None, killed=None, **started_at)
     with (directory.path / LOG_FILE).open("ab") as log:
         process = start(log)

@@ -19,7 +19,7 @@ GOAL_KEYS = ("observation", "achieved_goal", "desired_goal")
 ROBOTICS = ("Fetch", "Hand", "PointMaze", "AntMaze", "FrankaKitchen", "Adroit")  # how ids of gymnasium-robotics begin
 SUCCESS_KEYS = ("is_success", "success")
 RANDOM_STEPS = 60  # at least; see `random_steps`
-MOST_RANDOM_STEPS = 1_000
+MAX_RANDOM_STEPS = 1_000
 NUMBERS = (bool, int, float, np.number, np.bool_)
 
 
@@ -102,7 +102,7 @@ def random_steps(env: gym.Env) -> tuple[np.ndarray, np.ndarray, np.ndarray, list
     env.action_space.seed(0)
     env.reset(seed=0)
     steps, n_ended = list[Any](), 0
-    while len(steps) < RANDOM_STEPS or (not n_ended and len(steps) < MOST_RANDOM_STEPS):
+    while len(steps) < RANDOM_STEPS or (not n_ended and len(steps) < MAX_RANDOM_STEPS):
         observation, reward, terminated, truncated, info = env.step(env.action_space.sample())
         steps.append((*(np.array(observation[key]) for key in ("achieved_goal", "desired_goal")), float(reward), info))
         if terminated or truncated:

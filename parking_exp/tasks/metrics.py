@@ -32,7 +32,6 @@ class Metric:
     label: str  # heading in tables
     unit: str = ""  # shown behind the label
     dtype: Literal["bool", "int64", "float64"] = "float64"  # of the column in frames
-    higher_is_better: bool | None = None  # None where neither is
     column: str | None = None  # in `Results.runs`; None: `NAME_rate` or the name
     in_curves: bool = False  # whether `Results.curves` has it
     in_reports: bool = False  # whether reports have its mean over seeds
@@ -66,28 +65,25 @@ class Metric:
         return episodes["outcome"] == self.name if self.is_outcome else episodes[self.name]
 
 
-def rate(name: str, of: Callable[[Episode], bool], *, higher_is_better: bool, colour: str, **further: Any) -> Metric:
+def rate(name: str, of: Callable[[Episode], bool], *, colour: str, **further: Any) -> Metric:
     """Return a metric of which the store, curves and reports have the rate."""
     described = {"in_curves": True, "in_reports": True, "colour": colour, **further}
-    return Metric(name, of, name.capitalize(), "", "bool", higher_is_better, **described)
+    return Metric(name, of, name.capitalize(), "", "bool", **described)
 
 
 def outcome_rate(name: str, colour: str) -> Metric:
     """Return the rate of an outcome."""
-    is_success = name == "success"
-    return rate(name, lambda e: e.outcome == name, higher_is_better=is_success, colour=colour, is_outcome=True)
+    return rate(name, lambda e: e.outcome == name, colour=colour, is_outcome=True)
 
 
 # Okabe and Ito's palette, distinguishable with any colour vision. In `Results.runs`, `steps` are the env steps trained.
 SUCCESS, TIMEOUT = outcome_rate("success", "#009E73"), outcome_rate("timeout", "#56B4E9")
 FAILURE_COLOUR = "#D55E00"
 STEPS = Metric(
-    "steps", lambda e: e.steps, "Steps an episode", "", "int64", higher_is_better=False, column="episode_steps",
+    "steps", lambda e: e.steps, "Steps an episode", "", "int64", column="episode_steps",
     in_curves=True, in_reports=True
 )  # fmt: skip
-RETURN = Metric(
-    "return", lambda e: e.total_reward, "Return", higher_is_better=True, column="episode_return", in_curves=True
-)
+RETURN = Metric("return", lambda e: e.total_reward, "Return", column="episode_return", in_curves=True)
 GYMNASIUM_METRICS: tuple[Metric, ...] = (SUCCESS, outcome_rate("failure", FAILURE_COLOUR), TIMEOUT, STEPS, RETURN)
 """Metrics of any goal environment."""
 

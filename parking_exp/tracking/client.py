@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 OUTPUT_DIR_TAG = "parking_exp.output_dir"
 """Tag of experiments in an output directory's own store: the directory in which their artifacts are located."""
 WAIT_S = 120  # for other writers
-LONGEST_REASON = 200
+MAX_REASON_LENGTH = 200
 ENVIRONMENT = {
     "MLFLOW_DISABLE_TELEMETRY": "true",  # nothing leaves the machine
     "GIT_PYTHON_REFRESH": "quiet",
@@ -93,7 +93,7 @@ def reason(error: BaseException) -> str:
         causes.append(cause)
     if not isinstance(error, ParkingError):
         error = next((cause for cause in reversed(causes) if isinstance(cause, OSError | sqlite3.Error)), error)
-    return (" ".join(str(error).split()) or type(error).__name__)[:LONGEST_REASON]
+    return (" ".join(str(error).split()) or type(error).__name__)[:MAX_REASON_LENGTH]
 
 
 def _make_database(path: Path) -> None:

@@ -31,8 +31,8 @@ if TYPE_CHECKING:
 
 DIGEST, STARTED = "mirrored", "started_ms"  # tags
 WAIT_S = 120  # for another process that mirrors the same run
-LONGEST_ERROR = 500
-LONGEST_PARAM = 6000  # MLflow refuses longer values; the whole config is an artifact besides
+MAX_ERROR_LENGTH = 500
+MAX_PARAM_LENGTH = 6000  # MLflow refuses longer values; the whole config is an artifact besides
 MLFLOW_STATUS = {"done": "FINISHED", "failed": "FAILED"}  # others: KILLED
 FROM_STATUS = ("command", "search", "trial")  # tags
 AT_THE_END = (
@@ -64,7 +64,7 @@ def mirror(directory: RunDirectory, store: Store) -> None:
             directory.update(run_id=run.info.run_id, tracking_uri=store.uri)
         if (run.data.tags.get(DIGEST), run.data.tags.get("run_dir")) == (digest, tags["run_dir"]):
             return
-        params = {key: str(value)[:LONGEST_PARAM] for key, value in settings_of(config.plain()).items()}
+        params = {key: str(value)[:MAX_PARAM_LENGTH] for key, value in settings_of(config.plain()).items()}
         store.log(run, params, tags, list(_new_metrics(run, files.get("metrics.jsonl"))))
         for name, file in files.items():
             store.put_artifact(run, name, file.read_bytes() if file.name != MANIFEST else _buffer_record(file))
@@ -170,7 +170,7 @@ def _tags(directory: RunDirectory, config: RunConfig, uri: str, status: Status) 
         "run_key": config.run_key,
         "run_dir": relative_path(directory.path, path.parent) if path else str(directory.path.absolute()),
         "status": status,
-        "error": error[:LONGEST_ERROR],
+        "error": error[:MAX_ERROR_LENGTH],
     }
 
 

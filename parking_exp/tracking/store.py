@@ -17,8 +17,8 @@ if TYPE_CHECKING:
     from mlflow import MlflowClient
     from mlflow.entities import Metric, Run
 
-METRICS_A_BATCH, PARAMS_A_BATCH = 1000, 100  # MLflow's own limits
-RUNS_A_PAGE, EXPERIMENTS = 10_000, 50_000  # one request for most stores; the latter is MLflow's limit
+METRICS_PER_BATCH, PARAMS_PER_BATCH = 1000, 100  # MLflow's own limits
+RUNS_PER_PAGE, EXPERIMENTS = 10_000, 50_000  # one request for most stores; the latter is MLflow's limit
 
 
 class Store:
@@ -69,7 +69,7 @@ class Store:
         runs, token = list["Run"](), None
         while True:
             page = self.client.search_runs(
-                experiment_ids, condition, ViewType.ALL, RUNS_A_PAGE, ["attributes.start_time"], token
+                experiment_ids, condition, ViewType.ALL, RUNS_PER_PAGE, ["attributes.start_time"], token
             )
             runs += page
             if not (token := page.token):
@@ -107,7 +107,7 @@ class Store:
         missing = [Param(key, value) for key, value in params.items() if key not in run.data.params]
         changed = [RunTag(key, value) for key, value in tags.items() if run.data.tags.get(key) != value]
         batches: list[dict[str, Any]] = [{"tags": changed}] if changed else []
-        for kind, values, size in (("params", missing, PARAMS_A_BATCH), ("metrics", metrics, METRICS_A_BATCH)):
+        for kind, values, size in (("params", missing, PARAMS_PER_BATCH), ("metrics", metrics, METRICS_PER_BATCH)):
             batches += [{kind: values[start : start + size]} for start in range(0, len(values), size)]
         for batch in batches:
             with self.writing() as client:

@@ -7,6 +7,7 @@ from parking_exp.config.schema import RunConfig
 from parking_exp.runs.atomic_files import read_object, write_json
 from parking_exp.runs.directory import RunDirectory
 from parking_exp.runs.run_provenance import PROVENANCE_FILE, provenance
+from parking_exp.terminal import say
 from parking_exp.tracking.mirror import sync_hint, try_mirror
 from parking_exp.tracking.store import Store
 
@@ -14,7 +15,7 @@ from parking_exp.tracking.store import Store
 class Tracker:
     """Mirrors a run to its store, if it has one; after a failure, not again before the run ends."""
 
-    def __init__(self, directory: RunDirectory, uri: str | None = None, say: Callable[[str], None] = print) -> None:
+    def __init__(self, directory: RunDirectory, uri: str | None = None, say: Callable[[str], None] = say) -> None:
         self.directory, self.uri, self.say = directory, uri, say
         self.problem: str | None = None
 
@@ -35,7 +36,7 @@ class Tracker:
             self.say(f"the store {self.uri} is incomplete ({self.problem}); training continues, and {what_to_do}")
 
 
-def open_tracker(config: RunConfig, directory: RunDirectory, say: Callable[[str], None] = print) -> Tracker:
+def open_tracker(config: RunConfig, directory: RunDirectory, say: Callable[[str], None] = say) -> Tracker:
     """Return the run's tracker; `say` prints a sentence for the user."""
     if not config.tracking.mlflow:
         directory.update(tracking_uri=None)

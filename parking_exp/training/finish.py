@@ -1,11 +1,11 @@
-"""The end of a run: final evaluation, certification on the reference simulator, final model, learning curves, video."""
+"""The end of a run: final evaluation, cross-check on the reference simulator, final model, learning curves, video."""
 
 import numpy as np
 import pandas as pd
 
 from parking_exp.algorithms.model_files import save_model
 from parking_exp.config.schema import RunConfig
-from parking_exp.errors import CertificationError, VideoError
+from parking_exp.errors import CrossCheckError, VideoError
 from parking_exp.evaluation.evaluate_policy import differences, success_line
 from parking_exp.evaluation.video import record
 from parking_exp.tasks.metrics import EPISODE_SEED
@@ -14,15 +14,15 @@ from parking_exp.training.plot_curves import learning_curves
 
 
 def finish(loop: TrainingLoop) -> pd.DataFrame:
-    """Evaluate the final model on all episodes, certify some of them, write all files; return the episodes.
+    """Evaluate the final model on all episodes, cross-check some of them, write all files; return the episodes.
 
     Raises:
-        CertificationError: an episode differs between two simulators of the task; all files are written.
+        CrossCheckError: an episode differs between two simulators of the task; all files are written.
     """
     config, path, metrics = loop.config, loop.directory.path, loop.task.metrics
     loop.bar.busy("final evaluation")
     chosen = certified_seeds(config)
-    # Certified episodes are stepped by themselves, since a policy's last bits depend on what is in its batch.
+    # Cross-checked episodes are stepped by themselves, since a policy's last bits depend on what is in its batch.
     others = [seed for seed in loop.episode_seeds(config.evaluation.final_n_scenes) if seed not in chosen]
     parts = [loop.run_episodes(seeds) for seeds in (chosen, others) if len(seeds)]
     episodes = pd.concat(parts).sort_values(EPISODE_SEED, ignore_index=True)
@@ -31,7 +31,7 @@ def finish(loop: TrainingLoop) -> pd.DataFrame:
     loop.record_evaluation(episodes, "final")
     certified, reference = parts[0], config.env.simulators[-1]
     if config.env.simulator != reference:
-        loop.bar.busy(f"certification on {reference}")
+        loop.bar.busy(f"cross-check on {reference}")
         certified = loop.run_episodes(chosen, reference)
     if chosen:
         loop.record_evaluation(certified, "certified")
@@ -47,8 +47,8 @@ def finish(loop: TrainingLoop) -> pd.DataFrame:
         except VideoError as error:
             loop.bar.say(str(error))
     if chosen and (different := differences(parts[0], certified)):
-        raise CertificationError(
-            f"{len(different)} of {len(certified)} certified episodes differ between env.simulator="
+        raise CrossCheckError(
+            f"{len(different)} of {len(certified)} cross-checked episodes differ between env.simulator="
             f"{config.env.simulator} and {reference}; {'; '.join(different[:3])}"
         )
     return episodes

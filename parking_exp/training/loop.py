@@ -39,7 +39,7 @@ class Seeds:
 
     policy: int  # weights, exploration and minibatches (Python, NumPy and torch), below 2**31
     training_envs: int  # of the first training env; env i gets this + i. At least 2**31: no seed of an evaluation
-    certified: int  # draws the episodes of the final evaluation that are certified
+    certified: int  # draws the episodes of the final evaluation that are cross-checked
 
 
 def derive_seeds(seed: int) -> Seeds:

@@ -5,14 +5,14 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 from pydantic import Field, model_validator
 
-from parking_exp.config.schema import ConfigModel, Count, Name, Positive, SweepOptions
+from parking_exp.config.schema import SweepOptions
+from parking_exp.config_model import Bounds, ConfigModel, Count, Name, Positive
 
 if TYPE_CHECKING:
     from optuna.distributions import BaseDistribution
 
 DIGITS = 6  # of sampled numbers, so that configs stay readable
 Value = bool | int | float | str | None | list[Any] | dict[str, Any]
-Range = Annotated[list[float], Field(min_length=2, max_length=2)]
 Seeds = Annotated[list[Annotated[int, Field(ge=0, lt=2**32)]], Field(min_length=1)]
 
 
@@ -26,8 +26,8 @@ class Dimension(ConfigModel):
         choices: values, or options of a group.
     """
 
-    log: Range | None = None
-    uniform: Range | None = None
+    log: Bounds | None = None
+    uniform: Bounds | None = None
     whole: Annotated[list[int], Field(min_length=2, max_length=2)] | None = Field(default=None, alias="int")
     choices: Annotated[list[Value], Field(min_length=1)] | None = None
 

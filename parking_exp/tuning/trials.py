@@ -23,7 +23,7 @@ STATES: Mapping[str, TrialState] = {"COMPLETE": "done", "PRUNED": "pruned", "FAI
 OBJECTIVE = "success_auc"  # in tables, and in files of reports
 Rates = Annotated[list[Annotated[float, Field(ge=0, le=1)]], Field(min_length=1)]
 RETEST_FILE = "retest.json"
-MOST_SHOWN = 15
+MAX_SHOWN = 15
 
 
 @dataclass(frozen=True)
@@ -124,7 +124,7 @@ def trial_table(trials: Sequence[TrialRow]) -> Table:
     """Return the best trials, then running and failed ones: state, value and changes."""
     table = Table("trial", "state", OBJECTIVE, "changes", box=None, pad_edge=False)
     best, others = ranked(trials), [trial for trial in trials if trial.state in ("running", "failed")]
-    for trial in [*best[: max(1, MOST_SHOWN - len(others))], *others[:MOST_SHOWN]]:
+    for trial in [*best[: max(1, MAX_SHOWN - len(others))], *others[:MAX_SHOWN]]:
         value = "" if trial.value is None else f"{trial.value:.1%}"
         table.add_row(str(trial.number), trial.state, value, trial.reason or trial.label.partition(": ")[2])
     return table

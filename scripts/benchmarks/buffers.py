@@ -9,7 +9,7 @@ from stable_baselines3 import HerReplayBuffer
 from benchmarks.timing import Side, interleave, rounded
 from parking_exp import compose
 from parking_exp.buffers import HerBuffer
-from parking_exp.tasks.parking.reward import GoalReward
+from parking_exp.tasks.parking.reward import ParkingReward
 from parking_exp.tasks.parking.vec_env import ParkingVecEnv
 
 BATCH, N_ENVS = 256, 16
@@ -50,7 +50,7 @@ def _filled(cls: Any, capacity: int, transitions: int) -> Any:
     """Return a buffer filled with random transitions; both classes relabel like Stable-Baselines3 does."""
     config: Any = compose().env
     env = ParkingVecEnv(config, N_ENVS)
-    options = {"reward": GoalReward.of(config.for_training())} if cls is HerBuffer else {}
+    options = {"reward": ParkingReward.of(config.for_training())} if cls is HerBuffer else {}
     buffer = cls(capacity, env.observation_space, env.action_space, env, "cpu", N_ENVS, **options)
     recorded = _recorded()
     for step in range(transitions // N_ENVS):

@@ -10,7 +10,7 @@ from support.models import make_model
 from support.run_equality import leaves
 
 from parking_exp.algorithms.model_files import load_weights, save_model
-from parking_exp.errors import DamagedModelError, ModelError
+from parking_exp.errors import ModelError
 
 
 def built(*overrides, seed=0):
@@ -72,7 +72,7 @@ def test_a_damaged_file_is_refused_and_changes_nothing(model, content, tmp_path,
     path = tmp_path / "model.zip"
     path.write_bytes(damage(content))
     before = state(model)
-    with pytest.raises(DamagedModelError, match=rf"^{path} is damaged") as refusal:
+    with pytest.raises(ModelError, match=rf"^{path} is damaged") as refusal:
         load_weights(path, model)
     assert "\n" not in str(refusal.value)
     assert state(model) == before
@@ -86,7 +86,7 @@ def test_what_is_no_weight_is_not_executed(model, content, tmp_path):
     path = tmp_path / "model.zip"
     for member in ("policy_pth", "pytorch_variables_pth"):
         path.write_bytes(rewritten(content, **{member: tensors(Hostile())}))
-        with pytest.raises(DamagedModelError, match=rf"^{path} is damaged"):
+        with pytest.raises(ModelError, match=rf"^{path} is damaged"):
             load_weights(path, model)
     path.write_bytes(rewritten(content, data=b'{"policy_class": {":serialized:": "no pickle"}}'))
     load_weights(path, built())  # the pickled part is not read

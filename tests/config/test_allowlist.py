@@ -10,7 +10,7 @@ from support.runs import ROOT, make_config
 
 from parking_exp.config.allowlist import ALLOWED, check_trust
 from parking_exp.config.compose import composed
-from parking_exp.config.constructor_arguments import find
+from parking_exp.config.constructor_arguments import import_object
 from parking_exp.errors import UntrustedError
 from parking_exp.evaluation.evaluate_run import evaluate_runs
 from parking_exp.runs.run_files import read_config
@@ -105,7 +105,7 @@ def test_a_class_outside_the_allowlist_is_refused_without_importing_it(foreign_r
 
 def test_every_class_on_the_list_exists_under_that_name():
     for target in ALLOWED:
-        cls = find(target)
+        cls = import_object(target)
         assert isinstance(cls, type)
         assert cls.__name__ == target.rpartition(".")[2]
         assert cls.__module__.partition(".")[0] == target.partition(".")[0]

@@ -11,7 +11,7 @@ from support.runs import GROUPS, make_config, options
 
 from parking_exp.config.allowlist import check_trust
 from parking_exp.config.compose import composed
-from parking_exp.config.overrides import as_hydra, config_dir
+from parking_exp.config.overrides import config_dir, to_hydra_syntax
 from parking_exp.config.validate import validate
 from parking_exp.errors import ConfigError
 
@@ -93,7 +93,7 @@ def test_a_config_equals_what_hydra_composes(lines):
     ],
 )
 def test_paths_that_hydras_grammar_cannot_parse_are_quoted(argument, expected):
-    assert as_hydra(argument) == expected
+    assert to_hydra_syntax(argument) == expected
 
 
 def test_a_users_own_options_apply_to_that_call_only(tmp_path):

@@ -9,7 +9,7 @@ from support.runs import make_config
 
 from parking_exp.algorithms.build_model import build_model, greedy_policy
 from parking_exp.algorithms.policy_files import load_policy, save_policy
-from parking_exp.errors import DamagedModelError, ModelError, RunNotFoundError, UntrustedError
+from parking_exp.errors import ModelError, RunNotFoundError, UntrustedError
 from parking_exp.evaluation import agents
 from parking_exp.evaluation.agents import PRETRAINED_DIR, find_agent
 from parking_exp.evaluation.evaluate_policy import evaluate, summarise
@@ -100,5 +100,5 @@ def test_a_damaged_policy_is_refused(damage, tmp_path, monkeypatch):
     file.write_bytes(damage(file.read_bytes()))
     monkeypatch.setattr(agents, "PRETRAINED_DIR", tmp_path)
     agent = find_agent("pretrained", tmp_path)
-    with pytest.raises(DamagedModelError, match=r"policy.safetensors is damaged"):
+    with pytest.raises(ModelError, match=r"policy.safetensors is damaged"):
         agent.model(agent.config.env)

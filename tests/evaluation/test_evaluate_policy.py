@@ -10,9 +10,9 @@ from support.runs import make_config
 from parking_exp.evaluation.evaluate_policy import describe, evaluate, rank, summarise
 from parking_exp.tasks.metrics import episode_columns, outcome
 from parking_exp.tasks.parking.highway import make_env
-from parking_exp.tasks.parking.outcomes import Pose, relative_pose
 from parking_exp.tasks.parking.parking_metrics import METRICS
 from parking_exp.tasks.parking.parking_task import ParkingTask
+from parking_exp.tasks.parking.pose import Pose, relative_pose
 from parking_exp.tasks.registry import make_task
 
 

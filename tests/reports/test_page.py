@@ -7,7 +7,7 @@ import pytest
 from support import report_factory
 from support.marks import slow_but
 
-from parking_exp.reports.render.report_pages import page
+from parking_exp.reports.report_page import page
 from parking_exp.reports.sections import Picture, section_contents
 
 ARGUMENTS = ["--no-sandbox", "--disable-gpu", "--no-first-run", "--disable-background-networking", "--disable-sync"]

@@ -9,7 +9,7 @@ import scipy.stats
 from support.result_frames import ALGORITHMS, REPLAY, Run, results, together
 
 from parking_exp.errors import ConfigError, RunNotFoundError
-from parking_exp.reports.cell_selection import choose, group, one_cell
+from parking_exp.reports.cell_selection import choose, find_baseline, group
 from parking_exp.reports.report_builder import build_report
 
 ENDS = {"sac": [0.8, 1.0, 0.8, 1.0, 1.0], "td3": [0.4, 0.2, 0.4, 0.6, 0.4]}
@@ -221,9 +221,9 @@ def test_an_unknown_cell_is_an_error_that_names_it(asked, parts):
     with pytest.raises(ConfigError, match=parts):
         choose(groups, [asked])
     with pytest.raises(ConfigError):
-        one_cell(groups, asked)
+        find_baseline(groups, asked)
     with pytest.raises(ConfigError, match=r"baseline=her_\*: 2 cells fit"):
-        one_cell(groups, "her_*")
+        find_baseline(groups, "her_*")
 
 
 def test_an_ambiguous_baseline_is_looked_up_among_the_chosen_cells():

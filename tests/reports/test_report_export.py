@@ -11,8 +11,8 @@ from support.report_command import report
 from support.runs import in_memory, read_text
 from support.store_factory import Look, make_store
 
+from parking_exp.reports.make_report import ReportSource, read_report_export, write_report_export
 from parking_exp.reports.report_builder import build_report
-from parking_exp.reports.report_run import ReportSource, read_report_export, write_report_export
 from parking_exp.reports.search_report import Tuning, with_tuning
 from parking_exp.results import load
 from parking_exp.tuning.trials import TrialRow

@@ -3,8 +3,8 @@
 from support import report_factory
 
 from parking_exp.figure_style import new_figure
-from parking_exp.reports.render.report_pages import page
 from parking_exp.reports.report_files import write_tables
+from parking_exp.reports.report_page import page
 from parking_exp.reports.sections import Figure, Section, draw, section_contents, sections_of
 from parking_exp.reports.tables.table import Table, cell_column, cell_record, interval_column, spread
 

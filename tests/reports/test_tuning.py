@@ -14,9 +14,9 @@ from support import report_factory
 from support.searches import settings
 
 from parking_exp.errors import ResultsError
-from parking_exp.reports.figures.study_figures import FEWEST_TRIALS, draw_parameter_importance, study_of
-from parking_exp.reports.render.report_pages import page
+from parking_exp.reports.figures.study_figures import MIN_TRIALS, draw_parameter_importance, study_of
 from parking_exp.reports.report_files import write_tables
+from parking_exp.reports.report_page import page
 from parking_exp.reports.search_report import Tuning, search_text, tuning_of, with_search, with_tuning
 from parking_exp.reports.sections import SECTIONS, draw, section_contents
 from parking_exp.runs.atomic_files import write_json
@@ -130,8 +130,8 @@ def test_the_study_of_an_export_has_the_importances_of_the_study(folder):
 
 def test_importance_takes_trials_that_differ(folder):
     assert len([*draw_parameter_importance(report(tuning=many(folder)))]) == 1
-    few = [trial(k / 20, rate=1e-3 + k * 1e-4) for k in range(FEWEST_TRIALS - 1)]
-    for trials in (few, [trial(0.5, rate=1e-3 + k * 1e-4) for k in range(FEWEST_TRIALS)]):
+    few = [trial(k / 20, rate=1e-3 + k * 1e-4) for k in range(MIN_TRIALS - 1)]
+    for trials in (few, [trial(0.5, rate=1e-3 + k * 1e-4) for k in range(MIN_TRIALS)]):
         assert not [*draw_parameter_importance(report(tuning=tuning(folder, trials)))]
 
 

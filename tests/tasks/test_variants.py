@@ -11,8 +11,8 @@ from parking_exp.config.compose import composed
 from parking_exp.config.validate import validate
 from parking_exp.config_model import TRAINING_SEEDS_START
 from parking_exp.tasks.parking.highway import make_env
-from parking_exp.tasks.parking.outcomes import relative_pose
-from parking_exp.tasks.parking.reward import GoalReward
+from parking_exp.tasks.parking.pose import relative_pose
+from parking_exp.tasks.parking.reward import ParkingReward
 from parking_exp.tasks.parking.scenes import Scenes
 from parking_exp.tasks.parking.simulator import Simulator
 from parking_exp.tasks.training_envs import make_training_envs
@@ -58,7 +58,7 @@ def test_variants_equal_highway_envs_own(option, their_id):
 
 def test_success_of_parking_stop_means_parked():
     """Every pose that highway-env's own criterion accepts is inside the lines, straight and standing; and some are."""
-    reward = GoalReward.of(make_config("env=parking_stop").env)
+    reward = ParkingReward.of(make_config("env=parking_stop").env)
     rng, n = np.random.default_rng(0), 200_000
     off = rng.uniform(-1, 1, (n, 4)) * [1.1, 1.6, 0.6, 0.2] * rng.random((n, 1))  # to all sides, down to nothing
     x, y, speed, turn = off.T
@@ -103,7 +103,7 @@ def test_success_in_training_may_be_closer_than_in_evaluation(simulator):
     envs = make_training_envs(config, n_envs=1)
     goal = envs.reset()["desired_goal"]
     achieved = goal + np.array([0.0121, 0, 0, 0, 0, 0])
-    for goal_reward, is_reached in ((envs.get_attr("goal_reward")[0], False), (GoalReward.of(config), True)):
+    for goal_reward, is_reached in ((envs.get_attr("goal_reward")[0], False), (ParkingReward.of(config), True)):
         reward, reached = goal_reward(achieved, goal)
         assert (reward.item(), reached.item()) == (pytest.approx(-0.11), is_reached)
     if simulator == "highway_env":

@@ -34,7 +34,7 @@ from parking_exp.runs.atomic_files import read_json, sha256
 from parking_exp.runs.directory import RunDirectory
 from parking_exp.tasks.metrics import episode_columns
 from parking_exp.tasks.parking.parking_metrics import METRICS
-from parking_exp.tasks.parking.reward import GoalReward
+from parking_exp.tasks.parking.reward import ParkingReward
 from parking_exp.tasks.registry import make_task
 from parking_exp.tasks.training_envs import make_training_envs
 from parking_exp.training import checkpoints
@@ -147,16 +147,16 @@ def test_some_final_scenes_drawn_by_the_seed_are_certified(tmp_path):
 
 def test_a_simulator_that_differs_from_highway_env_fails_the_run(output_dir, monkeypatch):
     """Here the simulator gives other rewards in the final scenes; both tables are stored."""
-    original = GoalReward.__call__
+    original = ParkingReward.__call__
 
     def other(self, achieved, desired, info=None):
         reward, reached = original(self, achieved, desired, info)
         return reward - 1e-6, reached
 
-    monkeypatch.setattr(GoalReward, "__call__", other)
+    monkeypatch.setattr(ParkingReward, "__call__", other)
     config = make_config("experiment=smoke", f"output_dir={output_dir}", "evaluation.video_episodes=0", "n_envs=1",
                          "total_timesteps=100")  # fmt: skip
-    with pytest.raises(FailedRunError, match=r"5 of 5 certified episodes differ .* scene 0: return -\d"):
+    with pytest.raises(FailedRunError, match=r"5 of 5 cross-checked episodes differ .* scene 0: return -\d"):
         train(config)
     directory = only_run(output_dir)
     assert directory.status == "failed"

@@ -13,7 +13,7 @@ from parking_exp.tasks.feature_extractors import SymmetricFeatures
 
 # Their `sample` draws transitions independently, so one large sample has the distribution of several small ones.
 INDEPENDENT = (HerBuffer, HerReplayBuffer, ReplayBuffer, DictReplayBuffer)
-LARGEST = 64  # minibatches sampled together: all updates after a long episode would not fit into memory
+MAX_MINIBATCHES = 64  # minibatches sampled together: all updates after a long episode would not fit into memory
 
 
 class Minibatch(NamedTuple):
@@ -40,8 +40,8 @@ def sample_minibatches(model: OffPolicyAlgorithm, steps: int, batch_size: int) -
     Buffers known to draw independently are sampled once for all of them. HER returns virtual transitions last; dealt
     out in turn, each minibatch has its share of them, to within one transition.
     """
-    for first in range(0, steps, LARGEST):
-        yield from _sample(model, min(LARGEST, steps - first), batch_size)
+    for first in range(0, steps, MAX_MINIBATCHES):
+        yield from _sample(model, min(MAX_MINIBATCHES, steps - first), batch_size)
 
 
 def _sample(model: OffPolicyAlgorithm, steps: int, batch_size: int) -> Iterator[Minibatch]:

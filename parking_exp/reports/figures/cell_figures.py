@@ -13,12 +13,12 @@ from parking_exp.figure_style import (
     INK,
     SMALL_PT,
     Drawing,
-    cell_labels,
     cell_style,
     new_figure,
     percentages,
     row_axes,
     time_axis,
+    wrapped_labels,
 )
 from parking_exp.reports.report_data import Cell, Curve, ReportData
 from parking_exp.tasks.registry import FAILURES
@@ -40,7 +40,7 @@ def draw_final_success(report: ReportData) -> Iterator[Drawing]:
     cells = report.shown_cells
     if not any(seed.success is not None for cell in cells for seed in cell.seeds):
         return
-    figure, axes = row_axes(cell_labels(cells, 36, lines=3))
+    figure, axes = row_axes(wrapped_labels(cells, 36, lines=3))
     axes.set_xlabel("final success (% of episodes)")
     axes.axvline(90, **_LINE_90)
     for row, cell in enumerate(cells):
@@ -107,7 +107,7 @@ def _curve(success: Axes, failure: Axes, cell: Cell, curve: Curve, *, with_seeds
 
 def _figure_with_legend(height: float, cells: Sequence[Cell]) -> Figure:
     """Return a figure with a legend of the cells at the right, at least as high as that."""
-    labels = cell_labels(cells, 32, lines=3)
+    labels = wrapped_labels(cells, 32, lines=3)
     figure = new_figure(max(height, 0.4 + sum(0.14 + 0.12 * label.count("\n") for label in labels)))
     styles = [cell_style(cell.id) for cell in cells]
     lines = [Line2D([], [], color=look.colour, linestyle=look.line, marker=look.marker) for look in styles]

@@ -5,7 +5,16 @@ from collections.abc import Iterator
 import numpy as np
 import pandas as pd
 
-from parking_exp.figure_style import INK, SMALL_PT, Drawing, cell_labels, new_figure, percentages, row_axes, text_colour
+from parking_exp.figure_style import (
+    INK,
+    SMALL_PT,
+    Drawing,
+    new_figure,
+    percentages,
+    row_axes,
+    text_colour,
+    wrapped_labels,
+)
 from parking_exp.reports.formats import level, p_value, points_interval
 from parking_exp.reports.report_data import ReportData
 
@@ -14,7 +23,7 @@ _VERDICTS = {"a": "▲", "b": "▼", "same": "≈", "unknown": "?"}
 
 def draw_pairs(report: ReportData) -> Iterator[Drawing]:
     """Draw the differences of final success between the cells of figures, with intervals."""
-    cells = dict(zip(report.shown, cell_labels(report.shown_cells, 36, lines=3), strict=True))
+    cells = dict(zip(report.shown, wrapped_labels(report.shown_cells, 36, lines=3), strict=True))
     pairs = [p for p in report.pairs if p.a in cells and p.b in cells and p.difference.value is not None]
     if not pairs:
         return

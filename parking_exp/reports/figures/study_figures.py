@@ -14,9 +14,9 @@ from parking_exp.figure_style import WIDTH_IN, Drawing, report_style
 from parking_exp.reports.report_data import ReportData
 from parking_exp.reports.search_report import Tuning
 
-MOST_AXES = 8  # of parallel coordinates
-MOST_SLICES = 4  # in one figure
-FEWEST_TRIALS = 20  # for importances: PED-ANOVA looks at the best tenth
+MAX_AXES = 8  # of parallel coordinates
+MAX_SLICES = 4  # in one figure
+MIN_TRIALS = 20  # for importances: PED-ANOVA looks at the best tenth
 
 
 def study_of(tuning: Tuning) -> Any:
@@ -85,7 +85,7 @@ def draw_parameter_importance(report: ReportData) -> Iterator[Drawing]:
         return
     study = study_of(tuning)
     values = [trial.value for trial in study.trials]
-    if len(values) >= FEWEST_TRIALS and len(set(values)) > 1:
+    if len(values) >= MIN_TRIALS and len(set(values)) > 1:
         figure = _plot("plot_param_importances", study, 1.0 + 0.3 * len(names), target_name=tuning.objective)
         yield figure, f"Importance of each parameter for the best tenth of trials by {tuning.objective} (PED-ANOVA)."
 
@@ -95,8 +95,8 @@ def draw_slices(report: ReportData) -> Iterator[Drawing]:
     if (tuning := report.tuning) is None or not (names := _varied(tuning)):
         return
     objective = tuning.objective
-    for begin in range(0, len(names), MOST_SLICES):
-        chosen = names[begin : begin + MOST_SLICES]
+    for begin in range(0, len(names), MAX_SLICES):
+        chosen = names[begin : begin + MAX_SLICES]
         figure = _plot("plot_slice", study_of(tuning), params=chosen, target_name=objective)
         yield figure, f"{objective} against {', '.join(chosen)}; darker trials are later ones."
 
@@ -105,7 +105,7 @@ def draw_trial_coordinates(report: ReportData) -> Iterator[Drawing]:
     """Draw each trial as a line across its values and parameters."""
     if (tuning := report.tuning) is None or not (names := _varied(tuning)):
         return
-    left_out = f" {len(names) - MOST_AXES} parameters are left out." if len(names) > MOST_AXES else ""
+    left_out = f" {len(names) - MAX_AXES} parameters are left out." if len(names) > MAX_AXES else ""
     objective = tuning.objective
-    figure = _plot("plot_parallel_coordinate", study_of(tuning), params=names[:MOST_AXES], target_name=objective)
+    figure = _plot("plot_parallel_coordinate", study_of(tuning), params=names[:MAX_AXES], target_name=objective)
     yield figure, f"Each trial as a line from its value across its parameters.{left_out}"

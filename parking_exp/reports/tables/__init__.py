@@ -1,1 +1,1 @@
-"""Tables of a report: the model, the tables, and generic writers for Markdown, LaTeX and CSV."""
+"""Tables of a report: the table model, and the content of each table."""

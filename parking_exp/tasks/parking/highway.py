@@ -9,9 +9,9 @@ import numpy as np
 from parking_exp.tasks.env_batch import EnvBatch
 from parking_exp.tasks.parking.nearby_vehicles import NearbyVehicles, RandomVehiclesCount
 from parking_exp.tasks.parking.obstacles import RandomObstacles
-from parking_exp.tasks.parking.outcomes import Pose, relative_pose
 from parking_exp.tasks.parking.parking_config import ENV_ID, ParkingConfig
-from parking_exp.tasks.parking.reward import GoalReward
+from parking_exp.tasks.parking.pose import Pose, relative_pose
+from parking_exp.tasks.parking.reward import ParkingReward
 
 
 class SparseReward(gym.Wrapper, gym.utils.RecordConstructorArgs):
@@ -42,7 +42,7 @@ def make_env(config: ParkingConfig, *, render_mode: str | None = None) -> gym.En
     gym.register_envs(highway_env)
     # Gymnasium's checker tests every space at every step and costs time; our tests run it instead.
     env = gym.make(ENV_ID, config=config.highway_options(), render_mode=render_mode, disable_env_checker=True)
-    env.unwrapped.goal_reward = GoalReward.of(config)
+    env.unwrapped.goal_reward = ParkingReward.of(config)
     if config.reward == "sparse":
         env = SparseReward(env)
     if isinstance(config.vehicles_count, list):

@@ -13,13 +13,13 @@ from parking_exp.tasks.parking.highway import make_env
 from parking_exp.tasks.parking.parking_config import ParkingConfig
 from parking_exp.tasks.task import Policy
 
-LONGEST_EPISODE_S = 20.0  # a timeout lasts 100 s, and shows mostly a car that does not move
+MAX_EPISODE_S = 20.0  # a timeout lasts 100 s, and shows mostly a car that does not move
 
 
 def frames(policy: Policy, config: ParkingConfig, scenes: Sequence[int]) -> Iterator[np.ndarray]:
     """Yield one frame for the start of each episode, one for each simulation frame, and one second of its end.
 
-    Episodes are cut after `LONGEST_EPISODE_S` seconds.
+    Episodes are cut after `MAX_EPISODE_S` seconds.
     """
     # SDL draws without a display; with its `dummy` driver highway-env would draw nothing at all.
     os.environ["SDL_VIDEODRIVER"] = "offscreen"
@@ -37,14 +37,14 @@ def frames(policy: Policy, config: ParkingConfig, scenes: Sequence[int]) -> Iter
             drawn[:] = [draw()]
             while True:
                 yield from (captioned(frame, f"scene {scene}") for frame in drawn)
-                if done or steps >= LONGEST_EPISODE_S * config.policy_frequency:
+                if done or steps >= MAX_EPISODE_S * config.policy_frequency:
                     break
                 action = policy({key: value[np.newaxis] for key, value in observation.items()})[0]
                 drawn.clear()
                 observation, _, terminated, truncated, info = env.step(action)
                 steps, done = steps + 1, terminated or truncated
                 lot.render()
-            ending = f"cut after {LONGEST_EPISODE_S:.0f} s"
+            ending = f"cut after {MAX_EPISODE_S:.0f} s"
             if done:
                 ending = outcome("crash", info["crashed"], info["is_success"])
             last = captioned(drawn[-1], f"scene {scene}: {ending}")

@@ -12,10 +12,10 @@ from parking_exp.figure_style import (
     GRID,
     WIDTH_IN,
     Drawing,
-    cell_labels,
     new_figure,
     percentages,
     text_colour,
+    wrapped_labels,
 )
 from parking_exp.tasks.parking.geometry import (
     LOT_LENGTH_M,
@@ -66,7 +66,7 @@ def draw_scene_map(cells: Sequence[Any]) -> Iterator[Drawing]:
         return
     n = len(failed)
     columns = min(n, 2 if n <= 4 else 3 if n <= 12 else 4)
-    labels = cell_labels([cell for cell, _ in failed], 84 // columns, lines=2)
+    labels = wrapped_labels([cell for cell, _ in failed], 84 // columns, lines=2)
     figure, lots = _lots(n, columns, head=0.22 + 0.13 * max(label.count("\n") for label in labels))
     highest = max(10.0, 5 * np.ceil(max(np.nanmax(rates) for _, rates in failed) / 5))
     for axes, (_, rates), label in zip(lots, failed, labels, strict=True):

@@ -21,14 +21,14 @@ DEFAULT_SCALES = [100, 100, 5, 5, 1, 1]
 OURS = {"task", "name", "simulator", "reward", "training_duration", "training_success_goal_reward", "obstacles"}
 
 
-MOST_VEHICLES = 26  # slots but for those of start and goal
+MAX_VEHICLES = 26  # slots but for those of start and goal
 
 
 def _check_vehicles_count(value: Any) -> Any:
     """Refuse what is neither a number of cars nor a range."""
     low, high = value if isinstance(value, list) and len(value) == 2 else (value, value)
-    if not (type(low) is type(high) is int and 0 <= low <= high <= MOST_VEHICLES):
-        raise ValueError(f"give a number from 0 to {MOST_VEHICLES}, or the lowest and the highest number: [0, 20]")
+    if not (type(low) is type(high) is int and 0 <= low <= high <= MAX_VEHICLES):
+        raise ValueError(f"give a number from 0 to {MAX_VEHICLES}, or the lowest and the highest number: [0, 20]")
     return value
 
 

@@ -7,15 +7,14 @@ METRICS: tuple[Metric, ...] = (
     outcome_rate("crash", FAILURE_COLOUR),
     TIMEOUT,
     rate(
-        "parked", lambda e: e.end.parked, higher_is_better=True, colour="#000000",
+        "parked", lambda e: e.end.parked, colour="#000000",
         note="strict: inside the lines, within 10 degrees, stationary"
     ),
     STEPS,
     RETURN,
-    Metric("distance_m", lambda e: e.end.distance_m, "Distance at the end", "m", higher_is_better=False),
+    Metric("distance_m", lambda e: e.end.distance_m, "Distance at the end", "m"),
     Metric(
-        "heading_error_rad", lambda e: abs(e.end.heading_error_rad), "Heading error at the end", "rad",
-        higher_is_better=False
+        "heading_error_rad", lambda e: abs(e.end.heading_error_rad), "Heading error at the end", "rad"
     ),
-    Metric("speed_mps", lambda e: abs(e.end.speed_mps), "Speed at the end", "m/s", higher_is_better=False),
+    Metric("speed_mps", lambda e: abs(e.end.speed_mps), "Speed at the end", "m/s"),
 )  # fmt: skip

@@ -9,7 +9,7 @@ from parking_exp.tasks.parking.parking_config import DEFAULT_FEATURES, ParkingCo
 
 
 @dataclass(frozen=True, eq=False)
-class GoalReward:
+class ParkingReward:
     """The reward of an env variant. Goals are x, y, vx, vy, cos_h, sin_h in highway-env's own scales."""
 
     weights: np.ndarray  # of the features' distances, shape (6,)

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from parking_exp.tasks.parking.geometry import N_SLOTS, SLOT_HEADINGS, SLOT_POSITIONS, SLOTS_A_ROW
+from parking_exp.tasks.parking.geometry import N_SLOTS, SLOT_HEADINGS, SLOT_POSITIONS, SLOTS_PER_ROW
 
 NO_SLOT = -1  # of a car that a scene with fewer cars than others lacks
 AISLE_M = np.array([33.0, 8.5])  # half the length and width of the area: within the walls, outside of the slots
@@ -14,7 +14,7 @@ START_M = 6.0  # distance from the middle of the lot, where the car starts
 
 # Of each row, the first of the slots nearest to the origin; its distance, as highway-env adds it up; its heading.
 _START_SLOTS = tuple(
-    int(row + np.argmin(np.abs(SLOT_POSITIONS[row : row + SLOTS_A_ROW, 0]))) for row in (0, SLOTS_A_ROW)
+    int(row + np.argmin(np.abs(SLOT_POSITIONS[row : row + SLOTS_PER_ROW, 0]))) for row in (0, SLOTS_PER_ROW)
 )
 _START_HEADINGS = SLOT_HEADINGS[list(_START_SLOTS), None]
 _START_DISTANCE_M = abs(float(SLOT_POSITIONS[_START_SLOTS[0], 0])) + 10.0

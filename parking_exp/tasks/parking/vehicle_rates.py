@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from parking_exp.figure_style import Drawing, cell_labels, cell_style, new_figure, percentages
+from parking_exp.figure_style import Drawing, cell_style, new_figure, percentages, wrapped_labels
 from parking_exp.tasks.parking.lot_map import OUTCOMES
 from parking_exp.tasks.parking.scenes import drawn_number
 
@@ -53,7 +53,7 @@ def draw_vehicle_rates(cells: Sequence[Any]) -> Iterator[Drawing]:
         return
     figure = new_figure(3.2)
     panels = figure.subplots(1, 2, sharex=True)
-    for cell, label in zip(shown, cell_labels(shown, 40), strict=True):
+    for cell, label in zip(shown, wrapped_labels(shown, 40), strict=True):
         style, rates = cell_style(cell.id), cell.task_data["vehicles"]
         line = {"color": style.colour, "linestyle": style.line, "marker": style.marker, "label": label}
         for axes, name in zip(panels, ("success", "crash"), strict=True):

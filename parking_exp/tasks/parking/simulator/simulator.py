@@ -17,9 +17,9 @@ from parking_exp.tasks.parking.geometry import (
     WALL_THICKNESS_M,
 )
 from parking_exp.tasks.parking.nearby_vehicles import nearest_vehicles
-from parking_exp.tasks.parking.outcomes import Pose, relative_pose
 from parking_exp.tasks.parking.parking_config import DEFAULT_FEATURES, DEFAULT_SCALES, ParkingConfig
-from parking_exp.tasks.parking.reward import GoalReward
+from parking_exp.tasks.parking.pose import Pose, relative_pose
+from parking_exp.tasks.parking.reward import ParkingReward
 from parking_exp.tasks.parking.scenes import Scenes
 from parking_exp.tasks.parking.simulator.collisions import Collisions, extent
 from parking_exp.tasks.parking.simulator.dynamics import Range, advance, limited_acceleration, slip_angle
@@ -53,7 +53,7 @@ class Simulator:
         self.dt = 1 / config.simulation_frequency
         self.episode_steps = config.episode_steps()
         self.walls = config.add_walls
-        self.reward = GoalReward.of(config)
+        self.reward = ParkingReward.of(config)
         self.seen = config.observation.vehicles_count
         self.scales = np.array(DEFAULT_SCALES, np.float64)
         slots = np.zeros((len(SLOT_HEADINGS), len(DEFAULT_FEATURES)))

@@ -3,9 +3,9 @@
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 
+from parking_exp.config.cell_labels import setting
 from parking_exp.errors import plural, quoted_label
 from parking_exp.reports.cell_selection import CellRuns
-from parking_exp.reports.formats import setting
 from parking_exp.reports.report_data import Cell, Provenance
 
 ENOUGH_SEEDS = 10
@@ -28,7 +28,7 @@ def named(names: Sequence[str]) -> str:
     return f"{', '.join(few)} and {last}" if few else last
 
 
-def warnings(runs: Sequence[CellRuns], cells: Sequence[Cell], origin: Provenance) -> Iterator[str]:
+def comparability_warnings(runs: Sequence[CellRuns], cells: Sequence[Cell], origin: Provenance) -> Iterator[str]:
     """Yield what makes numbers hard to compare."""
     if few := [cell.success.n for cell in cells if cell.success.n < ENOUGH_SEEDS]:
         some = f"{len(few)} of {plural(len(cells), 'cell')}"
