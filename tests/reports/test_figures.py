@@ -11,7 +11,7 @@ import pytest
 from PIL import Image
 from support import report_factory
 
-from parking_exp.figure_style import INK, cell_labels, cell_style, report_style
+from parking_exp.figure_style import INK, cell_style, report_style, wrapped_labels
 from parking_exp.reports.figures import cell_figures, comparison_figures
 from parking_exp.reports.sections import SECTIONS, draw
 from parking_exp.tasks.parking import lot_figures
@@ -207,4 +207,4 @@ def test_long_labels_are_wrapped_and_cut():
     labels = ["her_future, n_sampled_goal=1", "replay", "her_future, n_sampled_goal=1, gamma=0.9"]
     cells = report_factory.report(3, 1, labels=labels).cells
     two_lines = "her_future,\nn_sampled_goal=1"
-    assert cell_labels(cells, 18, lines=2) == [two_lines, "replay", f"{two_lines},…"]
+    assert wrapped_labels(cells, 18, lines=2) == [two_lines, "replay", f"{two_lines},…"]
