@@ -36,7 +36,11 @@ def test_results_of_a_pretrained_agent_follow_no_link_out_of_the_output_director
 
 @pytest.mark.parametrize(
     ("name", "env", "metric"),
-    [("pretrained", "parking", "success_rate"), ("pretrained/parked", "parking_stop", "parked_rate")],
+    [
+        ("pretrained", "parking", "success_rate"),
+        ("pretrained/parked", "parking_stop", "parked_rate"),
+        ("pretrained/crowded", "parking_stop_crowded", "parked_rate"),
+    ],
 )
 def test_pretrained_agents_park(name, env, metric, tmp_path):
     agent = find_agent(name, tmp_path)
@@ -50,7 +54,9 @@ def test_pretrained_agents_park(name, env, metric, tmp_path):
 
 
 def test_their_configs_are_those_of_the_recipes():
-    for name, overrides in (("default", ()), ("parked", ("experiment=parked",))):
+    crowded = ("env=parking_stop_crowded", "env.observation.vehicles_count=4", "env.vehicles_count=[0,20]", "seeds=1")
+    recipes = {"default": (), "parked": ("experiment=parked",), "crowded": ("experiment=crowded", *crowded)}
+    for name, overrides in recipes.items():
         config, recipe = find_agent(f"pretrained/{name}", PRETRAINED_DIR).config, make_config(*overrides)
         for part in ("env", "algorithm", "buffer", "total_timesteps", "n_envs", "updates_per_step", "precision"):
             assert getattr(config, part) == getattr(recipe, part), part
