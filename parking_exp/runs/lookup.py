@@ -29,17 +29,17 @@ def find_run(name: str, output_dir: Path, having: str, others: Sequence[str] = (
     folder = directory_path(name)
     if (folder / STATUS_FILE).exists():
         return RunDirectory(folder)
-    files = sorted(output_dir.glob(f"*/*/*/{STATUS_FILE}"))
-    usable = [file for file in files if (file.parent / having).exists()]
-    usable.sort(key=lambda file: (file.parent / having).stat().st_mtime)  # a sync or an evaluation changes status.json
+    runs = find_runs(output_dir)
+    usable = [path for path in runs if (path / having).exists()]
+    usable.sort(key=lambda path: (path / having).stat().st_mtime)  # a sync or an evaluation changes status.json
     if name == "latest" and usable:
-        return RunDirectory(usable[-1].parent.absolute())
-    if name == "latest" and files:
-        raise RunNotFoundError(f"run=latest: of {plural(len(files), 'run')} in {output_dir}, none has {having} yet")
-    ids = {run_id: file.parent for file in files if (run_id := RunDirectory(file.parent).run_id)}
+        return RunDirectory(usable[-1].absolute())
+    if name == "latest" and runs:
+        raise RunNotFoundError(f"run=latest: of {plural(len(runs), 'run')} in {output_dir}, none has {having} yet")
+    ids = {run_id: path for path in runs if (run_id := RunDirectory(path).run_id)}
     if name in ids:
         return RunDirectory(ids[name].absolute())
-    choices = [*(["latest"] if usable else []), *others, *ids, *(str(file.parent) for file in files)]
+    choices = [*(["latest"] if usable else []), *others, *ids, *map(str, runs)]
     hint = did_you_mean(name, choices) or (f"; write run={choices[0]}" if choices else "; train one first")
     raise RunNotFoundError(
         f"run={name} is neither a run directory nor the MLflow run id of a run in {output_dir}{hint}"

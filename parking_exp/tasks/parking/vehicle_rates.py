@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+from matplotlib.ticker import MaxNLocator
 
 from parking_exp.figure_style import Drawing, cell_style, new_figure, percentages, wrapped_labels
 from parking_exp.tasks.parking.lot_map import OUTCOMES
@@ -59,5 +60,6 @@ def draw_vehicle_rates(cells: Sequence[Any]) -> Iterator[Drawing]:
         for axes, name in zip(panels, ("success", "crash"), strict=True):
             axes.plot([row.vehicles for row in rates], percentages([getattr(row, name) for row in rates]), **line)
             axes.set(xlabel="parked cars", ylabel=f"{name} (%)")
+            axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     figure.legend(*panels[0].get_legend_handles_labels(), loc="outside upper center", ncols=2)
     yield figure, "Final success and crashes by the number of parked cars of a scene, all seeds together."
