@@ -68,7 +68,7 @@ class Evaluation:
 
     @property
     def folder(self) -> Path:
-        """Where the results go."""
+        """Folder of the results."""
         return self.agent.folder / "evaluations" / (self.request.name or _folder_name(self))
 
     def settings(self, env: EnvConfig) -> dict[str, Any]:
@@ -114,7 +114,9 @@ def comparison(evaluations: Sequence[Evaluation], rates: Sequence[dict[str, floa
     import pandas as pd
 
     configs = [settings_of(evaluation.agent.config.model_dump(exclude={"seed"})) for evaluation in evaluations]
-    cells = _labels(configs, [evaluation.agent.config.experiment_name for evaluation in evaluations], "agent")
+    cells = _labels(
+        configs, [evaluation.agent.config.experiment_name for evaluation in evaluations], evaluations[0].agent.name
+    )
     # Changes are named, too, where there is one evaluation of each agent.
     asked = [evaluation.settings(evaluation.env) for evaluation in evaluations]
     unchanged = [evaluation.settings(evaluation.agent.config.env) for evaluation in evaluations]
@@ -137,7 +139,8 @@ def _labels(settings: Sequence[dict[str, Any]], experiments: Sequence[str], defa
     distinct = dict(zip(keys, settings, strict=True))
     factors, values = find_factors([*distinct.values()], [key[0] for key in distinct])
     labels = cell_labels(factors, values, [default] * len(distinct)) if len(distinct) > 1 else [default]
-    return [dict(zip(distinct, labels, strict=True))[key] for key in keys]
+    label_of = dict(zip(distinct, labels, strict=True))
+    return [label_of[key] for key in keys]
 
 
 def _evaluate_and_store(evaluation: Evaluation) -> dict[str, float]:
@@ -159,22 +162,22 @@ def _evaluate(evaluation: Evaluation) -> dict[str, float]:
     from parking_exp.evaluation.video import record
 
     request, agent, env, folder = evaluation.request, evaluation.agent, evaluation.env, evaluation.folder
-    task, simulator = make_task(env), _simulator(request, env)
+    task = make_task(env)
     policy, seeds, screen = greedy_policy(agent.model(env)), request.seeds, Screen(stderr=True)
     with torch_settings(agent.config), Progress(console=screen, transient=True, disable=not screen.is_terminal) as bar:
         shown = bar.add_task(f"{plural(len(seeds), 'episode')} of {env.name}", total=len(seeds))
-        episodes = evaluate(policy, task, seeds, lambda finished: bar.update(shown, completed=finished), simulator)
+        episodes = evaluate(policy, task, seeds, lambda finished: bar.update(shown, completed=finished))
     folder.mkdir(parents=True, exist_ok=True)
     for outdated in folder.glob("video.*"):
         outdated.unlink()
     episodes.to_csv(folder / "episodes.csv", index=False)
-    chosen = {"simulator": simulator, "model": request.model, "first_scene": request.first_scene}
+    chosen = {"simulator": env.simulator, "model": request.model, "first_scene": request.first_scene}
     rates = summarise(episodes, task.metrics)
     numbers = {"episodes": len(episodes), **rates, "intervals": intervals(episodes, task.metrics)}
     write_json(folder / "summary.json", {"env": env.name, "env_config": env.model_dump(), **chosen, **numbers})
     say(
         f"{agent.name} on {plural(len(seeds), 'episode')} of {_env_text(evaluation)}, from seed {request.first_scene}, "
-        f"simulated by {simulator}",
+        f"simulated by {env.simulator}",
         *describe(episodes, task.metrics).split("\n"),
     )
     if request.video:

@@ -225,7 +225,7 @@ def _of_run(run: Mapping[Hashable, Any], problem: str) -> str:
 
 def _read_episodes(tables: Mapping[str, bytes], runs: pd.DataFrame) -> tuple[pd.DataFrame, list[str]]:
     """Return the episodes of all runs, in the order of `runs`, and a sentence for each file that is damaged."""
-    parsed, problems = [pd.DataFrame(columns=["run_id", *EPISODES]).astype(EPISODES)], list[str]()
+    parsed, problems = [pd.DataFrame(columns=["run_id", *EPISODES]).astype(EPISODES)], dict[str, str]()
     by_header = defaultdict[bytes, list[str]](list)
     for run_id, table in tables.items():
         by_header[table.partition(b"\n")[0]].append(run_id)
@@ -238,10 +238,12 @@ def _read_episodes(tables: Mapping[str, bytes], runs: pd.DataFrame) -> tuple[pd.
                 parsed.append(_episodes_of([run_id], tables))
             except Exception as error:
                 (run,) = runs[runs["run_id"] == run_id].to_dict("records")
-                problems.append(_of_run(run, f"episodes.csv can't be read: {reason(error)}"))
+                problems[run_id] = _of_run(run, f"episodes.csv can't be read: {reason(error)}")
     ids = pd.CategoricalDtype(pd.Index(runs["run_id"].to_list(), dtype="str"))
     episodes = pd.concat(parsed).astype({"run_id": ids, **CATEGORIES})
-    return episodes.sort_values("run_id", kind="stable", ignore_index=True), problems
+    return episodes.sort_values("run_id", kind="stable", ignore_index=True), [
+        problems[key] for key in tables if key in problems
+    ]
 
 
 def _episodes_of(run_ids: Sequence[str], tables: Mapping[str, bytes]) -> pd.DataFrame:

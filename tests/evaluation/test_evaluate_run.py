@@ -84,7 +84,7 @@ def test_a_folder_of_runs_is_evaluated_on_changes_of_the_env_of_training_with_a_
     assert {summary["env_config"]["vehicles_count"] for summary in summaries} == {0, 20}
     assert "3 episodes of parking (vehicles_count=20), from seed 0" in done.stdout
     done = call_script("evaluate", *arguments[:-1], "env.vehicles_count=20")
-    assert done.stdout.splitlines()[-1].split()[1] == "vehicles_count=20"  # named, where it is the only one
+    assert done.stdout.splitlines()[-1].split()[-7] == "vehicles_count=20"  # named, where it is the only one
     done = call_script("evaluate", *arguments, "name=same")
     assert done.returncode == 2 and "name" in done.stderr
     RunDirectory(twin).update(status="failed")
