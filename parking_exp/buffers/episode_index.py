@@ -8,7 +8,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-NONE = -1
+NO_EPISODE = -1
 ARRAYS = ("tail", "head", "current", "table")
 
 
@@ -21,14 +21,14 @@ class EpisodeIndex:
     Attributes:
         steps: rows written since the start.
         tail, head: of each env, the steps between which its whole episodes lie, shape (n_envs,).
-        current: record ids of the episodes under way, or NONE between two episodes, shape (n_envs,).
+        current: record ids of the episodes under way, or NO_EPISODE between two episodes, shape (n_envs,).
     """
 
     def __init__(self, capacity: int, n_envs: int, goal_dtype: np.dtype, goal_shape: tuple[int, ...]) -> None:
         self.capacity, self.n_envs = capacity, n_envs
         self.steps = 0
         self.tail, self.head = np.zeros(n_envs, np.int64), np.zeros(n_envs, np.int64)
-        self.current = np.full(n_envs, NONE)
+        self.current = np.full(n_envs, NO_EPISODE)
         self.table = np.zeros(0, [("start", np.int32), ("length", np.int32), ("goal", goal_dtype, goal_shape)])
         self._unused: list[int] = []  # record ids
 
@@ -65,7 +65,7 @@ class EpisodeIndex:
         """End an episode with the last row."""
         self.table["length"][self.current[env]] = self.steps - self.head[env]
         self.head[env] = self.steps
-        self.current[env] = NONE
+        self.current[env] = NO_EPISODE
 
     def draw(self, rng: np.random.Generator, number: int) -> np.ndarray:
         """Draw transitions of whole episodes, all with the same probability; return their indices.

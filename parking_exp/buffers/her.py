@@ -13,7 +13,7 @@ from stable_baselines3.common.buffers import BaseBuffer
 from stable_baselines3.common.type_aliases import DictReplayBufferSamples
 from stable_baselines3.common.vec_env import VecEnv, VecNormalize
 
-from parking_exp.buffers.episode_index import NONE
+from parking_exp.buffers.episode_index import NO_EPISODE
 from parking_exp.buffers.storage import Storage, Transitions
 from parking_exp.buffers.strategies import STRATEGIES
 from parking_exp.config.argument_limits import GoalStrategy, GoalVelocity, RelabelCollision, RelabelTerminated
@@ -118,9 +118,9 @@ class HerBuffer(HerReplayBuffer):
         obs, next_obs = storage.shaped(obs), storage.shaped(next_obs)
         for env in storage.other_goals(obs).tolist():
             # SB3's `learn` resets the envs without notice when it is called again.
-            if episodes.current[env] != NONE:
+            if episodes.current[env] != NO_EPISODE:
                 self._truncate(env)
-        for env in np.flatnonzero(episodes.current == NONE).tolist():
+        for env in np.flatnonzero(episodes.current == NO_EPISODE).tolist():
             episodes.start(env, obs["desired_goal"][env])
         episodes.overwrite(storage.record_ids(self.pos))
         terminated = np.asarray(done, bool)
@@ -166,7 +166,7 @@ class HerBuffer(HerReplayBuffer):
 
     def truncate_last_trajectory(self) -> None:
         """Truncate the episodes under way, since the envs do not continue them."""
-        under_way = np.flatnonzero(self.episodes.current != NONE).tolist()
+        under_way = np.flatnonzero(self.episodes.current != NO_EPISODE).tolist()
         if under_way:
             warnings.warn("The episodes under way in the replay buffer are truncated", stacklevel=2)
         for env in under_way:
@@ -232,7 +232,7 @@ class HerBuffer(HerReplayBuffer):
             allowed &= ~self.reward(transitions.obs["achieved_goal"][last], goals, transitions.info[last])[1]
         rewards, reached = self._reward(transitions.next_obs["achieved_goal"][last], goals, transitions.info[last])
         if self.reward is not None and self.relabel_collision == "keep":
-            rewards = rewards + self.reward.failure * failed
+            rewards = rewards + self.reward.failure_penalty * failed
         transitions.rewards[last][allowed] = rewards[allowed]
         if terminates != "sb3":
             terminated = reached if terminates == "goal" else reached | failed

@@ -5,17 +5,16 @@ import re
 import time
 from dataclasses import asdict
 from functools import partial
-from pathlib import Path
 from typing import Annotated, Any
 
 from pydantic import Field
 from rich.console import Console
 
 from parking_exp.cli.command import for_each, run_command
-from parking_exp.config.paths import absolute, default_uri, directory_path, is_same_store
-from parking_exp.config.schema import StoreConfig
+from parking_exp.config.paths import absolute, default_uri, is_same_store
+from parking_exp.config.schema import OutputConfig, StoreConfig
 from parking_exp.config.validate import parse
-from parking_exp.config_model import ConfigModel, Name
+from parking_exp.config_model import Name
 from parking_exp.errors import ParkingError, RunNotFoundError, StoreError, plural, suggestion
 from parking_exp.runs.directory import RunDirectory
 from parking_exp.runs.lookup import find_runs
@@ -40,20 +39,14 @@ def status_overrides(words: list[str]) -> list[str]:
     return [re.sub(r"^experiment=", "experiment_name=", word) for word in words]
 
 
-class StatusRequest(ConfigModel):
+class StatusRequest(OutputConfig):
     """The config of scripts/status.py."""
 
     experiment_name: Name | None
-    output_dir: str
     as_json: Annotated[bool, Field(alias="json")]
     watch: bool
     sync: bool
     tracking: StoreConfig
-
-    @property
-    def output_path(self) -> Path:
-        """Absolute output directory."""
-        return directory_path(self.output_dir)
 
 
 def show(request: StatusRequest) -> None:

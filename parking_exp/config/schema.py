@@ -105,11 +105,21 @@ class SweepOptions(ConfigModel):
     dry_run: bool
 
 
-class RunConfig(ConfigModel):
+class OutputConfig(ConfigModel):
+    """The output directory, a key of each command."""
+
+    output_dir: Annotated[str, Field(pattern=r"^[^?]+$")]  # a sqlite URI ends at a question mark
+
+    @property
+    def output_path(self) -> Path:
+        """Absolute output directory."""
+        return directory_path(self.output_dir)
+
+
+class RunConfig(OutputConfig):
     """One run, seed included."""
 
     experiment_name: Name
-    output_dir: Annotated[str, Field(pattern=r"^[^?]+$")]  # a sqlite URI ends at a question mark
     seed: Annotated[int, Field(ge=0, lt=2**32)]
     total_timesteps: Positive
     n_envs: Annotated[int, Field(ge=1, le=100_000)]
@@ -128,11 +138,6 @@ class RunConfig(ConfigModel):
     def plain(self) -> dict[str, Any]:
         """Return the config as plain containers, for YAML."""
         return self.model_dump(by_alias=True)
-
-    @property
-    def output_path(self) -> Path:
-        """Absolute output directory."""
-        return directory_path(self.output_dir)
 
     @property
     def store_uri(self) -> str:

@@ -8,8 +8,7 @@ from pydantic import Field
 
 from parking_exp.config.allowlist import check_trust
 from parking_exp.config.paths import directory_path, refuse_links
-from parking_exp.config.schema import RunConfig
-from parking_exp.config_model import ConfigModel
+from parking_exp.config.schema import OutputConfig, RunConfig
 from parking_exp.errors import RunNotFoundError, plural
 from parking_exp.runs.directory import RunDirectory
 from parking_exp.runs.lookup import find_run, find_runs_below
@@ -53,17 +52,16 @@ class Agent:
         return model
 
 
-class AgentRequest(ConfigModel):
+class AgentRequest(OutputConfig):
     """The keys by which `evaluate` and `export` name an agent."""
 
     run: Annotated[str, Field(min_length=1)]
-    output_dir: str
     model: ModelName
     trust: bool
 
     def agent(self) -> Agent:
         """Find the agent."""
-        return find_agent(self.run, directory_path(self.output_dir), self.model, trust=self.trust)
+        return find_agent(self.run, self.output_path, self.model, trust=self.trust)
 
 
 def find_agent(run: str, output_dir: Path, model: ModelName = "final", *, trust: bool = False) -> Agent:

@@ -9,7 +9,7 @@ from typing import Any
 from omegaconf import DictConfig, OmegaConf
 
 from parking_exp.config.cell_labels import can_matter, cell_labels, find_factors, settings_of
-from parking_exp.config.paths import default_uri, directory_path, is_same_store
+from parking_exp.config.paths import default_uri, is_same_store
 from parking_exp.config.run_key import short_hash
 from parking_exp.config.schema import RunConfig, StoreConfig
 from parking_exp.config.validate import SWEEP_KEYS, check, parse, refuse
@@ -18,6 +18,7 @@ from parking_exp.errors import ConfigError, VideoError, plural
 from parking_exp.evaluation.agents import Agent, AgentRequest, find_agents, is_pretrained
 from parking_exp.runs.atomic_files import write_json
 from parking_exp.runs.directory import RunDirectory
+from parking_exp.runs.metric_logs import EPISODES_FILE
 from parking_exp.tasks.env_config import EnvConfig
 from parking_exp.tasks.registry import make_task
 from parking_exp.terminal import Screen, say
@@ -100,7 +101,7 @@ def evaluate_runs(configs: Sequence[DictConfig]) -> None:
     evaluations = [
         Evaluation(request, agent, evaluated_env(request, agent))
         for request in requests
-        for agent in find(request.run, directory_path(request.output_dir), request.model, trust=request.trust)
+        for agent in find(request.run, request.output_path, request.model, trust=request.trust)
     ]
     if len({evaluation.folder for evaluation in evaluations}) < len(evaluations):
         raise ConfigError("these are several evaluations of one agent, each with a folder of its own; leave name out")
@@ -170,7 +171,7 @@ def _evaluate(evaluation: Evaluation) -> dict[str, float]:
     folder.mkdir(parents=True, exist_ok=True)
     for outdated in folder.glob("video.*"):
         outdated.unlink()
-    episodes.to_csv(folder / "episodes.csv", index=False)
+    episodes.to_csv(folder / EPISODES_FILE, index=False)
     chosen = {"simulator": env.simulator, "model": request.model, "first_scene": request.first_scene}
     rates = summarise(episodes, task.metrics)
     numbers = {"episodes": len(episodes), **rates, "intervals": intervals(episodes, task.metrics)}
@@ -197,7 +198,7 @@ def _store(request: EvaluationRequest, directory: RunDirectory) -> None:
     from parking_exp.tracking.mirror import sync_hint, try_mirror
     from parking_exp.tracking.store import Store
 
-    tracked_in, output_dir = directory.tracking_uri, directory_path(request.output_dir)
+    tracked_in, output_dir = directory.tracking_uri, request.output_path
     uri = request.tracking.uri or default_uri(output_dir)
     if request.tracking.uri is None and (tracked_in is None or not is_same_store(tracked_in, uri)):
         if tracked_in is not None:

@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 
 from parking_exp.reports.cell_selection import CellRuns
-from parking_exp.reports.report_data import Cell, Curve, Seed
+from parking_exp.reports.report_data import Cell, Curve, RunSummary
 from parking_exp.results.frames import Results
 from parking_exp.statistics import (
     Interval,
@@ -35,8 +35,8 @@ STAGES = {"interrupted": "pending"}
 REPORTED: dict[str, Metric] = {
     metric.name if metric.is_rate else metric.run_column: metric for metric in METRICS if metric.in_reports
 }
-"""Metrics of reports by their names in `Cell` and `Seed`."""
-FURTHER = [name for name in REPORTED if name not in {field.name for field in fields(Seed)}]
+"""Metrics of reports by their names in `Cell` and `RunSummary`."""
+FURTHER = [name for name in REPORTED if name not in {field.name for field in fields(RunSummary)}]
 """Those without a field of their own, which only some tasks have."""
 RUN_COLUMNS = ["run_id", "run_dir", "seed", "n_scenes", "cpu_s", *(metric.run_column for metric in REPORTED.values())]
 CURVE_COLUMNS = ["run_id", "step", "success_rate", "failure_rate", "cpu_s"]
@@ -118,14 +118,14 @@ def _task_data(cell: CellRuns, final: Sequence[pd.DataFrame]) -> dict[str, Any]:
     return {key: value for task in task_reports([cell.task]) for key, value in task.rates(final, cell.config).items()}
 
 
-def _seed(run: dict[str, Any], evaluations: RunEvaluations) -> Seed:
+def _seed(run: dict[str, Any], evaluations: RunEvaluations) -> RunSummary:
     metrics = {name: finite_or_none(run[metric.run_column]) for name, metric in REPORTED.items()}
     episodes, curve = evaluations.final.get(run["run_id"]), evaluations.curves.get(run["run_id"])
     n_episodes = len(episodes) if episodes is not None else _whole(run["n_scenes"])
     success, low, high = metrics["success"], None, None
     if success is not None and n_episodes:
         low, high = wilson_interval(round(success * n_episodes), n_episodes)
-    return Seed(
+    return RunSummary(
         seed=int(run["seed"]),
         run_id=run["run_id"],
         run_dir=run["run_dir"] if isinstance(run["run_dir"], str) else None,
@@ -180,7 +180,7 @@ def _curve(runs: pd.DataFrame, evaluations: RunEvaluations) -> Curve | None:
     )
 
 
-def _time_to_90(seeds: Sequence[Seed], horizon: float | None) -> dict[str, Any]:
+def _time_to_90(seeds: Sequence[RunSummary], horizon: float | None) -> dict[str, Any]:
     """Return the fields of a cell about the time to 90 %."""
     timed = [seed for seed in seeds if seed.steps_to_90 is not None]
     if not timed:

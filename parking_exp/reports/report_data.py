@@ -18,7 +18,7 @@ Verdict = Literal["a", "b", "same", "unknown"]
 
 
 @dataclass(frozen=True)
-class Seed:
+class RunSummary:
     """One finished run, with rates over its `n_episodes` final episodes."""
 
     seed: int
@@ -72,7 +72,7 @@ class Cell:
     cpu_s: Interval
     area: Interval
     reaching_90: Proportion
-    seeds: Sequence[Seed] = ()
+    seeds: Sequence[RunSummary] = ()
     curve: Curve | None = None  # None without evaluations during training, as `survival`
     survival: SurvivalCurve | None = None  # of the env steps until three evaluations in a row have 90 %
     restricted_steps: Interval | None = None  # mean of these up to the report's `horizon`

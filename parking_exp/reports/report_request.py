@@ -1,7 +1,6 @@
 """The config of `scripts/report.py`, checked before anything is read."""
 
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Annotated, Literal
 
 from omegaconf import DictConfig, OmegaConf
@@ -9,8 +8,7 @@ from pydantic import Field
 
 from parking_exp.config.cell_labels import settings_of
 from parking_exp.config.compose import composed
-from parking_exp.config.paths import directory_path
-from parking_exp.config.schema import StoreConfig
+from parking_exp.config.schema import OutputConfig, StoreConfig
 from parking_exp.config.validate import parse
 from parking_exp.config_model import ConfigModel
 from parking_exp.errors import ConfigError, did_you_mean
@@ -25,7 +23,7 @@ class ReportOptions(ConfigModel):
     formats: list[Literal["svg", "png"]]
 
 
-class ReportRequest(ConfigModel):
+class ReportRequest(OutputConfig):
     """The config of scripts/report.py."""
 
     experiment_name: str | list[str] | None
@@ -33,15 +31,9 @@ class ReportRequest(ConfigModel):
     export: Annotated[str, Field(min_length=1)] | None
     cells: str | list[str] | None
     baseline: str | None
-    output_dir: str
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._+-]*$", max_length=200)] | None
     tracking: StoreConfig
     report: ReportOptions
-
-    @property
-    def output_path(self) -> Path:
-        """Absolute output directory."""
-        return directory_path(self.output_dir)
 
     @property
     def experiments(self) -> list[str] | None:

@@ -22,6 +22,7 @@ from parking_exp.results.run_logs import (
     read_episodes,
     read_points,
 )
+from parking_exp.runs.metric_logs import EPISODES_FILE, METRICS_FILE
 from parking_exp.tasks.registry import METRICS
 from parking_exp.tracking.client import reason
 from parking_exp.tracking.store import Store
@@ -107,14 +108,14 @@ def read_store(store: Store, experiments: str | Iterable[str] | None) -> Results
             searched = store.uri if experiments is None else f"experiment={','.join(ids)}"
             raise ResultsError(f"{searched}: it has no runs of parking_exp")
         runs = _runs(kept, {experiment_id: name for name, experiment_id in ids.items()}, store.run_dir)
-    logs, log_problems = _read_files(store, runs, "metrics.jsonl", read_points)
+    logs, log_problems = _read_files(store, runs, METRICS_FILE, read_points)
     points = [{"run_id": run_id, **point} for run_id, log in logs.items() for point in log]
     curves = pd.DataFrame(
         [point for point in points if any(name in point for name in CURVE.values())], columns=[*CURVE_TYPES]
     ).astype(CURVE_TYPES)
     steps = {run_id: max((point["step"] for point in log), default=0) for run_id, log in logs.items()}
     runs["steps"] = runs["run_id"].map(steps).fillna(0).astype("int64")
-    tables, table_problems = _read_files(store, runs[runs["status"] != "running"], "episodes.csv", bytes)
+    tables, table_problems = _read_files(store, runs[runs["status"] != "running"], EPISODES_FILE, bytes)
     episodes, damaged = _read_episodes(tables, runs)
     return Results(
         runs,
@@ -238,7 +239,7 @@ def _read_episodes(tables: Mapping[str, bytes], runs: pd.DataFrame) -> tuple[pd.
                 parsed.append(_episodes_of([run_id], tables))
             except Exception as error:
                 (run,) = runs[runs["run_id"] == run_id].to_dict("records")
-                problems[run_id] = _of_run(run, f"episodes.csv can't be read: {reason(error)}")
+                problems[run_id] = _of_run(run, f"{EPISODES_FILE} can't be read: {reason(error)}")
     ids = pd.CategoricalDtype(pd.Index(runs["run_id"].to_list(), dtype="str"))
     episodes = pd.concat(parsed).astype({"run_id": ids, **CATEGORIES})
     return episodes.sort_values("run_id", kind="stable", ignore_index=True), [

@@ -13,7 +13,7 @@ from parking_exp.errors import DamagedFileError
 if TYPE_CHECKING:
     import pandas as pd
 
-APPENDED = ("metrics.jsonl", "episodes.csv", "monitor.csv")
+METRICS_FILE, EPISODES_FILE, MONITOR_FILE = APPENDED = ("metrics.jsonl", "episodes.csv", "monitor.csv")
 """Files of a run directory that only grow; each checkpoint has a copy of them."""
 
 
@@ -22,7 +22,7 @@ def copy_logs(run_dir: Path, checkpoint: Path) -> None:
     for name in APPENDED:
         if (run_dir / name).exists():
             shutil.copyfile(run_dir / name, checkpoint / name)
-    (checkpoint / "metrics.jsonl").touch()
+    (checkpoint / METRICS_FILE).touch()
 
 
 def restore_logs(run_dir: Path, checkpoint: Path | None) -> None:

@@ -20,7 +20,7 @@ OUTPUT_DIR = "../../.."  # from a run directory
 Status = Literal["pending", "running", "done", "failed", "interrupted"]
 """Status in status.json; the process of a `running` run may be gone (`read_state` checks)."""
 # Larger numbers, of a damaged or foreign file, would overflow.
-Count = Annotated[int, Field(ge=0, le=10**15)]
+BoundedCount = Annotated[int, Field(ge=0, le=10**15)]
 Seconds = Annotated[float, Field(ge=0, le=1e12)]
 
 
@@ -35,28 +35,28 @@ class StatusEntries(_Entries):
     label: str | None = None
     error: str | None = None
     killed: bool | None = None
-    total_timesteps: Count | None = None
-    steps: Count | None = None
+    total_timesteps: BoundedCount | None = None
+    steps: BoundedCount | None = None
     success_rate: float | None = None
     wall_s: Seconds | None = None
     cpu_s: Seconds | None = None
-    memory_bytes: Count | None = None
+    memory_bytes: BoundedCount | None = None
     host: str | None = None
-    pid: Count | None = None
+    pid: BoundedCount | None = None
     started: Seconds | None = None
     run_id: str | None = None
     tracking_uri: Annotated[str, Field(pattern=r"^[^\x00-\x1f]+$")] | None = None
     unsynced: str | None = None
     command: str | None = None
     search: str | None = None
-    trial: Count | None = None
+    trial: BoundedCount | None = None
 
 
 class HeartbeatEntries(_Entries):
     """Entries of beat.json, which a process that trains writes every second."""
 
     time: Seconds = 0.0
-    step: Count = 0
+    step: BoundedCount = 0
     steps_per_s: Annotated[float, Field(ge=0, le=1e9)] = 0.0
     doing: str | None = None
 

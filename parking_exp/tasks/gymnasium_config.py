@@ -37,8 +37,8 @@ class GymnasiumConfig(ConfigModel):
     @property
     def imports(self) -> dict[str, str]:
         """Keys by which making an env may import a module or open a file, and their values."""
-        strange = {f"kwargs.{key}": str(value) for key, value in self.kwargs.items() if not _is_harmless(value)}
-        return strange | ({"id": self.id} if ":" in self.id else {})
+        unsafe = {f"kwargs.{key}": str(value) for key, value in self.kwargs.items() if not _is_harmless(value)}
+        return unsafe | ({"id": self.id} if ":" in self.id else {})
 
     def problems(self) -> Iterator[str]:
         """Yield a sentence for each rule between keys that is violated; there is none."""

@@ -48,7 +48,7 @@ class GymnasiumReward:
     goal itself.
     """
 
-    failure, failure_key = 0.0, "is_failure"
+    failure_penalty, failure_key = 0.0, "is_failure"
     velocity: tuple[int, ...] = ()
 
     def __init__(self, config: GymnasiumConfig) -> None:

@@ -36,8 +36,8 @@ class GoalReward(Protocol):
     """The reward of reaching goals, for many of them at once."""
 
     @property
-    def failure(self) -> float:
-        """Penalty, a negative number, in the reward of a step at which the episode fails."""
+    def failure_penalty(self) -> float:
+        """A negative number, or 0, in the reward of a step at which the episode fails."""
 
     @property
     def failure_key(self) -> str | None:

@@ -70,7 +70,7 @@ def connect(uri: str, output_dir: Path | None = None) -> "MlflowClient":
         try:
             client = _open(uri)
         except Exception:
-            if not _is_half_made(path):
+            if not _has_interrupted_migrations(path):
                 raise
             path.replace(path.with_name(f"{path.name}.unusable"))
             _make_database(path)
@@ -112,7 +112,7 @@ def _make_database(path: Path) -> None:
             file.unlink(missing_ok=True)
 
 
-def _is_half_made(path: Path) -> bool:
+def _has_interrupted_migrations(path: Path) -> bool:
     """Return whether a database is an empty store whose migrations were interrupted; MLflow can't complete it."""
     with closing(sqlite3.connect(path)) as connection:
         tables = {name for (name,) in connection.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}

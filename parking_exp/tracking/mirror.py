@@ -21,7 +21,8 @@ from parking_exp.config.schema import RunConfig
 from parking_exp.errors import plural
 from parking_exp.runs.atomic_files import read_object
 from parking_exp.runs.directory import BUFFER, MANIFEST, MODEL, RunDirectory, Status
-from parking_exp.runs.metric_logs import read_metrics
+from parking_exp.runs.metric_logs import EPISODES_FILE, METRICS_FILE, MONITOR_FILE, read_metrics
+from parking_exp.runs.run_files import CONFIG_FILE
 from parking_exp.runs.run_provenance import PROVENANCE_FILE
 from parking_exp.tracking.client import reason
 from parking_exp.tracking.store import Store
@@ -36,10 +37,10 @@ MAX_PARAM_LENGTH = 6000  # MLflow refuses longer values; the whole config is an 
 MLFLOW_STATUS = {"done": "FINISHED", "failed": "FAILED"}  # others: KILLED
 FROM_STATUS = ("command", "search", "trial")  # tags
 AT_THE_END = (
-    "episodes.csv",
+    EPISODES_FILE,
     "curves.png",
     "video.mp4",
-    "monitor.csv",
+    MONITOR_FILE,
     "progress.csv",
     "traceback.txt",
     "models/best.zip",
@@ -65,14 +66,14 @@ def mirror(directory: RunDirectory, store: Store) -> None:
         if (run.data.tags.get(DIGEST), run.data.tags.get("run_dir")) == (digest, tags["run_dir"]):
             return
         params = {key: str(value)[:MAX_PARAM_LENGTH] for key, value in settings_of(config.plain()).items()}
-        store.log(run, params, tags, list(_new_metrics(run, files.get("metrics.jsonl"))))
+        store.log(run, params, tags, list(_new_metrics(run, files.get(METRICS_FILE))))
         for name, file in files.items():
             store.put_artifact(run, name, file.read_bytes() if file.name != MANIFEST else _buffer_record(file))
         with store.writing() as client:
             if status == "running":
                 client.update_run(run.info.run_id, "RUNNING")
             else:
-                end_ms = files.get("metrics.jsonl", files["config.yaml"]).stat().st_mtime_ns // 1_000_000
+                end_ms = files.get(METRICS_FILE, files[CONFIG_FILE]).stat().st_mtime_ns // 1_000_000
                 client.set_terminated(run.info.run_id, MLFLOW_STATUS.get(status, "KILLED"), end_ms)
         store.log(run, {}, {DIGEST: digest})
 
@@ -177,14 +178,14 @@ def _tags(directory: RunDirectory, config: RunConfig, uri: str, status: Status) 
 def _files(directory: RunDirectory) -> dict[str, Path]:
     """Return the files for the store, by their names there; those that grow with the run come at its end."""
     path, status = directory.path, _status(directory)
-    files = {"config.yaml": path / "config.yaml"}
+    files = {CONFIG_FILE: path / CONFIG_FILE}
     if checkpoints := sorted(directory.checkpoints.glob("step=*")):
         newest = checkpoints[-1]
-        files["metrics.jsonl"] = newest / "metrics.jsonl"  # what is final of it
+        files[METRICS_FILE] = newest / METRICS_FILE  # what is final of it
         files["checkpoint/model.zip"] = newest / MODEL
         files["checkpoint/replay_buffer.json"] = newest / MANIFEST
     if status == "done":
-        files["metrics.jsonl"] = path / "metrics.jsonl"
+        files[METRICS_FILE] = path / METRICS_FILE
     if status != "running":
         files |= {name: path / name for name in AT_THE_END}
     evaluations = sorted((path / "evaluations").glob("*/[!.]*"))

@@ -20,7 +20,7 @@ from parking_exp.config_model import TRAINING_SEEDS_START
 from parking_exp.errors import InterruptedRunError
 from parking_exp.evaluation.evaluate_policy import evaluate, rank, success_line, summarise
 from parking_exp.runs.directory import RunDirectory
-from parking_exp.runs.metric_logs import MetricsLog, append_episodes
+from parking_exp.runs.metric_logs import EPISODES_FILE, METRICS_FILE, MONITOR_FILE, MetricsLog, append_episodes
 from parking_exp.tasks.registry import make_task
 from parking_exp.tasks.training_envs import make_training_envs
 from parking_exp.tracking.tracker import Tracker
@@ -61,10 +61,10 @@ class TrainingLoop:
         self._cpu_start = time.process_time() - progress.cpu_s
         self._wall_start = time.monotonic() - progress.wall_s
         directory.models.mkdir(exist_ok=True)
-        self.metrics = MetricsLog(path / "metrics.jsonl")
+        self.metrics = MetricsLog(path / METRICS_FILE)
         seeds = derive_seeds(config.seed)
         self.task = make_task(config.env)
-        self.env = make_training_envs(config.env, config.n_envs, path / "monitor.csv", progress.wall_s)
+        self.env = make_training_envs(config.env, config.n_envs, path / MONITOR_FILE, progress.wall_s)
         self.model = build_model(config, self.env, seeds.policy)
         self.policy = greedy_policy(self.model)
         self.average = PolicyEMA(self.model, config.algorithm.policy_ema_half_life)
@@ -146,7 +146,7 @@ class TrainingLoop:
     def record_evaluation(self, episodes: pd.DataFrame, phase: str) -> dict[str, float]:
         """Append episodes to `episodes.csv`, log their summary and return it; `eval`'s best model so far is kept."""
         step, summary = self.model.num_timesteps, summarise(episodes, self.task.metrics)
-        append_episodes(self.directory.path / "episodes.csv", episodes, phase, step)
+        append_episodes(self.directory.path / EPISODES_FILE, episodes, phase, step)
         for name, value in summary.items():
             self.model.logger.record(f"{phase}/{name}", value)
         if phase == "eval":

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 from parking_exp.config.schema import RunConfig
 from parking_exp.errors import ConfigError, OutputDirectoryError
 from parking_exp.runs.directory import RunDirectory
-from parking_exp.runs.metric_logs import read_metrics
+from parking_exp.runs.metric_logs import METRICS_FILE, read_metrics
 from parking_exp.runs.run_state import RunState, read_state
 from parking_exp.statistics import normalised_area
 from parking_exp.sweeps.local import Train
@@ -104,7 +104,7 @@ def _train_run(config: RunConfig, entries: dict[str, object], train: Train) -> R
 
 def success_auc(directory: RunDirectory) -> float:
     """Return the normalised area under the success curve of a finished run, its final evaluation included."""
-    records, name = read_metrics(directory.path / "metrics.jsonl"), "eval/success_rate"
+    records, name = read_metrics(directory.path / METRICS_FILE), "eval/success_rate"
     rates = {record["step"]: record["metrics"][name] for record in records if name in record["metrics"]}
     result = directory.result()
     if result is not None and "final/success_rate" in result.metrics:

@@ -34,7 +34,7 @@ def test_what_needs_the_envs_reward_is_refused_for_an_env_that_has_none():
 def test_every_buffer_binds_to_its_constructor(buffer, simulator):
     made = built(f"buffer={buffer}", "algorithm.learning_starts=40", f"env.simulator={simulator}").replay_buffer
     assert type(made) is HerBuffer
-    assert (made.reward.failure, made.reward.threshold) == (-5, -0.1)
+    assert (made.reward.failure_penalty, made.reward.threshold) == (-5, -0.1)
     if buffer == "replay":
         assert (made.goal_selection_strategy, made.n_sampled_goal) == (None, 0)
     else:

@@ -12,7 +12,7 @@ from support.runs import GROUPS, make_config, options
 from parking_exp.config.allowlist import check_trust
 from parking_exp.config.compose import composed
 from parking_exp.config.overrides import config_dir, to_hydra_syntax
-from parking_exp.config.validate import validate
+from parking_exp.config.validate import validate_all
 from parking_exp.errors import ConfigError
 
 
@@ -25,10 +25,8 @@ from parking_exp.errors import ConfigError
     ],
 )
 def test_every_option_of_every_group_composes_validates_and_is_trusted(group, option):
-    for composed_config in composed(
-        "config", [f"{group}={option}", *(["env.id=FetchReach-v4"] if option == "gymnasium" else [])]
-    ):
-        config = validate(composed_config)
+    needed = ["env.id=FetchReach-v4"] if option == "gymnasium" else []
+    for config in validate_all(composed("config", [f"{group}={option}", *needed])):
         check_trust(config, Path("config.yaml"))  # raises for a class outside the allow-list
         if group in ("env", "algorithm", "buffer"):
             assert getattr(config, group).name == option

@@ -18,7 +18,7 @@ from parking_exp.config_model import (
 ENV_ID = "parking-v0"
 DEFAULT_FEATURES = ["x", "y", "vx", "vy", "cos_h", "sin_h"]
 DEFAULT_SCALES = [100, 100, 5, 5, 1, 1]
-OURS = {"task", "name", "simulator", "reward", "training_duration", "training_success_goal_reward", "obstacles"}
+OUR_KEYS = {"task", "name", "simulator", "reward", "training_duration", "training_success_goal_reward", "obstacles"}
 
 
 MAX_VEHICLES = 26  # slots but for those of start and goal
@@ -99,7 +99,7 @@ class ParkingConfig(ConfigModel):
 
     def highway_options(self) -> dict[str, Any]:
         """Return the `config` for `gym.make(ENV_ID, config=...)`."""
-        options = self.model_dump(exclude={**dict.fromkeys(OURS, True), "observation": {"vehicles_count"}})
+        options = self.model_dump(exclude={**dict.fromkeys(OUR_KEYS, True), "observation": {"vehicles_count"}})
         options["vehicles_count"] = self.vehicles_range[1]
         options["action"] = {key: value for key, value in options["action"].items() if value is not None}
         return options

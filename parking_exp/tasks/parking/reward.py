@@ -14,7 +14,7 @@ class ParkingReward:
 
     weights: np.ndarray  # of the features' distances, shape (6,)
     threshold: float  # the dense reward above which a goal counts as reached
-    failure: float  # what a crash adds to the reward
+    failure_penalty: float  # what a crash adds to the reward
     sparse: bool  # the reward is 0 where the goal is reached and -1 elsewhere, instead of the distance
 
     failure_key = "crashed"

@@ -142,24 +142,24 @@ class Collisions:
             self._resolve_vehicles(state)
 
     def _resolve_cars(self, state: SceneState) -> None:
-        scene, obstacle = self._near_cars(state)
+        scene, target = self._near_cars(state)
         if not len(scene):
             return
         polygons = np.empty((len(scene), 2, 4, 2))
         direction = state.direction.take(scene, axis=1)
         polygons[:, 0] = corners(state.position.take(scene, axis=1).T, direction.T, CAR_LENGTH_M, CAR_WIDTH_M)
-        polygons[:, 1] = self._corners(state, scene, obstacle)
+        polygons[:, 1] = self._corners(state, scene, target)
         now, soon, push = separating_axis(polygons, (state.speed[scene] * direction).T * self.dt)
         state.crashed[scene[now]] = True
         if soon.any():
-            self._push(state, scene[soon], obstacle[soon], push[soon])
+            self._push(state, scene[soon], target[soon], push[soon])
 
-    def _push(self, state: SceneState, scene: np.ndarray, obstacle: np.ndarray, push: np.ndarray) -> None:
+    def _push(self, state: SceneState, scene: np.ndarray, target: np.ndarray, push: np.ndarray) -> None:
         """Set impacts: walls and obstacles push all the way out, parked cars half, and are pushed as far themselves."""
         if self.count:
-            cars = obstacle < self.count
+            cars = target < self.count
             push[cars] /= 2
-            pushed = scene[cars], 1 + obstacle[cars]
+            pushed = scene[cars], 1 + target[cars]
             state.hit[pushed] = True
             state.impact[pushed] = -push[cars]
             state.disturbed[pushed[0]] = True
@@ -175,31 +175,31 @@ class Collisions:
         row, pair = np.nonzero(~out_of_reach(offset, CAR_DIAGONAL_M, self._diagonals[second], 0.0))
         if not len(row):
             return
-        scenes, obstacles = rows[row].repeat(2), self._pairs[pair]
-        polygons = self._corners(state, scenes, obstacles.ravel()).reshape(-1, 2, 4, 2)
+        scenes, targets = rows[row].repeat(2), self._pairs[pair]
+        polygons = self._corners(state, scenes, targets.ravel()).reshape(-1, 2, 4, 2)
         _, soon, push = separating_axis(polygons, np.zeros((len(row), 2)))
-        obstacles, push = obstacles[soon], push[soon]
-        cars = obstacles < self.count
+        targets, push = targets[soon], push[soon]
+        cars = targets < self.count
         push[cars[:, 1]] /= 2
-        pushed = scenes.reshape(-1, 2)[soon][cars], 1 + obstacles[cars]
+        pushed = scenes.reshape(-1, 2)[soon][cars], 1 + targets[cars]
         state.hit[pushed] = True
         state.impact[pushed] = np.stack([push, -push], axis=1)[cars]
 
-    def _corners(self, state: SceneState, scene: np.ndarray, obstacle: np.ndarray) -> np.ndarray:
-        """Return the corners of obstacles, shape (n, 4, 2)."""
-        wall = obstacle - self.count
-        obstacle_corners: np.ndarray = WALL_CORNERS.take(np.clip(wall, 0, len(WALL_LENGTHS) - 1), axis=0)
+    def _corners(self, state: SceneState, scene: np.ndarray, target: np.ndarray) -> np.ndarray:
+        """Return the corners of what can be hit, shape (n, 4, 2)."""
+        wall = target - self.count
+        target_corners: np.ndarray = WALL_CORNERS.take(np.clip(wall, 0, len(WALL_LENGTHS) - 1), axis=0)
         if self.n_obstacles:
             placed = wall >= len(WALL_LENGTHS)
             places = state.obstacles[scene[placed], wall[placed] - len(WALL_LENGTHS)]
-            obstacle_corners[placed] = corners(places, np.tile([1.0, 0.0], (len(places), 1)), OBSTACLE_M, OBSTACLE_M)
+            target_corners[placed] = corners(places, np.tile([1.0, 0.0], (len(places), 1)), OBSTACLE_M, OBSTACLE_M)
         if self.count:
             cars = wall < 0
-            which = scene[cars], obstacle[cars]
+            which = scene[cars], target[cars]
             heading = state.vehicle_heading[which]
             direction = np.stack([np.cos(heading), np.sin(heading)], axis=-1)
-            obstacle_corners[cars] = corners(state.vehicles[which], direction, CAR_LENGTH_M, CAR_WIDTH_M)
-        return obstacle_corners
+            target_corners[cars] = corners(state.vehicles[which], direction, CAR_LENGTH_M, CAR_WIDTH_M)
+        return target_corners
 
     def _near_cars(self, state: SceneState) -> tuple[np.ndarray, np.ndarray]:
         """Return scenes and numbers of what the cars may touch, in highway-env's order."""

@@ -220,7 +220,7 @@ class Simulator:
         crashed = state.crashed.copy()
         return Step(
             observation=observation,
-            reward=reward + self.reward.failure * crashed,
+            reward=reward + self.reward.failure_penalty * crashed,
             terminated=crashed | success,
             truncated=state.steps >= self.episode_steps,
             failed=crashed,
