@@ -76,6 +76,11 @@ def first_line(error: BaseException) -> str:
     return (str(error).splitlines() or [type(error).__name__])[0]
 
 
+def one_line(error: object) -> str:
+    """Return an error's message as one line."""
+    return " ".join(str(error).split())
+
+
 def plural(number: int, noun: str) -> str:
     """Return `1 run`, `2 runs`."""
     return f"{number} {noun}" if number == 1 else f"{number} {noun}s"

@@ -100,7 +100,7 @@ class Experiment:
     def difference(self, first: str, second: str) -> str:
         """Return the difference in success of two cells, e.g. `+9.1 points [+4.0, +14.2], p = 0.012`."""
         pair = self._pair(first, second)
-        pair = pair if pair.a == self.cell(first).id else pair.reversed()
+        pair = pair if pair.a == self.cell(first).id else pair.reverse()
         return f"{formats.points_interval(pair.difference)}, {formats.p_value(pair.p_holm)}"
 
     def log_rank(self, first: str, second: str) -> str:

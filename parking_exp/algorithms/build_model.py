@@ -119,9 +119,9 @@ def _policy_kwargs(config: RunConfig, task: Task, env: VecEnv) -> dict[str, Any]
     ):
         # What a MultiInputPolicy has by default, except CrossQ's.
         policy_kwargs["features_extractor_class"] = CombinedExtractor
-    given = config.algorithm.arguments.get("policy_kwargs") or {}
-    classes = {name: _class(value) for name, value in given.items() if name in CLASS_ARGUMENTS}
-    rest = instantiate({name: value for name, value in given.items() if name not in classes} | {"_convert_": "all"})
+    custom = config.algorithm.arguments.get("policy_kwargs") or {}
+    classes = {name: _class(value) for name, value in custom.items() if name in CLASS_ARGUMENTS}
+    rest = instantiate({name: value for name, value in custom.items() if name not in classes} | {"_convert_": "all"})
     return policy_kwargs | rest | classes
 
 

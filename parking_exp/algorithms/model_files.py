@@ -13,7 +13,7 @@ import torch
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from stable_baselines3.common.save_util import recursive_getattr
 
-from parking_exp.errors import ModelError
+from parking_exp.errors import ModelError, one_line
 from parking_exp.runs.atomic_files import replacing
 
 VARIABLES = "pytorch_variables"
@@ -35,7 +35,7 @@ def load_weights(path: Path, model: OffPolicyAlgorithm) -> None:
     """Load all parameters, optimizers and other tensors of a model.
 
     Raises:
-        ModelError: the file cannot be read, holds something else than weights, or is that of another model, which may
+        ModelError: the file cannot be read, holds something other than weights, or is that of another model, which may
             have some of its weights then.
     """
     weights = read_weights(path, model.device)
@@ -49,7 +49,7 @@ def load_weights(path: Path, model: OffPolicyAlgorithm) -> None:
             for name in names:
                 recursive_getattr(model, name).copy_(variables[name])
     except (LookupError, TypeError, ValueError, AttributeError, RuntimeError) as error:
-        problem = " ".join("".join(str(error).splitlines()[:2]).split())
+        problem = one_line("".join(str(error).splitlines()[:2]))
         name = type(model).__name__
         raise ModelError(f"{path} does not fit {name} as its config.yaml describes it: {problem}") from error
 
@@ -58,7 +58,7 @@ def read_weights(path: Path, device: torch.device) -> dict[str, Any]:
     """Return all state dicts of a model file by name, and its single tensors under `pytorch_variables`.
 
     Raises:
-        ModelError: bytes are missing or changed, or there is something else than weights.
+        ModelError: bytes are missing or changed, or it holds something other than weights.
     """
     content = io.BytesIO(path.read_bytes())
     try:

@@ -78,9 +78,9 @@ class EpisodeIndex:
             raise RuntimeError(
                 "HER cannot sample before an episode has ended; set learning_starts to the longest episode x n_envs"
             )
-        drawn = rng.integers(ends[-1], size=number)
-        env = ends.searchsorted(drawn, side="right")
-        step = drawn - ends.take(env)
+        positions = rng.integers(ends[-1], size=number)
+        env = ends.searchsorted(positions, side="right")
+        step = positions - ends.take(env)
         step += self.head.take(env)
         return self.index(step, env)
 

@@ -87,7 +87,7 @@ class HerBuffer(HerReplayBuffer):
         self.rng = np.random.default_rng(np.random.randint(2**32, size=4))
 
     @property
-    def real_share(self) -> float | None:
+    def real_fraction(self) -> float | None:
         """Fraction of real transitions among all sampled so far; None before the first."""
         real, virtual = self.sampled
         return real / (real + virtual) if real else None
@@ -115,7 +115,7 @@ class HerBuffer(HerReplayBuffer):
             infos: of the envs; the reward's `failure_key` and `TimeLimit.truncated` are read.
         """
         episodes, storage = self.episodes, self.storage
-        obs, next_obs = storage.shaped(obs), storage.shaped(next_obs)
+        obs, next_obs = storage.cast(obs), storage.cast(next_obs)
         for env in storage.other_goals(obs).tolist():
             # SB3's `learn` resets the envs without notice when it is called again.
             if episodes.current[env] != NO_EPISODE:
@@ -179,8 +179,8 @@ class HerBuffer(HerReplayBuffer):
     def get_state(self) -> dict[str, np.ndarray]:
         """Return the whole state as arrays, the filled part of the rows uncopied."""
         rng = np.frombuffer(json.dumps(self.rng.bit_generator.state).encode(), np.uint8)
-        own = {"pos": np.array(self.pos), "full": np.array(self.full), "sampled": np.array(self.sampled), "rng": rng}
-        return own | self.storage.get_state() | self.episodes.get_state()
+        counters = {"pos": np.array(self.pos), "full": np.array(self.full), "sampled": np.array(self.sampled)}
+        return counters | {"rng": rng} | self.storage.get_state() | self.episodes.get_state()
 
     def set_state(self, state: Mapping[str, np.ndarray]) -> None:
         """Restore a state of a buffer with the same arguments; what follows is identical."""

@@ -49,7 +49,7 @@ class Storage:
         self._n_info = n_info
         self._allocate(compact=self.formats["achieved_goal"] == self.formats["observation"])
 
-    def shaped(self, obs: Mapping[str, Any]) -> Observation:
+    def cast(self, obs: Mapping[str, Any]) -> Observation:
         """Return observations with the types and shapes of the space, each entry (n_envs, ...)."""
         return {
             key: np.asarray(obs[key], dtype).reshape(self.episodes.n_envs, *shape)

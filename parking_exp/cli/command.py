@@ -7,6 +7,7 @@ Commands import torch and mlflow after our own keys are validated.
 import argparse
 import logging
 import os
+import re
 import signal
 import sys
 from collections.abc import Callable, Iterator
@@ -17,7 +18,7 @@ from typing import NoReturn, TypeVar
 import hydra
 from omegaconf import DictConfig, OmegaConf
 
-from parking_exp.config.compose import VERSION_BASE, composed, user_options
+from parking_exp.config.compose import VERSION_BASE, compose_configs, user_options
 from parking_exp.config.overrides import config_dir, to_hydra_syntax
 from parking_exp.errors import DISK_ERRORS, ConfigError, InterruptedRunError, OutputDirectoryError, ParkingError
 from parking_exp.terminal import LogFormatter, say
@@ -44,7 +45,7 @@ def run_command(config_name: str, command: Command, read: Callable[[list[str]], 
             sys.argv[1:] = ["--help", *user_options(options.config_dir)]
             hydra.main(str(config_dir()), config_name, VERSION_BASE)(lambda config: None)()
         elif options.cfg:
-            configs = composed(config_name, overrides, options.config_dir)
+            configs = compose_configs(config_name, overrides, options.config_dir)
             sys.stdout.write("---\n".join(map(OmegaConf.to_yaml, configs)))
         else:
             command(overrides, options.config_dir)
@@ -54,11 +55,16 @@ def for_each(config_name: str, validate: Callable[[DictConfig], Request], task: 
     """Return a command that runs a task for each config of the overrides, after all are validated."""
 
     def command(overrides: list[str], extra_config_dir: str | None) -> None:
-        requests = [validate(config) for config in composed(config_name, overrides, extra_config_dir)]
+        requests = [validate(config) for config in compose_configs(config_name, overrides, extra_config_dir)]
         for request in requests:
             task(request)
 
     return command
+
+
+def rename_experiment(words: list[str]) -> list[str]:
+    """Replace `experiment=NAME` by `experiment_name=NAME`: in `conf/`, `experiment` is a group."""
+    return [re.sub(r"^experiment=", "experiment_name=", word) for word in words]
 
 
 @contextmanager

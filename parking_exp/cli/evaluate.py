@@ -1,22 +1,22 @@
 """`scripts/evaluate.py` and `parking-evaluate`: evaluate trained agents."""
 
 from parking_exp.cli.command import run_command
-from parking_exp.config.compose import composed
+from parking_exp.config.compose import compose_configs
 from parking_exp.errors import ConfigError
 from parking_exp.evaluation.evaluate_run import TRAINING_KEYS, evaluate_runs
 
 
 def main() -> None:
     """Run the command."""
-    run_command("evaluate", evaluate, as_overrides)
+    run_command("evaluate", evaluate, read_overrides)
 
 
 def evaluate(overrides: list[str], extra_config_dir: str | None) -> None:
     """Evaluate the agents of every config that the overrides define."""
-    evaluate_runs(composed("evaluate", overrides, extra_config_dir))
+    evaluate_runs(compose_configs("evaluate", overrides, extra_config_dir))
 
 
-def as_overrides(words: list[str]) -> list[str]:
+def read_overrides(words: list[str]) -> list[str]:
     """Return words as overrides: without an option of `env`, `env.KEY` changes the env of the agent's training.
 
     Raises:

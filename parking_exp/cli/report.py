@@ -3,23 +3,21 @@
 import gc
 import re
 
-from parking_exp.cli.command import run_command
-from parking_exp.config.compose import composed
+from parking_exp.cli.command import rename_experiment, run_command
+from parking_exp.config.compose import compose_configs
 from parking_exp.config.overrides import in_quotes
 from parking_exp.errors import ConfigError
-from parking_exp.reports.report_request import validate_report
-
-KEYS = {"experiment_name", "from", "export", "cells", "baseline", "output_dir", "name", "tracking", "report"}
+from parking_exp.reports.report_request import KEYS, validate_report
 
 
 def main() -> None:
     """Run the command."""
-    run_command("report", report_once, report_overrides)
+    run_command("report", report_once, read_overrides)
 
 
 def report_once(overrides: list[str], extra_config_dir: str | None) -> None:
     """Write one report."""
-    configs = composed("report", overrides, extra_config_dir)
+    configs = compose_configs("report", overrides, extra_config_dir)
     if len(configs) > 1:
         raise ConfigError("a report takes one value for each key; name=... makes another one beside it")
     request = validate_report(configs[0])
@@ -30,7 +28,7 @@ def report_once(overrides: list[str], extra_config_dir: str | None) -> None:
     gc.freeze()
 
 
-def report_overrides(words: list[str]) -> list[str]:
+def read_overrides(words: list[str]) -> list[str]:
     """Return Hydra's overrides for the words after `report.py`: words that are not a key of this command name cells.
 
     Labels of cells have commas, equal signs and spaces, which have another meaning for Hydra.
@@ -38,28 +36,27 @@ def report_overrides(words: list[str]) -> list[str]:
     overrides, cells = [], []
     for word in words:
         key, equals, value = word.partition("=")
-        if key == "experiment" and equals:
-            names = value.removeprefix("[").removesuffix("]").split(",")
-            overrides.append(f"experiment_name={value if value == 'null' else _list(names)}")
+        if key == "experiment" and equals and value != "null":
+            overrides.append(f"{key}={_quote_list(value.removeprefix('[').removesuffix(']').split(','))}")
         elif key in {"baseline", "from", "export"} and value not in {"", "null"}:
             is_quoted = len(value) > 1 and value[0] == value[-1] and value[0] in "'\""
             overrides.append(f"{key}={in_quotes(value[1:-1] if is_quoted else value)}")
         elif key == "cells" and equals and value != "null" and not value.startswith("["):
-            cells += _labels(value)
+            cells += _split_labels(value)
         elif re.split(r"[./]", key.lstrip("+~"))[0] in {*KEYS, "hydra"}:
             overrides.append(word)
         else:
-            cells += [word] if equals else _labels(word)
+            cells += [word] if equals else _split_labels(word)
     if cells and any(override.startswith("cells=") for override in overrides):
         raise ConfigError(f"{cells[0]}: name cells either as words or as cells=[...]")
-    return [*overrides, f"cells={_list(cells)}"] if cells else overrides
+    return rename_experiment([*overrides, f"cells={_quote_list(cells)}"] if cells else overrides)
 
 
-def _list(values: list[str]) -> str:
+def _quote_list(values: list[str]) -> str:
     """Write a list of strings in Hydra's grammar."""
     return f"[{','.join(map(in_quotes, values))}]"
 
 
-def _labels(text: str) -> list[str]:
+def _split_labels(text: str) -> list[str]:
     """Split at commas; a comma before a space is part of a label."""
     return re.split(r",(?! )", text)

@@ -1,7 +1,6 @@
 """`scripts/status.py` and `parking-status`: show the progress of runs, read from their directories."""
 
 import json
-import re
 import time
 from dataclasses import asdict
 from functools import partial
@@ -10,7 +9,7 @@ from typing import Annotated, Any
 from pydantic import Field
 from rich.console import Console
 
-from parking_exp.cli.command import for_each, run_command
+from parking_exp.cli.command import for_each, rename_experiment, run_command
 from parking_exp.config.paths import absolute, default_uri, is_same_store
 from parking_exp.config.schema import OutputConfig, StoreConfig
 from parking_exp.config.validate import parse
@@ -24,19 +23,14 @@ from parking_exp.terminal import console, say
 from parking_exp.tracking.mirror import mirror_missing
 from parking_exp.tracking.store import Store
 from parking_exp.tuning.search import SEARCH_FILE, StoredSearch, study_in
-from parking_exp.tuning.trials import OBJECTIVE, counts, progress_lines, trial_table
+from parking_exp.tuning.trials import OBJECTIVE, count_states, progress_lines, progress_table
 
 WATCH_S = 2.0
 
 
 def main() -> None:
     """Run the command."""
-    run_command("status", for_each("status", partial(parse, StatusRequest), show), status_overrides)
-
-
-def status_overrides(words: list[str]) -> list[str]:
-    """Replace `experiment=NAME` by `experiment_name=NAME`: in `conf/`, `experiment` is a group."""
-    return [re.sub(r"^experiment=", "experiment_name=", word) for word in words]
+    run_command("status", for_each("status", partial(parse, StatusRequest), show), rename_experiment)
 
 
 class StatusRequest(OutputConfig):
@@ -55,9 +49,9 @@ def show(request: StatusRequest) -> None:
     if request.sync:
         _sync(request)
     while True:
-        states, searches = _read_states(request), _searches(request)
+        states, searches = _read_states(request), _read_searches(request)
         if request.as_json:
-            content = as_plain(states) | {"searches": [_search_plain(*search) for search in searches.items()]}
+            content = as_plain(states) | {"searches": [_describe_search(*search) for search in searches.items()]}
             say(*json.dumps(content, indent=2).split("\n"))
         else:
             if request.watch:
@@ -102,11 +96,11 @@ def _print_tables(out: Console, states: list[RunState], searches: dict[str, Stor
         if isinstance(search, ParkingError):
             out.print(f"search {name}: {search}")
         else:
-            out.print("", f"search {name}", trial_table(search.trials), sep="\n")
+            out.print("", f"search {name}", progress_table(search.trials), sep="\n")
             out.print(*progress_lines(search.trials, search.n_trials), sep="\n")
 
 
-def _searches(request: StatusRequest) -> dict[str, StoredSearch | ParkingError]:
+def _read_searches(request: StatusRequest) -> dict[str, StoredSearch | ParkingError]:
     """Return the search of each experiment that has one, or the error of reading it."""
     searches: dict[str, StoredSearch | ParkingError] = {}
     for file in sorted(request.output_path.glob(f"{request.experiment_name or '*'}/{SEARCH_FILE}")):
@@ -118,10 +112,10 @@ def _searches(request: StatusRequest) -> dict[str, StoredSearch | ParkingError]:
     return searches
 
 
-def _search_plain(name: str, search: StoredSearch | ParkingError) -> dict[str, Any]:
+def _describe_search(name: str, search: StoredSearch | ParkingError) -> dict[str, Any]:
     """Return a search and its trials for JSON."""
     if isinstance(search, ParkingError):
         return {"experiment": name, "error": str(search)}
-    about: dict[str, Any] = {"experiment": name, "n_trials": search.n_trials, "objective": OBJECTIVE}
-    about |= {str(state): number for state, number in counts(search.trials).items()}
-    return about | {"trials": [asdict(trial) for trial in search.trials]}
+    plain: dict[str, Any] = {"experiment": name, "n_trials": search.n_trials, "objective": OBJECTIVE}
+    plain |= {str(state): number for state, number in count_states(search.trials).items()}
+    return plain | {"trials": [asdict(trial) for trial in search.trials]}

@@ -3,7 +3,7 @@
 import gc
 
 from parking_exp.cli.command import run_command
-from parking_exp.config.compose import composed_runs
+from parking_exp.config.compose import compose_runs
 from parking_exp.config.schema import SweepOptions
 from parking_exp.config.validate import parse
 
@@ -19,7 +19,7 @@ def train(overrides: list[str], extra_config_dir: str | None) -> None:
     from parking_exp.sweeps.hydra_launcher import launcher_of
     from parking_exp.sweeps.sweep import plan, sweep
 
-    runs = composed_runs("config", overrides, extra_config_dir)
+    runs = compose_runs("config", overrides, extra_config_dir)
     first = runs[0].cell  # all runs have the same keys of the sweep
     options = parse(SweepOptions, {name: first[name] for name in SweepOptions.model_fields})
     planned = plan(runs, options.retry)

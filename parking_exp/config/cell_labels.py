@@ -1,6 +1,6 @@
 """Label cells by the differences between their resolved configs, in plans, status and reports alike.
 
-A group's option (`algorithm=td3`) changes many keys at once: keys that it determines are no factors of their own. Keys
+A group's option (`algorithm=td3`) changes many keys at once: keys that it determines are not separate factors. Keys
 that always change together count once.
 """
 
@@ -8,6 +8,7 @@ from collections.abc import Collection, Hashable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from parking_exp.config.grid import yaml_text
 from parking_exp.config.run_key import changes_results
 
 Setting = str | int | float | bool | None
@@ -45,7 +46,7 @@ def can_matter(key: str) -> bool:
     return key != "seed" and changes_results(key)
 
 
-def differing(configs: Sequence[Config]) -> list[str]:
+def differing_keys(configs: Sequence[Config]) -> list[str]:
     """Return the keys that can change a result and differ between configs."""
     keys = sorted({key for config in configs for key in config if can_matter(key)})
     return [key for key in keys if len({hashable(config.get(key)) for config in configs}) > 1]
@@ -58,7 +59,7 @@ def find_factors(
 
     The value is None if a cell's config has no such key.
     """
-    varying, columns = differing(configs), dict[str, list[Setting]]()
+    varying, columns = differing_keys(configs), dict[str, list[Setting]]()
     if len(set(experiments)) > 1:
         columns[EXPERIMENT] = list(experiments)
     for group in GROUPS:
@@ -83,8 +84,8 @@ def label_by_experiment(configs: Mapping[tuple[str, str], Config]) -> dict[tuple
     """Return the label of each cell within its experiment, given configs by (experiment, cell)."""
     labels: dict[tuple[str, str], str] = {}
     for experiment in dict.fromkeys(experiment for experiment, _ in configs):
-        own = [key for key in configs if key[0] == experiment]
-        labels |= zip(own, label_cells([configs[key] for key in own], [cell for _, cell in own]), strict=True)
+        cells = [key for key in configs if key[0] == experiment]
+        labels |= zip(cells, label_cells([configs[key] for key in cells], [cell for _, cell in cells]), strict=True)
     return labels
 
 
@@ -93,10 +94,10 @@ def label_cells(configs: Sequence[Config], names: Sequence[str]) -> list[str]:
     if len(configs) == 1:
         options = [str(configs[0][f"{group}.name"]) for group in GROUPS[1:] if f"{group}.name" in configs[0]]
         return [", ".join(options) or names[0]]
-    return cell_labels(*find_factors(configs, [""] * len(configs)), names)
+    return labels_from_factors(*find_factors(configs, [""] * len(configs)), names)
 
 
-def cell_labels(
+def labels_from_factors(
     factors: Sequence[Factor], settings: Sequence[Mapping[str, Setting]], names: Sequence[str]
 ) -> list[str]:
     """Return labels such as `her_final, n_sampled_goal=8`; equal ones get the key at the end of the cell's name."""
@@ -113,10 +114,8 @@ def cell_labels(
 
 
 def setting(value: Any) -> str:
-    """Write a config value as YAML would."""
-    if value is None or isinstance(value, bool):
-        return "null" if value is None else str(value).lower()
-    return f"{value:.6g}" if isinstance(value, float) else str(value)
+    """Write a config value as YAML would, numbers with six digits."""
+    return f"{value:.6g}" if isinstance(value, float) else yaml_text(value)
 
 
 def hashable(value: Setting) -> Hashable:

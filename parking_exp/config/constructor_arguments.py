@@ -14,7 +14,7 @@ from pydantic import ConfigDict, TypeAdapter, ValidationError
 
 from parking_exp.config.argument_limits import CLASS_LIMITS, LIMITS
 from parking_exp.config.schema import AlgorithmConfig, BufferConfig, RunConfig
-from parking_exp.errors import ConfigError, suggestion
+from parking_exp.errors import ConfigError, one_line, suggestion
 
 # Base classes of the sections' classes.
 BASES = {
@@ -65,7 +65,7 @@ def import_object(target: str) -> Any:
         return getattr(import_module(module), name)
     except Exception as error:  # whatever a module does when it is imported
         extra = "; pip install 'parking-exp[contrib]'" if module.startswith("sb3_contrib") else ""
-        raise ConfigError(f"{type(error).__name__}: {' '.join(str(error).split())}{extra}") from error
+        raise ConfigError(f"{type(error).__name__}: {one_line(error)}{extra}") from error
 
 
 def class_path(value: Any) -> Any:
@@ -100,8 +100,8 @@ def _check_policy(algorithm: AlgorithmConfig, algorithm_class: type) -> Iterator
     features, policy = algorithm.features, policy_class(algorithm_class)
     if "net_arch" in given and not isinstance(given["net_arch"], Mapping):  # a mapping sets actor and critic apart
         yield f"{key}.net_arch takes the place of algorithm.net_arch; use algorithm.net_arch"
-    elif features != "raw" and (own := [name for name in given if name.startswith("features_extractor")]):
-        yield f"{key}.{own[0]} takes the place of algorithm.features; set algorithm.features=raw"
+    elif features != "raw" and (extractor := [name for name in given if name.startswith("features_extractor")]):
+        yield f"{key}.{extractor[0]} takes the place of algorithm.features; set algorithm.features=raw"
     elif features != "raw" and policy is not None and not takes(policy, "features_extractor_class"):
         yield f"algorithm.features={features}: {algorithm.class_name}'s policy ignores it; use raw"
     elif features == "ego_mirrored" and policy not in map(import_object, MIRRORED_POLICIES):
@@ -117,14 +117,14 @@ def _check_policy(algorithm: AlgorithmConfig, algorithm_class: type) -> Iterator
 def _check_target(key: str, value: Any, base: str | None = None, *, partial: bool = False) -> Iterator[str]:
     """Check a dotted path, or a node with a `_target_` and its arguments; the class must have the base."""
     target = class_path(value)
-    place = f"{key}._target_={target}" if isinstance(value, Mapping) else f"{key}={target}"
+    assignment = f"{key}._target_={target}" if isinstance(value, Mapping) else f"{key}={target}"
     try:
         call = import_object(target)
     except ConfigError as error:
-        yield f"{place}: {error}"
+        yield f"{assignment}: {error}"
         return
     if base is not None and not (isinstance(call, type) and issubclass(call, import_object(base))):
-        yield f"{place} is not a subclass of {base}"
+        yield f"{assignment} is not a subclass of {base}"
     elif isinstance(value, Mapping):
         given = {name: argument for name, argument in value.items() if name not in HYDRA_KEYS}
         yield from _check_call(key, call, given, partial=partial or bool(value.get("_partial_")) or "_args_" in value)
@@ -134,21 +134,21 @@ def _check_call(key: str, call: Any, given: Mapping[str, Any], *, partial: bool 
     """Check the arguments of a call; a `partial` one gets others later."""
     parameters, is_open = _parameters(call)
     set_by_run, limits = SET_BY_RUN.get(key, set()), CLASS_LIMITS.get(getattr(call, "__name__", ""), LIMITS)
-    own = {name: parameter for name, parameter in parameters.items() if name not in set_by_run}
+    settable = {name: parameter for name, parameter in parameters.items() if name not in set_by_run}
     for name, value in given.items():
         path = f"{key}.{name}"
         if name in set_by_run:
             yield f"{path} is set by the run itself"
-        elif name not in own and not is_open:
-            yield f"{path}: there is no such key{suggestion(name, [*own, *SECTION_KEYS.get(key, ())])}"
+        elif name not in settable and not is_open:
+            yield f"{path}: there is no such key{suggestion(name, [*settable, *SECTION_KEYS.get(key, ())])}"
         elif name in CLASS_ARGUMENTS and value is not None and not isinstance(class_path(value), str):
             yield f"{path}={value!r} is not a class; give a dotted path or a node with a _target_"
         elif isinstance(class_path(value), str) and (name in CLASS_ARGUMENTS or isinstance(value, Mapping)):
             yield from _check_target(path, value, CLASS_ARGUMENTS.get(name), partial=name in CLASS_ARGUMENTS)
-        elif name in own:
-            yield from _check_value(path, value, own[name], limits)
+        elif name in settable:
+            yield from _check_value(path, value, settable[name], limits)
     if not partial:
-        required = (name for name, parameter in own.items() if parameter.default is inspect.Parameter.empty)
+        required = (name for name, parameter in settable.items() if parameter.default is inspect.Parameter.empty)
         yield from (f"{key}.{name} is missing" for name in required if name not in given)
 
 

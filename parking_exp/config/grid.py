@@ -17,7 +17,7 @@ Point = tuple[str, ...]
 MAX_CELLS, MAX_SEEDS = 10_000, 100_000
 
 
-def points(
+def expand_points(
     blocks: Sequence[Block], axes: Mapping[str, list[str]], has: Callable[[str, Point], bool], experiment: str = ""
 ) -> list[Point]:
     """Return the overrides of every cell.
@@ -42,8 +42,8 @@ def points(
     for block in blocks or [{}]:
         lines = []
         for key, value in block.items():
-            own, replaceable = _values(value), isinstance(value, list) or key not in swept
-            kept = [v for v in axes.get(key, own) if v in own or (replaceable and v not in listed[key])]
+            values, replaceable = _values(value), isinstance(value, list) or key not in swept
+            kept = [v for v in axes.get(key, values) if v in values or (replaceable and v not in listed[key])]
             lines.append([f"{key}={v}" for v in kept])
         if not all(lines):
             continue
@@ -79,11 +79,11 @@ def seeds_of(value: object) -> list[int] | None:
 
 
 def _values(value: object) -> list[str]:
-    return [_written(item) for item in (value if isinstance(value, list) else [value])]
+    return [yaml_text(item) for item in (value if isinstance(value, list) else [value])]
 
 
-def _written(value: object) -> str:
-    """Write a YAML value as Hydra reads it on a command line."""
+def yaml_text(value: object) -> str:
+    """Write a scalar or a list as YAML and Hydra's command line read it."""
     if value is None or isinstance(value, bool):
         return "null" if value is None else str(value).lower()
-    return f"[{','.join(map(_written, value))}]" if isinstance(value, list) else str(value)
+    return f"[{','.join(map(yaml_text, value))}]" if isinstance(value, list) else str(value)

@@ -38,7 +38,7 @@ def to_hydra_syntax(argument: str) -> str:
     elif not equals or "/" not in value or key.startswith("-"):
         return argument
     else:
-        with suppress(HydraException):  # a path that is no word of Hydra's grammar is quoted below
+        with suppress(HydraException):  # a path that Hydra can't parse is quoted below
             OverridesParser.create().parse_override(argument)
             return argument
     return f"{key}={in_quotes(value)}"

@@ -67,8 +67,8 @@ class AgentRequest(OutputConfig):
 def find_agent(run: str, output_dir: Path, model: ModelName = "final", *, trust: bool = False) -> Agent:
     """Find a trained agent; arguments and errors are those of `load_model`."""
     if is_pretrained(run):
-        return _pretrained(run, output_dir, model)
-    others = [PRETRAINED, *(f"{PRETRAINED}/{name}" for name in pretrained_names())]
+        return _find_pretrained(run, output_dir, model)
+    others = [PRETRAINED, *(f"{PRETRAINED}/{name}" for name in list_pretrained())]
     directory = find_run(run, output_dir, having=f"models/{model}.zip", others=others)
     weights = directory.models / f"{model}.zip"
     if not weights.exists():
@@ -120,13 +120,13 @@ def is_pretrained(run: str) -> bool:
     return run.partition("/")[0] == PRETRAINED
 
 
-def pretrained_names() -> list[str]:
+def list_pretrained() -> list[str]:
     """Return the names of the pretrained agents of this package."""
     return sorted(folder.parent.name for folder in PRETRAINED_DIR.glob(f"*/{POLICY_FILE}"))
 
 
-def _pretrained(run: str, output_dir: Path, model: ModelName) -> Agent:
-    name, names = run.partition("/")[2] or "default", pretrained_names()
+def _find_pretrained(run: str, output_dir: Path, model: ModelName) -> Agent:
+    name, names = run.partition("/")[2] or "default", list_pretrained()
     if name not in names:
         raise RunNotFoundError(f"run={run}: there is no such pretrained agent; choose from {', '.join(names)}")
     if model != "final":

@@ -29,22 +29,22 @@ def evaluate(
         policy, task: what is evaluated, and on what.
         seeds: of `env.reset`.
         on_step: called after each step of a batch with the number of finished episodes; may raise to stop.
-        simulator: one of the config's `simulators`; None: its own.
+        simulator: one of the config's `simulators`; None: its `simulator`.
     """
     rows: list[dict[str, Any]] = []
     for first in range(0, len(seeds), task.batch_size):
-        chosen = seeds[first : first + task.batch_size]
-        batch = task.evaluation_batch([*chosen], simulator or task.config.simulator)
-        _run_batch(policy, task, batch, np.asarray(chosen), rows, on_step)
+        batch_seeds = seeds[first : first + task.batch_size]
+        batch = task.evaluation_batch([*batch_seeds], simulator or task.config.simulator)
+        _run_batch(policy, task, batch, np.asarray(batch_seeds), rows, on_step)
     order = {seed: number for number, seed in enumerate(seeds)}
     rows.sort(key=lambda row: order[row[EPISODE_SEED]])
     return pd.DataFrame(rows, columns=episode_columns(task.metrics))
 
 
-def differences(episodes: pd.DataFrame, certified: pd.DataFrame) -> list[str]:
+def find_differences(episodes: pd.DataFrame, reference: pd.DataFrame) -> list[str]:
     """Compare two tables of the same episodes, row by row; return a phrase for each that differs."""
     phrases = []
-    for ours, theirs in zip(episodes.to_dict("records"), certified.to_dict("records"), strict=True):
+    for ours, theirs in zip(episodes.to_dict("records"), reference.to_dict("records"), strict=True):
         columns = [name for name in ours if not _is_same(ours[name], theirs[name])]
         if columns:
             values = ", ".join(f"{name} {ours[name]} and {theirs[name]}" for name in columns)
@@ -79,7 +79,7 @@ def describe(episodes: pd.DataFrame, metrics: Metrics) -> str:
     return "\n".join([*lines, f"mean     {', '.join(texts)}"])
 
 
-def success_line(summary: dict[str, float], step: int, metrics: Metrics) -> str:
+def describe_success(summary: dict[str, float], step: int, metrics: Metrics) -> str:
     """Return one line about an evaluation during training."""
     return f"evaluation at step {step}: {', '.join(f'{rate.name} {summary[rate.key]:.0%}' for rate in _rates(metrics))}"
 

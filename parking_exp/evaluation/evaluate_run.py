@@ -8,7 +8,7 @@ from typing import Any
 
 from omegaconf import DictConfig, OmegaConf
 
-from parking_exp.config.cell_labels import can_matter, cell_labels, find_factors, settings_of
+from parking_exp.config.cell_labels import can_matter, find_factors, labels_from_factors, settings_of
 from parking_exp.config.paths import default_uri, is_same_store
 from parking_exp.config.run_key import short_hash
 from parking_exp.config.schema import RunConfig, StoreConfig
@@ -70,12 +70,36 @@ class Evaluation:
     @property
     def folder(self) -> Path:
         """Folder of the results."""
-        return self.agent.folder / "evaluations" / (self.request.name or _folder_name(self))
+        return self.agent.folder / "evaluations" / (self.request.name or self.default_name)
+
+    @property
+    def default_name(self) -> str:
+        """Name of the folder if the request has none."""
+        env, request = self.env, self.request
+        name = f"{env.name}-{request.model}-seeds-{request.seeds[0]}-{request.seeds[-1]}"
+        if env.simulator != env.simulators[-1]:
+            name += f"-{env.simulator}"
+        if self.changes:
+            name += f"-{short_hash(env.model_dump())}"  # the same option with other values is another evaluation
+        return name
+
+    @property
+    def env_text(self) -> str:
+        """Name of the env; changes of the env of training are added in brackets, those of another option are not."""
+        if not self.changes or "name" in self.changes:
+            return self.env.name
+        return f"{self.env.name} ({', '.join(f'{key}={value}' for key, value in self.changes.items())})"
 
     def settings(self, env: EnvConfig) -> dict[str, Any]:
-        """Return what was asked for, with an env: dotted keys without what belongs to the agent."""
-        asked = self.request.model_dump(include={"model", "episodes", "first_scene", "simulator"})
-        return settings_of({**asked, "env": env.model_dump(exclude={"simulator", *env.agent_keys})})
+        """Return the request's settings with an env, as dotted keys, without what belongs to the agent."""
+        requested = self.request.model_dump(include={"model", "episodes", "first_scene", "simulator"})
+        return settings_of({**requested, "env": env.model_dump(exclude={"simulator", *env.agent_keys})})
+
+    @property
+    def changes(self) -> dict[str, Any]:
+        """Keys of `env` that differ from the env of training, with their values; the simulator is not one of them."""
+        now, before = self.settings(self.env), self.settings(self.agent.config.env)
+        return {key.removeprefix("env."): now.get(key) for key in now | before if now.get(key) != before.get(key)}
 
 
 def validate_request(config: DictConfig) -> EvaluationRequest:
@@ -99,7 +123,7 @@ def evaluate_runs(configs: Sequence[DictConfig]) -> None:
     requests = [validate_request(config) for config in configs]
     find = cache(find_agents)  # once, for all the envs that they are evaluated on
     evaluations = [
-        Evaluation(request, agent, evaluated_env(request, agent))
+        Evaluation(request, agent, choose_env(request, agent))
         for request in requests
         for agent in find(request.run, request.output_path, request.model, trust=request.trust)
     ]
@@ -107,21 +131,21 @@ def evaluate_runs(configs: Sequence[DictConfig]) -> None:
         raise ConfigError("these are several evaluations of one agent, each with a folder of its own; leave name out")
     rates = [_evaluate_and_store(evaluation) for evaluation in evaluations]
     if len(evaluations) > 1:
-        say("", *comparison(evaluations, rates).split("\n"))
+        say("", *compare(evaluations, rates).split("\n"))
 
 
-def comparison(evaluations: Sequence[Evaluation], rates: Sequence[dict[str, float]]) -> str:
+def compare(evaluations: Sequence[Evaluation], rates: Sequence[dict[str, float]]) -> str:
     """Return a table of mean rates by cell and evaluated env, with the lowest success of a run."""
     import pandas as pd
 
     configs = [settings_of(evaluation.agent.config.model_dump(exclude={"seed"})) for evaluation in evaluations]
-    cells = _labels(
+    cells = _label(
         configs, [evaluation.agent.config.experiment_name for evaluation in evaluations], evaluations[0].agent.name
     )
     # Changes are named, too, where there is one evaluation of each agent.
     asked = [evaluation.settings(evaluation.env) for evaluation in evaluations]
     unchanged = [evaluation.settings(evaluation.agent.config.env) for evaluation in evaluations]
-    changes = _labels([*asked, *unchanged], [""] * 2 * len(asked), "env of training")[: len(asked)]
+    changes = _label([*asked, *unchanged], [""] * 2 * len(asked), "env of training")[: len(asked)]
     percent = [{key: 100 * rate for key, rate in row.items() if key.endswith("_rate")} for row in rates]
     frame = pd.DataFrame(percent).rename(columns=lambda key: key.removesuffix("_rate"))
     groups = frame.groupby([pd.Series(cells, name="agent"), pd.Series(changes, name="evaluated on")], sort=False)
@@ -131,7 +155,7 @@ def comparison(evaluations: Sequence[Evaluation], rates: Sequence[dict[str, floa
     return table.reset_index().to_string(index=False, float_format="{:.2f}".format, na_rep="")
 
 
-def _labels(settings: Sequence[dict[str, Any]], experiments: Sequence[str], default: str) -> list[str]:
+def _label(settings: Sequence[dict[str, Any]], experiments: Sequence[str], default: str) -> list[str]:
     """Return what differs between settings; equal ones have equal labels, a single one the default."""
     keys = [
         (name, tuple(sorted(item for item in config.items() if can_matter(item[0]))))
@@ -139,7 +163,7 @@ def _labels(settings: Sequence[dict[str, Any]], experiments: Sequence[str], defa
     ]
     distinct = dict(zip(keys, settings, strict=True))
     factors, values = find_factors([*distinct.values()], [key[0] for key in distinct])
-    labels = cell_labels(factors, values, [default] * len(distinct)) if len(distinct) > 1 else [default]
+    labels = labels_from_factors(factors, values, [default] * len(distinct)) if len(distinct) > 1 else [default]
     label_of = dict(zip(distinct, labels, strict=True))
     return [label_of[key] for key in keys]
 
@@ -172,12 +196,12 @@ def _evaluate(evaluation: Evaluation) -> dict[str, float]:
     for outdated in folder.glob("video.*"):
         outdated.unlink()
     episodes.to_csv(folder / EPISODES_FILE, index=False)
-    chosen = {"simulator": env.simulator, "model": request.model, "first_scene": request.first_scene}
     rates = summarise(episodes, task.metrics)
+    settings = {"simulator": env.simulator, "model": request.model, "first_scene": request.first_scene}
     numbers = {"episodes": len(episodes), **rates, "intervals": intervals(episodes, task.metrics)}
-    write_json(folder / "summary.json", {"env": env.name, "env_config": env.model_dump(), **chosen, **numbers})
+    write_json(folder / "summary.json", {"env": env.name, "env_config": env.model_dump(), **settings, **numbers})
     say(
-        f"{agent.name} on {plural(len(seeds), 'episode')} of {_env_text(evaluation)}, from seed {request.first_scene}, "
+        f"{agent.name} on {plural(len(seeds), 'episode')} of {evaluation.env_text}, from seed {request.first_scene}, "
         f"simulated by {env.simulator}",
         *describe(episodes, task.metrics).split("\n"),
     )
@@ -211,40 +235,23 @@ def _store(request: EvaluationRequest, directory: RunDirectory) -> None:
         say(f"not stored     {problem}; {sync_hint(directory.output_dir, uri)}")
 
 
-def evaluated_env(request: EvaluationRequest, agent: Agent) -> EnvConfig:
+def choose_env(request: EvaluationRequest, agent: Agent) -> EnvConfig:
     """Return the env that an agent is evaluated on, with the agent's observation; ConfigError where that is wrong."""
-    own, asked = agent.config.env, request.env or {}
-    merged: Any = asked if "task" in asked else OmegaConf.to_container(OmegaConf.merge(own.model_dump(), asked))
-    if merged["task"] != own.task:
-        raise ConfigError(f"env={merged.get('name')}: the agent was trained on env={own.name}, which is another task")
-    env = check(EvaluatedEnv, {"env": merged | own.model_dump(include={*own.agent_keys})}).env
-    if (simulator := _simulator(request, env)) != env.simulator:
+    trained_on, asked = agent.config.env, request.env or {}
+    merged: Any = asked if "task" in asked else OmegaConf.to_container(OmegaConf.merge(trained_on.model_dump(), asked))
+    if merged["task"] != trained_on.task:
+        raise ConfigError(
+            f"env={merged.get('name')}: the agent was trained on env={trained_on.name}, which is another task"
+        )
+    env = check(EvaluatedEnv, {"env": merged | trained_on.model_dump(include={*trained_on.agent_keys})}).env
+    if (simulator := _choose_simulator(request, env)) != env.simulator:
         env = env.model_copy(update={"simulator": simulator})
     refuse([*env.problems(), *make_task(env).problems()])
     return env
 
 
-def _env_text(evaluation: Evaluation) -> str:
-    """Return the name of an env, with what differs from an agent's own env of that name."""
-    env, own = evaluation.env, evaluation.agent.config.env
-    before, now = evaluation.settings(own), evaluation.settings(env)
-    changes = [f"{key.removeprefix('env.')}={value}" for key, value in now.items() if before.get(key) != value]
-    return f"{env.name} ({', '.join(changes)})" if changes and env.name == own.name else env.name
-
-
-def _simulator(request: EvaluationRequest, env: EnvConfig) -> str:
+def _choose_simulator(request: EvaluationRequest, env: EnvConfig) -> str:
     """Return what simulates the episodes: by default the task's reference."""
     if request.simulator not in (None, *env.simulators):
         raise ConfigError(f"simulator={request.simulator}: env={env.name} has {' and '.join(env.simulators)}")
     return request.simulator or env.simulators[-1]
-
-
-def _folder_name(evaluation: Evaluation) -> str:
-    request, env = evaluation.request, evaluation.env
-    name = f"{env.name}-{request.model}-seeds-{request.seeds[0]}-{request.seeds[-1]}"
-    if env.simulator != env.simulators[-1]:
-        name += f"-{env.simulator}"
-    own = evaluation.agent.config.env.model_dump()
-    if env.model_dump() != own | ({"simulator": env.simulator} if "simulator" in own else {}):
-        name += f"-{short_hash(env.model_dump())}"  # the same option with other values is another evaluation
-    return name

@@ -23,6 +23,8 @@ from parking_exp.statistics import (
 
 ALL_PAIRS_UP_TO = 12  # cells: 66 pairs
 SIGNIFICANT = 0.05
+MAX_LEVELS = 12  # of a factor; more are values drawn from a range
+COVERED = 0.5  # share of the combinations that makes a design crossed
 
 
 class Family(NamedTuple):
@@ -61,18 +63,18 @@ def compare_pairs(cells: Sequence[Cell], baseline: str | None) -> Family:
             " The reference was chosen by its result, so that the others' distance from it is too large on average; "
             "name a baseline beforehand to avoid that."
         )
-    pairs = [_pair(a, b) for a, b in couples]
+    pairs = [_compare(a, b) for a, b in couples]
     p_holm, log_rank_p_holm = (
         list(map(finite_or_none, holm(p))) for p in ([pair.p for pair in pairs], [pair.log_rank_p for pair in pairs])
     )
     corrected = [
-        replace(pair, p_holm=p, log_rank_p_holm=times_p, verdict=_verdict(pair.difference, p))
+        replace(pair, p_holm=p, log_rank_p_holm=times_p, verdict=_judge(pair.difference, p))
         for pair, p, times_p in zip(pairs, p_holm, log_rank_p_holm, strict=True)
     ]
     return Family(corrected, sentence, reference.id if reference else None)
 
 
-def _pair(a: Cell, b: Cell) -> Pair:
+def _compare(a: Cell, b: Cell) -> Pair:
     rates_a, rates_b = ([seed.success for seed in cell.seeds if seed.success is not None] for cell in (a, b))
     test = welch(rates_a, rates_b)
     times_a, times_b = (
@@ -93,7 +95,7 @@ def _pair(a: Cell, b: Cell) -> Pair:
     )
 
 
-def _verdict(difference: Interval, p: float | None) -> Verdict:
+def _judge(difference: Interval, p: float | None) -> Verdict:
     if p is None or difference.value is None:
         return "unknown"
     if p >= SIGNIFICANT:
@@ -101,14 +103,10 @@ def _verdict(difference: Interval, p: float | None) -> Verdict:
     return "a" if difference.value > 0 else "b"
 
 
-MAX_LEVELS = 12  # of a factor; more are values drawn from a range
-COVERED = 0.5  # share of the combinations that makes a design crossed
-
-
 def main_effects(cells: Sequence[Cell], factors: Sequence[Factor]) -> list[MainEffect]:
     """Return the mean of each level of each factor; none unless factors are crossed, or one number has three levels.
 
-    A control that has no such key, as replay without HER has no `n_sampled_goal`, is no part of the crossing.
+    A control without one of the keys, such as replay, which has no `n_sampled_goal`, is left out.
     """
     full = [cell for cell in cells if None not in cell.settings.values()]
     levels = {factor.key: {cell.settings[factor.key] for cell in full} for factor in factors}

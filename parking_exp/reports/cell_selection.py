@@ -17,15 +17,15 @@ from parking_exp.config.cell_labels import (
     Factor,
     Setting,
     can_matter,
-    cell_labels,
     find_factors,
     label_cells,
+    labels_from_factors,
     setting,
 )
 from parking_exp.errors import ConfigError, suggestion
+from parking_exp.reports import report_request
 
 CONFIG = "config."
-REPORT_KEYS = {"experiment", "baseline", "cells", "name", "output_dir", "tracking.uri", "report"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,25 +63,25 @@ def group(runs: pd.DataFrame) -> list[CellRuns]:
     for (experiment, name), table in begun.drop(columns=keys).groupby(["experiment", "cell"], sort=False):
         newest = table.assign(done=table["status"] == "done").sort_values(["seed", "done", "started"], kind="stable")
         once = newest.drop_duplicates("seed", keep="last").drop(columns="done")
-        config = _config(configs.loc[table.index[0]])
+        config = _read_config(configs.loc[table.index[0]])
         cells.append(CellRuns(str(experiment), str(name), "", {}, config, once, len(table) - len(once)))
-    labelled, factors = relabelled(cells)
+    labelled, factors = relabel(cells)
     levels = [[*factor.levels, None] for factor in factors]  # a control without the key comes last
 
-    def place(cell: CellRuns) -> list[int]:
+    def level_indices(cell: CellRuns) -> list[int]:
         return [known.index(cell.settings[factor.key]) for known, factor in zip(levels, factors, strict=True)]
 
-    return sorted(labelled, key=place)
+    return sorted(labelled, key=level_indices)
 
 
-def relabelled(cells: Sequence[CellRuns]) -> tuple[list[CellRuns], list[Factor]]:
+def relabel(cells: Sequence[CellRuns]) -> tuple[list[CellRuns], list[Factor]]:
     """Return cells with labels that distinguish these alone, and the factors."""
     factors, settings = find_factors([cell.config for cell in cells], [cell.experiment for cell in cells])
     if len(cells) == 1:
         (cell,) = cells
         label = cell.label or label_cells([cell.config], [cell.name])[0]
         return [replace(cell, label=label, settings=settings[0])], factors
-    labels = cell_labels(factors, settings, [cell.name for cell in cells])
+    labels = labels_from_factors(factors, settings, [cell.name for cell in cells])
     return [
         replace(cell, label=label, settings=values) for cell, label, values in zip(cells, labels, settings, strict=True)
     ], factors
@@ -92,22 +92,22 @@ def choose(cells: Sequence[CellRuns], wanted: Sequence[str], key: str = "cells")
 
     KEY is a group, a config key or the end of one; the values are those it may have.
     """
-    patterns = [text for text in wanted if "=" not in text or _named(cells, text)]
-    chosen = list(cells)
+    patterns = [text for text in wanted if "=" not in text or _find_named(cells, text)]
+    selected = list(cells)
     if patterns:
-        fitting = [cell for pattern in patterns for cell in _matching(cells, pattern, key)]
-        chosen = [cell for cell in cells if cell in fitting]
+        fitting = [cell for pattern in patterns for cell in _find_matching(cells, pattern, key)]
+        selected = [cell for cell in cells if cell in fitting]
     for condition in wanted:
         if condition not in patterns:
-            chosen = _narrowed(chosen, cells, condition)
-    if not chosen:
+            selected = _narrow(selected, cells, condition)
+    if not selected:
         raise ConfigError(f"{key}: no cell fits all of {', '.join(wanted)}")
-    return chosen
+    return selected
 
 
 def find_baseline(cells: Sequence[CellRuns], baseline: str, preferred: Sequence[CellRuns] = ()) -> CellRuns:
     """Return the one cell that fits a label, a name or a pattern; where several do, the one that is preferred."""
-    fitting = _named(cells, baseline) or choose(cells, [baseline], "baseline")
+    fitting = _find_named(cells, baseline) or choose(cells, [baseline], "baseline")
     if len(fitting) > 1:
         fitting = [cell for cell in fitting if cell in preferred] or fitting
     if len(fitting) > 1:
@@ -116,12 +116,12 @@ def find_baseline(cells: Sequence[CellRuns], baseline: str, preferred: Sequence[
     return fitting[0]
 
 
-def _named(cells: Sequence[CellRuns], name: str) -> list[CellRuns]:
+def _find_named(cells: Sequence[CellRuns], name: str) -> list[CellRuns]:
     return [cell for cell in cells if name in (cell.label, cell.name)]
 
 
-def _matching(cells: Sequence[CellRuns], pattern: str, key: str) -> list[CellRuns]:
-    if named := _named(cells, pattern):
+def _find_matching(cells: Sequence[CellRuns], pattern: str, key: str) -> list[CellRuns]:
+    if named := _find_named(cells, pattern):
         return named
     names = [(cell, (cell.label, cell.name, *cell.label.split(", "))) for cell in cells]
     if fitting := [cell for cell, words in names if any(fnmatchcase(word, pattern) for word in words)]:
@@ -129,24 +129,24 @@ def _matching(cells: Sequence[CellRuns], pattern: str, key: str) -> list[CellRun
     raise ConfigError(f"{key}: no cell is called {pattern!r}{suggestion(pattern, [cell.label for cell in cells])}")
 
 
-def _narrowed(chosen: Sequence[CellRuns], cells: Sequence[CellRuns], condition: str) -> list[CellRuns]:
-    """Return the chosen cells whose config fits `KEY=VALUE,VALUE`."""
+def _narrow(selected: Sequence[CellRuns], cells: Sequence[CellRuns], condition: str) -> list[CellRuns]:
+    """Return the selected cells whose config fits `KEY=VALUE,VALUE`."""
     name, _, text = condition.partition("=")
     keys = dict.fromkeys(key for cell in cells for key in cell.config if can_matter(key))
     exact = f"{name}.name" if name in GROUPS else name
     fitting = [exact] if exact in keys else [key for key in keys if key.endswith(f".{name}")]
     if len(fitting) != 1:
-        hint = suggestion(name, {*GROUPS, *REPORT_KEYS, *keys})
+        hint = suggestion(name, {*GROUPS, *report_request.KEYS, *keys})
         raise ConfigError(f"{name}: neither a key of this command nor of these runs' configs{hint}")
     (key,) = fitting
-    values = {_normal(setting(cell.config[key])): setting(cell.config[key]) for cell in cells if key in cell.config}
-    wanted = [_normal(value) for value in ([text] if _normal(text) in values else _listed(text))]
+    values = {_normalise(setting(cell.config[key])): setting(cell.config[key]) for cell in cells if key in cell.config}
+    wanted = [_normalise(value) for value in ([text] if _normalise(text) in values else _split_values(text))]
     if unknown := [value for value in wanted if value not in values]:
         raise ConfigError(f"{name}={unknown[0]}: no run has that{suggestion(unknown[0], values.values())}")
-    return [cell for cell in chosen if key in cell.config and _normal(setting(cell.config[key])) in wanted]
+    return [cell for cell in selected if key in cell.config and _normalise(setting(cell.config[key])) in wanted]
 
 
-def _normal(text: str) -> str:
+def _normalise(text: str) -> str:
     """Return a value without spaces, and a number as Python writes it: `2e-3` is 0.002."""
     bare = text.replace(" ", "")
     try:
@@ -155,17 +155,17 @@ def _normal(text: str) -> str:
         return bare
 
 
-def _listed(text: str) -> list[str]:
-    """Split values at commas, except inside brackets; brackets around all of them are the list's own."""
+def _split_values(text: str) -> list[str]:
+    """Split values at commas, except inside brackets; brackets around all of them are removed."""
     inner = text[1:-1] if text.startswith("[") and text.endswith("]") else text
     return [value.strip() for value in re.split(r",(?![^\[]*\])", inner)]
 
 
-def _config(row: pd.Series) -> dict[str, Setting]:
-    """Return the config of a run. Frames do not distinguish a key that is null from one that is not there."""
-    return {str(key).removeprefix(CONFIG): _plain(value) for key, value in row.dropna().items()}
+def _read_config(row: pd.Series) -> dict[str, Setting]:
+    """Return the config of a run. Frames do not distinguish a null from a missing key."""
+    return {str(key).removeprefix(CONFIG): _to_plain(value) for key, value in row.dropna().items()}
 
 
-def _plain(value: Any) -> Setting:
+def _to_plain(value: Any) -> Setting:
     plain = value.item() if isinstance(value, np.generic) else value
     return str(plain) if isinstance(plain, float) and math.isinf(plain) else plain  # JSON has no infinity

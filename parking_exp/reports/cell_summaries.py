@@ -73,13 +73,13 @@ def summarise(
 ) -> Cell:
     """Return a cell's numbers; with `unfinished`, learning curves include runs that are not done.
 
-    Restricted means of times to 90 % are up to the env step `horizon`, see `shared_horizon`.
+    Restricted means of times to 90 % are up to the env step `horizon`, see `find_shared_horizon`.
     """
     runs: list[dict[str, Any]] = cell.done[RUN_COLUMNS].to_dict("records")  # type: ignore[assignment]
-    seeds = [_seed(run, evaluations) for run in runs]
+    seeds = [_summarise_run(run, evaluations) for run in runs]
     success = [seed.success for seed in seeds if seed.success is not None]
     means = {
-        name: _mean([finite_or_none(run[metric.run_column]) for run in runs], is_rate=metric.is_rate)
+        name: _average([finite_or_none(run[metric.run_column]) for run in runs], is_rate=metric.is_rate)
         for name, metric in REPORTED.items()
     }
     return Cell(
@@ -88,40 +88,40 @@ def summarise(
         experiment=cell.experiment,
         name=cell.name,
         settings=cell.settings,
-        counts=_counts(cell.runs["status"]),
-        total_timesteps=_whole(cell.config.get("total_timesteps")),
-        cpu_s=_mean([seed.cpu_s for seed in seeds]),
-        area=_mean([seed.area for seed in seeds], is_rate=True),
+        counts=_count_stages(cell.runs["status"]),
+        total_timesteps=_to_int(cell.config.get("total_timesteps")),
+        cpu_s=_average([seed.cpu_s for seed in seeds]),
+        area=_average([seed.area for seed in seeds], is_rate=True),
         reaching_90=share_reaching(success, SUCCESS_THRESHOLD) if success else Proportion(0, 0, None, None),
         seeds=seeds,
-        curve=_curve(cell.runs if unfinished else cell.done, evaluations),
-        task_data=_task_data(cell, [evaluations.final[s.run_id] for s in seeds if s.run_id in evaluations.final]),
+        curve=_average_curves(cell.runs if unfinished else cell.done, evaluations),
+        task_data=_summarise_task(cell, [evaluations.final[s.run_id] for s in seeds if s.run_id in evaluations.final]),
         note=coverage_note(success) if success else None,
-        **_time_to_90(seeds, horizon),
+        **_measure_time_to_90(seeds, horizon),
         **_metric_fields(means),
     )
 
 
-def shared_horizon(cells: Sequence[CellRuns], evaluations: RunEvaluations) -> float | None:
+def find_shared_horizon(cells: Sequence[CellRuns], evaluations: RunEvaluations) -> float | None:
     """Return the env step up to which every finished run was observed."""
-    curves = [curve for cell in cells for curve in _curves(cell.done, evaluations).values()]
+    curves = [curve for cell in cells for curve in _select_curves(cell.done, evaluations).values()]
     return min((float(curve["step"].iloc[-HOLD]) if len(curve) >= HOLD else 0.0 for curve in curves), default=None)
 
 
 def _metric_fields(values: Mapping[str, Any]) -> dict[str, Any]:
     """Return the fields of a seed or a cell that hold these metrics; those of other tasks are left out."""
-    own = {name: value for name, value in values.items() if name not in FURTHER}
-    return {**own, "further": {name: values[name] for name in FURTHER if values[name] not in (None, Interval(None))}}
+    fields = {name: value for name, value in values.items() if name not in FURTHER}
+    return {**fields, "further": {name: values[name] for name in FURTHER if values[name] not in (None, Interval(None))}}
 
 
-def _task_data(cell: CellRuns, final: Sequence[pd.DataFrame]) -> dict[str, Any]:
+def _summarise_task(cell: CellRuns, final: Sequence[pd.DataFrame]) -> dict[str, Any]:
     return {key: value for task in task_reports([cell.task]) for key, value in task.rates(final, cell.config).items()}
 
 
-def _seed(run: dict[str, Any], evaluations: RunEvaluations) -> RunSummary:
+def _summarise_run(run: dict[str, Any], evaluations: RunEvaluations) -> RunSummary:
     metrics = {name: finite_or_none(run[metric.run_column]) for name, metric in REPORTED.items()}
     episodes, curve = evaluations.final.get(run["run_id"]), evaluations.curves.get(run["run_id"])
-    n_episodes = len(episodes) if episodes is not None else _whole(run["n_scenes"])
+    n_episodes = len(episodes) if episodes is not None else _to_int(run["n_scenes"])
     success, low, high = metrics["success"], None, None
     if success is not None and n_episodes:
         low, high = wilson_interval(round(success * n_episodes), n_episodes)
@@ -133,12 +133,12 @@ def _seed(run: dict[str, Any], evaluations: RunEvaluations) -> RunSummary:
         low=low,
         high=high,
         cpu_s=finite_or_none(run["cpu_s"]),
-        **(_evaluation_curve(curve) if curve is not None else {}),
+        **(_measure_curve(curve) if curve is not None else {}),
         **_metric_fields(metrics),
     )
 
 
-def _evaluation_curve(curve: pd.DataFrame) -> dict[str, Any]:
+def _measure_curve(curve: pd.DataFrame) -> dict[str, Any]:
     """Return the fields of a seed that are computed from its learning curve."""
     step, success = curve["step"].to_numpy(), curve["success_rate"].to_numpy()
     time, reached = steps_to(step, success, SUCCESS_THRESHOLD, HOLD)
@@ -150,14 +150,14 @@ def _evaluation_curve(curve: pd.DataFrame) -> dict[str, Any]:
     }
 
 
-def _curves(runs: pd.DataFrame, evaluations: RunEvaluations) -> dict[int, pd.DataFrame]:
+def _select_curves(runs: pd.DataFrame, evaluations: RunEvaluations) -> dict[int, pd.DataFrame]:
     """Return the evaluations of each seed that has some."""
     pairs = zip(runs["run_id"], runs["seed"], strict=True)
     return {int(seed): evaluations.curves[run] for run, seed in pairs if run in evaluations.curves}
 
 
-def _curve(runs: pd.DataFrame, evaluations: RunEvaluations) -> Curve | None:
-    curves = _curves(runs, evaluations)
+def _average_curves(runs: pd.DataFrame, evaluations: RunEvaluations) -> Curve | None:
+    curves = _select_curves(runs, evaluations)
     if not curves:
         return None
     steps = np.unique(np.concatenate([curve["step"] for curve in curves.values()]))
@@ -180,7 +180,7 @@ def _curve(runs: pd.DataFrame, evaluations: RunEvaluations) -> Curve | None:
     )
 
 
-def _time_to_90(seeds: Sequence[RunSummary], horizon: float | None) -> dict[str, Any]:
+def _measure_time_to_90(seeds: Sequence[RunSummary], horizon: float | None) -> dict[str, Any]:
     """Return the fields of a cell about the time to 90 %."""
     timed = [seed for seed in seeds if seed.steps_to_90 is not None]
     if not timed:
@@ -194,15 +194,15 @@ def _time_to_90(seeds: Sequence[RunSummary], horizon: float | None) -> dict[str,
     }
 
 
-def _mean(values: Sequence[float | None], *, is_rate: bool = False) -> Interval:
+def _average(values: Sequence[float | None], *, is_rate: bool = False) -> Interval:
     known, interval = [value for value in values if value is not None], mean_interval if is_rate else student_interval
     return interval(known) if known else Interval(None)
 
 
-def _counts(status: pd.Series) -> dict[str, int]:
+def _count_stages(status: pd.Series) -> dict[str, int]:
     stages = [STAGES.get(stage, stage) for stage in status]
     return {stage: stages.count(stage) for stage in ("done", "running", "failed", "pending")}
 
 
-def _whole(value: Any) -> int | None:
+def _to_int(value: Any) -> int | None:
     return None if (number := finite_or_none(value)) is None else int(number)

@@ -7,13 +7,13 @@ from parking_exp.errors import quoted_label
 from parking_exp.reports.cell_comparisons import SIGNIFICANT, Family
 from parking_exp.reports.formats import p_value, points_interval, rate_interval
 from parking_exp.reports.report_data import Cell, Pair
-from parking_exp.reports.report_warnings import FEW_NAMES, named
+from parking_exp.reports.report_warnings import FEW_NAMES, list_names
 from parking_exp.statistics import MainEffect, Proportion
 
 VERDICTS = {"a": "is better than", "b": "is worse than", "same": "is indistinguishable from"}
 
 
-def about_cells(cells: Sequence[Cell], family: Family) -> Iterator[str]:
+def describe_cells(cells: Sequence[Cell], family: Family) -> Iterator[str]:
     """Yield the findings on cells, the most important first: which is better, by how much, how sure."""
     rated = sorted(
         (cell for cell in cells if cell.success.value is not None),
@@ -29,16 +29,18 @@ def about_cells(cells: Sequence[Cell], family: Family) -> Iterator[str]:
     if len(rated) == 1:
         yield f"{quoted_label(best.label)} succeeds in {rate} of the episodes, {seeds}."
     elif len(first) > 1:
-        yield f"{named(first)} have the same final success, the highest: {rate}."
+        yield f"{list_names(first)} have the same final success, the highest: {rate}."
     else:
         yield f"{quoted_label(best.label)} has the highest final success: {rate} of the episodes, {seeds}."
     reference = next((cell for cell in rated if cell.id == family.reference), best)
-    yield from _comparisons(reference, {cell.id: cell.label for cell in rated}, family.pairs)
-    if shares := [f"{quoted_label(cell.label)} {_at_90(cell.reaching_90)}" for cell in rated if cell.reaching_90.n > 1]:
-        yield f"Seeds that end at 90 % or above: {_first(shares)}."
+    yield from _describe_comparisons(reference, {cell.id: cell.label for cell in rated}, family.pairs)
+    if shares := [
+        f"{quoted_label(cell.label)} {_write_share(cell.reaching_90)}" for cell in rated if cell.reaching_90.n > 1
+    ]:
+        yield f"Seeds that end at 90 % or above: {_join_first(shares)}."
 
 
-def about_factors(factors: Sequence[Factor], effects: Sequence[MainEffect]) -> Iterator[str]:
+def describe_factors(factors: Sequence[Factor], effects: Sequence[MainEffect]) -> Iterator[str]:
     """Yield what the levels of each crossed factor do, where all combinations are there."""
     names = {factor.key: factor.name for factor in factors}
     for effect in effects:
@@ -54,32 +56,33 @@ def about_factors(factors: Sequence[Factor], effects: Sequence[MainEffect]) -> I
         )
 
 
-def _comparisons(reference: Cell, labels: Mapping[str, str], pairs: Sequence[Pair]) -> Iterator[str]:
+def _describe_comparisons(reference: Cell, labels: Mapping[str, str], pairs: Sequence[Pair]) -> Iterator[str]:
     """Yield how one cell compares with the others, by verdict: the smallest difference first."""
-    own = [pair if pair.a == reference.id else pair.reversed() for pair in pairs if reference.id in (pair.a, pair.b)]
-    own.sort(key=lambda pair: abs(pair.difference.value or 0.0))
+    with_reference = [pair for pair in pairs if reference.id in (pair.a, pair.b)]
+    oriented = [pair if pair.a == reference.id else pair.reverse() for pair in with_reference]
+    oriented.sort(key=lambda pair: abs(pair.difference.value or 0.0))
     name = quoted_label(reference.label)
     for verdict, words in VERDICTS.items():
-        if gaps := [_gap(labels[pair.b], pair) for pair in own if pair.verdict == verdict]:
+        if gaps := [_write_gap(labels[pair.b], pair) for pair in oriented if pair.verdict == verdict]:
             many = len(gaps) > FEW_NAMES
             others = f"{len(gaps)} others, from {gaps[0]} to {gaps[-1]}" if many else "; ".join(gaps)
             yield f"{name} {words} {others}."
-    unknown = {pair.b for pair in own if pair.verdict == "unknown"}
+    unknown = {pair.b for pair in oriented if pair.verdict == "unknown"}
     if names := [label for cell, label in labels.items() if cell in unknown]:
-        yield f"{name} cannot be compared with {named(names)}: that needs two finished seeds of each."
+        yield f"{name} cannot be compared with {list_names(names)}: that needs two finished seeds of each."
 
 
-def _gap(label: str, pair: Pair) -> str:
+def _write_gap(label: str, pair: Pair) -> str:
     """Write `td3 (+26.1 points [+16.9, +35.4], Holm's p < 0.001)`."""
     p = f", Holm's {p_value(pair.p_holm)}" if pair.p_holm is not None else ""
     return f"{quoted_label(label)} ({points_interval(pair.difference)}{p})"
 
 
-def _first(parts: Sequence[str]) -> str:
+def _join_first(parts: Sequence[str]) -> str:
     more = f"; tables have {len(parts) - FEW_NAMES} more" if len(parts) > FEW_NAMES else ""
     return "; ".join(parts[:FEW_NAMES]) + more
 
 
-def _at_90(share: Proportion) -> str:
+def _write_share(share: Proportion) -> str:
     interval = "" if share.low is None or share.high is None else f" [{100 * share.low:.0f}, {100 * share.high:.0f} %]"
     return f"{share.k} of {share.n}{interval}"

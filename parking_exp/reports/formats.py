@@ -35,22 +35,22 @@ def p_value(p: float | None) -> str:
 
 def percent_interval(interval: Interval) -> str:
     """Write `94.4 [91.2, 97.1]`, or the number alone where it has no interval."""
-    return _with_bounds(interval, percent)
+    return _add_bounds(interval, percent)
 
 
 def signed_percent_interval(interval: Interval) -> str:
     """Write `+9.1 [+4.0, +14.2]`, or the number alone."""
-    return _with_bounds(interval, lambda share: percent(share, signed=True))
+    return _add_bounds(interval, lambda share: percent(share, signed=True))
 
 
 def number_interval(interval: Interval) -> str:
     """Write `24,000 [21,500, 26,100]`, or the number alone where it has no interval."""
-    return _with_bounds(interval, number)
+    return _add_bounds(interval, number)
 
 
 def share_interval(share: Proportion) -> str:
     """Write `9/10 [59.6, 98.2]`: of ten, nine, with the interval of their share in per cent."""
-    return f"{share.k}/{share.n}{_bounds(share, percent)}" if share.n else ""
+    return f"{share.k}/{share.n}{_write_bounds(share, percent)}" if share.n else ""
 
 
 def rate_text(value: float | None) -> str:
@@ -60,7 +60,7 @@ def rate_text(value: float | None) -> str:
 
 def rate_interval(interval: Interval) -> str:
     """Write `94.4 % [91.2, 97.1]`, or the number alone where it has no interval."""
-    return rate_text(interval.value) + _bounds(interval, percent)
+    return rate_text(interval.value) + _write_bounds(interval, percent)
 
 
 def points(difference: float | None) -> str:
@@ -71,7 +71,7 @@ def points(difference: float | None) -> str:
 
 def points_interval(interval: Interval) -> str:
     """Write `+9.1 points [+4.0, +14.2]`, or the number alone."""
-    return f"{points(interval.value)} points{_bounds(interval, points)}"
+    return f"{points(interval.value)} points{_write_bounds(interval, points)}"
 
 
 def words(value: Any) -> str:
@@ -84,12 +84,12 @@ def level(value: Any) -> str:
     return "none" if value is None else setting(value)
 
 
-def _with_bounds(interval: Interval, write: Callable[[float | None], str]) -> str:
+def _add_bounds(interval: Interval, write: Callable[[float | None], str]) -> str:
     value = write(interval.value)
-    return value + _bounds(interval, write) if value else ""
+    return value + _write_bounds(interval, write) if value else ""
 
 
-def _bounds(interval: Interval | Proportion, write: Callable[[float | None], str]) -> str:
+def _write_bounds(interval: Interval | Proportion, write: Callable[[float | None], str]) -> str:
     """Write the ends of an interval as ` [91.2, 97.1]`, nothing where one is missing."""
     low, high = write(interval.low), write(interval.high)
     return f" [{low}, {high}]" if low and high else ""

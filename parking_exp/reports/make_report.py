@@ -18,7 +18,7 @@ from parking_exp.reports.report_builder import build_report
 from parking_exp.reports.report_data import ReportData
 from parking_exp.reports.report_files import write_report
 from parking_exp.reports.report_request import ReportRequest
-from parking_exp.reports.search_report import Tuning, with_search, with_tuning
+from parking_exp.reports.search_report import Tuning, add_search, add_tuning
 from parking_exp.results.frame_export import REPORT, read_export, refuse_foreign, without_paths, write_export
 from parking_exp.results.frames import Results, load, read_store
 from parking_exp.runs.directory import RunDirectory
@@ -36,42 +36,15 @@ class ReportSource(NamedTuple):
     tuning: Tuning | None = None
 
 
-def write_report_export(source: ReportSource, report: ReportData, folder: Path, *, only_cells: bool) -> None:
-    """Write the export of a report: with `only_cells`, the runs of its cells and not all of the experiments."""
-    results = _of_cells(source.results, report) if only_cells else source.results
-    tuning = json.loads(without_paths(json.dumps(report.plain()["tuning"])))
-    about = {"experiments": source.experiments, "report": {"tuning": tuning}}
-    write_export(results, folder, about)
-
-
-def read_report_export(folder: str) -> ReportSource:
-    """Return what the export of a report has."""
-    results = read_export(folder)
-    try:
-        experiments = TypeAdapter(list[str]).validate_python(results.about["experiments"])
-        tuning = TypeAdapter(Tuning | None).validate_python(results.about["report"].get("tuning"))
-    except (ValidationError, KeyError, AttributeError) as error:
-        raise ResultsError(f"{Path(folder) / REPORT} can't be read: it is no description of a report") from error
-    return ReportSource(results, experiments, tuning)
-
-
-def _of_cells(results: Results, report: ReportData) -> Results:
-    cells = {(cell.experiment, cell.name) for cell in report.cells}
-    kept = [pair in cells for pair in zip(results.runs["experiment"], results.runs["cell"], strict=True)]
-    runs = results.runs[kept].reset_index(drop=True)
-    curves, episodes = (frame[frame["run_id"].isin(runs["run_id"])] for frame in (results.curves, results.episodes))
-    return replace(results, runs=runs, curves=curves, episodes=episodes)
-
-
 def report(request: ReportRequest) -> Path:
     """Write a report, print what it says, and return its folder."""
     export_folder = directory_path(request.export) if request.export else None
     if export_folder:
         refuse_foreign(export_folder)
     with console(stderr=True).status("") as progress:
-        source = _source(request, progress.update)
+        source = _read_source(request, progress.update)
         progress.update(f"comparing {plural(len(source.results.runs), 'run')}")
-        data = _content(request, source)
+        data = _build_content(request, source)
         progress.update("drawing")
         # In a store, experiments may be called anything.
         name = request.name or re.sub(r"[^\w.+-]|^\.", "_", "+".join(data.experiments))
@@ -92,7 +65,7 @@ def report(request: ReportRequest) -> Path:
     return folder
 
 
-def _source(request: ReportRequest, show: Callable[[str], None]) -> ReportSource:
+def _read_source(request: ReportRequest, show: Callable[[str], None]) -> ReportSource:
     """Return the content of the export or the store, which is first sent what it lacks."""
     if request.source is not None:
         show("reading the export")
@@ -114,7 +87,7 @@ def _source(request: ReportRequest, show: Callable[[str], None]) -> ReportSource
     return ReportSource(results, request.experiments or names)
 
 
-def _content(request: ReportRequest, source: ReportSource) -> ReportData:
+def _build_content(request: ReportRequest, source: ReportSource) -> ReportData:
     data = build_report(
         source.results,
         source.experiments,
@@ -124,5 +97,31 @@ def _content(request: ReportRequest, source: ReportSource) -> ReportData:
         command=shlex.join(["python", "scripts/report.py", *sys.argv[1:]]),
     )
     if request.source is None:
-        return with_search(data, request.output_path)
-    return with_tuning(data, source.tuning) if source.tuning else data
+        return add_search(data, request.output_path)
+    return add_tuning(data, source.tuning) if source.tuning else data
+
+
+def write_report_export(source: ReportSource, report: ReportData, folder: Path, *, only_cells: bool) -> None:
+    """Write the export of a report: with `only_cells`, the runs of its cells and not all of the experiments."""
+    results = _select_cells(source.results, report) if only_cells else source.results
+    tuning = json.loads(without_paths(json.dumps(report.plain()["tuning"])))
+    write_export(results, folder, {"experiments": source.experiments, "report": {"tuning": tuning}})
+
+
+def read_report_export(folder: str) -> ReportSource:
+    """Return what the export of a report has."""
+    results = read_export(folder)
+    try:
+        experiments = TypeAdapter(list[str]).validate_python(results.about["experiments"])
+        tuning = TypeAdapter(Tuning | None).validate_python(results.about["report"].get("tuning"))
+    except (ValidationError, KeyError, AttributeError) as error:
+        raise ResultsError(f"{Path(folder) / REPORT} can't be read: it does not describe a report") from error
+    return ReportSource(results, experiments, tuning)
+
+
+def _select_cells(results: Results, report: ReportData) -> Results:
+    cells = {(cell.experiment, cell.name) for cell in report.cells}
+    kept = [pair in cells for pair in zip(results.runs["experiment"], results.runs["cell"], strict=True)]
+    runs = results.runs[kept].reset_index(drop=True)
+    curves, episodes = (frame[frame["run_id"].isin(runs["run_id"])] for frame in (results.curves, results.episodes))
+    return replace(results, runs=runs, curves=curves, episodes=episodes)

@@ -24,7 +24,7 @@ REFERENCES = (
 )
 
 
-def methods(report: ReportData) -> Iterator[str]:
+def describe_methods(report: ReportData) -> Iterator[str]:
     """Yield what a reader has to know of each kind of number that the report has."""
     yield (
         "The replicate is the training seed. Each run's last policy, deterministic, is evaluated from fixed "

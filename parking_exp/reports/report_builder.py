@@ -8,67 +8,19 @@ from typing import NamedTuple
 import pandas as pd
 
 from parking_exp import __version__
-from parking_exp.config.cell_labels import Factor, can_matter, differing
+from parking_exp.config.cell_labels import Factor, can_matter, differing_keys
 from parking_exp.errors import RunNotFoundError, plural
 from parking_exp.reports import cell_comparisons, findings, report_warnings
-from parking_exp.reports.cell_selection import CellRuns, choose, find_baseline, group, relabelled
-from parking_exp.reports.cell_summaries import RunEvaluations, shared_horizon, summarise
+from parking_exp.reports.cell_selection import CellRuns, choose, find_baseline, group, relabel
+from parking_exp.reports.cell_summaries import RunEvaluations, find_shared_horizon, summarise
 from parking_exp.reports.report_data import Cell, FailedRun, Provenance, ReportData
 from parking_exp.results.frames import Results
 
+MAX_PROBLEMS = 5
+SHOWN_WHOLE, SHOWN = 16, 12  # cells in figures: all of up to 16, else the 12 best
 VERSION = "version."
 SHORT_COMMIT = 10
 REASONS = {"running": "under way", "interrupted": "interrupted or not begun; rerun the sweep"}
-
-
-def provenance(cells: Sequence[CellRuns], left_out: Sequence[str], uri: str) -> Provenance:
-    """Return the provenance of the cells of a report; `left_out` are labels of the experiments' other cells."""
-    runs = pd.concat([cell.runs for cell in cells])
-    versions = {
-        str(column).removeprefix(VERSION): _counts(runs[column]) for column in runs if str(column).startswith(VERSION)
-    }
-    marks = runs["git_dirty"].fillna(False).map({True: "+", False: ""})
-    configs = [cell.config for cell in cells]
-    difference = {key: [config.get(key) for config in configs] for key in differing(configs)}
-    started, ended = runs["started"].dropna(), runs["ended"].dropna()
-    return Provenance(
-        versions={package: counts for package, counts in versions.items() if counts},
-        commits=_counts(runs["git_commit"].str[:SHORT_COMMIT] + marks),
-        machines=_counts(runs["cpu"]),
-        difference=difference,
-        common={key: value for key, value in configs[0].items() if key not in difference and can_matter(key)},
-        unfinished=[run for cell in cells for run in _unfinished(cell)],
-        uri=uri,
-        left_out=list(left_out),
-        first=started.min().isoformat(timespec="seconds") if len(started) else None,
-        last=ended.max().isoformat(timespec="seconds") if len(ended) else None,
-    )
-
-
-def _unfinished(cell: CellRuns) -> list[FailedRun]:
-    runs = cell.runs[cell.runs["status"] != "done"]
-    return [
-        FailedRun(
-            cell.label,
-            int(run["seed"]),
-            str(run["status"]),
-            _text(run["error"]) or REASONS.get(str(run["status"]), "no reason is known"),
-            _text(run["run_dir"]),
-        )
-        for run in runs.to_dict("records")
-    ]
-
-
-def _counts(values: pd.Series) -> dict[str, int]:
-    return {str(value): count for value, count in Counter(values.dropna()).most_common()}
-
-
-def _text(value: object) -> str | None:
-    return value if isinstance(value, str) and value else None
-
-
-MAX_PROBLEMS = 5
-SHOWN_WHOLE, SHOWN = 16, 12  # cells in figures: all of up to 16, else the 12 best
 
 
 class Selection(NamedTuple):
@@ -106,13 +58,13 @@ def build_report(
     selection = _select(results, experiments, cells, baseline, quick=quick)
     groups, factors = selection.cells, selection.factors
     evaluations = RunEvaluations.of(results)
-    horizon = shared_horizon(groups, evaluations)
+    horizon = find_shared_horizon(groups, evaluations)
     summaries = [summarise(cell, number, evaluations, horizon, quick) for number, cell in enumerate(groups)]
-    shown = _shown(summaries, selection.baseline)
-    problems = [*results.problems]
+    shown = _choose_shown(summaries, selection.baseline)
     effects = cell_comparisons.main_effects(summaries, factors)
     family = cell_comparisons.compare_pairs(summaries, selection.baseline)
-    origin = provenance(groups, selection.left_out, results.uri)
+    origin = _collect_provenance(groups, selection.left_out, results.uri)
+    incomparable = report_warnings.find_incomparable(groups, summaries, origin)
     return ReportData(
         title=" and ".join(experiments),
         experiments=list(experiments),
@@ -129,15 +81,11 @@ def build_report(
         pairs=family.pairs,
         effects=effects,
         horizon=horizon,
-        claims=[*findings.about_cells(summaries, family), *findings.about_factors(factors, effects)],
-        warnings=list(
-            dict.fromkeys(
-                [*report_warnings.comparability_warnings(groups, summaries, origin), *problems[:MAX_PROBLEMS]]
-            )
-        ),
-        missing=list(report_warnings.missing(summaries, experiments, results.runs["experiment"])),
+        claims=[*findings.describe_cells(summaries, family), *findings.describe_factors(factors, effects)],
+        warnings=list(dict.fromkeys([*incomparable, *results.problems[:MAX_PROBLEMS]])),
+        missing=list(report_warnings.find_missing(summaries, experiments, results.runs["experiment"])),
         provenance=origin,
-        notes=list(_notes(summaries, shown, selection, crossed=bool(effects))),
+        notes=list(_write_notes(summaries, shown, selection, crossed=bool(effects))),
         reference=family.reference,
     )
 
@@ -147,19 +95,19 @@ def _select(
 ) -> Selection:
     """Return the wanted cells, all without any, and the baseline; both must have a finished run unless `quick`."""
     cells = group(results.runs)
-    chosen = choose(cells, wanted) if wanted else cells
-    reference = find_baseline(cells, baseline, preferred=chosen) if baseline else None
-    chosen = chosen if reference is None or reference in chosen else [reference, *chosen]
+    selected = choose(cells, wanted) if wanted else cells
+    reference = find_baseline(cells, baseline, preferred=selected) if baseline else None
+    selected = selected if reference is None or reference in selected else [reference, *selected]
     if not quick:
-        _refuse_unfinished(chosen, f"experiment={','.join(experiments)}", "; report=quick shows what there is so far")
+        _refuse_unfinished(selected, f"experiment={','.join(experiments)}", "; report=quick shows what there is so far")
         if reference is not None:
             _refuse_unfinished([reference], f"baseline={baseline}")
-    labelled, factors = relabelled(chosen)
+    labelled, factors = relabel(selected)
     return Selection(
         labelled,
         factors,
-        baseline=None if reference is None else f"c{chosen.index(reference)}",
-        left_out=[cell.label for cell in cells if cell not in chosen],
+        baseline=None if reference is None else f"c{selected.index(reference)}",
+        left_out=[cell.label for cell in cells if cell not in selected],
     )
 
 
@@ -169,7 +117,7 @@ def _refuse_unfinished(cells: Sequence[CellRuns], override: str, hint: str = "")
         raise RunNotFoundError(f"{override}: of its {plural(runs, 'run')}, none is done{hint}")
 
 
-def _shown(cells: Sequence[Cell], baseline: str | None) -> list[str]:
+def _choose_shown(cells: Sequence[Cell], baseline: str | None) -> list[str]:
     """Return the ids of the cells in figures, in the order of the report."""
     if len(cells) <= SHOWN_WHOLE:
         return [cell.id for cell in cells]
@@ -178,9 +126,57 @@ def _shown(cells: Sequence[Cell], baseline: str | None) -> list[str]:
     return [cell.id for cell in cells if cell.id in best]
 
 
-def _notes(cells: Sequence[Cell], shown: Sequence[str], selection: Selection, *, crossed: bool) -> Iterator[str]:
+def _write_notes(cells: Sequence[Cell], shown: Sequence[str], selection: Selection, *, crossed: bool) -> Iterator[str]:
     """Yield notes on what figures and main effects, or the report as a whole, leave out."""
     if len(shown) < len(cells):
         yield f"Pictures show the {len(shown)} of {len(cells)} cells with the highest success; tables have all."
     if outside := [cell.label for cell in cells if None in cell.settings.values()] if crossed else []:
-        yield f"Not part of the main effects, without a value of every factor: {report_warnings.named(outside)}."
+        yield f"Not part of the main effects, without a value of every factor: {report_warnings.list_names(outside)}."
+
+
+def _collect_provenance(cells: Sequence[CellRuns], left_out: Sequence[str], uri: str) -> Provenance:
+    """Return the provenance of the cells of a report; `left_out` are labels of the experiments' other cells."""
+    runs = pd.concat([cell.runs for cell in cells])
+    versions = {
+        str(column).removeprefix(VERSION): _count_values(runs[column])
+        for column in runs
+        if str(column).startswith(VERSION)
+    }
+    marks = runs["git_dirty"].fillna(False).map({True: "+", False: ""})
+    configs = [cell.config for cell in cells]
+    difference = {key: [config.get(key) for config in configs] for key in differing_keys(configs)}
+    started, ended = runs["started"].dropna(), runs["ended"].dropna()
+    return Provenance(
+        versions={package: counts for package, counts in versions.items() if counts},
+        commits=_count_values(runs["git_commit"].str[:SHORT_COMMIT] + marks),
+        machines=_count_values(runs["cpu"]),
+        difference=difference,
+        common={key: value for key, value in configs[0].items() if key not in difference and can_matter(key)},
+        unfinished=[run for cell in cells for run in _list_unfinished(cell)],
+        uri=uri,
+        left_out=list(left_out),
+        first=started.min().isoformat(timespec="seconds") if len(started) else None,
+        last=ended.max().isoformat(timespec="seconds") if len(ended) else None,
+    )
+
+
+def _list_unfinished(cell: CellRuns) -> list[FailedRun]:
+    runs = cell.runs[cell.runs["status"] != "done"]
+    return [
+        FailedRun(
+            cell.label,
+            int(run["seed"]),
+            str(run["status"]),
+            _text_or_none(run["error"]) or REASONS.get(str(run["status"]), "no reason is known"),
+            _text_or_none(run["run_dir"]),
+        )
+        for run in runs.to_dict("records")
+    ]
+
+
+def _count_values(values: pd.Series) -> dict[str, int]:
+    return {str(value): count for value, count in Counter(values.dropna()).most_common()}
+
+
+def _text_or_none(value: object) -> str | None:
+    return value if isinstance(value, str) and value else None

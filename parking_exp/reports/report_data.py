@@ -105,16 +105,16 @@ class Pair:
     log_rank_p_holm: float | None
     verdict: Verdict  # `a` or `b` is better (p_holm < 0.05), `same`: not significant, `unknown`: too few seeds
 
-    def reversed(self) -> "Pair":
+    def reverse(self) -> "Pair":
         """Return the comparison of b with a."""
 
-        def mirrored(interval: Interval, total: float) -> Interval:
+        def mirror(interval: Interval, total: float) -> Interval:
             ends = (interval.value, interval.high, interval.low)
             value, low, high = (None if end is None else total - end for end in ends)
             return replace(interval, value=value, low=low, high=high)
 
         verdict = cast(Verdict, {"a": "b", "b": "a"}.get(self.verdict, self.verdict))
-        difference, improvement = mirrored(self.difference, 0.0), mirrored(self.improvement, 1.0)
+        difference, improvement = mirror(self.difference, 0.0), mirror(self.improvement, 1.0)
         return replace(self, a=self.b, b=self.a, difference=difference, improvement=improvement, verdict=verdict)
 
 

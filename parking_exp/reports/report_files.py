@@ -12,7 +12,7 @@ import pandas as pd
 
 from parking_exp.figure_style import clean
 from parking_exp.reports.report_data import ReportData
-from parking_exp.reports.report_page import page
+from parking_exp.reports.report_page import render_page
 from parking_exp.reports.sections import SectionContent, draw, section_contents
 from parking_exp.reports.tables.table import Table
 from parking_exp.runs.atomic_files import write_atomically
@@ -25,7 +25,7 @@ def write_report(report: ReportData, folder: Path, formats: Sequence[str]) -> No
         figures, tables = Path(new) / "figures", Path(new) / "tables"
         contents = section_contents(report, draw(report, figures, formats))
         write_tables(contents, tables)
-        html = page(report, contents)
+        html = render_page(report, contents)
         for part in (figures, tables):
             if (folder / part.name).exists():
                 shutil.rmtree(folder / part.name)
@@ -38,25 +38,25 @@ def write_tables(contents: Sequence[SectionContent], folder: Path) -> None:
     """Write every table as CSV, and those for a paper as LaTeX with booktabs."""
     folder.mkdir(parents=True, exist_ok=True)
     for table in (table for content in contents for table in content.tables if table.rows):
-        (folder / f"{table.name}.csv").write_text(csv(table), encoding="utf-8")
+        (folder / f"{table.name}.csv").write_text(to_csv(table), encoding="utf-8")
         if table.latex:
-            (folder / f"{table.name}.tex").write_text(latex(table), encoding="utf-8")
+            (folder / f"{table.name}.tex").write_text(to_latex(table), encoding="utf-8")
 
 
-def csv(table: Table) -> str:
+def to_csv(table: Table) -> str:
     """Return a table as CSV: rates in 0 ... 1, nothing where nothing is known."""
-    frame = pd.DataFrame(list(table.rows)).rename(columns=csv_text).replace([np.inf, -np.inf], np.nan)
+    frame = pd.DataFrame(list(table.rows)).rename(columns=escape_formula).replace([np.inf, -np.inf], np.nan)
     texts = frame.select_dtypes(exclude="number").columns
-    frame[texts] = frame[texts].map(csv_text)
+    frame[texts] = frame[texts].map(escape_formula)
     return str(frame.to_csv(index=False, lineterminator="\n", float_format="%.10g"))
 
 
-def csv_text(value: Any) -> Any:
+def escape_formula(value: Any) -> Any:
     """Keep spreadsheets from running a text as a formula: an apostrophe before `=`, `+`, `-`, `@`, tab and return."""
     return f"'{value}" if isinstance(value, str) and value.startswith(("=", "+", "-", "@", "\t", "\r")) else value
 
 
-def latex(table: Table) -> str:
+def to_latex(table: Table) -> str:
     """Return a table for LaTeX with booktabs; `--` where nothing is known."""
     return str(
         pd.DataFrame([[clean(column.write(row)) or "--" for column in table.columns] for row in table.rows])

@@ -18,7 +18,7 @@ TEMPLATES = Path(__file__).parent / "templates"
 MARKERS = {"o": "●", "s": "■", "^": "▲", "D": "◆", "v": "▼", "P": "✚", "X": "✖"}
 
 
-def page(report: ReportData, contents: Sequence[SectionContent]) -> str:
+def render_page(report: ReportData, contents: Sequence[SectionContent]) -> str:
     """Return `index.html`. Everything is escaped; pictures are embedded as images, in which nothing is executed."""
     environment = Environment(
         loader=FileSystemLoader(TEMPLATES),

@@ -1,19 +1,16 @@
 """The config of `scripts/report.py`, checked before anything is read."""
 
-from collections.abc import Sequence
 from typing import Annotated, Literal
 
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import DictConfig
 from pydantic import Field
 
-from parking_exp.config.cell_labels import settings_of
-from parking_exp.config.compose import composed
 from parking_exp.config.schema import OutputConfig, StoreConfig
 from parking_exp.config.validate import parse
 from parking_exp.config_model import ConfigModel
 from parking_exp.errors import ConfigError, did_you_mean
 
-SIMILAR = 0.8  # similarity from which on a key is a misspelt one
+SIMILAR = 0.8  # similarity from which on a key counts as misspelt
 
 
 class ReportOptions(ConfigModel):
@@ -46,6 +43,10 @@ class ReportRequest(OutputConfig):
         return [self.cells] if isinstance(self.cells, str) else self.cells or []
 
 
+KEYS = {"experiment", "tracking.uri", *(field.alias or name for name, field in ReportRequest.model_fields.items())}
+"""Keys of the command as users write them."""
+
+
 def validate_report(config: DictConfig) -> ReportRequest:
     """Validate a composed config."""
     request = parse(ReportRequest, config)
@@ -56,18 +57,7 @@ def validate_report(config: DictConfig) -> ReportRequest:
     }
     if request.source and (beside := [key for key, value in of_stores.items() if value]):
         raise ConfigError(f"{beside[0]}: cannot be combined with from={request.source}; leave one of them out")
-    if keys := [text.partition("=")[0] for text in request.cells_asked if "=" in text]:
-        _refuse_misspelt(keys)
-    return request
-
-
-def _refuse_misspelt(keys: Sequence[str]) -> None:
-    """Refuse what is nearly a key of this command or of a run's config; the class of a run may have any arguments."""
-    run = settings_of(OmegaConf.to_container(composed("config", [])[0]))  # type: ignore[arg-type]
-    known = {"experiment", *(field.alias or name for name, field in ReportRequest.model_fields.items())}
-    for path in (key.split(".") for key in run):
-        known |= {".".join(path[first:last]) for first in range(len(path)) for last in range(first + 1, len(path) + 1)}
-    for key in keys:
-        own = key.startswith(("algorithm.", "buffer."))
-        if key not in known and not own and (hint := did_you_mean(key, known, cutoff=SIMILAR)):
+    for key in (text.partition("=")[0] for text in request.cells_asked if "=" in text):
+        if key not in KEYS and (hint := did_you_mean(key, KEYS, cutoff=SIMILAR)):
             raise ConfigError(f"{key}: there is no such key{hint}")
+    return request

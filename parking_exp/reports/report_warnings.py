@@ -21,21 +21,21 @@ MIXED = {
 """Config keys that should be the same in all cells, and the warning where they are not."""
 
 
-def named(names: Sequence[str]) -> str:
+def list_names(names: Sequence[str]) -> str:
     """List labels and the like, the first few of many; one that has commas itself is in quotes."""
     few = [quoted_label(name) for name in names[:FEW_NAMES]]
     last = f"{len(names) - FEW_NAMES} more" if len(names) > FEW_NAMES else few.pop()
     return f"{', '.join(few)} and {last}" if few else last
 
 
-def comparability_warnings(runs: Sequence[CellRuns], cells: Sequence[Cell], origin: Provenance) -> Iterator[str]:
+def find_incomparable(runs: Sequence[CellRuns], cells: Sequence[Cell], origin: Provenance) -> Iterator[str]:
     """Yield what makes numbers hard to compare."""
     if few := [cell.success.n for cell in cells if cell.success.n < ENOUGH_SEEDS]:
         some = f"{len(few)} of {plural(len(cells), 'cell')}"
         yield f"Exploratory: fewer than {ENOUGH_SEEDS} finished seeds in {some} (the fewest: {min(few)})."
-    yield from _mixed(runs, origin)
+    yield from _find_mixed(runs, origin)
     for note in dict.fromkeys(cell.note for cell in cells if cell.note):
-        yield f"{named([cell.label for cell in cells if cell.note == note])}: {note}"
+        yield f"{list_names([cell.label for cell in cells if cell.note == note])}: {note}"
     for cell in runs:
         if cell.n_repeated:
             yield f"{quoted_label(cell.label)}: {plural(cell.n_repeated, 'run')} left out: another has the same seed."
@@ -44,34 +44,34 @@ def comparability_warnings(runs: Sequence[CellRuns], cells: Sequence[Cell], orig
     # What ends a cell's name is a hash of its config.
     for name in dict.fromkeys(cell.name for cell in runs):
         if len(same := [cell.label for cell in runs if cell.name == name]) > 1:
-            yield f"{named(same)} have the same config: equal seeds are equal runs, and they are not independent."
+            yield f"{list_names(same)} have the same config: equal seeds are equal runs, and they are not independent."
 
 
-def missing(cells: Sequence[Cell], experiments: Iterable[str], stored: Iterable[str]) -> Iterator[str]:
+def find_missing(cells: Sequence[Cell], experiments: Iterable[str], stored: Iterable[str]) -> Iterator[str]:
     """Yield which runs have no result, and which experiments have no runs."""
     total = sum((Counter(cell.counts) for cell in cells), Counter())
     waiting = {"running": "under way", "failed": "failed", "pending": "interrupted or not started"}
     if stages := [f"{total[stage]} {words}" for stage, words in waiting.items() if total[stage]]:
         yield f"Runs done: {total['done']} of {total.total()}; {', '.join(stages)}."
     if empty := [cell.label for cell in cells if not cell.counts["done"]]:
-        yield f"No run is done of {named(empty)}."
+        yield f"No run is done of {list_names(empty)}."
     known = set(stored)
     yield from (f"Experiment {name} has no runs." for name in experiments if name not in known)
 
 
-def _mixed(runs: Sequence[CellRuns], origin: Provenance) -> Iterator[str]:
+def _find_mixed(runs: Sequence[CellRuns], origin: Provenance) -> Iterator[str]:
     for package, versions in origin.versions.items():
         if len(versions) > 1:
-            yield f"Versions are mixed: {package} {named(list(versions))}."
+            yield f"Versions are mixed: {package} {list_names(list(versions))}."
     if len(origin.commits) > 1:
-        yield f"Commits are mixed: {named(list(origin.commits))}."
+        yield f"Commits are mixed: {list_names(list(origin.commits))}."
     if any(commit.endswith("+") for commit in origin.commits):
         yield "Some runs were made from files that differ from their commit (marked +)."
     if len(origin.machines) > 1:
-        yield f"Machines are mixed, so that CPU-seconds do not compare: {named(list(origin.machines))}."
+        yield f"Machines are mixed, so that CPU-seconds do not compare: {list_names(list(origin.machines))}."
     for key, words in MIXED.items():
         values = list(dict.fromkeys(cell.config.get(key) for cell in runs))
         if len(values) > 1:
-            yield words.format(named([f"{v:,}" if isinstance(v, int) else setting(v) for v in values]))
+            yield words.format(list_names([f"{v:,}" if isinstance(v, int) else setting(v) for v in values]))
     if len({tuple(cell.done["seed"]) for cell in runs if len(cell.done)}) > 1:
         yield "Cells do not have the same seeds."

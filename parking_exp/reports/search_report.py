@@ -5,7 +5,6 @@ Optuna is imported only if an experiment has a search.
 
 import json
 import re
-from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -20,7 +19,15 @@ from parking_exp.reports.report_data import ReportData
 from parking_exp.reports.tables.table import Table, column, interval_column, record, spread
 from parking_exp.statistics import Interval, mean_interval, welch
 from parking_exp.tuning.search import SEARCH_FILE, study_in
-from parking_exp.tuning.trials import OBJECTIVE, RetestedTrial, TrialRow, plain_choice, ranked, read_retest
+from parking_exp.tuning.trials import (
+    OBJECTIVE,
+    RetestedTrial,
+    TrialRow,
+    count_states,
+    plain_choice,
+    rank_trials,
+    read_retest,
+)
 
 if TYPE_CHECKING:
     from parking_exp.tuning.search import StoredSearch
@@ -50,7 +57,7 @@ class Tuning:
     retested: Sequence[RetestedTrial] = ()
 
 
-def with_search(report: ReportData, output_dir: Path) -> ReportData:
+def add_search(report: ReportData, output_dir: Path) -> ReportData:
     """Return a report with the first search of its experiments, or a warning where that cannot be read."""
     folders = [output_dir / name for name in report.experiments if re.fullmatch(NAME, name)]
     folder = next((folder for folder in folders if (folder / SEARCH_FILE).exists()), None)
@@ -58,13 +65,13 @@ def with_search(report: ReportData, output_dir: Path) -> ReportData:
         return report
     try:
         stored = study_in(folder)
-        return with_tuning(report, tuning_of(folder, stored)) if stored else report
+        return add_tuning(report, read_tuning(folder, stored)) if stored else report
     except ParkingError as error:
         warning = f"The search of {folder.name} is left out: {first_line(error).rstrip('.')}."
         return replace(report, warnings=[*report.warnings, warning])
 
 
-def with_tuning(report: ReportData, tuning: Tuning) -> ReportData:
+def add_tuning(report: ReportData, tuning: Tuning) -> ReportData:
     """Return a report with a search, a claim on its retrained trials, and a warning about comparing its cells."""
     claims, remedy = [*report.claims], "none was retrained on test seeds"
     if tuning.retested:
@@ -74,13 +81,13 @@ def with_tuning(report: ReportData, tuning: Tuning) -> ReportData:
             f"On {plural(len(best.test), 'test seed')}, “{best.label}” is the best of "
             f"{plural(len(tuning.retested), 'retrained trial')}: {tuning.objective} "
             f"{formats.rate_interval(mean_interval(best.test))}; "
-            f"tuning minus test {formats.points_interval(_loss(best))}.",
+            f"tuning minus test {formats.points_interval(_compare_seeds(best))}.",
         )
     warning = f"Cells of a search include runs on the tuning seeds that trials were selected by; {remedy}."
     return replace(report, tuning=tuning, claims=claims, warnings=[*report.warnings, warning])
 
 
-def tuning_of(folder: Path, stored: "StoredSearch") -> Tuning:
+def read_tuning(folder: Path, stored: "StoredSearch") -> Tuning:
     """Return the search in an experiment's folder; ResultsError if its retrained trials are damaged."""
     try:
         retested = read_retest(folder)
@@ -97,13 +104,13 @@ def tuning_of(folder: Path, stored: "StoredSearch") -> Tuning:
         n_trials=stored.n_trials,
         objective=OBJECTIVE,
         n_seeds=len(search.tuning_seeds),
-        parameters={name: _plain(distribution) for name, distribution in distributions.items()},
+        parameters={name: _describe_distribution(distribution) for name, distribution in distributions.items()},
         trials=stored.trials,
         retested=retested,
     )
 
 
-def _plain(distribution: Any) -> Mapping[str, Any]:
+def _describe_distribution(distribution: Any) -> Mapping[str, Any]:
     from optuna.distributions import distribution_to_json
 
     description: dict[str, Any] = json.loads(distribution_to_json(distribution))
@@ -112,24 +119,24 @@ def _plain(distribution: Any) -> Mapping[str, Any]:
     return description
 
 
-def _loss(trial: RetestedTrial) -> Interval:
+def _compare_seeds(trial: RetestedTrial) -> Interval:
     """Return the mean on tuning seeds minus that on test seeds, with Welch's interval."""
     return welch(trial.tuning, trial.test).clipped(-1, 1)
 
 
-def search_text(report: ReportData) -> Iterator[str]:
+def describe_search(report: ReportData) -> Iterator[str]:
     """Yield the paragraph about a search: its trials, and the best of them."""
     tuning = report.tuning
     if tuning is None:
         return
-    states = Counter(trial.state for trial in tuning.trials)
-    states["pending"] += tuning.n_trials - len(tuning.trials)
-    counts = ", ".join(f"{number} {state}" for state, number in states.items() if number)
+    by_state = count_states(tuning.trials)
+    by_state["pending"] += tuning.n_trials - len(tuning.trials)
+    states = ", ".join(f"{number} {state}" for state, number in by_state.items() if number)
     text = (
-        f"{plural(tuning.n_trials, 'trial')} (sampler {tuning.sampler}, pruner {tuning.pruner or 'none'}): {counts}. "
+        f"{plural(tuning.n_trials, 'trial')} (sampler {tuning.sampler}, pruner {tuning.pruner or 'none'}): {states}. "
         f"Objective: {tuning.objective}, mean over {plural(tuning.n_seeds, 'tuning seed')}."
     )
-    for best in ranked(tuning.trials)[:1]:
+    for best in rank_trials(tuning.trials)[:1]:
         text += f" The best is “{best.label}” with {formats.rate_text(best.value)}."
     yield text
 
@@ -152,7 +159,7 @@ def trial_table(report: ReportData) -> Iterator[Table]:
             column("Trial", "number", formats.number, numeric=False),
             column("State", "state", numeric=False),
             column(tuning.objective, tuning.objective, formats.percent),
-            *(column(name, name, _parameter, numeric=is_number[name]) for name in tuning.parameters),
+            *(column(name, name, _write_parameter, numeric=is_number[name]) for name in tuning.parameters),
             *([column("Why it failed", "reason", numeric=False)] if any(row["reason"] for row in rows) else []),
         ],
         f"Trials: means over {tuning.n_seeds} tuning seeds (%), and parameters.",
@@ -160,7 +167,7 @@ def trial_table(report: ReportData) -> Iterator[Table]:
     )
 
 
-def _parameter(value: Any) -> str:
+def _write_parameter(value: Any) -> str:
     """Write a parameter, which trial 0 may lack."""
     return "" if value is None else f"{value:.3g}" if isinstance(value, float) else formats.setting(value)
 
@@ -178,7 +185,7 @@ def retest_table(report: ReportData) -> Iterator[Table]:
             "n_test": len(trial.test),
             **spread("tuning", mean_interval(trial.tuning)),
             **spread("test", mean_interval(trial.test)),
-            **spread("difference", _loss(trial)),
+            **spread("difference", _compare_seeds(trial)),
         }
         for trial in tuning.retested
     ]

@@ -18,11 +18,11 @@ from parking_exp.reports.figures.study_figures import (
     draw_slices,
     draw_trial_coordinates,
 )
-from parking_exp.reports.methods import methods
+from parking_exp.reports.methods import describe_methods
 from parking_exp.reports.report_data import ReportData
-from parking_exp.reports.search_report import retest_table, search_text, trial_table
+from parking_exp.reports.search_report import describe_search, retest_table, trial_table
 from parking_exp.reports.tables import report_tables
-from parking_exp.reports.tables.table import Table, cell_record, record
+from parking_exp.reports.tables.table import Table, cell_record
 from parking_exp.tasks.registry import task_reports
 from parking_exp.tasks.task import TaskFigure, TaskSection
 
@@ -68,7 +68,7 @@ SECTIONS = (
     Section(
         "tuning",
         "The search",
-        text=search_text,
+        text=describe_search,
         figures=[
             Figure("optimisation_history", "Optimisation history", draw_history),
             Figure("parameter_importance", "Importance of parameters", draw_parameter_importance),
@@ -115,22 +115,22 @@ SECTIONS = (
         text=what_was_run,
         tables=[report_tables.versions, report_tables.config, report_tables.unfinished, report_tables.common],
     ),
-    Section("methods", "How it was computed", text=methods),
+    Section("methods", "How it was computed", text=describe_methods),
 )
 
 
 def sections_of(report: ReportData) -> list[Section]:
     """Return the sections that a report may have: SECTIONS, and in their middle those of its tasks."""
-    own = [_task_section(section) for task in task_reports(report.tasks) for section in task.sections]
+    task_sections = [_task_section(section) for task in task_reports(report.tasks) for section in task.sections]
     middle = [section.id for section in SECTIONS].index("seeds")
-    return [*SECTIONS[:middle], *own, *SECTIONS[middle:]]
+    return [*SECTIONS[:middle], *task_sections, *SECTIONS[middle:]]
 
 
 def _task_section(section: TaskSection) -> Section:
     def rows(report: ReportData) -> Iterable[Table]:
         name = section.table or ""
         cells = [(cell, cell.task_data.get(name, ())) for cell in report.cells]
-        yield Table(name, [{**cell_record(cell), **record(row)} for cell, its_rows in cells for row in its_rows])
+        yield Table(name, [{**cell_record(cell), **row} for cell, its_rows in cells for row in its_rows])
 
     def on_cells(figure: TaskFigure) -> Figure:
         return Figure(figure.name, figure.title, lambda report: figure.draw(report.shown_cells))

@@ -8,20 +8,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
-import numpy as np
 import pandas as pd
 
 from parking_exp.config.paths import database, default_uri, directory_path, refuse_password
 from parking_exp.errors import ParkingError, ResultsError, suggestion
-from parking_exp.results.run_logs import (
-    CATEGORIES,
-    CURVE,
-    CURVE_TYPES,
-    EPISODES,
-    number_of_rows,
-    read_episodes,
-    read_points,
-)
+from parking_exp.results.run_logs import CATEGORIES, CURVE, CURVE_TYPES, EPISODES, read_episodes, read_points
 from parking_exp.runs.metric_logs import EPISODES_FILE, METRICS_FILE
 from parking_exp.tasks.registry import METRICS
 from parking_exp.tracking.client import reason
@@ -110,20 +101,13 @@ def read_store(store: Store, experiments: str | Iterable[str] | None) -> Results
         runs = _runs(kept, {experiment_id: name for name, experiment_id in ids.items()}, store.run_dir)
     logs, log_problems = _read_files(store, runs, METRICS_FILE, read_points)
     points = [{"run_id": run_id, **point} for run_id, log in logs.items() for point in log]
-    curves = pd.DataFrame(
-        [point for point in points if any(name in point for name in CURVE.values())], columns=[*CURVE_TYPES]
-    ).astype(CURVE_TYPES)
+    curves = pd.DataFrame(points, columns=[*CURVE_TYPES]).astype(CURVE_TYPES)
+    curves = curves.dropna(how="all", subset=[*CURVE.values()]).sort_values(["run_id", "step"], ignore_index=True)
     steps = {run_id: max((point["step"] for point in log), default=0) for run_id, log in logs.items()}
     runs["steps"] = runs["run_id"].map(steps).fillna(0).astype("int64")
     tables, table_problems = _read_files(store, runs[runs["status"] != "running"], EPISODES_FILE, bytes)
     episodes, damaged = _read_episodes(tables, runs)
-    return Results(
-        runs,
-        curves.sort_values(["run_id", "step"], ignore_index=True),
-        episodes,
-        store.uri,
-        (*_duplicates(runs), *log_problems, *table_problems, *damaged),
-    )
+    return Results(runs, curves, episodes, store.uri, (*_duplicates(runs), *log_problems, *table_problems, *damaged))
 
 
 @contextmanager
@@ -178,7 +162,7 @@ def _runs(stored: Sequence["Run"], names: Mapping[str, str], run_dir: Callable[[
     for run in stored:
         info, tags, params, metrics = run.info, run.data.tags, run.data.params, run.data.metrics
         final = FINAL if tags["status"] == "done" else {}
-        place = run_dir(run)
+        path = run_dir(run)
         rows.append(
             {name: tags.get(name) for name in ("cell", "run_key", "seed", "status", "git_commit", "cpu")}
             | {"run_id": info.run_id, "name": info.run_name, "experiment": names[info.experiment_id]}
@@ -186,7 +170,7 @@ def _runs(stored: Sequence["Run"], names: Mapping[str, str], run_dir: Callable[[
             | {column: parse_value(params.get(key)) for key, column in CONFIGURED.items()}
             | {column: metrics.get(key) for key, column in (final | COST).items()}
             | {"started": info.start_time, "ended": info.end_time}
-            | {"run_dir": str(place) if place else None, "artifact_uri": info.artifact_uri}
+            | {"run_dir": str(path) if path else None, "artifact_uri": info.artifact_uri}
             | {"git_dirty": {"true": True, "false": False}.get(tags.get("git_dirty", ""))}
         )
     runs = pd.DataFrame(rows, columns=[*RUN_TYPES], dtype=object)
@@ -204,7 +188,6 @@ def _read_files(
     store: Store, runs: pd.DataFrame, name: str, parse: Callable[[bytes], Any]
 ) -> tuple[dict[str, Any], list[str]]:
     """Return the parsed artifact of each run that has it, by run id, and a sentence for each one that is damaged."""
-
     records, parsed, problems = runs.to_dict("records"), dict[str, Any](), list[str]()
     with ThreadPoolExecutor(1 if database(store.uri) else DOWNLOADS_AT_ONCE) as pool:  # more cost CPU time locally
         files = [pool.submit(store.artifact, run["run_id"], run["artifact_uri"], name) for run in records]
@@ -227,16 +210,16 @@ def _of_run(run: Mapping[Hashable, Any], problem: str) -> str:
 def _read_episodes(tables: Mapping[str, bytes], runs: pd.DataFrame) -> tuple[pd.DataFrame, list[str]]:
     """Return the episodes of all runs, in the order of `runs`, and a sentence for each file that is damaged."""
     parsed, problems = [pd.DataFrame(columns=["run_id", *EPISODES]).astype(EPISODES)], dict[str, str]()
-    by_header = defaultdict[bytes, list[str]](list)
+    by_header = defaultdict[bytes, dict[str, bytes]](dict)
     for run_id, table in tables.items():
-        by_header[table.partition(b"\n")[0]].append(run_id)
-    for together in by_header.values():
+        by_header[table.partition(b"\n")[0]][run_id] = table
+    for group in by_header.values():
         with suppress(Exception):
-            parsed.append(_episodes_of(together, tables))
+            parsed.append(read_episodes(group))
             continue
-        for run_id in together:  # at least one is damaged
+        for run_id, table in group.items():  # at least one is damaged
             try:
-                parsed.append(_episodes_of([run_id], tables))
+                parsed.append(read_episodes({run_id: table}))
             except Exception as error:
                 (run,) = runs[runs["run_id"] == run_id].to_dict("records")
                 problems[run_id] = _of_run(run, f"{EPISODES_FILE} can't be read: {reason(error)}")
@@ -245,11 +228,6 @@ def _read_episodes(tables: Mapping[str, bytes], runs: pd.DataFrame) -> tuple[pd.
     return episodes.sort_values("run_id", kind="stable", ignore_index=True), [
         problems[key] for key in tables if key in problems
     ]
-
-
-def _episodes_of(run_ids: Sequence[str], tables: Mapping[str, bytes]) -> pd.DataFrame:
-    episodes = read_episodes(*(tables[run_id] for run_id in run_ids))
-    return episodes.assign(run_id=np.repeat(run_ids, [number_of_rows(tables[run_id]) for run_id in run_ids]))
 
 
 def _duplicates(runs: pd.DataFrame) -> Iterator[str]:

@@ -90,7 +90,7 @@ class RunDirectory:
         return self.read_status().get("unsynced")
 
     @property
-    def under_way(self) -> bool:
+    def is_locked(self) -> bool:
         """Whether a process, this one included, holds one of the run's locks."""
         return any(is_held(self.path / name) for name in (SUPERVISOR_LOCK, TRAINING_LOCK))
 
@@ -133,7 +133,7 @@ class RunDirectory:
         with self._writable():
             (self.path / RESERVE).write_bytes(os.urandom(RESERVE_BYTES))  # what can't be compressed
 
-    def freeze(
+    def write_plan(
         self, config: RunConfig, label: str, started: float | None, entries: Mapping[str, Any] | None = None
     ) -> None:
         """Write the config, the label and other entries of status.json of a pending run.
@@ -141,7 +141,7 @@ class RunDirectory:
         A run that another process has taken up meanwhile is left as it is: one that is under way, or was begun at
         another time than `started`. There is no fsync: after a power cut, rerunning the sweep writes it again.
         """
-        if self.under_way:
+        if self.is_locked:
             return
         with suppress(RunLockedError), self._held(SUPERVISOR_LOCK, LOCK_PATIENCE_S):
             status = self.read_status()

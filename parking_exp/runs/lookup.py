@@ -12,7 +12,7 @@ from parking_exp.runs.run_files import STATUS_FILE
 def find_runs(output_dir: Path, experiment: str | None = None) -> list[Path]:
     """Return the run directories under an output directory, of one experiment or of all, sorted."""
     directories = (file.parent for file in output_dir.glob(f"*/*/seed=*/{STATUS_FILE}"))
-    return sorted(path for path in directories if experiment in (None, path.parents[1].name))  # a name is no pattern
+    return sorted(path for path in directories if experiment in (None, path.parents[1].name))  # a name is not a pattern
 
 
 def find_runs_below(folder: Path) -> list[Path]:

@@ -37,7 +37,7 @@ def read_metrics(path: Path) -> Iterator[dict[str, Any]]:
     """Yield the rows of a `metrics.jsonl` if there is one, without a last line that is still being written.
 
     Raises:
-        DamagedFileError: a line is not such a row.
+        DamagedFileError: a line is not a metrics record.
     """
     if not path.exists():
         return
@@ -49,7 +49,7 @@ def read_metrics(path: Path) -> Iterator[dict[str, Any]]:
                 record = json.loads(line)
                 record["step"], record["time_ms"], record["metrics"].items()
             except (ValueError, KeyError, TypeError, AttributeError) as error:
-                raise DamagedFileError(f"{path} is damaged: line {number} is no row of metrics") from error
+                raise DamagedFileError(f"{path} is damaged: line {number} is not a metrics record") from error
             yield record
 
 

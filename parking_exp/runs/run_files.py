@@ -94,7 +94,7 @@ def read_config(directory: Path, output_dir: Path) -> RunConfig:
     except (OSError, ValueError) as error:
         raise ConfigError(f"{path} can't be read: {first_line(error)}") from error
     if not isinstance(stored, dict):
-        raise ConfigError(f"{path} can't be read: it is no config, but a {type(stored).__name__}")
+        raise ConfigError(f"{path} can't be read: expected a mapping, got a {type(stored).__name__}")
     if interpolation := re.search(r'[^"]*\$\{[^"]*', json.dumps(stored)):
         raise ConfigError(f"{path} has the interpolation {interpolation[0]}; stored configs have values only")
     try:

@@ -18,7 +18,7 @@ PACKAGES = [
 ]
 
 
-def provenance() -> dict[str, str]:
+def collect_provenance() -> dict[str, str]:
     """Return the tags `version.<package>`, `git_commit`, `git_dirty` and `cpu`, as far as they are known."""
     tags = {"version.python": platform.python_version(), "version.parking-exp": __version__}
     for package in PACKAGES:

@@ -57,8 +57,8 @@ def read_state(path: Path) -> RunState:
     status = entries.get("status")
     if status == "done":
         fields |= {"stage": "done", "step": entries.get("steps", 0)}
-    elif RunDirectory(path).under_way:
-        fields |= {"stage": "running", **_under_way(path, entries)}
+    elif RunDirectory(path).is_locked:
+        fields |= {"stage": "running", **_read_running(path, entries)}
     else:
         fields["step"] = _saved_step(path)
         if status == "failed":
@@ -66,7 +66,7 @@ def read_state(path: Path) -> RunState:
     return RunState.model_construct(**fields)  # `read_entries` has checked what may be damaged
 
 
-def counts(states: Iterable[RunState]) -> dict[Stage, int]:
+def count_stages(states: Iterable[RunState]) -> dict[Stage, int]:
     """Return how many runs are at which stage."""
     stages = [state.stage for state in states]
     return {stage: stages.count(stage) for stage in STAGES}
@@ -80,14 +80,15 @@ def by_cell(states: Iterable[RunState]) -> Iterator[tuple[tuple[str, str], list[
     yield from cells.items()
 
 
-def _under_way(path: Path, entries: dict[str, Any]) -> dict[str, Any]:
+def _read_running(path: Path, entries: dict[str, Any]) -> dict[str, Any]:
+    """Return the fields of a running run that its heartbeat tells."""
     beat = HeartbeatEntries(**read_entries(path / HEARTBEAT_FILE, HeartbeatEntries)[0])
     if beat.time < entries.get("started", time.time()):  # of an earlier process, or none yet
         return {"step": _saved_step(path), "doing": "starting"}
-    total, left = entries.get("total_timesteps"), None
+    total, left_s = entries.get("total_timesteps"), None
     if beat.steps_per_s > 1e-3 and total is not None:
-        left = (total - beat.step) / beat.steps_per_s
-    return {"step": beat.step, "steps_per_s": beat.steps_per_s or None, "left_s": left, "doing": beat.doing}
+        left_s = (total - beat.step) / beat.steps_per_s
+    return {"step": beat.step, "steps_per_s": beat.steps_per_s or None, "left_s": left_s, "doing": beat.doing}
 
 
 def _saved_step(path: Path) -> int:
@@ -100,6 +101,6 @@ def as_plain(states: Sequence[RunState]) -> dict[str, Any]:
     """Return runs as JSON can hold them: how many are at which stage, in all and in each cell, and each run."""
     cells: list[Any] = []
     for (experiment, cell), runs in by_cell(states):
-        about: dict[str, Any] = {"experiment": experiment, "cell": cell, "label": runs[0].label}
-        cells.append(about | dict(counts(runs)) | {"runs": [run.plain() for run in runs]})
-    return dict(counts(states)) | {"cells": cells}
+        entry: dict[str, Any] = {"experiment": experiment, "cell": cell, "label": runs[0].label}
+        cells.append(entry | dict(count_stages(runs)) | {"runs": [run.plain() for run in runs]})
+    return dict(count_stages(states)) | {"cells": cells}

@@ -6,7 +6,7 @@ from typing import Literal
 from rich.table import Table
 
 from parking_exp.errors import quoted_label
-from parking_exp.runs.run_state import STAGES, RunState, by_cell, counts
+from parking_exp.runs.run_state import STAGES, RunState, by_cell, count_stages
 
 
 def cell_table(states: Sequence[RunState]) -> Table:
@@ -20,12 +20,12 @@ def cell_table(states: Sequence[RunState]) -> Table:
     for (experiment, _), runs in by_cell(states):
         rates = [run.success_rate for run in runs if run.stage == "done" and run.success_rate is not None]
         mean = f"{sum(rates) / len(rates):.0%}" if rates else ""
-        label = runs[0].label
+        label, counts = runs[0].label, count_stages(runs)
         table.add_row(
-            f"{experiment}: {label}" if several else label, *(str(counts(runs)[stage] or "") for stage in STAGES), mean
+            f"{experiment}: {label}" if several else label, *(str(counts[stage] or "") for stage in STAGES), mean
         )
     if len(list(by_cell(states))) > 1:
-        table.add_row("all", *(str(counts(states)[stage] or "") for stage in STAGES), "", style="bold")
+        table.add_row("all", *(str(count_stages(states)[stage] or "") for stage in STAGES), "", style="bold")
     return table
 
 
@@ -35,26 +35,26 @@ def state_lines(
     """Yield a line for every run of each kind in turn: how far it is, where it resumes, or what is wrong."""
     for kind in kinds:
         for state in states:
-            about = None
+            text = None
             if kind == "running" and state.stage == "running":
-                about = f"{under_way(state)}   {state.host}"
+                text = f"{describe_progress(state)}   {state.host}"
             elif kind == "stopped" and state.stage == "pending" and state.step:
-                about = f"resumes at step {_steps(state)}"
+                text = f"resumes at step {_steps(state)}"
             elif kind == "failed" and state.stage == "failed":
-                about = f"{state.reason or 'no reason is known'}   {state.run_dir}"
+                text = f"{state.reason or 'no reason is known'}   {state.run_dir}"
             elif kind == "damaged" and state.damaged:
-                about = f"status.json can't be read; it counts as {state.stage}   {state.run_dir}"
-            if about is not None:
-                yield f"{kind:<8} {name(state)}: {about}"
+                text = f"status.json can't be read; it counts as {state.stage}   {state.run_dir}"
+            if text is not None:
+                yield f"{kind:<8} {run_name(state)}: {text}"
 
 
-def under_way(state: RunState) -> str:
+def describe_progress(state: RunState) -> str:
     """Say how far a running run is."""
     parts = [f"{_steps(state)} steps"]
     if state.doing == "train" and state.steps_per_s:
         parts.append(f"{state.steps_per_s:.0f} steps/s")
         if state.left_s is not None:
-            parts.append(f"{duration(state.left_s)} left")
+            parts.append(f"{format_duration(state.left_s)} left")
     elif state.doing:
         parts.append(state.doing)
     return ", ".join(parts)
@@ -65,12 +65,12 @@ def _steps(state: RunState) -> str:
     return f"{state.step} of {state.total_timesteps}" if state.total_timesteps else str(state.step)
 
 
-def name(state: RunState) -> str:
+def run_name(state: RunState) -> str:
     """Name a run: its cell's label and its seed."""
     return f"{quoted_label(state.label)} seed={state.seed}"
 
 
-def duration(seconds: float) -> str:
+def format_duration(seconds: float) -> str:
     """Write a duration as `3 s`, `12 min` or `5 h 20 min`."""
     if seconds < 99.5:
         return f"{seconds:.0f} s"

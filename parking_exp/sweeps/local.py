@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
-from parking_exp.errors import ConfigError, InterruptedRunError
+from parking_exp.errors import ConfigError
 from parking_exp.resources import cores, cuda_devices, shares
 from parking_exp.sweeps.supervisor import WorkerResult, supervise
 from parking_exp.terminal import say
@@ -20,7 +20,7 @@ class LocalLauncher:
     """Processes of this machine, `n_jobs` at a time (None: one per core)."""
 
     def __init__(self, n_jobs: int | None) -> None:
-        self.n_jobs = checked_n_jobs(n_jobs) or len(cores())
+        self.n_jobs = check_n_jobs(n_jobs) or len(cores())
 
     def train(self, paths: Sequence[Path]) -> None:
         """Train runs; raises as `run_workers`."""
@@ -36,8 +36,8 @@ class LocalLauncher:
         run_workers(work, min(self.n_jobs, len(paths)))
 
 
-def checked_n_jobs(n_jobs: int | None) -> int | None:
-    """Return `hydra.launcher.n_jobs`; ConfigError if it is no number of jobs."""
+def check_n_jobs(n_jobs: int | None) -> int | None:
+    """Return `hydra.launcher.n_jobs`, or raise ConfigError for an invalid one."""
     if n_jobs is not None and (type(n_jobs) is not int or n_jobs <= 0):
         raise ConfigError(f"hydra.launcher.n_jobs={n_jobs} is not valid; give a number above 0, or null")
     return n_jobs
@@ -62,7 +62,6 @@ def run_workers(work: Callable[[Train], None], n_workers: int) -> None:
 
         shared = zip(shares(cores(), n_workers), itertools.cycle(cuda_devices() or [None]))
         futures = [pool.submit(start, *each) for each in shared]
-    if request.signal_number is not None:
-        raise InterruptedRunError("stopped; rerun the same command to resume", request.signal_number)
+    request.raise_if_made()
     for future in futures:
         future.result()

@@ -11,7 +11,7 @@ from rich.live import Live
 
 from parking_exp.runs.run_files import STATUS_FILE
 from parking_exp.runs.run_state import RunState, read_state
-from parking_exp.runs.state_tables import duration, name, state_lines
+from parking_exp.runs.state_tables import format_duration, run_name, state_lines
 from parking_exp.terminal import console as make_console
 
 POLL_S = 1.0
@@ -69,11 +69,11 @@ class Monitor:
                 self._print_event(state)
 
     def _print_event(self, state: RunState) -> None:
-        run = name(state)
+        run = run_name(state)
         match state.stage:
             case "done":
                 rate = f"success {state.success_rate:.0%}, " if state.success_rate is not None else ""
-                self.say(f"done     {run}: {rate}{duration(state.wall_s or 0.0)}  ({self._progress()})")
+                self.say(f"done     {run}: {rate}{format_duration(state.wall_s or 0.0)}  ({self._progress()})")
             case "failed":
                 self.say(f"failed   {run}: {state.reason}  ({self._progress()})")
             case "running":

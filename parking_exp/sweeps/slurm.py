@@ -13,10 +13,10 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from parking_exp.errors import ConfigError, FailedRunError, InterruptedRunError, first_line, plural
+from parking_exp.errors import ConfigError, FailedRunError, first_line, plural
 from parking_exp.resources import cores
 from parking_exp.runs.run_state import read_state
-from parking_exp.sweeps.local import checked_n_jobs
+from parking_exp.sweeps.local import check_n_jobs
 from parking_exp.sweeps.supervisor import GRACE_S, supervise_job
 from parking_exp.terminal import say
 from parking_exp.training.signals import stop_on_signal
@@ -43,7 +43,7 @@ class SlurmLauncher:
         if not isinstance(folder, str | None):
             raise ConfigError(f"hydra.launcher.folder={folder} is not a path")
         self.executor, self.folder = executor, folder and Path(folder)
-        self.n_jobs = checked_n_jobs(n_jobs) or (len(cores()) if executor == "local" else None)
+        self.n_jobs = check_n_jobs(n_jobs) or (len(cores()) if executor == "local" else None)
         self.parameters = {key: value for key, value in parameters.items() if value is not None}
         self._submitter(Path())  # before anything is on disk
 
@@ -79,8 +79,7 @@ class SlurmLauncher:
                 raise FailedRunError(f"submitit cannot submit: {str(error).splitlines()[-1]}") from error
             finally:
                 self._cancel(active)
-        if request.signal_number is not None:
-            raise InterruptedRunError("stopped; rerun the same command to resume", request.signal_number)
+        request.raise_if_made()
         early = [job.paths.stderr for path, job in jobs.items() if read_state(path).stage == "pending"]
         number = f"{len(early)} of {plural(len(jobs), 'job')}"
         return f"{number} ended early, stopped by Slurm or a signal; the first log: {early[0]}" if early else None

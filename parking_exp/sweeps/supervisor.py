@@ -37,13 +37,13 @@ def supervise(path: Path, stop: Stop, cores: Sequence[int] = (), device: str | N
     """Train one run in a fresh process, and record in its directory how it ended.
 
     Args:
-        path: the run directory, with its frozen config.
+        path: the run directory, with its config.
         stop: polled; once it returns true, the run saves a checkpoint and exits, or is killed after GRACE_S.
         cores: for the worker, with a thread each; none: all.
         device: CUDA device for the worker; None: all.
     """
     directory = RunDirectory(path)
-    if directory.under_way:
+    if directory.is_locked:
         return "elsewhere"
     try:
         with directory.supervisor_lock():

@@ -1,4 +1,4 @@
-"""Plan and run a sweep: describe what is due, freeze configs, launch, watch, sync the store, sum up.
+"""Plan and run a sweep: describe what is due, write configs, launch, watch, sync the store, sum up.
 
 Its whole state is in the run directories: the same command resumes it, and several sweeps can share one experiment.
 """
@@ -12,12 +12,12 @@ from typing import Any
 from rich.console import Console
 
 from parking_exp.config.cell_labels import label_by_experiment, settings_of
-from parking_exp.config.compose import Composed
+from parking_exp.config.compose import ComposedRun
 from parking_exp.config.schema import RunConfig
 from parking_exp.config.validate import validate_all
 from parking_exp.errors import FailedRunError, plural
 from parking_exp.runs.directory import RunDirectory
-from parking_exp.runs.run_state import RunState, Stage, counts, read_state
+from parking_exp.runs.run_state import RunState, Stage, count_stages, read_state
 from parking_exp.runs.state_tables import cell_table, state_lines
 from parking_exp.sweeps.hydra_launcher import Launcher
 from parking_exp.sweeps.monitor import Monitor
@@ -52,7 +52,7 @@ class PlannedRun:
         return self.state.stage != "done"
 
 
-def plan(composed: Sequence[Composed], retry: str | None = None) -> list[PlannedRun]:
+def plan(composed: Sequence[ComposedRun], retry: str | None = None) -> list[PlannedRun]:
     """Check every run of a sweep, and read its state; with `retry`, failed runs are due as well."""
     unique = {id(run.cell): run.cell for run in composed}  # a cell is checked once for all its seeds
     cells = {
@@ -71,13 +71,13 @@ def plan(composed: Sequence[Composed], retry: str | None = None) -> list[Planned
     return list(runs.values())
 
 
-def describe(runs: Sequence[PlannedRun], out: Console) -> None:
+def print_plan(runs: Sequence[PlannedRun], out: Console) -> None:
     """Print the plan: cells x seeds, what is done, and what will run."""
     states = [run.state.model_copy(update={"label": run.label}) for run in runs]
     out.print(cell_table(states))
     for line in state_lines(states, "damaged"):
         out.print(line)
-    by_stage, due = counts(states), [run for run in runs if run.is_due and run.state.stage != "running"]
+    by_stage, due = count_stages(states), [run for run in runs if run.is_due and run.state.stage != "running"]
     n_cells, n_seeds = len({run.path.parent for run in runs}), len({run.config.seed for run in runs})
     product = plural(n_cells, "cell")
     if n_cells * n_seeds == len(runs):
@@ -96,12 +96,12 @@ def sweep(runs: Sequence[PlannedRun], launcher: Launcher, *, dry_run: bool = Fal
         InterruptedRunError: a signal stopped it.
     """
     out, paths = console(), [run.path for run in runs]
-    describe(runs, out)
+    print_plan(runs, out)
     if dry_run:
         return
     due = [run for run in runs if run.is_due]
     for run in due:
-        RunDirectory(run.path).freeze(run.config, run.label, run.state.started, entries=run.entries)
+        RunDirectory(run.path).write_plan(run.config, run.label, run.state.started, entries=run.entries)
     try:
         if due:
             with Monitor(lambda: paths, len(paths)) as monitor:
@@ -139,7 +139,7 @@ def sync_store(paths: Sequence[Path], configs: Sequence[RunConfig], monitor: Mon
 
 def _check_all_done(states: Sequence[RunState]) -> None:
     """Raise FailedRunError unless every run is done."""
-    by_stage = counts(states)
+    by_stage = count_stages(states)
     words: dict[Stage, str] = {"failed": "failed", "pending": "not done", "running": "still running"}
     if not (parts := [f"{by_stage[stage]} {word}" for stage, word in words.items() if by_stage[stage]]):
         return

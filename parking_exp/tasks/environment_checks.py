@@ -6,7 +6,7 @@ import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
 
-from parking_exp.errors import ConfigError
+from parking_exp.errors import ConfigError, one_line
 from parking_exp.tasks.gymnasium_config import GymnasiumConfig
 from parking_exp.tasks.gymnasium_env import (
     GOAL_KEYS,
@@ -14,7 +14,6 @@ from parking_exp.tasks.gymnasium_env import (
     SUCCESS_KEYS,
     GymnasiumReward,
     make_env,
-    one_line,
     random_steps,
 )
 from parking_exp.tasks.training_envs import ReplayActions
@@ -29,27 +28,27 @@ def check_env(config: GymnasiumConfig) -> Iterator[str]:
     except ConfigError as error:
         yield str(error)
         return
-    place, space, actions = f"env.id={config.id}", env.observation_space, env.action_space
+    env_id, space, actions = f"env.id={config.id}", env.observation_space, env.action_space
     entries = space.spaces if isinstance(space, spaces.Dict) else {}
-    shaped = [key for key, entry in entries.items() if len(entry.shape or ()) != 1]
+    not_vectors = [key for key, entry in entries.items() if len(entry.shape or ()) != 1]
     if absent := [key for key in reversed(GOAL_KEYS) if key not in entries]:
-        yield f"{place} is not a goal environment: its observation has no {absent[0]}"
-    elif shaped:
-        yield f"{place} has the {shaped[0]} {entries[shaped[0]]}; it has to be a vector"
+        yield f"{env_id} is not a goal environment: its observation has no {absent[0]}"
+    elif not_vectors:
+        yield f"{env_id} has the {not_vectors[0]} {entries[not_vectors[0]]}; it has to be a vector"
     elif not isinstance(actions, spaces.Box) or not actions.is_bounded():
-        yield f"{place} has the actions {actions}; they have to be continuous with finite bounds (Box)"
+        yield f"{env_id} has the actions {actions}; they have to be continuous with finite bounds (Box)"
     elif not hasattr(env.unwrapped, "compute_reward"):
-        yield f"{place} is not a goal environment: it has no compute_reward"
+        yield f"{env_id} is not a goal environment: it has no compute_reward"
     elif env.spec is None or env.spec.max_episode_steps is None:
-        yield f"{place} has no limit to the length of an episode; set env.max_episode_steps"
+        yield f"{env_id} has no limit to the length of an episode; set env.max_episode_steps"
     else:
         try:
-            yield from _check_steps(env, config, place)
+            yield from _check_steps(env, config, env_id)
         except Exception as error:  # whatever a user's environment raises
-            yield f"{place}: {one_line(error)}"
+            yield f"{env_id}: {type(error).__name__}: {one_line(error)}"
 
 
-def _check_steps(env: gym.Env, config: GymnasiumConfig, place: str) -> Iterator[str]:
+def _check_steps(env: gym.Env, config: GymnasiumConfig, env_id: str) -> Iterator[str]:
     """Compare the rewards of random steps with what `compute_reward` says of all of them at once."""
     achieved, desired, rewards, infos = random_steps(env.env)
     known = {key: None for info in infos for key in info}
@@ -58,22 +57,22 @@ def _check_steps(env: gym.Env, config: GymnasiumConfig, place: str) -> Iterator[
             yield f"env.{name}={key}: there is no such entry of info; there are {', '.join(known) or 'none'}"
             return
     if config.success_key is None and not any(key in known for key in SUCCESS_KEYS):
-        yield f"{place}: info has neither {' nor '.join(SUCCESS_KEYS)}; name what says it as env.success_key"
+        yield f"{env_id}: info has neither {' nor '.join(SUCCESS_KEYS)}; name what says it as env.success_key"
         return
     try:
         computed = np.asarray(env.unwrapped.compute_reward(achieved, desired, infos))
     except Exception as error:  # whatever a function that was not written for batches raises
-        yield f"{place}: compute_reward is not vectorised: {one_line(error)}"
+        yield f"{env_id}: compute_reward is not vectorised: {type(error).__name__}: {one_line(error)}"
         return
     if computed.shape != rewards.shape:
-        yield f"{place}: compute_reward is not vectorised: for {len(infos)} goals it returns the shape {computed.shape}"
+        yield f"{env_id}: compute_reward is not vectorised: for {len(infos)} goals it returns shape {computed.shape}"
         return
     failed = np.array([bool(config.failure_key and info.get(config.failure_key)) for info in infos])
     different = np.flatnonzero(~(np.abs(computed - rewards) <= TOLERANCE) & ~failed)
     if len(different):
         step = different[0]
         yield (
-            f"{place}: compute_reward gives {computed[step]:.6g} for a step of reward {rewards[step]:.6g}; if that is "
+            f"{env_id}: compute_reward gives {computed[step]:.6g} for a step of reward {rewards[step]:.6g}; if that is "
             "the penalty of a failure, name its entry of info as env.failure_key"
         )
         return
@@ -81,14 +80,14 @@ def _check_steps(env: gym.Env, config: GymnasiumConfig, place: str) -> Iterator[
     rows = np.array([[float(info[key]) for key in reward.info_keys] for info in infos])
     relabelled, _ = reward(achieved, desired, rows)  # calls `compute_terminated`, whose error is then reported
     if not np.allclose(relabelled, computed, rtol=0, atol=TOLERANCE):
-        yield f"{place}: compute_reward needs more than goals and the numbers that all infos have"
+        yield f"{env_id}: compute_reward needs more than goals and the numbers that all infos have"
 
 
 def resumes_exactly(config: GymnasiumConfig) -> bool:
     """Return whether an env that is restored by replaying another one's actions continues like that."""
     first, second = ReplayActions(make_env(config)), ReplayActions(make_env(config))
     random_steps(first)
-    first.reset()  # what an episode leaves behind has to be no part of the next
+    first.reset()  # what an episode leaves behind must not affect the next
     for _ in range(3):
         first.step(first.action_space.sample())
     second.set_state(first.get_state())

@@ -17,10 +17,6 @@ class SymmetricFeatures(TaskFeatures):
     The policies of `algorithms.mirrored_policies` mirror actions accordingly.
     """
 
-    def sign(self, observations: dict[str, torch.Tensor]) -> torch.Tensor:
-        """Return -1 where the observation is mirrored, else 1; shape (batch, 1)."""
-        raise NotImplementedError
-
     def mirror(self, actions: torch.Tensor, observations: dict[str, torch.Tensor]) -> torch.Tensor:
-        """Return actions, shape (batch, actions), mirrored where the observation is."""
+        """Return actions, shape (batch, actions), some with the opposite sign where the observation is mirrored."""
         raise NotImplementedError

@@ -41,7 +41,7 @@ class GymnasiumConfig(ConfigModel):
         return unsafe | ({"id": self.id} if ":" in self.id else {})
 
     def problems(self) -> Iterator[str]:
-        """Yield a sentence for each rule between keys that is violated; there is none."""
+        """Yield nothing: there are no rules between keys."""
         yield from ()
 
     def model_problems(self, features: str, buffer: Mapping[str, Any]) -> Iterator[str]:

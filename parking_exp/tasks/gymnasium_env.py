@@ -12,7 +12,7 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
-from parking_exp.errors import ConfigError, suggestion
+from parking_exp.errors import ConfigError, one_line, suggestion
 from parking_exp.tasks.gymnasium_config import GymnasiumConfig
 
 GOAL_KEYS = ("observation", "achieved_goal", "desired_goal")
@@ -133,14 +133,9 @@ def make_env(config: GymnasiumConfig, render_mode: str | None = None) -> gym.Env
     except gym.error.DependencyNotInstalled as error:
         raise ConfigError(f"env.id={config.id}: {error}") from error
     except Exception as error:  # whatever a user's module or class raises
-        given = f", env.kwargs={config.kwargs}" if config.kwargs else ""
-        raise ConfigError(f"env.id={config.id}{given}: {one_line(error)}") from error
+        arguments = f", env.kwargs={config.kwargs}" if config.kwargs else ""
+        raise ConfigError(f"env.id={config.id}{arguments}: {type(error).__name__}: {one_line(error)}") from error
     return GoalInfo(env, config)
-
-
-def one_line(error: Exception) -> str:
-    """Return the class of an error and what it says."""
-    return f"{type(error).__name__}: {' '.join(str(error).split())}"
 
 
 def _not_found(env_id: str, error: Exception) -> str:

@@ -12,12 +12,12 @@ import gymnasium as gym
 import numpy as np
 from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecEnv
 
-from parking_exp.errors import VideoError
-from parking_exp.tasks.captions import LAST_FRAME_S, captioned
+from parking_exp.errors import VideoError, one_line
+from parking_exp.tasks.captions import LAST_FRAME_S, add_caption
 from parking_exp.tasks.env_batch import EnvBatch
 from parking_exp.tasks.environment_checks import check_env, resumes_exactly
 from parking_exp.tasks.gymnasium_config import GymnasiumConfig
-from parking_exp.tasks.gymnasium_env import make_env, one_line
+from parking_exp.tasks.gymnasium_env import make_env
 from parking_exp.tasks.metrics import GYMNASIUM_METRICS, outcome
 from parking_exp.tasks.task import EvaluationBatch, Policy
 from parking_exp.tasks.training_envs import ReplayActions
@@ -80,17 +80,17 @@ class GymnasiumTask:
         """Yield a frame for the start of each episode and each step, and one second of its end."""
         if "rgb_array" not in self.prediction_env().metadata.get("render_modes", ()):
             raise VideoError(f"no video: env.id={self.env_id} does not render to arrays")
-        with closing(_rendered(self.config)) as env:
+        with closing(_make_video_env(self.config)) as env:
             for seed in seeds:
                 observation, info = env.reset(seed=seed)
                 done = False
                 while not done:
-                    yield captioned(np.asarray(env.render()), f"seed {seed}")
+                    yield add_caption(np.asarray(env.render()), f"seed {seed}")
                     action = policy({key: value[np.newaxis] for key, value in observation.items()})[0]
                     observation, _, terminated, truncated, info = env.step(action)
                     done = terminated or truncated
                 ending = outcome(self.failure, info["is_failure"], info["is_success"])
-                last = captioned(np.asarray(env.render()), f"seed {seed}: {ending}")
+                last = add_caption(np.asarray(env.render()), f"seed {seed}: {ending}")
                 yield from [last] * round(LAST_FRAME_S * self.frame_rate)
 
 
@@ -101,7 +101,7 @@ def _env_of_worker(config: GymnasiumConfig) -> gym.Env:
     return ReplayActions(make_env(config))
 
 
-def _rendered(config: GymnasiumConfig) -> gym.Env:
+def _make_video_env(config: GymnasiumConfig) -> gym.Env:
     """Make an env that renders; VideoError where none can."""
     if "mujoco" in sys.modules and "MUJOCO_GL" not in os.environ:
         os.environ["MUJOCO_GL"] = _mujoco_backend()
@@ -110,7 +110,7 @@ def _rendered(config: GymnasiumConfig) -> gym.Env:
         env.reset(seed=0)
         env.render()
     except Exception as error:  # of drivers, bindings and shared libraries
-        raise VideoError(f"no video of env.id={config.id}: {one_line(error)}") from error
+        raise VideoError(f"no video of env.id={config.id}: {type(error).__name__}: {one_line(error)}") from error
     return env
 
 

@@ -65,10 +65,10 @@ class Metric:
         return episodes["outcome"] == self.name if self.is_outcome else episodes[self.name]
 
 
-def rate(name: str, of: Callable[[Episode], bool], *, colour: str, **further: Any) -> Metric:
+def rate(name: str, of: Callable[[Episode], bool], *, colour: str, **options: Any) -> Metric:
     """Return a metric of which the store, curves and reports have the rate."""
-    described = {"in_curves": True, "in_reports": True, "colour": colour, **further}
-    return Metric(name, of, name.capitalize(), "", "bool", **described)
+    fields = {"in_curves": True, "in_reports": True, "colour": colour, **options}
+    return Metric(name, of, name.capitalize(), "", "bool", **fields)
 
 
 def outcome_rate(name: str, colour: str) -> Metric:

@@ -131,12 +131,12 @@ class TaskFigure:
 
 @dataclass(frozen=True)
 class TaskSection:
-    """A section of reports that one task has: figures, and a CSV table of the rows that each cell has under a name."""
+    """A section of reports that one task has: figures, and a CSV table of the rows, dicts, in each cell's data."""
 
     id: str
     title: str
     figures: Sequence[TaskFigure]
-    table: str | None = None
+    table: str | None = None  # its name, in a cell's data, too
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 from filelock import FileLock
 
 from parking_exp.config.paths import SQLITE, database
-from parking_exp.errors import ParkingError
+from parking_exp.errors import ParkingError, one_line
 
 if TYPE_CHECKING:
     from mlflow import MlflowClient
@@ -93,7 +93,7 @@ def reason(error: BaseException) -> str:
         causes.append(cause)
     if not isinstance(error, ParkingError):
         error = next((cause for cause in reversed(causes) if isinstance(cause, OSError | sqlite3.Error)), error)
-    return (" ".join(str(error).split()) or type(error).__name__)[:MAX_REASON_LENGTH]
+    return (one_line(error) or type(error).__name__)[:MAX_REASON_LENGTH]
 
 
 def _make_database(path: Path) -> None:

@@ -18,7 +18,7 @@ from parking_exp.config.cell_labels import settings_of
 from parking_exp.config.paths import database, default_uri, is_same_store, relative_path
 from parking_exp.config.run_key import short_hash
 from parking_exp.config.schema import RunConfig
-from parking_exp.errors import plural
+from parking_exp.errors import one_line, plural
 from parking_exp.runs.atomic_files import read_object
 from parking_exp.runs.directory import BUFFER, MANIFEST, MODEL, RunDirectory, Status
 from parking_exp.runs.metric_logs import EPISODES_FILE, METRICS_FILE, MONITOR_FILE, read_metrics
@@ -104,7 +104,7 @@ def mirror_missing(directories: Iterable[RunDirectory], store: Store) -> Iterato
         Each run that the store lacked, and what kept it from being sent now, or None.
     """
     tracked = [run for run in directories if (uri := run.tracking_uri) and is_same_store(uri, store.uri)]
-    idle = [directory for directory in tracked if not directory.under_way]
+    idle = [directory for directory in tracked if not directory.is_locked]
     if not idle:
         return
     try:
@@ -114,7 +114,7 @@ def mirror_missing(directories: Iterable[RunDirectory], store: Store) -> Iterato
     except Exception as error:
         yield from ((directory, reason(error)) for directory in idle)
         return
-    mirrored = {(place.resolve(), run.data.tags.get(DIGEST)) for run in runs if (place := store.run_dir(run))}
+    mirrored = {(run_dir.resolve(), run.data.tags.get(DIGEST)) for run in runs if (run_dir := store.run_dir(run))}
     for directory in idle:
         if (directory.path.resolve(), _digest(directory)) not in mirrored:
             yield directory, try_mirror(directory, store)
@@ -143,7 +143,7 @@ def sync_hint(output_dir: Path, uri: str | None) -> str:
 def _status(directory: RunDirectory) -> Status:
     """Return a run's status for the store, where one that was killed or is pending is `interrupted`."""
     status = directory.status
-    return "interrupted" if status == "pending" or (status == "running" and not directory.under_way) else status
+    return "interrupted" if status == "pending" or (status == "running" and not directory.is_locked) else status
 
 
 def _digest(directory: RunDirectory) -> str:
@@ -159,7 +159,7 @@ def _tags(directory: RunDirectory, config: RunConfig, uri: str, status: Status) 
     """Return the tags of a run; those that identify it overwrite others of the same name in its provenance."""
     path, entries = database(uri), directory.read_status()
     provenance = read_object(directory.path / PROVENANCE_FILE)
-    error = " ".join(str(entries.get("error", "")).split()) if status == "failed" else ""
+    error = one_line(entries.get("error", "")) if status == "failed" else ""
     stored = provenance.get("tags")
     return {
         **({str(name): str(value) for name, value in stored.items()} if isinstance(stored, dict) else {}),
@@ -200,11 +200,11 @@ def _find(directory: RunDirectory, store: Store, experiment_id: str, tags: Mappi
     is gone: then it was moved here.
     """
     for run in store.search([experiment_id], f"tags.run_key = '{tags['run_key']}'"):
-        place = store.run_dir(run)
-        if place is None or run.info.lifecycle_stage == "deleted":
+        run_dir = store.run_dir(run)
+        if run_dir is None or run.info.lifecycle_stage == "deleted":
             continue
-        if place.resolve() != directory.path.resolve():
-            if run.info.run_id == directory.run_id and not place.is_dir():
+        if run_dir.resolve() != directory.path.resolve():
+            if run.info.run_id == directory.run_id and not run_dir.is_dir():
                 return run
         elif STARTED in tags and run.data.tags.get(STARTED, tags[STARTED]) != tags[STARTED]:
             with store.writing() as client:

@@ -37,10 +37,10 @@ class Store:
     @cached_property
     def client(self) -> "MlflowClient":
         """MLflow's client of the store, for reading; see `writing`. Raises what `client.connect` does."""
-        path, own = self._database, self._own_directory
-        if path and own and not lies_inside(path, own):
-            raise StoreError(f"{path} is a symbolic link that leads out of {own}; name the store with tracking.uri=")
-        return connect(self.uri, own)
+        path, root = self._database, self._own_directory
+        if path and root and not lies_inside(path, root):
+            raise StoreError(f"{path} is a symbolic link that leads out of {root}; name the store with tracking.uri=")
+        return connect(self.uri, root)
 
     @contextmanager
     def writing(self) -> "Iterator[MlflowClient]":
@@ -143,6 +143,6 @@ class Store:
             StoreError: it is outside of the output directory whose store this is.
         """
         folder = local_folder(folder_uri)
-        if (own := self._own_directory) and not (folder and lies_inside(folder / name, own)):
-            raise StoreError(f"this store keeps artifacts outside of {own}, in {folder_uri}; use another experiment")
+        if (root := self._own_directory) and not (folder and lies_inside(folder / name, root)):
+            raise StoreError(f"this store keeps artifacts outside of {root}, in {folder_uri}; use another experiment")
         return folder / name if folder else None

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from parking_exp.config.schema import RunConfig
 from parking_exp.runs.atomic_files import read_object, write_json
 from parking_exp.runs.directory import RunDirectory
-from parking_exp.runs.run_provenance import PROVENANCE_FILE, provenance
+from parking_exp.runs.run_provenance import PROVENANCE_FILE, collect_provenance
 from parking_exp.terminal import say
 from parking_exp.tracking.mirror import sync_hint, try_mirror
 from parking_exp.tracking.store import Store
@@ -44,7 +44,7 @@ def open_tracker(config: RunConfig, directory: RunDirectory, say: Callable[[str]
     # Of the process that trains, not of one that mirrors later.
     path = directory.path / PROVENANCE_FILE
     started_ms = read_object(path).get("started_ms") or time.time_ns() // 1_000_000
-    write_json(path, {"started_ms": started_ms, "tags": provenance()})
+    write_json(path, {"started_ms": started_ms, "tags": collect_provenance()})
     uri = config.store_uri
     directory.update(tracking_uri=uri)
     tracker = Tracker(directory, uri, say)

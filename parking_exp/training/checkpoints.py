@@ -39,8 +39,8 @@ RECENT = ("ep_info_buffer", "ep_success_buffer")
 
 
 @dataclass
-class Progress:
-    """Progress of a run."""
+class SavedProgress:
+    """Progress of a run, as a checkpoint has it."""
 
     step: int = 0  # env steps at the last checkpoint
     evaluated: int = 0  # env steps at the last evaluation
@@ -52,7 +52,7 @@ class Progress:
 def save(
     directory: Path,
     model: OffPolicyAlgorithm,
-    progress: Progress,
+    progress: SavedProgress,
     best: Path,
     keep_last: int,
     average: PolicyEMA | None = None,
@@ -105,7 +105,7 @@ def _problem(folder: Path) -> str | None:
 
 
 def read_state(folder: Path) -> dict[str, Any]:
-    """Return a checkpoint's state but for model and buffer; `progress` has the fields of `Progress`."""
+    """Return a checkpoint's state but for model and buffer; `progress` has the fields of `SavedProgress`."""
     state: dict[str, Any] = to_arrays(torch.load(folder / STATE, map_location="cpu", weights_only=True))
     return state
 

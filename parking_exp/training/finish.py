@@ -6,11 +6,11 @@ import pandas as pd
 from parking_exp.algorithms.model_files import save_model
 from parking_exp.config.schema import RunConfig
 from parking_exp.errors import CrossCheckError, VideoError
-from parking_exp.evaluation.evaluate_policy import differences, success_line
+from parking_exp.evaluation.evaluate_policy import describe_success, find_differences
 from parking_exp.evaluation.video import record
 from parking_exp.tasks.metrics import EPISODE_SEED
 from parking_exp.training.loop import TrainingLoop, derive_seeds
-from parking_exp.training.plot_curves import learning_curves
+from parking_exp.training.plot_curves import plot_learning_curves
 
 
 def finish(loop: TrainingLoop) -> pd.DataFrame:
@@ -20,33 +20,33 @@ def finish(loop: TrainingLoop) -> pd.DataFrame:
         CrossCheckError: an episode differs between two simulators of the task; all files are written.
     """
     config, path, metrics = loop.config, loop.directory.path, loop.task.metrics
-    loop.bar.busy("final evaluation")
-    chosen = certified_seeds(config)
+    loop.bar.show_activity("final evaluation")
+    cross_checked = certified_seeds(config)
     # Cross-checked episodes are stepped by themselves, since a policy's last bits depend on what is in its batch.
-    others = [seed for seed in loop.episode_seeds(config.evaluation.final_n_scenes) if seed not in chosen]
-    parts = [loop.run_episodes(seeds) for seeds in (chosen, others) if len(seeds)]
+    others = [seed for seed in loop.episode_seeds(config.evaluation.final_n_scenes) if seed not in cross_checked]
+    parts = [loop.run_episodes(seeds) for seeds in (cross_checked, others) if len(seeds)]
     episodes = pd.concat(parts).sort_values(EPISODE_SEED, ignore_index=True)
     summary = loop.record_evaluation(episodes.head(config.evaluation.n_scenes), "eval")
-    loop.bar.say(success_line(summary, loop.model.num_timesteps, metrics))
+    loop.bar.say(describe_success(summary, loop.model.num_timesteps, metrics))
     loop.record_evaluation(episodes, "final")
     certified, reference = parts[0], config.env.simulators[-1]
     if config.env.simulator != reference:
-        loop.bar.busy(f"cross-check on {reference}")
-        certified = loop.run_episodes(chosen, reference)
-    if chosen:
+        loop.bar.show_activity(f"cross-check on {reference}")
+        certified = loop.run_episodes(cross_checked, reference)
+    if cross_checked:
         loop.record_evaluation(certified, "certified")
     loop.dump_metrics()
     loop.model.logger.close()
     save_model(loop.model, loop.directory.models / "final.zip")
     title = f"{config.experiment_name}: {path.parent.name}"
-    learning_curves(loop.metrics.frame(), metrics, title, path / "curves.png")
+    plot_learning_curves(loop.metrics.frame(), metrics, title, path / "curves.png")
     if number := config.evaluation.video_episodes:
-        loop.bar.busy("video")
+        loop.bar.show_activity("video")
         try:
             record(loop.policy, loop.task, loop.episode_seeds(number), path / "video.mp4")
         except VideoError as error:
             loop.bar.say(str(error))
-    if chosen and (different := differences(parts[0], certified)):
+    if cross_checked and (different := find_differences(parts[0], certified)):
         raise CrossCheckError(
             f"{len(different)} of {len(certified)} cross-checked episodes differ between env.simulator="
             f"{config.env.simulator} and {reference}; {'; '.join(different[:3])}"

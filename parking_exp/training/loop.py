@@ -17,15 +17,14 @@ from parking_exp.algorithms.policy_ema import PolicyEMA
 from parking_exp.buffers import HerBuffer
 from parking_exp.config.schema import RunConfig
 from parking_exp.config_model import TRAINING_SEEDS_START
-from parking_exp.errors import InterruptedRunError
-from parking_exp.evaluation.evaluate_policy import evaluate, rank, success_line, summarise
+from parking_exp.evaluation.evaluate_policy import describe_success, evaluate, rank, summarise
 from parking_exp.runs.directory import RunDirectory
 from parking_exp.runs.metric_logs import EPISODES_FILE, METRICS_FILE, MONITOR_FILE, MetricsLog, append_episodes
 from parking_exp.tasks.registry import make_task
 from parking_exp.tasks.training_envs import make_training_envs
 from parking_exp.tracking.tracker import Tracker
 from parking_exp.training import checkpoints, rollout_state
-from parking_exp.training.checkpoints import Progress
+from parking_exp.training.checkpoints import SavedProgress
 from parking_exp.training.loggers import make_logger
 from parking_exp.training.progress import TrainingProgress
 from parking_exp.training.signals import StopRequest
@@ -38,7 +37,7 @@ class Seeds:
     """Seeds of one run's random generators."""
 
     policy: int  # weights, exploration and minibatches (Python, NumPy and torch), below 2**31
-    training_envs: int  # of the first training env; env i gets this + i. At least 2**31: no seed of an evaluation
+    training_envs: int  # of the first training env; env i gets this + i. At least 2**31: not an evaluation's seed
     certified: int  # draws the episodes of the final evaluation that are cross-checked
 
 
@@ -56,7 +55,7 @@ class TrainingLoop:
     ) -> None:
         self.config, self.directory, self.tracker, self.stop = config, directory, tracker, stop
         saved = checkpoints.read_state(checkpoint)["progress"] if checkpoint else {}
-        self.progress = progress = Progress(**saved)
+        self.progress = progress = SavedProgress(**saved)
         path = directory.path
         self._cpu_start = time.process_time() - progress.cpu_s
         self._wall_start = time.monotonic() - progress.wall_s
@@ -100,12 +99,12 @@ class TrainingLoop:
 
     def evaluate(self) -> None:
         """Evaluate on the first of the fixed episodes, and keep the model if it is the best so far."""
-        self.bar.busy("evaluation")
+        self.bar.show_activity("evaluation")
         with self.average.applied():
             episodes = self.run_episodes(self.episode_seeds(self.config.evaluation.n_scenes))
             summary = self.record_evaluation(episodes, "eval")
         self.dump_metrics()
-        self.bar.say(success_line(summary, self.model.num_timesteps, self.task.metrics))
+        self.bar.say(describe_success(summary, self.model.num_timesteps, self.task.metrics))
 
     def run_episodes(self, seeds: Sequence[int], simulator: str | None = None) -> pd.DataFrame:
         """Return the greedy policy's episodes, or raise when a signal asks to stop."""
@@ -135,9 +134,7 @@ class TrainingLoop:
 
     def stop_if_asked(self) -> None:
         """Raise InterruptedRunError if a signal has asked to stop."""
-        if self.stop.signal_number is not None:
-            sentence = f"stopped at step {self.model.num_timesteps}; rerun the same command to resume"
-            raise InterruptedRunError(sentence, self.stop.signal_number)
+        self.stop.raise_if_made(f" at step {self.model.num_timesteps}")
 
     def times(self) -> tuple[float, float]:
         """Return CPU and wall seconds of the run, earlier processes included."""
@@ -159,8 +156,8 @@ class TrainingLoop:
     def dump_metrics(self) -> None:
         """Write the logger's row of metrics."""
         cpu_s, wall_s = self.times()
-        if isinstance(buffer := self.model.replay_buffer, HerBuffer) and buffer.real_share is not None:
-            self.model.logger.record("buffer/real_share", buffer.real_share)
+        if isinstance(buffer := self.model.replay_buffer, HerBuffer) and buffer.real_fraction is not None:
+            self.model.logger.record("buffer/real_share", buffer.real_fraction)
         self.model.logger.record("time/cpu_s", cpu_s)
         self.model.logger.record("time/wall_s", wall_s)
         self.model.logger.dump(self.model.num_timesteps)

@@ -9,7 +9,7 @@ import pandas as pd
 from parking_exp.tasks.metrics import Metric
 
 
-def learning_curves(log: pd.DataFrame, metrics: Sequence[Metric], title: str, path: Path) -> None:
+def plot_learning_curves(log: pd.DataFrame, metrics: Sequence[Metric], title: str, path: Path) -> None:
     """Draw a run's evaluation rates and returns against env steps, from the columns of `MetricsLog.frame`."""
     from matplotlib.figure import Figure
 

@@ -57,16 +57,16 @@ class TrainingProgress:
             mean_return = "" if episode_return is None else f"return {episode_return:6.1f}  "
             self.say(f"train  {step}/{self.total} steps  {success}{mean_return}{rate:.0f} steps/s")
 
-    def busy(self, what: str) -> None:
+    def show_activity(self, activity: str) -> None:
         """Show an activity other than training."""
-        self._send_heartbeat(what, 0.0)
-        self._bar.update(self._task, description=what, figures="")
+        self._send_heartbeat(activity, 0.0)
+        self._bar.update(self._task, description=activity, figures="")
 
     def say(self, text: str) -> None:
         """Print a line, above the bar if there is one."""
         if self.enabled:
             self._bar.console.print(text, highlight=False, soft_wrap=True)
 
-    def _send_heartbeat(self, doing: str, rate: float) -> None:
+    def _send_heartbeat(self, activity: str, rate: float) -> None:
         self._next_heartbeat = time.monotonic() + HEARTBEAT_S
-        self._heartbeat(step=self._step, steps_per_s=rate, doing=doing)
+        self._heartbeat(step=self._step, steps_per_s=rate, doing=activity)

@@ -8,6 +8,8 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from types import FrameType
 
+from parking_exp.errors import InterruptedRunError
+
 
 @dataclass
 class StopRequest:
@@ -19,6 +21,11 @@ class StopRequest:
     def is_made(self) -> bool:
         """Whether a signal has arrived."""
         return self.signal_number is not None
+
+    def raise_if_made(self, where: str = "") -> None:
+        """Raise InterruptedRunError if a signal has arrived; `where` follows "stopped" in its message."""
+        if self.signal_number is not None:
+            raise InterruptedRunError(f"stopped{where}; rerun the same command to resume", self.signal_number)
 
 
 @contextmanager

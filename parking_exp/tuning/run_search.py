@@ -32,11 +32,11 @@ from parking_exp.tuning.trials import (
     RETEST_FILE,
     RetestedTrial,
     TrialRow,
-    counts,
+    count_states,
     progress_lines,
-    ranked,
-    rows,
-    trial_table,
+    progress_table,
+    rank_trials,
+    read_trials,
 )
 
 if TYPE_CHECKING:
@@ -61,8 +61,8 @@ def tune(search: Search, launcher: Launcher) -> None:
     search.save()
     if _n_left(trials, n_trials):
         trials = _train(search, study, n_workers)
-    out.print(trial_table(trials), *progress_lines(trials, n_trials), sep="\n")
-    if not counts(trials)["done"]:
+    out.print(progress_table(trials), *progress_lines(trials, n_trials), sep="\n")
+    if not count_states(trials)["done"]:
         reason = next((trial.reason for trial in trials if trial.reason), "all were pruned")
         raise FailedRunError(f"no trial is done; the first reason: {reason}")
     if request.search.n_retest:
@@ -100,8 +100,8 @@ def _train(search: Search, study: "Study", n_workers: int) -> list[TrialRow]:
 
     with Monitor(runs, n_trials * len(names)) as monitor:
         try:
-            while left := _n_left(trials := rows(study, search.folder, n_trials), n_trials):
-                if (free := left - counts(trials)["running"]) > 0:
+            while left := _n_left(trials := read_trials(study, search.folder, n_trials), n_trials):
+                if (free := left - count_states(trials)["running"]) > 0:
                     run_workers(partial(work, search), min(n_workers, free))
                 else:
                     time.sleep(POLL_S)
@@ -113,15 +113,15 @@ def _train(search: Search, study: "Study", n_workers: int) -> list[TrialRow]:
 def _retest(search: Search, trials: Sequence[TrialRow], launcher: Launcher) -> list[RetestedTrial]:
     """Train trial 0 and the best trials on the test seeds, as a sweep, and store the results, best first."""
     request, planned = search.request, list[PlannedRun]()
-    chosen = chosen_trials(trials, request.search.n_retest)
-    for seed, trial in itertools.product(request.search.test_seeds, chosen):
+    candidates = choose_trials(trials, request.search.n_retest)
+    for seed, trial in itertools.product(request.search.test_seeds, candidates):
         config = search.config(trial.changes).model_copy(update={"seed": seed})
         entries = {"search": search.folder.name, "trial": trial.number}
         state = read_state(config.run_dir)
         planned.append(PlannedRun(config, config.run_dir, trial.label, state, request.retry is not None, entries))
     sweep(planned, launcher)
     retested = []
-    for trial in chosen:
+    for trial in candidates:
         test = [success_auc(RunDirectory(run.path)) for run in planned if run.entries["trial"] == trial.number]
         retested.append(RetestedTrial(trial.number, trial.label, trial.changes, list(trial.by_seed), test))
     retested.sort(key=lambda trial: (-mean(trial.test), trial.number))
@@ -129,10 +129,10 @@ def _retest(search: Search, trials: Sequence[TrialRow], launcher: Launcher) -> l
     return retested
 
 
-def chosen_trials(trials: Sequence[TrialRow], n_retest: int) -> list[TrialRow]:
+def choose_trials(trials: Sequence[TrialRow], n_retest: int) -> list[TrialRow]:
     """Return trial 0, if it is done, and the best `n_retest` others, without trials that share the runs of another."""
-    distinct = {tuple(trial.runs): trial for trial in reversed(ranked(trials))}
-    best = ranked([*distinct.values()])
+    distinct = {tuple(trial.runs): trial for trial in reversed(rank_trials(trials))}
+    best = rank_trials([*distinct.values()])
     return [*(trial for trial in best if trial.number == 0), *[trial for trial in best if trial.number != 0][:n_retest]]
 
 

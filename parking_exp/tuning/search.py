@@ -1,6 +1,5 @@
 """A search: its settings, the config of each trial, its study."""
 
-import copy
 import threading
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -10,7 +9,7 @@ from typing import TYPE_CHECKING, Any, cast
 
 from omegaconf import OmegaConf
 
-from parking_exp.config.compose import Composed, composed_runs, hydra_ready
+from parking_exp.config.compose import ComposedRun, compose_runs, hydra_ready
 from parking_exp.config.overrides import in_quotes
 from parking_exp.config.schema import RunConfig
 from parking_exp.config.validate import check, parse, refuse, validate
@@ -18,7 +17,7 @@ from parking_exp.errors import ConfigError
 from parking_exp.runs.atomic_files import read_object, write_json
 from parking_exp.tuning.search_config import SearchConfig, SearchFile, TuneRequest
 from parking_exp.tuning.study import OpenStudy, open_study, storage_of, study_errors
-from parking_exp.tuning.trials import TrialRow, rows
+from parking_exp.tuning.trials import TrialRow, read_trials
 
 if TYPE_CHECKING:
     from optuna import Study
@@ -28,9 +27,9 @@ _COMPOSING = threading.Lock()  # Hydra's state is global, and workers are thread
 
 
 @cache
-def _composed(overrides: tuple[str, ...], extra_config_dir: str | None) -> Composed:
-    """Compose a trial's groups; Hydra takes 0.2 s, setting a key in a copy 3 ms."""
-    runs = composed_runs("tune", list(overrides), extra_config_dir)
+def _compose_groups(overrides: tuple[str, ...], extra_config_dir: str | None) -> ComposedRun:
+    """Compose a trial's groups."""
+    runs = compose_runs("tune", list(overrides), extra_config_dir)
     if len(runs) > 1 or runs[0].seed is not None:
         raise ConfigError("a search takes one value for each key, and its seeds as search.tuning_seeds")
     return runs[0]
@@ -46,20 +45,17 @@ class Search:
     overrides: Sequence[str]
     extra_config_dir: str | None = None
 
-    def compose(self, changes: Mapping[str, Any]) -> Composed:
+    def compose(self, changes: Mapping[str, Any]) -> ComposedRun:
         """Return the config of a trial as Hydra composes it, with the keys of scripts/tune.py.
 
         Raises:
             ConfigError: it does not compose, or the overrides are a sweep.
         """
         with _COMPOSING, hydra_ready():
-            groups = _composed(tuple(self.overrides), self.extra_config_dir).options
+            groups = _compose_groups(tuple(self.overrides), self.extra_config_dir).options
             options = [f"{key}={in_quotes(str(value))}" for key, value in changes.items() if key in groups]
-            composed = copy.deepcopy(_composed((*self.overrides, *options), self.extra_config_dir))
-            for key, value in changes.items():
-                if key not in groups:
-                    OmegaConf.update(composed.cell, key.lstrip("+"), value, merge=True, force_add=key.startswith("+"))
-        return composed
+            values = {key: value for key, value in changes.items() if key not in groups}
+            return _compose_groups((*self.overrides, *options), self.extra_config_dir).with_values(values)
 
     @cached_property
     def request(self) -> TuneRequest:
@@ -116,8 +112,8 @@ class Search:
 
     def open(self) -> OpenStudy:
         """Return the study; create it, and its folder, if there is none yet."""
-        composed, space = self.compose({}), self.request.search.space
-        values = {key: composed.options.get(key) or OmegaConf.select(composed.cell, key.lstrip("+")) for key in space}
+        run, space = self.compose({}), self.request.search.space
+        values = {key: run.options.get(key) or OmegaConf.select(run.cell, key.lstrip("+")) for key in space}
         return open_study(self.folder, self.request.search, self.base, values)
 
     def save(self) -> None:
@@ -151,4 +147,4 @@ def study_in(folder: Path) -> StoredSearch | None:
 
     with study_errors(folder.name):
         study = optuna.load_study(study_name=folder.name, storage=storage_of(folder))
-    return StoredSearch(stored.search, stored.n_trials, study, rows(study, folder, stored.n_trials))
+    return StoredSearch(stored.search, stored.n_trials, study, read_trials(study, folder, stored.n_trials))

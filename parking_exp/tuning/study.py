@@ -17,7 +17,7 @@ from filelock import FileLock
 
 from parking_exp.config.paths import refuse_links
 from parking_exp.config.schema import RunConfig
-from parking_exp.errors import ConfigError, ParkingError, StoreError
+from parking_exp.errors import ConfigError, ParkingError, StoreError, first_line
 from parking_exp.runs.directory import is_held
 from parking_exp.tuning.search_config import SearchConfig
 
@@ -67,8 +67,7 @@ def study_errors(name: str) -> Iterator[None]:
     except ParkingError:
         raise
     except Exception as error:
-        line = (str(error).splitlines() or [type(error).__name__])[0]
-        raise StoreError(f"the study {name} can't be used: {line}") from error
+        raise StoreError(f"the study {name} can't be used: {first_line(error)}") from error
 
 
 def storage_of(folder: Path) -> Any:

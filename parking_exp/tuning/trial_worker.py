@@ -89,7 +89,7 @@ def _train_run(config: RunConfig, entries: dict[str, object], train: Train) -> R
         may_succeed = state.killed or DISK_FULL in (state.reason or "")
         if state.stage == "done" or (state.stage == "failed" and (attempts == ATTEMPTS or not may_succeed)):
             break
-        directory.freeze(config, f"trial {entries['trial']}", state.started, entries=entries)
+        directory.write_plan(config, f"trial {entries['trial']}", state.started, entries=entries)
         result = train(directory.path)
         if result == "stopped":
             return None

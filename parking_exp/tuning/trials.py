@@ -67,7 +67,7 @@ class RetestedTrial:
     test: Rates
 
 
-def rows(study: "Study", folder: Path, n_trials: int) -> list[TrialRow]:
+def read_trials(study: "Study", folder: Path, n_trials: int) -> list[TrialRow]:
     """Return trial 0 and those that have begun, of the first `n_trials`."""
     with study_errors(study.study_name):
         trials = study.get_trials(deepcopy=False)[:n_trials]
@@ -109,21 +109,21 @@ def read_retest(folder: Path) -> list[RetestedTrial]:
     return TypeAdapter(list[RetestedTrial]).validate_python(read_object(folder / RETEST_FILE).get("trials", []))
 
 
-def ranked(trials: Sequence[TrialRow]) -> list[TrialRow]:
+def rank_trials(trials: Sequence[TrialRow]) -> list[TrialRow]:
     """Return the trials that are done, best first."""
     return [trial for _, _, trial in sorted((-t.value, t.number, t) for t in trials if t.value is not None)]
 
 
-def counts(trials: Sequence[TrialRow]) -> dict[TrialState, int]:
+def count_states(trials: Sequence[TrialRow]) -> dict[TrialState, int]:
     """Return how many trials are in each state."""
     states = [trial.state for trial in trials]
     return {state: states.count(state) for state in get_args(TrialState)}
 
 
-def trial_table(trials: Sequence[TrialRow]) -> Table:
+def progress_table(trials: Sequence[TrialRow]) -> Table:
     """Return the best trials, then running and failed ones: state, value and changes."""
     table = Table("trial", "state", OBJECTIVE, "changes", box=None, pad_edge=False)
-    best, others = ranked(trials), [trial for trial in trials if trial.state in ("running", "failed")]
+    best, others = rank_trials(trials), [trial for trial in trials if trial.state in ("running", "failed")]
     for trial in [*best[: max(1, MAX_SHOWN - len(others))], *others[:MAX_SHOWN]]:
         value = "" if trial.value is None else f"{trial.value:.1%}"
         table.add_row(str(trial.number), trial.state, value, trial.reason or trial.label.partition(": ")[2])
@@ -132,9 +132,9 @@ def trial_table(trials: Sequence[TrialRow]) -> Table:
 
 def progress_lines(trials: Sequence[TrialRow], n_trials: int) -> Iterator[str]:
     """Yield how many trials are in each state, and the best so far."""
-    by_state = counts(trials)
+    by_state = count_states(trials)
     by_state["pending"] += n_trials - len(trials)
     states = ", ".join(f"{number} {state}" for state, number in by_state.items() if number)
     yield f"{plural(n_trials, 'trial')}: {states}"
-    for best in ranked(trials)[:1]:
+    for best in rank_trials(trials)[:1]:
         yield f"best so far: {best.label} ({OBJECTIVE} {best.value:.1%})"

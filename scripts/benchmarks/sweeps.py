@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.timing import seconds, spread
-from parking_exp.config.compose import composed_runs
+from parking_exp.config.compose import compose_runs
 from parking_exp.runs.atomic_files import write_json
 from parking_exp.runs.directory import STATUS_FILE, RunDirectory
 from parking_exp.sweeps.local import LocalLauncher
@@ -47,7 +47,7 @@ def overhead(rounds: int, all_cores: Sequence[int]) -> dict[str, Any]:
 def scan(rounds: int, n_seeds: int, *cells: str) -> dict[str, Any]:
     """Measure the seconds to plan the cells of `her_ablation`, or some of them, whose runs are finished."""
     with tempfile.TemporaryDirectory() as folder:
-        runs = composed_runs("config", ["experiment=her_ablation", *cells, f"seeds={n_seeds}", f"output_dir={folder}"])
+        runs = compose_runs("config", ["experiment=her_ablation", *cells, f"seeds={n_seeds}", f"output_dir={folder}"])
         for run in plan(runs):
             run.path.mkdir(parents=True)
             entries = {"status": "done", "steps": 20_000, "label": run.label}
@@ -59,9 +59,9 @@ def scan(rounds: int, n_seeds: int, *cells: str) -> dict[str, Any]:
 
 def _launch_seconds(output_dir: Path, workers: int, *overrides: str) -> float:
     """Return the seconds that the runs of some overrides take."""
-    planned = plan(composed_runs("config", [*overrides, f"output_dir={output_dir}"]))
+    planned = plan(compose_runs("config", [*overrides, f"output_dir={output_dir}"]))
     for run in planned:
-        RunDirectory(run.path).freeze(run.config, run.label, None)
+        RunDirectory(run.path).write_plan(run.config, run.label, None)
     duration = seconds(lambda: LocalLauncher(workers).train([run.path for run in planned]))
     if any(RunDirectory(run.path).status != "done" for run in planned):
         raise RuntimeError(f"a timed run failed; see {output_dir}")

@@ -45,7 +45,7 @@ def trained(request, tmp_path_factory):
     config, directory = configured(request.param), tmp_path_factory.mktemp("checkpoints")
     model = model_of(config).learn(60)
     assert model._n_updates > 0
-    folder = checkpoints.save(directory, model, checkpoints.Progress(step=60), directory / "best.zip", keep_last=1)
+    folder = checkpoints.save(directory, model, checkpoints.SavedProgress(step=60), directory / "best.zip", keep_last=1)
     saved = state(model, directory)
     model.train(2, model.batch_size)
     return SimpleNamespace(config=config, model=model, folder=folder, saved=saved, updated=state(model, directory))

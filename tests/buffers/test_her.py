@@ -252,7 +252,7 @@ def test_what_every_relabelled_transition_carries(reward, n_envs, offset, veloci
             expected = {"sb3": real_end, "goal": reached}.get(terminated, reached or crashed)
             assert batch.dones[row].item() == expected
             cases.add((bool(reached), crashed))
-    assert ours.real_share == (100 + kept) / 500
+    assert ours.real_fraction == (100 + kept) / 500
     assert len(cases) > 1
     assert (kept > 0) == (collision == "exclude" or (terminated, strategy) == ("env", "episode"))
 
@@ -275,7 +275,7 @@ def test_without_a_strategy_everything_stored_is_drawn_as_it_is(n_envs, monkeypa
     _, counts = np.unique(drawn.numpy(), return_counts=True)
     assert len(counts) == 12 * n_envs
     assert stats.chisquare(counts).pvalue > 1e-3
-    assert ours.real_share == 1.0
+    assert ours.real_fraction == 1.0
 
 
 def through_pickle(buffer, tmp_path):
@@ -307,7 +307,7 @@ def test_saved_in_the_middle_of_episodes_it_continues_identically(tmp_path, thro
     for _ in range(150):
         fill(transitions, 1, ours, other)
         assert_equal(ours.sample(32), other.sample(32))
-    assert ours.real_share == other.real_share
+    assert ours.real_fraction == other.real_fraction
     assert drawable(ours) == drawable(other)
 
 
@@ -321,7 +321,7 @@ def test_truncated_it_is_stable_baselines3s_and_a_reset_forgets_everything():
     assert index.tolist() == np.flatnonzero(theirs.ep_length > 0).tolist()
     assert_same_batches(ours, theirs, index, index)
     ours.reset()
-    assert (len(ours.episodes), ours.size(), ours.real_share, drawable(ours)) == (0, 0, None, [])
+    assert (len(ours.episodes), ours.size(), ours.real_fraction, drawable(ours)) == (0, 0, None, [])
 
 
 def test_an_env_that_was_reset_silently_starts_another_episode():
@@ -345,7 +345,7 @@ def test_the_number_of_real_transitions_is_rounded_as_in_stable_baselines3():
     for n_sampled_goal, real in ((1, 128), (2, 86), (4, 52), (8, 29)):
         ours, _ = pair(100, 1, 60, n_sampled_goal=n_sampled_goal)
         assert int((ours.sample(256).observations["desired_goal"][:, 0] == -1).sum()) == real
-        assert ours.real_share == real / 256
+        assert ours.real_fraction == real / 256
 
 
 @pytest.mark.parametrize("at", [0, 57])

@@ -9,7 +9,7 @@ from omegaconf import OmegaConf
 from support.runs import ROOT, make_config
 
 from parking_exp.config.allowlist import ALLOWED, check_trust
-from parking_exp.config.compose import composed
+from parking_exp.config.compose import compose_configs
 from parking_exp.config.constructor_arguments import import_object
 from parking_exp.errors import UntrustedError
 from parking_exp.evaluation.evaluate_run import evaluate_runs
@@ -45,7 +45,7 @@ def hostile(tmp_path, monkeypatch):
 
 
 def evaluate(directory, *arguments):
-    (config,) = composed("evaluate", [f"run='{directory}'", "episodes=1", "tracking.mlflow=false", *arguments])
+    (config,) = compose_configs("evaluate", [f"run='{directory}'", "episodes=1", "tracking.mlflow=false", *arguments])
     return evaluate_runs([config])
 
 

@@ -10,7 +10,7 @@ from omegaconf import OmegaConf
 from support.runs import GROUPS, make_config, options
 
 from parking_exp.config.allowlist import check_trust
-from parking_exp.config.compose import composed
+from parking_exp.config.compose import compose_configs
 from parking_exp.config.overrides import config_dir, to_hydra_syntax
 from parking_exp.config.validate import validate_all
 from parking_exp.errors import ConfigError
@@ -26,7 +26,7 @@ from parking_exp.errors import ConfigError
 )
 def test_every_option_of_every_group_composes_validates_and_is_trusted(group, option):
     needed = ["env.id=FetchReach-v4"] if option == "gymnasium" else []
-    for config in validate_all(composed("config", [f"{group}={option}", *needed])):
+    for config in validate_all(compose_configs("config", [f"{group}={option}", *needed])):
         check_trust(config, Path("config.yaml"))  # raises for a class outside the allow-list
         if group in ("env", "algorithm", "buffer"):
             assert getattr(config, group).name == option
@@ -55,7 +55,7 @@ def test_every_option_of_every_group_composes_validates_and_is_trusted(group, op
 )
 def test_an_invalid_override_is_refused_in_one_sentence(override, named):
     with pytest.raises(ConfigError, match=r"^[^\n]+$") as refusal:
-        composed("config", [override])
+        compose_configs("config", [override])
     assert named in str(refusal.value)
 
 
@@ -75,7 +75,7 @@ def test_missing_values_and_broken_interpolations_name_their_key(override):
     ],
 )
 def test_a_config_equals_what_hydra_composes(lines):
-    (ours,) = composed("config", lines)
+    (ours,) = compose_configs("config", lines)
     with initialize_config_dir(version_base="1.3", config_dir=str(config_dir())):
         assert OmegaConf.to_yaml(ours) == OmegaConf.to_yaml(hydra.compose("config", lines))
 
@@ -98,10 +98,10 @@ def test_a_users_own_options_apply_to_that_call_only(tmp_path):
     (tmp_path / "evaluation").mkdir()
     for value in (50, 51):
         (tmp_path / "evaluation" / "long.yaml").write_text(f"defaults: [default]\nn_scenes: {value}\n")
-        (config,) = composed("config", ["evaluation=long", "evaluation.first_scene=7"], str(tmp_path))
+        (config,) = compose_configs("config", ["evaluation=long", "evaluation.first_scene=7"], str(tmp_path))
         assert (config.evaluation.n_scenes, config.evaluation.first_scene) == (value, 7)
     with pytest.raises(ConfigError, match=r"^evaluation=long"):
-        composed("config", ["evaluation=long"])
+        compose_configs("config", ["evaluation=long"])
 
 
 def test_an_experiment_file_may_be_anywhere(tmp_path):
@@ -126,12 +126,12 @@ def test_an_experiment_file_may_be_anywhere(tmp_path):
     ],
 )
 def test_a_sweep_is_the_product_of_values_in_hydras_grammar(overrides, key, values):
-    assert [OmegaConf.select(config, key) for config in composed("config", overrides)] == values
+    assert [OmegaConf.select(config, key) for config in compose_configs("config", overrides)] == values
 
 
 def test_composing_leaves_an_outer_hydra_as_it_was():
     with initialize_config_dir(version_base="1.3", config_dir=str(config_dir())):
         before = GlobalHydra.instance().hydra
-        composed("config", [])
+        compose_configs("config", [])
         assert GlobalHydra.instance().hydra is before
     assert not GlobalHydra.instance().is_initialized()

@@ -5,8 +5,8 @@ from collections import Counter
 import pytest
 from support.marks import slow_but
 
-from parking_exp.config.compose import composed
-from parking_exp.config.grid import points, seeds_of
+from parking_exp.config.compose import compose_configs
+from parking_exp.config.grid import expand_points, seeds_of
 from parking_exp.config.validate import validate
 from parking_exp.errors import ConfigError
 
@@ -24,7 +24,7 @@ def has(key, point):
 
 
 def runs(*overrides):
-    return [validate(config) for config in composed("config", list(overrides))]
+    return [validate(config) for config in compose_configs("config", list(overrides))]
 
 
 @pytest.mark.parametrize(
@@ -42,21 +42,21 @@ def runs(*overrides):
 )
 def test_blocks_are_products_that_the_command_line_narrows(axes, expected):
     """The block of replay, which has no n_sampled_goal, is not changed by it."""
-    assert points(BLOCKS, axes, has) == expected
+    assert expand_points(BLOCKS, axes, has) == expected
 
 
 def test_values_of_no_cell_are_refused_by_name():
     with pytest.raises(ConfigError, match=r"^a=x b=3: .*mine"):
-        points([{"a": "x", "b": [1, 2]}, {"a": "y", "b": [3]}], {"a": ["x"], "b": ["3"]}, has, "mine")
+        expand_points([{"a": "x", "b": [1, 2]}, {"a": "y", "b": [3]}], {"a": ["x"], "b": ["3"]}, has, "mine")
 
 
 def test_without_blocks_the_command_line_is_the_product():
-    assert points([], {}, has) == [()]
-    assert points([], {"a": ["1", "2"], "b": ["x"]}, has) == [("a=1", "b=x"), ("a=2", "b=x")]
+    assert expand_points([], {}, has) == [()]
+    assert expand_points([], {"a": ["1", "2"], "b": ["x"]}, has) == [("a=1", "b=x"), ("a=2", "b=x")]
 
 
 def test_values_are_written_as_hydra_reads_them():
-    (point,) = points([{"a": None, "b": True, "c": [[64, 64]], "d": 1e-3}], {}, has)
+    (point,) = expand_points([{"a": None, "b": True, "c": [[64, 64]], "d": 1e-3}], {}, has)
     assert point == ("a=null", "b=true", "c=[64,64]", "d=0.001")
 
 

@@ -8,7 +8,7 @@ import pytest
 from omegaconf import OmegaConf
 from support.runs import make_config
 
-from parking_exp.config.compose import composed
+from parking_exp.config.compose import compose_configs
 from parking_exp.config.validate import validate, validate_all
 from parking_exp.errors import ConfigError
 
@@ -149,7 +149,7 @@ def test_any_value_of_any_key_is_accepted_or_refused_with_a_config_error(value):
 
 
 def test_validation_does_not_change_the_config_and_can_be_repeated():
-    (config,) = composed("config", ["experiment=smoke"])
+    (config,) = compose_configs("config", ["experiment=smoke"])
     before = OmegaConf.to_yaml(config)
     run = validate(config)
     assert OmegaConf.to_yaml(config) == before
@@ -189,4 +189,4 @@ def test_our_own_keys_of_all_cells_are_checked_before_any_class_is_imported(tmp_
     (tmp_path / "never_imported.py").write_text("raise SystemExit\n")
     monkeypatch.syspath_prepend(tmp_path)
     with pytest.raises(ConfigError, match=r"^n_envs=0"):
-        validate_all(composed("config", ["algorithm._target_=never_imported.X", "n_envs=256,0"]))
+        validate_all(compose_configs("config", ["algorithm._target_=never_imported.X", "n_envs=256,0"]))

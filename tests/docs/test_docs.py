@@ -16,7 +16,7 @@ from support.store_factory import make_store
 
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", ROOT / "CHANGELOG.md", *sorted((ROOT / "docs").rglob("*.md"))]
 EXTENDING = ROOT / "docs" / "extending.md"
-LARGE = re.compile(r"train\.py.* experiment=(her|algorithms|variants)|tune\.py search=recipe (?!.*dry_run)")
+LARGE = re.compile(r"train\.py.* experiment=(her|algorithms|variants|goal_tasks)|tune\.py search=recipe (?!.*dry_run)")
 FENCE = re.compile(r"^```(\w*)(?: title=\"([^\"]+)\")?\n(.*?)^```", re.MULTILINE | re.DOTALL)
 
 

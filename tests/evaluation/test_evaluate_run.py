@@ -12,10 +12,10 @@ from omegaconf import OmegaConf
 from PIL import Image, ImageSequence
 from support.runs import artifacts, call_script, only_run, store
 
-from parking_exp.config.compose import composed
+from parking_exp.config.compose import compose_configs
 from parking_exp.errors import ModelError, RunNotFoundError
 from parking_exp.evaluation.agents import find_agent
-from parking_exp.evaluation.evaluate_run import evaluate_runs, evaluated_env, validate_request
+from parking_exp.evaluation.evaluate_run import choose_env, evaluate_runs, validate_request
 from parking_exp.runs.atomic_files import read_json
 from parking_exp.runs.directory import RunDirectory
 from parking_exp.tasks.metrics import episode_columns
@@ -100,14 +100,16 @@ def test_an_agent_keeps_its_observation_on_another_option_of_env(finished):
     config = OmegaConf.load(directory.path / "config.yaml")
     OmegaConf.update(config, "env.observation.vehicles_count", 4)
     OmegaConf.save(config, directory.path / "config.yaml")
-    (request,) = (validate_request(config) for config in composed("evaluate", ["env=parking_crowded"]))
-    env = evaluated_env(request, find_agent(str(directory.path), directory.output_dir))
+    (request,) = (validate_request(config) for config in compose_configs("evaluate", ["env=parking_crowded"]))
+    env = choose_env(request, find_agent(str(directory.path), directory.output_dir))
     assert (env.name, env.vehicles_count) == ("parking_crowded", 10)
     assert env.observation.vehicles_count == 4
 
 
 def evaluate_stored(directory, *arguments):
-    (config,) = composed("evaluate", [f"run='{directory.path}'", "episodes=1", "simulator=vectorized", *arguments])
+    (config,) = compose_configs(
+        "evaluate", [f"run='{directory.path}'", "episodes=1", "simulator=vectorized", *arguments]
+    )
     return evaluate_runs([config])
 
 
@@ -158,5 +160,5 @@ def test_a_mistake_is_one_sentence_that_names_the_key(smoke, arguments, named):
 @pytest.mark.parametrize(("run", "n_scenes"), [("latest", 100), ("pretrained", 20), ("pretrained/parked", 20)])
 def test_a_pretrained_agent_is_evaluated_on_20_scenes_and_a_run_on_100_by_default(run, n_scenes):
     for arguments, expected in ((["first_scene=3"], range(3, 3 + n_scenes)), (["episodes=7"], range(7))):
-        (config,) = composed("evaluate", [f"run={run}", *arguments])
+        (config,) = compose_configs("evaluate", [f"run={run}", *arguments])
         assert validate_request(config).seeds == expected

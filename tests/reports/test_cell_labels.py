@@ -6,8 +6,8 @@ import pandas as pd
 import pytest
 from support.runs import stored_params
 
-from parking_exp.config.cell_labels import cell_labels, differing, find_factors
-from parking_exp.config.compose import composed_runs
+from parking_exp.config.cell_labels import differing_keys, find_factors, labels_from_factors
+from parking_exp.config.compose import compose_runs
 from parking_exp.reports.cell_selection import group
 from parking_exp.results.frames import config_column
 from parking_exp.sweeps.sweep import plan
@@ -33,7 +33,7 @@ def cell(env="parking", algorithm="sac", buffer="her_future", **others):
 def described(configs, experiments=None):
     factors, settings = find_factors(configs, experiments or ["one"] * len(configs))
     names = [f"{number}-{number}" for number in range(len(configs))]
-    return [factor.key for factor in factors], cell_labels(factors, settings, names)
+    return [factor.key for factor in factors], labels_from_factors(factors, settings, names)
 
 
 def test_keys_that_follow_from_a_groups_option_are_no_factors():
@@ -51,7 +51,7 @@ def test_the_control_of_a_her_ablation_has_no_n_sampled_goal():
     assert [(factor.key, factor.numeric) for factor in factors] == [("buffer", False), ("buffer.n_sampled_goal", True)]
     assert factors[1].levels == [1, 4, 8]
     assert settings[-1] == {"buffer": "replay", "buffer.n_sampled_goal": None}
-    labels = cell_labels(factors, settings, ["name-key"] * 10)
+    labels = labels_from_factors(factors, settings, ["name-key"] * 10)
     assert labels[-1] == "replay"
     assert labels[2] == "her_future, n_sampled_goal=8"
 
@@ -71,7 +71,7 @@ def test_all_sampled_keys_of_a_search_are_factors():
 
 def test_seed_store_and_checkpoints_do_not_distinguish_cells():
     changes = {"seed": 3, "tracking.uri": "http://x", "checkpoint.keep_last": 1, "evaluation.video_episodes": 3}
-    assert differing([cell(), cell() | changes]) == []
+    assert differing_keys([cell(), cell() | changes]) == []
 
 
 def test_null_is_a_level_where_the_same_option_has_a_value_elsewhere():
@@ -96,7 +96,7 @@ def test_labels_that_are_the_same_get_the_key_of_their_cell():
     factors, _ = find_factors([cell(), cell(algorithm="td3")], ["one"] * 2)
     settings = [{"algorithm": name} for name in ("sac", "td3", "sac")]
     names = ["parking-sac-her-aa", "b-bb", "parking-sac-her-cc"]
-    assert cell_labels(factors, settings, names) == ["sac (aa)", "td3", "sac (cc)"]
+    assert labels_from_factors(factors, settings, names) == ["sac (aa)", "td3", "sac (cc)"]
 
 
 @pytest.mark.parametrize(
@@ -108,7 +108,7 @@ def test_labels_that_are_the_same_get_the_key_of_their_cell():
     ],
 )
 def test_plans_and_reports_label_the_same_cells_alike(overrides, expected, tmp_path):
-    runs = plan(composed_runs("config", [*overrides, f"output_dir={tmp_path}"]))
+    runs = plan(compose_runs("config", [*overrides, f"output_dir={tmp_path}"]))
     configs = [stored_params(run.config) for run in runs]
     keys = {*configs[0], *configs[-1]}
     columns = {f"config.{key}": config_column(config.get(key) for config in configs) for key in keys}

@@ -149,12 +149,12 @@ def test_two_crossed_factors_are_a_map_of_mean_success():
 
 def test_the_map_has_failures_by_slot(three):
     cell = three.cells[0]
-    unknown = replace(cell.task_data["slots"][5], n=0, success=None, crash=None, timeout=None)
+    unknown = cell.task_data["slots"][5] | {"n": 0, "success": None, "crash": None, "timeout": None}
     slots = [*cell.task_data["slots"][:5], unknown, *cell.task_data["slots"][6:]]
     axes, *_ = axes_of(
         of_cells(lot_figures.draw_scene_map), with_first(three, task_data={**cell.task_data, "slots": slots})
     )
-    rates = [np.nan if slot.crash is None else 100 * (slot.crash + slot.timeout) for slot in slots]
+    rates = [np.nan if row["crash"] is None else 100 * (row["crash"] + row["timeout"]) for row in slots]
     assert axes.collections[1].get_array().filled(np.nan) == pytest.approx(rates, nan_ok=True)
     assert texts(axes.texts) == [f"{rate:.0f}" for rate in rates if np.isfinite(rate)]
 

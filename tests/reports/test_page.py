@@ -7,7 +7,7 @@ import pytest
 from support import report_factory
 from support.marks import slow_but
 
-from parking_exp.reports.report_page import page
+from parking_exp.reports.report_page import render_page
 from parking_exp.reports.sections import Picture, section_contents
 
 ARGUMENTS = ["--no-sandbox", "--disable-gpu", "--no-first-run", "--disable-background-networking", "--disable-sync"]
@@ -46,7 +46,7 @@ def files(tmp_path_factory):
         path = folder / f"{name}.html"
         if not path.exists():
             report = getattr(report_factory, name)()
-            path.write_text(page(report, section_contents(report, PICTURES)), encoding="utf-8")
+            path.write_text(render_page(report, section_contents(report, PICTURES)), encoding="utf-8")
         return path
 
     return written

@@ -13,7 +13,7 @@ from support.report_command import report
 from support.runs import ROOT, in_memory, store
 from support.store_factory import Look, make_store
 
-from parking_exp.cli.report import report_overrides
+from parking_exp.cli.report import read_overrides
 from parking_exp.errors import ConfigError
 from parking_exp.results import load
 
@@ -157,6 +157,7 @@ def test_hostile_names_are_text_everywhere(output_dir):
         (["experiment=on"], r"experiment=on: there is no such experiment in sqlite:///.*; did you mean 'one'\?"),
         (["experiment=one", "td4"], r"cells: no cell is called 'td4'; did you mean 'td3'\?"),
         (["experiment=one", "nmae=x"], r"nmae: neither a key of this command nor of these runs' configs; did you mean 'name'\?"),
+        (["experiment=one", "buffr.n_sampled_goal=4"], r"buffr\.n_sampled_goal: neither .*; did you mean 'buffer\.n_sampled_goal'\?"),
         (["experiment=one", "report=quik"], r"report=quik: there is no such option; did you mean 'quick'\?"),
         (["experiment=one", "tracking.uri=sqlite:///nowhere.db"], "there is no store .*nowhere.db"),
     ],
@@ -168,15 +169,8 @@ def test_a_mistake_is_a_sentence_and_nothing_is_written(unchanged, arguments, wo
     assert sorted(unchanged.iterdir()) == files
 
 
-@pytest.mark.parametrize(
-    ("override", "meant"),
-    [
-        ("basline=td3", "baseline"),
-        ("trackng.uri=x", "tracking.uri"),
-        ("buffr.n_sampled_goal=4", "buffer.n_sampled_goal"),
-    ],
-)
-def test_a_misspelt_key_is_refused_before_the_store_is_read(tmp_path, override, meant):
+@pytest.mark.parametrize(("override", "meant"), [("basline=td3", "baseline"), ("trackng.uri=x", "tracking.uri")])
+def test_a_misspelt_key_of_the_command_is_refused_before_the_store_is_read(tmp_path, override, meant):
     done = report(tmp_path, override, code=2)
     assert done.stderr.startswith(f"error: {override.partition('=')[0]}: ")
     assert repr(meant) in done.stderr
@@ -189,14 +183,14 @@ def test_keys_that_a_runs_own_class_may_have_are_looked_up_in_the_store(tmp_path
 
 def test_words_without_a_key_of_the_command_name_cells():
     words = ["experiment=a,b", "her_*", "buffer.n_sampled_goal=1,4", "baseline=x, y=1", "report=quick"]
-    assert report_overrides(words) == [
+    assert read_overrides(words) == [
         "experiment_name=['a','b']",
         "baseline='x, y=1'",
         "report=quick",
         "cells=['her_*','buffer.n_sampled_goal=1,4']",
     ]
     with pytest.raises(ConfigError, match=r"name cells either as words or as cells=\[...\]"):
-        report_overrides(["her", "cells=[x]"])
+        read_overrides(["her", "cells=[x]"])
 
 
 def test_the_report_of_an_experiment_renamed_to_a_path_stays_in_the_output_directory(made):

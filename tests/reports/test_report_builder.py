@@ -42,8 +42,8 @@ def test_the_headline_is_the_mean_over_seeds_of_the_final_rate(two):
     assert (sac.success.n, sac.counts["done"], sac.seeds[0].n_episodes) == (5, 5, 5)
     assert sac.success.low < 0.92 < sac.success.high
     assert (sac.seeds[0].low, sac.seeds[0].high) == pytest.approx((0.3755, 0.9638), abs=1e-4)  # Wilson's, 4 of 5
-    assert sum(slot.n for slot in sac.task_data["slots"]) == 25
-    assert sum(slot.n * slot.timeout for slot in sac.task_data["slots"]) == pytest.approx(2)
+    assert sum(slot["n"] for slot in sac.task_data["slots"]) == 25
+    assert sum(slot["n"] * slot["timeout"] for slot in sac.task_data["slots"]) == pytest.approx(2)
 
 
 def test_pairs_are_welchs_test_with_holms_correction_and_a_verdict(two):

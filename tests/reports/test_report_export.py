@@ -13,7 +13,7 @@ from support.store_factory import Look, make_store
 
 from parking_exp.reports.make_report import ReportSource, read_report_export, write_report_export
 from parking_exp.reports.report_builder import build_report
-from parking_exp.reports.search_report import Tuning, with_tuning
+from parking_exp.reports.search_report import Tuning, add_tuning
 from parking_exp.results import load
 from parking_exp.tuning.trials import TrialRow
 
@@ -103,11 +103,11 @@ def test_the_search_of_an_export_is_the_one_that_was_written(source, tmp_path):
     kind = {"name": "FloatDistribution", "attributes": {"low": 0.9, "high": 0.99, "log": False, "step": None}}
     trial = TrialRow(0, "done", {}, {"algorithm.gamma": 0.9}, 0.5, [0.25, 0.75], ["one/cell/seed=0"])
     search = Tuning("one", "tpe", None, 2, "success_auc", 2, {"algorithm.gamma": kind}, [trial], retested=[])
-    data = with_tuning(report_of(source), search)
+    data = add_tuning(report_of(source), search)
     write_report_export(source, data, tmp_path / "one", only_cells=False)
     export = read_report_export(str(tmp_path / "one"))
     assert export.tuning == search
-    assert with_tuning(report_of(export), export.tuning).claims == data.claims
+    assert add_tuning(report_of(export), export.tuning).claims == data.claims
 
 
 def test_an_export_without_a_report_is_a_sentence(folder, tmp_path):

@@ -4,7 +4,7 @@ from support import report_factory
 
 from parking_exp.figure_style import new_figure
 from parking_exp.reports.report_files import write_tables
-from parking_exp.reports.report_page import page
+from parking_exp.reports.report_page import render_page
 from parking_exp.reports.sections import Figure, Section, draw, section_contents, sections_of
 from parking_exp.reports.tables.table import Table, cell_column, cell_record, interval_column, spread
 
@@ -35,7 +35,7 @@ SLOW = Section(
 def test_a_new_section_is_one_entry_of_the_list(tmp_path):
     report = report_factory.report(2, 3)
     contents = section_contents(report, draw(report, tmp_path, ["png"], [SLOW]), [*sections_of(report), SLOW])
-    html = page(report, contents)
+    html = render_page(report, contents)
     for part in (
         '<a href="#slow">',
         '<figure id="figure-timeouts">',
@@ -51,4 +51,4 @@ def test_a_new_section_is_one_entry_of_the_list(tmp_path):
 def test_a_section_without_anything_to_say_is_left_out():
     report = report_factory.one_seed()
     contents = section_contents(report, sections=[Section("empty", "Nothing", tables=[lambda report: []])])
-    assert "Nothing" not in page(report, contents)
+    assert "Nothing" not in render_page(report, contents)

@@ -8,7 +8,7 @@ import pandas as pd
 import pytest
 from support import report_factory
 
-from parking_exp.reports.report_files import csv_text, write_tables
+from parking_exp.reports.report_files import escape_formula, write_tables
 from parking_exp.reports.sections import section_contents
 from parking_exp.statistics import Interval
 
@@ -26,8 +26,8 @@ def unescaped(text, characters):
 
 def test_spreadsheets_run_no_formula():
     for text in ("=1+1", "+1", "-1", "@SUM(1)", "\t=1", "\r=1"):
-        assert csv_text(text) == f"'{text}"
-    assert [csv_text(value) for value in (-0.5, "a=1", "", None)] == [-0.5, "a=1", "", None]
+        assert escape_formula(text) == f"'{text}"
+    assert [escape_formula(value) for value in (-0.5, "a=1", "", None)] == [-0.5, "a=1", "", None]
 
 
 def test_tables_have_every_number(tmp_path):

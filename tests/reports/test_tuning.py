@@ -14,16 +14,16 @@ from support import report_factory
 from support.searches import settings
 
 from parking_exp.errors import ResultsError
-from parking_exp.reports.figures.study_figures import MIN_TRIALS, draw_parameter_importance, study_of
+from parking_exp.reports.figures.study_figures import MIN_TRIALS, draw_parameter_importance, rebuild_study
 from parking_exp.reports.report_files import write_tables
-from parking_exp.reports.report_page import page
-from parking_exp.reports.search_report import Tuning, search_text, tuning_of, with_search, with_tuning
+from parking_exp.reports.report_page import render_page
+from parking_exp.reports.search_report import Tuning, add_search, add_tuning, describe_search, read_tuning
 from parking_exp.reports.sections import SECTIONS, draw, section_contents
 from parking_exp.runs.atomic_files import write_json
 from parking_exp.statistics import mean_interval, welch
 from parking_exp.tuning.search import StoredSearch
 from parking_exp.tuning.study import storage_of
-from parking_exp.tuning.trials import rows
+from parking_exp.tuning.trials import read_trials
 
 DISTRIBUTIONS = {
     "algorithm.learning_rate": FloatDistribution(1e-4, 1e-2, log=True),
@@ -52,7 +52,7 @@ def tuning(folder, trials):
     """What a report has of a search with these trials."""
     study = optuna.create_study(direction="maximize")
     study.add_trials(trials)
-    return tuning_of(folder, StoredSearch(settings(), len(trials), study, rows(study, folder, len(trials))))
+    return read_tuning(folder, StoredSearch(settings(), len(trials), study, read_trials(study, folder, len(trials))))
 
 
 def many(folder):
@@ -107,7 +107,7 @@ def example():
 def report(*experiments, tuning=None):
     """A report on these experiments, with a search."""
     plain = replace(example(), experiments=list(experiments), warnings=[])
-    return with_tuning(plain, tuning) if tuning else plain
+    return add_tuning(plain, tuning) if tuning else plain
 
 
 def written(whole, folder):
@@ -123,7 +123,7 @@ def test_the_study_of_an_export_has_the_importances_of_the_study(folder):
     plain = json.loads(json.dumps(report(tuning=search).plain(), allow_nan=False))
     exported = TypeAdapter(Tuning).validate_python(plain["tuning"])
     assert exported == search
-    importances = optuna.importance.get_param_importances(study_of(exported))
+    importances = optuna.importance.get_param_importances(rebuild_study(exported))
     assert next(iter(importances)) == "algorithm.learning_rate"
     assert importances["algorithm.learning_rate"] > 0.5
 
@@ -155,7 +155,7 @@ def test_figures_and_tables_show_the_trials(folder, tmp_path):
     whole = report(tuning=search)
     pictures = draw(whole, tmp_path / "figures", [], OWN)
     assert [picture.name for picture in pictures] == ["optimisation_history", "slices_1", "trial_coordinates"]
-    (text,) = search_text(whole)
+    (text,) = describe_search(whole)
     assert "3 trials (sampler tpe, pruner none): 2 done, 1 pruned." in text
     assert "learning_rate=0.002, replay” with 85.0 %" in text
     columns = ("state", "success_auc", "buffer.n_sampled_goal")
@@ -185,20 +185,20 @@ def test_names_in_a_search_can_do_no_harm(folder, tmp_path):
     pictures = draw(whole, tmp_path, ["svg"], OWN)
     assert "slices_1" in [picture.name for picture in pictures]
     contents = section_contents(whole, pictures)
-    assert "<script>window.pwned" not in page(whole, contents)
+    assert "<script>window.pwned" not in render_page(whole, contents)
 
 
 def test_without_a_search_there_is_nothing_of_it(tmp_path):
     plain = report("one", "../two")
     (tmp_path / "one").mkdir()
-    assert with_search(plain, tmp_path) == plain
+    assert add_search(plain, tmp_path) == plain
     assert draw(plain, tmp_path, [], OWN) == []
     assert not any(content.tables or [*content.text] for content in section_contents(plain, sections=OWN))
 
 
 def test_a_report_has_the_first_search_in_the_folders_of_its_experiments(begun):
     write_search(begun.parent / "later")
-    whole = with_search(report("none", "smoke", "later"), begun.parent)
+    whole = add_search(report("none", "smoke", "later"), begun.parent)
     assert [trial.value for trial in whole.tuning.trials] == [0.5, 0.25]
     assert (whole.tuning.experiment, whole.tuning.n_trials) == ("smoke", 3)
     (warning,) = whole.warnings
@@ -217,7 +217,7 @@ def test_a_report_has_the_first_search_in_the_folders_of_its_experiments(begun):
 def test_a_search_that_is_damaged_is_left_out_with_a_warning(begun, damage, words):
     damage(begun)
     plain = report("smoke")
-    whole = with_search(plain, begun.parent)
+    whole = add_search(plain, begun.parent)
     (warning,) = whole.warnings
     assert warning.startswith("The search of smoke is left out: ") and words in warning
     assert replace(whole, warnings=plain.warnings) == plain

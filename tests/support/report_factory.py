@@ -8,7 +8,6 @@ import numpy as np
 from parking_exp.reports.report_builder import build_report
 from parking_exp.reports.report_data import FailedRun
 from parking_exp.tasks.parking.geometry import SLOT_POSITIONS
-from parking_exp.tasks.parking.lot_map import SlotRate
 from support.result_frames import Run, results
 
 BUDGET = 40_000
@@ -116,4 +115,7 @@ def _report(cells, n_seeds, means, look=lambda label, run: run):
 def _slots(mean, n_seeds, rng):
     rates = [float(np.clip(mean - 0.15 * (abs(x) / 26) ** 2 + rng.normal(0, 0.02), 0, 1)) for x, _ in SLOT_POSITIONS]
     n = N_SCENES * n_seeds // len(rates)
-    return [SlotRate(slot, n, rate, (1 - rate) * 0.6, (1 - rate) * 0.4) for slot, rate in enumerate(rates)]
+    return [
+        {"slot": slot, "n": n, "success": rate, "crash": (1 - rate) * 0.6, "timeout": (1 - rate) * 0.4}
+        for slot, rate in enumerate(rates)
+    ]

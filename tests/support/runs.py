@@ -16,7 +16,7 @@ from pathlib import Path
 import pytest
 
 from parking_exp.config.cell_labels import settings_of
-from parking_exp.config.compose import composed
+from parking_exp.config.compose import compose_configs
 from parking_exp.config.validate import validate
 from parking_exp.runs.directory import RunDirectory
 
@@ -37,7 +37,7 @@ def parking_envs():
 
 def make_config(*overrides):
     """Compose and check one run's config."""
-    (config,) = composed("config", list(overrides))
+    (config,) = compose_configs("config", list(overrides))
     return validate(config)
 
 

@@ -15,14 +15,14 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from parking_exp.config.compose import composed
+from parking_exp.config.compose import compose_configs
 from parking_exp.config.paths import default_uri
 from parking_exp.config.schema import RunConfig
 from parking_exp.evaluation.evaluate_policy import summarise
 from parking_exp.runs.atomic_files import sha256, write_json
 from parking_exp.runs.directory import RunDirectory, RunResult
 from parking_exp.runs.metric_logs import append_episodes, copy_logs
-from parking_exp.runs.run_provenance import provenance
+from parking_exp.runs.run_provenance import collect_provenance
 from parking_exp.tasks.metrics import episode_columns
 from parking_exp.tasks.parking.parking_metrics import METRICS
 from parking_exp.tracking.mirror import mirror
@@ -104,7 +104,7 @@ def compose(*overrides: str) -> RunConfig:
     """Compose one cell of the smoke experiment."""
     from parking_exp.config.validate import validate
 
-    (config,) = composed("config", ["experiment=smoke", *overrides])
+    (config,) = compose_configs("config", ["experiment=smoke", *overrides])
     return validate(config)
 
 
@@ -178,7 +178,7 @@ def _prefixed(phase: str, summary: Mapping[str, float]) -> dict[str, float]:
 
 @cache
 def _provenance() -> dict[str, str]:
-    return provenance()  # it asks git
+    return collect_provenance()  # it asks git
 
 
 def _write(directory: RunDirectory, config: RunConfig, look: Look, label: str, uri: str) -> None:

@@ -3,7 +3,7 @@
 from support.runs import call_script
 from support.sweep_processes import QUICK
 
-from parking_exp.config.compose import composed_runs
+from parking_exp.config.compose import compose_runs
 from parking_exp.sweeps.sweep import plan
 
 
@@ -21,7 +21,7 @@ def test_a_dry_run_prints_the_plan_and_makes_nothing(tmp_path):
 
 def test_labels_of_a_sweep_are_what_differs_between_its_cells(tmp_path):
     axes = ["buffer.n_sampled_goal=2,4", "algorithm.gamma=0.9", "buffer.goal_selection_strategy=final,future"]
-    runs = plan(composed_runs("config", [*QUICK, "buffer=her_final", *axes, f"output_dir={tmp_path}"]))
+    runs = plan(compose_runs("config", [*QUICK, "buffer=her_final", *axes, f"output_dir={tmp_path}"]))
     assert [run.label for run in runs] == [
         f"goal_selection_strategy={strategy}, n_sampled_goal={number}"
         for number in (2, 4)

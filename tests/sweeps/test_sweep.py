@@ -11,7 +11,7 @@ import pytest
 from support.runs import call_script, run_script, script
 from support.sweep_processes import QUICK, SLOW, begin, stages, statuses, sweep, trained, wait_until, workers
 
-from parking_exp.config.compose import composed_runs
+from parking_exp.config.compose import compose_runs
 from parking_exp.runs.directory import RunDirectory
 from parking_exp.runs.run_state import read_state
 from parking_exp.sweeps.hydra_launcher import launcher_of
@@ -25,9 +25,9 @@ TWO = ("hydra.launcher.n_jobs=2",)  # at a time, on however many cores
 
 def test_a_rerun_does_only_what_is_missing_and_retry_runs_a_failed_run_again(tmp_path):
     command = ("train", *QUICK, f"output_dir={tmp_path}", "seeds=2")
-    _, failed = plan(composed_runs("config", list(command[1:])))
+    _, failed = plan(compose_runs("config", list(command[1:])))
     directory = RunDirectory(failed.path)
-    directory.freeze(failed.config, failed.label, None)
+    directory.write_plan(failed.config, failed.label, None)
     directory.update(status="failed", error="a bad day")
     first = call_script(*command, *TWO)
     assert first.returncode == 2
@@ -139,9 +139,9 @@ def test_a_sweep_takes_over_what_another_one_leaves(tmp_path):
 
 
 def test_the_monitor_tells_whether_a_stopped_run_has_a_checkpoint(tmp_path):
-    (run,) = plan(composed_runs("config", [*QUICK, "seeds=1", f"output_dir={tmp_path}"]))
+    (run,) = plan(compose_runs("config", [*QUICK, "seeds=1", f"output_dir={tmp_path}"]))
     directory, out = RunDirectory(run.path), Screen(file=io.StringIO(), width=200)
-    directory.freeze(run.config, "her", None)
+    directory.write_plan(run.config, "her", None)
 
     def lines():
         return out.file.getvalue().splitlines()
@@ -160,9 +160,9 @@ def test_the_monitor_tells_whether_a_stopped_run_has_a_checkpoint(tmp_path):
 
 
 def test_a_run_whose_frozen_config_is_broken_or_of_another_run_fails(tmp_path):
-    broken, another, last = plan(composed_runs("config", [*QUICK, "seeds=3", f"output_dir={tmp_path}"]))
+    broken, another, last = plan(compose_runs("config", [*QUICK, "seeds=3", f"output_dir={tmp_path}"]))
     for run, config in ((broken, broken.config), (another, last.config)):
-        RunDirectory(run.path).freeze(config, run.label, None)
+        RunDirectory(run.path).write_plan(config, run.label, None)
     (broken.path / "config.yaml").write_text("a: [b")
     paths = [broken.path, another.path]
     LocalLauncher(1).train(paths)

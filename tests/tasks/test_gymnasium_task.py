@@ -14,7 +14,7 @@ from support.runs import call_script, only_run, options, run_script, script
 from support.sweep_processes import wait_until
 
 from parking_exp.algorithms.build_model import build_model
-from parking_exp.config.compose import composed
+from parking_exp.config.compose import compose_configs
 from parking_exp.config.validate import validate, validate_all
 from parking_exp.errors import ConfigError, VideoError
 from parking_exp.evaluation import evaluate_run
@@ -30,7 +30,7 @@ TOY = "support.toy_tasks:"
 
 def config(env_id, *overrides):
     lines = [f"env.id={env_id}", "algorithm.learning_starts=400", *overrides]
-    (made,) = composed("config", ["env=gymnasium", *lines])
+    (made,) = compose_configs("config", ["env=gymnasium", *lines])
     return validate(made)
 
 
@@ -90,7 +90,8 @@ def test_the_reward_says_which_goals_are_reached_and_whether_an_episode_ends_the
     assert reached.tolist() == (rewards == 0).tolist() == [True, True, True, False, True, True, True, False]
     assert reward.terminates
     fetch, maze = (
-        GymnasiumReward(validate(composed("config", [f"env={env}"])[0]).env) for env in ("fetch_reach", "point_maze")
+        GymnasiumReward(validate(compose_configs("config", [f"env={env}"])[0]).env)
+        for env in ("fetch_reach", "point_maze")
     )
     assert (fetch.terminates, maze.terminates) == (False, True)
     goal = np.zeros((1, 3))
@@ -145,7 +146,7 @@ def test_environments_that_cannot_resume_exactly_are_recognised(env_id, exactly)
 def test_a_sweep_is_refused_if_one_of_its_runs_is():
     lines = ["env=gymnasium", f"env.id={TOY}BitFlip-v0", "algorithm.learning_starts=63,400"]
     with pytest.raises(ConfigError, match=r"algorithm\.learning_starts=63"):
-        validate_all(composed("config", lines))
+        validate_all(compose_configs("config", lines))
 
 
 def test_a_refusal_is_one_line_even_where_packages_print_notices():
@@ -168,7 +169,7 @@ def test_without_egl_and_osmesa_there_is_a_reason_and_no_video(monkeypatch):
     monkeypatch.delenv("MUJOCO_GL", raising=False)
     monkeypatch.setenv("PYOPENGL_PLATFORM", "none")
     monkeypatch.setattr(gymnasium_task.sys, "executable", "false")
-    task = make_task(validate(composed("config", ["env=fetch_reach"])[0]).env)
+    task = make_task(validate(compose_configs("config", ["env=fetch_reach"])[0]).env)
     with pytest.raises(VideoError, match="EGL or OSMesa"):
         next(task.frames(lambda observation: np.zeros((1, 4)), [0]))
 
@@ -181,7 +182,7 @@ def test_any_goal_task_can_be_searched(tmp_path):
 @pytest.mark.parametrize("option", options("env"))
 def test_evaluate_takes_every_env(option):
     lines = [f"env={option}", *(["env.id=FetchReach-v4"] if option == "gymnasium" else [])]
-    request = evaluate_run.validate_request(composed("evaluate", lines)[0])
+    request = evaluate_run.validate_request(compose_configs("evaluate", lines)[0])
     assert request.env["name"] == option
 
 

@@ -16,10 +16,11 @@ from support.simulator_equality import actions_of, compare
 
 from parking_exp.tasks.parking.features import EgoFrameExtractor, FineEgoFrameExtractor, MirroredEgoFrameExtractor
 from parking_exp.tasks.parking.highway import make_env
+from parking_exp.tasks.parking.lot_figures import draw_vehicle_rates
 from parking_exp.tasks.parking.nearby_vehicles import NearbyVehicles, nearest_vehicles
+from parking_exp.tasks.parking.outcome_rates import vehicle_rates
 from parking_exp.tasks.parking.parking_task import ParkingTask
 from parking_exp.tasks.parking.scenes import NO_SLOT, Scenes, drawn_places
-from parking_exp.tasks.parking.vehicle_rates import VehicleRate, draw_vehicle_rates, vehicle_rates
 
 WEIGHTS = [1, 0.3, 0, 0, 0.02, 0.02]
 
@@ -184,7 +185,7 @@ def test_rates_by_number_of_vehicles_and_their_figure():
     rates = vehicle_rates(runs, {"env.vehicles_count": "[0, 2]"})
     seen = np.concatenate([numbers[:25], numbers[10:]])
     assert rates == [
-        VehicleRate(k, int((seen == k).sum()), float(k == 0), float(k == 1), float(k == 2)) for k in range(3)
+        {"vehicles": k, "n": (seen == k).sum(), "success": k == 0, "crash": k == 1, "timeout": k == 2} for k in range(3)
     ]
     assert vehicle_rates(runs, {"env.vehicles_count": 10}) == vehicle_rates([], {"env.vehicles_count": "[0, 2]"}) == []
     cells = [SimpleNamespace(id="c0", label="sac", task_data={"vehicles": rates}), SimpleNamespace(task_data={})]

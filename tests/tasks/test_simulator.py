@@ -1,5 +1,7 @@
 """The simulator is highway-env: the same scenes and actions give the same trajectory."""
 
+import itertools
+
 import numpy as np
 import pytest
 from highway_env.utils import are_polygons_intersecting
@@ -9,6 +11,8 @@ from support.marks import slow_but
 from support.runs import make_config, parking_envs
 from support.simulator_equality import KINDS, actions_of, compare, different_scenes
 
+from parking_exp.algorithms.build_model import greedy_policy
+from parking_exp.evaluation.agents import load_model
 from parking_exp.tasks.parking.highway import make_env
 from parking_exp.tasks.parking.parking_config import ParkingConfig
 from parking_exp.tasks.parking.scenes import Scenes, start_slot
@@ -46,6 +50,20 @@ def test_trajectories_are_highway_envs(option, kind):
     steps, mismatches = compare(config, range(6), actions_of(kind, rng, (6, 2)))
     assert steps > 40
     assert mismatches == []
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("option", parking_envs())
+def test_20_000_steps_of_four_kinds_of_policies(option):
+    policy = greedy_policy(load_model("pretrained/parked"))
+    config, steps = env_config(f"env={option}"), 0
+    for block, kind in enumerate(itertools.cycle(KINDS)):
+        if steps >= 20_000:
+            break
+        act = actions_of(kind, np.random.default_rng(block), (25, 2), policy)
+        further, mismatches = compare(config, range(25 * block, 25 * block + 25), act)
+        assert mismatches == []
+        steps += further
 
 
 @pytest.mark.slow

@@ -7,7 +7,7 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 from support.runs import USER_CONF, make_config, parking_envs
 
-from parking_exp.config.compose import composed
+from parking_exp.config.compose import compose_configs
 from parking_exp.config.validate import validate
 from parking_exp.config_model import TRAINING_SEEDS_START
 from parking_exp.tasks.parking.highway import make_env
@@ -121,7 +121,7 @@ def test_training_and_evaluation_scenes_never_meet(seed):
 
 def test_a_users_variant_is_a_yaml_of_their_own():
     """In the directory given with --config-dir: tests/support/user_conf/env. Both simulators run it, and agree."""
-    (composed_config,) = composed("config", ["env=parking_slow"], str(USER_CONF))
+    (composed_config,) = compose_configs("config", ["env=parking_slow"], str(USER_CONF))
     config = validate(composed_config).env
     simulator, env = Simulator(config, Scenes.from_seeds([3], config.vehicles_range)), make_env(config)
     env.reset(seed=3)

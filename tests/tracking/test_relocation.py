@@ -10,7 +10,7 @@ import yaml
 from support.runs import artifacts, call_script, make_config, run_script, store
 from support.tracked_runs import finished_run, rows
 
-from parking_exp.config.compose import composed
+from parking_exp.config.compose import compose_configs
 from parking_exp.config.paths import default_uri
 from parking_exp.errors import ConfigError, ParkingError, StoreError, UntrustedError
 from parking_exp.evaluation.evaluate_run import evaluate_runs
@@ -27,7 +27,7 @@ EVALUATE = ("episodes=1", "simulator=vectorized", "name=again")
 
 def evaluate(directory, *arguments):
     """`scripts/evaluate.py run=DIRECTORY ...` in this process."""
-    (config,) = composed("evaluate", [f"run='{directory.path}'", *EVALUATE, *arguments])
+    (config,) = compose_configs("evaluate", [f"run='{directory.path}'", *EVALUATE, *arguments])
     return evaluate_runs([config])
 
 

@@ -11,7 +11,7 @@ from parking_exp.buffers import HerBuffer
 from parking_exp.errors import DamagedFileError
 from parking_exp.runs.metric_logs import APPENDED, read_metrics, restore_logs
 from parking_exp.training import checkpoints
-from parking_exp.training.checkpoints import Progress
+from parking_exp.training.checkpoints import SavedProgress
 
 
 def trained(*overrides, steps=100):
@@ -25,7 +25,7 @@ def model():
 
 
 def save(directory, model, step, keep_last=2, best=None):
-    return checkpoints.save(directory, model, Progress(step=step), best or directory / "no-best.zip", keep_last)
+    return checkpoints.save(directory, model, SavedProgress(step=step), best or directory / "no-best.zip", keep_last)
 
 
 SB3_HER = (

@@ -1,22 +1,14 @@
 """Runs that are killed at any step end as if they had not been; these proofs take minutes (`make test-slow`)."""
 
-import itertools
 import json
-import multiprocessing
 import random
 import subprocess
 import time
-from concurrent.futures import ProcessPoolExecutor
 
-import numpy as np
 import pytest
 from support.run_equality import differences, stored
-from support.runs import assert_store_is_whole, make_config, only_run, parking_envs, run_script, script
-from support.simulator_equality import KINDS as POLICIES
-from support.simulator_equality import actions_of, record, repeat
+from support.runs import assert_store_is_whole, make_config, only_run, run_script, script
 
-from parking_exp.algorithms.build_model import build_model, greedy_policy
-from parking_exp.tasks.training_envs import make_training_envs
 from parking_exp.training.train_run import train
 
 pytestmark = pytest.mark.slow
@@ -97,29 +89,3 @@ def seconds_of_training(directory):
     """From the making of the envs to the last checkpoint, which comes before the final evaluation."""
     start = json.loads((directory.path / "monitor.csv").read_text().split("\n", 1)[0][1:])["t_start"]
     return max(path.stat().st_mtime for path in directory.checkpoints.glob("step=*/manifest.json")) - start
-
-
-@pytest.fixture(scope="module")
-def trained_policy():
-    """A policy that parks most of the time, and sometimes well."""
-    config = make_config("total_timesteps=96000")
-    model = build_model(config, make_training_envs(config.env, config.n_envs), seed=0)
-    return greedy_policy(model.learn(config.total_timesteps))
-
-
-@pytest.mark.parametrize("option", parking_envs())
-def test_200_000_steps_on_1_000_scenes_without_one_mismatch(option, trained_policy):
-    config, block = make_config(f"env={option}", "algorithm.learning_starts=100000").env, 50
-    steps, scenes, waiting = 0, 0, []
-    with ProcessPoolExecutor(mp_context=multiprocessing.get_context("spawn")) as pool:
-        for kind in itertools.cycle(POLICIES):
-            if steps >= 200_000 and scenes >= 1000:
-                break
-            seeds = range(scenes, scenes + block)
-            rng = np.random.default_rng(scenes)
-            starts, records = record(config, seeds, actions_of(kind, rng, (block, 2), trained_policy))
-            waiting.append(pool.submit(repeat, config, seeds, starts, records))
-            steps, scenes = steps + sum(len(episode) for episode in records), scenes + block
-        mismatches = [mismatch for future in waiting for mismatch in future.result()]
-    print(f"{option}: {steps} steps on {scenes} scenes, {len(mismatches)} mismatches")
-    assert mismatches == []

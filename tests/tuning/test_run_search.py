@@ -14,11 +14,11 @@ from support.runs import call_script, run_script, store
 from support.searches import QUICK, user_search
 from support.sweep_processes import FAILING, begin, trained, workers
 
-from parking_exp.config.compose import composed_runs
+from parking_exp.config.compose import compose_runs
 from parking_exp.config.validate import validate
 from parking_exp.runs.atomic_files import read_json
 from parking_exp.runs.run_state import read_state
-from parking_exp.tuning.run_search import chosen_trials, write_winner
+from parking_exp.tuning.run_search import choose_trials, write_winner
 from parking_exp.tuning.search import study_in
 from parking_exp.tuning.trials import RetestedTrial, TrialRow
 
@@ -59,7 +59,7 @@ def test_trial_0_and_the_best_of_the_others_are_retested():
         states = ["pruned" if value is None else "done" for value in values]
         zipped = zip(range(9), states, values, runs, strict=False)
         trials = [TrialRow(number, state, value=value, runs=[run]) for number, state, value, run in zipped]
-        return [trial.number for trial in chosen_trials(trials, n_retest)]
+        return [trial.number for trial in choose_trials(trials, n_retest)]
 
     assert chosen(2, 0.1, 0.9, None, 0.5, 0.9) == [0, 1, 4]
     assert chosen(9, 0.1, 0.9, None, 0.5, 0.9) == [0, 1, 4, 3]
@@ -80,7 +80,7 @@ def test_the_winner_becomes_an_experiment_file_that_composes_to_its_config(tmp_p
     content = yaml.safe_load(path.read_text())
     assert content["defaults"][1] == {"override /algorithm": "mine"}
     assert content["experiment_name"] == "tuned_mine"
-    (run,) = composed_runs("config", [f"experiment={path}"], str(folder))
+    (run,) = compose_runs("config", [f"experiment={path}"], str(folder))
     assert validate(run.cell).cell_key == search.config({"algorithm.gamma": 0.97}).cell_key
     assert shlex.split(out.getvalue().splitlines()[-1])[-3:] == [f"experiment={path}", "--config-dir", str(folder)]
 

@@ -11,7 +11,7 @@ from support.searches import base, settings
 
 from parking_exp.errors import ConfigError, StoreError, UntrustedError
 from parking_exp.tuning.study import CHANGES, STUDY_FILE, claim, open_study
-from parking_exp.tuning.trials import rows
+from parking_exp.tuning.trials import read_trials
 
 VALUES = {"algorithm.gamma": 0.95}  # of the unchanged config
 
@@ -29,7 +29,7 @@ def finish(opened, n_trials, search=None, value=0.5):
 
 
 def states(opened, n_trials):
-    return [row.state for row in rows(opened.study, opened.folder, n_trials)]
+    return [row.state for row in read_trials(opened.study, opened.folder, n_trials)]
 
 
 @pytest.mark.parametrize(("gamma", "parameters"), [(0.95, {"algorithm.gamma": 0.95}), (0.5, {})])

@@ -24,7 +24,7 @@ class Minibatch(NamedTuple):
         actions: shape (B, actions).
         rewards: shape (B, 1).
         discounts: of the next state's value: gamma, or 0 where the episode terminated; shape (B, 1).
-        next_signs: of the next actions, -1 where their observation is mirrored; shape (B, 1).
+        next_signs: of the next actions, -1 where a mirrored observation turns them around; shape (B, actions).
     """
 
     features: torch.Tensor
@@ -57,22 +57,23 @@ def _sample(model: OffPolicyAlgorithm, steps: int, batch_size: int) -> Iterator[
 def _collate(model: Any, samples: list[Any], steps: int) -> Iterator[Minibatch]:
     """Make minibatches of as many samples, or of one large sample that is dealt out in turn."""
 
-    def dealt(parts: Sequence[torch.Tensor]) -> torch.Tensor:
+    def deal(parts: Sequence[torch.Tensor]) -> torch.Tensor:
         """Return shape (steps, B, ...)."""
         if len(parts) == steps:
             return torch.stack(list(parts))
         (rows,) = parts
         return rows.unflatten(0, (-1, steps)).transpose(0, 1)
 
-    before, after, *others = map(dealt, zip(*(_tensors(model, data) for data in samples), strict=True))
+    before, after, *others = map(deal, zip(*(_tensors(model, data) for data in samples), strict=True))
     return map(Minibatch, torch.cat([before, after], dim=1), *(tensor.contiguous() for tensor in others))
 
 
 def _tensors(model: Any, data: Any) -> tuple[torch.Tensor, ...]:
     """Return the features of a sample, those of its next observations, and what else a `Minibatch` has of it."""
-    extractor, actions, next_signs = model.actor.features_extractor, data.actions, torch.ones_like(data.rewards)
+    extractor, actions, next_signs = model.actor.features_extractor, data.actions, torch.ones_like(data.actions)
     if isinstance(extractor, SymmetricFeatures):
-        actions, next_signs = extractor.mirror(actions, data.observations), extractor.sign(data.next_observations)
+        actions = extractor.mirror(actions, data.observations)
+        next_signs = extractor.mirror(next_signs, data.next_observations)
     gamma = model.gamma if getattr(data, "discounts", None) is None else data.discounts
     features, next_features = (
         model.actor.extract_features(part, extractor) for part in (data.observations, data.next_observations)

@@ -56,35 +56,34 @@ class _Update:
 
     def _step(self, model: Any, minibatch: Minibatch) -> list[torch.Tensor]:
         """Do one update; return entropy coefficient, actor loss, critic loss and the coefficient's loss."""
-        both, actions, rewards, discounts, _ = minibatch  # the signs are for TD3's target noise alone
-
-        batch = len(actions)
-        noise = torch.empty((2, *actions.shape), dtype=both.dtype)
+        features, actions, rewards, discounts, _ = minibatch  # the signs are for TD3's target noise alone
+        n = len(actions)
+        noise = torch.empty((2, *actions.shape), dtype=features.dtype)
         noise[0].normal_()  # one after the other, as Stable-Baselines3 draws them
         noise[1].normal_()
         # The actor is the same for the states and the next ones: one pass for both.
-        values = self.actor.forward(both)
+        values = self.actor.forward(features)
         hidden = values[-1].relu_()
         policy = _SquashedGaussian(self.mean.forward(hidden)[-1], self.log_std.forward(hidden)[-1], noise.flatten(0, 1))
-        log_prob, next_log_prob = policy.log_prob[:batch], policy.log_prob[batch:]
+        log_prob, next_log_prob = policy.log_prob[:n], policy.log_prob[n:]
         ent_coef, logged = self._update_ent_coef(model, log_prob)
 
-        next_value = self.critics.target_value(both[batch:], policy.actions[batch:]) - ent_coef * next_log_prob
+        next_value = self.critics.target_value(features[n:], policy.actions[n:]) - ent_coef * next_log_prob
         target = rewards + discounts * next_value
-        critic_loss = self.critics.update(both[:batch], actions, target, weight=0.5)
+        critic_loss = self.critics.update(features[:n], actions, target, weight=0.5)
 
-        value, by_action = self.critics.action_gradient(both[:batch], policy.actions[:batch], first=False)
-        by_mean, by_log_std = policy.backward(batch, by_action, ent_coef * (1 / batch))
-        self._update_actor([v[:batch] for v in values], by_mean, by_log_std)
+        value, grad_action = self.critics.action_gradient(features[:n], policy.actions[:n], first=False)
+        grad_mean, grad_log_std = policy.backward(n, grad_action, ent_coef * (1 / n))
+        self._update_actor([v[:n] for v in values], grad_mean, grad_log_std)
         return [ent_coef.reshape(()), (ent_coef * log_prob - value).mean(), critic_loss, *logged]
 
-    def _update_actor(self, values: list[torch.Tensor], by_mean: torch.Tensor, by_log_std: torch.Tensor) -> None:
+    def _update_actor(self, values: list[torch.Tensor], grad_mean: torch.Tensor, grad_log_std: torch.Tensor) -> None:
         """Pass the gradients by both heads' outputs back through them and the body, and take a step."""
-        *body, _, _, _, _ = out = self.adam.gradients
-        self.mean.backward(values[-1:], by_mean, out[-4:-2])
-        self.log_std.backward(values[-1:], by_log_std, out[-2:])
-        by_hidden = self.mean.input_gradient([], by_mean) + self.log_std.input_gradient([], by_log_std)
-        self.actor.backward(values, torch.ops.aten.threshold_backward(by_hidden, values[-1], 0), body)
+        *body, _, _, _, _ = gradients = self.adam.gradients
+        self.mean.backward(values[-1:], grad_mean, gradients[-4:-2])
+        self.log_std.backward(values[-1:], grad_log_std, gradients[-2:])
+        grad_hidden = self.mean.input_gradient([], grad_mean) + self.log_std.input_gradient([], grad_log_std)
+        self.actor.backward(values, torch.ops.aten.threshold_backward(grad_hidden, values[-1], 0), body)
         self.adam.step()
 
     def _update_ent_coef(self, model: Any, log_prob: torch.Tensor) -> tuple[torch.Tensor, list[torch.Tensor]]:
@@ -126,25 +125,26 @@ class _SquashedGaussian:
         self.log_prob = (log_prob - density.log().sum(1)).unsqueeze(1)
 
     def backward(
-        self, rows: int, by_action: torch.Tensor, by_log_prob: torch.Tensor
+        self, n: int, grad_action: torch.Tensor, grad_log_prob: torch.Tensor
     ) -> tuple[torch.Tensor, torch.Tensor]:
-        """Return the gradients by mean and raw log standard deviation of the first rows, shape (rows, actions).
+        """Return the gradients by mean and raw log standard deviation of the first n actions, shape (n, actions).
 
-        `by_action` is the loss's gradient by the actions without log_prob, shape (rows, actions); `by_log_prob` that by
-        each log probability, one number.
+        `grad_action` is the loss's gradient by the actions without log_prob, shape (n, actions); `grad_log_prob` that
+        by each log probability, one number.
         """
         noise, std, actions, offset, double_variance, raw_log_std = (
-            tensor[:rows]
+            tensor[:n]
             for tensor in (self.noise, self.std, self.actions, self.offset, self.double_variance, self.raw_log_std)
         )
         density = 1 - actions**2 + EPSILON
-        by_square = -by_log_prob / double_variance
-        by_offset = by_square * 2 * offset
-        by_sample = torch.ops.aten.tanh_backward(by_log_prob / density * (2 * actions) + by_action, actions) + by_offset
-        by_double_variance = -by_log_prob * (-(offset**2) / double_variance / double_variance)
-        by_std = -by_log_prob / std + (by_double_variance * 2) * (2 * std) + by_sample * noise
+        grad_square = -grad_log_prob / double_variance
+        grad_offset = grad_square * 2 * offset
+        grad_squashed = grad_log_prob / density * (2 * actions) + grad_action
+        grad_sample = torch.ops.aten.tanh_backward(grad_squashed, actions) + grad_offset
+        grad_double_variance = -grad_log_prob * (-(offset**2) / double_variance / double_variance)
+        grad_std = -grad_log_prob / std + (grad_double_variance * 2) * (2 * std) + grad_sample * noise
         inside = (raw_log_std >= LOG_STD_MIN) & (raw_log_std <= LOG_STD_MAX)
-        return by_sample - by_offset, by_std * std * inside
+        return grad_sample - grad_offset, grad_std * std * inside
 
 
 class SAC(FastTraining, stable_baselines3.SAC):

@@ -35,16 +35,16 @@ class _Update:
         actor_losses, critic_losses = [], []
         for features, actions, rewards, discounts, next_signs in batches:
             model._n_updates += 1
-            batch = len(actions)
+            n = len(actions)
             noise = torch.empty_like(actions).normal_(0, model.target_policy_noise)  # as Stable-Baselines3 draws it
             noise.clamp_(-model.target_noise_clip, model.target_noise_clip)
-            noise[:, -1:] *= next_signs  # it is drawn for the env's actions
-            next_actions = noise.add_(self.target.forward(features[batch:])[-1].tanh_()).clamp_(-1, 1)
-            next_value = self.critics.target_value(features[batch:], next_actions)
+            noise.mul_(next_signs)  # it is drawn for the env's actions
+            next_actions = noise.add_(self.target.forward(features[n:])[-1].tanh_()).clamp_(-1, 1)
+            next_value = self.critics.target_value(features[n:], next_actions)
             target = rewards + discounts * next_value
-            critic_losses.append(self.critics.update(features[:batch], actions, target, weight=1.0))
+            critic_losses.append(self.critics.update(features[:n], actions, target, weight=1.0))
             if model._n_updates % model.policy_delay == 0:
-                actor_losses.append(self._update_actor(features[:batch]))
+                actor_losses.append(self._update_actor(features[:n]))
                 self.critics.polyak_update(model.tau)
                 polyak_update(self.flat_target, self.flat, model.tau)
         losses = {"actor_loss": actor_losses, "critic_loss": critic_losses}

@@ -28,7 +28,7 @@ _MOST_SEED_LINES = 4  # cells; with more, lines of seeds hide the means
 _LINE_90: dict[str, Any] = {"color": INK, "linewidth": 0.7, "linestyle": (0, (2, 2)), "alpha": 0.7, "zorder": 1}
 
 
-def _seed_counts(cells: Sequence[Cell]) -> str:
+def _count_seeds(cells: Sequence[Cell]) -> str:
     """Return e.g. `10 seeds per cell` or `3 to 10 seeds per cell`."""
     counts = [len(cell.seeds) for cell in cells]
     low, high = min(counts), max(counts)
@@ -44,17 +44,17 @@ def draw_final_success(report: ReportData) -> Iterator[Drawing]:
     axes.set_xlabel("final success (% of episodes)")
     axes.axvline(90, **_LINE_90)
     for row, cell in enumerate(cells):
-        _seeds_and_mean(axes, row, cell)
+        _draw_seeds_and_mean(axes, row, cell)
     left, right = axes.dataLim.intervalx
     axes.set_xlim(left - 0.03 * (right - left) - 1, 101)
     yield (
         figure,
-        f"Final success over the evaluation episodes. Points: seeds ({_seed_counts(cells)}), spread vertically so that "
+        f"Final success over the evaluation episodes. Points: seeds ({_count_seeds(cells)}), spread vertically so that "
         "they do not overlap; bar: mean with its 95 % interval, where there is one, cut at 0 and 100 %. Dashed: 90 %.",
     )
 
 
-def _seeds_and_mean(axes: Axes, row: int, cell: Cell) -> None:
+def _draw_seeds_and_mean(axes: Axes, row: int, cell: Cell) -> None:
     """Draw the seeds of a cell in the upper half of its row, and its mean in the lower half."""
     style = cell_style(cell.id)
     rates = [100 * seed.success for seed in cell.seeds if seed.success is not None]
@@ -75,10 +75,10 @@ def draw_learning_curves(report: ReportData) -> Iterator[Drawing]:
     if not curves:
         return
     cells, with_seeds = [cell for cell, _ in curves], len(curves) <= _MOST_SEED_LINES
-    figure = _figure_with_legend(3.6, cells)
+    figure = _new_figure_with_legend(3.6, cells)
     success, failure = figure.subplots(2, sharex=True, height_ratios=(2, 1))
     for cell, curve in curves:
-        _curve(success, failure, cell, curve, with_seeds=with_seeds)
+        _draw_curve(success, failure, cell, curve, with_seeds=with_seeds)
     success.axhline(90, **_LINE_90)
     time_axis(success, "")
     time_axis(failure, "env steps")
@@ -88,12 +88,12 @@ def draw_learning_curves(report: ReportData) -> Iterator[Drawing]:
     lines = "thin lines: seeds; " if with_seeds else ""
     yield (
         figure,
-        f"Evaluations during training. Above: mean success over seeds ({_seed_counts(cells)}) with the band of its "
+        f"Evaluations during training. Above: mean success over seeds ({_count_seeds(cells)}) with the band of its "
         f"95 % interval; {lines}dashed: 90 %. Below: mean rate of {' or '.join(names)}.",
     )
 
 
-def _curve(success: Axes, failure: Axes, cell: Cell, curve: Curve, *, with_seeds: bool) -> None:
+def _draw_curve(success: Axes, failure: Axes, cell: Cell, curve: Curve, *, with_seeds: bool) -> None:
     style = cell_style(cell.id)
     if with_seeds:
         for _, seed_step, rates in curve.seeds:
@@ -105,7 +105,7 @@ def _curve(success: Axes, failure: Axes, cell: Cell, curve: Curve, *, with_seeds
         axes.plot(curve.step, percentages(rates), markevery=max(1, len(curve.step) // 7), **line)
 
 
-def _figure_with_legend(height: float, cells: Sequence[Cell]) -> Figure:
+def _new_figure_with_legend(height: float, cells: Sequence[Cell]) -> Figure:
     """Return a figure with a legend of the cells at the right, at least as high as that."""
     labels = wrapped_labels(cells, 32, lines=3)
     figure = new_figure(max(height, 0.4 + sum(0.14 + 0.12 * label.count("\n") for label in labels)))
@@ -120,21 +120,21 @@ def draw_time_to_90(report: ReportData) -> Iterator[Drawing]:
     cells = [cell for cell in report.shown_cells if cell.survival]
     if not any(cell.survival and cell.survival.k for cell in cells):
         return
-    figure = _figure_with_legend(2.4, cells)
+    figure = _new_figure_with_legend(2.4, cells)
     axes = figure.subplots()
     for cell in cells:
-        _survival(axes, cell)
+        _draw_survival(axes, cell)
     axes.set(ylim=(-3, 103), ylabel="seeds at 90 % (%)")
     time_axis(axes, "env steps")
     yield (
         figure,
         "Share of seeds whose success has reached 90 % in three evaluations in a row (Kaplan–Meier estimate; "  # noqa: RUF001
-        f"{_seed_counts(cells)}), with 95 % intervals where some have. Crosses (+): seeds not there when their "
+        f"{_count_seeds(cells)}), with 95 % intervals where some have. Crosses (+): seeds not there when their "
         "observation ended.",
     )
 
 
-def _survival(axes: Axes, cell: Cell) -> None:
+def _draw_survival(axes: Axes, cell: Cell) -> None:
     style, curve = cell_style(cell.id), cell.survival
     assert curve
     censored = [seed.steps_to_90 for seed in cell.seeds if seed.steps_to_90 is not None and not seed.reached_90]

@@ -7,6 +7,7 @@ from typing import Any
 
 import matplotlib
 import numpy as np
+import pandas as pd
 from matplotlib.ticker import LogLocator, NullLocator
 
 from parking_exp.errors import ResultsError
@@ -19,7 +20,7 @@ MAX_SLICES = 4  # in one figure
 MIN_TRIALS = 20  # for importances: PED-ANOVA looks at the best tenth
 
 
-def study_of(tuning: Tuning) -> Any:
+def rebuild_study(tuning: Tuning) -> Any:
     """Return an in-memory Optuna study of the finished trials of a report, which may be from an export."""
     import optuna
     from optuna.distributions import json_to_distribution
@@ -62,28 +63,25 @@ def _plot(name: str, study: Any, height: float = 3.0, **arguments: Any) -> Any:
     return figure
 
 
-def _varied(tuning: Tuning) -> list[str]:
+def _find_varied(tuning: Tuning) -> list[str]:
     """Return the parameters of which the finished trials of a search have several values."""
-    values: dict[str, set[Any]] = {}
-    for trial in tuning.trials:
-        for name, value in trial.parameters.items() if trial.value is not None else ():
-            values.setdefault(name, set()).add(value)
-    return [name for name in values if len(values[name]) > 1]
+    parameters = pd.DataFrame([trial.parameters for trial in tuning.trials if trial.value is not None])
+    return [str(name) for name in parameters if parameters[name].nunique() > 1]
 
 
 def draw_history(report: ReportData) -> Iterator[Drawing]:
     """Draw the value of each trial and the best so far."""
-    if (tuning := report.tuning) and _varied(tuning):
+    if (tuning := report.tuning) and _find_varied(tuning):
         objective = tuning.objective
-        figure = _plot("plot_optimization_history", study_of(tuning), target_name=objective)
+        figure = _plot("plot_optimization_history", rebuild_study(tuning), target_name=objective)
         yield figure, f"{objective} of each trial that is done, and the best so far."
 
 
 def draw_parameter_importance(report: ReportData) -> Iterator[Drawing]:
     """Draw the importance of parameters, if enough trials differ in their values."""
-    if (tuning := report.tuning) is None or not (names := _varied(tuning)):
+    if (tuning := report.tuning) is None or not (names := _find_varied(tuning)):
         return
-    study = study_of(tuning)
+    study = rebuild_study(tuning)
     values = [trial.value for trial in study.trials]
     if len(values) >= MIN_TRIALS and len(set(values)) > 1:
         figure = _plot("plot_param_importances", study, 1.0 + 0.3 * len(names), target_name=tuning.objective)
@@ -92,20 +90,20 @@ def draw_parameter_importance(report: ReportData) -> Iterator[Drawing]:
 
 def draw_slices(report: ReportData) -> Iterator[Drawing]:
     """Draw the objective against each parameter, some parameters to a figure."""
-    if (tuning := report.tuning) is None or not (names := _varied(tuning)):
+    if (tuning := report.tuning) is None or not (names := _find_varied(tuning)):
         return
     objective = tuning.objective
     for begin in range(0, len(names), MAX_SLICES):
-        chosen = names[begin : begin + MAX_SLICES]
-        figure = _plot("plot_slice", study_of(tuning), params=chosen, target_name=objective)
-        yield figure, f"{objective} against {', '.join(chosen)}; darker trials are later ones."
+        parameters = names[begin : begin + MAX_SLICES]
+        figure = _plot("plot_slice", rebuild_study(tuning), params=parameters, target_name=objective)
+        yield figure, f"{objective} against {', '.join(parameters)}; darker trials are later ones."
 
 
 def draw_trial_coordinates(report: ReportData) -> Iterator[Drawing]:
     """Draw each trial as a line across its values and parameters."""
-    if (tuning := report.tuning) is None or not (names := _varied(tuning)):
+    if (tuning := report.tuning) is None or not (names := _find_varied(tuning)):
         return
     left_out = f" {len(names) - MAX_AXES} parameters are left out." if len(names) > MAX_AXES else ""
     objective = tuning.objective
-    figure = _plot("plot_parallel_coordinate", study_of(tuning), params=names[:MAX_AXES], target_name=objective)
+    figure = _plot("plot_parallel_coordinate", rebuild_study(tuning), params=names[:MAX_AXES], target_name=objective)
     yield figure, f"Each trial as a line from its value across its parameters.{left_out}"

@@ -28,12 +28,12 @@ def headline(report: ReportData) -> Iterator[Table]:
     """Yield the table of what each cell reached and what it cost."""
     yield Table(
         "headline",
-        _cell_rows(report),
+        _list_cell_rows(report),
         [
             cell_column(),
-            Column("Seeds", _finished, "seeds"),
-            *(interval_column(REPORTED[name].heading, name) for name in _rates(report)),
-            Column("Seeds ≥ 90 %", _reaching_90, "reaching_90_k"),
+            Column("Seeds", _count_finished, "seeds"),
+            *(interval_column(REPORTED[name].heading, name) for name in _select_rates(report)),
+            Column("Seeds ≥ 90 %", _count_reaching_90, "reaching_90_k"),
             column("Steps to hold 90 %", "survival_median", formats.number),
             column(REPORTED["episode_steps"].heading, "episode_steps", partial(formats.number, digits=1)),
             column("Env steps", "total_timesteps", formats.number),
@@ -54,7 +54,7 @@ def times(report: ReportData) -> Iterator[Table]:
     """Yield the table of how long each cell took to hold 90 %, and of the area under its curve."""
     yield Table(
         "times",
-        [row for row in _cell_rows(report) if "survival_n" in row],
+        [row for row in _list_cell_rows(report) if "survival_n" in row],
         [
             cell_column(),
             Column("Reached", lambda row: f"{row['survival_k']}/{row['survival_n']}", "survival_k"),
@@ -91,7 +91,7 @@ def seeds(report: ReportData) -> Iterator[Table]:
             cell_column(),
             column("Seed", "seed"),
             interval_column(REPORTED["success"].heading, "success"),
-            *(column(REPORTED[name].heading, name, formats.percent) for name in _rates(report)[1:]),
+            *(column(REPORTED[name].heading, name, formats.percent) for name in _select_rates(report)[1:]),
             column("Episodes", "n_episodes", formats.number),
             Column("Steps to 90 %", reached, "steps_to_90"),
             column("CPU (s)", "cpu_s", formats.number),
@@ -218,7 +218,7 @@ def common(report: ReportData) -> Iterator[Table]:
     yield Table("common", rows, columns, "Settings that are the same in all cells.", folded=True)
 
 
-def _cell_rows(report: ReportData) -> list[Row]:
+def _list_cell_rows(report: ReportData) -> list[Row]:
     stages = dict.fromkeys(stage for cell in report.cells for stage in cell.counts)
     return [
         {
@@ -231,15 +231,15 @@ def _cell_rows(report: ReportData) -> list[Row]:
     ]
 
 
-def _rates(report: ReportData) -> list[str]:
+def _select_rates(report: ReportData) -> list[str]:
     """Return the names of the rates that some cell has."""
     return [name for name in RATES if name not in FURTHER or any(name in cell.further for cell in report.cells)]
 
 
-def _finished(row: Row) -> str:
+def _count_finished(row: Row) -> str:
     done, total = row["seeds"], sum(count or 0 for key, count in row.items() if key.startswith("runs_"))
     return str(done) if done == total else f"{done} of {total}"
 
 
-def _reaching_90(row: Row) -> str:
+def _count_reaching_90(row: Row) -> str:
     return formats.share_interval(Proportion(*(row[f"reaching_90_{name}"] for name in ("k", "n", "low", "high"))))

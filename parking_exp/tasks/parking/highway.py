@@ -49,8 +49,8 @@ def make_env(config: ParkingConfig, *, render_mode: str | None = None) -> gym.En
         env = RandomVehiclesCount(env, *config.vehicles_range)
     if config.obstacles:
         env = RandomObstacles(env, config.obstacles)
-    seen = config.observation.vehicles_count
-    return NearbyVehicles(env, seen) if seen else env
+    count = config.observation.vehicles_count
+    return NearbyVehicles(env, count) if count else env
 
 
 class HighwayBatch(EnvBatch):

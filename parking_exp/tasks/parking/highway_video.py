@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from parking_exp.tasks.captions import LAST_FRAME_S, captioned
+from parking_exp.tasks.captions import LAST_FRAME_S, add_caption
 from parking_exp.tasks.metrics import outcome
 from parking_exp.tasks.parking.highway import make_env
 from parking_exp.tasks.parking.parking_config import ParkingConfig
@@ -26,26 +26,26 @@ def frames(policy: Policy, config: ParkingConfig, scenes: Sequence[int]) -> Iter
     with closing(make_env(config, render_mode="rgb_array")) as env:
         lot: Any = env.unwrapped
         draw: Callable[[], np.ndarray] = lot.render
-        drawn: list[np.ndarray] = []
-        lot.render = lambda: drawn.append(draw())  # highway-env calls it between two policy steps, too
+        images: list[np.ndarray] = []
+        lot.render = lambda: images.append(draw())  # highway-env calls it between two policy steps, too
         env.reset()
         lot.render()  # makes the viewer, whose camera would follow the car: keep the whole lot in sight instead
         lot.viewer.window_position = lambda: np.zeros(2)
         for scene in scenes:
             observation, info = env.reset(seed=scene)
             steps, done = 0, False
-            drawn[:] = [draw()]
+            images[:] = [draw()]
             while True:
-                yield from (captioned(frame, f"scene {scene}") for frame in drawn)
+                yield from (add_caption(frame, f"scene {scene}") for frame in images)
                 if done or steps >= MAX_EPISODE_S * config.policy_frequency:
                     break
                 action = policy({key: value[np.newaxis] for key, value in observation.items()})[0]
-                drawn.clear()
+                images.clear()
                 observation, _, terminated, truncated, info = env.step(action)
                 steps, done = steps + 1, terminated or truncated
                 lot.render()
             ending = f"cut after {MAX_EPISODE_S:.0f} s"
             if done:
                 ending = outcome("crash", info["crashed"], info["is_success"])
-            last = captioned(drawn[-1], f"scene {scene}: {ending}")
+            last = add_caption(images[-1], f"scene {scene}: {ending}")
             yield from [last] * round(LAST_FRAME_S * config.simulation_frequency)

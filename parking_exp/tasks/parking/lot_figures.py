@@ -1,4 +1,4 @@
-"""Figure of the parking lot from above: failures by goal slot."""
+"""Figures of parking reports: failures by goal slot on the lot from above, and outcomes by number of parked cars."""
 
 from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
@@ -7,11 +7,13 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 
 from parking_exp.figure_style import (
     GRID,
     WIDTH_IN,
     Drawing,
+    cell_style,
     new_figure,
     percentages,
     text_colour,
@@ -89,6 +91,24 @@ def draw_scene_map(cells: Sequence[Any]) -> Iterator[Drawing]:
 def _failures(cell: Any) -> np.ndarray:
     """Return the percentage of failed episodes by goal slot, NaN without episodes. Shape (28,)."""
     rates = np.full(len(SLOT_POSITIONS), np.nan)
-    for slot in cell.task_data.get("slots", ()):
-        rates[slot.slot] = percentages([slot.crash, slot.timeout]).sum()
+    for row in cell.task_data.get("slots", ()):
+        rates[row["slot"]] = percentages([row["crash"], row["timeout"]]).sum()
     return rates
+
+
+def draw_vehicle_rates(cells: Sequence[Any]) -> Iterator[Drawing]:
+    """Draw success and crashes against the number of parked cars."""
+    shown = [cell for cell in cells if cell.task_data.get("vehicles")]
+    if not shown:
+        return
+    figure = new_figure(3.2)
+    panels = figure.subplots(1, 2, sharex=True)
+    for cell, label in zip(shown, wrapped_labels(shown, 40), strict=True):
+        style, rates = cell_style(cell.id), cell.task_data["vehicles"]
+        line = {"color": style.colour, "linestyle": style.line, "marker": style.marker, "label": label}
+        for axes, name in zip(panels, ("success", "crash"), strict=True):
+            axes.plot([row["vehicles"] for row in rates], percentages([row[name] for row in rates]), **line)
+            axes.set(xlabel="parked cars", ylabel=f"{name} (%)")
+            axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside upper center", ncols=2)
+    yield figure, "Final success and crashes by the number of parked cars of a scene, all seeds together."

@@ -89,5 +89,5 @@ class RandomVehiclesCount(gym.Wrapper, gym.utils.RecordConstructorArgs):
         """Start an episode."""
         rng = self.unwrapped.np_random if seed is None else gym.utils.seeding.np_random(seed)[0]
         number = {"vehicles_count": drawn_number(rng.bit_generator, self.low, self.high)}
-        given = options or {}
-        return self.env.reset(seed=seed, options={**given, "config": given.get("config", {}) | number})
+        options = options or {}
+        return self.env.reset(seed=seed, options={**options, "config": options.get("config", {}) | number})

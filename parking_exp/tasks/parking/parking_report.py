@@ -5,9 +5,8 @@ from typing import Any
 
 import pandas as pd
 
-from parking_exp.tasks.parking.lot_figures import draw_scene_map
-from parking_exp.tasks.parking.lot_map import slot_rates
-from parking_exp.tasks.parking.vehicle_rates import draw_vehicle_rates, vehicle_rates
+from parking_exp.tasks.parking.lot_figures import draw_scene_map, draw_vehicle_rates
+from parking_exp.tasks.parking.outcome_rates import slot_rates, vehicle_rates
 from parking_exp.tasks.task import TaskFigure, TaskReport, TaskSection
 
 

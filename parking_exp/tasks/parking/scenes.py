@@ -48,9 +48,9 @@ class Scenes:
             if n_obstacles:
                 obstacles[row] = places_of_scene(rng.bit_generator, n_obstacles)
             heading[row] = 2.0 * np.pi * rng.uniform()
-            drawn = [rng.integers(N_SLOTS - 1 - taken) for taken in range(1 + number[row])]
-            slots[row, : len(drawn)] = drawn
-        return Scenes._placed(heading, slots, number, obstacles)
+            draws = [rng.integers(N_SLOTS - 1 - taken) for taken in range(1 + number[row])]
+            slots[row, : len(draws)] = draws
+        return Scenes._from_draws(heading, slots, number, obstacles)
 
     @staticmethod
     def random(
@@ -62,10 +62,10 @@ class Scenes:
         slots = rng.integers(N_SLOTS - 1 - np.arange(1 + high), size=(n, 1 + high))
         number = rng.integers(low, high + 1, n) if low < high else np.full(n, high)
         obstacles = drawn_places(rng, n * n_obstacles).reshape(n, n_obstacles, 2)
-        return Scenes._placed(heading, slots, number, obstacles)
+        return Scenes._from_draws(heading, slots, number, obstacles)
 
     @staticmethod
-    def _placed(heading: np.ndarray, draws: np.ndarray, number: np.ndarray, obstacles: np.ndarray) -> "Scenes":
+    def _from_draws(heading: np.ndarray, draws: np.ndarray, number: np.ndarray, obstacles: np.ndarray) -> "Scenes":
         """Turn draws from the slots that are left, shape (n, 1 + vehicles), into slots; `number` of the cars count."""
         taken = np.empty((len(draws), 1 + draws.shape[1]), np.int64)
         taken[:, 0] = start_slot(heading)
@@ -107,8 +107,8 @@ def drawn_places(rng: np.random.Generator, n: int) -> np.ndarray:
     """Draw n places of obstacles, shape (n, 2) [m]: uniform in the aisle, but not where the car starts."""
     places = np.empty((0, 2))
     while len(places) < n:
-        drawn = rng.uniform(-AISLE_M, AISLE_M, (n, 2))
-        places = np.concatenate([places, drawn[np.sqrt((drawn**2).sum(axis=1)) > START_M]])
+        candidates = rng.uniform(-AISLE_M, AISLE_M, (n, 2))
+        places = np.concatenate([places, candidates[np.sqrt((candidates**2).sum(axis=1)) > START_M]])
     return places[:n]
 
 

@@ -54,7 +54,7 @@ class Simulator:
         self.episode_steps = config.episode_steps()
         self.walls = config.add_walls
         self.reward = ParkingReward.of(config)
-        self.seen = config.observation.vehicles_count
+        self.n_seen = config.observation.vehicles_count
         self.scales = np.array(DEFAULT_SCALES, np.float64)
         slots = np.zeros((len(SLOT_HEADINGS), len(DEFAULT_FEATURES)))
         slots[:, :2] = SLOT_POSITIONS
@@ -84,12 +84,12 @@ class Simulator:
         state, pose = self.state, self._pose(rows)
         observed = np.divide(pose, self.scales, order="C")
         goals = {"achieved_goal": observed.copy(), "desired_goal": self._slot_goals[state.goal[rows]]}
-        if self.seen:
+        if self.n_seen:
             others, heading = state.vehicles[rows], state.vehicle_heading[rows]
             if state.obstacles.shape[1]:
                 others = np.concatenate([others, state.obstacles[rows]], axis=1)
                 heading = np.concatenate([heading, np.zeros((len(pose), state.obstacles.shape[1]))], axis=1)
-            observed = np.concatenate([observed, nearest_vehicles(pose[:, :2], others, heading, self.seen)], axis=1)
+            observed = np.concatenate([observed, nearest_vehicles(pose[:, :2], others, heading, self.n_seen)], axis=1)
         return {"observation": observed, **goals}
 
     def step(self, actions: np.ndarray) -> Step:
@@ -153,24 +153,24 @@ class Simulator:
         state.position, state.heading, state.speed, state.direction = position, heading, speed, _direction(heading)
         low, high = self.speed_range
         slowest, fastest = np.minimum(before, speed), np.maximum(before, speed)
-        may = state.crashed | state.hit[:, 0]
-        may |= slowest < low
-        may |= fastest > high
+        uncertain = state.crashed | state.hit[:, 0]
+        uncertain |= slowest < low
+        uncertain |= fastest > high
         ahead = np.maximum(fastest, -slowest) * self.dt
         if self.walls:
             # At the end the car reaches this far along both axes; before, it was turned by at most `turn`.
             reach = extent(state.direction)
             turn = np.abs(sin_slip) * ahead * (self.frames / (CAR_LENGTH_M / 2))
             near = farthest + reach + (ahead + turn * (CAR_DIAGONAL_M / 2)) > FREE_M
-            may |= near[0]
-            may |= near[1]
+            uncertain |= near[0]
+            uncertain |= near[1]
         reach_m = ahead * (self.frames + 1) + CAR_DIAGONAL_M
         if state.vehicles.shape[1]:
-            may |= self._near_vehicles(reach_m)
+            uncertain |= self._near_vehicles(reach_m)
         if state.obstacles.shape[1]:
             offset = state.obstacles - state.position.T[:, None]
-            may |= (offset[..., 0] ** 2 + offset[..., 1] ** 2 < reach_m[:, None] ** 2).any(axis=1)
-        return np.flatnonzero(may)
+            uncertain |= (offset[..., 0] ** 2 + offset[..., 1] ** 2 < reach_m[:, None] ** 2).any(axis=1)
+        return np.flatnonzero(uncertain)
 
     def _near_vehicles(self, reach: np.ndarray) -> np.ndarray:
         """Return a mask of the scenes where a parked car is near, or has been moved."""
