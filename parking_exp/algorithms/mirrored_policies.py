@@ -1,7 +1,6 @@
 """Policies of SAC and TD3 for tasks with a mirror symmetry: their networks see one of two mirror images.
 
-Actions outside of a network are the env's. Inside they belong to the image that the network sees: an actor's action is
-mirrored after the network, the action of which a critic gives the value before it.
+The env's actions are not mirrored: an actor's output is mirrored after its network, a critic's action before it.
 """
 
 from typing import Any
@@ -79,4 +78,4 @@ class MirroredSACPolicy(_MirroredCritics, sac.MultiInputPolicy):
 
 
 MIRRORED: dict[type, type] = {td3.MultiInputPolicy: MirroredTD3Policy, sac.MultiInputPolicy: MirroredSACPolicy}
-"""The policy in whose place each stands."""
+"""Policies of Stable-Baselines3 and what replaces them."""

@@ -33,7 +33,7 @@ class Storage:
     """Ring buffer of `capacity` rows, each with one transition of each of `n_envs` envs, and the index of its episodes.
 
     Compact storage leaves out an achieved goal that equals the observation, as in parking-v0, and a desired goal that
-    is constant in an episode, which the episode's record has. The first other transition widens all rows.
+    is constant within an episode, whose record has it. The first transition that violates this widens all rows.
 
     A transition of parking-v0 takes 112 bytes: 2 x 6 doubles, 2 + 1 floats, and a mark; its episode's record, 56. If K
     vehicles make the observation wider than a goal, it takes 304 + 80 K bytes.

@@ -19,7 +19,7 @@ def report_once(overrides: list[str], extra_config_dir: str | None) -> None:
     """Write one report."""
     configs = compose_configs("report", overrides, extra_config_dir)
     if len(configs) > 1:
-        raise ConfigError("a report takes one value for each key; name=... makes another one beside it")
+        raise ConfigError("a report takes one value for each key; use name=... to write a second report")
     request = validate_report(configs[0])
     from parking_exp.reports.make_report import report  # imports pandas and matplotlib: after the check
 

@@ -34,4 +34,4 @@ def train(overrides: list[str], extra_config_dir: str | None) -> None:
 
         gc.freeze()
         gc.enable()
-        train_run(runs[0].config)
+        train_run(planned[0].config)

@@ -17,7 +17,7 @@ Config = Mapping[str, Setting]
 
 GROUPS = ("env", "algorithm", "buffer")
 EXPERIMENT = "experiment"
-FEW_CELLS = 5  # with fewer, as many distinct values as cells does not mean that they were drawn from a range
+FEW_CELLS = 5  # with fewer, values that all differ need not have been drawn from a range
 
 
 @dataclass(frozen=True)
@@ -67,7 +67,7 @@ def find_factors(
             columns[group] = [config.get(f"{group}.name") for config in configs]
             varying.remove(f"{group}.name")
     options = list(columns.values())
-    # Evaluation keys come last. Of keys that change together, a top-level one represents those of groups: `n_envs` for
+    # Evaluation keys come last. Among keys that change together, a top-level key represents keys of groups: `n_envs`
     # the warm-up that it requires.
     for key in sorted(varying, key=lambda key: (key.startswith("evaluation."), "." in key)):
         values = [config.get(key) for config in configs]

@@ -155,7 +155,7 @@ class RunConfig(OutputConfig):
         return short_hash(self._result_part())
 
     def _result_part(self) -> dict[str, Any]:
-        """Return the keys that can change a result, but for defaults: so a new key keeps existing hashes."""
+        """Return the non-default keys that can change a result, so that a new key with a default keeps hashes."""
         return result_part(self.model_dump(by_alias=True, exclude_defaults=True))
 
     @property

@@ -79,7 +79,7 @@ def describe(episodes: pd.DataFrame, metrics: Metrics) -> str:
     return "\n".join([*lines, f"mean     {', '.join(texts)}"])
 
 
-def describe_success(summary: dict[str, float], step: int, metrics: Metrics) -> str:
+def describe_rates(summary: dict[str, float], step: int, metrics: Metrics) -> str:
     """Return one line about an evaluation during training."""
     return f"evaluation at step {step}: {', '.join(f'{rate.name} {summary[rate.key]:.0%}' for rate in _rates(metrics))}"
 

@@ -8,7 +8,7 @@ from typing import Any
 
 from omegaconf import DictConfig, OmegaConf
 
-from parking_exp.config.cell_labels import can_matter, find_factors, labels_from_factors, settings_of
+from parking_exp.config.cell_labels import can_matter, find_factors, labels_from_factors, setting, settings_of
 from parking_exp.config.paths import default_uri, is_same_store
 from parking_exp.config.run_key import short_hash
 from parking_exp.config.schema import RunConfig, StoreConfig
@@ -88,7 +88,7 @@ class Evaluation:
         """Name of the env; changes of the env of training are added in brackets, those of another option are not."""
         if not self.changes or "name" in self.changes:
             return self.env.name
-        return f"{self.env.name} ({', '.join(f'{key}={value}' for key, value in self.changes.items())})"
+        return f"{self.env.name} ({', '.join(f'{key}={setting(value)}' for key, value in self.changes.items())})"
 
     def settings(self, env: EnvConfig) -> dict[str, Any]:
         """Return the request's settings with an env, as dotted keys, without what belongs to the agent."""

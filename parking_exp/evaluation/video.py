@@ -11,14 +11,11 @@ from parking_exp.runs.atomic_files import replacing
 from parking_exp.tasks.task import Policy, Task
 
 
-def record(policy: Policy, task: Task, seeds: Sequence[int], path: Path, gif: bool = False) -> int:
-    """Record one episode from each seed in one mp4 (and, besides it, a GIF of the same name).
-
-    Return the number of frames.
-    """
+def record(policy: Policy, task: Task, seeds: Sequence[int], path: Path, gif: bool = False) -> None:
+    """Record one episode from each seed in one mp4, and with `gif` also a GIF of the same name."""
     path.parent.mkdir(parents=True, exist_ok=True)
     # Every third frame and a palette: a README's picture should not weigh megabytes.
-    number, stride, gif_frames = 0, max(1, task.frame_rate // 5), []
+    stride, gif_frames = max(1, task.frame_rate // 5), []
     with replacing(path) as temporary:
         options: dict[str, Any] = {"fps": task.frame_rate, "codec": "libx264", "macro_block_size": 2}
         video: Any = iio.get_writer(temporary, format="FFMPEG", **options)
@@ -31,4 +28,3 @@ def record(policy: Policy, task: Task, seeds: Sequence[int], path: Path, gif: bo
         first, *rest = gif_frames
         duration_ms = 1000 * stride / task.frame_rate
         first.save(path.with_suffix(".gif"), save_all=True, append_images=rest, duration=duration_ms, loop=0)
-    return number

@@ -44,7 +44,7 @@ def find_incomparable(runs: Sequence[CellRuns], cells: Sequence[Cell], origin: P
     # What ends a cell's name is a hash of its config.
     for name in dict.fromkeys(cell.name for cell in runs):
         if len(same := [cell.label for cell in runs if cell.name == name]) > 1:
-            yield f"{list_names(same)} have the same config: equal seeds are equal runs, and they are not independent."
+            yield f"{list_names(same)} have the same config: runs with equal seeds are duplicates, not replicates."
 
 
 def find_missing(cells: Sequence[Cell], experiments: Iterable[str], stored: Iterable[str]) -> Iterator[str]:

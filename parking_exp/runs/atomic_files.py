@@ -17,7 +17,7 @@ from parking_exp.errors import first_line
 def replacing(path: Path, *, durable: bool = True) -> Iterator[Path]:
     """Yield a path to write to; at the end of the block that file replaces `path`.
 
-    A kill, an error or a full disk leaves the old content or the new; without `durable` (fsync), a power cut may not.
+    After a kill, an error or on a full disk, the file has the old or the new content; after a power cut, if `durable`.
     """
     temporary = path.with_name(f".tmp-{os.getpid()}-{path.name}")  # two processes may write at once; the last one wins
     try:

@@ -138,8 +138,8 @@ class RunDirectory:
     ) -> None:
         """Write the config, the label and other entries of status.json of a pending run.
 
-        A run that another process has taken up meanwhile is left as it is: one that is under way, or was begun at
-        another time than `started`. There is no fsync: after a power cut, rerunning the sweep writes it again.
+        Nothing is written if the run is locked, or if another process has begun it since `started`. There is no fsync:
+        after a power cut, rerunning the sweep writes the files again.
         """
         if self.is_locked:
             return

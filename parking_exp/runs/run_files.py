@@ -62,7 +62,7 @@ class HeartbeatEntries(_Entries):
 
 
 def read_entries(path: Path, schema: type[BaseModel]) -> tuple[dict[str, Any], bool]:
-    """Return a file's entries, none of a damaged or missing one, and whether it is damaged: of another type, say."""
+    """Return the entries of a file, none if it is missing or damaged, and whether it is damaged."""
     try:
         stored = read_json(path)
         if stored is not None:

@@ -81,7 +81,7 @@ def by_cell(states: Iterable[RunState]) -> Iterator[tuple[tuple[str, str], list[
 
 
 def _read_running(path: Path, entries: dict[str, Any]) -> dict[str, Any]:
-    """Return the fields of a running run that its heartbeat tells."""
+    """Return the fields of a running run from its heartbeat."""
     beat = HeartbeatEntries(**read_entries(path / HEARTBEAT_FILE, HeartbeatEntries)[0])
     if beat.time < entries.get("started", time.time()):  # of an earlier process, or none yet
         return {"step": _saved_step(path), "doing": "starting"}

@@ -19,6 +19,7 @@ from parking_exp.config.paths import directory_path
 from parking_exp.errors import ConfigError, OutputDirectoryError, RunLockedError
 from parking_exp.resources import THREAD_VARIABLES
 from parking_exp.runs.directory import RunDirectory
+from parking_exp.runs.run_files import CONFIG_FILE
 from parking_exp.sweeps.worker import LOCKED_EXIT
 from parking_exp.training.signals import stop_on_signal
 
@@ -58,7 +59,7 @@ def _run(directory: RunDirectory, start: Callable[[IO[bytes]], subprocess.Popen[
     try:
         config = directory.config()
         if config.run_dir != directory_path(directory.path):
-            raise ConfigError(f"{directory.path / 'config.yaml'} is the config of another run; rerun the sweep")
+            raise ConfigError(f"{directory.path / CONFIG_FILE} is the config of another run; rerun the sweep")
         directory.reserve()
     except (ConfigError, OutputDirectoryError) as error:
         directory.update(status="failed", error=str(error))

@@ -49,7 +49,7 @@ def check_env(config: GymnasiumConfig) -> Iterator[str]:
 
 
 def _check_steps(env: gym.Env, config: GymnasiumConfig, env_id: str) -> Iterator[str]:
-    """Compare the rewards of random steps with what `compute_reward` says of all of them at once."""
+    """Compare the rewards of random steps with those that `compute_reward` returns for the whole batch."""
     achieved, desired, rewards, infos = random_steps(env.env)
     known = {key: None for info in infos for key in info}
     for name in ("success_key", "failure_key"):
@@ -57,7 +57,7 @@ def _check_steps(env: gym.Env, config: GymnasiumConfig, env_id: str) -> Iterator
             yield f"env.{name}={key}: there is no such entry of info; there are {', '.join(known) or 'none'}"
             return
     if config.success_key is None and not any(key in known for key in SUCCESS_KEYS):
-        yield f"{env_id}: info has neither {' nor '.join(SUCCESS_KEYS)}; name what says it as env.success_key"
+        yield f"{env_id}: info has neither {' nor '.join(SUCCESS_KEYS)}; set env.success_key to the entry that says so"
         return
     try:
         computed = np.asarray(env.unwrapped.compute_reward(achieved, desired, infos))
@@ -73,14 +73,14 @@ def _check_steps(env: gym.Env, config: GymnasiumConfig, env_id: str) -> Iterator
         step = different[0]
         yield (
             f"{env_id}: compute_reward gives {computed[step]:.6g} for a step of reward {rewards[step]:.6g}; if that is "
-            "the penalty of a failure, name its entry of info as env.failure_key"
+            "the penalty of a failure, set env.failure_key to the entry of info that reports it"
         )
         return
     reward = GymnasiumReward(config)
     rows = np.array([[float(info[key]) for key in reward.info_keys] for info in infos])
     relabelled, _ = reward(achieved, desired, rows)  # calls `compute_terminated`, whose error is then reported
     if not np.allclose(relabelled, computed, rtol=0, atol=TOLERANCE):
-        yield f"{env_id}: compute_reward needs more than goals and the numbers that all infos have"
+        yield f"{env_id}: compute_reward depends on more than goals and the numbers in every info; HER can't compute it"
 
 
 def resumes_exactly(config: GymnasiumConfig) -> bool:

@@ -56,7 +56,7 @@ class GymnasiumReward:
 
     @cached_property
     def env(self) -> Any:
-        """An environment to ask, made when it is first needed: copies of this object go to other processes."""
+        """Environment whose `compute_reward` is called; made late, since this object is pickled for other processes."""
         env = make_env(self.config)
         env.reset(seed=0)
         return env.unwrapped
@@ -73,7 +73,7 @@ class GymnasiumReward:
 
     @cached_property
     def info_keys(self) -> tuple[str, ...]:
-        """The numbers that all infos have, if the reward is another without them."""
+        """Numeric entries that every info has; none if the reward does not depend on info."""
         achieved, desired, _, infos = self._steps
         try:
             without = self.env.compute_reward(achieved, desired, [{} for _ in infos])
@@ -97,7 +97,7 @@ class GymnasiumReward:
 def random_steps(env: gym.Env) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[dict[str, Any]]]:
     """Return achieved goals, desired goals, rewards and infos of random steps, always the same.
 
-    Where episodes are not too long for that, one comes to its end: some rewards and entries of `info` come only there.
+    At least one episode ends, unless it is longer than MAX_RANDOM_STEPS: some entries of `info` appear only at the end.
     """
     env.action_space.seed(0)
     env.reset(seed=0)

@@ -37,7 +37,7 @@ class GoalReward(Protocol):
 
     @property
     def failure_penalty(self) -> float:
-        """A negative number, or 0, in the reward of a step at which the episode fails."""
+        """Penalty, at most 0, that the reward of a failing step includes."""
 
     @property
     def failure_key(self) -> str | None:

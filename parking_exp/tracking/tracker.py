@@ -22,18 +22,18 @@ class Tracker:
     def sync(self) -> None:
         """Mirror a new checkpoint, unless the store has failed: each attempt could take minutes."""
         if self.problem is None:
-            self.close()
+            self.mirror()
 
-    def close(self) -> None:
-        """Mirror the run; to be called when its last status is written."""
+    def mirror(self) -> None:
+        """Mirror the run as it is, at its start and after its last status is written."""
         if self.uri is None:
             return
         before, self.problem = self.problem, try_mirror(self.directory, Store(self.uri, self.directory.output_dir))
         if before and self.problem is None:
             self.say("the store is complete again")
         elif self.problem and before is None:
-            what_to_do = sync_hint(self.directory.output_dir, self.uri)
-            self.say(f"the store {self.uri} is incomplete ({self.problem}); training continues, and {what_to_do}")
+            hint = sync_hint(self.directory.output_dir, self.uri)
+            self.say(f"the store {self.uri} is incomplete ({self.problem}); training continues, and {hint}")
 
 
 def open_tracker(config: RunConfig, directory: RunDirectory, say: Callable[[str], None] = say) -> Tracker:
@@ -48,5 +48,5 @@ def open_tracker(config: RunConfig, directory: RunDirectory, say: Callable[[str]
     uri = config.store_uri
     directory.update(tracking_uri=uri)
     tracker = Tracker(directory, uri, say)
-    tracker.close()
+    tracker.mirror()
     return tracker

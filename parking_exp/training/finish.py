@@ -6,7 +6,7 @@ import pandas as pd
 from parking_exp.algorithms.model_files import save_model
 from parking_exp.config.schema import RunConfig
 from parking_exp.errors import CrossCheckError, VideoError
-from parking_exp.evaluation.evaluate_policy import describe_success, find_differences
+from parking_exp.evaluation.evaluate_policy import describe_rates, find_differences
 from parking_exp.evaluation.video import record
 from parking_exp.tasks.metrics import EPISODE_SEED
 from parking_exp.training.loop import TrainingLoop, derive_seeds
@@ -27,7 +27,7 @@ def finish(loop: TrainingLoop) -> pd.DataFrame:
     parts = [loop.run_episodes(seeds) for seeds in (cross_checked, others) if len(seeds)]
     episodes = pd.concat(parts).sort_values(EPISODE_SEED, ignore_index=True)
     summary = loop.record_evaluation(episodes.head(config.evaluation.n_scenes), "eval")
-    loop.bar.say(describe_success(summary, loop.model.num_timesteps, metrics))
+    loop.bar.say(describe_rates(summary, loop.model.num_timesteps, metrics))
     loop.record_evaluation(episodes, "final")
     certified, reference = parts[0], config.env.simulators[-1]
     if config.env.simulator != reference:
@@ -59,7 +59,6 @@ def certified_seeds(config: RunConfig) -> list[int]:
 
     They are drawn by the run's seed, so that a sweep covers many. On the reference itself they are all.
     """
-    evaluation = config.evaluation
-    seeds = range(evaluation.first_scene, evaluation.first_scene + evaluation.final_n_scenes)
+    first, number = config.evaluation.first_scene, config.evaluation.final_n_scenes
     rng = np.random.default_rng(derive_seeds(config.seed).certified)
-    return sorted(rng.choice(seeds, config.n_certified, replace=False).tolist())
+    return sorted(rng.choice(range(first, first + number), config.n_certified, replace=False).tolist())

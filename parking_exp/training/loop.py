@@ -17,7 +17,7 @@ from parking_exp.algorithms.policy_ema import PolicyEMA
 from parking_exp.buffers import HerBuffer
 from parking_exp.config.schema import RunConfig
 from parking_exp.config_model import TRAINING_SEEDS_START
-from parking_exp.evaluation.evaluate_policy import describe_success, evaluate, rank, summarise
+from parking_exp.evaluation.evaluate_policy import describe_rates, evaluate, rank, summarise
 from parking_exp.runs.directory import RunDirectory
 from parking_exp.runs.metric_logs import EPISODES_FILE, METRICS_FILE, MONITOR_FILE, MetricsLog, append_episodes
 from parking_exp.tasks.registry import make_task
@@ -104,7 +104,7 @@ class TrainingLoop:
             episodes = self.run_episodes(self.episode_seeds(self.config.evaluation.n_scenes))
             summary = self.record_evaluation(episodes, "eval")
         self.dump_metrics()
-        self.bar.say(describe_success(summary, self.model.num_timesteps, self.task.metrics))
+        self.bar.say(describe_rates(summary, self.model.num_timesteps, self.task.metrics))
 
     def run_episodes(self, seeds: Sequence[int], simulator: str | None = None) -> pd.DataFrame:
         """Return the greedy policy's episodes, or raise when a signal asks to stop."""

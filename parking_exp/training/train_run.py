@@ -93,14 +93,14 @@ def _train(config: RunConfig, directory: RunDirectory, stop: StopRequest) -> Run
         )
     except (InterruptedRunError, KeyboardInterrupt):
         directory.update(status="interrupted")
-        tracker.close()
+        tracker.mirror()
         raise
     except BaseException as error:
         _record_failure(error, directory, tracker)
         raise FailedRunError(
             f"the run failed: {type(error).__name__}: {error}; its traceback is in {directory.path / 'traceback.txt'}"
         ) from error
-    tracker.close()
+    tracker.mirror()
     result = directory.result()
     assert result is not None
     say(*describe(episodes, make_task(config.env).metrics).split("\n"), *_closing_lines(result, directory))
@@ -112,7 +112,7 @@ def _record_failure(error: BaseException, directory: RunDirectory, tracker: Trac
     try:
         directory.update(status="failed", error=f"{type(error).__name__}: {error}")
         write_atomically(directory.path / "traceback.txt", "".join(traceback.format_exception(error)))
-        tracker.close()
+        tracker.mirror()
     except Exception as second_error:  # the first is reported
         error.add_note(f"while recording the failure: {type(second_error).__name__}: {second_error}")
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args
 from pydantic import Field, FiniteFloat, TypeAdapter, ValidationError
 from rich.table import Table
 
+from parking_exp.config.cell_labels import setting
 from parking_exp.errors import ConfigError, plural
 from parking_exp.runs.atomic_files import read_object
 from parking_exp.runs.directory import is_held
@@ -51,7 +52,8 @@ class TrialRow:
     def label(self) -> str:
         """Its number and what it changes."""
         changed = [
-            f"{key.rpartition('.')[2]}={value}" if "." in key else str(value) for key, value in self.changes.items()
+            f"{key.rpartition('.')[2]}={setting(value)}" if "." in key else setting(value)
+            for key, value in self.changes.items()
         ]
         return f"trial {self.number}: {', '.join(changed) or 'unchanged'}"
 

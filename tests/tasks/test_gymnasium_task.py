@@ -39,7 +39,7 @@ def config(env_id, *overrides):
     [
         ("FetchReech-v4", [], "not registered with Gymnasium; did you mean 'FetchReach-v4'"),
         ("no_such_module:X-v0", [], "needs the module no_such_module, which is not installed"),
-        (f"{TOY}Worded-v0", [], "compute_reward needs more than goals and the numbers"),
+        (f"{TOY}Worded-v0", [], "compute_reward depends on more than goals and the numbers"),
         ("racetrack-v0", [], "not a goal environment: its observation has no desired_goal"),
         (f"{TOY}Plain-v0", [], "not a goal environment: its observation has no desired_goal"),
         (f"{TOY}Discrete-v0", [], r"Discrete\(8\).* continuous"),

@@ -253,7 +253,7 @@ def test_a_failed_store_is_not_tried_again_until_the_end_of_the_run(fresh_dir):
     blocked.unlink()
     tracker.sync()
     assert directory.unsynced == problem
-    tracker.close()
+    tracker.mirror()
     assert directory.unsynced is None
     assert messages[1:] == ["the store is complete again"]
 

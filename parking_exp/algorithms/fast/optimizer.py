@@ -10,9 +10,9 @@ BLOCK = 32
 class FlatTensors:
     """Tensors whose data are views of one flat vector: one operation on the vector updates them all.
 
-    They stay the same objects, in place: what reads, saves or loads them notices nothing. Torch computes in blocks of
-    32 and rounds the rest of a vector otherwise; so tensors that fill whole blocks come first, and the small rest of a
-    usual network (biases of its outputs) last. Then every element is rounded as it would be in its own tensor.
+    Tensors keep their identity, so code that reads, saves or loads them needs no change. Torch rounds the tail of a
+    vector, its length modulo 32, differently: tensors of whole blocks come first, so that every element is rounded as
+    it would be in its own tensor.
     """
 
     def __init__(self, tensors: Sequence[torch.Tensor]) -> None:

@@ -86,12 +86,10 @@ class EgoFrameExtractor(TaskFeatures):
 class FineEgoFrameExtractor(EgoFrameExtractor):
     """Ego-frame features, the car in the goal's frame, both also at the scale of a slot, in a lot turned to the goal.
 
-    Turned by 180 degrees the lot is the same: pose and heading are turned where the goal's y is negative. That halves
-    what is to be learned, and changes no action. The last metre to the goal is a tenth of a feature in units of 10 m,
-    and the reward has a cusp there: positions and reward come at that scale, too. To enter a slot the car must be in
-    line with it: from the ego frame alone networks would have to learn products of features to see that.
-
-    The other vehicles are seen from the goal, too: that tells which of its neighbours are there.
+    The lot is symmetric under a turn by 180 degrees, so pose and heading are turned where the goal's y is negative,
+    which halves the state space and changes no action. Positions and reward also come at the scale of a slot, since the
+    reward has a cusp at the goal. The goal's frame shows whether the car is in line with the slot, and which of the
+    neighbouring slots are taken.
 
     Output, shape (batch, 19 + 9 K), or (batch, 20 + 9 K) if `reward_weights` weigh velocity: the features of
     `EgoFrameExtractor` but for the vehicles; the car's position along and across the goal's heading, seen from the goal

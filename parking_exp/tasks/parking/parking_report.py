@@ -1,4 +1,4 @@
-"""Report section of parking: definition of success, map of the lot."""
+"""Report sections of parking: map of the lot, rates by number of parked cars."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any

@@ -8,7 +8,7 @@ import numpy as np
 
 from parking_exp.tasks.parking.geometry import N_SLOTS, SLOT_HEADINGS, SLOT_POSITIONS, SLOTS_PER_ROW
 
-NO_SLOT = -1  # of a car that a scene with fewer cars than others lacks
+NO_SLOT = -1  # of a car that is absent, where a scene has fewer than others
 AISLE_M = np.array([33.0, 8.5])  # half the length and width of the area: within the walls, outside of the slots
 START_M = 6.0  # distance from the middle of the lot, where the car starts
 
