@@ -4,7 +4,6 @@ Every error is one sentence that names the key and what is wrong. Our own keys a
 mlflow; the third-party classes, and torch with them, are imported after that.
 """
 
-import itertools
 from collections.abc import Iterable, Mapping, Set
 from typing import Any, TypeVar
 
@@ -32,7 +31,7 @@ def refuse(problems: Iterable[str]) -> None:
     Raises:
         ConfigError: with the first five of them.
     """
-    if first := list(itertools.islice(problems, MAX_ERRORS)):
+    if first := list(dict.fromkeys(problems))[:MAX_ERRORS]:  # cells of a sweep may share one
         raise ConfigError("\n".join(first))
 
 

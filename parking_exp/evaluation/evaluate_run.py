@@ -128,7 +128,7 @@ def evaluate_runs(configs: Sequence[DictConfig]) -> None:
         for agent in find(request.run, request.output_path, request.model, trust=request.trust)
     ]
     if len({evaluation.folder for evaluation in evaluations}) < len(evaluations):
-        raise ConfigError("these are several evaluations of one agent, each with a folder of its own; leave name out")
+        raise ConfigError("two of these evaluations would share a folder; leave name out, and name each run once")
     rates = [_evaluate_and_store(evaluation) for evaluation in evaluations]
     if len(evaluations) > 1:
         say("", *compare(evaluations, rates).split("\n"))

@@ -83,8 +83,9 @@ def storage_of(folder: Path) -> Any:
     path = folder / STUDY_FILE
     # Not all files of the folder: those of cells may be on another disk.
     refuse_links((file for names in (".*", "study.*", f"{TRIALS_FOLDER}/*") for file in folder.glob(names)), folder)
-    folder.mkdir(parents=True, exist_ok=True)
-    path.touch()
+    if not path.exists():  # status and report read studies of directories that are read-only
+        folder.mkdir(parents=True, exist_ok=True)
+        path.touch()
     return JournalStorage(JournalFileBackend(str(path), lock_obj=cast(Any, _JournalLock(path))))
 
 
