@@ -2,9 +2,9 @@
 
 from typing import Annotated, Any, Literal
 
-from pydantic import Field
+from pydantic import Field, NonNegativeFloat, NonNegativeInt, PositiveFloat, PositiveInt
 
-from parking_exp.config_model import Count, NonNegative, Positive, PositiveFloat, Share
+from parking_exp.config_model import Share
 
 GoalStrategy = Literal["future", "final", "episode", "random"]
 RelabelCollision = Literal["keep", "sb3", "exclude"]
@@ -22,36 +22,36 @@ HER_OPTIONS = ("n_sampled_goal", *RELABEL_OPTIONS)
 Decay = Annotated[float, Field(ge=0, lt=1)]
 LIMITS: dict[str, Any] = {
     "learning_rate": PositiveFloat,
-    "learning_starts": Count,
+    "learning_starts": NonNegativeInt,
     "batch_size": Annotated[int, Field(ge=1, le=1_000_000)],
     "tau": Share,
     "gamma": Share,
-    "train_freq": Positive | Annotated[tuple[Positive, Literal["step", "episode"]], Field(strict=False)],
+    "train_freq": PositiveInt | Annotated[tuple[PositiveInt, Literal["step", "episode"]], Field(strict=False)],
     "gradient_steps": Annotated[int, Field(ge=-1)],  # -1: as many as steps
-    "policy_delay": Positive,
-    "target_update_interval": Positive,
-    "target_policy_noise": NonNegative,
-    "target_noise_clip": NonNegative,
+    "policy_delay": PositiveInt,
+    "target_update_interval": PositiveInt,
+    "target_policy_noise": NonNegativeFloat,
+    "target_noise_clip": NonNegativeFloat,
     "ent_coef": PositiveFloat | Annotated[str, Field(pattern=r"^auto(_\d+(\.\d*)?(e-?\d+)?)?$")],
     "target_entropy": float | Literal["auto"],
-    "stats_window_size": Positive,
-    "top_quantiles_to_drop_per_net": Count,
-    "n_sampled_goal": Positive,
+    "stats_window_size": PositiveInt,
+    "top_quantiles_to_drop_per_net": NonNegativeInt,
+    "n_sampled_goal": PositiveInt,
     "goal_selection_strategy": GoalStrategy,
     **RELABEL_OPTIONS,
     "n_critics": Annotated[int, Field(ge=1, le=100)],
     "n_quantiles": Annotated[int, Field(ge=1, le=10_000)],
-    "weight_decay": NonNegative,
-    "eps": NonNegative,
+    "weight_decay": NonNegativeFloat,
+    "eps": NonNegativeFloat,
     "betas": Annotated[list[Decay], Field(min_length=2, max_length=2)],
     **dict.fromkeys(("policy_kwargs", "optimizer_kwargs", "features_extractor_kwargs"), dict),
 }
 # By class, arguments whose names mean something else elsewhere.
-NOISE = {"mean": float | list[float], "sigma": NonNegative | list[NonNegative]}
+NOISE = {"mean": float | list[float], "sigma": NonNegativeFloat | list[NonNegativeFloat]}
 CLASS_LIMITS: dict[str, dict[str, Any]] = {
-    "LinearSchedule": {"start": PositiveFloat, "end": NonNegative, "end_fraction": Share},
+    "LinearSchedule": {"start": PositiveFloat, "end": NonNegativeFloat, "end_fraction": Share},
     "ConstantSchedule": {"val": PositiveFloat},
     "NormalActionNoise": NOISE,
     "EpsilonRandomActionNoise": {**NOISE, "epsilon": Annotated[float, Field(ge=0, le=1)]},
-    "OrnsteinUhlenbeckActionNoise": {**NOISE, "theta": NonNegative, "dt": PositiveFloat},
+    "OrnsteinUhlenbeckActionNoise": {**NOISE, "theta": NonNegativeFloat, "dt": PositiveFloat},
 }

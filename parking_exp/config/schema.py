@@ -9,11 +9,11 @@ from fractions import Fraction
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, NonNegativeInt, PositiveFloat, PositiveInt
 
 from parking_exp.config.paths import absolute, default_uri, directory_path, refuse_password
 from parking_exp.config.run_key import result_part, short_hash
-from parking_exp.config_model import ConfigModel, Count, EpisodeSeed, Name, NumberOfEpisodes, Positive, PositiveFloat
+from parking_exp.config_model import ConfigModel, EpisodeSeed, Name, NumberOfEpisodes
 from parking_exp.tasks.env_config import EnvConfig
 
 STORES = re.compile(r"sqlite:///[^?]+|(https?|postgresql|mysql|mssql)(\+\w+)?://.+|databricks.*")
@@ -65,19 +65,19 @@ class BufferConfig(ThirdParty):
 class EvaluationConfig(ConfigModel):
     """Evaluation on episodes with fixed seeds, during training and at its end."""
 
-    every_n_steps: Positive | None
+    every_n_steps: PositiveInt | None
     n_scenes: NumberOfEpisodes
     final_n_scenes: NumberOfEpisodes
     n_certified_scenes: NumberOfEpisodes
     first_scene: EpisodeSeed
-    video_episodes: Count
+    video_episodes: NonNegativeInt
 
 
 class CheckpointConfig(ConfigModel):
     """Checkpoints of the whole training state."""
 
-    every_n_steps: Positive | None
-    keep_last: Positive
+    every_n_steps: PositiveInt | None
+    keep_last: PositiveInt
 
 
 class StoreConfig(ConfigModel):
@@ -94,7 +94,7 @@ class TrackingConfig(ConfigModel):
     stdout: bool
     csv: bool
     tensorboard: bool
-    log_interval: Positive
+    log_interval: PositiveInt
     progress_bar: bool
 
 
@@ -121,7 +121,7 @@ class RunConfig(OutputConfig):
 
     experiment_name: Name
     seed: Annotated[int, Field(ge=0, lt=2**32)]
-    total_timesteps: Positive
+    total_timesteps: PositiveInt
     n_envs: Annotated[int, Field(ge=1, le=100_000)]
     updates_per_step: Annotated[float, Field(ge=0.001, le=1000)]  # 0.001: one update in 1,000 steps of each env
     device: Annotated[str, Field(pattern=r"^(cpu|auto|cuda(:\d{1,3})?)$")]

@@ -7,13 +7,14 @@ from pathlib import Path
 from typing import Any
 
 from omegaconf import DictConfig, OmegaConf
+from pydantic import NonNegativeInt
 
 from parking_exp.config.cell_labels import can_matter, find_factors, labels_from_factors, setting, settings_of
 from parking_exp.config.paths import default_uri, is_same_store
 from parking_exp.config.run_key import short_hash
 from parking_exp.config.schema import RunConfig, StoreConfig
 from parking_exp.config.validate import SWEEP_KEYS, check, parse, refuse
-from parking_exp.config_model import TRAINING_SEEDS_START, ConfigModel, Count, EpisodeSeed, Name, NumberOfEpisodes
+from parking_exp.config_model import TRAINING_SEEDS_START, ConfigModel, EpisodeSeed, Name, NumberOfEpisodes
 from parking_exp.errors import ConfigError, VideoError, plural
 from parking_exp.evaluation.agents import Agent, AgentRequest, find_agents, is_pretrained
 from parking_exp.runs.atomic_files import write_json
@@ -25,7 +26,7 @@ from parking_exp.terminal import Screen, say
 
 TRAINING_KEYS = ({*RunConfig.model_fields} | SWEEP_KEYS) - {"env", "output_dir", "tracking"}
 """Keys of the recipe that an option of `env` may set."""
-EPISODES, PRETRAINED_EPISODES = 100, 20  # by default; the cards of pretrained agents have the rates of 500
+DEFAULT_EPISODES, PRETRAINED_EPISODES = 100, 20  # by default; the cards of pretrained agents have the rates of 500
 
 
 class ResultsTracking(StoreConfig):
@@ -46,7 +47,7 @@ class EvaluationRequest(AgentRequest):
     episodes: NumberOfEpisodes | None
     first_scene: EpisodeSeed
     simulator: str | None
-    video: Count
+    video: NonNegativeInt
     gif: bool
     name: Name | None
     tracking: ResultsTracking
@@ -55,7 +56,7 @@ class EvaluationRequest(AgentRequest):
     @property
     def seeds(self) -> range:
         """Seeds of the episodes."""
-        n_episodes = self.episodes or (PRETRAINED_EPISODES if is_pretrained(self.run) else EPISODES)
+        n_episodes = self.episodes or (PRETRAINED_EPISODES if is_pretrained(self.run) else DEFAULT_EPISODES)
         return range(self.first_scene, self.first_scene + n_episodes)
 
 

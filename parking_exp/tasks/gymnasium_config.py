@@ -3,11 +3,11 @@
 from collections.abc import Iterator, Mapping
 from typing import Annotated, Any, ClassVar, Literal, Self
 
-from pydantic import Field
+from pydantic import Field, PositiveInt
 
-from parking_exp.config_model import ConfigModel, Name, Positive
+from parking_exp.config_model import ConfigModel, Name
 
-ENV_ID = r"^([A-Za-z_][\w.]*:)?([\w-]+/)?[\w.-]+$"
+ENV_ID_PATTERN = r"^([A-Za-z_][\w.]*:)?([\w-]+/)?[\w.-]+$"
 
 
 class GymnasiumConfig(ConfigModel):
@@ -19,9 +19,9 @@ class GymnasiumConfig(ConfigModel):
 
     task: Literal["gymnasium"]
     name: Name
-    id: Annotated[str, Field(pattern=ENV_ID)]
+    id: Annotated[str, Field(pattern=ENV_ID_PATTERN)]
     kwargs: dict[str, Any]
-    max_episode_steps: Positive | None
+    max_episode_steps: PositiveInt | None
     vectorization: Literal["sync", "async"]
     success_key: str | None
     failure_key: str | None

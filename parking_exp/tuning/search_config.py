@@ -3,10 +3,10 @@
 import json
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
-from pydantic import Field, model_validator
+from pydantic import Field, NonNegativeInt, PositiveInt, model_validator
 
 from parking_exp.config.schema import SweepOptions
-from parking_exp.config_model import Bounds, ConfigModel, Count, Name, Positive
+from parking_exp.config_model import Bounds, ConfigModel, Name
 
 if TYPE_CHECKING:
     from optuna.distributions import BaseDistribution
@@ -91,7 +91,7 @@ class SearchConfig(ConfigModel):
     pruner: Literal["median"] | None
     tuning_seeds: Seeds
     test_seeds: Seeds
-    n_retest: Count
+    n_retest: NonNegativeInt
 
     @model_validator(mode="after")
     def _check(self) -> Self:
@@ -107,8 +107,8 @@ class TuneRequest(SweepOptions):
     """The keys of `conf/tune.yaml` beside those of a run."""
 
     search: SearchConfig
-    n_trials: Positive
-    n_workers: Positive | None
+    n_trials: PositiveInt
+    n_workers: PositiveInt | None
 
 
 class SearchFile(ConfigModel):

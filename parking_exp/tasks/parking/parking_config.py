@@ -3,17 +3,9 @@
 from collections.abc import Iterator, Mapping
 from typing import Annotated, Any, ClassVar, Literal, Self
 
-from pydantic import AfterValidator, Field
+from pydantic import AfterValidator, Field, PositiveFloat
 
-from parking_exp.config_model import (
-    Bounds,
-    ConfigModel,
-    Duration,
-    Name,
-    Pixels,
-    PositiveFloat,
-    Range,
-)
+from parking_exp.config_model import Bounds, ConfigModel, Duration, Name, Pixels, Range
 
 ENV_ID = "parking-v0"
 DEFAULT_FEATURES = ["x", "y", "vx", "vy", "cos_h", "sin_h"]
