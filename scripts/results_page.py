@@ -23,10 +23,11 @@ sys.path.insert(0, str(ROOT))
 
 from parking_exp import statistics
 from parking_exp.reports import formats
+from parking_exp.reports.cell_comparisons import seed_rates
 from parking_exp.reports.report_builder import build_report
 from parking_exp.reports.report_data import Cell, Pair, ReportData
 from parking_exp.results import Results, read_export
-from parking_exp.statistics import MainEffect
+from parking_exp.statistics import SeedRates
 from parking_exp.terminal import say
 
 DOCS = ROOT / "docs"
@@ -43,8 +44,9 @@ COLUMNS = {
     "success": ("success, %", lambda cell: formats.percent_interval(cell.success)),
     "crash": ("crash, % (range)", lambda cell: _range(cell, "crash")),
     "parked": ("parked, %", lambda cell: formats.percent_interval(cell.metric("parked"))),
-    "lowest": ("lowest success", lambda cell: formats.percent(min(seed.success for seed in cell.seeds))),
-    "at_90": ("seeds ≥ 90 %", lambda cell: f"{cell.reaching_90.k} of {cell.reaching_90.n}"),
+    "lowest": ("lowest", lambda cell: formats.percent(cell.lowest)),
+    "iqm": ("IQM", lambda cell: formats.percent(cell.iqm)),
+    "at_95": ("seeds ≥ 95 %", lambda cell: formats.share_interval(cell.reaching_95)),
     "area": ("AUC, %", lambda cell: formats.percent_interval(cell.area)),
     "to_90": (
         "steps to 90 %",
@@ -103,6 +105,10 @@ class Experiment:
         pair = pair if pair.a == self.cell(first).id else pair.reverse()
         return f"{formats.points_interval(pair.difference)}, {formats.p_value(pair.p_holm)}"
 
+    def ranks(self, first: str, second: str) -> str:
+        """Return Holm's p of Mann and Whitney's test of two cells' seeds, e.g. `p = 0.012`."""
+        return formats.p_value(self._pair(first, second).rank_p_holm)
+
     def log_rank(self, first: str, second: str) -> str:
         """Return Holm's p of the log-rank test of two cells' times to 90 %, e.g. `p = 0.012`."""
         return formats.p_value(self._pair(first, second).log_rank_p_holm)
@@ -116,38 +122,20 @@ class Experiment:
         factor = next(effect for effect in self.report.effects if effect.factor == key)
         return formats.rate_interval(next(item.effect for item in factor.levels if item.level == level))
 
-    def contrasts(self, key: str, within: str) -> dict[tuple[str, str], str]:
+    def contrasts(self, key: str) -> dict[tuple[str, str], str]:
         """Return the difference between each pair of values of a config key, e.g. `+9.1 [+4.0, +14.2], p = 0.012`.
 
-        Means are over the values of the key `within`; a control without that key is a cell of its own. p is corrected
-        by Holm over all pairs.
+        Cells have equal weights. p and intervals are corrected by Holm over all pairs.
         """
-        rows = [
-            (self._setting(cell, key), self._setting(cell, within), seed.success)
-            for cell in self.report.cells
-            for seed in cell.seeds
-        ]
-        frame = pd.DataFrame(rows, columns=[key, within, "success"])
-        pairs = list(combinations(dict.fromkeys(frame[key]), 2))
-        effects = [statistics.main_effects(frame[frame[key].isin(pair)], [key, within], "success")[0] for pair in pairs]
-        corrected = statistics.holm([effect.p for effect in effects])
+        groups: dict[str, list[SeedRates]] = {}
+        for cell in self.report.cells:
+            groups.setdefault(self._setting(cell, key), []).append(seed_rates(cell))
+        pairs = list(combinations(groups, 2))
+        differences = statistics.compare([(groups[first], groups[second]) for first, second in pairs])
         return {
-            pair: f"{self._first_minus_second(pair, effect)}, {formats.p_value(p)}"
-            for pair, effect, p in zip(pairs, effects, corrected, strict=True)
+            pair: f"{formats.points_interval(difference).replace(' points', '')}, {formats.p_value(difference.p_holm)}"
+            for pair, difference in zip(pairs, differences, strict=True)
         }
-
-    @staticmethod
-    def _first_minus_second(pair: tuple[str, str], effect: MainEffect) -> str:
-        """Return the difference between the two levels of an effect, e.g. `+9.1 [+4.0, +14.2]`."""
-        means = {level.level: level.effect.value or 0.0 for level in effect.levels}
-        highest_minus_lowest = effect.largest
-        assert highest_minus_lowest
-        ends = [highest_minus_lowest.value, highest_minus_lowest.low, highest_minus_lowest.high]
-        if means[pair[0]] < means[pair[1]]:
-            value, low, high = (None if end is None else -end for end in ends)
-            ends = [value, high, low]
-        texts = [formats.points(end) for end in ends]
-        return f"{texts[0]} [{texts[1]}, {texts[2]}]"
 
     def real_share(self, label: str) -> str:
         """Return the fraction of transitions not relabelled at the end of a cell's runs, in percent."""

@@ -12,13 +12,16 @@ from parking_exp import statistics
 from parking_exp.config.cell_labels import Factor
 from parking_exp.reports.report_data import Cell, Pair, Verdict
 from parking_exp.statistics import (
+    Difference,
     Interval,
     MainEffect,
+    SeedRates,
+    compare,
     finite_or_none,
     holm,
     log_rank,
     probability_of_improvement,
-    welch,
+    rank_test,
 )
 
 ALL_PAIRS_UP_TO = 12  # cells: 66 pairs
@@ -55,43 +58,51 @@ def compare_pairs(cells: Sequence[Cell], baseline: str | None) -> Family:
     if not couples:
         return Family([], "", None)
     sentence = (
-        f"Compared were {family}, by Welch's test on the final success of seeds; p is Holm's over this family, "
-        "intervals are for each difference by itself."
+        f"Compared were {family} on the final success of seeds; p is Holm's over this family, and intervals are "
+        "simultaneous: 0 lies outside exactly where p is below 0.05."
     )
     if reference is not None and reference.id != baseline:
         sentence += (
             " The reference was chosen by its result, so that the others' distance from it is too large on average; "
             "name a baseline beforehand to avoid that."
         )
-    pairs = [_compare(a, b) for a, b in couples]
-    p_holm, log_rank_p_holm = (
-        list(map(finite_or_none, holm(p))) for p in ([pair.p for pair in pairs], [pair.log_rank_p for pair in pairs])
-    )
+    differences = compare([([seed_rates(a)], [seed_rates(b)]) for a, b in couples], SIGNIFICANT)
+    pairs = [_compare(a, b, difference) for (a, b), difference in zip(couples, differences, strict=True)]
     corrected = [
-        replace(pair, p_holm=p, log_rank_p_holm=times_p, verdict=_judge(pair.difference, p))
-        for pair, p, times_p in zip(pairs, p_holm, log_rank_p_holm, strict=True)
+        replace(pair, rank_p_holm=finite_or_none(rank_p), log_rank_p_holm=finite_or_none(log_rank_p))
+        for pair, rank_p, log_rank_p in zip(
+            pairs, holm([pair.rank_p for pair in pairs]), holm([pair.log_rank_p for pair in pairs]), strict=True
+        )
     ]
     return Family(corrected, sentence, reference.id if reference else None)
 
 
-def _compare(a: Cell, b: Cell) -> Pair:
-    rates_a, rates_b = ([seed.success for seed in cell.seeds if seed.success is not None] for cell in (a, b))
-    test = welch(rates_a, rates_b)
+def seed_rates(cell: Cell) -> SeedRates:
+    """Return the final success of a cell's seeds, and the fewest episodes of one."""
+    seeds = [seed for seed in cell.seeds if seed.success is not None]
+    episodes = [seed.n_episodes for seed in seeds if seed.n_episodes]
+    return SeedRates([seed.success or 0.0 for seed in seeds], min(episodes) if len(episodes) == len(seeds) else None)
+
+
+def _compare(a: Cell, b: Cell, difference: Difference) -> Pair:
     times_a, times_b = (
         [(seed.steps_to_90, seed.reached_90) for seed in cell.seeds if seed.steps_to_90 is not None] for cell in (a, b)
     )
     both_timed = times_a and times_b
     log_rank_p = log_rank([*zip(*times_a, strict=True)], [*zip(*times_b, strict=True)]) if both_timed else None
+    rates_a, rates_b = seed_rates(a).rates, seed_rates(b).rates
     return Pair(
         a=a.id,
         b=b.id,
-        difference=test.clipped(-1, 1),
-        p=test.p,
-        p_holm=None,
+        difference=difference,
+        p=difference.p,
+        p_holm=difference.p_holm,
+        rank_p=rank_test(rates_a, rates_b),
+        rank_p_holm=None,
         improvement=probability_of_improvement(rates_a, rates_b),
         log_rank_p=log_rank_p,
         log_rank_p_holm=None,
-        verdict="unknown",
+        verdict=_judge(difference, difference.p_holm),
     )
 
 
@@ -120,4 +131,6 @@ def main_effects(cells: Sequence[Cell], factors: Sequence[Factor]) -> list[MainE
     rows = [
         {**cell.settings, "success": seed.success} for cell in full for seed in cell.seeds if seed.success is not None
     ]
-    return statistics.main_effects(pd.DataFrame(rows), list(crossed), "success") if rows else []
+    episodes = [seed_rates(cell).n_episodes for cell in full]
+    n_episodes = None if None in episodes else min(filter(None, episodes), default=None)
+    return statistics.main_effects(pd.DataFrame(rows), list(crossed), "success", n_episodes) if rows else []

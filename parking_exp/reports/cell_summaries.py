@@ -1,6 +1,7 @@
 """Summary of a cell over its seeds: means, learning curve, times to 90 %."""
 
 import math
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import Any
@@ -16,8 +17,8 @@ from parking_exp.statistics import (
     Proportion,
     coverage_note,
     finite_or_none,
+    interquartile_mean,
     kaplan_meier,
-    mean_band,
     mean_interval,
     normalised_area,
     restricted_mean,
@@ -30,6 +31,7 @@ from parking_exp.tasks.metrics import EPISODE_SEED, Metric
 from parking_exp.tasks.registry import FAILURES, METRICS, task_reports
 
 SUCCESS_THRESHOLD = 0.9
+RELIABLE = 0.95  # final success of a seed
 HOLD = 3  # evaluations in a row
 STAGES = {"interrupted": "pending"}
 REPORTED: dict[str, Metric] = {
@@ -78,8 +80,9 @@ def summarise(
     runs: list[dict[str, Any]] = cell.done[RUN_COLUMNS].to_dict("records")  # type: ignore[assignment]
     seeds = [_summarise_run(run, evaluations) for run in runs]
     success = [seed.success for seed in seeds if seed.success is not None]
+    n_episodes = min((seed.n_episodes or 0 for seed in seeds), default=0) or None
     means = {
-        name: _average([finite_or_none(run[metric.run_column]) for run in runs], is_rate=metric.is_rate)
+        name: _average([finite_or_none(run[metric.run_column]) for run in runs], metric.is_rate, n_episodes)
         for name, metric in REPORTED.items()
     }
     return Cell(
@@ -92,7 +95,9 @@ def summarise(
         total_timesteps=_to_int(cell.config.get("total_timesteps")),
         cpu_s=_average([seed.cpu_s for seed in seeds]),
         area=_average([seed.area for seed in seeds], is_rate=True),
-        reaching_90=share_reaching(success, SUCCESS_THRESHOLD) if success else Proportion(0, 0, None, None),
+        lowest=min(success, default=None),
+        iqm=interquartile_mean(success) if success else None,
+        reaching_95=share_reaching(success, RELIABLE) if success else Proportion(0, 0, None, None),
         seeds=seeds,
         curve=_average_curves(cell.runs if unfinished else cell.done, evaluations),
         task_data=_summarise_task(cell, [evaluations.final[s.run_id] for s in seeds if s.run_id in evaluations.final]),
@@ -165,13 +170,15 @@ def _average_curves(runs: pd.DataFrame, evaluations: RunEvaluations) -> Curve | 
     for row, curve in enumerate(curves.values()):
         at = np.searchsorted(steps, curve["step"])
         success[row, at], failure[row, at] = curve["success_rate"], curve["failure_rate"]
-    band = mean_band(success)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)  # of steps at which no seed was evaluated
+        mean, low, high = (of(success, axis=0) for of in (np.nanmean, np.nanmin, np.nanmax))
     return Curve(
         step=steps.tolist(),
-        mean=[point.value for point in band],
-        low=[point.low for point in band],
-        high=[point.high for point in band],
-        n=[point.n for point in band],
+        mean=[finite_or_none(value) for value in mean.tolist()],
+        low=[finite_or_none(value) for value in low.tolist()],
+        high=[finite_or_none(value) for value in high.tolist()],
+        n=np.count_nonzero(~np.isnan(success), axis=0).tolist(),
         failure=[float(known.mean()) if len(known := rates[~np.isnan(rates)]) else None for rates in failure.T],
         seeds=[
             (seed, curve["step"].tolist(), [finite_or_none(rate) for rate in curve["success_rate"]])
@@ -194,9 +201,11 @@ def _measure_time_to_90(seeds: Sequence[RunSummary], horizon: float | None) -> d
     }
 
 
-def _average(values: Sequence[float | None], *, is_rate: bool = False) -> Interval:
-    known, interval = [value for value in values if value is not None], mean_interval if is_rate else student_interval
-    return interval(known) if known else Interval(None)
+def _average(values: Sequence[float | None], is_rate: bool = False, n_episodes: int | None = None) -> Interval:
+    known = [value for value in values if value is not None]
+    if not known:
+        return Interval(None)
+    return mean_interval(known, n_episodes) if is_rate else student_interval(known)
 
 
 def _count_stages(status: pd.Series) -> dict[str, int]:

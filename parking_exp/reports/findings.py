@@ -35,9 +35,9 @@ def describe_cells(cells: Sequence[Cell], family: Family) -> Iterator[str]:
     reference = next((cell for cell in rated if cell.id == family.reference), best)
     yield from _describe_comparisons(reference, {cell.id: cell.label for cell in rated}, family.pairs)
     if shares := [
-        f"{quoted_label(cell.label)} {_write_share(cell.reaching_90)}" for cell in rated if cell.reaching_90.n > 1
+        f"{quoted_label(cell.label)} {_write_share(cell.reaching_95)}" for cell in rated if cell.reaching_95.n > 1
     ]:
-        yield f"Seeds that end at 90 % or above: {_join_first(shares)}."
+        yield f"Seeds that end at 95 % or above: {_join_first(shares)}."
 
 
 def describe_factors(factors: Sequence[Factor], effects: Sequence[MainEffect]) -> Iterator[str]:

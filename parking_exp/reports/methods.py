@@ -4,23 +4,21 @@ from collections.abc import Iterator
 
 from parking_exp.reports.report_data import ReportData
 from parking_exp.statistics import Interval, unseen_share
-from parking_exp.statistics.intervals import BOOTSTRAP, EXACT, NONE, SCORE, T
+from parking_exp.statistics.intervals import NONE, T
+from parking_exp.statistics.means import SEEDS_AND_EPISODES
 from parking_exp.tasks.registry import task_reports
 
 INTERVALS = {
-    BOOTSTRAP: "Intervals of means over 5 seeds and more are studentised bootstrap intervals: where rates pile up "
-    "below 100 %, Student's and BCa's cover less than 95 %.",
-    SCORE: "Intervals of means over 2 to 4 seeds are Wilson's, with Student's quantile and the effective sample size "
-    "that the variance between seeds implies.",
-    EXACT: "Where all seeds have the same rate, such as 0 % or 100 %, the interval is a distribution-free bound.",
+    SEEDS_AND_EPISODES: "Intervals of rates are for the mean of all possible seeds: a Bayesian bootstrap of the seeds "
+    "and of one unseen seed, at least as wide as Clopper and Pearson's of all episodes together.",
     T: "Intervals of CPU-seconds and of the length of episodes are Student's.",
     NONE: "A single seed has no interval.",
 }
 REFERENCES = (
-    "Wilson, J. Am. Stat. Assoc. 22 (1927). Welch, Biometrika 34 (1947). Kaplan & Meier, J. Am. Stat. Assoc. 53 "
-    "(1958). Holm, Scand. J. Stat. 6 (1979). Efron & Tibshirani, An Introduction to the Bootstrap, 12.5 (1993). Korn & "
-    "Graubard, Survey Methodology 24 (1998). Newcombe, Stat. Med. 25 (2006). Agarwal et al., NeurIPS (2021), on the "
-    "probability of improvement."
+    "Wilson, J. Am. Stat. Assoc. 22 (1927). Clopper & Pearson, Biometrika 26 (1934). Mann & Whitney, Ann. Math. Stat. "
+    "18 (1947). Kaplan & Meier, J. Am. Stat. Assoc. 53 (1958). Holm, Scand. J. Stat. 6 (1979). Rubin, Ann. Stat. 9 "
+    "(1981), on the Bayesian bootstrap. Walley, J. R. Stat. Soc. B 58 (1996). Newcombe, Stat. Med. 25 (2006). Agarwal "
+    "et al., NeurIPS (2021), on the probability of improvement and the interquartile mean."
 )
 
 
@@ -35,7 +33,7 @@ def describe_methods(report: ReportData) -> Iterator[str]:
     used = {interval.method for interval in intervals if interval.n}
     yield from (sentence for method, sentence in INTERVALS.items() if method in used)
     yield "CPU-seconds of a run count everything, its final evaluation and cross-check included."
-    yield "All intervals are at 95 %. Shares of episodes and of seeds have Wilson's."
+    yield "All intervals are at 95 %. Shares of episodes have Wilson's, shares of seeds Clopper and Pearson's."
     fewest = min((cell.success.n for cell in report.cells if cell.success.n), default=0)
     if fewest > 1:
         yield (
@@ -44,8 +42,8 @@ def describe_methods(report: ReportData) -> Iterator[str]:
         )
     if report.pairs:
         yield (
-            f"{report.family} The probability of improvement is that a seed of A does better than one of B, ties "
-            "counted half; its interval is Newcombe's."
+            f"{report.family} Ranks of seeds have Mann and Whitney's test, with Holm's correction. The probability of "
+            "improvement is that a seed of A does better than one of B, ties counted half; its interval is Newcombe's."
         )
     if any(cell.survival for cell in report.cells):
         yield (
@@ -56,7 +54,7 @@ def describe_methods(report: ReportData) -> Iterator[str]:
         )
     if report.effects:
         yield (
-            "Main effects are means of cell means; their intervals, and the difference of the best and the worst "
-            "level, are those of linear contrasts (Welch), p is Bonferroni's over the pairs of levels."
+            "Main effects are means of cell means, with intervals made likewise; p of the difference of the best and "
+            "the worst level, and its interval, are Holm's over the pairs of levels."
         )
     yield REFERENCES

@@ -71,7 +71,9 @@ class Cell:
     episode_steps: Interval
     cpu_s: Interval
     area: Interval
-    reaching_90: Proportion
+    lowest: float | None  # success of the worst seed
+    iqm: float | None  # interquartile mean of the seeds' success
+    reaching_95: Proportion  # seeds
     seeds: Sequence[RunSummary] = ()
     curve: Curve | None = None  # None without evaluations during training, as `survival`
     survival: SurvivalCurve | None = None  # of the env steps until three evaluations in a row have 90 %
@@ -98,8 +100,10 @@ class Pair:
     a: str  # ids of the cells
     b: str
     difference: Interval  # mean of a minus mean of b
-    p: float | None  # of Welch's test
-    p_holm: float | None  # corrected for the pairs of the report
+    p: float | None  # of the difference
+    p_holm: float | None  # corrected for the pairs of the report, as the interval of the difference
+    rank_p: float | None  # of Mann and Whitney's test
+    rank_p_holm: float | None
     improvement: Interval  # probability that a seed of a is better than one of b, ties counted half
     log_rank_p: float | None  # of the times to 90 %; None where none was reached
     log_rank_p_holm: float | None

@@ -17,7 +17,7 @@ from parking_exp.errors import ParkingError, ResultsError, first_line, plural
 from parking_exp.reports import formats
 from parking_exp.reports.report_data import ReportData
 from parking_exp.reports.tables.table import Table, column, interval_column, record, spread
-from parking_exp.statistics import Interval, mean_interval, welch
+from parking_exp.statistics import Interval, SeedRates, compare, mean_interval
 from parking_exp.tuning.search import SEARCH_FILE, study_in
 from parking_exp.tuning.trials import (
     OBJECTIVE,
@@ -120,8 +120,8 @@ def _describe_distribution(distribution: Any) -> Mapping[str, Any]:
 
 
 def _compare_seeds(trial: RetestedTrial) -> Interval:
-    """Return the mean on tuning seeds minus that on test seeds, with Welch's interval."""
-    return welch(trial.tuning, trial.test).clipped(-1, 1)
+    """Return the mean on tuning seeds minus that on test seeds."""
+    return compare([([SeedRates(trial.tuning)], [SeedRates(trial.test)])])[0]
 
 
 def describe_search(report: ReportData) -> Iterator[str]:

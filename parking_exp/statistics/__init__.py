@@ -4,10 +4,19 @@ Every training imports this package, so scipy.stats, which takes half a second t
 that need it.
 """
 
-from parking_exp.statistics.comparisons import holm, probability_of_improvement, welch
+from parking_exp.statistics.comparisons import Difference, compare, holm, probability_of_improvement, rank_test
 from parking_exp.statistics.effects import MainEffect, main_effects
-from parking_exp.statistics.intervals import Interval, coverage_note, mean_band, mean_interval, student_interval
-from parking_exp.statistics.rates import Proportion, finite_or_none, share_reaching, unseen_share, wilson_interval
+from parking_exp.statistics.intervals import Interval, coverage_note, student_interval
+from parking_exp.statistics.means import SeedRates, mean_interval
+from parking_exp.statistics.rates import (
+    Proportion,
+    exact_interval,
+    finite_or_none,
+    interquartile_mean,
+    share_reaching,
+    unseen_share,
+    wilson_interval,
+)
 from parking_exp.statistics.survival import (
     SurvivalCurve,
     kaplan_meier,
@@ -18,25 +27,29 @@ from parking_exp.statistics.survival import (
 )
 
 __all__ = [
+    "Difference",
     "Interval",
     "MainEffect",
     "Proportion",
+    "SeedRates",
     "SurvivalCurve",
+    "compare",
     "coverage_note",
+    "exact_interval",
     "finite_or_none",
     "holm",
+    "interquartile_mean",
     "kaplan_meier",
     "log_rank",
     "main_effects",
-    "mean_band",
     "mean_interval",
     "normalised_area",
     "probability_of_improvement",
+    "rank_test",
     "restricted_mean",
     "share_reaching",
     "steps_to",
     "student_interval",
     "unseen_share",
-    "welch",
     "wilson_interval",
 ]

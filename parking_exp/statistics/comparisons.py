@@ -1,7 +1,6 @@
-"""Comparison of two cells: Welch's test, probability of improvement, Holm's correction. Seeds are not paired."""
+"""Comparison of cells: differences, probability of improvement, Holm's correction. Seeds are not paired."""
 
 import math
-import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -9,42 +8,52 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from parking_exp.statistics.intervals import Interval
+from parking_exp.statistics.means import SeedRates, contrast
 from parking_exp.statistics.rates import Z, finite
+
+Cells = Sequence[SeedRates]
 
 
 @dataclass(frozen=True)
 class Difference(Interval):
-    """mean(a) - mean(b) with its interval, two-sided p and degrees of freedom; None where the data allow for none."""
+    """mean(a) - mean(b) with its interval, and two-sided p, also corrected by Holm; None where there is none."""
 
     p: float | None = None
-    df: float | None = None
+    p_holm: float | None = None
 
 
-def welch(a: ArrayLike, b: ArrayLike) -> Difference:
-    """Return the difference of two means over seeds, shapes (n_a,) and (n_b,), by Welch's test (Welch 1947).
+def compare(pairs: Sequence[tuple[Cells, Cells]], alpha: float = 0.05) -> list[Difference]:
+    """Return the differences of a family of pairs: the mean of some cells' means minus that of others.
 
-    With fewer than two seeds on a side, there is neither an interval nor p. Where neither side scatters, Welch's test
-    is undefined: there is no interval, and p is 1 for equal values, else that of the exact permutation test,
-    2 / binom(n_a + n_b, n_a): 10 against 10 seeds give 0.00001, 2 against 2 only 0.33.
+    p is Holm's over the family. Intervals are simultaneous: each is at the level at which Holm's method tests its pair,
+    so that 0 lies outside exactly where p is below alpha. Where a cell has a single seed there is neither.
+    """
+    contrasts = [contrast(a, b) for a, b in pairs]
+    corrected = holm([draws.p for draws in contrasts]).tolist()
+    return [
+        Difference(**vars(draws.interval(alpha * draws.p / p_holm)), p=draws.p, p_holm=p_holm)
+        if draws.p is not None
+        else Difference(**vars(draws.interval()))
+        for draws, p_holm in zip(contrasts, corrected, strict=True)
+    ]
+
+
+def rank_test(a: ArrayLike, b: ArrayLike) -> float | None:
+    """Return the two-sided p of Mann and Whitney's test (1947) of seeds, shapes (n_a,) and (n_b,).
+
+    It is exact without ties. With fewer than two seeds on a side there is none.
 
     Raises:
         ValueError: a side is empty or holds NaN.
     """
     from scipy import stats
 
-    first, second = finite(a, "a difference of means"), finite(b, "a difference of means")
-    m, n = len(first), len(second)
-    difference = float(first.mean() - second.mean())
-    if min(m, n) < 2:
-        return Difference(difference, n=min(m, n))
-    if np.ptp(first) == 0 and np.ptp(second) == 0:
-        p = 1.0 if first[0] == second[0] else 2 / math.comb(m + n, m)
-        return Difference(float(first[0] - second[0]), n=min(m, n), method="permutation, no scatter", p=p)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", RuntimeWarning)  # of one side without scatter
-        test = stats.ttest_ind(first, second, equal_var=False)
-    low, high = map(float, test.confidence_interval())
-    return Difference(difference, low, high, min(m, n), "Welch", float(test.pvalue), float(test.df))
+    first, second = finite(a, "a rank test"), finite(b, "a rank test")
+    if min(len(first), len(second)) < 2:
+        return None
+    if np.ptp([*first, *second]) == 0:
+        return 1.0
+    return float(stats.mannwhitneyu(first, second, method="auto").pvalue)
 
 
 def probability_of_improvement(a: ArrayLike, b: ArrayLike) -> Interval:

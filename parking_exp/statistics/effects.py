@@ -4,20 +4,19 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from itertools import combinations
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-from scipy.special import stdtr, stdtrit
-
-from parking_exp.statistics.comparisons import Difference
+from parking_exp.statistics.comparisons import compare
 from parking_exp.statistics.intervals import Interval
+from parking_exp.statistics.means import SeedRates, contrast
 
 if TYPE_CHECKING:  # a training imports this package, but not pandas
     from collections.abc import Mapping, Sequence
 
     import pandas as pd
 
-    Cells = Mapping[tuple[Any, ...], np.ndarray]  # levels of the factors -> responses
+    Cells = Mapping[tuple[Any, ...], Any]  # levels of the factors -> responses
 
 
 @dataclass(frozen=True)
@@ -37,8 +36,8 @@ class MainEffect:
         factor: its name.
         levels: the mean of each.
         complete: whether all combinations are there; else levels are averaged over different cells.
-        largest: the highest mean minus the lowest; None with a single level.
-        p: of that difference, corrected (Bonferroni) for the choice among all pairs of levels.
+        largest: the highest mean minus the lowest, with an interval corrected as p; None with a single level.
+        p: of that difference, corrected (Holm) over all pairs of levels.
     """
 
     factor: str
@@ -48,14 +47,15 @@ class MainEffect:
     p: float | None = None
 
 
-def main_effects(frame: pd.DataFrame, factors: Sequence[str], response: str) -> list[MainEffect]:
+def main_effects(
+    frame: pd.DataFrame, factors: Sequence[str], response: str, n_episodes: int | None = None
+) -> list[MainEffect]:
     """Return the mean of cell means for every level of every factor; `frame` has a row per seed.
 
-    Cells have equal weights. The response is a rate in 0 ... 1. The interval is that of a linear contrast of
-    independent means with their own variances (Welch 1947; Satterthwaite 1946 for the degrees of freedom), clipped to
-    0 ... 1. There is no interval if a cell of the level has a single seed or all values are equal.
+    Cells have equal weights. The response is a rate in 0 ... 1, each over `n_episodes` episodes. Intervals and p are
+    those of `compare`; there are none if a cell of the level has a single seed.
     """
-    cells = _cells(frame, factors, response)
+    cells = {key: SeedRates(values, n_episodes) for key, values in _cells(frame, factors, response).items()}
     levels = [_levels(cells, place) for place in range(len(factors))]
     complete = len(cells) == math.prod(map(len, levels))
     effects = []
@@ -65,37 +65,14 @@ def main_effects(frame: pd.DataFrame, factors: Sequence[str], response: str) -> 
     return effects
 
 
-def _main_effect(name: str, own: Mapping[Any, Sequence[np.ndarray]], complete: bool) -> MainEffect:
-    means = {level: _contrast(values, []) for level, values in own.items()}
-    levels = [Level(level, mean.clipped(0, 1), len(own[level])) for level, mean in means.items()]
+def _main_effect(name: str, own: Mapping[Any, Sequence[SeedRates]], complete: bool) -> MainEffect:
+    levels = [Level(level, contrast(cells).interval(), len(cells)) for level, cells in own.items()]
     if len(levels) < 2:
         return MainEffect(name, levels, complete)
-    highest, lowest = (choose(means, key=lambda level: means[level].value or 0.0) for choose in (max, min))
-    largest = _contrast(own[highest], own[lowest])
-    p = None if largest.p is None else min(1.0, largest.p * math.comb(len(levels), 2))
-    return MainEffect(name, levels, complete, largest.clipped(-1, 1), p)
-
-
-def _contrast(side: Sequence[np.ndarray], other: Sequence[np.ndarray]) -> Difference:
-    """Return the mean of cell means of one side minus that of the other, which may be empty."""
-    weights = np.array([1 / len(side) for _ in side] + [-1 / len(other) for _ in other])
-    both = [*side, *other]
-    sizes = np.array([len(values) for values in both])
-    difference = float(weights @ [values.mean() for values in both])
-    n = min(sum(map(len, values)) for values in (side, other) if values)
-    squares = weights**2 * [_variance(values) for values in both] / sizes
-    if not (sizes.min() > 1 and squares.sum() > 0):
-        return Difference(difference, n=n)
-    df = float(squares.sum()) ** 2 / float((squares**2 / (sizes - 1)).sum())
-    error = math.sqrt(squares.sum())
-    half = float(stdtrit(df, 0.975)) * error
-    p = 2 * float(stdtr(df, -abs(difference) / error))
-    return Difference(difference, difference - half, difference + half, n, "cells' own variances", p, df)
-
-
-def _variance(values: np.ndarray) -> float:
-    """Return the variance between seeds, exactly 0 without scatter (numpy's is some 1e-32) and for a single seed."""
-    return float(values.var(ddof=1)) if np.ptp(values) > 0 else 0.0
+    order = sorted(levels, key=lambda level: level.effect.value or 0.0, reverse=True)
+    pairs = [(own[high.level], own[low.level]) for high, low in combinations(order, 2)]
+    largest = compare(pairs)[len(levels) - 2]  # the first level minus the last
+    return MainEffect(name, levels, complete, largest, largest.p_holm)
 
 
 def _cells(frame: pd.DataFrame, factors: Sequence[str], response: str) -> Cells:

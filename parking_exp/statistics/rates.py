@@ -6,7 +6,7 @@ from numbers import Real
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.special import ndtri
+from scipy.special import betaincinv, ndtri
 
 
 def finite(values: ArrayLike, purpose: str) -> np.ndarray:
@@ -52,11 +52,25 @@ def wilson_interval(successes: int, trials: int) -> tuple[float, float]:
     return (0.0 if successes == 0 else centre - half), (1.0 if successes == trials else centre + half)
 
 
-def share_reaching(values: ArrayLike, threshold: float = 0.9) -> Proportion:
-    """Return how many of `values`, shape (seeds,), are at least `threshold`, with Wilson's interval of the share."""
+def exact_interval(successes: int, trials: int) -> tuple[float, float]:
+    """Return the ends of Clopper and Pearson's interval of a rate (1934)."""
+    low = betaincinv(successes, trials - successes + 1, 0.025) if successes else 0.0
+    high = betaincinv(successes + 1, trials - successes, 0.975) if successes < trials else 1.0
+    return float(low), float(high)
+
+
+def share_reaching(values: ArrayLike, threshold: float) -> Proportion:
+    """Return how many of `values`, shape (seeds,), are at least `threshold`, with the exact interval of the share."""
     rates = finite(values, "a share of seeds")
     k = int(np.count_nonzero(rates >= threshold))
-    return Proportion(k, len(rates), *wilson_interval(k, len(rates)))
+    return Proportion(k, len(rates), *exact_interval(k, len(rates)))
+
+
+def interquartile_mean(values: ArrayLike) -> float:
+    """Return the mean of `values`, shape (seeds,), without the quarter at each end, rounded down to whole seeds."""
+    rates = np.sort(finite(values, "an interquartile mean"))
+    cut = len(rates) // 4
+    return float(rates[cut : len(rates) - cut].mean())
 
 
 def unseen_share(n: int) -> float:

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from parking_exp.statistics.intervals import Interval, mean_interval
+from parking_exp.statistics.intervals import Interval
+from parking_exp.statistics.means import mean_interval
 from parking_exp.statistics.rates import finite, finite_or_none, wilson_interval
 
 if TYPE_CHECKING:

@@ -11,6 +11,7 @@ from support.result_frames import ALGORITHMS, REPLAY, Run, results, together
 from parking_exp.errors import ConfigError, RunNotFoundError
 from parking_exp.reports.cell_selection import choose, find_baseline, group
 from parking_exp.reports.report_builder import build_report
+from parking_exp.statistics import SeedRates, compare
 
 ENDS = {"sac": [0.8, 1.0, 0.8, 1.0, 1.0], "td3": [0.4, 0.2, 0.4, 0.6, 0.4]}
 GOALS = {str(n): {"buffer.n_sampled_goal": n} for n in (1, 2, 4)}
@@ -38,7 +39,11 @@ def test_the_headline_is_the_mean_over_seeds_of_the_final_rate(two):
     assert (sac.success.value, td3.success.value) == (pytest.approx(0.92), pytest.approx(0.4))
     assert [seed.success for seed in sac.seeds] == ENDS["sac"]
     assert sac.timeout.value == pytest.approx(0.08)
-    assert (sac.reaching_90.k, sac.reaching_90.n) == (3, 5)
+    assert (sac.reaching_95.k, sac.reaching_95.n) == (3, 5)
+    assert (sac.reaching_95.low, sac.reaching_95.high) == pytest.approx(
+        (0.1466, 0.9473), abs=1e-4
+    )  # Clopper & Pearson's
+    assert (sac.lowest, sac.iqm) == (0.8, pytest.approx(2.8 / 3))  # without the highest and the lowest of five
     assert (sac.success.n, sac.counts["done"], sac.seeds[0].n_episodes) == (5, 5, 5)
     assert sac.success.low < 0.92 < sac.success.high
     assert (sac.seeds[0].low, sac.seeds[0].high) == pytest.approx((0.3755, 0.9638), abs=1e-4)  # Wilson's, 4 of 5
@@ -46,19 +51,20 @@ def test_the_headline_is_the_mean_over_seeds_of_the_final_rate(two):
     assert sum(slot["n"] * slot["timeout"] for slot in sac.task_data["slots"]) == pytest.approx(2)
 
 
-def test_pairs_are_welchs_test_with_holms_correction_and_a_verdict(two):
+def test_pairs_are_compared_with_holms_correction_and_have_a_verdict(two):
     (pair,) = two.pairs
-    test = scipy.stats.ttest_ind(ENDS["sac"], ENDS["td3"], equal_var=False)
+    (expected,) = compare([([SeedRates(ENDS["sac"], 5)], [SeedRates(ENDS["td3"], 5)])])
+    assert pair.difference == expected
     assert pair.difference.value == pytest.approx(0.52)
-    assert (pair.p, pair.p_holm) == (pytest.approx(test.pvalue), pytest.approx(test.pvalue))  # a family of one
+    assert pair.p == pair.p_holm == expected.p < 0.05  # a family of one
+    assert pair.rank_p == pair.rank_p_holm == scipy.stats.mannwhitneyu(ENDS["sac"], ENDS["td3"]).pvalue
     assert (pair.improvement.value, pair.verdict) == (1.0, "a")
 
 
 def test_claims_have_the_better_cell_the_difference_and_its_p_value(two):
     assert two.claims[0].startswith("sac has the highest final success: 92.0 % [")
-    assert two.claims[1].startswith("sac is better than td3 (+52.0 points [+33.")
-    assert "p < 0.001" in two.claims[1]
-    assert "Seeds that end at 90 % or above: sac 3 of 5 [23, 88 %]; td3 0 of 5 [0, 43 %]." in two.claims
+    assert two.claims[1].startswith("sac is better than td3 (+52.0 points [+25.7, +69.3], Holm's p = 0.006)")
+    assert "Seeds that end at 95 % or above: sac 3 of 5 [15, 95 %]; td3 0 of 5 [0, 52 %]." in two.claims
     assert "Exploratory: fewer than 10 finished seeds in 2 of 2 cells (the fewest: 5)." in two.warnings
     ends = np.random.default_rng(0).choice([0.4, 0.6, 0.8], 10)
     healthy = content({"sac": {}}, range(10), lambda _, seed: Run(success=ends[seed]))

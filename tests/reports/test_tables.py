@@ -57,10 +57,11 @@ def test_unknown_numbers_are_empty(tmp_path):
     tables = written(replace(report, cells=[report.cells[0], odd, report.cells[2]]), tmp_path)
     rows = tables["headline"]
     assert [rows[1][name] for name in ("cpu_s", "cpu_s_low", "cpu_s_high")] == ["", "", ""]
-    assert [rows[2][name] for name in ("success", "success_low", "survival_median", "reaching_90_low")] == [""] * 4
-    assert (rows[2]["runs_failed"], rows[0]["reaching_90_k"]) == ("10", "10")
+    empty = ("success", "success_low", "survival_median", "lowest", "iqm", "reaching_95_low")
+    assert [rows[2][name] for name in empty] == [""] * len(empty)
+    assert (rows[2]["runs_failed"], rows[0]["reaching_95_k"]) == ("10", "10")
     failed = (tmp_path / "headline.tex").read_text().splitlines()[-4]
-    assert failed == r"ddpg & 0 of 10 & -- & -- & -- & -- & -- & -- & -- & 40,000 & -- \\"
+    assert failed == r"ddpg & 0 of 10 & -- & -- & -- & -- & -- & -- & -- & -- & -- & 40,000 & -- \\"
     assert len(tables["unfinished"]) == 10
 
 

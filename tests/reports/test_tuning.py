@@ -20,7 +20,7 @@ from parking_exp.reports.report_page import render_page
 from parking_exp.reports.search_report import Tuning, add_search, add_tuning, describe_search, read_tuning
 from parking_exp.reports.sections import SECTIONS, draw, section_contents
 from parking_exp.runs.atomic_files import write_json
-from parking_exp.statistics import mean_interval, welch
+from parking_exp.statistics import SeedRates, compare, mean_interval
 from parking_exp.tuning.search import StoredSearch
 from parking_exp.tuning.study import storage_of
 from parking_exp.tuning.trials import read_trials
@@ -135,7 +135,7 @@ def test_importance_takes_trials_that_differ(folder):
         assert not [*draw_parameter_importance(report(tuning=tuning(folder, trials)))]
 
 
-def test_retrained_trials_have_intervals_and_welchs_for_tuning_minus_test(folder, tmp_path):
+def test_retrained_trials_have_intervals_and_so_has_tuning_minus_test(folder, tmp_path):
     tuned, test = [0.9, 0.8], [0.7, 0.6, 0.8]
     write_retest(folder, (1, tuned, test), (0, [0.5, 0.4], [0.5, 0.4, 0.6]))
     whole = report(tuning=tuning(folder, [trial(0.45), trial(0.85)]))
@@ -144,7 +144,8 @@ def test_retrained_trials_have_intervals_and_welchs_for_tuning_minus_test(folder
     assert whole.warnings[-1].endswith("; compare the trials retrained on test seeds.")
     best, other = written(whole, tmp_path / "tables")["retest"]
     assert (best["number"], best["n_tuning"], best["n_test"], other["number"]) == ("1", "2", "3", "0")
-    intervals = {"tuning": mean_interval(tuned), "test": mean_interval(test), "difference": welch(tuned, test)}
+    (difference,) = compare([([SeedRates(tuned)], [SeedRates(test)])])
+    intervals = {"tuning": mean_interval(tuned), "test": mean_interval(test), "difference": difference}
     for name, interval in intervals.items():
         numbers = [float(best[column]) for column in (name, f"{name}_low", f"{name}_high")]
         assert numbers == pytest.approx([interval.value, interval.low, interval.high])

@@ -8,30 +8,34 @@ from itertools import pairwise
 import numpy as np
 import pandas as pd
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from scipy import optimize, stats
 from support import coverage_simulation as simulation
 from support.coverage_simulation import Rates
 
 from parking_exp.statistics import (
     Interval,
+    SeedRates,
+    compare,
     coverage_note,
+    exact_interval,
     holm,
+    interquartile_mean,
     kaplan_meier,
     log_rank,
     main_effects,
-    mean_band,
     mean_interval,
     normalised_area,
     probability_of_improvement,
+    rank_test,
     restricted_mean,
     share_reaching,
     steps_to,
     student_interval,
     unseen_share,
-    welch,
     wilson_interval,
 )
-from parking_exp.statistics.intervals import score_interval
 
 # Freireich et al. 1963, weeks of remission, as in Klein & Moeschberger: 6-MP (with censoring) and placebo.
 MERCAPTOPURINE = (
@@ -40,11 +44,12 @@ MERCAPTOPURINE = (
 )
 PLACEBO = ([1, 1, 2, 2, 3, 4, 4, 5, 5, 8, 8, 8, 8, 11, 11, 12, 12, 15, 17, 22, 23], [1] * 21)
 
-# Welch's test on Wikipedia, "Student's t-test", example 1: t = -2.46, df = 25.0, p = 0.021.
 FIRST = [27.5, 21.0, 19.0, 23.6, 17.0, 17.9, 16.9, 20.1, 21.9, 22.6, 23.1, 19.6, 19.0, 21.7, 21.4]
 SECOND = [27.1, 22.0, 20.8, 23.4, 23.4, 23.5, 25.8, 22.0, 24.8, 20.2, 21.9, 22.1, 22.9, 20.5, 24.4]
-
 TEN = [0.93, 0.97, 0.88, 1.0, 0.95, 0.91, 0.99, 0.96, 0.72, 0.94]
+
+EPISODES = st.sampled_from([None, 100])
+SEEDS = st.lists(st.integers(0, 100).map(lambda successes: successes / 100), min_size=2, max_size=12)
 
 
 def test_importing_statistics_imports_neither_scipy_stats_nor_pandas():
@@ -55,23 +60,43 @@ def test_importing_statistics_imports_neither_scipy_stats_nor_pandas():
 # One rate
 
 
-@pytest.mark.parametrize(("k", "n", "low", "high"), [(95, 100, 0.89, 0.98), (475, 500, 0.93, 0.97)])
-def test_a_share_of_seeds_counts_those_at_the_threshold_and_has_wilsons_interval(k, n, low, high):
-    share = share_reaching([0.9] * k + [0.89] * (n - k))
-    assert (share.k, share.n) == (k, n)
-    assert [round(share.low, 2), round(share.high, 2)] == [low, high]
+def test_a_share_of_seeds_counts_those_at_the_threshold_and_has_clopper_and_pearsons_interval():
+    share = share_reaching([0.95] * 9 + [0.94], 0.95)
+    expected = stats.binomtest(9, 10).proportion_ci()
+    assert (share.k, share.n, share.low, share.high) == (
+        9,
+        10,
+        pytest.approx(expected.low),
+        pytest.approx(expected.high),
+    )
+    assert exact_interval(10, 10) == (pytest.approx(0.025**0.1), 1.0)
+    assert exact_interval(0, 10) == (0.0, pytest.approx(1 - 0.025**0.1))
+    assert unseen_share(10) == pytest.approx(0.2589, abs=1e-4)  # 0.7411 ** 10 = 0.05
+
+
+def test_interquartile_mean_leaves_out_a_quarter_at_each_end():
+    assert interquartile_mean([0.0, 1.0, 0.7, 0.8, 0.9]) == pytest.approx(0.8)
+    assert interquartile_mean([0.2, 0.8, 0.6]) == pytest.approx(1.6 / 3)
+    assert interquartile_mean(TEN) == pytest.approx(stats.trim_mean(TEN, 0.25))
 
 
 # Means
 
 
-def test_seeds_without_scatter_get_the_exact_bound_and_where_there_is_none_no_interval():
-    estimate = mean_interval([1.0] * 10)
-    assert estimate.low == pytest.approx(stats.binomtest(10, 10).proportion_ci().low)  # 0.69
-    assert (estimate.high, estimate.method) == (1.0, "exact bound, no scatter")
-    assert mean_interval([0.7]) == Interval(0.7, None, None, 1, "none")
+def test_perfect_seeds_have_the_exact_bound_of_all_their_episodes():
+    estimate = mean_interval([1.0] * 10, 500)
+    assert (estimate.value, estimate.low, estimate.high, estimate.n) == (
+        1.0,
+        pytest.approx(0.025 ** (1 / 5000)),
+        1.0,
+        10,
+    )
+    assert mean_interval([0.0] * 10, 500).high == pytest.approx(1 - 0.025 ** (1 / 5000))
+
+
+def test_one_seed_has_no_interval_and_numbers_without_scatter_have_no_students():
+    assert mean_interval([0.7], 500) == Interval(0.7, None, None, 1, "none")
     assert student_interval([12.0] * 3) == Interval(12.0, None, None, 3, "none")
-    assert unseen_share(10) == pytest.approx(0.2589, abs=1e-4)  # 0.7411 ** 10 = 0.05
 
 
 def test_interval_of_any_numbers_is_students():
@@ -80,70 +105,93 @@ def test_interval_of_any_numbers_is_students():
     assert [estimate.low, estimate.high] == pytest.approx([expected.low, expected.high])
 
 
-def test_score_interval_with_a_coins_variance_is_wilsons():
-    low, high = score_interval(np.array(0.9), np.array(0.9 * 0.1 / 10), 1e12)
-    assert (float(low), float(high)) == pytest.approx(wilson_interval(9, 10))
-
-
-def test_interval_of_two_seeds_by_hand():
-    # mean 0.9, variance of the mean 0.02 / 2 = 0.01, so 0.09 / 0.01 = 9 trials; t = 12.70620, t^2 = 161.4476
-    # scale 1 / (1 + 161.4476 / 9) = 0.0528021; centre 0.0528021 (0.9 + 161.4476 / 18) = 0.521121
-    # half 0.0528021 * 12.70620 * sqrt(0.01 + 161.4476 / 324) = 0.478327
-    estimate = mean_interval([0.8, 1.0])
-    assert [estimate.low, estimate.high] == pytest.approx([0.042794, 0.999448], abs=2e-6)
-    assert estimate.method == "score, effective sample size"
-
-
-def test_bootstrap_t_agrees_with_drawing_indices():
-    values, rng = np.array(TEN), np.random.default_rng(11)
-    drawn = values[rng.integers(0, 10, (100_000, 10))]
-    deviations = (drawn.mean(axis=1) - values.mean()) / (drawn.std(axis=1, ddof=1) / math.sqrt(10))
-    below, above = np.quantile(deviations, [0.025, 0.975])
-    error = values.std(ddof=1) / math.sqrt(10)
-    estimate = mean_interval(TEN, resamples=100_000)
-    assert estimate.method == "bootstrap-t"
-    assert estimate.low == pytest.approx(values.mean() - above * error, abs=0.004)
-    assert estimate.high == pytest.approx(values.mean() - below * error, abs=0.004)
+def test_interval_of_a_mean_agrees_with_other_draws_of_the_model():
+    rng = np.random.default_rng(3)
+    weights = rng.dirichlet([0.8] * 10 + [0.05], 200_000)  # 0.8 = (10 - 2) / 10
+    worst = 0.72 - 3 * 0.28  # below 0, so that the unseen seed is at 0 for the lower end, and at 1 for the upper one
+    low, high = (np.quantile(weights @ [*TEN, unseen], q) for unseen, q in ((max(worst, 0), 0.025), (1, 0.975)))
+    estimate = mean_interval(TEN)
+    assert (estimate.low, estimate.high) == (pytest.approx(low, abs=0.003), pytest.approx(high, abs=0.003))
 
 
 @pytest.mark.parametrize(
     ("values", "words"),
-    [([], "finite"), ([0.5, math.nan], "finite"), ([0.5, 1.5], "outside 0 ... 1")],
+    [([], "finite"), ([0.5, math.nan], "finite"), ([0.5, 1.5], "outside 0 ... 1"), ([-0.1, 0.5], "outside 0 ... 1")],
 )
 def test_mean_interval_refuses_values_that_are_no_rates(values, words):
     with pytest.raises(ValueError, match=words):
         mean_interval(values)
 
 
-def test_band_is_the_interval_of_every_point_and_counts_the_seeds_that_it_has():
-    curves = np.array([TEN, TEN[::-1], [0.5] * 10, [0.6] * 9 + [math.nan], [0.7] * 9 + [math.nan]])
-    band = mean_band(curves)
-    for point, column in ((band[0], curves[:, 0]), (band[9], curves[:3, 9])):
-        alone = mean_interval(column, resamples=1999)
-        assert (point.value, point.low, point.high) == pytest.approx((alone.value, alone.low, alone.high))
-    assert [estimate.n for estimate in band] == [5] * 9 + [3]
-    assert mean_band(np.full((2, 1), math.nan))[0].n == 0
+@settings(max_examples=60, deadline=None)
+@given(SEEDS, st.data(), EPISODES)
+def test_raising_a_seed_never_lowers_an_end_of_the_interval(rates, data, n_episodes):
+    place = data.draw(st.integers(0, len(rates) - 1))
+    raised = [*rates]
+    raised[place] = data.draw(st.integers(round(100 * rates[place]), 100)) / 100
+    before, after = mean_interval(rates, n_episodes), mean_interval(raised, n_episodes)
+    assert after.low >= before.low - 1e-12
+    assert after.high >= before.high - 1e-12
+    assert 0 <= before.low <= before.value + 1e-12
+    assert before.value - 1e-12 <= before.high <= 1
+
+
+@settings(max_examples=20, deadline=None)
+@given(SEEDS, st.randoms(), EPISODES)
+def test_interval_is_the_same_in_every_call_and_order_of_the_seeds(rates, random, n_episodes):
+    shuffled = random.sample(rates, len(rates))
+    first, second = mean_interval(rates, n_episodes), mean_interval(shuffled, n_episodes)
+    assert first == mean_interval(rates, n_episodes)
+    assert (first.low, first.high) == (second.low, second.high)
 
 
 # Pairs
 
 
-def test_welch_agrees_with_the_published_example():
-    result = welch(FIRST, SECOND)
-    assert round(result.df, 1) == 25.0
-    assert round(result.p, 3) == 0.021
-    expected = stats.ttest_ind(FIRST, SECOND, equal_var=False)
-    assert result.p == pytest.approx(expected.pvalue)
-    interval = expected.confidence_interval()
-    assert [result.low, result.high] == pytest.approx([interval.low, interval.high])
+@settings(max_examples=30, deadline=None)
+@given(st.lists(st.tuples(SEEDS, SEEDS), min_size=1, max_size=8), EPISODES)
+def test_0_lies_outside_the_simultaneous_interval_exactly_where_p_is_below_alpha(family, n_episodes):
+    pairs = [tuple([SeedRates(rates, n_episodes)] for rates in pair) for pair in family]
+    for (a, b), difference in zip(family, compare(pairs), strict=True):
+        assert difference.value == pytest.approx(np.mean(a) - np.mean(b))
+        assert (difference.low > 0 or difference.high < 0) == (difference.p_holm < 0.05)
+        assert difference.p <= difference.p_holm
+    p = [difference.p for difference in compare(pairs)]
+    assert [difference.p_holm for difference in compare(pairs)] == holm(p).tolist()
 
 
-def test_welch_without_scatter_has_no_interval_and_the_p_of_a_permutation():
-    result = welch([0.9], [0.5, 0.7])
-    assert (result.value, result.low, result.high, result.p) == (pytest.approx(0.3), None, None, None)
-    result = welch([1.0] * 3, [1.0] * 4)
-    assert (result.value, result.low, result.p) == (0.0, None, 1.0)
-    assert welch([1.0] * 3, [0.5] * 3).p == pytest.approx(2 / 20)  # 6! / (3! 3!) = 20 ways to split
+def test_a_level_that_the_draws_do_not_resolve_has_an_interval_of_all_differences():
+    apart = ([SeedRates([1.0] * 5)], [SeedRates([0.1] * 5)])
+    assert compare([apart])[0].low > 0.8
+    (difference,) = compare([apart], alpha=5e-5)
+    assert (difference.p > 5e-5, difference.low, difference.high) == (True, -1, 1)
+
+
+def test_a_pair_with_a_single_seed_has_neither_interval_nor_p_and_is_no_part_of_the_family():
+    single = ([SeedRates([0.9])], [SeedRates([0.5, 0.7])])
+    other = ([SeedRates(TEN)], [SeedRates([0.5, 0.7])])
+    differences = compare([single, other])
+    assert (differences[0].value, differences[0].low, differences[0].p, differences[0].n) == (
+        pytest.approx(0.3), None, None, 1,
+    )  # fmt: skip
+    assert differences[1] == compare([other])[0]
+
+
+def test_difference_agrees_with_other_draws_of_the_model():
+    rng = np.random.default_rng(4)
+    weights = rng.dirichlet([0.8] * 10 + [0.05], (2, 200_000))
+    other = [0.5, 0.55, 0.6, 0.4, 0.45, 0.5, 0.7, 0.5, 0.65, 0.5]
+    low = np.quantile(weights[0] @ [*TEN, 0] - weights[1] @ [*other, 1], 0.025)
+    high = np.quantile(weights[0] @ [*TEN, 1] - weights[1] @ [*other, 0], 0.975)
+    (difference,) = compare([([SeedRates(TEN)], [SeedRates(other)])])
+    assert (difference.low, difference.high) == (pytest.approx(low, abs=0.004), pytest.approx(high, abs=0.004))
+
+
+def test_rank_test_is_mann_and_whitneys():
+    assert rank_test([0.9, 0.8, 0.7], [0.3, 0.2, 0.1]) == pytest.approx(2 / 20)  # 6! / (3! 3!) = 20 orders
+    assert rank_test(TEN, FIRST) == pytest.approx(stats.mannwhitneyu(TEN, FIRST).pvalue)
+    assert rank_test([1.0] * 3, [1.0] * 4) == 1.0
+    assert rank_test([0.9], [0.5, 0.7]) is None
 
 
 def test_ties_count_one_half():
@@ -254,81 +302,97 @@ def test_main_effects_weigh_cells_and_not_seeds():
     assert goals.largest.value == pytest.approx(0.35)
 
 
-def test_main_effect_interval_by_hand():
-    _, future = main_effects(frame(), ["strategy", "goals"], "success")[0].levels
-    # variances 0.02 / 2 and 0.01 / 3, each / 4: 0.0025 + 0.00083333; df = 0.0033333^2 / (0.0025^2 / 1 + 0.00083333^2 / 2)
-    df = 0.00333333**2 / (0.0025**2 + 0.00083333**2 / 2)
-    half = stats.t.ppf(0.975, df) * math.sqrt(0.00333333)
-    assert (future.effect.low, future.effect.high) == pytest.approx((0.5 - half, 0.5 + half), rel=1e-4)
-    assert (future.cells, future.effect.n) == (2, 5)
+def test_effects_are_contrasts_of_all_cells_of_a_level():
+    effect = main_effects(frame(), ["strategy", "goals"], "success", 100)[0]
+    sides = [[SeedRates(CELLS[name, goals], 100) for goals in (2, 4)] for name in ("future", "final")]
+    (difference,) = compare([sides])
+    assert (effect.largest, effect.p) == (difference, difference.p)
+    future = effect.levels[1]
+    assert (future.level, future.cells, future.effect.n) == ("future", 2, 5)
 
 
-def test_effects_flag_missing_combinations_and_have_no_interval_without_scatter():
+def test_the_largest_of_three_differences_is_corrected_for_all_of_them():
+    cells = {("a", 1): TEN, ("b", 1): [0.5, 0.7, 0.6], ("c", 1): [0.4, 0.6, 0.4]}
+    (effect,) = main_effects(frame(cells), ["strategy"], "success")
+    sides = {name: [SeedRates(rates)] for (name, _), rates in cells.items()}
+    expected = compare([(sides["a"], sides["b"]), (sides["a"], sides["c"]), (sides["b"], sides["c"])])[1]
+    assert (effect.largest, effect.p) == (expected, expected.p_holm)
+    assert effect.levels[0].effect == mean_interval(TEN)
+
+
+def test_effects_flag_missing_combinations_and_have_no_interval_with_a_single_seed():
     cells = {key: values for key, values in CELLS.items() if key != ("final", 4)} | {("future", 2): [0.3]}
     effect = main_effects(frame(cells), ["strategy", "goals"], "success")[0]
     assert not effect.complete
-    assert (effect.levels[1].effect.value, effect.levels[1].effect.low) == (pytest.approx(0.5), None)  # a single seed
-    # Three times 0.8 has a variance of 1e-32 in floats.
-    (same,) = main_effects(frame({("a", 1): [0.8] * 3, ("b", 1): [0.4] * 3}), ["strategy"], "success")
-    assert (same.levels[0].effect.low, same.largest.low, same.p) == (None, None, None)
+    assert (effect.levels[1].effect.value, effect.levels[1].effect.low) == (pytest.approx(0.5), None)
+    assert (effect.largest.low, effect.p) == (None, None)
 
 
 # Coverage
 
 
-@pytest.mark.parametrize(("rates", "n"), [(Rates(0.75, 0.05), 10), (Rates(0.9, 0.15), 5), (Rates(0.95, 0.06), 20)])
+@pytest.mark.parametrize(("rates", "n"), [(Rates(0.95, 0.03), 5), (Rates(0.25, 0.15), 10), (Rates(0.98, 0.015), 20)])
 def test_interval_of_a_mean_covers_in_93_to_97_of_100_draws(rates, n):
-    assert 0.93 <= simulation.of_mean(rates, n).mean() <= 0.97
+    assert 0.93 <= simulation.of_mean(rates, n, 1000).mean() <= 0.97
 
 
 def test_intervals_of_differences_and_improvements_cover_in_93_to_97_of_100_draws():
-    narrow, wide = (Rates(0.75, 0.05), Rates(0.9, 0.03)), (Rates(0.95, 0.06), Rates(0.95, 0.06))
-    assert 0.93 <= simulation.of_difference(*narrow, 10).mean() <= 0.97
-    assert 0.93 <= simulation.of_improvement(*wide, 10).mean() <= 0.97
+    pair = (Rates(0.9, 0.08), Rates(0.9, 0.08))
+    assert 0.93 <= simulation.of_difference(*pair, 20, 1000).mean() <= 0.97
+    assert 0.93 <= simulation.of_improvement(*pair, 10, 1000).mean() <= 0.97
 
 
 def test_note_speaks_exactly_where_a_collapse_shows():
     rates = Rates(0.95, 0.03, failing=0.1)
-    assert simulation.of_mean(rates, 10).mean() < 0.93
+    assert simulation.of_mean(rates, 10, 400).mean() < 0.93
     assert np.array_equal(simulation.speaks(rates, 10), (rates.measured(10, 400, seed=2) == 0).any(axis=1))
-
-
-def test_welch_falls_below_93_percent_where_the_noisier_cell_has_a_tail():
-    assert 0.79 <= simulation.of_difference(Rates(0.95, 0.1), Rates(0.99, 0.01), 10).mean() < 0.84
 
 
 def test_note_is_silent_on_healthy_seeds_and_names_the_coverage_on_others():
     assert coverage_note(TEN) is None
-    assert "fewer than 5" in coverage_note([0.9, 0.95])
+    assert coverage_note([0.9, 0.95]) == "2 seeds: too few for a reliable interval."
     assert "95 points apart" in coverage_note([0.0, 0.95, 0.96, 0.97, 0.98, 0.95])
-    assert "covered 62 %" in coverage_note([0.0, 0.95, 0.96, 0.97, 0.98, 0.95])
+    assert "covered 52 %" in coverage_note([0.0, 0.95, 0.96, 0.97, 0.98, 0.95])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("episodes", simulation.EPISODES)
+@pytest.mark.parametrize(("n", "lowest", "highest"), [(5, 0.91, 1), (10, 0.925, 0.985), (20, 0.93, 0.98)])
+@pytest.mark.parametrize("rates", simulation.HEALTHY, ids=str)
+def test_intervals_of_means_cover_in_93_of_100_draws_and_more_where_seeds_scatter_little(
+    rates, n, lowest, highest, episodes
+):
+    covered = simulation.of_mean(rates, n, episodes=episodes).mean()
+    assert covered >= lowest
+    assert covered <= highest or rates.mean >= 0.999
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("episodes", simulation.EPISODES)
+@pytest.mark.parametrize(("n", "tailed", "collapsing"), [(5, 0.64, 0.52), (10, 0.73, 0.64), (20, 0.82, 0.85)])
+def test_intervals_of_means_cover_less_where_few_seeds_are_far_below_the_others(n, tailed, collapsing, episodes):
+    for populations, lowest in ((simulation.TAILED, tailed), (simulation.COLLAPSING, collapsing)):
+        covered = [simulation.of_mean(rates, n, episodes=episodes).mean() for rates in populations]
+        assert lowest <= min(covered) < 0.93
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("episodes", simulation.EPISODES)
+@pytest.mark.parametrize("n", simulation.SEEDS)
+def test_differences_and_improvements_cover_in_92_of_100_draws_and_less_where_one_side_has_a_tail(n, episodes):
+    for pairs, difference, improvement in (
+        (simulation.PAIRS, 0.92, 0.925),
+        (simulation.SKEWED_PAIRS, {5: 0.75, 10: 0.8, 20: 0.87}[n], 0.85),
+    ):
+        for pair in pairs:
+            assert simulation.of_difference(*pair, n, episodes=episodes).mean() >= difference, pair
+            assert simulation.of_improvement(*pair, n, episodes=episodes).mean() >= improvement, pair
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("n", simulation.SEEDS)
-@pytest.mark.parametrize("rates", simulation.HEALTHY, ids=str)
-def test_mean_never_covers_less_than_93_of_100_draws_and_more_than_97_only_at_the_ceiling_or_with_three(rates, n):
-    covered = simulation.of_mean(rates, n).mean()
-    assert covered >= 0.93
-    assert covered <= 0.9705 or rates.mean == 0.99 or n == 3
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("n", simulation.SEEDS[1:])
-@pytest.mark.parametrize("pair", simulation.PAIRS, ids=str)
-def test_differences_and_improvements_cover_in_92_of_100_draws_from_five_seeds_on(pair, n):
-    assert simulation.of_difference(*pair, n).mean() >= 0.93
-    assert simulation.of_improvement(*pair, n).mean() >= 0.925  # 92.8 % where the deviations are 0.05 and 0.15
-
-
-def test_the_difference_of_two_levels_of_one_factor_is_welchs_test():
-    table = pd.DataFrame(
-        {"strategy": ["a"] * 4 + ["b"] * 5, "success": [0.9, 0.8, 0.95, 0.7, 0.5, 0.6, 0.2, 0.4, 0.55]}
-    )
-    (effect,) = main_effects(table, ["strategy"], "success")
-    difference = effect.largest
-    a, b = (table.loc[table["strategy"] == name, "success"] for name in "ab")
-    known = stats.ttest_ind(a, b, equal_var=False)
-    interval = known.confidence_interval()
-    assert (difference.value, effect.p) == pytest.approx((a.mean() - b.mean(), known.pvalue))
-    assert (difference.low, difference.high) == pytest.approx((interval.low, interval.high))
+@pytest.mark.parametrize(
+    "rates", [Rates(0.9, 0.08), Rates(0.95, 0.06), Rates(0.99, 0.01), Rates(0.999, 0.001)], ids=str
+)
+def test_cells_that_do_not_differ_are_rarely_told_apart_at_the_level_of_one_of_ten_pairs(rates, n):
+    assert simulation.of_difference(rates, rates, n, episodes=500, alpha=0.005).mean() >= 0.985

@@ -88,8 +88,8 @@ def draw_learning_curves(report: ReportData) -> Iterator[Drawing]:
     lines = "thin lines: seeds; " if with_seeds else ""
     yield (
         figure,
-        f"Evaluations during training. Above: mean success over seeds ({_count_seeds(cells)}) with the band of its "
-        f"95 % interval; {lines}dashed: 90 %. Below: mean rate of {' or '.join(names)}.",
+        f"Evaluations during training. Above: mean success over seeds ({_count_seeds(cells)}) between the "
+        f"lowest and the highest seed; {lines}dashed: 90 %. Below: mean rate of {' or '.join(names)}.",
     )
 
 

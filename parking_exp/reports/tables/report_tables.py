@@ -33,7 +33,9 @@ def headline(report: ReportData) -> Iterator[Table]:
             cell_column(),
             Column("Seeds", _count_finished, "seeds"),
             *(interval_column(REPORTED[name].heading, name) for name in _select_rates(report)),
-            Column("Seeds ≥ 90 %", _count_reaching_90, "reaching_90_k"),
+            column("Lowest", "lowest", formats.percent),
+            column("IQM", "iqm", formats.percent),
+            Column("Seeds ≥ 95 %", _count_reaching_95, "reaching_95_k"),
             column("Steps to hold 90 %", "survival_median", formats.number),
             column(REPORTED["episode_steps"].heading, "episode_steps", partial(formats.number, digits=1)),
             column("Env steps", "total_timesteps", formats.number),
@@ -44,8 +46,9 @@ def headline(report: ReportData) -> Iterator[Table]:
                 if not REPORTED[name].is_rate
             ),
         ],
-        f"Final evaluation: means over seeds, {PERCENT}; how many seeds ended at 90 % or above, with Wilson's interval "
-        "of their share; median of the env steps until 90 % were held for three evaluations.",
+        f"Final evaluation: means over seeds, {PERCENT}; success of the worst seed, and its interquartile mean over "
+        "seeds; how many seeds ended at 95 % or above, with the exact interval of their share; median of the env steps "
+        "until 90 % were held for three evaluations.",
         latex=True,
     )
 
@@ -142,12 +145,13 @@ def pairs(report: ReportData) -> Iterator[Table]:
             cell_column("B", "b", "b_label"),
             interval_column("A − B (points)", "difference", formats.signed_percent_interval),  # noqa: RUF001
             column("p (Holm)", "p_holm", formats.probability),
+            column("p, ranks (Holm)", "rank_p_holm", formats.probability),
             interval_column("A better than B (%)", "improvement"),
             column("p, time to 90 % (Holm)", "log_rank_p_holm", formats.probability),
             Column("In words", verdict, numeric=False),
         ],
-        "Pairs of cells: difference of mean final success in percentage points, with 95 % interval; probability that a "
-        "seed of A is better than one of B.",
+        "Pairs of cells: difference of mean final success in percentage points, with simultaneous 95 % intervals; Mann "
+        "and Whitney's test of the ranks of seeds; probability that a seed of A is better than one of B.",
         latex=True,
     )
 
@@ -241,5 +245,5 @@ def _count_finished(row: Row) -> str:
     return str(done) if done == total else f"{done} of {total}"
 
 
-def _count_reaching_90(row: Row) -> str:
-    return formats.share_interval(Proportion(*(row[f"reaching_90_{name}"] for name in ("k", "n", "low", "high"))))
+def _count_reaching_95(row: Row) -> str:
+    return formats.share_interval(Proportion(*(row[f"reaching_95_{name}"] for name in ("k", "n", "low", "high"))))
