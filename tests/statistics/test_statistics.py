@@ -357,9 +357,9 @@ def test_note_is_silent_on_healthy_seeds_and_names_the_coverage_on_others():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("episodes", simulation.EPISODES)
-@pytest.mark.parametrize(("n", "lowest", "highest"), [(5, 0.91, 1), (10, 0.925, 0.985), (20, 0.93, 0.98)])
+@pytest.mark.parametrize(("n", "lowest", "highest"), [(5, 0.91, 1), (10, 0.925, 0.995), (20, 0.93, 0.98)])
 @pytest.mark.parametrize("rates", simulation.HEALTHY, ids=str)
-def test_intervals_of_means_cover_in_93_of_100_draws_and_more_where_seeds_scatter_little(
+def test_intervals_of_means_cover_in_93_of_100_draws_or_91_with_5_seeds_and_more_where_seeds_scatter_little(
     rates, n, lowest, highest, episodes
 ):
     covered = simulation.of_mean(rates, n, episodes=episodes).mean()
@@ -394,5 +394,5 @@ def test_differences_and_improvements_cover_in_92_of_100_draws_and_less_where_on
 @pytest.mark.parametrize(
     "rates", [Rates(0.9, 0.08), Rates(0.95, 0.06), Rates(0.99, 0.01), Rates(0.999, 0.001)], ids=str
 )
-def test_cells_that_do_not_differ_are_rarely_told_apart_at_the_level_of_one_of_ten_pairs(rates, n):
+def test_equal_cells_rarely_differ_significantly_at_the_level_of_one_of_ten_pairs(rates, n):
     assert simulation.of_difference(rates, rates, n, episodes=500, alpha=0.005).mean() >= 0.985
