@@ -115,8 +115,8 @@ def find_shared_horizon(cells: Sequence[CellRuns], evaluations: RunEvaluations) 
 
 def _metric_fields(values: Mapping[str, Any]) -> dict[str, Any]:
     """Return the fields of a seed or a cell that hold these metrics; those of other tasks are left out."""
-    fields = {name: value for name, value in values.items() if name not in FURTHER}
-    return {**fields, "further": {name: values[name] for name in FURTHER if values[name] not in (None, Interval(None))}}
+    own = {name: value for name, value in values.items() if name not in FURTHER}
+    return {**own, "further": {name: values[name] for name in FURTHER if values[name] not in (None, Interval(None))}}
 
 
 def _summarise_task(cell: CellRuns, final: Sequence[pd.DataFrame]) -> dict[str, Any]:

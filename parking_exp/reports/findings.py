@@ -1,4 +1,4 @@
-"""The findings of a report, in sentences. `warnings` has what limits them."""
+"""The findings of a report, in sentences. `report_warnings` has what limits them."""
 
 from collections.abc import Iterator, Mapping, Sequence
 

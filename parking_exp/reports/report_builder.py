@@ -13,7 +13,7 @@ from parking_exp.errors import RunNotFoundError, plural
 from parking_exp.reports import cell_comparisons, findings, report_warnings
 from parking_exp.reports.cell_selection import CellRuns, choose, find_baseline, group, relabel
 from parking_exp.reports.cell_summaries import RunEvaluations, find_shared_horizon, summarise
-from parking_exp.reports.report_data import Cell, FailedRun, Provenance, ReportData
+from parking_exp.reports.report_data import Cell, Provenance, ReportData, UnfinishedRun
 from parking_exp.results.frames import Results
 
 MAX_PROBLEMS = 5
@@ -160,10 +160,10 @@ def _collect_provenance(cells: Sequence[CellRuns], left_out: Sequence[str], uri:
     )
 
 
-def _list_unfinished(cell: CellRuns) -> list[FailedRun]:
+def _list_unfinished(cell: CellRuns) -> list[UnfinishedRun]:
     runs = cell.runs[cell.runs["status"] != "done"]
     return [
-        FailedRun(
+        UnfinishedRun(
             cell.label,
             int(run["seed"]),
             str(run["status"]),

@@ -38,7 +38,7 @@ class RunSummary:
     further: Mapping[str, float | None] = field(default_factory=dict)  # other metrics that reports have
 
     def metric(self, name: str) -> float | None:
-        """Return a metric by its name; None where the seed has none."""
+        """Return a metric by its name; None where the run has none."""
         return getattr(self, name) if hasattr(self, name) else self.further.get(name)
 
 
@@ -123,7 +123,7 @@ class Pair:
 
 
 @dataclass(frozen=True)
-class FailedRun:
+class UnfinishedRun:
     """A run without a result, and why."""
 
     label: str
@@ -142,7 +142,7 @@ class Provenance:
     machines: Mapping[str, int]  # CPU -> number of runs
     difference: Mapping[str, Sequence[Setting]]  # config keys that differ -> value in each cell
     common: Mapping[str, Setting]  # the other config keys -> value
-    unfinished: Sequence[FailedRun]
+    unfinished: Sequence[UnfinishedRun]
     uri: str  # of the store
     left_out: Sequence[str] = ()  # labels of the experiments' other cells
     first: str | None = None  # start of the first run and end of the last one, as ISO 8601 in UTC

@@ -21,6 +21,7 @@ from parking_exp.statistics import Interval, SeedRates, compare, mean_interval
 from parking_exp.tuning.search import SEARCH_FILE, study_in
 from parking_exp.tuning.trials import (
     OBJECTIVE,
+    RETEST_FILE,
     RetestedTrial,
     TrialRow,
     count_states,
@@ -92,7 +93,7 @@ def read_tuning(folder: Path, stored: "StoredSearch") -> Tuning:
     try:
         retested = read_retest(folder)
     except ValidationError as error:
-        raise ResultsError(f"{folder.name}/retest.json can't be read") from error
+        raise ResultsError(f"{folder.name}/{RETEST_FILE} can't be read") from error
     search = stored.search
     distributions: dict[str, Any] = {}
     for trial in stored.study.get_trials(deepcopy=False):

@@ -6,7 +6,7 @@ from functools import cache
 import numpy as np
 
 from parking_exp.reports.report_builder import build_report
-from parking_exp.reports.report_data import FailedRun
+from parking_exp.reports.report_data import UnfinishedRun
 from parking_exp.tasks.parking.geometry import SLOT_POSITIONS
 from support.result_frames import Run, results
 
@@ -76,7 +76,7 @@ def hostile():
         machines={HOSTILE[2]: 25},
         difference={HOSTILE[1]: list(HOSTILE), "algorithm.name": ["a", "=1+1", None, True, 0.1]},
         common={HOSTILE[3]: HOSTILE[4], "x": "</script><script>window.pwned = 1</script>"},
-        unfinished=[FailedRun(bad, 3, "failed", HOSTILE[4], HOSTILE[1])],
+        unfinished=[UnfinishedRun(bad, 3, "failed", HOSTILE[4], HOSTILE[1])],
         uri="sqlite:///</script>",
         left_out=list(HOSTILE),
     )
