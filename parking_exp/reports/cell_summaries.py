@@ -1,7 +1,6 @@
 """Summary of a cell over its seeds: means, learning curve, times to 90 %."""
 
 import math
-import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import Any
@@ -170,16 +169,14 @@ def _average_curves(runs: pd.DataFrame, evaluations: RunEvaluations) -> Curve | 
     for row, curve in enumerate(curves.values()):
         at = np.searchsorted(steps, curve["step"])
         success[row, at], failure[row, at] = curve["success_rate"], curve["failure_rate"]
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", RuntimeWarning)  # of steps at which no seed was evaluated
-        mean, low, high = (of(success, axis=0) for of in (np.nanmean, np.nanmin, np.nanmax))
+    rates = pd.DataFrame(success)  # unlike NumPy's, its statistics leave out NaN without a warning
     return Curve(
         step=steps.tolist(),
-        mean=[finite_or_none(value) for value in mean.tolist()],
-        low=[finite_or_none(value) for value in low.tolist()],
-        high=[finite_or_none(value) for value in high.tolist()],
-        n=np.count_nonzero(~np.isnan(success), axis=0).tolist(),
-        failure=[float(known.mean()) if len(known := rates[~np.isnan(rates)]) else None for rates in failure.T],
+        mean=list(map(finite_or_none, rates.mean())),
+        low=list(map(finite_or_none, rates.min())),
+        high=list(map(finite_or_none, rates.max())),
+        n=rates.count().tolist(),
+        failure=list(map(finite_or_none, pd.DataFrame(failure).mean())),
         seeds=[
             (seed, curve["step"].tolist(), [finite_or_none(rate) for rate in curve["success_rate"]])
             for seed, curve in curves.items()

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 from parking_exp.reports.report_data import ReportData
 from parking_exp.statistics import Interval, unseen_share
-from parking_exp.statistics.intervals import NONE, T
+from parking_exp.statistics.intervals import NO_INTERVAL, T
 from parking_exp.statistics.means import SEEDS_AND_EPISODES
 from parking_exp.tasks.registry import task_reports
 
@@ -12,7 +12,7 @@ INTERVALS = {
     SEEDS_AND_EPISODES: "Intervals of rates are for the mean of all possible seeds: a Bayesian bootstrap of the seeds "
     "and of one unseen seed, at least as wide as Clopper and Pearson's of all episodes together.",
     T: "Intervals of CPU-seconds and of the length of episodes are Student's.",
-    NONE: "A single seed has no interval.",
+    NO_INTERVAL: "A single seed has no interval.",
 }
 REFERENCES = (
     "Wilson, J. Am. Stat. Assoc. 22 (1927). Clopper & Pearson, Biometrika 26 (1934). Mann & Whitney, Ann. Math. Stat. "

@@ -1,10 +1,13 @@
 """The config of `scripts/report.py`, checked before anything is read."""
 
+from collections.abc import Sequence
 from typing import Annotated, Literal
 
-from omegaconf import DictConfig
+from omegaconf import DictConfig, OmegaConf
 from pydantic import Field
 
+from parking_exp.config.cell_labels import settings_of
+from parking_exp.config.compose import compose_configs
 from parking_exp.config.schema import OutputConfig, StoreConfig
 from parking_exp.config.validate import parse
 from parking_exp.config_model import ConfigModel
@@ -57,7 +60,18 @@ def validate_report(config: DictConfig) -> ReportRequest:
     }
     if request.source and (beside := [key for key, value in of_stores.items() if value]):
         raise ConfigError(f"{beside[0]}: cannot be combined with from={request.source}; leave one of them out")
-    for key in (text.partition("=")[0] for text in request.cells_asked if "=" in text):
-        if key not in KEYS and (hint := did_you_mean(key, KEYS, cutoff=SIMILAR)):
-            raise ConfigError(f"{key}: there is no such key{hint}")
+    if keys := [text.partition("=")[0] for text in request.cells_asked if "=" in text]:
+        _refuse_misspelt(keys)
     return request
+
+
+def _refuse_misspelt(keys: Sequence[str]) -> None:
+    """Refuse what is nearly a key of this command or of a run's config; the class of a run may have any arguments."""
+    run = settings_of(OmegaConf.to_container(compose_configs("config", [])[0]))  # type: ignore[arg-type]
+    known = set(KEYS)
+    for path in (key.split(".") for key in run):
+        known |= {".".join(path[first:last]) for first in range(len(path)) for last in range(first + 1, len(path) + 1)}
+    for key in keys:
+        is_argument = key.startswith(("algorithm.", "buffer."))
+        if key not in known and not is_argument and (hint := did_you_mean(key, known, cutoff=SIMILAR)):
+            raise ConfigError(f"{key}: there is no such key{hint}")

@@ -9,7 +9,7 @@ from scipy.special import stdtrit
 from parking_exp.errors import plural
 from parking_exp.statistics.rates import finite
 
-NONE, T = "none", "t"
+NO_INTERVAL, T = "none", "t"
 
 MIN_SEEDS = 5  # with fewer, intervals are unreliable
 GAP = 0.3  # between neighbouring seeds: rare without a collapse, nearly certain with one
@@ -31,7 +31,7 @@ class Interval:
     low: float | None = None
     high: float | None = None
     n: int = 0
-    method: str = NONE
+    method: str = NO_INTERVAL
 
 
 def student_interval(values: ArrayLike) -> Interval:

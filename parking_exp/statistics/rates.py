@@ -6,7 +6,7 @@ from numbers import Real
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.special import betaincinv, ndtri
+from scipy.special import ndtri
 
 
 def finite(values: ArrayLike, purpose: str) -> np.ndarray:
@@ -54,9 +54,10 @@ def wilson_interval(successes: int, trials: int) -> tuple[float, float]:
 
 def exact_interval(successes: int, trials: int) -> tuple[float, float]:
     """Return the ends of Clopper and Pearson's interval of a rate (1934)."""
-    low = betaincinv(successes, trials - successes + 1, 0.025) if successes else 0.0
-    high = betaincinv(successes + 1, trials - successes, 0.975) if successes < trials else 1.0
-    return float(low), float(high)
+    from scipy import stats
+
+    interval = stats.binomtest(successes, trials).proportion_ci()
+    return float(interval.low), float(interval.high)
 
 
 def share_reaching(values: ArrayLike, threshold: float) -> Proportion:
@@ -68,9 +69,9 @@ def share_reaching(values: ArrayLike, threshold: float) -> Proportion:
 
 def interquartile_mean(values: ArrayLike) -> float:
     """Return the mean of `values`, shape (seeds,), without the quarter at each end, rounded down to whole seeds."""
-    rates = np.sort(finite(values, "an interquartile mean"))
-    cut = len(rates) // 4
-    return float(rates[cut : len(rates) - cut].mean())
+    from scipy import stats
+
+    return float(stats.trim_mean(finite(values, "an interquartile mean"), 0.25))
 
 
 def unseen_share(n: int) -> float:
