@@ -5,7 +5,10 @@ import json
 from collections.abc import Mapping
 from typing import Any
 
-NO_EFFECT = ("experiment_name", "output_dir", "tracking", "checkpoint", "timeout_s", "evaluation.video_episodes")
+NO_EFFECT = (
+    *("experiment_name", "output_dir", "tracking", "checkpoint", "timeout_s", "contrasts"),
+    "evaluation.video_episodes",
+)
 
 
 def changes_results(key: str) -> bool:

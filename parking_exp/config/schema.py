@@ -128,6 +128,7 @@ class RunConfig(OutputConfig):
     torch_threads: Annotated[int, Field(ge=1, le=1024)] | None
     precision: Literal["highest", "medium"]
     timeout_s: PositiveFloat | None = None
+    contrasts: list[Annotated[list[str], Field(min_length=2, max_length=2)]] | None = None
     env: EnvConfig
     algorithm: AlgorithmConfig
     buffer: BufferConfig

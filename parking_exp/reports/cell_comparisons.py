@@ -10,6 +10,7 @@ import pandas as pd
 
 from parking_exp import statistics
 from parking_exp.config.cell_labels import Factor
+from parking_exp.errors import plural
 from parking_exp.reports.report_data import Cell, Pair, Verdict
 from parking_exp.statistics import (
     Difference,
@@ -38,17 +39,22 @@ class Family(NamedTuple):
     reference: str | None
 
 
-def compare_pairs(cells: Sequence[Cell], baseline: str | None) -> Family:
+def compare_pairs(cells: Sequence[Cell], baseline: str | None, planned: Sequence[tuple[str, str]] = ()) -> Family:
     """Return the pairs of the declared family.
 
-    These are all others against the baseline, given by its id; without one all pairs or, where cells are many, all
-    against the one with the highest mean. The verdict of fewer than two finished seeds is unknown.
+    These are all others against the baseline, given by its id; without one, the planned pairs of ids. Without those it
+    is all pairs or, where cells are many, all against the one with the highest mean. The verdict of fewer than two
+    finished seeds is unknown.
     """
     rated = [cell for cell in cells if cell.success.value is not None]
     reference = next((cell for cell in rated if cell.id == baseline), None)
-    if reference is None and len(rated) > ALL_PAIRS_UP_TO:
+    by_id = {cell.id: cell for cell in rated}
+    declared = [(by_id[a], by_id[b]) for a, b in planned if a in by_id and b in by_id] if reference is None else []
+    if reference is None and not declared and len(rated) > ALL_PAIRS_UP_TO:
         reference = max(rated, key=lambda cell: cell.success.value or 0.0)
-    if reference is None:
+    if declared:
+        couples, family = declared, f"the {plural(len(declared), 'pair')} that the experiment had planned"
+    elif reference is None:
         couples = list(combinations(rated, 2))
         family = "two cells" if len(couples) == 1 else f"all {len(couples)} pairs of {len(rated)} cells"
     else:

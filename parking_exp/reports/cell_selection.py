@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+import yaml
 
 from parking_exp.config.cell_labels import (
     GROUPS,
@@ -105,15 +106,31 @@ def choose(cells: Sequence[CellRuns], wanted: Sequence[str], key: str = "cells")
     return selected
 
 
-def find_baseline(cells: Sequence[CellRuns], baseline: str, preferred: Sequence[CellRuns] = ()) -> CellRuns:
+def find_baseline(
+    cells: Sequence[CellRuns], baseline: str, preferred: Sequence[CellRuns] = (), key: str = "baseline"
+) -> CellRuns:
     """Return the one cell that fits a label, a name or a pattern; where several do, the one that is preferred."""
-    fitting = _find_named(cells, baseline) or choose(cells, [baseline], "baseline")
+    fitting = _find_named(cells, baseline) or choose(cells, [baseline], key)
     if len(fitting) > 1:
         fitting = [cell for cell in fitting if cell in preferred] or fitting
     if len(fitting) > 1:
         few = ", ".join(repr(cell.label) for cell in fitting[:5])
-        raise ConfigError(f"baseline={baseline}: {len(fitting)} cells fit, e.g. {few}; name one")
+        raise ConfigError(f"{key}={baseline}: {len(fitting)} cells fit, e.g. {few}; name one")
     return fitting[0]
+
+
+def find_planned(cells: Sequence[CellRuns]) -> tuple[list[tuple[CellRuns, CellRuns]], list[str]]:
+    """Return the pairs of `contrasts` in the files of experiments, and a sentence for each pair that is not there."""
+    planned, absent = list[tuple[CellRuns, CellRuns]](), list[str]()
+    for experiment, text in dict.fromkeys((cell.experiment, str(cell.config.get("contrasts"))) for cell in cells):
+        own = [cell for cell in cells if cell.experiment == experiment]
+        for pair in yaml.safe_load(text) if text.startswith("[") else ():
+            try:
+                first, second = (find_baseline(own, word, key="contrasts") for word in pair)
+                planned.append((first, second))
+            except ConfigError as error:
+                absent.append(f"The planned comparison of {pair[0]} and {pair[1]} is left out: {error}.")
+    return planned, absent
 
 
 def _find_named(cells: Sequence[CellRuns], name: str) -> list[CellRuns]:

@@ -3,6 +3,7 @@
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from datetime import UTC, datetime
+from itertools import chain
 from typing import NamedTuple
 
 import pandas as pd
@@ -11,7 +12,7 @@ from parking_exp import __version__
 from parking_exp.config.cell_labels import Factor, can_matter, differing_keys
 from parking_exp.errors import RunNotFoundError, plural
 from parking_exp.reports import cell_comparisons, findings, report_warnings
-from parking_exp.reports.cell_selection import CellRuns, choose, find_baseline, group, relabel
+from parking_exp.reports.cell_selection import CellRuns, choose, find_baseline, find_planned, group, relabel
 from parking_exp.reports.cell_summaries import RunEvaluations, find_shared_horizon, summarise
 from parking_exp.reports.report_data import Cell, Provenance, ReportData, UnfinishedRun
 from parking_exp.results.frames import Results
@@ -29,6 +30,8 @@ class Selection(NamedTuple):
     cells: list[CellRuns]
     factors: list[Factor]
     baseline: str | None  # id of the cell
+    planned: list[tuple[str, str]]  # ids of cells that the experiments had planned to compare
+    absent: list[str]  # sentences: what they had planned with cells that are not there
     left_out: list[str]  # labels of the other cells
 
 
@@ -60,9 +63,9 @@ def build_report(
     evaluations = RunEvaluations.of(results)
     horizon = find_shared_horizon(groups, evaluations)
     summaries = [summarise(cell, number, evaluations, horizon, quick) for number, cell in enumerate(groups)]
-    shown = _choose_shown(summaries, selection.baseline)
+    shown = _choose_shown(summaries, [selection.baseline, *chain(*selection.planned)])
     effects = cell_comparisons.main_effects(summaries, factors)
-    family = cell_comparisons.compare_pairs(summaries, selection.baseline)
+    family = cell_comparisons.compare_pairs(summaries, selection.baseline, selection.planned)
     origin = _collect_provenance(groups, selection.left_out, results.uri)
     incomparable = report_warnings.find_incomparable(groups, summaries, origin)
     return ReportData(
@@ -82,7 +85,7 @@ def build_report(
         effects=effects,
         horizon=horizon,
         claims=[*findings.describe_cells(summaries, family), *findings.describe_factors(factors, effects)],
-        warnings=list(dict.fromkeys([*incomparable, *results.problems[:MAX_PROBLEMS]])),
+        warnings=list(dict.fromkeys([*selection.absent, *incomparable, *results.problems[:MAX_PROBLEMS]])),
         missing=list(report_warnings.find_missing(summaries, experiments, results.runs["experiment"])),
         provenance=origin,
         notes=list(_write_notes(summaries, shown, selection, crossed=bool(effects))),
@@ -102,11 +105,15 @@ def _select(
         _refuse_unfinished(selected, f"experiment={','.join(experiments)}", "; report=quick shows what there is so far")
         if reference is not None:
             _refuse_unfinished([reference], f"baseline={baseline}")
+    ids = {id(cell): f"c{number}" for number, cell in enumerate(selected)}
+    planned, absent = find_planned(cells)
     labelled, factors = relabel(selected)
     return Selection(
         labelled,
         factors,
-        baseline=None if reference is None else f"c{selected.index(reference)}",
+        baseline=None if reference is None else ids[id(reference)],
+        planned=[(ids[id(a)], ids[id(b)]) for a, b in planned if {id(a), id(b)} <= ids.keys()],
+        absent=absent,
         left_out=[cell.label for cell in cells if cell not in selected],
     )
 
@@ -117,12 +124,16 @@ def _refuse_unfinished(cells: Sequence[CellRuns], override: str, hint: str = "")
         raise RunNotFoundError(f"{override}: of its {plural(runs, 'run')}, none is done{hint}")
 
 
-def _choose_shown(cells: Sequence[Cell], baseline: str | None) -> list[str]:
-    """Return the ids of the cells in figures, in the order of the report."""
+def _choose_shown(cells: Sequence[Cell], always: Sequence[str | None]) -> list[str]:
+    """Return the ids of the cells in figures, in the order of the report: all, or the best of many.
+
+    Cells in `always`, and controls without one of the keys, are among them.
+    """
     if len(cells) <= SHOWN_WHOLE:
         return [cell.id for cell in cells]
-    ranked = sorted(cells, key=lambda cell: (cell.id != baseline, -(cell.success.value or -1.0)))
-    best = {cell.id for cell in ranked[:SHOWN]}
+    kept = {cell.id for cell in cells if cell.id in always or None in cell.settings.values()}
+    ranked = sorted(cells, key=lambda cell: (cell.id not in kept, -(cell.success.value or -1.0)))
+    best = {cell.id for cell in ranked[: max(SHOWN, len(kept))]}
     return [cell.id for cell in cells if cell.id in best]
 
 

@@ -199,6 +199,17 @@ def test_many_cells_are_compared_with_the_best_one_and_the_best_are_shown():
     assert "chosen by its result" in report.family
 
 
+def test_planned_contrasts_are_the_family_and_are_shown():
+    planned = {"contrasts": "[['gamma=0.5', 'gamma=0.51'], ['gamma=0.52', 'gamma=0.5'], ['gamma=0.9', 'gamma=0.5']]"}
+    cells = {str(i): {"algorithm.gamma": 0.5 + i / 100, **planned} for i in range(20)}
+    report = content(cells, [0, 1], lambda label, seed: Run(success=int(label) / 20))
+    assert [(pair.a, pair.b) for pair in report.pairs] == [("c0", "c1"), ("c2", "c0")]
+    assert "2 pairs that the experiment had planned" in report.family and {"c0", "c1", "c2"} < {*report.shown}
+    assert len(report.shown) == 12 and any("gamma=0.9" in warning for warning in report.warnings)
+    assert len(content(cells, [0, 1], baseline="gamma=0.53").pairs) == 19
+    assert not content(cells, [0, 1], cells=["gamma=0.53,0.54"]).family.startswith("planned")
+
+
 def test_cells_are_chosen_by_label_pattern_and_config():
     groups = group(results(crossed(), [0]).runs)
 
