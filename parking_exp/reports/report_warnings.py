@@ -3,10 +3,11 @@
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 
-from parking_exp.config.cell_labels import setting
+from parking_exp.config.cell_labels import differing_keys, setting
 from parking_exp.errors import plural, quoted_label
 from parking_exp.reports.cell_selection import CellRuns
 from parking_exp.reports.report_data import Cell, Provenance
+from parking_exp.tasks.registry import TRAINING_KEYS
 
 ENOUGH_SEEDS = 10
 FEW_NAMES = 4
@@ -16,7 +17,6 @@ MIXED = {
     "evaluation.first_scene": "Evaluations are mixed: their episodes begin at seeds {}.",
     "evaluation.n_scenes": "Evaluations are mixed: those during training had {} episodes.",
     "evaluation.every_n_steps": "Evaluations are mixed: every {} env steps, which changes times to 90 %.",
-    "env.name": "Tasks are mixed: cells belong to the envs {}; their rates are not of the same episodes.",
 }
 """Config keys that should be the same in all cells, and the warning where they are not."""
 
@@ -73,5 +73,8 @@ def _find_mixed(runs: Sequence[CellRuns], origin: Provenance) -> Iterator[str]:
         values = list(dict.fromkeys(cell.config.get(key) for cell in runs))
         if len(values) > 1:
             yield words.format(list_names([f"{v:,}" if isinstance(v, int) else setting(v) for v in values]))
+    keys = [key for key in differing_keys([cell.config for cell in runs]) if key.startswith("env.")]
+    if mixed := [key for key in keys if key not in TRAINING_KEYS]:
+        yield f"Tasks are mixed: cells differ in {list_names(mixed)}; their rates are not of the same episodes."
     if len({tuple(cell.done["seed"]) for cell in runs if len(cell.done)}) > 1:
         yield "Cells do not have the same seeds."

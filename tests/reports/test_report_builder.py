@@ -97,18 +97,20 @@ def test_cells_that_do_not_differ_significantly_are_not_ranked():
 def test_mixed_conditions_are_warned_of():
     conditions = {
         "total_timesteps": 800, "evaluation.final_n_scenes": 8, "evaluation.first_scene": 100, "evaluation.n_scenes": 4,
-        "evaluation.every_n_steps": 200, "env.name": "parking_sparse",
+        "evaluation.every_n_steps": 200, "env.vehicles_count": 10,
     }  # fmt: skip
     columns = {"version.highway-env": "1.11.0", "cpu": "other", "git_commit": "b" * 40}
     configs = {"plain": {}, **{key: {key: value} for key, value in conditions.items()}}
     report = content(configs, range(2), lambda label, seed: Run(columns=columns if seed else {}))
     mixed = [line for line in report.warnings if "mixed" in line]
-    for values in ("400 and 800", "5 and 8", "0 and 100", "3 and 4", "100 and 200", "parking and parking_sparse"):
+    for values in ("400 and 800", "5 and 8", "0 and 100", "3 and 4", "100 and 200", "env.vehicles_count"):
         assert sum(f" {values}" in line for line in mixed) == 1
     assert {line.split(" ")[0] for line in mixed} == {
         "Budgets", "Evaluations", "Tasks", "Versions", "Commits", "Machines",
     }  # fmt: skip
     assert report.provenance.versions["highway-env"] == {"1.12.1": 7, "1.11.0": 7}
+    other_reward = {"env.name": "parking_sparse", "env.reward": "sparse", "env.collision_reward": -20.0}
+    assert not [line for line in content({"a": {}, "b": other_reward}).warnings if "mixed" in line]
 
 
 def test_a_cell_with_only_failed_runs_has_no_numbers_and_its_reasons():

@@ -61,7 +61,7 @@ def test_unknown_numbers_are_empty(tmp_path):
     assert [rows[2][name] for name in empty] == [""] * len(empty)
     assert (rows[2]["runs_failed"], rows[0]["reaching_95_k"]) == ("10", "10")
     failed = (tmp_path / "headline.tex").read_text().splitlines()[-4]
-    assert failed == r"ddpg & 0 of 10 & -- & -- & -- & -- & -- & -- & -- & -- & -- & 40,000 & -- \\"
+    assert failed == r"ddpg & 0 of 10 & -- & -- & -- & -- & -- & -- & -- & -- & -- & -- \\"
     assert len(tables["unfinished"]) == 10
 
 

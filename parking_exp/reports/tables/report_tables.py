@@ -26,19 +26,21 @@ VERDICTS = {"same": "indistinguishable", "unknown": "too few seeds"}
 
 def headline(report: ReportData) -> Iterator[Table]:
     """Yield the table of what each cell reached and what it cost."""
+    rows = _list_cell_rows(report)
+    counts = [Column("Seeds", _count_finished, "seeds"), column("Env steps", "total_timesteps", formats.number)]
+    equal = [count for count in counts if len(rows) > 1 and len(set(map(count.write, rows))) == 1]
     yield Table(
         "headline",
-        _list_cell_rows(report),
+        rows,
         [
             cell_column(),
-            Column("Seeds", _count_finished, "seeds"),
+            *(count for count in counts if count not in equal),
             *(interval_column(REPORTED[name].heading, name) for name in _select_rates(report)),
             column("Lowest", "lowest", formats.percent),
             column("IQM", "iqm", formats.percent),
             Column("Seeds ≥ 95 %", _count_reaching_95, "reaching_95_k"),
             column("Steps to hold 90 %", "survival_median", formats.number),
             column(REPORTED["episode_steps"].heading, "episode_steps", partial(formats.number, digits=1)),
-            column("Env steps", "total_timesteps", formats.number),
             column("CPU (s)", "cpu_s", formats.number),
             *(
                 column(REPORTED[name].heading, name, partial(formats.number, digits=2))
@@ -48,7 +50,8 @@ def headline(report: ReportData) -> Iterator[Table]:
         ],
         f"Final evaluation: means over seeds, {PERCENT}; success of the worst seed, and its interquartile mean over "
         "seeds; how many seeds ended at 95 % or above, with the exact interval of their share; median of the env steps "
-        "until 90 % were held for three evaluations.",
+        "until 90 % were held for three evaluations."
+        + "".join(f" {count.title} in every row: {count.write(rows[0])}." for count in equal),
         latex=True,
     )
 
