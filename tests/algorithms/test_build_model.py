@@ -8,6 +8,7 @@ import pytest
 import torch
 from stable_baselines3.common.torch_layers import CombinedExtractor
 from stable_baselines3.common.vec_env import DummyVecEnv
+from support.marks import slow_but
 from support.models import make_model
 from support.reach import Reach
 from support.runs import make_config, options
@@ -29,7 +30,7 @@ def test_what_needs_the_envs_reward_is_refused_for_an_env_that_has_none():
         build_model(make_config(*SMALL, "buffer.relabel_collision=keep"), DummyVecEnv([Reach, Reach]), seed=0)
 
 
-@pytest.mark.parametrize("simulator", ["vectorized", "highway_env"])
+@pytest.mark.parametrize("simulator", slow_but(["vectorized"], ["vectorized", "highway_env"]))
 @pytest.mark.parametrize("buffer", options("buffer"))
 def test_every_buffer_binds_to_its_constructor(buffer, simulator):
     made = built(f"buffer={buffer}", "algorithm.learning_starts=40", f"env.simulator={simulator}").replay_buffer
@@ -64,7 +65,7 @@ def test_every_argument_arrives():
     assert list(model.action_noise.base_noise._sigma) == [0.2, 0.3]
 
 
-@pytest.mark.parametrize("algorithm", options("algorithm"))
+@pytest.mark.parametrize("algorithm", slow_but(["td3", "crossq"], options("algorithm")))
 @pytest.mark.parametrize("value", ["{name}", "{{_target_:{name}}}"])
 def test_classes_among_the_policys_arguments_are_dotted_paths_or_targets(algorithm, value):
     classes = {"activation_fn": "torch.nn.Tanh", "optimizer_class": "torch.optim.AdamW"}

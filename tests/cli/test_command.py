@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from support.marks import slow_but
 from support.runs import GROUPS, ROOT, call_script, options, script
 
 from parking_exp.cli.command import _parse, errors_as_sentences
@@ -71,7 +72,7 @@ def test_help_and_refusals_import_nothing_heavy(imported, name, argument):
     assert imported[name, argument] == ([], [])
 
 
-@pytest.mark.parametrize("name", ["train", "tune", "evaluate", "export", "report", "status"])
+@pytest.mark.parametrize("name", slow_but(["train"], ["train", "tune", "evaluate", "export", "report", "status"]))
 def test_help_lists_the_options_of_groups_and_examples(name):
     done = call_script(name, "--help")
     assert done.returncode == 0

@@ -72,14 +72,16 @@ def test_every_package_has_a_page_of_the_reference():
     assert pages - {"index"} == packages - {"cli"}
 
 
-@pytest.mark.parametrize("large", [False, pytest.param(True, marks=pytest.mark.slow)])
-def test_commands_run(large, tmp_path):
+@pytest.mark.parametrize("first", slow_but([True], [True, False]))
+def test_commands_run(first, tmp_path):
+    """Those of the pages that a new user reads first, and of all others."""
     winner = tmp_path / "outputs" / "recipe" / "tuned_recipe.yaml"  # as a search writes it
     winner.parent.mkdir(parents=True)
     winner.write_text("# @package _global_\nexperiment_name: tuned\n")
     # The commands of extending.md need the files of its examples; benchmarks take minutes.
     every = [command for command in commands(*(set(PAGES) - {EXTENDING})) if not command.startswith("benchmark.py")]
-    selected = [command for command in every if bool(LARGE.match(command)) == large]
+    read_first = commands(ROOT / "README.md", ROOT / "docs" / "getting_started.md")
+    selected = [command for command in every if (command in read_first and not LARGE.match(command)) == first]
     assert len(selected) > 5
     for command in selected:
         script, *words = cheap(command)

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from scipy import optimize, stats
 from support import coverage_simulation as simulation
 from support.coverage_simulation import Rates
+from support.marks import slow_but
 
 from parking_exp.statistics import (
     Interval,
@@ -331,7 +332,10 @@ def test_effects_flag_missing_combinations_and_have_no_interval_with_a_single_se
 # Coverage
 
 
-@pytest.mark.parametrize(("rates", "n"), [(Rates(0.95, 0.03), 5), (Rates(0.25, 0.15), 10), (Rates(0.98, 0.015), 20)])
+COVERED = [(Rates(0.95, 0.03), 5), (Rates(0.25, 0.15), 10), (Rates(0.98, 0.015), 20)]
+
+
+@pytest.mark.parametrize(("rates", "n"), slow_but(COVERED[:1], COVERED, several=True))
 def test_interval_of_a_mean_covers_in_93_to_97_of_100_draws(rates, n):
     assert 0.93 <= simulation.of_mean(rates, n, 1000).mean() <= 0.97
 

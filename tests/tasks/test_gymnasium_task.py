@@ -10,6 +10,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from stable_baselines3.common.logger import Logger
+from support.marks import slow_but
 from support.runs import call_script, only_run, options, run_script, script
 from support.sweep_processes import wait_until
 
@@ -116,7 +117,7 @@ def test_what_the_reward_needs_of_info_is_stored_and_relabelled_with():
     assert np.abs(paid[:, None] - np.array(sorted(prices), np.float32)).min(axis=1).max() < 1e-6
 
 
-@pytest.mark.parametrize("vectorization", ["sync", "async"])
+@pytest.mark.parametrize("vectorization", slow_but(["sync"], ["sync", "async"]))
 def test_training_envs_go_on_as_if_they_had_not_been_saved(vectorization):
     env = config(f"{TOY}BitFlip-v0", f"env.vectorization={vectorization}").env
     first, second = make_training_envs(env, 2), make_training_envs(env, 2)

@@ -118,7 +118,7 @@ def uninterrupted(tmp_path_factory):
     return run(tmp_path_factory.mktemp("uninterrupted"))
 
 
-@pytest.mark.parametrize("kind", slow_but(["sac", "td3, EMA, random goals, a full buffer"], KINDS))
+@pytest.mark.parametrize("kind", slow_but(["td3, EMA, random goals, a full buffer"], KINDS))
 def test_a_run_that_was_interrupted_twice_equals_one_that_was_not(tmp_path, kind):
     """Between checkpoints, in the middle of episodes; before the first update and later."""
     whole = run(tmp_path / "whole", *KINDS[kind])

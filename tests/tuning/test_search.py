@@ -1,6 +1,7 @@
 """A search and the configs of its trials, validated before anything starts."""
 
 import pytest
+from support.marks import slow_but
 from support.runs import make_config, options
 from support.searches import user_search
 
@@ -52,7 +53,7 @@ def test_trial_0_has_the_values_of_the_unchanged_config_and_other_commands_read_
     }  # fmt: skip
 
 
-@pytest.mark.parametrize("name", options("search"))
+@pytest.mark.parametrize("name", slow_but(["smoke"], options("search")))
 def test_every_search_of_the_package_is_valid(name):
     search = Search([f"search={name}"])
     search.check()
