@@ -1,34 +1,28 @@
 """The `env` group of any goal environment that is registered with Gymnasium."""
 
 from collections.abc import Iterator, Mapping
-from typing import Annotated, Any, ClassVar, Literal, Self
+from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import Field, PositiveInt
 
-from parking_exp.config_model import ConfigModel, Name
+from parking_exp.tasks.task_config import TaskConfig
 
 ENV_ID_PATTERN = r"^([A-Za-z_][\w.]*:)?([\w-]+/)?[\w.-]+$"
 
 
-class GymnasiumConfig(ConfigModel):
+class GymnasiumConfig(TaskConfig):
     """The `env` group of a Gymnasium environment."""
 
     simulators: ClassVar[tuple[str, ...]] = ("gymnasium",)
     simulator: ClassVar[str] = "gymnasium"
-    agent_keys: ClassVar[tuple[str, ...]] = ()
 
     task: Literal["gymnasium"]
-    name: Name
     id: Annotated[str, Field(pattern=ENV_ID_PATTERN)]
     kwargs: dict[str, Any]
     max_episode_steps: PositiveInt | None
     vectorization: Literal["sync", "async"]
     success_key: str | None
     failure_key: str | None
-
-    def for_training(self) -> Self:
-        """Return the config of training envs, which is the same."""
-        return self
 
     def episode_steps(self) -> int | None:
         """Return the longest episode in steps; None where only the registered environment knows."""
@@ -39,10 +33,6 @@ class GymnasiumConfig(ConfigModel):
         """Keys by which making an env may import a module or open a file, and their values."""
         unsafe = {f"kwargs.{key}": str(value) for key, value in self.kwargs.items() if not _is_harmless(value)}
         return unsafe | ({"id": self.id} if ":" in self.id else {})
-
-    def problems(self) -> Iterator[str]:
-        """Yield nothing: there are no rules between keys."""
-        yield from ()
 
     def model_problems(self, features: str, buffer: Mapping[str, Any]) -> Iterator[str]:
         """Yield what does not go with this task: of the policy's features and of the arguments of the buffer."""

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 import numpy as np
 
 from parking_exp.tasks.metrics import Metric
+from parking_exp.tasks.task_config import TaskConfig
 
 if TYPE_CHECKING:
     import gymnasium as gym
@@ -83,12 +84,15 @@ class EvaluationBatch(Protocol):
 class Task(Protocol):
     """A goal-conditioned task, made from its `env` group by `registry.make_task`."""
 
-    config: Any  # its `env` group
     metrics: tuple[Metric, ...]  # of an evaluation episode; `success` is always there
     failure: str  # the outcome of an episode that ends badly, by its name in this task
     env_id: str
     monitored: tuple[str, ...]  # entries of `info` that `monitor.csv` has of each training episode
     batch_size: int  # evaluation episodes that are stepped together
+
+    @property
+    def config(self) -> TaskConfig:
+        """Its `env` group."""
 
     def training_envs(self, n_envs: int) -> "VecEnv":
         """Make training envs: `training_envs.get_state` can save them, and HER relabels with their `goal_reward`."""

@@ -1,11 +1,12 @@
 """The `env` group of parking-v0: highway-env's options under their own names, and some of ours."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from typing import Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import AfterValidator, Field, PositiveFloat
 
-from parking_exp.config_model import Bounds, ConfigModel, Duration, Name, Pixels, Range
+from parking_exp.config_model import Bounds, ConfigModel, Duration, Pixels, Range
+from parking_exp.tasks.task_config import TaskConfig
 
 ENV_ID = "parking-v0"
 DEFAULT_FEATURES = ["x", "y", "vx", "vy", "cos_h", "sin_h"]
@@ -50,15 +51,13 @@ class ActionConfig(ConfigModel):
     clip: bool
 
 
-class ParkingConfig(ConfigModel):
+class ParkingConfig(TaskConfig):
     """The `env` group of parking-v0."""
 
     simulators: ClassVar[tuple[str, ...]] = ("vectorized", "highway_env")
-    imports: ClassVar[dict[str, str]] = {}  # keys by which making an env imports a module: none
-    agent_keys: ClassVar[tuple[str, ...]] = ("observation",)  # keys that evaluation takes from an agent's training
+    agent_keys: ClassVar[tuple[str, ...]] = ("observation",)
 
     task: Literal["parking"]
-    name: Name
     simulator: Literal["vectorized", "highway_env"]
     reward: Literal["dense", "sparse"]
     training_duration: Duration | None
@@ -125,7 +124,3 @@ class ParkingConfig(ConfigModel):
             )
         if self.policy_frequency > self.simulation_frequency:
             yield f"env.policy_frequency={self.policy_frequency} is above env.simulation_frequency"
-
-    def model_problems(self, features: str, buffer: Mapping[str, Any]) -> Iterator[str]:
-        """Yield nothing: parking goes with all features and buffers."""
-        yield from ()

@@ -1,0 +1,48 @@
+"""The base of the `env` groups of all tasks: what the rest of the package asks of one."""
+
+from collections.abc import Iterator, Mapping
+from typing import TYPE_CHECKING, Any, ClassVar, Self
+
+from parking_exp.config_model import ConfigModel, Name
+
+
+class TaskConfig(ConfigModel):
+    """The `env` group of a task, chosen by its key `task`.
+
+    Attributes:
+        simulators: the first trains; the last is the reference that results are cross-checked on.
+        agent_keys: keys that evaluation takes from an agent's training, e.g. what the agent observes.
+    """
+
+    simulators: ClassVar[tuple[str, ...]]
+    agent_keys: ClassVar[tuple[str, ...]] = ()
+
+    task: Any
+    name: Name
+
+    if TYPE_CHECKING:  # a key of some tasks, and fixed for others
+
+        @property
+        def simulator(self) -> str:
+            """The simulator that trains."""
+
+    def for_training(self) -> Self:
+        """Return the config of training envs."""
+        return self
+
+    def episode_steps(self) -> int | None:
+        """Return the longest episode in steps; None where only the environment knows."""
+        raise NotImplementedError
+
+    @property
+    def imports(self) -> dict[str, str]:
+        """Keys by which making an env may import a module or open a file, and their values."""
+        return {}
+
+    def problems(self) -> Iterator[str]:
+        """Yield a sentence for each rule between keys that is violated."""
+        yield from ()
+
+    def model_problems(self, features: str, buffer: Mapping[str, Any]) -> Iterator[str]:
+        """Yield what does not go with this task: of the policy's features and of the arguments of the buffer."""
+        yield from ()
