@@ -1,0 +1,114 @@
+#!/usr/bin/env python
+"""Print how the pretrained agents do on perturbed tasks, as a Markdown table of rates in percent over 500 scenes.
+
+`default` reaches its slot, `parked` and `crowded` stop in it; each on the env of its training, `crowded` among 10 cars.
+"""
+
+import sys
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from parking_exp.algorithms.build_model import greedy_policy
+from parking_exp.evaluation.agents import find_agent
+from parking_exp.tasks.metrics import Episode, outcome
+from parking_exp.tasks.parking.parking_config import ParkingConfig
+from parking_exp.tasks.parking.parking_metrics import METRICS
+from parking_exp.tasks.parking.scenes import Scenes
+from parking_exp.tasks.parking.simulator import Simulator
+from parking_exp.tasks.task import Policy
+from parking_exp.terminal import say
+
+N_SCENES = 500
+AGENTS = {"default": "success", "parked": "parked", "crowded": "parked"}  # and what each was trained for
+PARKED = next(metric for metric in METRICS if metric.name == "parked")
+
+
+@dataclass(frozen=True)
+class Perturbation:
+    """A change of the task after training.
+
+    Attributes:
+        env: keys of its config.
+        noise: standard deviation of what the agent measures of itself, in each step: position [m] and velocity [m/s],
+            and a tenth of it in the cosine and sine of the heading.
+        delay: policy steps, of 0.2 s, until an action has an effect.
+        shift_m: the start is uniform within this distance in x, and half of it in y.
+    """
+
+    env: Mapping[str, Any] = field(default_factory=dict)
+    noise: float = 0.0
+    delay: int = 0
+    shift_m: float = 0.0
+
+
+PERTURBATIONS = {
+    "none": Perturbation(),
+    "start shifted by up to 8 m": Perturbation(shift_m=8),
+    "start shifted by up to 16 m": Perturbation(shift_m=16),
+    "steering up to 40° instead of 45°": Perturbation({"steering_range": [-np.radians(40), np.radians(40)]}),
+    "steering up to 30°": Perturbation({"steering_range": [-np.radians(30), np.radians(30)]}),
+    "acceleration up to 3 m/s² instead of 5": Perturbation({"acceleration_range": [-3.0, 3.0]}),
+    "noise of 0.1 m, 0.1 m/s, 0.6°": Perturbation(noise=0.1),
+    "noise of 0.3 m, 0.3 m/s, 1.7°": Perturbation(noise=0.3),
+    "actions 0.2 s late": Perturbation(delay=1),
+    "actions 0.4 s late": Perturbation(delay=2),
+}
+
+
+def main() -> None:
+    """Evaluate every agent on every perturbation."""
+    if len(sys.argv) > 1:
+        say(__doc__ or "")
+        return
+    agents = [find_agent(f"pretrained/{name}", Path("outputs")) for name in AGENTS]
+    policies = [agent.model(agent.config.env) for agent in agents]
+    heads = [f"`{name}`: {metric} (crash)" for name, metric in AGENTS.items()]
+    say(f"| perturbation | {' | '.join(heads)} |", f"|---|{'---:|' * len(agents)}")
+    for title, perturbation in PERTURBATIONS.items():
+        rates = []
+        for agent, model, metric in zip(agents, policies, AGENTS.values(), strict=True):
+            assert isinstance(agent.config.env, ParkingConfig)
+            config = _perturbed(agent.config.env, perturbation)
+            shares = evaluate(greedy_policy(model), config, perturbation)
+            rates.append(f"{100 * shares[metric]:.1f} ({100 * shares['crash']:.1f})")
+        say(f"| {title} | {' | '.join(rates)} |")
+
+
+def _perturbed(env: ParkingConfig, perturbation: Perturbation) -> ParkingConfig:
+    action = env.action.model_copy(update=dict(perturbation.env))
+    return env.model_copy(update={"action": action, "vehicles_count": 10 if env.vehicles_range[1] else 0})
+
+
+def evaluate(policy: Policy, config: ParkingConfig, perturbation: Perturbation) -> dict[str, float]:
+    """Return the rates of success, crash and parked over scenes 0 to 499."""
+    rng = np.random.default_rng(0)
+    simulator = Simulator(config, Scenes.from_seeds(range(N_SCENES), config.vehicles_range, config.obstacles))
+    shift = perturbation.shift_m * np.array([[1.0], [0.5]])
+    simulator.state.position[:] += rng.uniform(-shift, shift, (2, N_SCENES))
+    waiting = [np.zeros((N_SCENES, 2), np.float32)] * perturbation.delay
+    sigma = perturbation.noise / np.array([100, 100, 5, 5, 10, 10])  # in the scales of the observation
+    counts = {"success": 0, "crash": 0, "parked": 0}
+    under_way = np.ones(N_SCENES, bool)
+    while under_way.any():
+        seen = simulator.observe()
+        noise = rng.normal(0, sigma, (N_SCENES, 6))
+        seen["achieved_goal"] = seen["achieved_goal"] + noise
+        seen["observation"] = np.concatenate([seen["observation"][:, :6] + noise, seen["observation"][:, 6:]], axis=1)
+        waiting.append(policy(seen))
+        step = simulator.step(waiting.pop(0))
+        for row in np.flatnonzero(under_way & (step.terminated | step.truncated)):
+            ending = outcome("crash", bool(step.failed[row]), bool(step.is_success[row]))
+            counts[ending] = counts.get(ending, 0) + 1
+            counts["parked"] += bool(PARKED.of(Episode(ending, 0, 0.0, simulator.ending(int(row)))))
+        under_way &= ~(step.terminated | step.truncated)
+    return {name: count / N_SCENES for name, count in counts.items()}
+
+
+if __name__ == "__main__":
+    main()
