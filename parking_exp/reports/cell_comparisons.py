@@ -137,6 +137,6 @@ def main_effects(cells: Sequence[Cell], factors: Sequence[Factor]) -> list[MainE
     rows = [
         {**cell.settings, "success": seed.success} for cell in full for seed in cell.seeds if seed.success is not None
     ]
-    episodes = [seed_rates(cell).n_episodes for cell in full]
+    episodes = [seed_rates(cell).n_episodes for cell in full if cell.success.value is not None]
     n_episodes = None if None in episodes else min(filter(None, episodes), default=None)
     return statistics.main_effects(pd.DataFrame(rows), list(crossed), "success", n_episodes) if rows else []
