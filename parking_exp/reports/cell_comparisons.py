@@ -37,23 +37,23 @@ class Family(NamedTuple):
     pairs: list[Pair]
     sentence: str
     reference: str | None
+    declared: bool = False  # whether the pairs are the experiment's contrasts
 
 
-def compare_pairs(cells: Sequence[Cell], baseline: str | None, planned: Sequence[tuple[str, str]] = ()) -> Family:
-    """Return the pairs of the declared family.
+def compare_pairs(cells: Sequence[Cell], baseline: str | None, contrasts: Sequence[tuple[str, str]] = ()) -> Family:
+    """Return the comparisons of a report, of cells given by their ids.
 
-    These are all others against the baseline, given by its id; without one, the planned pairs of ids. Without those it
-    is all pairs or, where cells are many, all against the one with the highest mean. The verdict of fewer than two
-    finished seeds is unknown.
+    These are all cells against the baseline, else the declared contrasts, else all pairs or, where cells are many, all
+    against the one with the highest mean. The verdict of fewer than two finished seeds is unknown.
     """
     rated = [cell for cell in cells if cell.success.value is not None]
     reference = next((cell for cell in rated if cell.id == baseline), None)
     by_id = {cell.id: cell for cell in rated}
-    declared = [(by_id[a], by_id[b]) for a, b in planned if a in by_id and b in by_id] if reference is None else []
+    declared = [(by_id[a], by_id[b]) for a, b in contrasts if {a, b} <= by_id.keys()] if reference is None else []
     if reference is None and not declared and len(rated) > ALL_PAIRS_UP_TO:
         reference = max(rated, key=lambda cell: cell.success.value or 0.0)
     if declared:
-        couples, family = declared, f"the {plural(len(declared), 'pair')} that the experiment had planned"
+        couples, family = declared, f"{plural(len(declared), 'pair')} that the experiment declares as contrasts"
     elif reference is None:
         couples = list(combinations(rated, 2))
         family = "two cells" if len(couples) == 1 else f"all {len(couples)} pairs of {len(rated)} cells"
@@ -64,7 +64,7 @@ def compare_pairs(cells: Sequence[Cell], baseline: str | None, planned: Sequence
     if not couples:
         return Family([], "", None)
     sentence = (
-        f"Compared were {family} on the final success of seeds; p is Holm's over this family, and intervals are "
+        f"Comparisons of the final success of seeds: {family}. p is Holm's over this family, and intervals are "
         "simultaneous: 0 lies outside exactly where p is below 0.05."
     )
     if reference is not None and reference.id != baseline:
@@ -80,7 +80,7 @@ def compare_pairs(cells: Sequence[Cell], baseline: str | None, planned: Sequence
             pairs, holm([pair.rank_p for pair in pairs]), holm([pair.log_rank_p for pair in pairs]), strict=True
         )
     ]
-    return Family(corrected, sentence, reference.id if reference else None)
+    return Family(corrected, sentence, reference.id if reference else None, bool(declared))
 
 
 def seed_rates(cell: Cell) -> SeedRates:

@@ -1,5 +1,6 @@
 """Group runs into labelled cells, and select some of them by label, pattern or config."""
 
+import ast
 import math
 import re
 from collections.abc import Sequence
@@ -10,7 +11,7 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-import yaml
+from pydantic import TypeAdapter
 
 from parking_exp.config.cell_labels import (
     GROUPS,
@@ -27,6 +28,7 @@ from parking_exp.errors import ConfigError, suggestion
 from parking_exp.reports import report_request
 
 CONFIG = "config."
+CONTRASTS = TypeAdapter(list[tuple[str, str]] | None)
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,6 +47,11 @@ class CellRuns:
     def task(self) -> str:
         """Name of its task; configs of early exports have parking alone."""
         return str(self.config.get("env.task", "parking"))
+
+    @property
+    def begun(self) -> pd.Timestamp:
+        """When its first run was started."""
+        return self.runs["started"].min()
 
     @cached_property
     def done(self) -> pd.DataFrame:
@@ -106,31 +113,47 @@ def choose(cells: Sequence[CellRuns], wanted: Sequence[str], key: str = "cells")
     return selected
 
 
-def find_baseline(
-    cells: Sequence[CellRuns], baseline: str, preferred: Sequence[CellRuns] = (), key: str = "baseline"
-) -> CellRuns:
-    """Return the one cell that fits a label, a name or a pattern; where several do, the one that is preferred."""
-    fitting = _find_named(cells, baseline) or choose(cells, [baseline], key)
+def find_cell(cells: Sequence[CellRuns], name: str, key: str, preferred: Sequence[CellRuns] = ()) -> CellRuns:
+    """Return the one cell that fits a label, a name or a pattern; where several do, the one that is preferred.
+
+    Raises:
+        ConfigError: none fits, or several; it begins with `key`.
+    """
+    fitting = choose(cells, [name], key)
     if len(fitting) > 1:
         fitting = [cell for cell in fitting if cell in preferred] or fitting
     if len(fitting) > 1:
         few = ", ".join(repr(cell.label) for cell in fitting[:5])
-        raise ConfigError(f"{key}={baseline}: {len(fitting)} cells fit, e.g. {few}; name one")
+        raise ConfigError(f"{key}={name}: {len(fitting)} cells fit, e.g. {few}; name one")
     return fitting[0]
 
 
-def find_planned(cells: Sequence[CellRuns]) -> tuple[list[tuple[CellRuns, CellRuns]], list[str]]:
-    """Return the pairs of `contrasts` in the files of experiments, and a sentence for each pair that is not there."""
-    planned, absent = list[tuple[CellRuns, CellRuns]](), list[str]()
-    for experiment, text in dict.fromkeys((cell.experiment, str(cell.config.get("contrasts"))) for cell in cells):
-        own = [cell for cell in cells if cell.experiment == experiment]
-        for pair in yaml.safe_load(text) if text.startswith("[") else ():
+def find_contrasts(cells: Sequence[CellRuns]) -> tuple[list[tuple[CellRuns, CellRuns]], list[str]]:
+    """Return the pairs that experiments declare as `contrasts`, and a warning for each that is left out.
+
+    Those of an experiment's first run count, and its cells are named as in a report on it alone.
+    """
+    contrasts, warnings = dict[frozenset[int], tuple[CellRuns, CellRuns]](), list[str]()
+    for experiment in dict.fromkeys(cell.experiment for cell in cells):
+        own = sorted((cell for cell in cells if cell.experiment == experiment), key=lambda cell: cell.begun)
+        labelled = relabel(own)[0]
+        texts = [str(cell.config.get("contrasts")) for cell in own]
+        if len(set(texts)) > 1:
+            warnings.append(f"{experiment}: contrasts differ between cells; those of the first run are compared.")
+        try:
+            named = CONTRASTS.validate_python(ast.literal_eval(texts[0]))
+        except (ValueError, SyntaxError, MemoryError, RecursionError):  # of a foreign store, or cut
+            warnings.append(f"{experiment}: its contrasts can't be read.")
+            continue
+        for pair in named or ():
             try:
-                first, second = (find_baseline(own, word, key="contrasts") for word in pair)
-                planned.append((first, second))
+                first, second = (own[labelled.index(find_cell(labelled, name, "contrasts"))] for name in pair)
             except ConfigError as error:
-                absent.append(f"The planned comparison of {pair[0]} and {pair[1]} is left out: {error}.")
-    return planned, absent
+                warnings.append(f"The declared contrast of {pair[0]} and {pair[1]} is left out ({error}).")
+                continue
+            if first is not second:
+                contrasts.setdefault(frozenset((id(first), id(second))), (first, second))
+    return list(contrasts.values()), warnings
 
 
 def _find_named(cells: Sequence[CellRuns], name: str) -> list[CellRuns]:

@@ -32,8 +32,12 @@ def describe_cells(cells: Sequence[Cell], family: Family) -> Iterator[str]:
         yield f"{list_names(first)} have the same final success, the highest: {rate}."
     else:
         yield f"{quoted_label(best.label)} has the highest final success: {rate} of the episodes, {seeds}."
-    reference = next((cell for cell in rated if cell.id == family.reference), best)
-    yield from _describe_comparisons(reference, {cell.id: cell.label for cell in rated}, family.pairs)
+    labels = {cell.id: cell.label for cell in rated}
+    if family.declared:
+        yield from (_describe_contrast(pair, labels) for pair in family.pairs)
+    else:
+        reference = next((cell for cell in rated if cell.id == family.reference), best)
+        yield from _describe_comparisons(reference, labels, family.pairs)
     if shares := [
         f"{quoted_label(cell.label)} {_write_share(cell.reaching_95)}" for cell in rated if cell.reaching_95.n > 1
     ]:
@@ -70,6 +74,13 @@ def _describe_comparisons(reference: Cell, labels: Mapping[str, str], pairs: Seq
     unknown = {pair.b for pair in oriented if pair.verdict == "unknown"}
     if names := [label for cell, label in labels.items() if cell in unknown]:
         yield f"{name} cannot be compared with {list_names(names)}: that needs two finished seeds of each."
+
+
+def _describe_contrast(pair: Pair, labels: Mapping[str, str]) -> str:
+    a, b = labels[pair.a], labels[pair.b]
+    if pair.verdict == "unknown":
+        return f"{quoted_label(a)} cannot be compared with {quoted_label(b)}: that needs two finished seeds of each."
+    return f"{quoted_label(a)} {VERDICTS[pair.verdict]} {_write_gap(b, pair)}."
 
 
 def _write_gap(label: str, pair: Pair) -> str:

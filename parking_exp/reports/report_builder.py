@@ -12,13 +12,13 @@ from parking_exp import __version__
 from parking_exp.config.cell_labels import Factor, can_matter, differing_keys
 from parking_exp.errors import RunNotFoundError, plural
 from parking_exp.reports import cell_comparisons, findings, report_warnings
-from parking_exp.reports.cell_selection import CellRuns, choose, find_baseline, find_planned, group, relabel
+from parking_exp.reports.cell_selection import CellRuns, choose, find_cell, find_contrasts, group, relabel
 from parking_exp.reports.cell_summaries import RunEvaluations, find_shared_horizon, summarise
 from parking_exp.reports.report_data import Cell, Provenance, ReportData, UnfinishedRun
 from parking_exp.results.frames import Results
 
 MAX_PROBLEMS = 5
-SHOWN_WHOLE, SHOWN = 16, 12  # cells in figures: all of up to 16, else the 12 best
+SHOWN_WHOLE, SHOWN = 16, 12  # cells in figures: all of up to 16, else 12
 VERSION = "version."
 SHORT_COMMIT = 10
 REASONS = {"running": "under way", "interrupted": "interrupted or not begun; rerun the sweep"}
@@ -30,8 +30,8 @@ class Selection(NamedTuple):
     cells: list[CellRuns]
     factors: list[Factor]
     baseline: str | None  # id of the cell
-    planned: list[tuple[str, str]]  # ids of cells that the experiments had planned to compare
-    absent: list[str]  # sentences: what they had planned with cells that are not there
+    contrasts: list[tuple[str, str]]  # ids of cells
+    warnings: list[str]  # of contrasts that are left out
     left_out: list[str]  # labels of the other cells
 
 
@@ -63,9 +63,9 @@ def build_report(
     evaluations = RunEvaluations.of(results)
     horizon = find_shared_horizon(groups, evaluations)
     summaries = [summarise(cell, number, evaluations, horizon, quick) for number, cell in enumerate(groups)]
-    shown = _choose_shown(summaries, [selection.baseline, *chain(*selection.planned)])
+    shown = _choose_shown(summaries, [selection.baseline, *chain(*selection.contrasts)])
     effects = cell_comparisons.main_effects(summaries, factors)
-    family = cell_comparisons.compare_pairs(summaries, selection.baseline, selection.planned)
+    family = cell_comparisons.compare_pairs(summaries, selection.baseline, selection.contrasts)
     origin = _collect_provenance(groups, selection.left_out, results.uri)
     incomparable = report_warnings.find_incomparable(groups, summaries, origin)
     return ReportData(
@@ -85,7 +85,7 @@ def build_report(
         effects=effects,
         horizon=horizon,
         claims=[*findings.describe_cells(summaries, family), *findings.describe_factors(factors, effects)],
-        warnings=list(dict.fromkeys([*selection.absent, *incomparable, *results.problems[:MAX_PROBLEMS]])),
+        warnings=list(dict.fromkeys([*selection.warnings, *incomparable, *results.problems[:MAX_PROBLEMS]])),
         missing=list(report_warnings.find_missing(summaries, experiments, results.runs["experiment"])),
         provenance=origin,
         notes=list(_write_notes(summaries, shown, selection, crossed=bool(effects))),
@@ -99,21 +99,27 @@ def _select(
     """Return the wanted cells, all without any, and the baseline; both must have a finished run unless `quick`."""
     cells = group(results.runs)
     selected = choose(cells, wanted) if wanted else cells
-    reference = find_baseline(cells, baseline, preferred=selected) if baseline else None
+    reference = find_cell(cells, baseline, "baseline", preferred=selected) if baseline else None
     selected = selected if reference is None or reference in selected else [reference, *selected]
     if not quick:
         _refuse_unfinished(selected, f"experiment={','.join(experiments)}", "; report=quick shows what there is so far")
         if reference is not None:
             _refuse_unfinished([reference], f"baseline={baseline}")
     ids = {id(cell): f"c{number}" for number, cell in enumerate(selected)}
-    planned, absent = find_planned(cells)
+    contrasts, warnings = find_contrasts(cells)
+    with_results = {id(cell) for cell in selected if len(cell.done)}
+    usable = [pair for pair in contrasts if {id(cell) for cell in pair} <= with_results]
+    for a, b in (pair for pair in contrasts if pair not in usable):
+        warnings.append(
+            f"The declared contrast of {a.label} and {b.label} is left out: it needs finished runs of both."
+        )
     labelled, factors = relabel(selected)
     return Selection(
         labelled,
         factors,
         baseline=None if reference is None else ids[id(reference)],
-        planned=[(ids[id(a)], ids[id(b)]) for a, b in planned if {id(a), id(b)} <= ids.keys()],
-        absent=absent,
+        contrasts=[(ids[id(a)], ids[id(b)]) for a, b in usable],
+        warnings=warnings,
         left_out=[cell.label for cell in cells if cell not in selected],
     )
 
@@ -127,12 +133,15 @@ def _refuse_unfinished(cells: Sequence[CellRuns], override: str, hint: str = "")
 def _choose_shown(cells: Sequence[Cell], always: Sequence[str | None]) -> list[str]:
     """Return the ids of the cells in figures, in the order of the report: all, or the best of many.
 
-    Cells in `always`, and controls without one of the keys, are among them.
+    Those in `always` come first, then controls, which lack one of the keys.
     """
     if len(cells) <= SHOWN_WHOLE:
         return [cell.id for cell in cells]
-    kept = {cell.id for cell in cells if cell.id in always or None in cell.settings.values()}
-    ranked = sorted(cells, key=lambda cell: (cell.id not in kept, -(cell.success.value or -1.0)))
+    kept = {cell.id for cell in cells if cell.id in always}
+    ranked = sorted(
+        cells,
+        key=lambda cell: (cell.id not in kept, None not in cell.settings.values(), -(cell.success.value or -1.0)),
+    )
     best = {cell.id for cell in ranked[: max(SHOWN, len(kept))]}
     return [cell.id for cell in cells if cell.id in best]
 
@@ -140,7 +149,10 @@ def _choose_shown(cells: Sequence[Cell], always: Sequence[str | None]) -> list[s
 def _write_notes(cells: Sequence[Cell], shown: Sequence[str], selection: Selection, *, crossed: bool) -> Iterator[str]:
     """Yield notes on what figures and main effects, or the report as a whole, leave out."""
     if len(shown) < len(cells):
-        yield f"Pictures show the {len(shown)} of {len(cells)} cells with the highest success; tables have all."
+        yield (
+            f"Figures show {len(shown)} of {len(cells)} cells: baseline, contrasts, controls, and the best; "
+            "tables have all."
+        )
     if outside := [cell.label for cell in cells if None in cell.settings.values()] if crossed else []:
         yield f"Not part of the main effects, without a value of every factor: {report_warnings.list_names(outside)}."
 

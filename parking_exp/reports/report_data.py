@@ -162,7 +162,7 @@ class ReportData:
     factors: Sequence[Factor]
     cells: Sequence[Cell]
     tasks: Sequence[str]  # of the cells, by name
-    shown: Sequence[str]  # ids of the cells in figures: all or, of many, the best
+    shown: Sequence[str]  # ids of the cells in figures: all or, of many, some
     baseline: str | None  # id of the cell that the user asked to compare with
     family: str  # a sentence: which pairs were compared, and how p was corrected
     pairs: Sequence[Pair]

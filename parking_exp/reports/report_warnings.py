@@ -7,7 +7,7 @@ from parking_exp.config.cell_labels import differing_keys, setting
 from parking_exp.errors import plural, quoted_label
 from parking_exp.reports.cell_selection import CellRuns
 from parking_exp.reports.report_data import Cell, Provenance
-from parking_exp.tasks.registry import TRAINING_KEYS
+from parking_exp.tasks.registry import TRAINING_ONLY
 
 ENOUGH_SEEDS = 10
 FEW_NAMES = 4
@@ -74,7 +74,7 @@ def _find_mixed(runs: Sequence[CellRuns], origin: Provenance) -> Iterator[str]:
         if len(values) > 1:
             yield words.format(list_names([f"{v:,}" if isinstance(v, int) else setting(v) for v in values]))
     keys = [key for key in differing_keys([cell.config for cell in runs]) if key.startswith("env.")]
-    if mixed := [key for key in keys if key not in TRAINING_KEYS]:
+    if mixed := [key for key in keys if key not in TRAINING_ONLY]:
         yield f"Tasks are mixed: cells differ in {list_names(mixed)}; their rates are not of the same episodes."
     if len({tuple(cell.done["seed"]) for cell in runs if len(cell.done)}) > 1:
         yield "Cells do not have the same seeds."

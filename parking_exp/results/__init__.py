@@ -36,7 +36,7 @@
     crash_rate, parked_rate, steps_mean,
     return_mean
     cpu_s                                      float64   CPU time until then
-    real_share                                 float64   real transitions among those sampled; NaN without HER
+    real_share                                 float64   share of sampled transitions not relabelled; 1 with replay
 
 `episodes` has one row per evaluation episode of the runs that are over, in the order of `runs`:
 

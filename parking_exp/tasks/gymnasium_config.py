@@ -15,6 +15,7 @@ class GymnasiumConfig(TaskConfig):
 
     simulators: ClassVar[tuple[str, ...]] = ("gymnasium",)
     simulator: ClassVar[str] = "gymnasium"
+    training_keys: ClassVar[tuple[str, ...]] = ("vectorization",)
 
     task: Literal["gymnasium"]
     id: Annotated[str, Field(pattern=ENV_ID_PATTERN)]
@@ -35,7 +36,7 @@ class GymnasiumConfig(TaskConfig):
         return unsafe | ({"id": self.id} if ":" in self.id else {})
 
     def model_problems(self, features: str, buffer: Mapping[str, Any]) -> Iterator[str]:
-        """Yield what does not go with this task: of the policy's features and of the arguments of the buffer."""
+        """Yield a sentence for the policy's features, or an argument of the buffer, that the task does not support."""
         if features != "raw":
             yield f"algorithm.features={features} is available for parking only; use algorithm.features=raw"
         if buffer.get("relabel_collision") == "keep":

@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING
 from parking_exp.tasks.env_config import EnvConfig
 from parking_exp.tasks.gymnasium_config import GymnasiumConfig
 from parking_exp.tasks.metrics import GYMNASIUM_METRICS, Metric
-from parking_exp.tasks.parking import parking_config, parking_metrics
+from parking_exp.tasks.parking import parking_metrics
+from parking_exp.tasks.parking.parking_config import ParkingConfig
 
 if TYPE_CHECKING:
     from parking_exp.tasks.task import Task, TaskReport
@@ -16,8 +17,10 @@ METRICS: tuple[Metric, ...] = tuple(dict.fromkeys((*parking_metrics.METRICS, *GY
 OUTCOMES = tuple(metric.name for metric in METRICS if metric.is_outcome)
 FAILURES = tuple(name for name in OUTCOMES if name not in ("success", "timeout"))
 """Outcomes of episodes that ended badly; each task has one of them."""
-TRAINING_KEYS = frozenset(f"env.{key}" for key in ("name", *parking_config.TRAINING_KEYS))
-"""Config keys of tasks by which the episodes of evaluations do not differ."""
+TRAINING_ONLY = frozenset(
+    f"env.{key}" for key in ("name", *ParkingConfig.training_keys, *GymnasiumConfig.training_keys)
+)
+"""Config keys of tasks that do not change the episodes of an evaluation."""
 DTYPES: dict[str, str] = {metric.name: metric.dtype for metric in METRICS if not metric.is_outcome}
 """Types of the columns of an episodes table, but for seed and outcome."""
 

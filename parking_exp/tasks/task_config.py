@@ -12,10 +12,12 @@ class TaskConfig(ConfigModel):
     Attributes:
         simulators: the first trains; the last is the reference that results are cross-checked on.
         agent_keys: keys that evaluation takes from an agent's training, e.g. what the agent observes.
+        training_keys: keys that do not change the episodes of an evaluation.
     """
 
     simulators: ClassVar[tuple[str, ...]]
     agent_keys: ClassVar[tuple[str, ...]] = ()
+    training_keys: ClassVar[tuple[str, ...]] = ()
 
     task: Any
     name: Name
@@ -44,5 +46,5 @@ class TaskConfig(ConfigModel):
         yield from ()
 
     def model_problems(self, features: str, buffer: Mapping[str, Any]) -> Iterator[str]:
-        """Yield what does not go with this task: of the policy's features and of the arguments of the buffer."""
+        """Yield a sentence for the policy's features, or an argument of the buffer, that the task does not support."""
         yield from ()

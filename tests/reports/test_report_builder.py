@@ -9,7 +9,7 @@ import scipy.stats
 from support.result_frames import ALGORITHMS, REPLAY, Run, results, together
 
 from parking_exp.errors import ConfigError, RunNotFoundError
-from parking_exp.reports.cell_selection import choose, find_baseline, group
+from parking_exp.reports.cell_selection import choose, find_cell, group
 from parking_exp.reports.report_builder import build_report
 from parking_exp.statistics import SeedRates, compare
 
@@ -109,7 +109,9 @@ def test_mixed_conditions_are_warned_of():
         "Budgets", "Evaluations", "Tasks", "Versions", "Commits", "Machines",
     }  # fmt: skip
     assert report.provenance.versions["highway-env"] == {"1.12.1": 7, "1.11.0": 7}
-    other_reward = {"env.name": "parking_sparse", "env.reward": "sparse", "env.collision_reward": -20.0}
+    other_reward = {
+        "env.name": "parking_sparse", "env.reward": "sparse", "env.collision_reward": -20.0, "env.simulator": "highway_env"
+    }  # fmt: skip
     assert not [line for line in content({"a": {}, "b": other_reward}).warnings if "mixed" in line]
 
 
@@ -201,15 +203,65 @@ def test_many_cells_are_compared_with_the_best_one_and_the_best_are_shown():
     assert "chosen by its result" in report.family
 
 
-def test_planned_contrasts_are_the_family_and_are_shown():
-    planned = {"contrasts": "[['gamma=0.5', 'gamma=0.51'], ['gamma=0.52', 'gamma=0.5'], ['gamma=0.9', 'gamma=0.5']]"}
-    cells = {str(i): {"algorithm.gamma": 0.5 + i / 100, **planned} for i in range(20)}
-    report = content(cells, [0, 1], lambda label, seed: Run(success=int(label) / 20))
-    assert [(pair.a, pair.b) for pair in report.pairs] == [("c0", "c1"), ("c2", "c0")]
-    assert "2 pairs that the experiment had planned" in report.family and {"c0", "c1", "c2"} < {*report.shown}
-    assert len(report.shown) == 12 and any("gamma=0.9" in warning for warning in report.warnings)
-    assert len(content(cells, [0, 1], baseline="gamma=0.53").pairs) == 19
-    assert not content(cells, [0, 1], cells=["gamma=0.53,0.54"]).family.startswith("planned")
+def declaring(*contrasts, n=20):
+    """Cells with more success the larger their gamma, whose file declares contrasts."""
+    return {str(i): {"algorithm.gamma": 0.5 + i / 100, "contrasts": str([*contrasts])} for i in range(n)}
+
+
+def compared(report):
+    return [tuple(report.cell(side).label.partition("gamma=0.")[2] for side in (p.a, p.b)) for p in report.pairs]
+
+
+def rising(label, seed):
+    return Run(success=int(label) / 20)
+
+
+def test_declared_contrasts_are_the_family_the_findings_and_in_figures():
+    cells = declaring(["gamma=0.5", "gamma=0.51"], ["gamma=0.52", "gamma=0.5"])
+    report = content(cells, [0, 1], rising)
+    assert compared(report) == [("5", "51"), ("52", "5")]
+    assert "2 pairs that the experiment declares" in report.family
+    assert {"c0", "c1", "c2"} < {*report.shown} and len(report.shown) == 12
+    assert sum("gamma=0.52 is" in claim and "gamma=0.5 (" in claim for claim in report.claims) == 1
+    assert not [warning for warning in report.warnings if "contrast" in warning]
+    assert len(content(cells, [0, 1], rising, baseline="gamma=0.53").pairs) == 19
+
+
+def test_a_contrast_counts_once_and_not_of_a_cell_with_itself():
+    report = content(
+        declaring(["gamma=0.5", "gamma=0.51"], ["gamma=0.51", "gamma=0.5"], ["gamma=0.5"] * 2), [0], rising
+    )
+    assert compared(report) == [("5", "51")]
+
+
+def test_a_contrast_that_is_left_out_is_warned_of():
+    cells = declaring(["gamma=0.5", "gamma=0.9"], ["gamma=0.5", "gamma=0.51"], ["gamma=0.5", "gamma=0.53"], n=4)
+    report = content(cells, [0], rising, cells=["gamma=0.5,0.53"])
+    assert compared(report) == [("5", "53")]
+    assert [("gamma=0.9" in w, "gamma=0.51" in w) for w in report.warnings if "contrast" in w] == [(1, 0), (0, 1)]
+    unfinished = content(cells, [0], lambda label, seed: Run(status="failed") if label == "1" else rising(label, seed))
+    assert sum("gamma=0.51 is left out" in warning for warning in unfinished.warnings) == 1
+
+
+@pytest.mark.parametrize("text", ["[1]", "[['a']]", "[['a', 'b'", "x", "__import__('os')"])
+def test_contrasts_that_cannot_be_read_are_warned_of(text):
+    cells = {"a": {"contrasts": text}, "b": {"algorithm.gamma": 0.5, "contrasts": text}}
+    report = content(cells)
+    assert len(report.pairs) == 1 and sum("contrasts can't be read" in warning for warning in report.warnings) == 1
+
+
+def test_contrasts_name_cells_as_a_report_on_their_experiment_does():
+    both = together(
+        results(declaring(["gamma=0.5", "gamma=0.51"], n=2), [0, 1]), results({"c": {}}, [0, 1], experiment="other")
+    )
+    assert [len({p.a, p.b}) for p in build_report(both, ["one", "other"]).pairs] == [2]
+
+
+def test_a_report_in_between_takes_a_crossed_design_with_a_cell_that_has_no_result():
+    report = content(
+        crossed(), [0], lambda label, seed: Run(status="running") if label == "final4" else Run(), quick=True
+    )
+    assert len(report.cells) == 4 and report.effects
 
 
 def test_cells_are_chosen_by_label_pattern_and_config():
@@ -240,9 +292,9 @@ def test_an_unknown_cell_is_an_error_that_names_it(asked, parts):
     with pytest.raises(ConfigError, match=parts):
         choose(groups, [asked])
     with pytest.raises(ConfigError):
-        find_baseline(groups, asked)
+        find_cell(groups, asked, "baseline")
     with pytest.raises(ConfigError, match=r"baseline=her_\*: 2 cells fit"):
-        find_baseline(groups, "her_*")
+        find_cell(groups, "her_*", "baseline")
 
 
 def test_an_ambiguous_baseline_is_looked_up_among_the_chosen_cells():

@@ -28,7 +28,7 @@ def headline(report: ReportData) -> Iterator[Table]:
     """Yield the table of what each cell reached and what it cost."""
     rows = _list_cell_rows(report)
     counts = [Column("Seeds", _count_finished, "seeds"), column("Env steps", "total_timesteps", formats.number)]
-    equal = [count for count in counts if len(rows) > 1 and len(set(map(count.write, rows))) == 1]
+    equal = [count for count in counts if len(rows) > 1 and {*map(count.write, rows)} == {count.write(rows[0])}]
     yield Table(
         "headline",
         rows,
@@ -51,7 +51,7 @@ def headline(report: ReportData) -> Iterator[Table]:
         f"Final evaluation: means over seeds, {PERCENT}; success of the worst seed, and its interquartile mean over "
         "seeds; how many seeds ended at 95 % or above, with the exact interval of their share; median of the env steps "
         "until 90 % were held for three evaluations."
-        + "".join(f" {count.title} in every row: {count.write(rows[0])}." for count in equal),
+        + "".join(f" {count.title} in every row: {count.write(rows[0]) or 'unknown'}." for count in equal),
         latex=True,
     )
 

@@ -12,11 +12,6 @@ ENV_ID = "parking-v0"
 DEFAULT_FEATURES = ["x", "y", "vx", "vy", "cos_h", "sin_h"]
 DEFAULT_SCALES = [100, 100, 5, 5, 1, 1]
 OUR_KEYS = {"task", "name", "simulator", "reward", "training_duration", "training_success_goal_reward", "obstacles"}
-# Keys by which training differs, and not the episodes of an evaluation.
-TRAINING_KEYS = (
-    *("reward", "collision_reward", "training_duration", "training_success_goal_reward"),
-    "observation.vehicles_count",
-)
 MAX_VEHICLES = 26  # slots but for those of start and goal
 
 
@@ -56,6 +51,10 @@ class ParkingConfig(TaskConfig):
 
     simulators: ClassVar[tuple[str, ...]] = ("vectorized", "highway_env")
     agent_keys: ClassVar[tuple[str, ...]] = ("observation",)
+    training_keys: ClassVar[tuple[str, ...]] = (
+        *("simulator", "reward", "collision_reward", "training_duration", "training_success_goal_reward"),
+        "observation.vehicles_count",
+    )
 
     task: Literal["parking"]
     simulator: Literal["vectorized", "highway_env"]
