@@ -4,9 +4,9 @@ What a recipe's next seed will do is what one of the trained seeds did, or somet
 mean of all possible seeds is a weighted mean of the rates of n seeds and of one unseen seed, with weights from a
 Dirichlet distribution with parameters (n - 2) / n for each seed, and UNSEEN for the unseen one: Rubin's Bayesian
 bootstrap (1981) with fewer seeds than there are, in place of Student's quantile. For the lower end the unseen seed is
-REACH times as far below the worst seed as that is below 100 %; for the upper end, likewise above the best
-(Walley 1996: an interval of priors). An interval is at least as wide as Clopper and Pearson's (1934) of all episodes
-together: seeds that agree are still measured in so many episodes only.
+REACH times as far below the worst seed as that is below 100 %; for the upper end, as far above the best as REACH times
+its own rate (Walley 1996: an interval of priors). An interval is at least as wide as Clopper and Pearson's (1934) of
+all episodes together: seeds that agree are still measured in so many episodes only.
 
 Raising a seed's rate never lowers an end, all cells are treated alike, at 0 and 100 % too, and nothing is random: the
 same weights are used each time. `tests/support/coverage_simulation.py` simulates how often the intervals cover.
