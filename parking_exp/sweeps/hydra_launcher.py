@@ -54,7 +54,7 @@ def launcher_of(overrides: list[str], extra_config_dir: str | None = None) -> La
 
 
 class PluginLauncher:
-    """A launcher of somebody else, as a plugin of Hydra; each of its jobs has one override, `run=PATH`."""
+    """A third-party launcher, a Hydra plugin; each of its jobs has one override, `run=PATH`."""
 
     def __init__(self, name: str, plugin: Plugin) -> None:
         self.name, self._plugin = name, plugin

@@ -48,7 +48,7 @@ def import_mlflow() -> None:
 
 
 def connect(uri: str, output_dir: Path | None = None) -> "MlflowClient":
-    """Return a client of a store that has answered, after making an embedded store if need be.
+    """Return a client of a store that has answered; create an embedded store if needed.
 
     Raises whatever MLflow, SQLAlchemy or the disk raise; `reason` makes a sentence of it.
 
@@ -87,7 +87,7 @@ def write_lock(uri: str) -> AbstractContextManager[Any]:
 
 
 def reason(error: BaseException) -> str:
-    """Return why a store failed in one line: what the system or sqlite said, if either did."""
+    """Return in one line why a store failed, in the words of the system or sqlite if possible."""
     causes = [error]
     while (cause := causes[-1].__cause__ or causes[-1].__context__) and cause not in causes:
         causes.append(cause)
@@ -102,7 +102,7 @@ def _make_database(path: Path) -> None:
 
     new = path.with_name(f".{path.name}.new")
     leftovers = (new, Path(f"{new}-journal"))  # of a process that was killed
-    for file in (*leftovers, Path(f"{path}-journal")):  # a lost database's would be rolled back into the new one
+    for file in (*leftovers, Path(f"{path}-journal")):  # sqlite would apply an old journal to the new database
         file.unlink(missing_ok=True)
     try:
         MlflowClient(f"{SQLITE}{new}").search_experiments(max_results=1)
