@@ -110,7 +110,7 @@ def validate_request(config: DictConfig) -> EvaluationRequest:
     if request.env and "task" in request.env:
         check(EvaluatedEnv, {"env": request.env})
     if request.video > n_episodes:
-        raise ConfigError(f"video={request.video} is above episodes; the closest valid choice is {n_episodes}")
+        raise ConfigError(f"video={request.video} is above episodes; use at most {n_episodes}")
     if request.gif and not request.video:
         raise ConfigError("gif=true needs a video; set video=N as well")
     if request.seeds.stop > TRAINING_SEEDS_START:
@@ -218,7 +218,7 @@ def _evaluate(evaluation: Evaluation) -> dict[str, float]:
 def _store(request: EvaluationRequest, directory: RunDirectory) -> None:
     """Send the results to the run's store: `tracking.uri`, or the embedded store of the output directory.
 
-    A run directory may be somebody else's: nothing is sent to the store that it names.
+    A run directory may be foreign: nothing is sent to the store that it names.
     """
     from parking_exp.tracking.mirror import sync_hint, try_mirror
     from parking_exp.tracking.store import Store

@@ -35,7 +35,7 @@ ENVIRONMENT = {
     "MLFLOW_HTTP_REQUEST_BACKOFF_FACTOR": "1",
     "MLFLOW_HTTP_REQUEST_TIMEOUT": "30",  # [s], of one answer
     "PGCONNECT_TIMEOUT": "10",  # [s]
-    # A kept connection would go on writing into a database file that was deleted or replaced meanwhile.
+    # A kept connection would keep writing into a database file that was deleted or replaced meanwhile.
     "MLFLOW_SQLALCHEMYSTORE_POOLCLASS": "NullPool",
 }
 
@@ -126,7 +126,7 @@ def _has_interrupted_migrations(path: Path) -> bool:
 def _relocate_artifacts(path: Path, output_dir: Path) -> None:
     """Point an embedded store to artifacts below the output directory that it is in now.
 
-    MLflow keeps absolute locations, which its client can't change: a moved store would go on writing to the old place,
+    MLflow keeps absolute locations, which its client can't change: a moved store would keep writing to the old place,
     a copied one to the original's. Experiments without the tag, of runs in other output directories, stay as they are.
     """
     with closing(sqlite3.connect(path)) as connection, connection:
