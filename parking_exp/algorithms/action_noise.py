@@ -37,7 +37,7 @@ class EpsilonRandomActionNoise(NormalActionNoise):
 
 
 class VectorizedNormalNoise(VectorizedActionNoise):
-    """Stable-Baselines3's `VectorizedActionNoise` of normal noise: the same numbers in one call instead of `n_envs`."""
+    """Vectorized normal noise: Stable-Baselines3's numbers, drawn in one call instead of `n_envs`."""
 
     base_noise: NormalActionNoise
 

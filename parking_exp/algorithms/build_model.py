@@ -117,7 +117,7 @@ def _policy_kwargs(config: RunConfig, task: Task, env: VecEnv) -> dict[str, Any]
     elif (policy := policy_class(get_class(config.algorithm.target))) is None or takes(
         policy, "features_extractor_class"
     ):
-        # What a MultiInputPolicy has by default, except CrossQ's.
+        # The default of a MultiInputPolicy, except CrossQ's.
         policy_kwargs["features_extractor_class"] = CombinedExtractor
     custom = config.algorithm.arguments.get("policy_kwargs") or {}
     classes = {name: _class(value) for name, value in custom.items() if name in CLASS_ARGUMENTS}

@@ -30,8 +30,8 @@ class ObservationBatch(dict[str, torch.Tensor]):
 class CrossQ(sb3_contrib.CrossQ):
     """sb3_contrib's CrossQ with a MultiInputPolicy, so that it learns from goal observations, with HER or without.
 
-    Upstream joins observations of a batch with `torch.cat`, which refuses dicts, and names MultiInputPolicy as not
-    implemented. Its arithmetic is untouched: batches merely come as dicts that can be joined.
+    Upstream joins observations of a batch with `torch.cat`, which refuses dicts, and does not implement
+    MultiInputPolicy. Its arithmetic is unchanged: here batches are dicts that can be joined.
     """
 
     policy_aliases: ClassVar[dict[str, type[BasePolicy]]] = {
@@ -59,4 +59,4 @@ def _joinable_samples(buffer: ReplayBuffer) -> Iterator[None]:
     try:
         yield
     finally:
-        del buffer.sample  # the class's own method shows again
+        del buffer.sample  # the class's own method is visible again

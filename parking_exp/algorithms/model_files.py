@@ -17,7 +17,7 @@ from parking_exp.errors import ModelError, one_line
 from parking_exp.runs.atomic_files import replacing
 
 VARIABLES = "pytorch_variables"
-# Entries of the pickled part that a HER buffer wants an env for: without them `SAC.load(path)` is enough.
+# Pickled entries for which `SAC.load` would require an env, because of the HER buffer.
 BUFFER_ENTRIES = ("replay_buffer_class", "replay_buffer_kwargs")
 
 
@@ -35,8 +35,8 @@ def load_weights(path: Path, model: OffPolicyAlgorithm) -> None:
     """Load all parameters, optimizers and other tensors of a model.
 
     Raises:
-        ModelError: the file cannot be read, holds something other than weights, or is that of another model, which may
-            have some of its weights then.
+        ModelError: the file cannot be read, holds something other than weights, or is that of another model; some
+            weights may have been loaded by then.
     """
     weights = read_weights(path, model.device)
     variables = weights.pop(VARIABLES, None) or {}

@@ -1,4 +1,4 @@
-"""Exponential moving average (EMA) of an actor's weights: a policy that is steadier than the one that is trained."""
+"""Exponential moving average (EMA) of an actor's weights: steadier than the actor that is trained."""
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -28,7 +28,7 @@ class PolicyEMA:
         self._updates = 0
 
     def update(self) -> None:
-        """Take in the updates that the model has made since the last call."""
+        """Include the updates that the model has made since the last call."""
         if self.half_life is None or (new := self.model._n_updates - self._updates) <= 0:
             return
         if self._weights:

@@ -27,9 +27,7 @@ def read_overrides(words: list[str]) -> list[str]:
         key, _, value = word.lstrip("+~").partition("=")
         section = key.replace("/", ".").partition(".")[0]
         if section in TRAINING_KEYS:
-            raise ConfigError(
-                f"{word} is a key of training; evaluate.py takes the keys of conf/evaluate.yaml and env.KEY"
-            )
+            raise ConfigError(f"{word} is a training key; evaluate.py takes the keys of conf/evaluate.yaml and env.KEY")
         if f"{key}.".startswith("env.observation."):
             raise ConfigError(f"{word}: the observation is always that of the agent's training")
         if key == "env.simulator":

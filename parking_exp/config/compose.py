@@ -167,11 +167,11 @@ def hydra_ready() -> Iterator[None]:
     GlobalHydra.instance().clear()
     try:
         with initialize_config_dir(str(config_dir()), "parking_exp", VERSION_BASE), warnings.catch_warnings():
-            # Our preset `ray` has the name of the launcher's own config, and may well be checked against it.
+            # Our preset `ray` has the name of the plugin's own config; validating it against that is harmless.
             warnings.filterwarnings("ignore", message=r"(?s).*validated against ConfigStore schema")
             yield
     except (HydraException, OmegaConfBaseException, yaml.YAMLError) as error:
-        if isinstance(error.__cause__, ParkingError):  # of ours, and wrapped by Hydra
+        if isinstance(error.__cause__, ParkingError):  # ours, wrapped by Hydra
             raise error.__cause__ from error
         raise ConfigError(_sentence(error)) from error
     finally:
@@ -194,7 +194,7 @@ def _sentence(error: Exception) -> str:
 
 
 def _unknown_key(error: ConfigKeyError | ConfigAttributeError) -> str:
-    """Name a key that a section lacks, and the closest one."""
+    """Name an unknown key, and the closest one of its section."""
     key, name, known = str(error.full_key), str(error.key), _container(error.parent_node)
     section = key.rpartition(".")[0]
     if not isinstance(known, dict):

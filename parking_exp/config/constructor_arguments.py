@@ -1,7 +1,7 @@
 """Check the arguments of third-party classes against their signatures, nested ones included.
 
-Nested are nodes with a `_target_`, `policy_kwargs`, and the arguments of optimizer and features extractor. The classes
-are imported for it, and torch with them, so everything that can be checked without them is checked first.
+Nested arguments are nodes with a `_target_`, `policy_kwargs`, and the arguments of optimizer and features extractor.
+This imports the classes, and torch with them, so everything that can be checked without them is checked first.
 """
 
 import inspect
@@ -58,7 +58,7 @@ def import_object(target: str) -> Any:
     """Import the class or function at a dotted path.
 
     Raises:
-        ConfigError: there is none, or its module cannot be imported.
+        ConfigError: it does not exist, or its module cannot be imported.
     """
     module, _, name = str(target).rpartition(".")
     try:
@@ -84,12 +84,12 @@ def check_arguments(run: RunConfig) -> Iterator[str]:
 
 
 def policy_class(algorithm: type) -> type | None:
-    """Return the policy class that an algorithm has for goal observations; None where it does not say."""
+    """Return an algorithm's policy class for goal observations; None if it names none."""
     return getattr(algorithm, "policy_aliases", {}).get(POLICY)
 
 
 def takes(call: Any, name: str) -> bool:
-    """Return whether a class or function may be given an argument."""
+    """Return whether a class or function accepts an argument."""
     parameters, is_open = _parameters(call)
     return is_open or name in parameters
 
@@ -99,9 +99,9 @@ def _check_policy(algorithm: AlgorithmConfig, algorithm_class: type) -> Iterator
     key, given = "algorithm.policy_kwargs", algorithm.arguments.get("policy_kwargs") or {}
     features, policy = algorithm.features, policy_class(algorithm_class)
     if "net_arch" in given and not isinstance(given["net_arch"], Mapping):  # a mapping sets actor and critic apart
-        yield f"{key}.net_arch takes the place of algorithm.net_arch; use algorithm.net_arch"
+        yield f"{key}.net_arch overrides algorithm.net_arch; set algorithm.net_arch instead"
     elif features != "raw" and (extractor := [name for name in given if name.startswith("features_extractor")]):
-        yield f"{key}.{extractor[0]} takes the place of algorithm.features; set algorithm.features=raw"
+        yield f"{key}.{extractor[0]} overrides algorithm.features; set algorithm.features=raw"
     elif features != "raw" and policy is not None and not takes(policy, "features_extractor_class"):
         yield f"algorithm.features={features}: {algorithm.class_name}'s policy ignores it; use raw"
     elif features == "ego_mirrored" and policy not in map(import_object, MIRRORED_POLICIES):
@@ -131,7 +131,7 @@ def _check_target(key: str, value: Any, base: str | None = None, *, partial: boo
 
 
 def _check_call(key: str, call: Any, given: Mapping[str, Any], *, partial: bool = False) -> Iterator[str]:
-    """Check the arguments of a call; a `partial` one gets others later."""
+    """Check the arguments of a call; a `partial` call gets more later."""
     parameters, is_open = _parameters(call)
     set_by_run, limits = SET_BY_RUN.get(key, set()), CLASS_LIMITS.get(getattr(call, "__name__", ""), LIMITS)
     settable = {name: parameter for name, parameter in parameters.items() if name not in set_by_run}

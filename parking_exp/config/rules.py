@@ -35,7 +35,7 @@ def _relabels(run: RunConfig) -> bool:
 
 
 def check_lengths(run: RunConfig, longest: int) -> Iterator[str]:
-    """Yield what does not fit the number of steps of the longest training episode."""
+    """Yield a sentence for each key that is too small for the longest training episode."""
     starts = run.algorithm.arguments.get("learning_starts")
     if _relabels(run) and (not isinstance(starts, int) or starts < longest * run.n_envs):
         key = "algorithm.learning_starts" if starts is None else f"algorithm.learning_starts={starts}"
@@ -53,7 +53,7 @@ def check_lengths(run: RunConfig, longest: int) -> Iterator[str]:
 
 
 def check_tasks(runs: Iterable[RunConfig]) -> Iterator[str]:
-    """Yield what is wrong with the environments themselves, each of which is made once: that may take seconds."""
+    """Yield what is wrong with the environments; making each of them may take seconds."""
     tasks: dict[str, Task] = {}
     for run in runs:
         key = run.env.model_dump_json()
@@ -83,11 +83,11 @@ def _check_noise(run: RunConfig, task: Task) -> Iterator[str]:
 def _check_algorithm(run: RunConfig) -> Iterator[str]:
     algorithm, train_freq = run.algorithm, run.algorithm.arguments.get("train_freq")
     if algorithm.normalize and algorithm.features != "raw":
-        yield f"algorithm.normalize needs algorithm.features=raw; {algorithm.features} has scales of its own"
+        yield f"algorithm.normalize needs algorithm.features=raw; {algorithm.features} does its own scaling"
     if isinstance(train_freq, list) and "episode" in train_freq and run.n_envs > 1:
         yield "algorithm.train_freq counts episodes, which works with one env only; set n_envs=1"
     if run.tracking.mlflow and run.experiment_name == "Default":
-        yield "experiment_name=Default is MLflow's own, which keeps artifacts elsewhere; take another name"
+        yield "experiment_name=Default is reserved by MLflow; choose another name"
 
 
 def _check_evaluation(run: RunConfig) -> Iterator[str]:
@@ -98,6 +98,6 @@ def _check_evaluation(run: RunConfig) -> Iterator[str]:
             yield f"evaluation.final_n_scenes={final} is below evaluation.{name}={getattr(evaluation, name)}"
     if evaluation.first_scene + final > TRAINING_SEEDS_START:
         yield (
-            f"evaluation.first_scene={evaluation.first_scene} reaches into the seeds of training; "
+            f"evaluation.first_scene={evaluation.first_scene} overlaps the training seeds; "
             f"it can be {TRAINING_SEEDS_START - final} at most"
         )

@@ -81,7 +81,7 @@ class CheckpointConfig(ConfigModel):
 
 
 class StoreConfig(ConfigModel):
-    """Another store than that of the output directory."""
+    """A store other than that of the output directory."""
 
     uri: Uri | None
 

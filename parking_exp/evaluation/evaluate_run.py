@@ -86,7 +86,7 @@ class Evaluation:
 
     @property
     def env_text(self) -> str:
-        """Name of the env; changes of the env of training are added in brackets, those of another option are not."""
+        """Name of the env, with changes to the training env in brackets."""
         if not self.changes or "name" in self.changes:
             return self.env.name
         return f"{self.env.name} ({', '.join(f'{key}={setting(value)}' for key, value in self.changes.items())})"
@@ -98,7 +98,7 @@ class Evaluation:
 
     @property
     def changes(self) -> dict[str, Any]:
-        """Keys of `env` that differ from the env of training, with their values; the simulator is not one of them."""
+        """Keys of `env` that differ from the training env, except the simulator, with their values."""
         now, before = self.settings(self.env), self.settings(self.agent.config.env)
         return {key.removeprefix("env."): now.get(key) for key in now | before if now.get(key) != before.get(key)}
 
@@ -110,12 +110,12 @@ def validate_request(config: DictConfig) -> EvaluationRequest:
     if request.env and "task" in request.env:
         check(EvaluatedEnv, {"env": request.env})
     if request.video > n_episodes:
-        raise ConfigError(f"video={request.video} is above episodes; the closest valid choice is {n_episodes}")
+        raise ConfigError(f"video={request.video} is above episodes; use at most {n_episodes}")
     if request.gif and not request.video:
         raise ConfigError("gif=true needs a video; set video=N as well")
     if request.seeds.stop > TRAINING_SEEDS_START:
         highest = TRAINING_SEEDS_START - n_episodes
-        raise ConfigError(f"first_scene={request.first_scene} reaches into the seeds of training; at most {highest}")
+        raise ConfigError(f"first_scene={request.first_scene} overlaps the training seeds; it can be at most {highest}")
     return request
 
 
@@ -218,7 +218,7 @@ def _evaluate(evaluation: Evaluation) -> dict[str, float]:
 def _store(request: EvaluationRequest, directory: RunDirectory) -> None:
     """Send the results to the run's store: `tracking.uri`, or the embedded store of the output directory.
 
-    A run directory may be somebody else's: nothing is sent to the store that it names.
+    A run directory may be foreign: nothing is sent to the store that it names.
     """
     from parking_exp.tracking.mirror import sync_hint, try_mirror
     from parking_exp.tracking.store import Store
@@ -237,7 +237,7 @@ def _store(request: EvaluationRequest, directory: RunDirectory) -> None:
 
 
 def choose_env(request: EvaluationRequest, agent: Agent) -> EnvConfig:
-    """Return the env that an agent is evaluated on, with the agent's observation; ConfigError where that is wrong."""
+    """Return the env that an agent is evaluated on, with the agent's observation; raise ConfigError if it is wrong."""
     trained_on, asked = agent.config.env, request.env or {}
     merged: Any = asked if "task" in asked else OmegaConf.to_container(OmegaConf.merge(trained_on.model_dump(), asked))
     if merged["task"] != trained_on.task:

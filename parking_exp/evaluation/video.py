@@ -14,7 +14,7 @@ from parking_exp.tasks.task import Policy, Task
 def record(policy: Policy, task: Task, seeds: Sequence[int], path: Path, gif: bool = False) -> None:
     """Record one episode from each seed in one mp4, and with `gif` also a GIF of the same name."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    # Every third frame and a palette: a README's picture should not weigh megabytes.
+    # Every third frame and a palette: small enough for a README.
     stride, gif_frames = max(1, task.frame_rate // 5), []
     with replacing(path) as temporary:
         options: dict[str, Any] = {"fps": task.frame_rate, "codec": "libx264", "macro_block_size": 2}

@@ -97,7 +97,7 @@ def without_paths(words: str) -> str:
 
 
 def _exported_runs(runs: pd.DataFrame) -> pd.DataFrame:
-    """Return runs without columns that name a place; the config is written as MLflow has parameters."""
+    """Return runs without columns that name a place, with the config as text, like MLflow's parameters."""
     kept = runs.drop(columns=[name for name in LOCAL_COLUMNS if name in runs])
     config = kept.filter(regex=r"^config\.").astype(object)
     kept = kept.assign(**config.where(config.notna(), None).map(str))

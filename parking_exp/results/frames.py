@@ -139,7 +139,7 @@ def _is_from_this_package(run: "Run") -> bool:
 
 
 def parse_value(text: str | None) -> Any:
-    """Return the value that a parameter is the text of: None, a bool, a number. Lists, mappings and words stay text."""
+    """Parse the text of a parameter: None, a bool or a number; lists, mappings and words stay text."""
     if text in (None, "None", "True", "False"):
         return {"True": True, "False": False}.get(text or "")
     for number in (int, float):
@@ -157,7 +157,7 @@ def config_column(texts: Iterable[str | None]) -> pd.Series:
 
 
 def _runs(stored: Sequence["Run"], names: Mapping[str, str], run_dir: Callable[["Run"], Path | None]) -> pd.DataFrame:
-    """Return `Results.runs` but for `steps`, which the store's files have."""
+    """Return `Results.runs` without `steps`, which comes from files."""
     rows = []
     for run in stored:
         info, tags, params, metrics = run.info, run.data.tags, run.data.params, run.data.metrics
@@ -231,7 +231,7 @@ def _read_episodes(tables: Mapping[str, bytes], runs: pd.DataFrame) -> tuple[pd.
 
 
 def _duplicates(runs: pd.DataFrame) -> Iterator[str]:
-    """Yield a sentence for each run that is there more than once, e.g. from two output directories with one store."""
+    """Yield a sentence for each run that occurs more than once, e.g. from two output directories with one store."""
     numbers = runs.groupby(["experiment", "cell", "seed"], sort=False).size()
     for key, number in numbers[numbers > 1].items():
         experiment, cell, seed = cast(tuple[str, str, int], key)

@@ -1,4 +1,4 @@
-"""Run directories: what lies where, how far a run is, and which process may change it.
+"""Run directories: layout, progress, and the locks of the processes that change them.
 
     outputs/<experiment_name>/<cell>/seed=<n>/
         config.yaml  status.json  result.json  metrics.jsonl  episodes.csv  monitor.csv  progress.csv
@@ -155,7 +155,7 @@ class RunDirectory:
             self.update(durable=False, **fresh, **plan, **(entries or {}))
 
     def heartbeat(self, **values: Any) -> None:
-        """Write how far the run is, for processes that watch it."""
+        """Write the run's progress, for processes that monitor it."""
         with suppress(OSError):  # a full disk: nothing depends on a heartbeat, and the next checkpoint will fail
             write_json(self.path / HEARTBEAT_FILE, {"time": time.time(), **values}, durable=False)
 

@@ -24,7 +24,7 @@ def find_run(name: str, output_dir: Path, having: str, others: Sequence[str] = (
     """Find a run by its directory, its MLflow run id, or `latest`: the one whose file `having` was written last.
 
     Raises:
-        RunNotFoundError: there is none; the message suggests the closest valid name, `others` among them.
+        RunNotFoundError: no run matches; the message suggests the closest valid name, `others` among them.
     """
     folder = directory_path(name)
     if (folder / STATUS_FILE).exists():

@@ -26,7 +26,7 @@ class Launcher(Protocol):
     """Trains run directories, each in a process of its own."""
 
     def train(self, paths: Sequence[Path]) -> str | None:
-        """Train runs until they are over or interrupted; return what went wrong besides them, or None."""
+        """Train runs until they are over or interrupted; return an error of the launcher itself, or None."""
 
 
 def launcher_of(overrides: list[str], extra_config_dir: str | None = None) -> Launcher:
@@ -54,7 +54,7 @@ def launcher_of(overrides: list[str], extra_config_dir: str | None = None) -> La
 
 
 class PluginLauncher:
-    """A launcher of somebody else, as a plugin of Hydra; each of its jobs has one override, `run=PATH`."""
+    """A third-party launcher, a Hydra plugin; each of its jobs has one override, `run=PATH`."""
 
     def __init__(self, name: str, plugin: Plugin) -> None:
         self.name, self._plugin = name, plugin

@@ -50,8 +50,8 @@ class SlurmLauncher:
     def train(self, paths: Sequence[Path]) -> str | None:
         """Train runs as jobs; return how many ended early, or None.
 
-        Ctrl-C cancels the jobs, which save their states. Jobs outlive a launcher that is killed; a rerun leaves their
-        runs to them.
+        Ctrl-C cancels the jobs, which save their states. Jobs continue if the launcher is killed, and a rerun leaves
+        their runs alone.
 
         Raises:
             FailedRunError: a job cannot be submitted.

@@ -26,7 +26,7 @@ from parking_exp.training.signals import stop_on_signal
 LOG_FILE = "log.txt"
 GRACE_S = 8.0  # to save a checkpoint after a signal, before the process is killed
 POLL_S = 0.05
-# Signals that come from outside and say nothing about the run; the others are its own errors.
+# Signals from outside; any other signal is an error of the run.
 KILLS = {signal.SIGKILL, signal.SIGTERM, signal.SIGINT, signal.SIGHUP}
 
 WorkerResult = Literal["done", "failed", "stopped", "elsewhere"]

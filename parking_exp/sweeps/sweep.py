@@ -117,7 +117,7 @@ def sweep(runs: Sequence[PlannedRun], launcher: Launcher, *, dry_run: bool = Fal
 
 
 def _launch_all(due: list[Path], launcher: Launcher, monitor: Monitor) -> None:
-    """Launch what is due, wait for runs that other sweeps have taken, and resume those that they leave."""
+    """Launch what is due, wait for runs that other sweeps have taken, and resume those left unfinished."""
     while due:
         free = [path for path in due if read_state(path).stage != "running"]
         if free:

@@ -57,7 +57,7 @@ def _check_steps(env: gym.Env, config: GymnasiumConfig, env_id: str) -> Iterator
             yield f"env.{name}={key}: there is no such entry of info; there are {', '.join(known) or 'none'}"
             return
     if config.success_key is None and not any(key in known for key in SUCCESS_KEYS):
-        yield f"{env_id}: info has neither {' nor '.join(SUCCESS_KEYS)}; set env.success_key to the entry that says so"
+        yield f"{env_id}: info has neither {' nor '.join(SUCCESS_KEYS)}; name the entry in env.success_key"
         return
     try:
         computed = np.asarray(env.unwrapped.compute_reward(achieved, desired, infos))
@@ -73,7 +73,7 @@ def _check_steps(env: gym.Env, config: GymnasiumConfig, env_id: str) -> Iterator
         step = different[0]
         yield (
             f"{env_id}: compute_reward gives {computed[step]:.6g} for a step of reward {rewards[step]:.6g}; if that is "
-            "the penalty of a failure, set env.failure_key to the entry of info that reports it"
+            "a penalty for failure, set env.failure_key to the entry of info that reports it"
         )
         return
     reward = GymnasiumReward(config)
@@ -84,7 +84,7 @@ def _check_steps(env: gym.Env, config: GymnasiumConfig, env_id: str) -> Iterator
 
 
 def resumes_exactly(config: GymnasiumConfig) -> bool:
-    """Return whether an env that is restored by replaying another one's actions continues like that."""
+    """Return whether an env continues identically after replaying the actions of another."""
     first, second = ReplayActions(make_env(config)), ReplayActions(make_env(config))
     random_steps(first)
     first.reset()  # what an episode leaves behind must not affect the next

@@ -48,7 +48,7 @@ class GymnasiumTask:
         return DummyVecEnv([lambda: ReplayActions(make_env(self.config))] * n_envs)
 
     def evaluation_batch(self, seeds: Sequence[int], simulator: str) -> EvaluationBatch:
-        """Start the episodes of some seeds; the envs are used again."""
+        """Start the episodes of some seeds; envs are reused."""
         self._envs += [make_env(self.config) for _ in range(len(seeds) - len(self._envs))]
         return EnvBatch(self._envs[: len(seeds)], seeds, "is_failure")
 
@@ -117,7 +117,7 @@ def _make_video_env(config: GymnasiumConfig) -> gym.Env:
 def _mujoco_backend() -> str:
     """Return how MuJoCo renders without a display on this machine; VideoError where neither EGL nor OSMesa works.
 
-    Each is tried in a process of its own: a failed one leaves settings that spoil the next.
+    Each is tried in a process of its own: a failed attempt leaves settings that break the next.
     """
     program = [sys.executable, "-c", "import mujoco; mujoco.GLContext(8, 8).make_current()"]
     for backend in ("egl", "osmesa"):

@@ -41,7 +41,7 @@ class Metric:
 
     @property
     def is_rate(self) -> bool:
-        """Whether an evaluation has the share of episodes in which it is true."""
+        """Whether it is a rate, the share of episodes in which it is true."""
         return self.dtype == "bool"
 
     @property
@@ -89,7 +89,7 @@ GYMNASIUM_METRICS: tuple[Metric, ...] = (SUCCESS, outcome_rate("failure", FAILUR
 
 
 def outcome(failure: str, failed: bool, is_success: bool) -> str:
-    """Return how an episode ended; one that failed did so even where the goal was reached. `failure` is its name."""
+    """Return how an episode ended; failing takes precedence over success, and is called `failure`."""
     return failure if failed else "success" if is_success else "timeout"
 
 

@@ -112,7 +112,7 @@ class Task(Protocol):
         """The longest training episode, in steps."""
 
     def problems(self) -> Iterator[str]:
-        """Yield what is wrong with the environment itself, which may take seconds to find out."""
+        """Yield what is wrong with the environment itself; this may take seconds."""
 
     def notes(self) -> Iterator[str]:
         """Yield what a user should know when a training starts."""

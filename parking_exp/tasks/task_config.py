@@ -1,4 +1,4 @@
-"""The base of the `env` groups of all tasks: what the rest of the package asks of one."""
+"""The base of the `env` groups of all tasks: what the rest of the package needs from them."""
 
 from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Any, ClassVar, Self

@@ -44,7 +44,7 @@ class ReplayActions(gym.Wrapper):
         return {"start": self._start, "actions": actions}
 
     def set_state(self, state: dict[str, Any]) -> None:
-        """Replay a saved episode up to where it was; what follows is identical."""
+        """Replay a saved episode up to its last step; what follows is identical."""
         if state["start"] is None:
             return
         self.unwrapped.np_random.bit_generator.state = state["start"]

@@ -35,7 +35,7 @@ ENVIRONMENT = {
     "MLFLOW_HTTP_REQUEST_BACKOFF_FACTOR": "1",
     "MLFLOW_HTTP_REQUEST_TIMEOUT": "30",  # [s], of one answer
     "PGCONNECT_TIMEOUT": "10",  # [s]
-    # A kept connection would go on writing into a database file that was deleted or replaced meanwhile.
+    # A kept connection would keep writing into a database file that was deleted or replaced meanwhile.
     "MLFLOW_SQLALCHEMYSTORE_POOLCLASS": "NullPool",
 }
 
@@ -48,7 +48,7 @@ def import_mlflow() -> None:
 
 
 def connect(uri: str, output_dir: Path | None = None) -> "MlflowClient":
-    """Return a client of a store that has answered, after making an embedded store if need be.
+    """Return a client of a store that has answered; create an embedded store if needed.
 
     Raises whatever MLflow, SQLAlchemy or the disk raise; `reason` makes a sentence of it.
 
@@ -87,7 +87,7 @@ def write_lock(uri: str) -> AbstractContextManager[Any]:
 
 
 def reason(error: BaseException) -> str:
-    """Return why a store failed in one line: what the system or sqlite said, if either did."""
+    """Return in one line why a store failed, in the words of the system or sqlite if possible."""
     causes = [error]
     while (cause := causes[-1].__cause__ or causes[-1].__context__) and cause not in causes:
         causes.append(cause)
@@ -102,7 +102,7 @@ def _make_database(path: Path) -> None:
 
     new = path.with_name(f".{path.name}.new")
     leftovers = (new, Path(f"{new}-journal"))  # of a process that was killed
-    for file in (*leftovers, Path(f"{path}-journal")):  # a lost database's would be rolled back into the new one
+    for file in (*leftovers, Path(f"{path}-journal")):  # sqlite would apply an old journal to the new database
         file.unlink(missing_ok=True)
     try:
         MlflowClient(f"{SQLITE}{new}").search_experiments(max_results=1)
@@ -126,7 +126,7 @@ def _has_interrupted_migrations(path: Path) -> bool:
 def _relocate_artifacts(path: Path, output_dir: Path) -> None:
     """Point an embedded store to artifacts below the output directory that it is in now.
 
-    MLflow keeps absolute locations, which its client can't change: a moved store would go on writing to the old place,
+    MLflow keeps absolute locations, which its client can't change: a moved store would keep writing to the old place,
     a copied one to the original's. Experiments without the tag, of runs in other output directories, stay as they are.
     """
     with closing(sqlite3.connect(path)) as connection, connection:

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 DIGEST, STARTED = "mirrored", "started_ms"  # tags
 WAIT_S = 120  # for another process that mirrors the same run
 MAX_ERROR_LENGTH = 500
-MAX_PARAM_LENGTH = 6000  # MLflow refuses longer values; the whole config is an artifact besides
+MAX_PARAM_LENGTH = 6000  # MLflow refuses longer values; the whole config is also an artifact
 MLFLOW_STATUS = {"done": "FINISHED", "failed": "FAILED"}  # others: KILLED
 FROM_STATUS = ("command", "search", "trial")  # tags
 AT_THE_END = (
@@ -49,7 +49,7 @@ AT_THE_END = (
 
 
 def mirror(directory: RunDirectory, store: Store) -> None:
-    """Make a store agree with a run directory. Done again, it changes nothing."""
+    """Make a store agree with a run directory; idempotent."""
     config = directory.config()
     directory.check_links()
     with FileLock(directory.path / ".sync.lock", timeout=WAIT_S):

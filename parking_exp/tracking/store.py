@@ -22,7 +22,7 @@ RUNS_PER_PAGE, EXPERIMENTS = 10_000, 50_000  # one request for most stores; the 
 
 
 class Store:
-    """An MLflow store, connected to at the first use.
+    """An MLflow store; it connects at the first use.
 
     The store inside of `output_dir` may come from elsewhere with that directory: artifacts are read and written below
     it only. Those of other stores may lie anywhere.

@@ -13,7 +13,7 @@ from parking_exp.tracking.store import Store
 
 
 class Tracker:
-    """Mirrors a run to its store, if it has one; after a failure, not again before the run ends."""
+    """Mirrors a run to its store, if it has one; after a failure it retries only at the end of the run."""
 
     def __init__(self, directory: RunDirectory, uri: str | None = None, say: Callable[[str], None] = say) -> None:
         self.directory, self.uri, self.say = directory, uri, say

@@ -88,7 +88,7 @@ def save(
 
 
 def latest(directory: Path) -> Path | None:
-    """Return the newest whole checkpoint, or None."""
+    """Return the newest intact checkpoint, or None."""
     for folder in reversed(_folders(directory)):
         if (problem := _problem(folder)) is None:
             return folder
@@ -136,7 +136,7 @@ def restore(folder: Path, model: OffPolicyAlgorithm, best: Path, average: Policy
 
 @contextmanager
 def _new_directory(target: Path) -> Iterator[Path]:
-    """Yield a directory that gets its manifest and its name only when all of it is on the disk."""
+    """Yield a temporary directory; it gets its manifest and name once all of it is on disk."""
     target.parent.mkdir(parents=True, exist_ok=True)
     for leftover in target.parent.glob(".tmp-*"):  # of a process that was killed
         shutil.rmtree(leftover)

@@ -22,7 +22,7 @@ def finish(loop: TrainingLoop) -> pd.DataFrame:
     config, path, metrics = loop.config, loop.directory.path, loop.task.metrics
     loop.bar.show_activity("final evaluation")
     cross_checked = certified_seeds(config)
-    # Cross-checked episodes are stepped by themselves, since a policy's last bits depend on what is in its batch.
+    # Cross-checked episodes have batches of their own: the last bits of actions depend on the batch.
     others = [seed for seed in loop.episode_seeds(config.evaluation.final_n_scenes) if seed not in cross_checked]
     parts = [loop.run_episodes(seeds) for seeds in (cross_checked, others) if len(seeds)]
     episodes = pd.concat(parts).sort_values(EPISODE_SEED, ignore_index=True)
@@ -57,7 +57,7 @@ def finish(loop: TrainingLoop) -> pd.DataFrame:
 def certified_seeds(config: RunConfig) -> list[int]:
     """Return the seeds of the final evaluation's episodes that are repeated on the reference simulator, sorted.
 
-    They are drawn by the run's seed, so that a sweep covers many. On the reference itself they are all.
+    They are drawn with the run's seed, so that a sweep covers many; on the reference itself, all are returned.
     """
     first, number = config.evaluation.first_scene, config.evaluation.final_n_scenes
     rng = np.random.default_rng(derive_seeds(config.seed).certified)

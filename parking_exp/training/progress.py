@@ -12,7 +12,7 @@ HEARTBEAT_S = 1.0
 
 
 class TrainingProgress:
-    """Progress of one run, with its success rate, return and speed; to be closed.
+    """Progress of one run, with its success rate, return and speed; call `close` after use.
 
     Args:
         total_steps, start: env steps in all, and done before.

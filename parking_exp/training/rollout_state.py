@@ -47,7 +47,7 @@ def set_state(model: OffPolicyAlgorithm, state: Mapping[str, Any]) -> None:
         pending = getattr(model.logger, name)
         pending.clear()
         pending.update(state["metrics"][name])
-    _set_random_states(model, state["rng"])  # last: nothing above may leave a trace in them
+    _set_random_states(model, state["rng"])  # last, since the code above may draw from them
 
 
 def _random_states(model: OffPolicyAlgorithm) -> dict[str, Any]:

@@ -50,10 +50,10 @@ def train(config: DictConfig | Mapping[str, Any] | RunConfig, *, supervised: boo
     directory = RunDirectory(config.run_dir)
     lacks_device = config.device.startswith("cuda") and int(config.device[5:] or 0) >= torch.cuda.device_count()
     if lacks_device and directory.result() is None:
-        raise ConfigError(f"device={config.device}: torch finds no such device; the closest valid choice is auto")
+        raise ConfigError(f"device={config.device}: torch finds no such device; use auto")
     with nullcontext() if supervised else directory.supervisor_lock(), directory.training_lock():
         if (result := directory.result()) is not None:
-            say("already done; to train it afresh, change the seed or delete its directory")
+            say("already done; to train it again, change the seed or delete its directory")
             say(*_closing_lines(result, directory))
             return result
         directory.create(config)

@@ -72,7 +72,7 @@ def tune(search: Search, launcher: Launcher) -> None:
 
 
 def _n_left(trials: Sequence[TrialRow], n_trials: int) -> int:
-    """Return how many trials are not over."""
+    """Return how many trials remain."""
     return n_trials - sum(trial.state in ("done", "pruned", "failed") for trial in trials)
 
 

@@ -79,7 +79,7 @@ class Search:
         """Return the checked config of a trial.
 
         Raises:
-            ConfigError: it can't run, or a change is not in the space: a study of somebody else may name any class.
+            ConfigError: it can't run, or a change is not in the space: a foreign study may name any class.
         """
         space = self.request.search.space
         for key, value in changes.items():

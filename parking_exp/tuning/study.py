@@ -122,7 +122,7 @@ def open_study(folder: Path, search: SearchConfig, base: RunConfig, values: Mapp
                 parameters = {key: dimension.to_parameter(values[key]) for key, dimension in search.space.items()}
                 inside = {key: value for key, value in parameters.items() if value is not None}
                 distributions = {key: search.space[key].distribution() for key in inside}
-                # Added as running but unlocked, so that it is claimed like an abandoned trial.
+                # Added as running but not locked, so that it is claimed like an abandoned trial.
                 study.add_trial(
                     create_trial(
                         state=TrialState.RUNNING, params=inside, distributions=distributions, user_attrs={CHANGES: {}}

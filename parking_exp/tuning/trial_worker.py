@@ -53,7 +53,7 @@ def _train_trial(search: Search, study: "Study", trial: "Trial", train: Train) -
 
     try:
         config = search.config(trial.user_attrs[CHANGES])
-    except ConfigError as error:  # values that can't be combined
+    except ConfigError as error:  # an invalid combination of values
         return fail(str(error).replace("\n", "; "))
     n_reported = len(study.get_trials(deepcopy=False)[trial.number].intermediate_values)  # by an earlier process
     seeds, values, runs = search.request.search.tuning_seeds, list[float](), list[str]()

@@ -78,7 +78,7 @@ def read_trials(study: "Study", folder: Path, n_trials: int) -> list[TrialRow]:
 
 def _row(trial: "FrozenTrial", folder: Path) -> TrialRow:
     held = trial.state.name == "RUNNING" and is_held(trial_lock_path(folder, trial.number))
-    # Optuna takes the last intermediate value of a pruned trial for its value.
+    # Optuna reports the last intermediate value of a pruned trial as its value.
     values = trial.values if trial.state.name == "COMPLETE" else None
     entries = {
         **trial.user_attrs,
@@ -95,7 +95,7 @@ def _row(trial: "FrozenTrial", folder: Path) -> TrialRow:
 
 
 def plain_choice(value: Any) -> float | str:
-    """Return a parameter as people read it: Optuna stores choices as JSON."""
+    """Return a readable parameter: Optuna stores choices as JSON."""
     if not isinstance(value, str):
         return value
     choice = json.loads(value)

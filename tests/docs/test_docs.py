@@ -66,10 +66,10 @@ def test_links_their_anchors_and_named_files_exist(page):
         assert "NAME" in path or (ROOT / path).exists(), path
 
 
-def test_every_package_has_a_page_of_the_reference():
+def test_the_reference_has_every_package():
     packages = {path.parent.name for path in (ROOT / "parking_exp").glob("*/__init__.py")}
-    pages = {path.stem for path in (ROOT / "docs" / "api").glob("*.md")}
-    assert pages - {"index"} == packages - {"cli"}
+    named = re.findall(r"^::: parking_exp\.(\w+)$", (ROOT / "docs" / "api.md").read_text(), re.MULTILINE)
+    assert sorted(named) == sorted(packages - {"cli"})
 
 
 @pytest.mark.parametrize("first", slow_but([True], [True, False]))

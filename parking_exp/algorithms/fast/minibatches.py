@@ -55,7 +55,7 @@ def _sample(model: OffPolicyAlgorithm, steps: int, batch_size: int) -> Iterator[
 
 
 def _collate(model: Any, samples: list[Any], steps: int) -> Iterator[Minibatch]:
-    """Make minibatches of as many samples, or of one large sample that is dealt out in turn."""
+    """Make one minibatch of each sample, or deal out one large sample."""
 
     def deal(parts: Sequence[torch.Tensor]) -> torch.Tensor:
         """Return shape (steps, B, ...)."""
@@ -69,7 +69,7 @@ def _collate(model: Any, samples: list[Any], steps: int) -> Iterator[Minibatch]:
 
 
 def _tensors(model: Any, data: Any) -> tuple[torch.Tensor, ...]:
-    """Return the features of a sample, those of its next observations, and what else a `Minibatch` has of it."""
+    """Return the fields of a `Minibatch` for a sample, with features and next features apart."""
     extractor, actions, next_signs = model.actor.features_extractor, data.actions, torch.ones_like(data.actions)
     if isinstance(extractor, SymmetricFeatures):
         actions = extractor.mirror(actions, data.observations)

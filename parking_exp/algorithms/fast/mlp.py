@@ -13,7 +13,7 @@ import torch
 from torch import nn
 
 # From this width on oneDNN can be faster than MKL, by up to a factor of two (one core of an AMD EPYC with AVX-512;
-# without AVX-512 it is slower). It adds up in another order.
+# without AVX-512 it is slower). It sums in another order.
 WIDE = 128
 _onednn: Any = getattr(torch.ops.mkldnn, "_linear_pointwise", None) if torch.backends.mkldnn.is_available() else None
 
@@ -55,7 +55,7 @@ class MLP:
 
 
 def linear_layers(module: nn.Sequential, last: type[nn.Module] | None = None) -> list[nn.Linear] | None:
-    """Return the layers of an MLP with ReLU between them, and `last` at its end; None if the module is another."""
+    """Return the layers of an MLP with ReLU between them and `last` at its end; None for any other module."""
     children = list(module)
     if last is not None and (not children or type(children.pop()) is not last):
         return None

@@ -56,12 +56,12 @@ class _Update:
 
     def _step(self, model: Any, minibatch: Minibatch) -> list[torch.Tensor]:
         """Do one update; return entropy coefficient, actor loss, critic loss and the coefficient's loss."""
-        features, actions, rewards, discounts, _ = minibatch  # the signs are for TD3's target noise alone
+        features, actions, rewards, discounts, _ = minibatch  # only TD3's target noise needs the signs
         n = len(actions)
         noise = torch.empty((2, *actions.shape), dtype=features.dtype)
         noise[0].normal_()  # one after the other, as Stable-Baselines3 draws them
         noise[1].normal_()
-        # The actor is the same for the states and the next ones: one pass for both.
+        # States and next states share the actor: one pass for both.
         values = self.actor.forward(features)
         hidden = values[-1].relu_()
         policy = _SquashedGaussian(self.mean.forward(hidden)[-1], self.log_std.forward(hidden)[-1], noise.flatten(0, 1))

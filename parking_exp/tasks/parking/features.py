@@ -11,7 +11,7 @@ from parking_exp.tasks.parking.nearby_vehicles import ENTRIES
 from parking_exp.tasks.parking.parking_config import DEFAULT_FEATURES, DEFAULT_SCALES
 
 GOAL_SCALE_M, NEAR_M, VEHICLE_M = 10.0, 2.0, 4.0
-X_SCALE, Y_SCALE = map(float, DEFAULT_SCALES[:2])  # metres that stand for 1 in the observation
+X_SCALE, Y_SCALE = map(float, DEFAULT_SCALES[:2])  # metres per unit of the observation
 
 
 class EgoFrameExtractor(TaskFeatures):

@@ -37,7 +37,7 @@ class SparseReward(gym.Wrapper, gym.utils.RecordConstructorArgs):
 
 def make_env(config: ParkingConfig, *, render_mode: str | None = None) -> gym.Env:
     """Make one parking env; `render_mode` is None or `rgb_array`."""
-    import highway_env  # imports pyplot and pygame, which the simulator does without
+    import highway_env  # imports pyplot and pygame, which the simulator does not need
 
     gym.register_envs(highway_env)
     # Gymnasium's checker tests every space at every step and costs time; our tests run it instead.

@@ -33,7 +33,7 @@ class ParkingReward:
         self, achieved: np.ndarray, desired: np.ndarray, info: np.ndarray | None = None
     ) -> tuple[np.ndarray, np.ndarray]:
         """Return reward and whether the goal is reached, both of shape (...) for goals of shape (..., 6)."""
-        # The negative square root of the weighted distance, with the dot product that highway-env's is.
+        # The negative square root of the weighted distance, by a dot product as in highway-env.
         dense: np.ndarray = -np.sqrt(np.vecdot(np.abs(achieved - desired), self.weights))
         reached = dense > self.threshold
         return (np.where(reached, 0.0, -1.0) if self.sparse else dense), reached

@@ -219,7 +219,7 @@ class Collisions:
     def _near_walls(self, state: SceneState, travel: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         if not self.walls:
             return np.empty(0, int), np.empty(0, int)
-        # The circles around the walls hold most of the lot: leave out first what cannot reach the line of a wall.
+        # The circles around the walls cover most of the lot: first drop cars that cannot reach the line of a wall.
         reach, motion = extent(state.direction) + 1e-9, travel * state.direction
         left_below = reach - state.position - np.minimum(motion, 0)
         right_above = reach + state.position + np.maximum(motion, 0)

@@ -14,7 +14,7 @@ COLUMNS = ("position", "direction")
 
 @dataclass
 class SceneState:
-    """Everything that the future of n scenes depends on, but actions. Scenes are rows, or columns of `COLUMNS`."""
+    """The complete state of n scenes. Scenes are rows, or columns of `COLUMNS`."""
 
     goal: np.ndarray  # slots, shape (n,)
     position: np.ndarray  # of the cars, shape (2, n) [m]
