@@ -134,6 +134,9 @@ def test_pairs_are_differences_between_all_cells_or_from_the_baseline(three):
     assert "▲" in axes.texts[1].get_text()
     _, _, ddpg = axes.lines[1:][1::2]
     assert ddpg.get_xdata() == pytest.approx([100 * three.pairs[2].difference.value])
+    many = [*comparison_figures.draw_pairs(replace(three, pairs=[three.pairs[0]] * 60))]
+    assert [len(figure.axes[0].texts) for figure, _ in many] == [24, 24, 12]  # as many as fit on a page
+    assert [caption for _, caption in many[1:]] == ["Continued."] * 2
     against = replace(three, baseline="c2", reference="c2", pairs=three.pairs[1:])
     (axes,) = axes_of(comparison_figures.draw_pairs, against)
     assert texts(axes.get_yticklabels()) == ["sac", "td3"]
