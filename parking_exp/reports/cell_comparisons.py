@@ -28,7 +28,7 @@ from parking_exp.statistics import (
 ALL_PAIRS_UP_TO = 12  # cells: 66 pairs
 SIGNIFICANT = 0.05
 MAX_LEVELS = 12  # of a factor; more are values drawn from a range
-COVERED = 0.5  # share of the combinations that makes a design crossed
+COVERED = 0.75  # share of the combinations that makes a design crossed
 
 
 class Family(NamedTuple):
