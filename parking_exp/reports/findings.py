@@ -10,7 +10,6 @@ from parking_exp.reports.report_data import Cell, Pair
 from parking_exp.reports.report_warnings import FEW_NAMES, list_names
 from parking_exp.statistics import MainEffect, Proportion
 
-
 TOO_FEW = ": that needs two finished seeds of each."
 
 

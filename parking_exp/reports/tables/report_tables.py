@@ -140,7 +140,7 @@ def pairs(report: ReportData) -> Iterator[Table]:
             interval_column("A − B (points)", "difference", formats.difference_interval),  # noqa: RUF001
             column("p (Holm)", "p_holm", formats.probability),
             column("p, ranks (Holm)", "rank_p_holm", formats.probability),
-            interval_column("A better than B (%)", "improvement"),
+            column("A better than B (%)", "improvement", formats.percent),
             column("p, time to 90 % (Holm)", "log_rank_p_holm", formats.probability),
             column("In words", "verdict", lambda verdict: formats.VERDICTS[verdict].table, numeric=False),
         ],
@@ -152,6 +152,7 @@ def pairs(report: ReportData) -> Iterator[Table]:
 
 def effects(report: ReportData) -> Iterator[Table]:
     """Yield the table of each factor's levels."""
+    complete = all(effect.complete for effect in report.effects)
     yield Table(
         "effects",
         [{**record(effect), **record(level)} for effect in report.effects for level in effect.levels],
@@ -162,7 +163,7 @@ def effects(report: ReportData) -> Iterator[Table]:
             column("Cells", "cells", formats.number),
         ],
         f"Main effects: mean final success at each level over the levels of the other factors, {PERCENT}."
-        + ("" if all(e.complete for e in report.effects) else " Some combinations are missing: levels are not comparable."),
+        + ("" if complete else " Combinations are missing: levels are not comparable."),
         latex=True,
     )
 

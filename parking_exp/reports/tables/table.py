@@ -51,7 +51,7 @@ class Table:
 
 
 def without_constants(table: Table) -> Table:
-    """Return a table whose caption has what is the same in every row: conditions, and columns where nothing is known."""
+    """Return a table whose caption has what is the same in every row: conditions, and what is nowhere known."""
     constants = {}
     for column in table.columns[1:]:
         texts = {column.write(row) for row in table.rows}
