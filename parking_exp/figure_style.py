@@ -18,6 +18,7 @@ Drawing = tuple[Figure, str]
 """A figure and its caption."""
 
 WIDTH_IN = 6.8  # of every figure: both columns of a paper
+PAGE_IN = 8.4  # height of a figure that leaves room for its caption on a page
 SMALL_PT = 7.0
 INK, GRID = "#1c1e21", "#d5d8dc"
 
@@ -69,9 +70,18 @@ def wrapped_labels(cells: Sequence[Any], width: int, lines: int = 1) -> list[str
     return [textwrap.fill(clean(cell.label), width, max_lines=lines, placeholder="…") for cell in cells]
 
 
+def _row_height(texts: Sequence[str]) -> float:
+    return 0.24 + 0.08 * max((text.count("\n") for text in texts), default=0)
+
+
+def rows_on_page(texts: Sequence[str]) -> int:
+    """Return how many labelled rows, see `row_axes`, a figure may have that is printed in full width on one page."""
+    return int((PAGE_IN - 0.6) / _row_height(texts))
+
+
 def row_axes(texts: Sequence[str]) -> tuple[Figure, Axes]:
     """Return a figure with a labelled row for each text, the first one at the top."""
-    figure = new_figure(0.6 + len(texts) * (0.24 + 0.08 * max(text.count("\n") for text in texts)))
+    figure = new_figure(0.6 + len(texts) * _row_height(texts))
     axes = figure.subplots()
     axes.grid(axis="x")
     axes.spines["left"].set_visible(False)

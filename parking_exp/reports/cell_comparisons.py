@@ -6,8 +6,6 @@ from dataclasses import replace
 from itertools import combinations
 from typing import NamedTuple
 
-import pandas as pd
-
 from parking_exp import statistics
 from parking_exp.config.cell_labels import Factor
 from parking_exp.errors import plural
@@ -28,7 +26,7 @@ from parking_exp.statistics import (
 ALL_PAIRS_UP_TO = 12  # cells: 66 pairs
 SIGNIFICANT = 0.05
 MAX_LEVELS = 12  # of a factor; more are values drawn from a range
-COVERED = 0.5  # share of the combinations that makes a design crossed
+COVERED = 0.75  # share of the combinations that makes a design crossed
 
 
 class Family(NamedTuple):
@@ -134,9 +132,6 @@ def main_effects(cells: Sequence[Cell], factors: Sequence[Factor]) -> list[MainE
         return []
     if max(sizes) > MAX_LEVELS or len(full) < COVERED * math.prod(sizes):
         return []
-    rows = [
-        {**cell.settings, "success": seed.success} for cell in full for seed in cell.seeds if seed.success is not None
-    ]
-    episodes = [seed_rates(cell).n_episodes for cell in full if cell.success.value is not None]
-    n_episodes = None if None in episodes else min(filter(None, episodes), default=None)
-    return statistics.main_effects(pd.DataFrame(rows), list(crossed), "success", n_episodes) if rows else []
+    rated = [cell for cell in full if cell.success.value is not None]
+    rates = [([cell.settings[key] for key in crossed], seed_rates(cell)) for cell in rated]
+    return statistics.main_effects(list(crossed), rates) if rates else []

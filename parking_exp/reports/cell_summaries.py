@@ -145,12 +145,15 @@ def _summarise_run(run: dict[str, Any], evaluations: RunEvaluations) -> RunSumma
 def _measure_curve(curve: pd.DataFrame) -> dict[str, Any]:
     """Return the fields of a seed that are computed from its learning curve."""
     step, success = curve["step"].to_numpy(), curve["success_rate"].to_numpy()
+    area = normalised_area(step, success) if np.count_nonzero(~np.isnan(success)) > 1 else None
+    if len(step) < HOLD:
+        return {"area": area}
     time, reached = steps_to(step, success, SUCCESS_THRESHOLD, HOLD)
     return {
         "steps_to_90": time,
         "reached_90": reached,
         "cpu_s_to_90": finite_or_none(curve["cpu_s"].iloc[np.searchsorted(step, time)]) if reached else None,
-        "area": normalised_area(step, success) if np.count_nonzero(~np.isnan(success)) > 1 else None,
+        "area": area,
     }
 
 

@@ -5,12 +5,12 @@ from collections.abc import Iterator, Mapping, Sequence
 from parking_exp.config.cell_labels import Factor, setting
 from parking_exp.errors import quoted_label
 from parking_exp.reports.cell_comparisons import SIGNIFICANT, Family
-from parking_exp.reports.formats import p_value, points_interval, rate_interval
+from parking_exp.reports.formats import VERDICTS, p_value, points_interval, rate_interval
 from parking_exp.reports.report_data import Cell, Pair
 from parking_exp.reports.report_warnings import FEW_NAMES, list_names
 from parking_exp.statistics import MainEffect, Proportion
 
-VERDICTS = {"a": "is better than", "b": "is worse than", "same": "is indistinguishable from"}
+TOO_FEW = ": that needs two finished seeds of each."
 
 
 def describe_cells(cells: Sequence[Cell], family: Family) -> Iterator[str]:
@@ -67,20 +67,20 @@ def _describe_comparisons(reference: Cell, labels: Mapping[str, str], pairs: Seq
     oriented.sort(key=lambda pair: abs(pair.difference.value or 0.0))
     name = quoted_label(reference.label)
     for verdict, words in VERDICTS.items():
-        if gaps := [_write_gap(labels[pair.b], pair) for pair in oriented if pair.verdict == verdict]:
-            many = len(gaps) > FEW_NAMES
-            others = f"{len(gaps)} others, from {gaps[0]} to {gaps[-1]}" if many else "; ".join(gaps)
-            yield f"{name} {words} {others}."
-    unknown = {pair.b for pair in oriented if pair.verdict == "unknown"}
-    if names := [label for cell, label in labels.items() if cell in unknown]:
-        yield f"{name} cannot be compared with {list_names(names)}: that needs two finished seeds of each."
+        same = [pair for pair in oriented if pair.verdict == verdict]
+        gaps = [_write_gap(labels[pair.b], pair) for pair in same]
+        if verdict == "unknown" and same:
+            yield f"{name} {words.verb} {list_names([labels[pair.b] for pair in same])}{TOO_FEW}"
+        elif len(gaps) > FEW_NAMES:
+            yield f"{name} {words.verb} {len(gaps)} others, from {gaps[0]} to {gaps[-1]}."
+        elif gaps:
+            yield f"{name} {words.verb} {'; '.join(gaps)}."
 
 
 def _describe_contrast(pair: Pair, labels: Mapping[str, str]) -> str:
-    a, b = labels[pair.a], labels[pair.b]
-    if pair.verdict == "unknown":
-        return f"{quoted_label(a)} cannot be compared with {quoted_label(b)}: that needs two finished seeds of each."
-    return f"{quoted_label(a)} {VERDICTS[pair.verdict]} {_write_gap(b, pair)}."
+    other = labels[pair.b]
+    gap = f"{quoted_label(other)}{TOO_FEW}" if pair.verdict == "unknown" else f"{_write_gap(other, pair)}."
+    return f"{quoted_label(labels[pair.a])} {VERDICTS[pair.verdict].verb} {gap}"
 
 
 def _write_gap(label: str, pair: Pair) -> str:

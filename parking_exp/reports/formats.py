@@ -1,17 +1,32 @@
 """Numbers and config values as texts. What is not known is an empty text."""
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 from parking_exp.config.cell_labels import setting
+from parking_exp.reports.report_data import Verdict
 from parking_exp.statistics import Interval, Proportion, finite_or_none
 
 
-def percent(share: float | None, *, signed: bool = False) -> str:
+class VerdictWords(NamedTuple):
+    """How a verdict on a pair of cells is written."""
+
+    mark: str  # in figures
+    table: str
+    verb: str  # in sentences, between A and B
+
+
+VERDICTS: dict[Verdict, VerdictWords] = {
+    "a": VerdictWords("▲", "A is better", "is better than"),
+    "b": VerdictWords("▼", "B is better", "is worse than"),
+    "same": VerdictWords("≈", "indistinguishable", "is indistinguishable from"),
+    "unknown": VerdictWords("?", "too few seeds", "cannot be compared with"),
+}
+
+
+def percent(share: float | None) -> str:
     """Write 0.944 as `94.4`."""
-    if (share := finite_or_none(share)) is None:
-        return ""
-    return f"{100 * share + 0.0:{'+' if signed else ''}.1f}".replace("-", "−" if signed else "-")  # noqa: RUF001
+    return "" if (share := finite_or_none(share)) is None else f"{100 * share + 0.0:.1f}"
 
 
 def number(value: float | None, digits: int = 0) -> str:
@@ -38,9 +53,9 @@ def percent_interval(interval: Interval) -> str:
     return _add_bounds(interval, percent)
 
 
-def signed_percent_interval(interval: Interval) -> str:
+def difference_interval(interval: Interval) -> str:
     """Write `+9.1 [+4.0, +14.2]`, or the number alone."""
-    return _add_bounds(interval, lambda share: percent(share, signed=True))
+    return _add_bounds(interval, points)
 
 
 def number_interval(interval: Interval) -> str:
@@ -65,8 +80,8 @@ def rate_interval(interval: Interval) -> str:
 
 def points(difference: float | None) -> str:
     """Write a difference of rates in percentage points: `+3.2`, with a proper minus."""
-    text = percent(difference, signed=True)
-    return "0.0" if text[1:] == "0.0" else text
+    text = "" if (difference := finite_or_none(difference)) is None else f"{100 * difference:+.1f}"
+    return "0.0" if text[1:] == "0.0" else text.replace("-", "−")  # noqa: RUF001
 
 
 def points_interval(interval: Interval) -> str:

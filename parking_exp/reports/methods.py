@@ -17,8 +17,8 @@ INTERVALS = {
 REFERENCES = (
     "Wilson, J. Am. Stat. Assoc. 22 (1927). Clopper & Pearson, Biometrika 26 (1934). Mann & Whitney, Ann. Math. Stat. "
     "18 (1947). Kaplan & Meier, J. Am. Stat. Assoc. 53 (1958). Holm, Scand. J. Stat. 6 (1979). Rubin, Ann. Stat. 9 "
-    "(1981), on the Bayesian bootstrap. Walley, J. R. Stat. Soc. B 58 (1996). Newcombe, Stat. Med. 25 (2006). Agarwal "
-    "et al., NeurIPS (2021), on the probability of improvement and the interquartile mean."
+    "(1981), on the Bayesian bootstrap. Walley, J. R. Stat. Soc. B 58 (1996). Agarwal et al., "
+    "NeurIPS (2021), on the probability of improvement and the interquartile mean."
 )
 
 
@@ -42,8 +42,8 @@ def describe_methods(report: ReportData) -> Iterator[str]:
         )
     if report.pairs:
         yield (
-            f"{report.family} Ranks of seeds have Mann and Whitney's test, with Holm's correction. The probability of "
-            "improvement is that a seed of A does better than one of B, ties counted half; its interval is Newcombe's."
+            f"{report.family} Ranks of seeds have Mann and Whitney's test, with Holm's correction; its effect size is "
+            "the probability of improvement, that a seed of A does better than one of B, ties counted half."
         )
     if any(cell.survival for cell in report.cells):
         yield (

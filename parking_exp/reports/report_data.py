@@ -104,22 +104,20 @@ class Pair:
     p_holm: float | None  # corrected for the pairs of the report, as the interval of the difference
     rank_p: float | None  # of Mann and Whitney's test
     rank_p_holm: float | None
-    improvement: Interval  # probability that a seed of a is better than one of b, ties counted half
+    improvement: float  # probability that a seed of a is better than one of b, ties counted half
     log_rank_p: float | None  # of the times to 90 %; None where none was reached
     log_rank_p_holm: float | None
     verdict: Verdict  # `a` or `b` is better (p_holm < 0.05), `same`: not significant, `unknown`: too few seeds
 
     def reverse(self) -> "Pair":
         """Return the comparison of b with a."""
-
-        def mirror(interval: Interval, total: float) -> Interval:
-            ends = (interval.value, interval.high, interval.low)
-            value, low, high = (None if end is None else total - end for end in ends)
-            return replace(interval, value=value, low=low, high=high)
-
+        ends = (self.difference.value, self.difference.high, self.difference.low)
+        value, low, high = (None if end is None else -end for end in ends)
+        difference = replace(self.difference, value=value, low=low, high=high)
         verdict = cast(Verdict, {"a": "b", "b": "a"}.get(self.verdict, self.verdict))
-        difference, improvement = mirror(self.difference, 0.0), mirror(self.improvement, 1.0)
-        return replace(self, a=self.b, b=self.a, difference=difference, improvement=improvement, verdict=verdict)
+        return replace(
+            self, a=self.b, b=self.a, difference=difference, improvement=1 - self.improvement, verdict=verdict
+        )
 
 
 @dataclass(frozen=True)

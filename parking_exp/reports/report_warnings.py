@@ -3,7 +3,7 @@
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 
-from parking_exp.config.cell_labels import differing_keys, setting
+from parking_exp.config.cell_labels import Setting, differing_keys, setting
 from parking_exp.errors import plural, quoted_label
 from parking_exp.reports.cell_selection import CellRuns
 from parking_exp.reports.report_data import Cell, Provenance
@@ -72,9 +72,17 @@ def _find_mixed(runs: Sequence[CellRuns], origin: Provenance) -> Iterator[str]:
     for key, words in MIXED.items():
         values = list(dict.fromkeys(cell.config.get(key) for cell in runs))
         if len(values) > 1:
-            yield words.format(list_names([f"{v:,}" if isinstance(v, int) else setting(v) for v in values]))
+            yield words.format(_list_values(values))
     keys = [key for key in differing_keys([cell.config for cell in runs]) if key.startswith("env.")]
     if mixed := [key for key in keys if key not in TRAINING_ONLY]:
         yield f"Tasks are mixed: cells differ in {list_names(mixed)}; their rates are not of the same episodes."
     if len({tuple(cell.done["seed"]) for cell in runs if len(cell.done)}) > 1:
         yield "Cells do not have the same seeds."
+
+
+def _list_values(values: Sequence[Setting]) -> str:
+    """List config values; of more than two numbers, the smallest and the largest."""
+    numbers = sorted(value for value in values if isinstance(value, int))
+    if len(values) == len(numbers) > 1:
+        return f"{numbers[0]:,} {'and' if len(numbers) == 2 else 'to'} {numbers[-1]:,}"
+    return list_names([setting(value) for value in values])

@@ -12,17 +12,12 @@ import matplotlib.figure
 from parking_exp.figure_style import Drawing, clean, report_style
 from parking_exp.reports.figures.cell_figures import draw_final_success, draw_learning_curves, draw_time_to_90
 from parking_exp.reports.figures.comparison_figures import draw_pairs, draw_two_factors
-from parking_exp.reports.figures.study_figures import (
-    draw_history,
-    draw_parameter_importance,
-    draw_slices,
-    draw_trial_coordinates,
-)
+from parking_exp.reports.figures.study_figures import draw_history, draw_parameter_importance, draw_slices
 from parking_exp.reports.methods import describe_methods
 from parking_exp.reports.report_data import ReportData
 from parking_exp.reports.search_report import describe_search, retest_table, trial_table
 from parking_exp.reports.tables import report_tables
-from parking_exp.reports.tables.table import Table, cell_record
+from parking_exp.reports.tables.table import Table, cell_record, without_constants
 from parking_exp.tasks.registry import task_reports
 from parking_exp.tasks.task import TaskFigure, TaskSection
 
@@ -35,7 +30,7 @@ _METADATA: dict[str, dict[str, Any]] = {
 
 @dataclass(frozen=True)
 class Figure:
-    """A figure of a section; `{}` in its name becomes the number of each, where `draw` gives several."""
+    """A figure of a section; where `draw` gives several, their names are `NAME`, `NAME_2`, ..."""
 
     name: str
     title: str
@@ -72,8 +67,7 @@ SECTIONS = (
         figures=[
             Figure("optimisation_history", "Optimisation history", draw_history),
             Figure("parameter_importance", "Importance of parameters", draw_parameter_importance),
-            Figure("slices_{}", "Value against each parameter", draw_slices),
-            Figure("trial_coordinates", "Trials across their parameters", draw_trial_coordinates),
+            Figure("slices", "Value against each parameter", draw_slices),
         ],
         tables=[trial_table],
     ),
@@ -175,7 +169,7 @@ def section_contents(
             section.id,
             section.title,
             list(section.text(report)),
-            [table for tables in section.tables for table in tables(report)],
+            [without_constants(table) for tables in section.tables for table in tables(report)],
             [picture for picture in pictures if picture.section == section.id],
         )
         for section in (sections_of(report) if sections is None else sections)
@@ -196,7 +190,7 @@ def draw(
         for section in sections_of(report) if sections is None else sections:
             for kind in section.figures:
                 for number, (figure, caption) in enumerate(kind.draw(report), start=1):
-                    name = kind.name.format(number)
+                    name = kind.name if number == 1 else f"{kind.name}_{number}"
                     svg = _save(figure, folder / name, formats)
                     pictures.append(Picture(name, kind.title, clean(caption), svg, section.id))
     return pictures

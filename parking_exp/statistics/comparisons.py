@@ -1,6 +1,5 @@
 """Comparison of cells: differences, probability of improvement, Holm's correction. Seeds are not paired."""
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -9,7 +8,7 @@ from numpy.typing import ArrayLike
 
 from parking_exp.statistics.intervals import Interval
 from parking_exp.statistics.means import SeedRates, contrast
-from parking_exp.statistics.rates import Z, finite
+from parking_exp.statistics.rates import finite
 
 Cells = Sequence[SeedRates]
 
@@ -56,37 +55,16 @@ def rank_test(a: ArrayLike, b: ArrayLike) -> float | None:
     return float(stats.mannwhitneyu(first, second, method="auto").pvalue)
 
 
-def probability_of_improvement(a: ArrayLike, b: ArrayLike) -> Interval:
-    """Return how probable it is that a seed of `a`, shape (n_a,), beats one of `b`, (n_b,); ties count one half.
+def probability_of_improvement(a: ArrayLike, b: ArrayLike) -> float:
+    """Return how often a seed of `a`, shape (n_a,), beats one of `b`, (n_b,); ties count one half.
 
-    The interval is `newcombe`. With one seed on both sides it is nearly 0 ... 1.
+    It is the effect size of `rank_test`.
 
     Raises:
         ValueError: a side is empty or holds NaN.
     """
     first, second = finite(a, "a probability of improvement"), finite(b, "a probability of improvement")
-    m, n = len(first), len(second)
-    theta = float((1 + np.sign(first[:, None] - second[None])).mean() / 2)
-    return Interval(theta, *newcombe(theta, m, n), min(m, n), "Newcombe 5")
-
-
-def newcombe(theta: float, m: int, n: int) -> tuple[float, float]:
-    """Return the ends where |theta - x| = z sqrt(V(x)): Newcombe's method 5 (2006, Statistics in Medicine 25:559-573).
-
-    V is Hanley & McNeil's variance with the mean of m and n in the place of both. The interval stays within 0 ... 1 and
-    has width at either end.
-    """
-    from scipy.optimize import brentq
-
-    size = (m + n) / 2
-
-    def excess(x: float) -> float:
-        variance = x * (1 - x) * (1 + (size - 1) * ((1 - x) / (2 - x) + x / (1 + x))) / (m * n)
-        return abs(theta - x) - Z * math.sqrt(variance)
-
-    low = brentq(excess, 0, theta - 1e-9) if theta > 0 else 0.0
-    high = brentq(excess, theta + 1e-9, 1) if theta < 1 else 1.0
-    return low, high
+    return float((1 + np.sign(first[:, None] - second[None])).mean() / 2)
 
 
 def holm(p_values: Sequence[float | None] | np.ndarray) -> np.ndarray:

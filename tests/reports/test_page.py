@@ -131,6 +131,24 @@ def test_an_injected_inline_script_does_not_run(browser, files):
     tab.close()
 
 
+@pytest.mark.parametrize("name", ["her_ablation", "hostile"])
+def test_print_fits_the_page_and_the_head_of_a_table_can_be_repeated(show, name):
+    tab = show(name, 688)  # the width of A4 between its margins
+    tab.locator("details").evaluate_all("all => all.forEach(details => details.open = true)")
+    tab.emulate_media(media="print")
+    assert tab.evaluate("document.scrollingElement.scrollWidth") <= 688
+    buttons = tab.locator("thead button").evaluate_all("all => all.map(button => getComputedStyle(button).display)")
+    assert {*buttons} == {"contents"}
+
+
+def test_a_small_screen_shows_a_figure_whole_and_enlarges_it_on_request(show):
+    figure = show("report", 420).locator("#figure-pairwise .picture")
+    hidden = "picture => picture.scrollWidth - picture.clientWidth"
+    assert figure.evaluate(hidden) == 0
+    figure.click()
+    assert figure.evaluate(hidden) > 200
+
+
 def background(tab):
     return tab.evaluate("getComputedStyle(document.body).backgroundColor")
 

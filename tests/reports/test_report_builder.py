@@ -58,7 +58,7 @@ def test_pairs_are_compared_with_holms_correction_and_have_a_verdict(two):
     assert pair.difference.value == pytest.approx(0.52)
     assert pair.p == pair.p_holm == expected.p < 0.05  # a family of one
     assert pair.rank_p == pair.rank_p_holm == scipy.stats.mannwhitneyu(ENDS["sac"], ENDS["td3"]).pvalue
-    assert (pair.improvement.value, pair.verdict) == (1.0, "a")
+    assert (pair.improvement, pair.verdict) == (1.0, "a")
 
 
 def test_claims_have_the_better_cell_the_difference_and_its_p_value(two):
@@ -153,6 +153,11 @@ def test_time_to_90_percent_is_censored_where_it_was_not_held():
     assert (cell.survival.k, cell.survival.n, cell.survival.median) == (1, 2, 200)
     assert (cell.restricted_steps.value, cell.median_cpu_s) == (200, 150.0)
     assert cell.seeds[0].area == pytest.approx((2 / 3 + 1 + 1) / 3)
+
+
+def test_fewer_than_three_evaluations_say_nothing_of_the_time_to_90_percent():
+    (cell,) = content({"sac": {}}, [0], lambda *_: Run(curve=[0.5, 1.0])).cells
+    assert (cell.seeds[0].steps_to_90, cell.survival, cell.seeds[0].area) == (None, None, 0.75)
 
 
 def test_unfinished_runs_are_missing_and_quick_shows_their_curves():
@@ -339,11 +344,11 @@ def test_levels_that_do_not_differ_are_said_to_be_indistinguishable():
 
 def test_levels_are_compared_only_where_the_crossing_is_complete():
     cells = crossed(goals=(1, 2, 4))
-    del cells["final4"], cells["future1"]
-    incomplete = content(cells, look=lambda label, seed: Run(success=0.2 * (seed + ("future" in label))))
-    assert [effect.complete for effect in incomplete.effects] == [False, False]
-    for claim in incomplete.claims:
-        assert not claim.startswith(("buffer: ", "n_sampled_goal: "))
+    for removed, complete in (("final4", [False, False]), ("future1", [])):
+        del cells[removed]
+        incomplete = content(cells, look=lambda label, seed: Run(success=0.2 * (seed + ("future" in label))))
+        assert [effect.complete for effect in incomplete.effects] == complete
+        assert not [claim for claim in incomplete.claims if claim.startswith(("buffer: ", "n_sampled_goal: "))]
 
 
 def test_labels_name_the_experiment_if_there_are_several_and_equal_configs_are_warned_of():

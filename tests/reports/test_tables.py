@@ -10,6 +10,7 @@ from support import report_factory
 
 from parking_exp.reports.report_files import escape_formula, write_tables
 from parking_exp.reports.sections import section_contents
+from parking_exp.reports.tables import report_tables
 from parking_exp.statistics import Interval
 
 
@@ -49,6 +50,28 @@ def test_tables_have_every_number(tmp_path):
     headline = tables["headline"]
     assert [float(row["success"]) for row in headline] == pytest.approx([cell.success.value for cell in report.cells])
     assert (headline[0]["label"], headline[0]["seeds"], headline[0]["runs_done"]) == (report.cells[0].label, "10", "10")
+
+
+def test_conditions_that_are_the_same_in_every_row_are_in_the_caption():
+    report = report_factory.her_ablation()
+    tables = {table.name: table for content in section_contents(report) for table in content.readable_tables}
+    titles = {name: [column.title for column in table.columns] for name, table in tables.items()}
+    assert tables["headline"].caption.endswith(" Seeds in every row: 10. Env steps in every row: 40,000.")
+    assert not {"Seeds", "Env steps"} & {*titles["headline"]}
+    assert tables["pairs"].caption.endswith(f" B in every row: {report.cell(report.reference).label}.")
+    assert (titles["pairs"][:2], "Episodes" in titles["seeds"]) == (["A", "A − B (points)"], False)  # noqa: RUF001
+    mixed = [replace(cell, total_timesteps=n) for n, cell in enumerate(report.cells)]
+    (headline, *_) = section_contents(replace(report, cells=mixed))[2].readable_tables
+    assert headline.columns[1].title == "Env steps"
+
+
+def test_settings_are_a_row_for_each_cell_or_where_these_are_fewer_for_each_setting():
+    report = report_factory.report(2, 1)
+    for keys, titles in ((["a"], ["Cell", "a"]), (["a", "b", "c"], ["Setting", "sac", "td3"])):
+        provenance = replace(report.provenance, difference={key: [1, 2] for key in keys})
+        (table,) = report_tables.config(replace(report, provenance=provenance))
+        assert [column.title for column in table.columns] == titles
+        assert [table.columns[-1].write(row) for row in table.rows][-1] == "2"
 
 
 def test_unknown_numbers_are_empty(tmp_path):

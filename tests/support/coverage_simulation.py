@@ -9,7 +9,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from parking_exp.statistics import SeedRates, compare, coverage_note, mean_interval
-from parking_exp.statistics.comparisons import newcombe
 
 DRAWS = 2000
 EPISODES = (100, 500)
@@ -89,19 +88,6 @@ def of_difference(a, b, n, draws=DRAWS, episodes=100, alpha=0.05):
     return np.array([difference.low <= a.truth - b.truth <= difference.high for difference in differences])
 
 
-def of_improvement(a, b, n, draws=DRAWS, episodes=100):
-    """Return in which of the draws Newcombe's interval holds the probability that a seed of a beats one of b."""
-    counts = [
-        np.bincount(np.rint(episodes * side.measured(1, 400_000, seed, episodes)[:, 0]).astype(int), minlength=501)
-        for side, seed in ((a, 4), (b, 5))
-    ]
-    truth = (counts[0] * (np.cumsum(counts[1]) - counts[1] / 2)).sum() / 400_000**2
-    first, second = a.measured(n, draws, 2, episodes), b.measured(n, draws, 3, episodes)
-    theta = (1 + np.sign(first[:, :, None] - second[:, None])).mean(axis=(1, 2)) / 2
-    low, high = np.transpose([newcombe(value, n, n) for value in theta])
-    return (low <= truth) & (truth <= high)
-
-
 def speaks(rates, n, draws=400):
     """Return in which of the draws `coverage_note` says something."""
     return np.array([coverage_note(row) is not None for row in rates.measured(n, draws, seed=2)])
@@ -113,7 +99,6 @@ def main():
     tables = (
         ("mean", of_mean, [(rates,) for rates in HEALTHY + TAILED + COLLAPSING]),
         ("difference", of_difference, PAIRS + SKEWED_PAIRS),
-        ("improvement", of_improvement, PAIRS + SKEWED_PAIRS),
     )
     for name, coverage, populations in tables:
         for population in populations:

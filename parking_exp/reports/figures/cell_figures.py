@@ -71,7 +71,7 @@ def _draw_seeds_and_mean(axes: Axes, row: int, cell: Cell) -> None:
 
 def draw_learning_curves(report: ReportData) -> Iterator[Drawing]:
     """Draw mean success with its interval, and mean failure rate, against env steps."""
-    curves = [(cell, cell.curve) for cell in report.shown_cells if cell.curve is not None and len(cell.curve.step)]
+    curves = [(cell, cell.curve) for cell in report.shown_cells if cell.curve and len(cell.curve.step) > 1]
     if not curves:
         return
     cells, with_seeds = [cell for cell, _ in curves], len(curves) <= _MOST_SEED_LINES

@@ -1,9 +1,10 @@
 """Figures of comparisons: pairs of cells, and two crossed factors."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 import pandas as pd
+from matplotlib.figure import Figure
 
 from parking_exp.figure_style import (
     INK,
@@ -12,38 +13,42 @@ from parking_exp.figure_style import (
     new_figure,
     percentages,
     row_axes,
+    rows_on_page,
     text_colour,
     wrapped_labels,
 )
-from parking_exp.reports.formats import level, p_value, points_interval
-from parking_exp.reports.report_data import ReportData
-
-_VERDICTS = {"a": "▲", "b": "▼", "same": "≈", "unknown": "?"}
+from parking_exp.reports.formats import VERDICTS, level, p_value, points_interval
+from parking_exp.reports.report_data import Pair, ReportData
 
 
 def draw_pairs(report: ReportData) -> Iterator[Drawing]:
-    """Draw the differences of final success between the cells of figures, with intervals."""
+    """Draw the differences of final success between the cells of figures, with intervals; many in several figures."""
     cells = dict(zip(report.shown, wrapped_labels(report.shown_cells, 36, lines=3), strict=True))
     pairs = [p for p in report.pairs if p.a in cells and p.b in cells and p.difference.value is not None]
-    if not pairs:
-        return
     labels = [cells[pair.a] if report.reference else f"{cells[pair.a]}\n− {cells[pair.b]}" for pair in pairs]  # noqa: RUF001
-    figure, axes = row_axes(labels)
     reference = report.cell(report.reference).label if report.reference else None
+    each = f"Final success minus that of {reference}" if reference else "Final success of one cell minus another's"
+    caption = (
+        f"{each}, in percentage points, with 95 % intervals. ▲ the first is better, ▼ worse, ≈ not distinguishable, "
+        f"? too few seeds; p corrected by Holm's method. {report.family}"
+    )
+    n_rows = rows_on_page(labels)
+    for begin in range(0, len(pairs), n_rows):
+        rows = slice(begin, begin + n_rows)
+        yield _draw_differences(pairs[rows], labels[rows]), "Continued." if begin else caption
+
+
+def _draw_differences(pairs: Sequence[Pair], labels: Sequence[str]) -> Figure:
+    figure, axes = row_axes(labels)
     axes.axvline(0, color=INK, linewidth=0.8)
     axes.set_xlabel("difference of final success (points)")
     for row, pair in enumerate(pairs):
         value, low, high = percentages([pair.difference.value, pair.difference.low, pair.difference.high])
         axes.plot([low, high], [row, row], color=INK)
         axes.plot(value, row, color=INK, marker="o", markersize=5)
-        text = f"{points_interval(pair.difference)}   {_VERDICTS[pair.verdict]} {p_value(pair.p_holm)}"
+        text = f"{points_interval(pair.difference)}   {VERDICTS[pair.verdict].mark} {p_value(pair.p_holm)}"
         axes.text(1.02, row, text, transform=axes.get_yaxis_transform(), fontsize=SMALL_PT, va="center")
-    each = f"Final success minus that of {reference}" if reference else "Final success of one cell minus another's"
-    yield (
-        figure,
-        f"{each}, in percentage points, with 95 % intervals. ▲ the first is better, ▼ worse, ≈ not distinguishable, "
-        f"? too few seeds; p corrected by Holm's method. {report.family}",
-    )
+    return figure
 
 
 def draw_two_factors(report: ReportData) -> Iterator[Drawing]:

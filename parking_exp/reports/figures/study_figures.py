@@ -15,7 +15,6 @@ from parking_exp.figure_style import WIDTH_IN, Drawing, report_style
 from parking_exp.reports.report_data import ReportData
 from parking_exp.reports.search_report import Tuning
 
-MAX_AXES = 8  # of parallel coordinates
 MAX_SLICES = 4  # in one figure
 MIN_TRIALS = 20  # for importances: PED-ANOVA looks at the best tenth
 
@@ -97,13 +96,3 @@ def draw_slices(report: ReportData) -> Iterator[Drawing]:
         parameters = names[begin : begin + MAX_SLICES]
         figure = _plot("plot_slice", rebuild_study(tuning), params=parameters, target_name=objective)
         yield figure, f"{objective} against {', '.join(parameters)}; darker trials are later ones."
-
-
-def draw_trial_coordinates(report: ReportData) -> Iterator[Drawing]:
-    """Draw each trial as a line across its values and parameters."""
-    if (tuning := report.tuning) is None or not (names := _find_varied(tuning)):
-        return
-    left_out = f" {len(names) - MAX_AXES} parameters are left out." if len(names) > MAX_AXES else ""
-    objective = tuning.objective
-    figure = _plot("plot_parallel_coordinate", rebuild_study(tuning), params=names[:MAX_AXES], target_name=objective)
-    yield figure, f"Each trial as a line from its value across its parameters.{left_out}"

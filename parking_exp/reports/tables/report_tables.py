@@ -21,20 +21,17 @@ from parking_exp.reports.tables.table import (
 from parking_exp.statistics import Interval, Proportion
 
 RATES = ("success", *(name for name in FURTHER if REPORTED[name].is_rate), "timeout")
-VERDICTS = {"same": "indistinguishable", "unknown": "too few seeds"}
 
 
 def headline(report: ReportData) -> Iterator[Table]:
     """Yield the table of what each cell reached and what it cost."""
-    rows = _list_cell_rows(report)
-    counts = [Column("Seeds", _count_finished, "seeds"), column("Env steps", "total_timesteps", formats.number)]
-    equal = [count for count in counts if len(rows) > 1 and {*map(count.write, rows)} == {count.write(rows[0])}]
     yield Table(
         "headline",
-        rows,
+        _list_cell_rows(report),
         [
             cell_column(),
-            *(count for count in counts if count not in equal),
+            Column("Seeds", _count_finished, "seeds", given=True),
+            column("Env steps", "total_timesteps", formats.number, given=True),
             *(interval_column(REPORTED[name].heading, name) for name in _select_rates(report)),
             column("Lowest", "lowest", formats.percent),
             column("IQM", "iqm", formats.percent),
@@ -50,8 +47,7 @@ def headline(report: ReportData) -> Iterator[Table]:
         ],
         f"Final evaluation: means over seeds, {PERCENT}; success of the worst seed, and its interquartile mean over "
         "seeds; how many seeds ended at 95 % or above, with the exact interval of their share; median of the env steps "
-        "until 90 % were held for three evaluations."
-        + "".join(f" {count.title} in every row: {count.write(rows[0]) or 'unknown'}." for count in equal),
+        "until 90 % were held for three evaluations.",
         latex=True,
     )
 
@@ -98,7 +94,7 @@ def seeds(report: ReportData) -> Iterator[Table]:
             column("Seed", "seed"),
             interval_column(REPORTED["success"].heading, "success"),
             *(column(REPORTED[name].heading, name, formats.percent) for name in _select_rates(report)[1:]),
-            column("Episodes", "n_episodes", formats.number),
+            column("Episodes", "n_episodes", formats.number, given=True),
             Column("Steps to 90 %", reached, "steps_to_90"),
             column("CPU (s)", "cpu_s", formats.number),
             column("Run", "run_id", numeric=False),
@@ -135,23 +131,18 @@ def pairs(report: ReportData) -> Iterator[Table]:
     """Yield the table of the pairs of cells that were compared."""
     labels = {cell.id: cell.label for cell in report.cells}
     rows = [{"a_label": labels[pair.a], "b_label": labels[pair.b], **record(pair)} for pair in report.pairs]
-
-    def verdict(row: Row) -> str:
-        better = {"a": row["a_label"], "b": row["b_label"]}.get(row["verdict"])
-        return VERDICTS[row["verdict"]] if better is None else f"{better} is better"
-
     yield Table(
         "pairs",
         rows,
         [
             cell_column("A", "a", "a_label"),
             cell_column("B", "b", "b_label"),
-            interval_column("A − B (points)", "difference", formats.signed_percent_interval),  # noqa: RUF001
+            interval_column("A − B (points)", "difference", formats.difference_interval),  # noqa: RUF001
             column("p (Holm)", "p_holm", formats.probability),
             column("p, ranks (Holm)", "rank_p_holm", formats.probability),
-            interval_column("A better than B (%)", "improvement"),
+            column("A better than B (%)", "improvement", formats.percent),
             column("p, time to 90 % (Holm)", "log_rank_p_holm", formats.probability),
-            Column("In words", verdict, numeric=False),
+            column("In words", "verdict", lambda verdict: formats.VERDICTS[verdict].table, numeric=False),
         ],
         "Pairs of cells: difference of mean final success in percentage points, with simultaneous 95 % intervals; Mann "
         "and Whitney's test of the ranks of seeds; probability that a seed of A is better than one of B.",
@@ -161,6 +152,7 @@ def pairs(report: ReportData) -> Iterator[Table]:
 
 def effects(report: ReportData) -> Iterator[Table]:
     """Yield the table of each factor's levels."""
+    complete = all(effect.complete for effect in report.effects)
     yield Table(
         "effects",
         [{**record(effect), **record(level)} for effect in report.effects for level in effect.levels],
@@ -170,25 +162,29 @@ def effects(report: ReportData) -> Iterator[Table]:
             interval_column("Success (%)", "effect"),
             column("Cells", "cells", formats.number),
         ],
-        f"Main effects: mean final success at each level over the levels of the other factors, {PERCENT}.",
+        f"Main effects: mean final success at each level over the levels of the other factors, {PERCENT}."
+        + ("" if complete else " Combinations are missing: levels are not comparable."),
         latex=True,
     )
 
 
 def config(report: ReportData) -> Iterator[Table]:
-    """Yield the settings that differ between cells."""
-    difference = report.provenance.difference
-    yield Table(
-        "config",
-        [
-            {**cell_record(cell), **{key: values[number] for key, values in difference.items()}}
-            for number, cell in enumerate(report.cells)
+    """Yield the settings that differ between cells: a row for each cell or, if these are fewer, for each setting."""
+    difference, cells = report.provenance.difference, report.cells
+    if len(difference) > len(cells):
+        names = {cell.id: cell.label for cell in cells}
+        rows = [{"setting": key, **dict(zip(names, values, strict=True))} for key, values in difference.items()]
+        first = column("Setting", "setting", numeric=False)
+    else:
+        names = {key: key for key in difference}
+        rows = [
+            {**cell_record(cell), **dict(zip(names, values, strict=True))}
+            for cell, *values in zip(cells, *difference.values(), strict=True)
             if difference
-        ],
-        [cell_column(), *(column(key, key, formats.setting, numeric=False) for key in difference)],
-        "Settings that are not the same in all cells.",
-        latex=True,
-    )
+        ]
+        first = cell_column()
+    columns = [first, *(column(name, key, formats.setting, numeric=False) for key, name in names.items())]
+    yield Table("config", rows, columns, "Settings that are not the same in all cells.", latex=True)
 
 
 def versions(report: ReportData) -> Iterator[Table]:
@@ -201,7 +197,7 @@ def versions(report: ReportData) -> Iterator[Table]:
     columns = [
         column("What", "what", numeric=False),
         column("Version", "version", numeric=False),
-        column("Runs", "runs", formats.number),
+        column("Runs", "runs", formats.number, given=True),
     ]
     yield Table("versions", rows, columns, "Versions, commits and machines.")
 

@@ -1,7 +1,7 @@
 """The model of a table, which the page, LaTeX and CSV are written from."""
 
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass, is_dataclass
+from dataclasses import dataclass, is_dataclass, replace
 from typing import Any, NamedTuple
 
 from parking_exp.reports import formats
@@ -22,6 +22,7 @@ class Column(NamedTuple):
         key: of the value in a row by which the page sorts; None: it sorts by what is shown.
         numeric: whether it shows numbers.
         cell: key of the id of the cell that it names.
+        given: whether it is a condition, not a result: the caption has it where it is the same in every row.
     """
 
     title: str
@@ -29,6 +30,7 @@ class Column(NamedTuple):
     key: str | None = None
     numeric: bool = True
     cell: str | None = None
+    given: bool = False
 
 
 @dataclass(frozen=True)
@@ -37,8 +39,8 @@ class Table:
 
     name: str  # of its files; unique
     rows: Sequence[Row]  # all values
-    columns: Sequence[Column] = ()  # what people read; none: the table is for CSV alone
-    caption: str = ""  # one sentence
+    columns: Sequence[Column] = ()  # what people read, see `without_constants`; none: the table is for CSV alone
+    caption: str = ""
     latex: bool = False  # whether it is written as LaTeX, too
     folded: bool = False  # whether the page folds it away
 
@@ -46,6 +48,18 @@ class Table:
     def readable(self) -> bool:
         """Whether there is something to read."""
         return bool(self.rows and self.columns)
+
+
+def without_constants(table: Table) -> Table:
+    """Return a table whose caption has what is the same in every row: conditions, and what is nowhere known."""
+    constants = {}
+    for column in table.columns[1:]:
+        texts = {column.write(row) for row in table.rows}
+        if len(table.rows) > 1 and len(texts) == 1 and (column.given or texts == {""}):
+            constants[column] = texts.pop() or "none"
+    sentences = "".join(f" {column.title} in every row: {text}." for column, text in constants.items())
+    columns = [column for column in table.columns if column not in constants]
+    return replace(table, columns=columns, caption=table.caption + sentences)
 
 
 def record(item: Any, prefix: str = "", *, without: Collection[str] = ()) -> dict[str, Any]:
@@ -74,14 +88,16 @@ def cell_record(cell: Cell) -> dict[str, str]:
     return {"cell": cell.id, "label": cell.label}
 
 
-def column(title: str, key: str, write: Callable[[Any], str] = formats.words, *, numeric: bool = True) -> Column:
+def column(
+    title: str, key: str, write: Callable[[Any], str] = formats.words, *, numeric: bool = True, given: bool = False
+) -> Column:
     """Return a column of one value of each row, written by e.g. `formats.percent`."""
-    return Column(title, lambda row: write(row.get(key)), key, numeric)
+    return Column(title, lambda row: write(row.get(key)), key, numeric, given=given)
 
 
 def cell_column(title: str = "Cell", cell: str = "cell", label: str = "label") -> Column:
     """Return the column of the labels of cells."""
-    return Column(title, lambda row: str(row[label]), label, numeric=False, cell=cell)
+    return Column(title, lambda row: str(row[label]), label, numeric=False, cell=cell, given=True)
 
 
 def interval_column(title: str, key: str, write: Callable[[Interval], str] = formats.percent_interval) -> Column:
