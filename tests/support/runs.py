@@ -6,7 +6,6 @@ import gzip
 import importlib
 import io
 import json
-import logging
 import os
 import subprocess
 import sys
@@ -62,7 +61,6 @@ def call_script(name, *arguments, cwd=None):
         stack.enter_context(contextlib.chdir(cwd or Path.cwd()))
         stack.enter_context(contextlib.redirect_stdout(output))
         stack.enter_context(contextlib.redirect_stderr(errors))
-        stack.callback(logging.lastResort.setFormatter, logging.lastResort.formatter)
         stack.callback(gc.enable)
         try:
             main()
