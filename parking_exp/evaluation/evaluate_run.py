@@ -20,8 +20,7 @@ from parking_exp.evaluation.agents import Agent, AgentRequest, find_agents, is_p
 from parking_exp.runs.atomic_files import write_json
 from parking_exp.runs.directory import RunDirectory
 from parking_exp.runs.metric_logs import EPISODES_FILE
-from parking_exp.tasks.env_config import EnvConfig
-from parking_exp.tasks.registry import make_task
+from parking_exp.tasks.registry import EnvConfig, make_task
 from parking_exp.terminal import Screen, say
 
 TRAINING_KEYS = ({*RunConfig.model_fields} | SWEEP_KEYS) - {"env", "output_dir", "tracking"}
