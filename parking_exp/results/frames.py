@@ -105,10 +105,10 @@ def read_store(store: Store, experiments: str | Iterable[str] | None) -> Results
     steps = {run_id: max((point["step"] for point in log), default=0) for run_id, log in logs.items()}
     runs["steps"] = runs["run_id"].map(steps).fillna(0).astype("int64")
     tables, table_problems = _read_files(store, runs[runs["status"] != "running"], EPISODES_FILE, read_episodes)
-    ids = pd.CategoricalDtype(pd.Index(runs["run_id"].to_list(), dtype="str"))
+    run_ids = pd.CategoricalDtype(pd.Index(runs["run_id"].to_list(), dtype="str"))
     none = pd.DataFrame(columns=["run_id", *EPISODES]).astype(EPISODES)
     parts = [none, *(table.assign(run_id=run_id) for run_id, table in tables.items())]
-    episodes = pd.concat(parts, ignore_index=True).astype({"run_id": ids, **CATEGORIES})
+    episodes = pd.concat(parts, ignore_index=True).astype({"run_id": run_ids, **CATEGORIES})
     return Results(runs, curves, episodes, store.uri, (*_duplicates(runs), *log_problems, *table_problems))
 
 
