@@ -59,10 +59,6 @@ class AgentRequest(OutputConfig):
     model: ModelName
     trust: bool
 
-    def agent(self) -> Agent:
-        """Find the agent."""
-        return find_agent(self.run, self.output_path, self.model, trust=self.trust)
-
 
 def find_agent(run: str, output_dir: Path, model: ModelName = "final", *, trust: bool = False) -> Agent:
     """Find a trained agent; arguments and errors are those of `load_model`."""
