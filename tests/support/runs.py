@@ -17,10 +17,10 @@ import pytest
 from parking_exp.config.cell_labels import settings_of
 from parking_exp.config.compose import compose_configs
 from parking_exp.config.validate import validate
+from parking_exp.evaluation.evaluate_run import evaluate_runs
 from parking_exp.runs.directory import RunDirectory
 
 ROOT = Path(__file__).resolve().parents[2]
-USER_CONF = ROOT / "tests" / "support" / "user_conf"
 GROUPS = ("env", "algorithm", "buffer", "budget", "evaluation", "checkpoint", "tracking", "experiment")
 
 
@@ -67,6 +67,12 @@ def call_script(name, *arguments, cwd=None):
         except SystemExit as left:
             code = left.code
     return subprocess.CompletedProcess([name, *arguments], code or 0, output.getvalue(), errors.getvalue())
+
+
+def evaluate_stored(path, *arguments):
+    """Evaluate a run directory as `scripts/evaluate.py` does, on one episode, with the errors as they are."""
+    lines = [f"run='{path}'", "episodes=1", "simulator=vectorized", *arguments]
+    return evaluate_runs(compose_configs("evaluate", lines))
 
 
 def in_memory():
