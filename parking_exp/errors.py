@@ -43,10 +43,6 @@ class ResultsError(ParkingError, LookupError):
     """Results that do not exist, or that can't be read."""
 
 
-class DamagedFileError(ParkingError):
-    """A file of a run directory is corrupt."""
-
-
 class StoreError(ParkingError):
     """A store that rejects a run, or is behind the run directories."""
 

@@ -23,12 +23,6 @@ def shares(all_cores: Sequence[int], n_workers: int) -> list[list[int]]:
     return [list(all_cores[low:high]) for low, high in itertools.pairwise(bounds)]
 
 
-def pin(some_cores: Sequence[int]) -> None:
-    """Pin this process to some cores, where the system supports it."""
-    if hasattr(os, "sched_setaffinity"):
-        os.sched_setaffinity(0, some_cores)
-
-
 def cuda_devices() -> list[str]:
     """Return the names of the CUDA devices that this process may use, without importing torch."""
     visible = os.environ.get("CUDA_VISIBLE_DEVICES")

@@ -1,6 +1,5 @@
 """Print text on a terminal, with control characters escaped: text from a run directory or store may be hostile."""
 
-import logging
 import sys
 from typing import Any
 
@@ -38,11 +37,3 @@ def console(*, stderr: bool = False) -> Console:
     """Return a console that does not wrap lines."""
     out = Screen(stderr=stderr, soft_wrap=True)
     return out if out.is_terminal else Screen(stderr=stderr, width=WIDE)
-
-
-class LogFormatter(logging.Formatter):
-    """Formats log records for a terminal."""
-
-    def format(self, record: logging.LogRecord) -> str:
-        """Return the record's lines, its traceback included."""
-        return "\n".join(map(printable, super().format(record).split("\n")))

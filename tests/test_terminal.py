@@ -1,11 +1,10 @@
 """Tests of printing untrusted text to a terminal: control characters are escaped."""
 
 import io
-import logging
 
 from rich.table import Table
 
-from parking_exp.terminal import LogFormatter, Screen, printable, say
+from parking_exp.terminal import Screen, printable, say
 
 HOSTILE = "a\x1b]0;t\x07\x1b[2J\x9b31m\r\b\x7f\u202eb\u2066\nfailed   c\x00\t\u2028\udc9b"
 SHOWN = r"a\x1b]0;t\x07\x1b[2J\x9b31m\r\x08\x7f\u202eb\u2066\nfailed   c\x00\t\u2028\udc9b"
@@ -36,8 +35,3 @@ def test_a_console_shows_lines_cells_and_headings():
     screen.print(f"[bold] :warning: {HOSTILE}")
     lines = [line.strip() for line in out.getvalue().splitlines()]
     assert lines == [f"1{SHOWN}", f"2{SHOWN}", f"3{SHOWN}", f"[bold] :warning: {SHOWN}"]
-
-
-def test_a_log_record_is_shown_line_by_line():
-    record = logging.LogRecord("name", logging.WARNING, "file", 1, "checkpoint %s\nsecond", ("a\x1b[2J",), None)
-    assert LogFormatter().format(record) == "checkpoint a\\x1b[2J\nsecond"

@@ -57,10 +57,7 @@ def build_model(config: RunConfig, env: VecEnv, seed: int, *, for_training: bool
     build = instantiate(node)
     objects: dict[str, Any] = {"env": env, "train_freq": train_freq, "policy_kwargs": _policy_kwargs(config, task, env)}
     if issubclass(objects["policy_kwargs"].get("features_extractor_class", type), SymmetricFeatures):
-        policy = policy_class(get_class(target))
-        if policy not in MIRRORED:
-            raise ConfigError(f"algorithm.features={config.algorithm.features}: {target} has no mirrored policy")
-        objects["policy"] = MIRRORED[policy]
+        objects["policy"] = MIRRORED[policy_class(get_class(target))]
     if for_training:
         objects["replay_buffer_class"] = get_class(config.buffer.target)
         objects["replay_buffer_kwargs"] = config.buffer.arguments

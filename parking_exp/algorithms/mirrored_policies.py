@@ -77,5 +77,5 @@ class MirroredSACPolicy(_MirroredCritics, sac.MultiInputPolicy):
         return MirroredGaussianActor(**arguments).to(self.device)
 
 
-MIRRORED: dict[type, type] = {td3.MultiInputPolicy: MirroredTD3Policy, sac.MultiInputPolicy: MirroredSACPolicy}
+MIRRORED: dict[type | None, type] = {td3.MultiInputPolicy: MirroredTD3Policy, sac.MultiInputPolicy: MirroredSACPolicy}
 """Policies of Stable-Baselines3 and what replaces them."""

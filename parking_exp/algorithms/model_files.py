@@ -3,20 +3,17 @@
 The pickled part of a file is not read, and tensors are loaded as torch's `weights_only`: nothing in it is executed.
 """
 
-import io
 import re
-import zipfile
 from pathlib import Path
 from typing import Any
 
 import torch
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
-from stable_baselines3.common.save_util import recursive_getattr
+from stable_baselines3.common.save_util import load_from_zip_file, recursive_getattr
 
 from parking_exp.errors import ModelError, one_line
 from parking_exp.runs.atomic_files import replacing
 
-VARIABLES = "pytorch_variables"
 # Pickled entries for which `SAC.load` would require an env, because of the HER buffer.
 BUFFER_ENTRIES = ("replay_buffer_class", "replay_buffer_kwargs")
 
@@ -38,8 +35,7 @@ def load_weights(path: Path, model: OffPolicyAlgorithm) -> None:
         ModelError: the file cannot be read, holds something other than weights, or is that of another model; some
             weights may have been loaded by then.
     """
-    weights = read_weights(path, model.device)
-    variables = weights.pop(VARIABLES, None) or {}
+    weights, variables = read_weights(path, model.device)
     _, names = model._get_torch_save_params()
     try:
         if set(variables) != set(names):
@@ -54,22 +50,15 @@ def load_weights(path: Path, model: OffPolicyAlgorithm) -> None:
         raise ModelError(f"{path} does not fit {name} as its config.yaml describes it: {problem}") from error
 
 
-def read_weights(path: Path, device: torch.device) -> dict[str, Any]:
-    """Return all state dicts of a model file by name, and its single tensors under `pytorch_variables`.
+def read_weights(path: Path, device: torch.device) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Return all state dicts of a model file, and its single tensors, both by name.
 
     Raises:
         ModelError: bytes are missing or changed, or it holds something other than weights.
     """
-    content = io.BytesIO(path.read_bytes())
     try:
-        with zipfile.ZipFile(content) as archive:
-            return {
-                name.removesuffix(".pth"): torch.load(
-                    io.BytesIO(archive.read(name)), map_location=device, weights_only=True
-                )
-                for name in archive.namelist()
-                if name.endswith(".pth")
-            }
-    except Exception as error:  # damaged bytes make zipfile and torch raise anything; no disk is read here
+        _, weights, variables = load_from_zip_file(path, load_data=False, device=device)
+    except Exception as error:  # damaged bytes make zipfile and torch raise anything
         reason = re.split(r"\.\s|\n", str(error))[0] or type(error).__name__
         raise ModelError(f"{path} is damaged ({reason})") from error
+    return weights, variables or {}

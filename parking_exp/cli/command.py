@@ -5,7 +5,6 @@ Commands import torch and mlflow after our own keys are validated.
 """
 
 import argparse
-import logging
 import os
 import re
 import signal
@@ -21,7 +20,7 @@ from omegaconf import DictConfig, OmegaConf
 from parking_exp.config.compose import VERSION_BASE, compose_configs, user_options
 from parking_exp.config.overrides import config_dir, to_hydra_syntax
 from parking_exp.errors import DISK_ERRORS, ConfigError, InterruptedRunError, OutputDirectoryError, ParkingError
-from parking_exp.terminal import LogFormatter, say
+from parking_exp.terminal import say
 
 Request = TypeVar("Request")
 Command = Callable[[list[str], str | None], None]
@@ -36,8 +35,6 @@ def run_command(config_name: str, command: Command, read: Callable[[list[str]], 
         command: the function to call.
         read: turns the words of the command line into Hydra's overrides.
     """
-    if logging.lastResort is not None:  # handles warnings
-        logging.lastResort.setFormatter(LogFormatter())
     with errors_as_sentences():
         options, words = _parse(sys.argv[1:])
         overrides = [to_hydra_syntax(override) for override in read(words)]

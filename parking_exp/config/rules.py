@@ -27,17 +27,12 @@ def _check_buffer(run: RunConfig) -> Iterator[str]:
     yield from run.env.model_problems(run.algorithm.features, run.buffer.arguments)
 
 
-def _relabels(run: RunConfig) -> bool:
-    """Return whether a run has virtual goals."""
-    arguments = run.buffer.arguments
-    is_her = run.buffer.class_name in HER_CLASSES or any(name in arguments for name in HER_OPTIONS)
-    return arguments.get("goal_selection_strategy", "future" if is_her else None) is not None
-
-
 def check_lengths(run: RunConfig, longest: int) -> Iterator[str]:
     """Yield a sentence for each key that is too small for the longest training episode."""
-    starts = run.algorithm.arguments.get("learning_starts")
-    if _relabels(run) and (not isinstance(starts, int) or starts < longest * run.n_envs):
+    starts, buffer = run.algorithm.arguments.get("learning_starts"), run.buffer.arguments
+    is_her = run.buffer.class_name in HER_CLASSES or any(name in buffer for name in HER_OPTIONS)
+    relabels = buffer.get("goal_selection_strategy", "future" if is_her else None) is not None
+    if relabels and (not isinstance(starts, int) or starts < longest * run.n_envs):
         key = "algorithm.learning_starts" if starts is None else f"algorithm.learning_starts={starts}"
         yield (
             f"{key}: HER samples finished episodes only; give at least "

@@ -14,7 +14,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, NonNegativeIn
 from parking_exp.config.paths import absolute, default_uri, directory_path, refuse_password
 from parking_exp.config.run_key import result_part, short_hash
 from parking_exp.config_model import ConfigModel, EpisodeSeed, Name, NumberOfEpisodes
-from parking_exp.tasks.env_config import EnvConfig
+from parking_exp.tasks.registry import EnvConfig
 
 STORES = re.compile(r"sqlite:///[^?]+|(https?|postgresql|mysql|mssql)(\+\w+)?://.+|databricks.*")
 

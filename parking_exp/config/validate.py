@@ -15,7 +15,7 @@ from parking_exp.config.constructor_arguments import check_arguments
 from parking_exp.config.rules import check_rules, check_tasks
 from parking_exp.config.schema import RunConfig, SweepOptions
 from parking_exp.errors import ConfigError, did_you_mean, first_line
-from parking_exp.tasks.env_config import TASKS
+from parking_exp.tasks.registry import TASKS
 
 Model = TypeVar("Model", bound=BaseModel)
 Config = DictConfig | Mapping[str, Any]

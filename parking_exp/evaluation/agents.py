@@ -13,7 +13,7 @@ from parking_exp.errors import RunNotFoundError, plural
 from parking_exp.runs.directory import RunDirectory
 from parking_exp.runs.lookup import find_run, find_runs_below
 from parking_exp.runs.run_files import CONFIG_FILE, read_config
-from parking_exp.tasks.env_config import EnvConfig
+from parking_exp.tasks.registry import EnvConfig
 from parking_exp.terminal import say
 
 if TYPE_CHECKING:
@@ -58,10 +58,6 @@ class AgentRequest(OutputConfig):
     run: Annotated[str, Field(min_length=1)]
     model: ModelName
     trust: bool
-
-    def agent(self) -> Agent:
-        """Find the agent."""
-        return find_agent(self.run, self.output_path, self.model, trust=self.trust)
 
 
 def find_agent(run: str, output_dir: Path, model: ModelName = "final", *, trust: bool = False) -> Agent:

@@ -20,8 +20,7 @@ from parking_exp.evaluation.agents import Agent, AgentRequest, find_agents, is_p
 from parking_exp.runs.atomic_files import write_json
 from parking_exp.runs.directory import RunDirectory
 from parking_exp.runs.metric_logs import EPISODES_FILE
-from parking_exp.tasks.env_config import EnvConfig
-from parking_exp.tasks.registry import make_task
+from parking_exp.tasks.registry import EnvConfig, make_task
 from parking_exp.terminal import Screen, say
 
 TRAINING_KEYS = ({*RunConfig.model_fields} | SWEEP_KEYS) - {"env", "output_dir", "tracking"}
@@ -130,7 +129,7 @@ def evaluate_runs(configs: Sequence[DictConfig]) -> None:
     ]
     if len({evaluation.folder for evaluation in evaluations}) < len(evaluations):
         raise ConfigError("two of these evaluations would share a folder; leave name out, and name each run once")
-    rates = [_evaluate_and_store(evaluation) for evaluation in evaluations]
+    rates = [_evaluate(evaluation) for evaluation in evaluations]
     if len(evaluations) > 1:
         say("", *compare(evaluations, rates).split("\n"))
 
@@ -169,18 +168,8 @@ def _label(settings: Sequence[dict[str, Any]], experiments: Sequence[str], defau
     return [label_of[key] for key in keys]
 
 
-def _evaluate_and_store(evaluation: Evaluation) -> dict[str, float]:
-    directory, request = evaluation.agent.directory, evaluation.request
-    if directory is not None:
-        say(f"run directory  {directory.path}")
-    rates = _evaluate(evaluation)
-    if directory is not None and request.tracking.mlflow:
-        _store(request, directory)
-    say(f"results        {evaluation.folder}")
-    return rates
-
-
 def _evaluate(evaluation: Evaluation) -> dict[str, float]:
+    """Evaluate an agent, print, write and store the results, and return the rates and means."""
     from rich.progress import Progress
 
     from parking_exp.algorithms.build_model import greedy_policy, torch_settings
@@ -188,6 +177,8 @@ def _evaluate(evaluation: Evaluation) -> dict[str, float]:
     from parking_exp.evaluation.video import record
 
     request, agent, env, folder = evaluation.request, evaluation.agent, evaluation.env, evaluation.folder
+    if agent.directory is not None:
+        say(f"run directory  {agent.directory.path}")
     task = make_task(env)
     policy, seeds, screen = greedy_policy(agent.model(env)), request.seeds, Screen(stderr=True)
     with torch_settings(agent.config), Progress(console=screen, transient=True, disable=not screen.is_terminal) as bar:
@@ -212,6 +203,9 @@ def _evaluate(evaluation: Evaluation) -> dict[str, float]:
         except VideoError as error:
             say(str(error))
         say(*(f"video          {path}" for path in sorted(folder.glob("video.*"))))
+    if agent.directory is not None and request.tracking.mlflow:
+        _store(request, agent.directory)
+    say(f"results        {folder}")
     return rates
 
 
@@ -245,14 +239,10 @@ def choose_env(request: EvaluationRequest, agent: Agent) -> EnvConfig:
             f"env={merged.get('name')}: the agent was trained on env={trained_on.name}, which is another task"
         )
     env = check(EvaluatedEnv, {"env": merged | trained_on.model_dump(include={*trained_on.agent_keys})}).env
-    if (simulator := _choose_simulator(request, env)) != env.simulator:
+    if request.simulator not in (None, *env.simulators):
+        raise ConfigError(f"simulator={request.simulator}: env={env.name} has {' and '.join(env.simulators)}")
+    simulator = request.simulator or env.simulators[-1]  # by default the task's reference
+    if simulator != env.simulator:
         env = env.model_copy(update={"simulator": simulator})
     refuse([*env.problems(), *make_task(env).problems()])
     return env
-
-
-def _choose_simulator(request: EvaluationRequest, env: EnvConfig) -> str:
-    """Return what simulates the episodes: by default the task's reference."""
-    if request.simulator not in (None, *env.simulators):
-        raise ConfigError(f"simulator={request.simulator}: env={env.name} has {' and '.join(env.simulators)}")
-    return request.simulator or env.simulators[-1]

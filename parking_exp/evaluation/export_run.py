@@ -11,7 +11,7 @@ from pydantic import Field
 from parking_exp.config.paths import directory_path
 from parking_exp.config.validate import parse
 from parking_exp.errors import ConfigError
-from parking_exp.evaluation.agents import AgentRequest
+from parking_exp.evaluation.agents import AgentRequest, find_agent
 from parking_exp.terminal import say
 
 
@@ -39,7 +39,7 @@ def export_run(request: ExportRequest) -> Path:
     Raises:
         ModelError: the model can't be exported; also what `agents.load_model` raises.
     """
-    agent = request.agent()
+    agent = find_agent(request.run, request.output_path, request.model, trust=request.trust)
     agent = replace(agent, config=agent.config.model_copy(update={"device": "cpu"}))  # files are for any machine
     path = directory_path(request.path) if request.path else agent.folder / "exports" / f"policy.{request.format}"
     if agent.directory is not None:

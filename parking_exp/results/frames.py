@@ -1,9 +1,8 @@
 """Load the results of runs from an MLflow store."""
 
-from collections import defaultdict
-from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
@@ -105,9 +104,12 @@ def read_store(store: Store, experiments: str | Iterable[str] | None) -> Results
     curves = curves.dropna(how="all", subset=[*CURVE.values()]).sort_values(["run_id", "step"], ignore_index=True)
     steps = {run_id: max((point["step"] for point in log), default=0) for run_id, log in logs.items()}
     runs["steps"] = runs["run_id"].map(steps).fillna(0).astype("int64")
-    tables, table_problems = _read_files(store, runs[runs["status"] != "running"], EPISODES_FILE, bytes)
-    episodes, damaged = _read_episodes(tables, runs)
-    return Results(runs, curves, episodes, store.uri, (*_duplicates(runs), *log_problems, *table_problems, *damaged))
+    tables, table_problems = _read_files(store, runs[runs["status"] != "running"], EPISODES_FILE, read_episodes)
+    run_ids = pd.CategoricalDtype(pd.Index(runs["run_id"].to_list(), dtype="str"))
+    none = pd.DataFrame(columns=["run_id", *EPISODES]).astype(EPISODES)
+    parts = [none, *(table.assign(run_id=run_id) for run_id, table in tables.items())]
+    episodes = pd.concat(parts, ignore_index=True).astype({"run_id": run_ids, **CATEGORIES})
+    return Results(runs, curves, episodes, store.uri, (*_duplicates(runs), *log_problems, *table_problems))
 
 
 @contextmanager
@@ -199,35 +201,8 @@ def _read_files(
             except Exception as error:
                 problem = f"{name} can't be read: {reason(error)}"
             if problem:
-                problems.append(_of_run(run, problem))
+                problems.append(f"run {run['run_id']} ({run['cell']}, seed {run['seed']}): {problem}")
     return parsed, problems
-
-
-def _of_run(run: Mapping[Hashable, Any], problem: str) -> str:
-    return f"run {run['run_id']} ({run['cell']}, seed {run['seed']}): {problem}"
-
-
-def _read_episodes(tables: Mapping[str, bytes], runs: pd.DataFrame) -> tuple[pd.DataFrame, list[str]]:
-    """Return the episodes of all runs, in the order of `runs`, and a sentence for each file that is damaged."""
-    parsed, problems = [pd.DataFrame(columns=["run_id", *EPISODES]).astype(EPISODES)], dict[str, str]()
-    by_header = defaultdict[bytes, dict[str, bytes]](dict)
-    for run_id, table in tables.items():
-        by_header[table.partition(b"\n")[0]][run_id] = table
-    for group in by_header.values():
-        with suppress(Exception):
-            parsed.append(read_episodes(group))
-            continue
-        for run_id, table in group.items():  # at least one is damaged
-            try:
-                parsed.append(read_episodes({run_id: table}))
-            except Exception as error:
-                (run,) = runs[runs["run_id"] == run_id].to_dict("records")
-                problems[run_id] = _of_run(run, f"{EPISODES_FILE} can't be read: {reason(error)}")
-    ids = pd.CategoricalDtype(pd.Index(runs["run_id"].to_list(), dtype="str"))
-    episodes = pd.concat(parsed).astype({"run_id": ids, **CATEGORIES})
-    return episodes.sort_values("run_id", kind="stable", ignore_index=True), [
-        problems[key] for key in tables if key in problems
-    ]
 
 
 def _duplicates(runs: pd.DataFrame) -> Iterator[str]:

@@ -2,7 +2,6 @@
 
 import io
 import json
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -40,25 +39,16 @@ def read_points(log: bytes) -> list[dict[str, Any]]:
     return list(points.values())
 
 
-def read_episodes(tables: Mapping[str, bytes]) -> pd.DataFrame:
-    """Return the rows of `episodes.csv` files with the same header, by run id, one after the other.
-
-    Their columns are those in EPISODES, with text for categories, and `run_id`. One call for all is twenty times as
-    fast as one for each.
+def read_episodes(table: bytes) -> pd.DataFrame:
+    """Return the rows of an `episodes.csv`: its columns in EPISODES, with text for categories.
 
     Raises:
-        ValueError: one is damaged.
+        ValueError: it is damaged.
     """
-    parts = [table.partition(b"\n") for table in tables.values()]
-    header, bodies = parts[0][0], [body for _, _, body in parts]
-    content = io.BytesIO(b"\n".join([header, *(body.rstrip(b"\n") for body in bodies if body)]))
-    episodes = pd.read_csv(content, dtype=NUMBERS, usecols=lambda name: name in EPISODES)
+    episodes = pd.read_csv(io.BytesIO(table), dtype=NUMBERS, usecols=lambda name: name in EPISODES)
     if absent := [name for name in REQUIRED if name not in episodes]:
         raise ValueError(f"it has no column {absent[0]}")
     unknown = [name for name, kind in CATEGORIES.items() if not {*episodes[name].unique()} <= {*kind.categories}]
     if unknown or not episodes[EPISODE_SEED].between(0, TRAINING_SEEDS_START - 1).all():
         raise ValueError("it has rows that are not episodes")
-    counts = [table.rstrip(b"\n").count(b"\n") for table in tables.values()]
-    if len(episodes) != sum(counts):
-        raise ValueError("its lines are not its rows")
-    return episodes.assign(run_id=np.repeat([*tables], counts))
+    return episodes

@@ -49,20 +49,11 @@ def read_json(path: Path) -> Any:
 
 
 def read_plain_yaml(path: Path) -> Any:
-    """Read a YAML file that holds what JSON has; raises ValueError for a tag, a date or an alias."""
+    """Read a YAML file that holds what JSON has; raises ValueError for a tag or a date."""
     try:
-        return json.loads(json.dumps(yaml.load(path.read_text(encoding="utf-8"), _LoaderWithoutAliases)))
+        return json.loads(json.dumps(yaml.safe_load(path.read_text(encoding="utf-8"))))
     except (yaml.YAMLError, RecursionError, LookupError, AttributeError, TypeError) as error:
         raise ValueError(first_line(error)) from error
-
-
-class _LoaderWithoutAliases(yaml.SafeLoader):
-    """Refuse aliases, by which a small file becomes a huge value."""
-
-    def compose_node(self, parent: Any, index: Any) -> Any:
-        if self.check_event(yaml.AliasEvent):
-            raise yaml.YAMLError("it has an alias")
-        return super().compose_node(parent, index)
 
 
 def read_object(path: Path) -> dict[str, Any]:

@@ -13,7 +13,6 @@ import time
 from pathlib import Path
 
 from parking_exp.errors import FailedRunError, InterruptedRunError, ParkingError, RunLockedError
-from parking_exp.resources import pin
 from parking_exp.runs.directory import RunDirectory
 from parking_exp.terminal import say
 from parking_exp.tracking.client import import_mlflow
@@ -26,8 +25,8 @@ def main() -> None:
     path, supervisor, cores = Path(sys.argv[1]), int(sys.argv[2]), sys.argv[3]
     _die_with(supervisor)
     faulthandler.enable()  # a fatal error in native code leaves a traceback in the log
-    if cores:
-        pin([int(core) for core in cores.split(",")])
+    if cores and hasattr(os, "sched_setaffinity"):  # not on every system
+        os.sched_setaffinity(0, map(int, cores.split(",")))
     directory = RunDirectory(path)
     try:
         config = directory.config()

@@ -1,9 +1,10 @@
-"""Registry of tasks: the metrics of all of them, and the task and report of each."""
+"""Registry of tasks: the `env` group and the metrics of all of them, and the task and report of each."""
 
 from collections.abc import Iterable, Iterator
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
-from parking_exp.tasks.env_config import EnvConfig
+from pydantic import Field
+
 from parking_exp.tasks.gymnasium_config import GymnasiumConfig
 from parking_exp.tasks.metrics import GYMNASIUM_METRICS, Metric
 from parking_exp.tasks.parking import parking_metrics
@@ -12,6 +13,9 @@ from parking_exp.tasks.parking.parking_config import ParkingConfig
 if TYPE_CHECKING:
     from parking_exp.tasks.task import Task, TaskReport
 
+EnvConfig = Annotated[ParkingConfig | GymnasiumConfig, Field(discriminator="task")]
+"""The `env` group: the config of one of the tasks, chosen by its key `task`."""
+TASKS = ("parking", "gymnasium")
 METRICS: tuple[Metric, ...] = tuple(dict.fromkeys((*parking_metrics.METRICS, *GYMNASIUM_METRICS)))
 """The metrics of all tasks. Those that a task does not have are missing for its runs."""
 OUTCOMES = tuple(metric.name for metric in METRICS if metric.is_outcome)

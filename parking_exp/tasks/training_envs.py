@@ -10,8 +10,7 @@ from gymnasium.utils import seeding
 from stable_baselines3.common.monitor import ResultsWriter
 from stable_baselines3.common.vec_env import VecEnv, VecMonitor
 
-from parking_exp.tasks.env_config import EnvConfig
-from parking_exp.tasks.registry import make_task
+from parking_exp.tasks.registry import EnvConfig, make_task
 
 MONITOR_STATE = ("episode_returns", "episode_lengths", "episode_count")
 

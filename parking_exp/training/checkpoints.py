@@ -5,7 +5,6 @@ the filled part of the replay buffer, counters and rollout state, the logs so fa
 that is restored from it is bit-identical to one that was not interrupted. Nothing is unpickled.
 """
 
-import logging
 import shutil
 from collections import deque
 from collections.abc import Iterator, Mapping
@@ -26,9 +25,8 @@ from parking_exp.buffers import HerBuffer
 from parking_exp.runs.atomic_files import fsync, read_object, sha256, write_json
 from parking_exp.runs.directory import BUFFER, MANIFEST, MODEL
 from parking_exp.runs.metric_logs import copy_logs
+from parking_exp.terminal import say
 from parking_exp.training import rollout_state
-
-log = logging.getLogger(__name__)
 
 BEST, STATE = "best.zip", "state.pt"
 ATTRIBUTES = (
@@ -92,7 +90,7 @@ def latest(directory: Path) -> Path | None:
     for folder in reversed(_folders(directory)):
         if (problem := _problem(folder)) is None:
             return folder
-        log.warning("checkpoint %s is skipped (%s); trying the one before it", folder, problem)
+        say(f"warning: checkpoint {folder} is skipped ({problem}); trying the one before it", stderr=True)
     return None
 
 

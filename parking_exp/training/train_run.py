@@ -27,7 +27,7 @@ from parking_exp.runs.run_provenance import command_line
 from parking_exp.tasks.registry import make_task
 from parking_exp.terminal import say
 from parking_exp.tracking.mirror import sync_hint
-from parking_exp.tracking.tracker import Tracker, open_tracker
+from parking_exp.tracking.tracker import Tracker
 from parking_exp.training import checkpoints
 from parking_exp.training.finish import finish
 from parking_exp.training.loop import TrainingLoop
@@ -69,11 +69,11 @@ def _train(config: RunConfig, directory: RunDirectory, stop: StopRequest) -> Run
     if command := command_line():  # a supervised run has the sweep's
         process["command"] = command
     directory.update(status="running", error=None, killed=None, total_timesteps=config.total_timesteps, **process)
-    tracker = Tracker(directory)
+    tracker = Tracker(config, directory, partial(say, stderr=True))
     try:
         checkpoint = checkpoints.latest(directory.checkpoints)
         restore_logs(directory.path, checkpoint)
-        tracker = open_tracker(config, directory, partial(say, stderr=True))
+        tracker.begin()
         with closing(TrainingLoop(config, directory, tracker, checkpoint, stop)) as loop:
             try:
                 loop.learn()

@@ -1,8 +1,5 @@
 """One contract for all algorithms: saved and loaded, checkpointed and restored, to the last bit."""
 
-import functools
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 from support.models import make_model, model_of
@@ -26,11 +23,6 @@ ALGORITHMS = {option: (f"algorithm={option}",) for option in options("algorithm"
 }
 
 
-@functools.cache
-def configured(algorithm):
-    return make_config(*SMOKE, *ALGORITHMS[algorithm])
-
-
 def state(model, directory):
     """All tensors that the model's file has, and its actions on random observations, as bytes."""
     rng = np.random.default_rng(0)
@@ -39,25 +31,20 @@ def state(model, directory):
     return parameters(directory / "state.zip") | {"actions": exact(greedy_policy(model)(observations))}
 
 
-@pytest.fixture(scope="module", params=ALGORITHMS)
-def trained(request, tmp_path_factory):
-    """A model that was saved in a checkpoint after its first updates, and then made two more."""
-    config, directory = configured(request.param), tmp_path_factory.mktemp("checkpoints")
-    model = model_of(config).learn(60)
-    assert model._n_updates > 0
-    folder = checkpoints.save(directory, model, checkpoints.SavedProgress(step=60), directory / "best.zip", keep_last=1)
-    saved = state(model, directory)
-    model.train(2, model.batch_size)
-    return SimpleNamespace(config=config, model=model, folder=folder, saved=saved, updated=state(model, directory))
-
-
-def test_restored_from_a_checkpoint_its_next_updates_are_the_same(trained, tmp_path):
+@pytest.mark.parametrize("algorithm", ALGORITHMS)
+def test_restored_from_a_checkpoint_its_next_updates_are_the_same(algorithm, tmp_path):
     """Parameters, target networks, optimizers, coefficients and actions."""
-    other = model_of(trained.config, seed=1)
-    rollout_state.set_state(other, checkpoints.restore(trained.folder, other, tmp_path / "best.zip"))
+    config, best = make_config(*SMOKE, *ALGORITHMS[algorithm]), tmp_path / "best.zip"
+    model, other = model_of(config).learn(60), model_of(config, seed=1)
+    assert model._n_updates > 0
+    folder = checkpoints.save(tmp_path, model, checkpoints.SavedProgress(step=60), best, keep_last=1)
+    saved = state(model, tmp_path)
+    model.train(2, model.batch_size)
+    updated = state(model, tmp_path)
+    rollout_state.set_state(other, checkpoints.restore(folder, other, best))
     other.train(2, other.batch_size)
-    assert trained.updated != trained.saved
-    assert state(other, tmp_path) == trained.updated
+    assert updated != saved
+    assert state(other, tmp_path) == updated
 
 
 @pytest.mark.parametrize(("name", "lost"), [("ForgetsExtraNetwork", "curiosity"), ("SavesNothing", "all weights")])

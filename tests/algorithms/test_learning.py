@@ -1,7 +1,6 @@
 """Agents learn a goal-conditioned task with our HER buffer, and do not learn it without HER."""
 
 import pytest
-import torch
 from stable_baselines3.common.logger import Logger
 from stable_baselines3.common.vec_env import DummyVecEnv
 from support.marks import slow_but
@@ -29,15 +28,6 @@ def untrained(algorithm, *overrides):
     model.set_logger(Logger(None, []))
     env.seed(0)
     return model
-
-
-@pytest.fixture(autouse=True)
-def one_thread():
-    """Rounding, and so learning, depends on how many there are."""
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    yield
-    torch.set_num_threads(before)
 
 
 STEPS_AND_RATE = {"sac": (3000, 0.95), "td3": (3000, 0.95), "ddpg": (3000, 0.95), "crossq": (8000, 0.2)}

@@ -3,19 +3,13 @@
 import numpy as np
 import pytest
 import torch
-from support.runs import make_config
+from support.models import make_model
 
-from parking_exp.algorithms.build_model import build_model
 from parking_exp.errors import ConfigError
-from parking_exp.tasks.training_envs import make_training_envs
 
 # A mirror at the y axis: of x, y, vx, vy, cos_h, sin_h.
 MIRROR = np.array([-1, 1, -1, 1, -1, 1])
-
-
-def make_model(algorithm, *overrides):
-    config = make_config(f"algorithm={algorithm}", *overrides)
-    return build_model(config, make_training_envs(config.env, 1), seed=0, for_training=False)
+ONE = ("n_envs=1",)
 
 
 def scenes(n=200):
@@ -37,7 +31,7 @@ def tensors(car, goal):
 
 @pytest.mark.parametrize("algorithm", ["sac", "td3", "ddpg"])
 def test_the_mirror_image_of_a_scene_gets_the_mirror_image_of_the_action(algorithm):
-    model = make_model(algorithm)
+    model = make_model(f"algorithm={algorithm}", *ONE)
     car, goal = scenes()
     scene, mirrored = tensors(car, goal), tensors(car * MIRROR, goal * MIRROR)
     with torch.no_grad():
@@ -55,7 +49,7 @@ def test_the_mirror_image_of_a_scene_gets_the_mirror_image_of_the_action(algorit
 
 
 def test_sampled_actions_are_mirrored_and_their_probabilities_are_not():
-    model = make_model("sac")
+    model = make_model("algorithm=sac", *ONE)
     car, goal = scenes()
     sampled = []
     for entries in (tensors(car, goal), tensors(car * MIRROR, goal * MIRROR)):
@@ -68,7 +62,7 @@ def test_sampled_actions_are_mirrored_and_their_probabilities_are_not():
 
 
 def test_the_scene_is_mirrored_where_the_goal_is_to_the_right_of_the_car():
-    extractor = make_model("td3").actor.features_extractor
+    extractor = make_model("algorithm=td3", *ONE).actor.features_extractor
     goal = np.array([[0.1, 0.14, 0, 0, 0, 1], [0.1, -0.14, 0, 0, 0, -1], [0.1, 0.14, 0, 0, 0, 1]])
     car = np.array([[0, 0, 0, 0, 1, 0], [0, 0, 0, 0, 1, 0], [0, 0, 0, 0, 0, 1]])  # two look along +x, one along +y
     assert extractor.sign(tensors(car, goal)).tolist() == [[1], [-1], [-1]]
@@ -81,4 +75,4 @@ def test_the_scene_is_mirrored_where_the_goal_is_to_the_right_of_the_car():
 def test_a_policy_that_mirrors_no_steering_is_refused():
     message = "^algorithm.features=ego_mirrored: .*ego_fine$"
     with pytest.raises(ConfigError, match=message):
-        make_model("tqc", "algorithm.features=ego_mirrored")
+        make_model("algorithm=tqc", "algorithm.features=ego_mirrored", *ONE)

@@ -6,13 +6,11 @@ import sys
 
 import pytest
 from omegaconf import OmegaConf
-from support.runs import ROOT, make_config
+from support.runs import ROOT, evaluate_stored, make_config
 
 from parking_exp.config.allowlist import ALLOWED, check_trust
-from parking_exp.config.compose import compose_configs
 from parking_exp.config.constructor_arguments import import_object
 from parking_exp.errors import UntrustedError
-from parking_exp.evaluation.evaluate_run import evaluate_runs
 from parking_exp.runs.run_files import read_config
 
 SIDE_EFFECT = "from pathlib import Path\nPath({path!r}).touch()\ndef make(**_):\n    Path({path!r}).touch()\n    raise LookupError\nclass Made: pass\n"
@@ -44,18 +42,13 @@ def hostile(tmp_path, monkeypatch):
     return tmp_path / "touched"
 
 
-def evaluate(directory, *arguments):
-    (config,) = compose_configs("evaluate", [f"run='{directory}'", "episodes=1", "tracking.mlflow=false", *arguments])
-    return evaluate_runs([config])
-
-
 def test_evaluating_a_foreign_run_refuses_its_class_until_the_user_trusts_it(foreign_run, hostile):
     directory = foreign_run("algorithm.learning_rate._target_", "hostile.make")
     with pytest.raises(UntrustedError, match=r"^algorithm\.learning_rate\._target_=hostile\.make.*trust=true"):
-        evaluate(directory)
+        evaluate_stored(directory)
     assert not hostile.exists()
     with pytest.raises(Exception, match=r"hostile\.make"):
-        evaluate(directory, "trust=true")
+        evaluate_stored(directory, "trust=true")
     assert hostile.exists()
     del sys.modules["hostile"]
 
@@ -72,7 +65,7 @@ def test_an_environment_imports_and_opens_nothing_until_the_user_trusts_it(forei
     env = OmegaConf.to_container(OmegaConf.load(ROOT / "conf/env/gymnasium.yaml").env)
     directory = foreign_run("env", {**env, "id": "highway-v0", **changes})
     with pytest.raises(UntrustedError, match=rf"^{re.escape(named)}.*trust=true"):
-        evaluate(directory)
+        evaluate_stored(directory)
     assert not hostile.exists()
 
 

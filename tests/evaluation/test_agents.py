@@ -5,9 +5,10 @@ import shutil
 
 import pytest
 import torch
+from support import models
 from support.runs import make_config
 
-from parking_exp.algorithms.build_model import build_model, greedy_policy
+from parking_exp.algorithms.build_model import greedy_policy
 from parking_exp.algorithms.policy_files import load_policy, save_policy
 from parking_exp.errors import ModelError, RunNotFoundError, UntrustedError
 from parking_exp.evaluation import agents
@@ -15,14 +16,12 @@ from parking_exp.evaluation.agents import PRETRAINED_DIR, find_agent
 from parking_exp.evaluation.evaluate_policy import evaluate, summarise
 from parking_exp.tasks.parking.parking_metrics import METRICS
 from parking_exp.tasks.registry import make_task
-from parking_exp.tasks.training_envs import make_training_envs
 
 TINY = ("algorithm.net_arch=[8]", "n_envs=1", "algorithm.learning_starts=1000", "updates_per_step=1")
 
 
 def make_model(*overrides, seed=0):
-    config = make_config(*TINY, *overrides)
-    return build_model(config, make_training_envs(config.env, 1), seed=seed, for_training=False)
+    return models.make_model(*TINY, *overrides, seed=seed, for_training=False)
 
 
 @pytest.mark.parametrize("link", ["pretrained", "pretrained/default", "pretrained/default/evaluations"])

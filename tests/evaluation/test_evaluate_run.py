@@ -10,12 +10,12 @@ import pandas as pd
 import pytest
 from omegaconf import OmegaConf
 from PIL import Image, ImageSequence
-from support.runs import artifacts, call_script, only_run, store
+from support.runs import artifacts, call_script, evaluate_stored, only_run, store
 
 from parking_exp.config.compose import compose_configs
 from parking_exp.errors import ModelError, RunNotFoundError
 from parking_exp.evaluation.agents import find_agent
-from parking_exp.evaluation.evaluate_run import choose_env, evaluate_runs, validate_request
+from parking_exp.evaluation.evaluate_run import choose_env, validate_request
 from parking_exp.runs.atomic_files import read_json
 from parking_exp.runs.directory import RunDirectory
 from parking_exp.tasks.metrics import episode_columns
@@ -106,13 +106,6 @@ def test_an_agent_keeps_its_observation_on_another_option_of_env(finished):
     assert env.observation.vehicles_count == 4
 
 
-def evaluate_stored(directory, *arguments):
-    (config,) = compose_configs(
-        "evaluate", [f"run='{directory.path}'", "episodes=1", "simulator=vectorized", *arguments]
-    )
-    return evaluate_runs([config])
-
-
 def test_a_model_that_does_not_fit_its_config_or_is_damaged_or_missing_is_named(finished):
     directory, _ = finished
     path = directory.models / "final.zip"
@@ -120,14 +113,14 @@ def test_a_model_that_does_not_fit_its_config_or_is_damaged_or_missing_is_named(
     OmegaConf.update(config, "algorithm.net_arch", [8, 8])
     OmegaConf.save(config, directory.path / "config.yaml")
     with pytest.raises(ModelError, match=rf"^{path} .*config\.yaml") as refusal:
-        evaluate_stored(directory)
+        evaluate_stored(directory.path)
     assert "\n" not in str(refusal.value)
     os.truncate(path, 3000)
     with pytest.raises(ModelError, match=rf"^{path} is damaged"):
-        evaluate_stored(directory)
+        evaluate_stored(directory.path)
     path.unlink()
     with pytest.raises(RunNotFoundError, match=str(path)):
-        evaluate_stored(directory)
+        evaluate_stored(directory.path)
 
 
 @pytest.mark.parametrize(

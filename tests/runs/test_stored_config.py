@@ -24,7 +24,6 @@ def test_a_stored_config_is_read_back_as_it_was(directory, tmp_path):
     [
         ("n_envs:", "number_of_envs:", "number_of_envs"),
         ("name: sac", "name: a ${oc.env:HOME}", "a ${oc.env:HOME}"),
-        ("seed: 0", "seed: &a 0\nn_envs: *a", "alias"),  # by which a small file becomes a huge value
     ],
 )
 def test_a_stored_config_that_does_not_fit_the_schema_is_refused(directory, old, new, named):

@@ -6,7 +6,6 @@ import gzip
 import importlib
 import io
 import json
-import logging
 import os
 import subprocess
 import sys
@@ -18,10 +17,10 @@ import pytest
 from parking_exp.config.cell_labels import settings_of
 from parking_exp.config.compose import compose_configs
 from parking_exp.config.validate import validate
+from parking_exp.evaluation.evaluate_run import evaluate_runs
 from parking_exp.runs.directory import RunDirectory
 
 ROOT = Path(__file__).resolve().parents[2]
-USER_CONF = ROOT / "tests" / "support" / "user_conf"
 GROUPS = ("env", "algorithm", "buffer", "budget", "evaluation", "checkpoint", "tracking", "experiment")
 
 
@@ -62,13 +61,18 @@ def call_script(name, *arguments, cwd=None):
         stack.enter_context(contextlib.chdir(cwd or Path.cwd()))
         stack.enter_context(contextlib.redirect_stdout(output))
         stack.enter_context(contextlib.redirect_stderr(errors))
-        stack.callback(logging.lastResort.setFormatter, logging.lastResort.formatter)
         stack.callback(gc.enable)
         try:
             main()
         except SystemExit as left:
             code = left.code
     return subprocess.CompletedProcess([name, *arguments], code or 0, output.getvalue(), errors.getvalue())
+
+
+def evaluate_stored(path, *arguments):
+    """Evaluate a run directory as `scripts/evaluate.py` does, on one episode, with the errors as they are."""
+    lines = [f"run='{path}'", "episodes=1", "simulator=vectorized", *arguments]
+    return evaluate_runs(compose_configs("evaluate", lines))
 
 
 def in_memory():

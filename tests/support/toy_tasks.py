@@ -123,12 +123,6 @@ class Discrete(BitFlip):
     action_space = gym.spaces.Discrete(BITS)
 
 
-class Plain(BitFlip):
-    """Its observation has no goal."""
-
-    observation_space = gym.spaces.Box(0, 1, (BITS,), np.float64)
-
-
-for cls in (BitFlip, OneByOne, OtherReward, Priced, Silent, Broken, Unseeded, Discrete, Plain, Worded, Drawn):
+for cls in (BitFlip, OneByOne, OtherReward, Priced, Silent, Broken, Unseeded, Discrete, Worded, Drawn):
     gym.register(f"{cls.__name__}-v0", cls, max_episode_steps=BITS)
 gym.register("Endless-v0", BitFlip)

@@ -19,7 +19,7 @@ from parking_exp.tasks.parking.features import EgoFrameExtractor, FineEgoFrameEx
 from parking_exp.tasks.parking.highway import make_env
 from parking_exp.tasks.parking.lot_figures import draw_vehicle_rates
 from parking_exp.tasks.parking.nearby_vehicles import NearbyVehicles, nearest_vehicles
-from parking_exp.tasks.parking.outcome_rates import vehicle_rates
+from parking_exp.tasks.parking.parking_report import vehicle_rates
 from parking_exp.tasks.parking.parking_task import ParkingTask
 from parking_exp.tasks.parking.scenes import NO_SLOT, Scenes, drawn_places
 

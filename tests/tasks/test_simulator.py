@@ -66,8 +66,7 @@ def test_200_000_steps_of_parking_and_20_000_of_variants_without_one_mismatch(op
         steps += further
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("name", VARIANTS)
+@pytest.mark.parametrize("name", slow_but(["speed limits"], VARIANTS))
 def test_every_option_is_simulated(name):
     config = env_config(*VARIANTS[name])
     for kind in ("biased", "random"):

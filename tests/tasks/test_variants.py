@@ -5,16 +5,12 @@ import highway_env
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
-from support.runs import USER_CONF, make_config, parking_envs
+from support.runs import make_config, parking_envs
 
-from parking_exp.config.compose import compose_configs
-from parking_exp.config.validate import validate
 from parking_exp.config_model import TRAINING_SEEDS_START
 from parking_exp.tasks.parking.highway import make_env
 from parking_exp.tasks.parking.pose import relative_pose
 from parking_exp.tasks.parking.reward import ParkingReward
-from parking_exp.tasks.parking.scenes import Scenes
-from parking_exp.tasks.parking.simulator import Simulator
 from parking_exp.tasks.training_envs import make_training_envs
 from parking_exp.training.loop import derive_seeds
 
@@ -85,17 +81,6 @@ def test_a_sparse_step_costs_1_and_a_crash_the_collision_penalty_besides():
     assert (set(rewards[:-1]), rewards[-1]) == ({-1}, -21)
 
 
-def test_training_envs_end_after_training_duration_and_evaluation_envs_do_not():
-    config = make_config("env.training_duration=2").env
-    env = make_training_envs(config, n_envs=1)
-    env.reset()
-    for step in range(1, 12):
-        _, _, dones, infos = env.step(np.zeros((1, 2)))
-        assert bool(dones[0]) == (step == 11)
-    assert infos[0]["TimeLimit.truncated"]
-    assert make_env(config).unwrapped.config["duration"] == 100
-
-
 @pytest.mark.parametrize("simulator", ["vectorized", "highway_env"])
 def test_success_in_training_may_be_closer_than_in_evaluation(simulator):
     """A car at 1.21 m beside the slot's centre: -0.11 by the root of 1.21 / 100."""
@@ -117,22 +102,3 @@ def test_training_and_evaluation_scenes_never_meet(seed):
     assert 0 <= seeds.policy < 2**31
     assert derive_seeds(seed) == seeds
     assert derive_seeds(seed + 1).training_envs != seeds.training_envs
-
-
-def test_a_users_variant_is_a_yaml_of_their_own():
-    """In the directory given with --config-dir: tests/support/user_conf/env. Both simulators run it, and agree."""
-    (composed_config,) = compose_configs("config", ["env=parking_slow"], str(USER_CONF))
-    config = validate(composed_config).env
-    simulator, env = Simulator(config, Scenes.from_seeds([3], config.vehicles_range)), make_env(config)
-    env.reset(seed=3)
-    for number in range(30):
-        action = np.array([1.0, 0.2 * (number > 10)], np.float32)
-        step = simulator.step(action[None])
-        observation, reward, terminated, *_ = env.step(action)
-        np.testing.assert_allclose(step.observation["observation"][0], observation["observation"], rtol=0, atol=1e-9)
-        assert (step.reward[0], step.terminated[0]) == (pytest.approx(reward, abs=1e-9), terminated)
-        if terminated:
-            break
-    assert len(env.unwrapped.road.vehicles) == 6
-    assert number > 15  # the car has been as fast as it may be
-    assert np.hypot(*observation["observation"][2:4]) * 5 < 4.1

@@ -32,7 +32,7 @@ from parking_exp.runs.run_provenance import collect_provenance
 from parking_exp.tracking.client import connect
 from parking_exp.tracking.mirror import mirror_missing, sync_hint, try_mirror
 from parking_exp.tracking.store import Store
-from parking_exp.tracking.tracker import open_tracker
+from parking_exp.tracking.tracker import Tracker
 
 
 def mirror_all(output_dir, uri=None):
@@ -245,7 +245,8 @@ def test_a_failed_store_is_not_tried_again_until_the_end_of_the_run(fresh_dir):
     blocked.touch()  # a file where the database's folder is to be
     uri = f"sqlite:///{blocked / 'mlflow.db'}"
     directory, messages = written_run(fresh_dir, uri=uri), []
-    tracker = open_tracker(directory.config(), directory, messages.append)
+    tracker = Tracker(directory.config(), directory, messages.append)
+    tracker.begin()
     problem = f"[Errno 17] File exists: '{blocked}'"
     assert directory.unsynced == problem
     assert problem in messages[0]

@@ -7,13 +7,11 @@ from pathlib import Path
 
 import pytest
 import yaml
-from support.runs import artifacts, call_script, make_config, run_script, store
+from support.runs import artifacts, call_script, evaluate_stored, make_config, run_script, store
 from support.tracked_runs import finished_run, rows
 
-from parking_exp.config.compose import compose_configs
 from parking_exp.config.paths import default_uri
 from parking_exp.errors import ConfigError, ParkingError, StoreError, UntrustedError
-from parking_exp.evaluation.evaluate_run import evaluate_runs
 from parking_exp.results.frames import load
 from parking_exp.runs.atomic_files import read_json, write_json
 from parking_exp.runs.directory import RunDirectory
@@ -23,12 +21,6 @@ from parking_exp.tracking.store import Store
 from parking_exp.training.train_run import train
 
 EVALUATE = ("episodes=1", "simulator=vectorized", "name=again")
-
-
-def evaluate(directory, *arguments):
-    """`scripts/evaluate.py run=DIRECTORY ...` in this process."""
-    (config,) = compose_configs("evaluate", [f"run='{directory.path}'", *EVALUATE, *arguments])
-    return evaluate_runs([config])
 
 
 def snapshot(folder):
@@ -169,7 +161,7 @@ def test_links_that_lead_out_of_a_run_directory_are_refused(foreign, tmp_path, n
     link.symlink_to(outside if "." not in link.name else outside / "episodes.csv")
     before = snapshot(outside)
     with pytest.raises(UntrustedError) as refusal:
-        evaluate(foreign)
+        evaluate_stored(foreign.path, *EVALUATE)
     assert str(link) in str(refusal.value)
     assert snapshot(outside) == before
     with pytest.raises(UntrustedError, match="is a symbolic link"):
@@ -235,10 +227,3 @@ def test_a_training_does_not_write_through_links(tmp_path):
     with pytest.raises(UntrustedError, match="is a symbolic link that leads out of /"):
         train(config)
     assert outside.read_text() == "content"
-
-
-def test_runs_cannot_go_to_the_default_experiment(tmp_path):
-    done = call_script("train", "experiment=smoke", "experiment_name=Default", cwd=tmp_path)
-    assert done.returncode == 2
-    assert "experiment_name=Default" in done.stderr
-    assert list(tmp_path.iterdir()) == []

@@ -8,8 +8,7 @@ import torch
 from support.models import make_model
 
 from parking_exp.buffers import HerBuffer
-from parking_exp.errors import DamagedFileError
-from parking_exp.runs.metric_logs import APPENDED, read_metrics, restore_logs
+from parking_exp.runs.metric_logs import APPENDED, restore_logs
 from parking_exp.training import checkpoints
 from parking_exp.training.checkpoints import SavedProgress
 
@@ -132,11 +131,3 @@ def test_the_best_model_and_the_logs_go_back_to_the_checkpoint(tmp_path, model):
     assert not (tmp_path / "monitor.csv").exists()  # it did not exist yet at the checkpoint
     restore_logs(tmp_path, None)
     assert not any((tmp_path / name).exists() for name in APPENDED)
-
-
-@pytest.mark.parametrize("line", ["{", '{"step": 1, "time_ms": 1, "metrics": 3}', "\x00" * 9])
-def test_a_damaged_row_of_metrics_is_named(tmp_path, line):
-    path = tmp_path / "metrics.jsonl"
-    path.write_text('{"step": 1, "time_ms": 1, "metrics": {"a": 1.0}}\n' + line + "\n")
-    with pytest.raises(DamagedFileError, match=rf"^{path} .* line 2 "):
-        list(read_metrics(path))

@@ -64,8 +64,8 @@ def test_without_a_half_life_or_an_update_the_actor_stays_as_it_is():
 
 
 def weights(path):
-    policy = read_weights(path, torch.device("cpu"))["policy"]
-    return [value for name, value in policy.items() if name.startswith("actor.")]
+    parameters, _ = read_weights(path, torch.device("cpu"))
+    return [value for name, value in parameters["policy"].items() if name.startswith("actor.")]
 
 
 def test_the_average_is_saved_as_the_final_model_and_not_trained_further(tmp_path):

@@ -17,9 +17,7 @@ from parking_exp.algorithms.build_model import greedy_policy
 from parking_exp.errors import FailedRunError, InterruptedRunError
 from parking_exp.evaluation.evaluate_policy import evaluate
 from parking_exp.evaluation.video import record
-from parking_exp.tasks.parking.highway import make_env
 from parking_exp.tasks.registry import make_task
-from parking_exp.tasks.training_envs import ReplayActions
 from parking_exp.training import checkpoints, finish, loop, rollout_state
 from parking_exp.training.loop import RolloutCallback, TrainingLoop
 from parking_exp.training.train_run import train
@@ -237,22 +235,3 @@ def test_rollout_state_is_restored_as_it_was_saved(kind, tmp_path):
     assert comparable(rollout_state.get_state(other)) == before
     assert list(other.logger.name_to_excluded["train/loss"]) == ["tensorboard"]
     assert draws(other) == expected
-
-
-def test_an_env_of_highway_env_continues_from_its_state():
-    """In the middle of an episode; the next scenes are the same, too."""
-    config = composed_once("env=parking_sparse", "env.training_duration=5", "n_envs=1", "algorithm.learning_starts=100")
-    env, other = (ReplayActions(make_env(config.env.for_training())) for _ in range(2))
-    actions = np.random.default_rng(0).uniform(-1, 1, (47, 2)).astype(np.float32)
-    env.reset(seed=3)
-    for action in actions[:7]:
-        env.step(action)
-    other.set_state(env.get_state())
-    for action in actions[7:]:
-        ours, theirs = env.step(action), other.step(action)
-        for key in ours[0]:
-            np.testing.assert_array_equal(ours[0][key], theirs[0][key])
-        assert ours[1:4] == theirs[1:4]
-        if any(ours[2:4]):
-            env.reset(), other.reset()
-    assert env.unwrapped.np_random.bit_generator.state == other.unwrapped.np_random.bit_generator.state

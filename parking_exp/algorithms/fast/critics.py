@@ -23,10 +23,6 @@ class Critics:
         self.flat_target = FlatTensors([tensor for network in targets for tensor in parameters(network)])
         self.adam = Adam(model.critic.optimizer, self.flat)
 
-    def is_bound(self, model: Any) -> bool:
-        """Return whether these are still the model's networks and optimizer."""
-        return self.adam.optimizer is model.critic.optimizer and self.adam.is_bound and self.flat_target.is_whole
-
     def target_value(self, features: torch.Tensor, actions: torch.Tensor) -> torch.Tensor:
         """Return the smallest target value of each transition, shape (batch, 1)."""
         inputs = torch.cat((features, actions), 1)

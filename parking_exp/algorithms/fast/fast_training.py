@@ -1,5 +1,6 @@
 """Mixin that gives SAC, TD3 and DDPG a faster `train`, and which models it supports."""
 
+from collections.abc import Sequence
 from typing import Any, ClassVar, cast
 
 import numpy as np
@@ -31,14 +32,14 @@ class FastTraining:
 
     update_class: ClassVar[type]
     _update: Any = None
+    _bound: Sequence[int] = ()
 
     def train(self: Any, gradient_steps: int, batch_size: int = 64) -> None:
         """Do `gradient_steps` updates on minibatches of the replay buffer."""
         if not is_supported(self):
             super().train(gradient_steps, batch_size)  # type: ignore[misc]
             return
-        optimizers = [self.actor.optimizer, self.critic.optimizer, getattr(self, "ent_coef_optimizer", None)]
-        self._update_learning_rate([optimizer for optimizer in optimizers if optimizer is not None])
+        self._update_learning_rate(self._optimizers())
         self.bind()
         with torch.inference_mode():  # a tenth faster than no_grad: most operations here are tiny
             losses = self._update.run(self, gradient_steps, batch_size)
@@ -51,9 +52,20 @@ class FastTraining:
 
         `train` calls this. Restoring a model calls it too: weights elsewhere in memory may round differently.
         """
-        if is_supported(self) and (self._update is None or not self._update.is_bound(self)):
+        if is_supported(self) and self._addresses() != self._bound:
             with torch.no_grad():
                 self._update = self.update_class(self)
+            self._bound = self._addresses()
+
+    def _addresses(self: Any) -> list[int]:
+        """Return where weights and optimizer states are: loading, copying or moving a model replaces some of them."""
+        states = [item for optimizer in self._optimizers() for item in optimizer.state.items()]
+        stepped = (tensor for parameter, state in states for tensor in (parameter, *state.values()))
+        return [tensor.data_ptr() for tensor in (*self.policy.parameters(), *stepped)]
+
+    def _optimizers(self: Any) -> list[torch.optim.Optimizer]:
+        optimizers = (self.actor.optimizer, self.critic.optimizer, getattr(self, "ent_coef_optimizer", None))
+        return [optimizer for optimizer in optimizers if optimizer is not None]
 
     def _sample_action(
         self: Any, learning_starts: int, action_noise: ActionNoise | None = None, n_envs: int = 1
@@ -73,7 +85,7 @@ class FastTraining:
         return self.policy.unscale_action(scaled), scaled
 
     def _excluded_save_params(self: Any) -> list[str]:
-        return [*super()._excluded_save_params(), "_update"]  # type: ignore[misc]
+        return [*super()._excluded_save_params(), "_update", "_bound"]  # type: ignore[misc]
 
 
 def is_supported(model: Any) -> bool:

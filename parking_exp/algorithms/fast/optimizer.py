@@ -20,8 +20,7 @@ class FlatTensors:
         numbers = range(len(self.tensors))
         self._order = sorted(numbers, key=lambda number: self.tensors[number].numel() % BLOCK > 0)
         self.vector = torch.cat([self.tensors[number].detach().reshape(-1) for number in self._order])
-        self.views = self.split(self.vector)
-        for tensor, view in zip(self.tensors, self.views, strict=True):
+        for tensor, view in zip(self.tensors, self.split(self.vector), strict=True):
             tensor.data = view
 
     def split(self, vector: torch.Tensor) -> list[torch.Tensor]:
@@ -29,11 +28,6 @@ class FlatTensors:
         parts = vector.split([self.tensors[number].numel() for number in self._order])
         placed = dict(zip(self._order, parts, strict=True))
         return [placed[number].view(tensor.shape) for number, tensor in enumerate(self.tensors)]
-
-    @property
-    def is_whole(self) -> bool:
-        """Whether the tensors are still views of the vector; a copy or a move to a device replaces their data."""
-        return all(tensor.data_ptr() == view.data_ptr() for tensor, view in zip(self.tensors, self.views, strict=True))
 
 
 class Adam:
@@ -59,20 +53,6 @@ class Adam:
         self._step = int(self._steps.vector[0].item())
         self._mean = FlatTensors([state["exp_avg"] for state in states])
         self._square = FlatTensors([state["exp_avg_sq"] for state in states])
-
-    @property
-    def is_bound(self) -> bool:
-        """Whether the optimizer's state is still the one that is stepped here; loading replaces it."""
-        state = self.optimizer.state
-        states = zip(self.parameters.tensors, self._mean.tensors, self._square.tensors, strict=True)
-        return (
-            all(flat.is_whole for flat in (self.parameters, self._steps, self._mean, self._square))
-            and all(
-                state[parameter].get("exp_avg") is mean and state[parameter].get("exp_avg_sq") is square
-                for parameter, mean, square in states
-            )
-            and int(self._steps.vector[0].item()) == self._step
-        )
 
     def step(self) -> None:
         """Update the parameters."""

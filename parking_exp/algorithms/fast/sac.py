@@ -34,14 +34,6 @@ class _Update:
         if model.ent_coef_optimizer is not None:
             self.ent_coef_adam = Adam(model.ent_coef_optimizer, FlatTensors([model.log_ent_coef]))
 
-    def is_bound(self, model: Any) -> bool:
-        """Return whether the networks and optimizers are still the model's."""
-        pairs = [(self.adam, model.actor.optimizer), (self.ent_coef_adam, model.ent_coef_optimizer)]
-        actor_is_bound = all(
-            adam.optimizer is optimizer and adam.is_bound for adam, optimizer in pairs if adam is not None
-        )
-        return actor_is_bound and self.critics.is_bound(model)
-
     def run(self, model: Any, gradient_steps: int, batch_size: int) -> dict[str, float]:
         """Do `gradient_steps` updates and return the means of what Stable-Baselines3 logs."""
         history: list[list[torch.Tensor]] = []

@@ -22,13 +22,6 @@ class _Update:
         self.flat, self.flat_target = FlatTensors(actor), FlatTensors(target)
         self.adam = Adam(model.actor.optimizer, self.flat)
 
-    def is_bound(self, model: Any) -> bool:
-        """Return whether the networks and optimizers are still the model's."""
-        actor_is_bound = (
-            self.adam.optimizer is model.actor.optimizer and self.adam.is_bound and self.flat_target.is_whole
-        )
-        return actor_is_bound and self.critics.is_bound(model)
-
     def run(self, model: Any, gradient_steps: int, batch_size: int) -> dict[str, float]:
         """Do `gradient_steps` updates and return the means of what Stable-Baselines3 logs."""
         batches = sample_minibatches(model, gradient_steps, batch_size)
