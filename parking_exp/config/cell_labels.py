@@ -101,16 +101,18 @@ def labels_from_factors(
     factors: Sequence[Factor], settings: Sequence[Mapping[str, Setting]], names: Sequence[str]
 ) -> list[str]:
     """Return labels such as `her_final, n_sampled_goal=8`; equal ones get the key at the end of the cell's name."""
-    prefixes = {factor.key: "" if factor.key in (*GROUPS, EXPERIMENT) else f"{factor.name}=" for factor in factors}
-    labels = [
-        ", ".join(prefix + setting(cell[key]) for key, prefix in prefixes.items() if cell[key] is not None)
-        for cell in settings
-    ]
+    labels = [label_factors(factors, cell) for cell in settings]
     parts = [name.rpartition("-") for name in names]
     return [
         label if label and labels.count(label) == 1 else f"{label or option} ({key})"
         for label, (option, _, key) in zip(labels, parts, strict=True)
     ]
+
+
+def label_factors(factors: Sequence[Factor], cell: Mapping[str, Setting]) -> str:
+    """Return the values of a cell's factors, e.g. `her_final, n_sampled_goal=8`; groups have no prefix."""
+    prefixes = {factor.key: "" if factor.key in (*GROUPS, EXPERIMENT) else f"{factor.name}=" for factor in factors}
+    return ", ".join(prefix + setting(cell[key]) for key, prefix in prefixes.items() if cell[key] is not None)
 
 
 def setting(value: Any) -> str:

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 PRETRAINED = "pretrained"
 PRETRAINED_DIR = Path(__file__).parents[1] / PRETRAINED
 POLICY_FILE = "policy.safetensors"
+PRETRAINED_NAMES = sorted(file.parent.name for file in PRETRAINED_DIR.glob(f"*/{POLICY_FILE}"))
 
 ModelName = Literal["final", "best"]
 
@@ -64,7 +65,7 @@ def find_agent(run: str, output_dir: Path, model: ModelName = "final", *, trust:
     """Find a trained agent; arguments and errors are those of `load_model`."""
     if is_pretrained(run):
         return _find_pretrained(run, output_dir, model)
-    others = [PRETRAINED, *(f"{PRETRAINED}/{name}" for name in list_pretrained())]
+    others = [PRETRAINED, *(f"{PRETRAINED}/{name}" for name in PRETRAINED_NAMES)]
     directory = find_run(run, output_dir, having=f"models/{model}.zip", others=others)
     weights = directory.models / f"{model}.zip"
     if not weights.exists():
@@ -86,7 +87,7 @@ def find_agents(run: str, output_dir: Path, model: ModelName = "final", *, trust
     if not finished:
         raise RunNotFoundError(f"run={run}: none of its {plural(len(runs), 'run')} is finished")
     if unfinished := len(runs) - len(finished):
-        say(f"left out       {plural(unfinished, 'run')} that {'is' if unfinished == 1 else 'are'} not finished")
+        say(f"left out       {plural(unfinished, 'unfinished run')}")
     return [find_agent(str(directory.path), output_dir, model, trust=trust) for directory in finished]
 
 
@@ -116,15 +117,10 @@ def is_pretrained(run: str) -> bool:
     return run.partition("/")[0] == PRETRAINED
 
 
-def list_pretrained() -> list[str]:
-    """Return the names of the pretrained agents of this package."""
-    return sorted(folder.parent.name for folder in PRETRAINED_DIR.glob(f"*/{POLICY_FILE}"))
-
-
 def _find_pretrained(run: str, output_dir: Path, model: ModelName) -> Agent:
-    name, names = run.partition("/")[2] or "default", list_pretrained()
-    if name not in names:
-        raise RunNotFoundError(f"run={run}: there is no such pretrained agent; choose from {', '.join(names)}")
+    name = run.partition("/")[2] or "default"
+    if name not in PRETRAINED_NAMES:
+        raise RunNotFoundError(f"run={run}: no such pretrained agent; choose from {', '.join(PRETRAINED_NAMES)}")
     if model != "final":
         raise RunNotFoundError(f"run={run}: a pretrained agent has no model={model}; use model=final")
     folder, results = PRETRAINED_DIR / name, output_dir / PRETRAINED / name

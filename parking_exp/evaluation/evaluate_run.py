@@ -9,7 +9,7 @@ from typing import Any
 from omegaconf import DictConfig, OmegaConf
 from pydantic import NonNegativeInt
 
-from parking_exp.config.cell_labels import can_matter, find_factors, labels_from_factors, setting, settings_of
+from parking_exp.config.cell_labels import find_factors, label_factors, setting, settings_of
 from parking_exp.config.paths import default_uri, is_same_store
 from parking_exp.config.run_key import short_hash
 from parking_exp.config.schema import RunConfig, StoreConfig
@@ -156,16 +156,9 @@ def compare(evaluations: Sequence[Evaluation], rates: Sequence[dict[str, float]]
 
 
 def _label(settings: Sequence[dict[str, Any]], experiments: Sequence[str], default: str) -> list[str]:
-    """Return what differs between settings; equal ones have equal labels, a single one the default."""
-    keys = [
-        (name, tuple(sorted(item for item in config.items() if can_matter(item[0]))))
-        for name, config in zip(experiments, settings, strict=True)
-    ]
-    distinct = dict(zip(keys, settings, strict=True))
-    factors, values = find_factors([*distinct.values()], [key[0] for key in distinct])
-    labels = labels_from_factors(factors, values, [default] * len(distinct)) if len(distinct) > 1 else [default]
-    label_of = dict(zip(distinct, labels, strict=True))
-    return [label_of[key] for key in keys]
+    """Return what differs between settings; the default where nothing does."""
+    factors, values = find_factors(settings, experiments)
+    return [label_factors(factors, row) or default for row in values]
 
 
 def _evaluate(evaluation: Evaluation) -> dict[str, float]:

@@ -23,7 +23,6 @@ from parking_exp.statistics import (
     restricted_mean,
     share_reaching,
     steps_to,
-    student_interval,
     wilson_interval,
 )
 from parking_exp.tasks.metrics import EPISODE_SEED, Metric
@@ -205,7 +204,7 @@ def _average(values: Sequence[float | None], is_rate: bool = False, n_episodes: 
     known = [value for value in values if value is not None]
     if not known:
         return Interval(None)
-    return mean_interval(known, n_episodes) if is_rate else student_interval(known)
+    return mean_interval(known, n_episodes) if is_rate else Interval(sum(known) / len(known), n=len(known))
 
 
 def _count_stages(status: pd.Series) -> dict[str, int]:

@@ -3,17 +3,9 @@
 from collections.abc import Iterator
 
 from parking_exp.reports.report_data import ReportData
-from parking_exp.statistics import Interval, unseen_share
-from parking_exp.statistics.intervals import NO_INTERVAL, T
-from parking_exp.statistics.means import SEEDS_AND_EPISODES
+from parking_exp.statistics import unseen_share
 from parking_exp.tasks.registry import task_reports
 
-INTERVALS = {
-    SEEDS_AND_EPISODES: "Intervals of rates are for the mean of all possible seeds: a Bayesian bootstrap of the seeds "
-    "and of one unseen seed, at least as wide as Clopper and Pearson's of all episodes together.",
-    T: "Intervals of CPU-seconds and of the length of episodes are Student's.",
-    NO_INTERVAL: "A single seed has no interval.",
-}
 REFERENCES = (
     "Wilson, J. Am. Stat. Assoc. 22 (1927). Clopper & Pearson, Biometrika 26 (1934). Mann & Whitney, Ann. Math. Stat. "
     "18 (1947). Kaplan & Meier, J. Am. Stat. Assoc. 53 (1958). Holm, Scand. J. Stat. 6 (1979). Rubin, Ann. Stat. 9 "
@@ -29,9 +21,10 @@ def describe_methods(report: ReportData) -> Iterator[str]:
         "seeds; episodes are never pooled as if they were independent of their run."
     )
     yield from (sentence for task in task_reports(report.tasks) for sentence in task.methods)
-    intervals = [value for cell in report.cells for value in vars(cell).values() if isinstance(value, Interval)]
-    used = {interval.method for interval in intervals if interval.n}
-    yield from (sentence for method, sentence in INTERVALS.items() if method in used)
+    yield (
+        "Intervals of rates are for the mean of all possible seeds: a Bayesian bootstrap of the seeds and of one "
+        "unseen seed, at least as wide as Clopper and Pearson's of all episodes. A single seed has no interval."
+    )
     yield "CPU-seconds of a run count everything, its final evaluation and cross-check included."
     yield "All intervals are at 95 %. Shares of episodes have Wilson's, shares of seeds Clopper and Pearson's."
     fewest = min((cell.success.n for cell in report.cells if cell.success.n), default=0)

@@ -53,11 +53,7 @@ KEYS = {"experiment", "tracking.uri", *(field.alias or name for name, field in R
 def validate_report(config: DictConfig) -> ReportRequest:
     """Validate a composed config."""
     request = parse(ReportRequest, config)
-    of_stores = {
-        "experiment": request.experiments,
-        "tracking.uri": request.tracking.uri,
-        "export": request.export,
-    }
+    of_stores = {"experiment": request.experiments, "tracking.uri": request.tracking.uri, "export": request.export}
     if request.source and (beside := [key for key, value in of_stores.items() if value]):
         raise ConfigError(f"{beside[0]}: cannot be combined with from={request.source}; leave one of them out")
     if keys := [text.partition("=")[0] for text in request.cells_asked if "=" in text]:

@@ -6,7 +6,7 @@ that need it.
 
 from parking_exp.statistics.comparisons import Difference, compare, holm, probability_of_improvement, rank_test
 from parking_exp.statistics.effects import MainEffect, main_effects
-from parking_exp.statistics.intervals import Interval, coverage_note, student_interval
+from parking_exp.statistics.intervals import Interval, coverage_note
 from parking_exp.statistics.means import SeedRates, mean_interval
 from parking_exp.statistics.rates import (
     Proportion,
@@ -49,7 +49,6 @@ __all__ = [
     "restricted_mean",
     "share_reaching",
     "steps_to",
-    "student_interval",
     "unseen_share",
     "wilson_interval",
 ]

@@ -4,12 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.special import stdtrit
 
 from parking_exp.errors import plural
 from parking_exp.statistics.rates import finite
-
-NO_INTERVAL, T = "none", "t"
 
 MIN_SEEDS = 5  # with fewer, intervals are unreliable
 GAP = 0.3  # between neighbouring seeds: rare without a collapse, nearly certain with one
@@ -24,24 +21,12 @@ class Interval:
         value: e.g. the mean over seeds; None without data.
         low, high: None where the data allow for no interval, e.g. over one seed.
         n: seeds behind it; behind a difference, those of the side that has fewer.
-        method: how the interval was made.
     """
 
     value: float | None
     low: float | None = None
     high: float | None = None
     n: int = 0
-    method: str = NO_INTERVAL
-
-
-def student_interval(values: ArrayLike) -> Interval:
-    """Return the mean of any numbers, shape (seeds,), with Student's interval; none for one seed or without scatter."""
-    array = finite(values, "a mean over seeds")
-    mean, n = float(array.mean()), len(array)
-    if np.ptp(array) == 0:
-        return Interval(mean, n=n)
-    half = float(stdtrit(n - 1, 0.975) * array.std(ddof=1) / np.sqrt(n))
-    return Interval(mean, mean - half, mean + half, n, T)
 
 
 def coverage_note(values: ArrayLike) -> str | None:

@@ -23,7 +23,6 @@ from numpy.typing import ArrayLike
 from parking_exp.statistics.intervals import Interval
 from parking_exp.statistics.rates import exact_interval, finite
 
-SEEDS_AND_EPISODES = "seeds and episodes"
 DRAWS = 20_000
 UNSEEN, REACH = 0.05, 3.0  # of the unseen seed: weight and distance, chosen by simulation
 ROUNDING = 1e-9  # how far a rate may lie outside 0 ... 1
@@ -89,7 +88,7 @@ class Contrast:
         if rank := math.ceil(alpha / 2 * (DRAWS + 1)) - 1:  # else alpha is below what so many draws resolve
             low = float(np.partition(self.pessimistic, rank - 1)[rank - 1])
             high = float(np.partition(self.optimistic, DRAWS - rank)[DRAWS - rank])
-        return Interval(self.value, low, high, self.n, SEEDS_AND_EPISODES)
+        return Interval(self.value, low, high, self.n)
 
 
 def contrast(plus: Sequence[SeedRates], minus: Sequence[SeedRates] = ()) -> Contrast:

@@ -98,7 +98,7 @@ def restricted_mean(times: ArrayLike, horizon: float) -> Interval:
     """
     share = mean_interval(np.minimum(finite(times, "a restricted mean"), horizon) / horizon)
     value, low, high = (None if end is None else end * horizon for end in (share.value, share.low, share.high))
-    return Interval(value, low, high, share.n, share.method)
+    return Interval(value, low, high, share.n)
 
 
 def log_rank(a: Sequence[ArrayLike], b: Sequence[ArrayLike]) -> float | None:

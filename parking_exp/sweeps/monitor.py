@@ -2,14 +2,12 @@
 
 import threading
 from collections.abc import Callable, Sequence
-from contextlib import suppress
 from pathlib import Path
 from typing import Self
 
 from rich.console import Console, Group, RenderableType
 from rich.live import Live
 
-from parking_exp.runs.run_files import STATUS_FILE
 from parking_exp.runs.run_state import RunState, read_state
 from parking_exp.runs.state_tables import format_duration, run_name, state_lines
 from parking_exp.terminal import console as make_console
@@ -30,7 +28,6 @@ class Monitor:
         self._find, self._n_runs = find, n_runs
         self._console = console or make_console(stderr=True)
         self._states = {path: read_state(path) for path in find()}
-        self._modified: dict[Path, int] = {}  # when status.json was last written, in ns
         self._live = Live(get_renderable=self._render, console=self._console, refresh_per_second=1, transient=True)
         self._over = threading.Event()
         self._thread = threading.Thread(target=self._watch, daemon=True)
@@ -58,12 +55,9 @@ class Monitor:
     def _look(self) -> None:
         """Read the states that may have changed, and print a line for each change of stage."""
         for path in self._find():
-            before, modified = self._states.get(path), 0
-            with suppress(OSError):
-                modified = (path / STATUS_FILE).stat().st_mtime_ns
-            if before and before.stage != "running" and modified == self._modified.get(path):
+            before = self._states.get(path)
+            if before and before.stage == "done":
                 continue
-            self._modified[path] = modified
             state = self._states[path] = read_state(path)
             if state.stage != (before.stage if before else "pending"):
                 self._print_event(state)

@@ -5,7 +5,6 @@ of a stored run, written last, is a digest of the files that the store has. Metr
 up to the last checkpoint, from which an interrupted run resumes, and all of them when the run is done.
 """
 
-import json
 import shlex
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
@@ -20,7 +19,7 @@ from parking_exp.config.run_key import short_hash
 from parking_exp.config.schema import RunConfig
 from parking_exp.errors import one_line, plural
 from parking_exp.runs.atomic_files import read_object
-from parking_exp.runs.directory import BUFFER, MANIFEST, MODEL, RunDirectory, Status
+from parking_exp.runs.directory import MODEL, RunDirectory, Status
 from parking_exp.runs.metric_logs import EPISODES_FILE, METRICS_FILE, MONITOR_FILE, read_metrics
 from parking_exp.runs.run_files import CONFIG_FILE
 from parking_exp.runs.run_provenance import PROVENANCE_FILE
@@ -68,7 +67,7 @@ def mirror(directory: RunDirectory, store: Store) -> None:
         params = {key: str(value)[:MAX_PARAM_LENGTH] for key, value in settings_of(config.plain()).items()}
         store.log(run, params, tags, list(_new_metrics(run, files.get(METRICS_FILE))))
         for name, file in files.items():
-            store.put_artifact(run, name, file.read_bytes() if file.name != MANIFEST else _buffer_record(file))
+            store.put_artifact(run, name, file.read_bytes())
         with store.writing() as client:
             if status == "running":
                 client.update_run(run.info.run_id, "RUNNING")
@@ -180,10 +179,8 @@ def _files(directory: RunDirectory) -> dict[str, Path]:
     path, status = directory.path, _status(directory)
     files = {CONFIG_FILE: path / CONFIG_FILE}
     if checkpoints := sorted(directory.checkpoints.glob("step=*")):
-        newest = checkpoints[-1]
-        files[METRICS_FILE] = newest / METRICS_FILE  # what is final of it
-        files["checkpoint/model.zip"] = newest / MODEL
-        files["checkpoint/replay_buffer.json"] = newest / MANIFEST
+        files[METRICS_FILE] = checkpoints[-1] / METRICS_FILE  # what is final of it
+        files["checkpoint/model.zip"] = checkpoints[-1] / MODEL
     if status == "done":
         files[METRICS_FILE] = path / METRICS_FILE
     if status != "running":
@@ -223,9 +220,3 @@ def _new_metrics(run: "Run", log: Path | None) -> "Iterator[Metric]":
         for key, value in record["metrics"].items():
             if record["step"] > latest.get(key, -1):
                 yield Metric(key, value, record["time_ms"], record["step"])
-
-
-def _buffer_record(manifest: Path) -> bytes:
-    """Return path and hash of a checkpoint's replay buffer, which stays in the run directory, as JSON."""
-    path = manifest.with_name(BUFFER).relative_to(manifest.parents[2])  # wherever the run directory may be moved
-    return json.dumps({"path": str(path), "sha256": read_object(manifest).get(BUFFER)}, indent=2).encode()

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 import stable_baselines3 as sb3
 import torch
-from gymnasium.spaces import Box
 from stable_baselines3.common.logger import Logger
 from stable_baselines3.common.torch_layers import CombinedExtractor
 from stable_baselines3.common.type_aliases import DictReplayBufferSamples
@@ -195,20 +194,3 @@ def test_minibatches_sampled_together_have_each_their_share_of_virtual_goals():
     assert set(virtual) == {51, 52}
     # Very many are sampled in parts.
     assert [len(minibatch.actions) for minibatch in sample_minibatches(model, 130, 16)] == [16] * 130
-
-
-@pytest.mark.parametrize("name", ALGORITHMS)
-@pytest.mark.parametrize(("low", "high"), [([-1, -1], [1, 1]), ([-2, 0.5], [0.1, 7])])
-def test_random_actions_are_those_that_stable_baselines3_draws_one_by_one(name, low, high):
-    space = Box(np.float32(low), np.float32(high))
-    drawn = []
-    for module in (fast, sb3):
-        model = make_model(name, module=module)
-        model.action_space = model.policy.action_space = space
-        space.seed(5)
-        np.random.seed(7)
-        drawn.append([model._sample_action(1000, model.action_noise, n_envs=8) for _ in range(3)])
-    for ours, theirs in zip(*drawn, strict=True):
-        for our, their in zip(ours, theirs, strict=True):
-            assert (our.shape, our.dtype) == ((8, 2), their.dtype)
-            np.testing.assert_array_equal(our, their)

@@ -55,7 +55,7 @@ def refusal(plain):
         ("evaluation.first_scene", 2147483600, "2147483148"),
         ("evaluation.final_n_scenes", 1, "evaluation.n_scenes"),
         ("experiment_name", "a/b", ""),
-        ("experiment_name", "Default", "MLflow's own"),
+        ("experiment_name", "Default", "reserved by MLflow"),
         ("tracking.uri", "ftp://host/store", "sqlite:///PATH"),
         ("env.other_vehicles_type", "nowhere.Car", "IDMVehicle"),
         ("env.action.speed_range", [5, -5], ""),

@@ -89,7 +89,7 @@ def test_a_folder_of_runs_is_evaluated_on_changes_of_the_env_of_training_with_a_
     assert done.returncode == 2 and "name" in done.stderr
     RunDirectory(twin).update(status="failed")
     done = call_script("evaluate", *arguments[:-1])
-    assert "1 run that is not finished" in done.stdout
+    assert "1 unfinished run" in done.stdout
     RunDirectory(directory.path).update(status="running")
     done = call_script("evaluate", *arguments)
     assert "none of its 2 runs is finished" in done.stderr

@@ -32,7 +32,6 @@ from parking_exp.statistics import (
     restricted_mean,
     share_reaching,
     steps_to,
-    student_interval,
     unseen_share,
     wilson_interval,
 )
@@ -94,15 +93,8 @@ def test_perfect_seeds_have_the_exact_bound_of_all_their_episodes():
     assert mean_interval([0.0] * 10, 500).high == pytest.approx(1 - 0.025 ** (1 / 5000))
 
 
-def test_one_seed_has_no_interval_and_numbers_without_scatter_have_no_students():
-    assert mean_interval([0.7], 500) == Interval(0.7, None, None, 1, "none")
-    assert student_interval([12.0] * 3) == Interval(12.0, None, None, 3, "none")
-
-
-def test_interval_of_any_numbers_is_students():
-    estimate = student_interval(FIRST)
-    expected = stats.ttest_1samp(FIRST, 0).confidence_interval()
-    assert [estimate.low, estimate.high] == pytest.approx([expected.low, expected.high])
+def test_one_seed_has_no_interval():
+    assert mean_interval([0.7], 500) == Interval(0.7, None, None, 1)
 
 
 def test_interval_of_a_mean_agrees_with_other_draws_of_the_model():

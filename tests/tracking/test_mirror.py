@@ -100,7 +100,7 @@ def test_sixteen_processes_write_into_a_fresh_store_at_once_and_each_number_arri
     assert_mirrored(*directories)
     for directory in directories:
         stored = artifacts(store(fresh_dir), directory.run_id, "checkpoint")
-        assert stored == ["checkpoint/model.zip", "checkpoint/replay_buffer.json"]
+        assert stored == ["checkpoint/model.zip"]
 
 
 @pytest.mark.slow
@@ -302,5 +302,5 @@ def test_a_server_that_comes_up_later_gets_everything_artifacts_too(tmp_path):
         stored = [(key, step, value) for key in KEYS for step, value in history(client, directory.run_id, key)]
         assert sorted(stored) == [point[:3] for point in local_points(directory)]
         assert artifacts(client, directory.run_id) == [
-            "checkpoint/model.zip", "checkpoint/replay_buffer.json", "config.yaml", "episodes.csv", "metrics.jsonl"
+            "checkpoint/model.zip", "config.yaml", "episodes.csv", "metrics.jsonl"
         ]  # fmt: skip
