@@ -93,12 +93,6 @@ class Experiment:
         """Return the mean CPU seconds of a cell's runs."""
         return formats.number(self.cell(label).cpu_s.value)
 
-    def largest_fall(self, label: str) -> str:
-        """Return the largest decrease of a seed's success rate between two evaluations, in points."""
-        runs = [seed.run_id for seed in self.cell(label).seeds]
-        curves = self.results.curves[self.results.curves["run_id"].isin(runs)].sort_values(["run_id", "step"])
-        return formats.percent(-curves.groupby("run_id")["success_rate"].diff().min())
-
     def difference(self, first: str, second: str) -> str:
         """Return the difference in success of two cells, e.g. `+9.1 points [+4.0, +14.2], p = 0.012`."""
         pair = self._pair(first, second)

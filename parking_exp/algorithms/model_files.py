@@ -3,6 +3,7 @@
 The pickled part of a file is not read, and tensors are loaded as torch's `weights_only`: nothing in it is executed.
 """
 
+import io
 import re
 from pathlib import Path
 from typing import Any
@@ -56,8 +57,9 @@ def read_weights(path: Path, device: torch.device) -> tuple[dict[str, Any], dict
     Raises:
         ModelError: bytes are missing or changed, or it holds something other than weights.
     """
+    content = io.BytesIO(path.read_bytes())  # an error of the disk is not damage
     try:
-        _, weights, variables = load_from_zip_file(path, load_data=False, device=device)
+        _, weights, variables = load_from_zip_file(content, load_data=False, device=device)
     except Exception as error:  # damaged bytes make zipfile and torch raise anything
         reason = re.split(r"\.\s|\n", str(error))[0] or type(error).__name__
         raise ModelError(f"{path} is damaged ({reason})") from error

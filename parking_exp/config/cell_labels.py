@@ -67,12 +67,13 @@ def find_factors(
             columns[group] = [config.get(f"{group}.name") for config in configs]
             varying.remove(f"{group}.name")
     options = list(columns.values())
+    n_distinct = len({tuple(hashable(config.get(key)) for key in varying) for config in configs})
     # Evaluation keys come last. Among keys that change together, a top-level key represents keys of groups: `n_envs`
     # the warm-up that it requires.
     for key in sorted(varying, key=lambda key: (key.startswith("evaluation."), "." in key)):
         values = [config.get(key) for config in configs]
         # In a search all keys change together, since the values of each are drawn from a range.
-        is_drawn = len(set(map(hashable, values))) == len(values) >= FEW_CELLS
+        is_drawn = len(set(map(hashable, values))) == n_distinct >= FEW_CELLS
         same = [column for column in columns.values() if not is_drawn and _follows(column, values)]
         if not any(_follows(values, column) for column in (*options, *same)):
             columns[key] = _with_null(key, values, configs)

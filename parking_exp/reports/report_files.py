@@ -17,6 +17,8 @@ from parking_exp.reports.sections import SectionContent, draw, section_contents
 from parking_exp.reports.tables.table import Table
 from parking_exp.runs.atomic_files import write_atomically
 
+LATEX = str.maketrans({**{c: f"\\{c}" for c in "%#_&${}"}, "\\": r"\textbackslash{}", "^": r"\^{}", "~": r"\~{}"})
+
 
 def write_report(report: ReportData, folder: Path, formats: Sequence[str]) -> None:
     """Write all files of a report; `figures` and `tables` are replaced as a whole, and the page is the last."""
@@ -57,14 +59,14 @@ def escape_formula(value: Any) -> Any:
 
 
 def to_latex(table: Table) -> str:
-    """Return a table for LaTeX with booktabs; `--` where nothing is known."""
+    """Return a table for LaTeX with booktabs; `--` where nothing is known. pandas escapes cells, but no captions."""
     return str(
         pd.DataFrame([[clean(column.write(row)) or "--" for column in table.columns] for row in table.rows])
         .set_axis([clean(column.title) for column in table.columns], axis="columns")
         .to_latex(
             index=False,
             escape=True,
-            caption=table.caption.replace("%", r"\%"),
+            caption=table.caption.translate(LATEX),
             label=f"tab:{table.name}",
             column_format="".join("r" if column.numeric else "l" for column in table.columns),
         )

@@ -56,16 +56,12 @@ TAGS = ("cell", "seed", "run_key", "run_dir", "status")
 class Results:
     """Runs of a store and what they logged, as the frames that `help(parking_exp.results)` describes."""
 
-    runs: pd.DataFrame
-    curves: pd.DataFrame
-    episodes: pd.DataFrame
+    runs: pd.DataFrame = field(repr=False)
+    curves: pd.DataFrame = field(repr=False)
+    episodes: pd.DataFrame = field(repr=False)
     uri: str  # the store
     problems: tuple[str, ...] = ()  # a sentence for each thing that is missing or broken
     about: Mapping[str, Any] = field(default_factory=dict)  # of an export: its report.json
-
-    def __repr__(self) -> str:
-        sizes = ", ".join(f"{len(getattr(self, name))} {name}" for name in ("runs", "curves", "episodes"))
-        return f"<Results of {self.uri}: rows of {sizes}; {len(self.problems)} problems>"
 
 
 def load(

@@ -118,8 +118,9 @@ def _record_failure(error: BaseException, directory: RunDirectory, tracker: Trac
 
 
 def _closing_lines(result: RunResult, directory: RunDirectory) -> list[str]:
-    rate = result.metrics.get("final/success_rate", float("nan"))  # a foreign result may lack it
-    lines = [f"final success rate {rate:.1%}, after {result.steps} env steps", f"run directory  {result.run_dir}"]
+    rate = result.metrics.get("final/success_rate")
+    lines = [f"final success rate {rate:.1%}, after {result.steps} env steps"] if rate is not None else []
+    lines.append(f"run directory  {result.run_dir}")
     if result.run_id:
         lines.append(f"MLflow run     {result.run_id}   (make ui)")
     if directory.unsynced:

@@ -42,6 +42,13 @@ def test_keys_that_follow_from_a_groups_option_are_no_factors():
     assert labels == ["sac", "td3", "ddpg"]
 
 
+@pytest.mark.parametrize("n_runs", [1, 2])
+def test_each_key_that_a_search_varies_is_a_factor_whatever_the_number_of_runs(n_runs):
+    trials = [cell(algorithm__gamma=0.9 + n / 100, algorithm__tau=n / 10) for n in range(6) for _ in range(n_runs)]
+    factors, _ = find_factors(trials, ["one"] * len(trials))
+    assert [factor.name for factor in factors] == ["gamma", "tau"]
+
+
 def test_the_control_of_a_her_ablation_has_no_n_sampled_goal():
     crossed = [
         cell(buffer=f"her_{strategy}", buffer__n_sampled_goal=n)

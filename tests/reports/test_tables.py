@@ -100,6 +100,7 @@ def test_pandas_and_latex_read_the_files(example, tmp_path):
     for path in tmp_path.glob("*.tex"):
         text = path.read_text(encoding="utf-8")
         assert text.count(r"\begin{table}") == text.count(r"\end{table}") == text.count(r"\toprule")
+        assert not unescaped(re.search(r"\\caption\{(.*)\}", text)[1], "%#_&")
         body = text.partition(r"\midrule")[2].partition(r"\bottomrule")[0]
         columns = re.search(r"\\begin\{tabular\}\{([lr]+)\}", text)[1]
         for line in body.strip().splitlines():

@@ -121,7 +121,7 @@ HIGHWAY = ("env=parking_sparse", "env.simulator=highway_env", "env.training_dura
 
 
 @pytest.mark.parametrize("overrides", slow_but([SYNC, HIGHWAY], [SYNC, ASYNC, HIGHWAY]))
-def test_training_envs_go_on_as_if_they_had_not_been_saved(overrides):
+def test_training_envs_continue_identically_after_restoring(overrides):
     """In the middle of an episode; the next episodes are the same, too."""
     env = validate(compose_configs("config", [*overrides, "n_envs=2", "algorithm.learning_starts=1000"])[0]).env
     first, second = make_training_envs(env, 2), make_training_envs(env, 2)

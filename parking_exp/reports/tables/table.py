@@ -4,6 +4,7 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, is_dataclass, replace
 from typing import Any, NamedTuple
 
+from parking_exp.figure_style import clean
 from parking_exp.reports import formats
 from parking_exp.reports.report_data import Cell
 from parking_exp.statistics import Interval, finite_or_none
@@ -56,7 +57,7 @@ def without_constants(table: Table) -> Table:
     for column in table.columns[1:]:
         texts = {column.write(row) for row in table.rows}
         if len(table.rows) > 1 and len(texts) == 1 and (column.given or texts == {""}):
-            constants[column] = texts.pop() or "none"
+            constants[column] = clean(texts.pop()) or "not known"
     sentences = "".join(f" {column.title} in every row: {text}." for column, text in constants.items())
     columns = [column for column in table.columns if column not in constants]
     return replace(table, columns=columns, caption=table.caption + sentences)
