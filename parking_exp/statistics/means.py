@@ -5,8 +5,8 @@ mean of all possible seeds is a weighted mean of the rates of n seeds and of one
 Dirichlet distribution with parameters (n - 2) / n for each seed, and UNSEEN for the unseen one: Rubin's Bayesian
 bootstrap (1981) with fewer seeds than there are, in place of Student's quantile. For the lower end the unseen seed is
 REACH times as far below the worst seed as that is below 100 %; for the upper end, as far above the best as REACH times
-its own rate (Walley 1996: an interval of priors). An interval is at least as wide as Clopper and Pearson's (1934) of
-all episodes together: seeds that agree are still measured in so many episodes only.
+its own rate (Walley 1996: an interval of priors). Every quantile is at least as far out as that of Clopper and
+Pearson's (1934) intervals of all episodes together: seeds that agree are still measured in so many episodes only.
 
 Raising a seed's rate never lowers an end, all cells are treated alike, at 0 and 100 % too, and nothing is random: the
 same weights are used each time. `tests/support/coverage_simulation.py` simulates how often the intervals cover.
@@ -14,14 +14,15 @@ same weights are used each time. `tests/support/coverage_simulation.py` simulate
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.special import betaincinv, ndtr
 
 from parking_exp.statistics.intervals import Interval
-from parking_exp.statistics.rates import exact_interval, finite
+from parking_exp.statistics.rates import finite
 
 DRAWS = 20_000
 UNSEEN, REACH = 0.05, 3.0  # of the unseen seed: weight and distance, chosen by simulation
@@ -49,11 +50,7 @@ def mean_interval(rates: ArrayLike, n_episodes: int | None = None) -> Interval:
     Raises:
         ValueError: no rates, NaN, or rates outside 0 ... 1.
     """
-    interval = contrast([SeedRates(rates, n_episodes)]).interval()
-    if interval.low is None or interval.high is None or not n_episodes:
-        return interval
-    pooled = exact_interval(round(float(np.sum(rates)) * n_episodes), interval.n * n_episodes)
-    return replace(interval, low=min(interval.low, pooled[0]), high=max(interval.high, pooled[1]))
+    return contrast([SeedRates(rates, n_episodes)]).interval()
 
 
 @dataclass(frozen=True)
@@ -108,22 +105,39 @@ def contrast(plus: Sequence[SeedRates], minus: Sequence[SeedRates] = ()) -> Cont
 
 
 def _draws_of_mean(cell: SeedRates, stream: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return draws of the mean over all possible seeds, with the unseen seed low, and high; streams are independent."""
+    """Return draws of the mean over all possible seeds, pessimistic and optimistic; streams are independent."""
     rates = np.sort(finite(cell.rates, "a mean over seeds"))
     if rates[0] < -ROUNDING or rates[-1] > 1 + ROUNDING:
         raise ValueError("rates lie outside 0 ... 1")
     half = 0.5 / cell.n_episodes if cell.n_episodes else 0.0
     worst, best = max(rates[0] - half, 0.0), min(rates[-1] + half, 1.0)
-    low, high = max(worst - REACH * (1 - worst), 0.0), min(best + REACH * best, 1.0)
-    weights = _weights(len(rates), stream)
+    unseen = max(worst - REACH * (1 - worst), 0.0), min(best + REACH * best, 1.0)
+    weights = _weights(len(rates))
     seen = weights[:, :-1] @ np.clip(rates, 0, 1)
-    return np.minimum(seen + weights[:, -1] * low, 1), np.minimum(seen + weights[:, -1] * high, 1)  # in floats above 1
+    low, high = (np.sort(np.minimum(seen + weights[:, -1] * rate, 1)) for rate in unseen)  # in floats above 1
+    if cell.n_episodes:
+        successes, trials = round(float(rates.sum()) * cell.n_episodes), len(rates) * cell.n_episodes
+        low = np.minimum(low, _beta_quantiles(successes, trials - successes + 1))
+        high = np.maximum(high, _beta_quantiles(successes + 1, trials - successes))
+    order = np.random.default_rng(stream).permutation(DRAWS)
+    return low[order], high[order]
 
 
-@lru_cache(maxsize=128)
-def _weights(n: int, stream: int) -> np.ndarray:
+@lru_cache(maxsize=32)
+def _weights(n: int) -> np.ndarray:
     """Return weights of n sorted seeds and of the unseen one, shape (DRAWS, n + 1); two seeds count as 2.5."""
-    rng = np.random.default_rng([n, stream])
+    rng = np.random.default_rng([n, 0])
     seen, unseen = rng.gamma(max(n - 2, 0.5) / n, size=(DRAWS, n)), rng.gamma(UNSEEN, size=(DRAWS, 1))
     weights = np.concatenate([seen, unseen], axis=1)
     return weights / weights.sum(axis=1, keepdims=True)
+
+
+def _beta_quantiles(a: int, b: int) -> np.ndarray:
+    """Return DRAWS quantiles of a Beta distribution, in order, as Clopper and Pearson use them: 0 if a is 0, 1 if b is.
+
+    Interpolation between knots is forty times as fast, and good to about a ten-thousandth of an interval's width.
+    """
+    if not (a and b):
+        return np.full(DRAWS, 0.0 if b else 1.0)
+    knots = ndtr(np.linspace(-6, 6, 481))
+    return np.interp(np.arange(1, DRAWS + 1) / (DRAWS + 1), knots, betaincinv(a, b, knots))

@@ -86,11 +86,14 @@ def test_perfect_seeds_have_the_exact_bound_of_all_their_episodes():
     estimate = mean_interval([1.0] * 10, 500)
     assert (estimate.value, estimate.low, estimate.high, estimate.n) == (
         1.0,
-        pytest.approx(0.025 ** (1 / 5000)),
+        pytest.approx(0.025 ** (1 / 5000), abs=2e-7),
         1.0,
         10,
     )
-    assert mean_interval([0.0] * 10, 500).high == pytest.approx(1 - 0.025 ** (1 / 5000))
+    # interpolated between quantiles of a Beta distribution
+    assert mean_interval([0.0] * 10, 500).high == pytest.approx(1 - 0.025 ** (1 / 5000), rel=2e-4)
+    same = mean_interval([0.99] * 10, 500)
+    assert (same.low, same.high) == pytest.approx(exact_interval(4950, 5000), abs=1e-6)
 
 
 def test_one_seed_has_no_interval():
@@ -138,6 +141,19 @@ def test_interval_is_the_same_in_every_call_and_order_of_the_seeds(rates, random
 
 
 # Pairs
+
+
+@settings(max_examples=30, deadline=None)
+@given(SEEDS, SEEDS, st.data(), EPISODES)
+def test_raising_a_seed_never_lowers_an_end_of_a_difference(rates, others, data, n_episodes):
+    place = data.draw(st.integers(0, len(rates) - 1))
+    raised = [*rates]
+    raised[place] = data.draw(st.integers(round(100 * rates[place]), 100)) / 100
+    before, after = (
+        compare([([SeedRates(side, n_episodes)], [SeedRates(others, n_episodes)])])[0] for side in (rates, raised)
+    )
+    assert after.low >= before.low - 1e-12
+    assert after.high >= before.high - 1e-12
 
 
 @settings(max_examples=30, deadline=None)
@@ -360,6 +376,13 @@ def test_differences_cover_in_92_of_100_draws_and_less_where_one_side_has_a_tail
     for pairs, lowest in ((simulation.PAIRS, 0.92), (simulation.SKEWED_PAIRS, {5: 0.75, 10: 0.8, 20: 0.87}[n])):
         for pair in pairs:
             assert simulation.of_difference(*pair, n, episodes=episodes).mean() >= lowest, pair
+
+
+@pytest.mark.parametrize("episodes", simulation.EPISODES)
+@pytest.mark.parametrize("n", slow_but((20,), (*simulation.SEEDS, 100)))
+@pytest.mark.parametrize("rates", [Rates(0.9999), Rates(0.999), Rates(0.999, 0.001)], ids=str)
+def test_equal_cells_near_100_percent_differ_significantly_in_fewer_than_5_of_100_draws(rates, n, episodes):
+    assert simulation.of_difference(rates, rates, n, 200, episodes).mean() >= 0.95
 
 
 @pytest.mark.slow
