@@ -6,10 +6,9 @@ import shutil
 import sys
 import textwrap
 from argparse import ArgumentParser
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import combinations
 from numbers import Integral
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -27,14 +26,12 @@ from parking_exp.reports.cell_comparisons import seed_rates
 from parking_exp.reports.report_builder import build_report
 from parking_exp.reports.report_data import Cell, Pair, ReportData
 from parking_exp.results import Results, read_export
-from parking_exp.statistics import SeedRates
 from parking_exp.terminal import say
 
 DOCS = ROOT / "docs"
 EXPORTS, PAGE, README = DOCS / "results", DOCS / "results.md", ROOT / "README.md"
 FIGURES = {"algorithms": "learning_curves", "tutorial": "learning_curves"}  # the others have final_success
 FIGURE_CELLS = {  # the cells that a figure shows; the others show all
-    "her_ablation": ("her_future*", "replay"),
     "her_relabelling": ("her_future*", "algorithm.features=ego_mirrored"),
 }
 PACKAGES = ("highway-env", "stable-baselines3", "sb3-contrib", "torch", "python")
@@ -93,6 +90,10 @@ class Experiment:
         """Return the mean CPU seconds of a cell's runs."""
         return formats.number(self.cell(label).cpu_s.value)
 
+    def reaching(self, label: str, threshold: float) -> str:
+        """Return how many of a cell's seeds reach a final success, with the exact interval, e.g. `99/100 [94.6, 100.0]`."""
+        return formats.share_interval(statistics.share_reaching(seed_rates(self.cell(label)).rates, threshold))
+
     def difference(self, first: str, second: str) -> str:
         """Return the difference in success of two cells, e.g. `+9.1 points [+4.0, +14.2], p = 0.012`."""
         pair = self._pair(first, second)
@@ -116,39 +117,26 @@ class Experiment:
         factor = next(effect for effect in self.report.effects if effect.factor == key)
         return formats.rate_interval(next(item.effect for item in factor.levels if item.level == level))
 
-    def contrasts(self, key: str) -> dict[tuple[str, str], str]:
-        """Return the difference between each pair of values of a config key, e.g. `+9.1 [+4.0, +14.2], p = 0.012`.
-
-        Cells have equal weights. p and intervals are corrected by Holm over all pairs.
-        """
-        groups: dict[str, list[SeedRates]] = {}
-        for cell in self.report.cells:
-            groups.setdefault(self._setting(cell, key), []).append(seed_rates(cell))
-        pairs = list(combinations(groups, 2))
-        differences = statistics.compare([(groups[first], groups[second]) for first, second in pairs])
-        return {
-            pair: f"{formats.points_interval(difference).replace(' points', '')}, {formats.p_value(difference.p_holm)}"
-            for pair, difference in zip(pairs, differences, strict=True)
-        }
-
     def real_share(self, label: str) -> str:
         """Return the fraction of transitions not relabelled at the end of a cell's runs, in percent."""
         curves = self.results.curves.dropna(subset="real_share")
         own = curves[curves["run_id"].isin([seed.run_id for seed in self.cell(label).seeds])]
         return f"{100 * own.groupby('run_id')['real_share'].last().mean():.0f} %"
 
-    def table(self, factors: dict[str, str], *columns: str) -> str:
+    def table(self, factors: dict[str, str], *columns: str, names: Sequence[str] = ()) -> str:
         """Return a Markdown table of all cells.
 
         Args:
             factors: config keys and the headings of their columns; empty: one column of labels.
             columns: names in COLUMNS.
+            names: of the cells, instead of their labels.
         """
         heads = [*(factors.values() or ["cell"]), *(COLUMNS[name][0] for name in columns)]
         lines = [_row(heads), _row([*(":---" for _ in factors or [0]), *("---:" for _ in columns)])]
-        for cell in self.report.cells:
-            names = [self._setting(cell, key) for key in factors] or [f"`{cell.label}`"]
-            lines.append(_row([*names, *(COLUMNS[name][1](cell) for name in columns)]))
+        labels = names or [f"`{cell.label}`" for cell in self.report.cells]
+        for cell, label in zip(self.report.cells, labels, strict=True):
+            first = [self._setting(cell, key) for key in factors] or [label]
+            lines.append(_row([*first, *(COLUMNS[name][1](cell) for name in columns)]))
         return "\n".join(lines)
 
     def grid(self, row: str, column: str, **where: str) -> str:
@@ -218,7 +206,8 @@ def main(arguments: list[str]) -> int:
     for path in stale:
         path.write_text(texts[path], encoding="utf-8")
     for name, experiment in experiments.items():
-        _draw(name, experiment.only(*FIGURE_CELLS[name]).report if name in FIGURE_CELLS else experiment.report)
+        if f"images/results_{name}.png" in texts[PAGE]:
+            _draw(name, experiment.only(*FIGURE_CELLS[name]).report if name in FIGURE_CELLS else experiment.report)
     say(f"written        {PAGE.relative_to(ROOT)}, {README.relative_to(ROOT)}, docs/images/results_*.png")
     return 0
 

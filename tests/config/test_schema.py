@@ -64,7 +64,7 @@ def test_train_freq_and_gradient_steps_can_be_set_by_hand(overrides, rounds):
 
 def test_the_cell_is_the_config_without_its_seed():
     first, second = (make_config(f"seed={seed}", "env=parking_stop_crowded") for seed in (1, 2))
-    assert first.cell == second.cell == f"parking_stop_crowded-td3-her_future-{first.cell_key}"
+    assert first.cell == second.cell == f"parking_stop_crowded-sac-her_future-{first.cell_key}"
     assert first.run_key != second.run_key
     assert first.run_dir.parent == second.run_dir.parent
     assert (first.run_dir.name, first.run_dir.is_absolute()) == ("seed=1", True)

@@ -64,7 +64,7 @@ def refusal(plain):
         ("env.observation.scales", [1], "[100, 100, 5, 5, 1, 1]"),
         ("algorithm.gamma", 1.5, "1"),
         ("algorithm.learning_rate.start", -1, ""),
-        ("algorithm.action_noise.sigma", [0.1, 0.1, 0.1], "2 dimensions"),
+        ("algorithm.action_noise", {**NOISE, "sigma": [0.1, 0.1, 0.1]}, "2 dimensions"),
         ("algorithm.gama", 1, "'gamma'"),
         ("algorithm.net_arch", [9999999, 9999999], ""),
         ("algorithm.train_freq", [1, "episode"], "n_envs=1"),
