@@ -25,8 +25,11 @@ VERDICTS: dict[Verdict, VerdictWords] = {
 
 
 def percent(share: float | None) -> str:
-    """Write 0.944 as `94.4`."""
-    return "" if (share := finite_or_none(share)) is None else f"{100 * share + 0.0:.1f}"
+    """Write 0.944 as `94.4`; next to 0 and 1, which one digit would not tell from them, 0.9997 as `99.97`."""
+    if (share := finite_or_none(share)) is None:
+        return ""
+    digits = 2 if 0 < share < 0.0005 or 0.9995 <= share < 1 else 1
+    return f"{100 * share + 0.0:.{digits}f}"
 
 
 def number(value: float | None, digits: int = 0) -> str:

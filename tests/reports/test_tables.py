@@ -8,6 +8,7 @@ import pandas as pd
 import pytest
 from support import report_factory
 
+from parking_exp.reports import formats
 from parking_exp.reports.report_files import escape_formula, write_tables
 from parking_exp.reports.sections import section_contents
 from parking_exp.reports.tables import report_tables
@@ -29,6 +30,11 @@ def test_spreadsheets_run_no_formula():
     for text in ("=1+1", "+1", "-1", "@SUM(1)", "\t=1", "\r=1"):
         assert escape_formula(text) == f"'{text}"
     assert [escape_formula(value) for value in (-0.5, "a=1", "", None)] == [-0.5, "a=1", "", None]
+
+
+def test_a_rate_next_to_0_or_1_is_not_written_as_0_or_1():
+    rates = (1, 0.9997, 0.9994, 0.5, 0.0003, 0, None)
+    assert [formats.percent(rate) for rate in rates] == ["100.0", "99.97", "99.9", "50.0", "0.03", "0.0", ""]
 
 
 def test_tables_have_every_number(tmp_path):
