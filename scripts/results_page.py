@@ -6,7 +6,7 @@ import shutil
 import sys
 import textwrap
 from argparse import ArgumentParser
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from numbers import Integral
@@ -91,7 +91,7 @@ class Experiment:
         return formats.number(self.cell(label).cpu_s.value)
 
     def reaching(self, label: str, threshold: float) -> str:
-        """Return how many of a cell's seeds reach a final success, with the exact interval, e.g. `99/100 [94.6, 100.0]`."""
+        """Return how many seeds of a cell reach a final success, with the exact interval: `99/100 [94.6, 100.0]`."""
         return formats.share_interval(statistics.share_reaching(seed_rates(self.cell(label)).rates, threshold))
 
     def difference(self, first: str, second: str) -> str:
@@ -117,26 +117,18 @@ class Experiment:
         factor = next(effect for effect in self.report.effects if effect.factor == key)
         return formats.rate_interval(next(item.effect for item in factor.levels if item.level == level))
 
-    def real_share(self, label: str) -> str:
-        """Return the fraction of transitions not relabelled at the end of a cell's runs, in percent."""
-        curves = self.results.curves.dropna(subset="real_share")
-        own = curves[curves["run_id"].isin([seed.run_id for seed in self.cell(label).seeds])]
-        return f"{100 * own.groupby('run_id')['real_share'].last().mean():.0f} %"
-
-    def table(self, factors: dict[str, str], *columns: str, names: Sequence[str] = ()) -> str:
+    def table(self, factors: dict[str, str], *columns: str) -> str:
         """Return a Markdown table of all cells.
 
         Args:
             factors: config keys and the headings of their columns; empty: one column of labels.
             columns: names in COLUMNS.
-            names: of the cells, instead of their labels.
         """
         heads = [*(factors.values() or ["cell"]), *(COLUMNS[name][0] for name in columns)]
         lines = [_row(heads), _row([*(":---" for _ in factors or [0]), *("---:" for _ in columns)])]
-        labels = names or [f"`{cell.label}`" for cell in self.report.cells]
-        for cell, label in zip(self.report.cells, labels, strict=True):
-            first = [self._setting(cell, key) for key in factors] or [label]
-            lines.append(_row([*first, *(COLUMNS[name][1](cell) for name in columns)]))
+        for cell in self.report.cells:
+            names = [self._setting(cell, key) for key in factors] or [f"`{cell.label}`"]
+            lines.append(_row([*names, *(COLUMNS[name][1](cell) for name in columns)]))
         return "\n".join(lines)
 
     def grid(self, row: str, column: str, **where: str) -> str:
@@ -170,10 +162,10 @@ class Experiment:
         return self.results.runs.set_index("run_id")
 
     def environment(self) -> str:
-        """Return the machine and the package versions of the runs."""
+        """Return the package versions of the runs."""
         origin = self.report.provenance
         versions = [f"{name} {', '.join(origin.versions[name])}" for name in PACKAGES if name in origin.versions]
-        return ", ".join([*origin.machines, *versions])
+        return ", ".join(versions)
 
     @property
     def cross_checked(self) -> str:

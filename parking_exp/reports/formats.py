@@ -25,11 +25,12 @@ VERDICTS: dict[Verdict, VerdictWords] = {
 
 
 def percent(share: float | None) -> str:
-    """Write 0.944 as `94.4`; next to 0 and 1, which one digit would not tell from them, 0.9997 as `99.97`."""
+    """Write 0.944 as `94.4`, and 0.9997 as `99.97`: a share that is not quite 0 or 1 is never written as that."""
     if (share := finite_or_none(share)) is None:
         return ""
-    digits = 2 if 0 < share < 0.0005 or 0.9995 <= share < 1 else 1
-    return f"{100 * share + 0.0:.{digits}f}"
+    if 1e-9 < min(share, 1 - share) < 0.001:
+        return f"{min(max(100 * share, 0.01), 99.99):.2f}"
+    return f"{100 * share + 0.0:.1f}"
 
 
 def number(value: float | None, digits: int = 0) -> str:
@@ -82,9 +83,13 @@ def rate_interval(interval: Interval) -> str:
 
 
 def points(difference: float | None) -> str:
-    """Write a difference of rates in percentage points: `+3.2`, with a proper minus."""
-    text = "" if (difference := finite_or_none(difference)) is None else f"{100 * difference:+.1f}"
-    return "0.0" if text[1:] == "0.0" else text.replace("-", "−")  # noqa: RUF001
+    """Write a difference of rates in percentage points: `+3.2`, with a proper minus, and `+0.03` next to 0."""
+    if (difference := finite_or_none(difference)) is None:
+        return ""
+    if abs(difference) < 1e-9:
+        return "0.0"
+    digits = 1 if abs(difference) >= 0.0005 else 2
+    return f"{100 * difference:+.{digits}f}".replace("-", "−")  # noqa: RUF001
 
 
 def points_interval(interval: Interval) -> str:

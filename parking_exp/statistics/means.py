@@ -109,18 +109,30 @@ def _draws_of_mean(cell: SeedRates, stream: int) -> tuple[np.ndarray, np.ndarray
     rates = np.sort(finite(cell.rates, "a mean over seeds"))
     if rates[0] < -ROUNDING or rates[-1] > 1 + ROUNDING:
         raise ValueError("rates lie outside 0 ... 1")
-    half = 0.5 / cell.n_episodes if cell.n_episodes else 0.0
+    low, high = _quantiles_of_mean(tuple(rates), cell.n_episodes)
+    return low[_order(stream)], high[_order(stream)]
+
+
+@lru_cache(maxsize=64)  # a cell is compared with many others
+def _quantiles_of_mean(rates: tuple[float, ...], n_episodes: int | None) -> tuple[np.ndarray, np.ndarray]:
+    """Return DRAWS quantiles of the mean over all possible seeds, pessimistic and optimistic; the rates are sorted."""
+    half = 0.5 / n_episodes if n_episodes else 0.0
     worst, best = max(rates[0] - half, 0.0), min(rates[-1] + half, 1.0)
     unseen = max(worst - REACH * (1 - worst), 0.0), min(best + REACH * best, 1.0)
     weights = _weights(len(rates))
     seen = weights[:, :-1] @ np.clip(rates, 0, 1)
     low, high = (np.sort(np.minimum(seen + weights[:, -1] * rate, 1)) for rate in unseen)  # in floats above 1
-    if cell.n_episodes:
-        successes, trials = round(float(rates.sum()) * cell.n_episodes), len(rates) * cell.n_episodes
+    if n_episodes:
+        successes, trials = round(sum(rates) * n_episodes), len(rates) * n_episodes
         low = np.minimum(low, _beta_quantiles(successes, trials - successes + 1))
         high = np.maximum(high, _beta_quantiles(successes + 1, trials - successes))
-    order = np.random.default_rng(stream).permutation(DRAWS)
-    return low[order], high[order]
+    return low, high
+
+
+@lru_cache(maxsize=128)
+def _order(stream: int) -> np.ndarray:
+    """Return the order of the draws in a stream, shape (DRAWS,)."""
+    return np.random.default_rng(stream).permutation(DRAWS)
 
 
 @lru_cache(maxsize=32)

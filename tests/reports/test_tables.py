@@ -33,8 +33,11 @@ def test_spreadsheets_run_no_formula():
 
 
 def test_a_rate_next_to_0_or_1_is_not_written_as_0_or_1():
-    rates = (1, 0.9997, 0.9994, 0.5, 0.0003, 0, None)
-    assert [formats.percent(rate) for rate in rates] == ["100.0", "99.97", "99.9", "50.0", "0.03", "0.0", ""]
+    rates = (1, 1 - 1e-16, 0.99999, 0.9997, 0.998, 0.5, 0.0003, 0.00001, 0, None)
+    texts = ["100.0", "100.0", "99.99", "99.97", "99.8", "50.0", "0.03", "0.01", "0.0", ""]
+    assert [formats.percent(rate) for rate in rates] == texts
+    differences = (0.032, 0.0003, -0.0003, 1e-17, 0, None)
+    assert [formats.points(difference) for difference in differences] == ["+3.2", "+0.03", "\u22120.03", "0.0", "0.0", ""]
 
 
 def test_tables_have_every_number(tmp_path):

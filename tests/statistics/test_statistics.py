@@ -380,8 +380,8 @@ def test_differences_cover_in_92_of_100_draws_and_less_where_one_side_has_a_tail
 
 @pytest.mark.parametrize("episodes", simulation.EPISODES)
 @pytest.mark.parametrize("n", slow_but((20,), (*simulation.SEEDS, 100)))
-@pytest.mark.parametrize("rates", [Rates(0.9999), Rates(0.999), Rates(0.999, 0.001)], ids=str)
-def test_equal_cells_near_100_percent_differ_significantly_in_fewer_than_5_of_100_draws(rates, n, episodes):
+@pytest.mark.parametrize("rates", slow_but((Rates(0.9999),), (Rates(0.9999), Rates(0.999), Rates(0.999, 0.001))))
+def test_equal_cells_near_100_percent_differ_significantly_in_at_most_5_of_100_draws(rates, n, episodes):
     assert simulation.of_difference(rates, rates, n, 200, episodes).mean() >= 0.95
 
 
