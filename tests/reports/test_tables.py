@@ -37,7 +37,14 @@ def test_a_rate_next_to_0_or_1_is_not_written_as_0_or_1():
     texts = ["100.0", "100.0", "99.99", "99.97", "99.8", "50.0", "0.03", "0.01", "0.0", ""]
     assert [formats.percent(rate) for rate in rates] == texts
     differences = (0.032, 0.0003, -0.0003, 1e-17, 0, None)
-    assert [formats.points(difference) for difference in differences] == ["+3.2", "+0.03", "\u22120.03", "0.0", "0.0", ""]
+    assert [formats.points(difference) for difference in differences] == [
+        "+3.2",
+        "+0.03",
+        "\u22120.03",
+        "0.0",
+        "0.0",
+        "",
+    ]
 
 
 def test_tables_have_every_number(tmp_path):
