@@ -10,7 +10,6 @@ from parking_exp.statistics.intervals import Interval, coverage_note
 from parking_exp.statistics.means import SeedRates, mean_interval
 from parking_exp.statistics.rates import (
     Proportion,
-    exact_interval,
     finite_or_none,
     interquartile_mean,
     share_reaching,
@@ -35,7 +34,6 @@ __all__ = [
     "SurvivalCurve",
     "compare",
     "coverage_note",
-    "exact_interval",
     "finite_or_none",
     "holm",
     "interquartile_mean",

@@ -97,25 +97,19 @@ def contrast(plus: Sequence[SeedRates], minus: Sequence[SeedRates] = ()) -> Cont
     if min(map(len, rates)) == 1:
         return Contrast(value, n)
     pessimistic, optimistic = np.zeros((2, DRAWS))
-    for stream, (cell, weight) in enumerate(weighted):
-        low, high = _draws_of_mean(cell, stream)
+    for stream, (values, (cell, weight)) in enumerate(zip(rates, weighted, strict=True)):
+        order = np.random.default_rng(stream).permutation(DRAWS)  # draws of cells are independent
+        low, high = (ends[order] for ends in _quantiles_of_mean(tuple(np.sort(values)), cell.n_episodes))
         pessimistic += weight * (low if weight > 0 else high)
         optimistic += weight * (high if weight > 0 else low)
     return Contrast(value, n, pessimistic, optimistic)
 
 
-def _draws_of_mean(cell: SeedRates, stream: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return draws of the mean over all possible seeds, pessimistic and optimistic; streams are independent."""
-    rates = np.sort(finite(cell.rates, "a mean over seeds"))
-    if rates[0] < -ROUNDING or rates[-1] > 1 + ROUNDING:
-        raise ValueError("rates lie outside 0 ... 1")
-    low, high = _quantiles_of_mean(tuple(rates), cell.n_episodes)
-    return low[_order(stream)], high[_order(stream)]
-
-
 @lru_cache(maxsize=64)  # a cell is compared with many others
 def _quantiles_of_mean(rates: tuple[float, ...], n_episodes: int | None) -> tuple[np.ndarray, np.ndarray]:
     """Return DRAWS quantiles of the mean over all possible seeds, pessimistic and optimistic; the rates are sorted."""
+    if rates[0] < -ROUNDING or rates[-1] > 1 + ROUNDING:
+        raise ValueError("rates lie outside 0 ... 1")
     half = 0.5 / n_episodes if n_episodes else 0.0
     worst, best = max(rates[0] - half, 0.0), min(rates[-1] + half, 1.0)
     unseen = max(worst - REACH * (1 - worst), 0.0), min(best + REACH * best, 1.0)
@@ -127,12 +121,6 @@ def _quantiles_of_mean(rates: tuple[float, ...], n_episodes: int | None) -> tupl
         low = np.minimum(low, _beta_quantiles(successes, trials - successes + 1))
         high = np.maximum(high, _beta_quantiles(successes + 1, trials - successes))
     return low, high
-
-
-@lru_cache(maxsize=128)
-def _order(stream: int) -> np.ndarray:
-    """Return the order of the draws in a stream, shape (DRAWS,)."""
-    return np.random.default_rng(stream).permutation(DRAWS)
 
 
 @lru_cache(maxsize=32)

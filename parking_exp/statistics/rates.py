@@ -52,19 +52,14 @@ def wilson_interval(successes: int, trials: int) -> tuple[float, float]:
     return (0.0 if successes == 0 else centre - half), (1.0 if successes == trials else centre + half)
 
 
-def exact_interval(successes: int, trials: int) -> tuple[float, float]:
-    """Return the ends of Clopper and Pearson's interval of a rate (1934)."""
+def share_reaching(values: ArrayLike, threshold: float) -> Proportion:
+    """Return how many of `values`, shape (seeds,), are at least `threshold`, with Clopper and Pearson's interval."""
     from scipy import stats
 
-    interval = stats.binomtest(successes, trials).proportion_ci()
-    return float(interval.low), float(interval.high)
-
-
-def share_reaching(values: ArrayLike, threshold: float) -> Proportion:
-    """Return how many of `values`, shape (seeds,), are at least `threshold`, with the exact interval of the share."""
     rates = finite(values, "a share of seeds")
     k = int(np.count_nonzero(rates >= threshold))
-    return Proportion(k, len(rates), *exact_interval(k, len(rates)))
+    interval = stats.binomtest(k, len(rates)).proportion_ci()
+    return Proportion(k, len(rates), float(interval.low), float(interval.high))
 
 
 def interquartile_mean(values: ArrayLike) -> float:

@@ -19,7 +19,6 @@ from parking_exp.statistics import (
     SeedRates,
     compare,
     coverage_note,
-    exact_interval,
     holm,
     interquartile_mean,
     kaplan_meier,
@@ -68,8 +67,13 @@ def test_a_share_of_seeds_counts_those_at_the_threshold_and_has_clopper_and_pear
         pytest.approx(expected.low),
         pytest.approx(expected.high),
     )
-    assert exact_interval(10, 10) == (pytest.approx(0.025**0.1), 1.0)
-    assert exact_interval(0, 10) == (0.0, pytest.approx(1 - 0.025**0.1))
+    every, none = share_reaching([1.0] * 10, 0.95), share_reaching([0.9] * 10, 0.95)
+    assert (every.low, every.high, none.low, none.high) == (
+        pytest.approx(0.025**0.1),
+        1,
+        0,
+        pytest.approx(1 - 0.025**0.1),
+    )
     assert unseen_share(10) == pytest.approx(0.2589, abs=1e-4)  # 0.7411 ** 10 = 0.05
 
 
@@ -93,7 +97,7 @@ def test_perfect_seeds_have_the_exact_bound_of_all_their_episodes():
     # interpolated between quantiles of a Beta distribution
     assert mean_interval([0.0] * 10, 500).high == pytest.approx(1 - 0.025 ** (1 / 5000), rel=2e-4)
     same = mean_interval([0.99] * 10, 500)
-    assert (same.low, same.high) == pytest.approx(exact_interval(4950, 5000), abs=1e-6)
+    assert (same.low, same.high) == pytest.approx(tuple(stats.binomtest(4950, 5000).proportion_ci()), abs=1e-6)
 
 
 def test_one_seed_has_no_interval():
