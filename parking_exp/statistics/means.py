@@ -19,13 +19,14 @@ from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.special import betaincinv, ndtr
+from scipy.special import betaincinv, ndtr, ndtri
 
 from parking_exp.statistics.intervals import Interval
 from parking_exp.statistics.rates import finite
 
 DRAWS = 20_000
 UNSEEN, REACH = 0.05, 3.0  # of the unseen seed: weight and distance, chosen by simulation
+NORMAL_QUANTILES, KNOTS = ndtri(np.arange(1, DRAWS + 1) / (DRAWS + 1)), np.linspace(-6, 6, 481)
 ROUNDING = 1e-9  # how far a rate may lie outside 0 ... 1
 
 
@@ -135,9 +136,8 @@ def _weights(n: int) -> np.ndarray:
 def _beta_quantiles(a: int, b: int) -> np.ndarray:
     """Return DRAWS quantiles of a Beta distribution, in order, as Clopper and Pearson use them: 0 if a is 0, 1 if b is.
 
-    Interpolation between knots is forty times as fast, and good to about a ten-thousandth of an interval's width.
+    Interpolation over normal quantiles, in which they are nearly linear, is forty times as fast.
     """
     if not (a and b):
         return np.full(DRAWS, 0.0 if b else 1.0)
-    knots = ndtr(np.linspace(-6, 6, 481))
-    return np.interp(np.arange(1, DRAWS + 1) / (DRAWS + 1), knots, betaincinv(a, b, knots))
+    return np.interp(NORMAL_QUANTILES, KNOTS, betaincinv(a, b, ndtr(KNOTS)))

@@ -90,12 +90,12 @@ def test_perfect_seeds_have_the_exact_bound_of_all_their_episodes():
     estimate = mean_interval([1.0] * 10, 500)
     assert (estimate.value, estimate.low, estimate.high, estimate.n) == (
         1.0,
-        pytest.approx(0.025 ** (1 / 5000), abs=2e-7),
+        pytest.approx(0.025 ** (1 / 5000), abs=4e-8),
         1.0,
         10,
     )
     # interpolated between quantiles of a Beta distribution
-    assert mean_interval([0.0] * 10, 500).high == pytest.approx(1 - 0.025 ** (1 / 5000), rel=2e-4)
+    assert mean_interval([0.0] * 10, 500).high == pytest.approx(1 - 0.025 ** (1 / 5000), rel=5e-5)
     same = mean_interval([0.99] * 10, 500)
     assert (same.low, same.high) == pytest.approx(tuple(stats.binomtest(4950, 5000).proportion_ci()), abs=1e-6)
 
