@@ -1,7 +1,7 @@
 """Label cells by the differences between their resolved configs, in plans, status and reports alike.
 
 A group's option (`algorithm=td3`) changes many keys at once: keys that it determines are not separate factors. Keys
-that always change together count once.
+that always change together count once. A `label` in the configs takes the place of all keys that it determines.
 """
 
 from collections.abc import Collection, Hashable, Mapping, Sequence
@@ -16,7 +16,7 @@ Config = Mapping[str, Setting]
 """Dotted keys -> values of one cell."""
 
 GROUPS = ("env", "algorithm", "buffer")
-EXPERIMENT = "experiment"
+EXPERIMENT, LABEL = "experiment", "label"
 FEW_CELLS = 5  # with fewer, values that all differ need not have been drawn from a range
 
 
@@ -59,9 +59,9 @@ def find_factors(
 
     The value is None if a cell's config has no such key.
     """
-    varying, columns = differing_keys(configs), dict[str, list[Setting]]()
-    if len(set(experiments)) > 1:
-        columns[EXPERIMENT] = list(experiments)
+    given = {EXPERIMENT: list(experiments), LABEL: [config.get(LABEL) for config in configs]}
+    columns: dict[str, list[Setting]] = {key: values for key, values in given.items() if len(set(values)) > 1}
+    varying = differing_keys(configs)
     for group in GROUPS:
         if f"{group}.name" in varying:
             columns[group] = [config.get(f"{group}.name") for config in configs]
@@ -112,7 +112,7 @@ def labels_from_factors(
 
 def label_factors(factors: Sequence[Factor], cell: Mapping[str, Setting]) -> str:
     """Return the values of a cell's factors, e.g. `her_final, n_sampled_goal=8`; groups have no prefix."""
-    prefixes = {factor.key: "" if factor.key in (*GROUPS, EXPERIMENT) else f"{factor.name}=" for factor in factors}
+    prefixes = {factor.key: "" if factor.key in (*GROUPS, EXPERIMENT, LABEL) else f"{factor.name}=" for factor in factors}
     return ", ".join(prefix + setting(cell[key]) for key, prefix in prefixes.items() if cell[key] is not None)
 
 

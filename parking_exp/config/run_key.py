@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 NO_EFFECT = (
-    *("experiment_name", "output_dir", "tracking", "checkpoint", "timeout_s", "contrasts"),
+    *("experiment_name", "output_dir", "tracking", "checkpoint", "timeout_s", "contrasts", "label"),
     "evaluation.video_episodes",
 )
 

@@ -129,6 +129,7 @@ class RunConfig(OutputConfig):
     precision: Literal["highest", "medium"]
     timeout_s: PositiveFloat | None = None
     contrasts: list[Annotated[list[str], Field(min_length=2, max_length=2)]] | None = None
+    label: str | None = None
     env: EnvConfig
     algorithm: AlgorithmConfig
     buffer: BufferConfig

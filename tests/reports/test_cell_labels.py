@@ -81,6 +81,13 @@ def test_seed_store_and_checkpoints_do_not_distinguish_cells():
     assert differing_keys([cell(), cell() | changes]) == []
 
 
+def test_a_label_of_the_config_replaces_the_keys_that_it_determines():
+    tutorial, default = cell(label="tutorial", algorithm__gamma=0.9, n_envs=1), cell(label="default")
+    assert described([tutorial, default]) == (["label"], ["tutorial", "default"])
+    shared = [tutorial, cell(label="tutorial", algorithm__gamma=0.8, n_envs=1), cell()]
+    assert described(shared)[1] == ["tutorial, gamma=0.9", "tutorial, gamma=0.8", "gamma=0.95"]
+
+
 def test_null_is_a_level_where_the_same_option_has_a_value_elsewhere():
     keys, labels = described([cell(env__training_duration=20.0), cell()])
     assert keys == ["env.training_duration"]
