@@ -45,7 +45,7 @@ $(VENV)/.installed: pyproject.toml constraints.txt | $(BIN)/pip $(if $(UV_ON_PAT
 	@$(INSTALL) --editable '.[dev]'
 	@$(COMPILE)
 	@touch $@
-	@echo "done; make train trains the default recipe"
+	@echo "installed; make train trains the default recipe"
 
 $(VENV)/.ui: $(VENV)/.installed
 	@echo "installing the full mlflow and Optuna's dashboard, once"

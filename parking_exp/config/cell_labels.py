@@ -112,7 +112,9 @@ def labels_from_factors(
 
 def label_factors(factors: Sequence[Factor], cell: Mapping[str, Setting]) -> str:
     """Return the values of a cell's factors, e.g. `her_final, n_sampled_goal=8`; groups have no prefix."""
-    prefixes = {factor.key: "" if factor.key in (*GROUPS, EXPERIMENT, LABEL) else f"{factor.name}=" for factor in factors}
+    prefixes = {
+        factor.key: "" if factor.key in (*GROUPS, EXPERIMENT, LABEL) else f"{factor.name}=" for factor in factors
+    }
     return ", ".join(prefix + setting(cell[key]) for key, prefix in prefixes.items() if cell[key] is not None)
 
 

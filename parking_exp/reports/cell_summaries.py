@@ -20,7 +20,6 @@ from parking_exp.statistics import (
     kaplan_meier,
     mean_interval,
     normalised_area,
-    restricted_mean,
     share_reaching,
     steps_to,
     wilson_interval,
@@ -64,17 +63,8 @@ class RunEvaluations:
         return RunEvaluations(*by_run)
 
 
-def summarise(
-    cell: CellRuns,
-    number: int,
-    evaluations: RunEvaluations,
-    horizon: float | None,
-    unfinished: bool,
-) -> Cell:
-    """Return a cell's numbers; with `unfinished`, learning curves include runs that are not done.
-
-    Restricted means of times to 90 % are up to the env step `horizon`, see `find_shared_horizon`.
-    """
+def summarise(cell: CellRuns, number: int, evaluations: RunEvaluations, unfinished: bool) -> Cell:
+    """Return a cell's numbers; with `unfinished`, learning curves include runs that are not done."""
     runs: list[dict[str, Any]] = cell.done[RUN_COLUMNS].to_dict("records")  # type: ignore[assignment]
     seeds = [_summarise_run(run, evaluations) for run in runs]
     success = [seed.success for seed in seeds if seed.success is not None]
@@ -100,15 +90,9 @@ def summarise(
         curve=_average_curves(cell.runs if unfinished else cell.done, evaluations),
         task_data=_summarise_task(cell, [evaluations.final[s.run_id] for s in seeds if s.run_id in evaluations.final]),
         note=coverage_note(success) if success else None,
-        **_measure_time_to_90(seeds, horizon),
+        **_measure_time_to_90(seeds),
         **_metric_fields(means),
     )
-
-
-def find_shared_horizon(cells: Sequence[CellRuns], evaluations: RunEvaluations) -> float | None:
-    """Return the env step up to which every finished run was observed."""
-    curves = [curve for cell in cells for curve in _select_curves(cell.done, evaluations).values()]
-    return min((float(curve["step"].iloc[-HOLD]) if len(curve) >= HOLD else 0.0 for curve in curves), default=None)
 
 
 def _metric_fields(values: Mapping[str, Any]) -> dict[str, Any]:
@@ -186,7 +170,7 @@ def _average_curves(runs: pd.DataFrame, evaluations: RunEvaluations) -> Curve | 
     )
 
 
-def _measure_time_to_90(seeds: Sequence[RunSummary], horizon: float | None) -> dict[str, Any]:
+def _measure_time_to_90(seeds: Sequence[RunSummary]) -> dict[str, Any]:
     """Return the fields of a cell about the time to 90 %."""
     timed = [seed for seed in seeds if seed.steps_to_90 is not None]
     if not timed:
@@ -195,7 +179,6 @@ def _measure_time_to_90(seeds: Sequence[RunSummary], horizon: float | None) -> d
     cpu_s = sorted(math.inf if seed.cpu_s_to_90 is None else seed.cpu_s_to_90 for seed in timed)
     return {
         "survival": kaplan_meier(steps, [seed.reached_90 for seed in timed]),
-        "restricted_steps": restricted_mean(steps, horizon) if horizon else None,
         "median_cpu_s": finite_or_none(cpu_s[(len(cpu_s) - 1) // 2]),
     }
 

@@ -84,8 +84,10 @@ def _describe_contrast(pair: Pair, labels: Mapping[str, str]) -> str:
 
 
 def _write_gap(label: str, pair: Pair) -> str:
-    """Write `td3 (+26.1 points [+16.9, +35.4], Holm's p < 0.001)`."""
+    """Write `td3 (+26.1 points [+16.9, +35.4], Holm's p < 0.001)`, and where ranks disagree, their p."""
     p = f", Holm's {p_value(pair.p_holm)}" if pair.p_holm is not None else ""
+    if pair.rank_p_holm is not None and (pair.rank_p_holm < SIGNIFICANT) != (pair.verdict in ("a", "b")):
+        p += f", by ranks {p_value(pair.rank_p_holm)}"
     return f"{quoted_label(label)} ({points_interval(pair.difference)}{p})"
 
 

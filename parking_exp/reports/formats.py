@@ -62,11 +62,6 @@ def difference_interval(interval: Interval) -> str:
     return _add_bounds(interval, points)
 
 
-def number_interval(interval: Interval) -> str:
-    """Write `24,000 [21,500, 26,100]`, or the number alone where it has no interval."""
-    return _add_bounds(interval, number)
-
-
 def share_interval(share: Proportion) -> str:
     """Write `9/10 [59.6, 98.2]`: of ten, nine, with the interval of their share in per cent."""
     return f"{share.k}/{share.n}{_write_bounds(share, percent)}" if share.n else ""

@@ -42,8 +42,7 @@ def describe_methods(report: ReportData) -> Iterator[str]:
         yield (
             "Time to 90 %: the first step from which three evaluations in a row had 90 % success. Seeds that do not "
             "reach it are right-censored: shares by Kaplan and Meier with Greenwood's interval on the log-log scale, "
-            f"comparisons by the log-rank test, with Holm's correction, restricted means up to env step "
-            f"{report.horizon or 0:,.0f}, to which all were observed."
+            "comparisons by the log-rank test, with Holm's correction."
         )
     if report.effects:
         yield (

@@ -13,7 +13,7 @@ from parking_exp.config.cell_labels import Factor, can_matter, differing_keys
 from parking_exp.errors import RunNotFoundError, plural
 from parking_exp.reports import cell_comparisons, findings, report_warnings
 from parking_exp.reports.cell_selection import CellRuns, choose, find_cell, find_contrasts, group, relabel
-from parking_exp.reports.cell_summaries import RunEvaluations, find_shared_horizon, summarise
+from parking_exp.reports.cell_summaries import RunEvaluations, summarise
 from parking_exp.reports.report_data import Cell, Provenance, ReportData, UnfinishedRun
 from parking_exp.results.frames import Results
 
@@ -61,8 +61,7 @@ def build_report(
     selection = _select(results, experiments, cells, baseline, quick=quick)
     groups, factors = selection.cells, selection.factors
     evaluations = RunEvaluations.of(results)
-    horizon = find_shared_horizon(groups, evaluations)
-    summaries = [summarise(cell, number, evaluations, horizon, quick) for number, cell in enumerate(groups)]
+    summaries = [summarise(cell, number, evaluations, quick) for number, cell in enumerate(groups)]
     shown = _choose_shown(summaries, [selection.baseline, *chain(*selection.contrasts)])
     effects = cell_comparisons.main_effects(summaries, factors)
     family = cell_comparisons.compare_pairs(summaries, selection.baseline, selection.contrasts)
@@ -83,7 +82,6 @@ def build_report(
         family=family.sentence,
         pairs=family.pairs,
         effects=effects,
-        horizon=horizon,
         claims=[*findings.describe_cells(summaries, family), *findings.describe_factors(factors, effects)],
         warnings=list(dict.fromkeys([*selection.warnings, *incomparable, *results.problems[:MAX_PROBLEMS]])),
         missing=list(report_warnings.find_missing(summaries, experiments, results.runs["experiment"])),

@@ -77,7 +77,6 @@ class Cell:
     seeds: Sequence[RunSummary] = ()
     curve: Curve | None = None  # None without evaluations during training, as `survival`
     survival: SurvivalCurve | None = None  # of the env steps until three evaluations in a row have 90 %
-    restricted_steps: Interval | None = None  # mean of these up to the report's `horizon`
     median_cpu_s: float | None = None  # CPU-seconds to 90 %; None where fewer than half of the seeds reached it
     task_data: Mapping[str, Any] = field(default_factory=dict)  # what sections of its task show
     note: str | None = None  # a sentence about an interval that is too narrow or missing
@@ -165,7 +164,6 @@ class ReportData:
     family: str  # a sentence: which pairs were compared, and how p was corrected
     pairs: Sequence[Pair]
     effects: Sequence[MainEffect]  # empty unless factors are crossed
-    horizon: float | None  # env step up to which the times to 90 % of all seeds were observed
     claims: Sequence[str]  # findings, the most important first
     warnings: Sequence[str]  # what makes numbers hard to compare
     missing: Sequence[str]  # what has no result (yet)

@@ -21,7 +21,6 @@ from parking_exp.statistics.survival import (
     kaplan_meier,
     log_rank,
     normalised_area,
-    restricted_mean,
     steps_to,
 )
 
@@ -44,7 +43,6 @@ __all__ = [
     "normalised_area",
     "probability_of_improvement",
     "rank_test",
-    "restricted_mean",
     "share_reaching",
     "steps_to",
     "unseen_share",

@@ -10,7 +10,7 @@ from parking_exp.statistics.rates import finite
 
 MIN_SEEDS = 5  # with fewer, intervals are unreliable
 GAP = 0.3  # between neighbouring seeds: rare without a collapse, nearly certain with one
-COLLAPSED_COVERS = ((10, 52), (20, 65), (30, 86))  # below so many seeds, percent; 95 from 30
+COLLAPSED_COVERS = ((10, 53), (20, 64), (30, 86))  # below so many seeds, percent; 95 from 30
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,7 @@ def coverage_note(values: ArrayLike) -> str | None:
     covered = next((percent for below, percent in COLLAPSED_COVERS if len(rates) < below), None)
     if gap > GAP and covered is not None:
         return (
-            f"The {len(rates)} seeds fall into two groups, {100 * gap:.0f} points apart: where one seed in ten "
-            f"collapses, 95 % intervals from about as many covered {covered} %."
+            f"The {len(rates)} seeds fall into two groups, {100 * gap:.0f} points apart, so the interval may be too "
+            f"narrow: in simulations where one seed in ten collapses, such intervals covered {covered} % instead of 95."
         )
     return None

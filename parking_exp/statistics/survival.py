@@ -8,8 +8,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from parking_exp.statistics.intervals import Interval
-from parking_exp.statistics.means import mean_interval
 from parking_exp.statistics.rates import finite, finite_or_none, wilson_interval
 
 if TYPE_CHECKING:
@@ -89,16 +87,6 @@ def kaplan_meier(times: ArrayLike, observed: ArrayLike) -> SurvivalCurve:
     median = float(at[halfway[0]]) if len(halfway) else None
     times_at, shares, lows, highs = (tuple(column.tolist()) for column in (at, reached, low, high))
     return SurvivalCurve(times_at, shares, lows, highs, median, n, int(np.count_nonzero(observed)))
-
-
-def restricted_mean(times: ArrayLike, horizon: float) -> Interval:
-    """Return the mean time up to `horizon`, where a run that needs longer counts as `horizon`, by `mean_interval`.
-
-    `times`, shape (runs,), as `steps_to` gives them; no run may be censored before `horizon`.
-    """
-    share = mean_interval(np.minimum(finite(times, "a restricted mean"), horizon) / horizon)
-    value, low, high = (None if end is None else end * horizon for end in (share.value, share.low, share.high))
-    return Interval(value, low, high, share.n)
 
 
 def log_rank(a: Sequence[ArrayLike], b: Sequence[ArrayLike]) -> float | None:

@@ -28,7 +28,6 @@ from parking_exp.statistics import (
     normalised_area,
     probability_of_improvement,
     rank_test,
-    restricted_mean,
     share_reaching,
     steps_to,
     unseen_share,
@@ -260,11 +259,6 @@ def test_log_rank_agrees_with_the_published_leukaemia_trial_and_needs_an_event()
     assert log_rank(([5, 5], [0, 0]), ([5], [0])) is None
 
 
-def test_restricted_mean_is_the_mean_of_times_cut_at_the_horizon():
-    result, share = restricted_mean([10, 30, 70, 90], 50), mean_interval([0.2, 0.6, 1.0, 1.0])
-    assert (result.value, result.low, result.high) == pytest.approx((35.0, 50 * share.low, 50 * share.high))
-
-
 # Curves
 
 
@@ -349,7 +343,7 @@ def test_note_is_silent_on_healthy_seeds_and_names_the_coverage_on_others():
     assert coverage_note(TEN) is None
     assert coverage_note([0.9, 0.95]) == "2 seeds: too few for a reliable interval."
     assert "95 points apart" in coverage_note([0.0, 0.95, 0.96, 0.97, 0.98, 0.95])
-    assert "covered 52 %" in coverage_note([0.0, 0.95, 0.96, 0.97, 0.98, 0.95])
+    assert "covered 53 %" in coverage_note([0.0, 0.95, 0.96, 0.97, 0.98, 0.95])
 
 
 @pytest.mark.slow
