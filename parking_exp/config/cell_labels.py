@@ -59,8 +59,8 @@ def find_factors(
 
     The value is None if a cell's config has no such key.
     """
-    given = {EXPERIMENT: list(experiments), LABEL: [config.get(LABEL) for config in configs]}
-    columns: dict[str, list[Setting]] = {key: values for key, values in given.items() if len(set(values)) > 1}
+    given: dict[str, list[Setting]] = {EXPERIMENT: [*experiments], LABEL: [config.get(LABEL) for config in configs]}
+    columns = {key: values for key, values in given.items() if len(set(values)) > 1}
     varying = differing_keys(configs)
     for group in GROUPS:
         if f"{group}.name" in varying:

@@ -27,7 +27,9 @@ def blocks(page, language):
 
 def commands(*pages):
     """Return the commands of pages that run one of our scripts, without the prefix `python scripts/`."""
-    lines = [line for page in pages for _, text in blocks(page, "sh") for line in text.replace("\\\n", "").split("\n")]
+    texts = [text for page in pages for _, text in blocks(page, "sh")]
+    texts += [line for page in pages for line in re.findall(r"^`(python .*)`$", page.read_text(), re.MULTILINE)]
+    lines = [line for text in texts for line in text.replace("\\\n", "").split("\n")]
     matches = (match[1] for line in lines if (match := re.search(r"python scripts/(.*)", line)))
     return list(dict.fromkeys(shlex.join(shlex.split(command, comments=True)) for command in matches))
 
