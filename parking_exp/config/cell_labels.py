@@ -64,7 +64,8 @@ def find_factors(
     varying = differing_keys(configs)
     for group in GROUPS:
         if f"{group}.name" in varying:
-            columns[group] = [config.get(f"{group}.name") for config in configs]
+            names = [config.get(f"{group}.name") for config in configs]
+            columns |= {} if LABEL in columns and _follows(names, columns[LABEL]) else {group: names}
             varying.remove(f"{group}.name")
     options = list(columns.values())
     n_distinct = len({tuple(hashable(config.get(key)) for key in varying) for config in configs})

@@ -82,7 +82,7 @@ def test_seed_store_and_checkpoints_do_not_distinguish_cells():
 
 
 def test_a_label_of_the_config_replaces_the_keys_that_it_determines():
-    tutorial, default = cell(label="tutorial", algorithm__gamma=0.9, n_envs=1), cell(label="default")
+    tutorial, default = cell(label="tutorial", algorithm__gamma=0.9, n_envs=1), cell(label="default", algorithm="td3")
     assert described([tutorial, default]) == (["label"], ["tutorial", "default"])
     shared = [tutorial, cell(label="tutorial", algorithm__gamma=0.8, n_envs=1), cell()]
     assert described(shared)[1] == ["tutorial, gamma=0.9", "tutorial, gamma=0.8", "gamma=0.95"]
