@@ -6,7 +6,7 @@ import pandas as pd
 import pytest
 from support.runs import stored_params
 
-from parking_exp.config.cell_labels import differing_keys, find_factors, labels_from_factors
+from parking_exp.config.cell_labels import differing_keys, find_factors, label_cells, labels_from_factors
 from parking_exp.config.compose import compose_runs
 from parking_exp.reports.cell_selection import group
 from parking_exp.results.frames import config_column
@@ -84,6 +84,7 @@ def test_seed_store_and_checkpoints_do_not_distinguish_cells():
 def test_a_label_of_the_config_replaces_the_keys_that_it_determines():
     tutorial, default = cell(label="tutorial", algorithm__gamma=0.9, n_envs=1), cell(label="default", algorithm="td3")
     assert described([tutorial, default]) == (["label"], ["tutorial", "default"])
+    assert label_cells([tutorial], ["name-key"]) == ["tutorial"]
     shared = [tutorial, cell(label="tutorial", algorithm__gamma=0.8, n_envs=1), cell()]
     assert described(shared)[1] == ["tutorial, gamma=0.9", "tutorial, gamma=0.8", "gamma=0.95"]
 
