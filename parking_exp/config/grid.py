@@ -42,7 +42,7 @@ def expand_points(
     for block in blocks or [{}]:
         lines = []
         for key, value in block.items():
-            values, replaceable = _values(value), isinstance(value, list) or key not in swept
+            values, replaceable = _values(value), isinstance(value, list) or key not in {*swept, "label"}
             kept = [v for v in axes.get(key, values) if v in values or (replaceable and v not in listed[key])]
             lines.append([f"{key}={v}" for v in kept])
         if not all(lines):

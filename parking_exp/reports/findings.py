@@ -7,7 +7,7 @@ from parking_exp.errors import quoted_label
 from parking_exp.reports.cell_comparisons import SIGNIFICANT, Family
 from parking_exp.reports.formats import VERDICTS, p_value, points_interval, rate_interval
 from parking_exp.reports.report_data import Cell, Pair
-from parking_exp.reports.report_warnings import FEW_NAMES, list_names
+from parking_exp.reports.report_warnings import ENOUGH_SEEDS, FEW_NAMES, list_names
 from parking_exp.statistics import MainEffect, Proportion
 
 TOO_FEW = ": that needs two finished seeds of each."
@@ -86,8 +86,9 @@ def _describe_contrast(pair: Pair, labels: Mapping[str, str]) -> str:
 def _write_gap(label: str, pair: Pair) -> str:
     """Write `td3 (+26.1 points [+16.9, +35.4], Holm's p < 0.001)`, and where ranks disagree, their p."""
     p = f", Holm's {p_value(pair.p_holm)}" if pair.p_holm is not None else ""
-    if pair.rank_p_holm is not None and (pair.rank_p_holm < SIGNIFICANT) != (pair.verdict in ("a", "b")):
-        p += f", by ranks {p_value(pair.rank_p_holm)}"
+    many = pair.difference.n >= ENOUGH_SEEDS  # with fewer, ranks of several pairs can't be significant after Holm
+    if many and pair.rank_p_holm is not None and (pair.rank_p_holm < SIGNIFICANT) != (pair.verdict in ("a", "b")):
+        p += f", but by ranks {p_value(pair.rank_p_holm)}"
     return f"{quoted_label(label)} ({points_interval(pair.difference)}{p})"
 
 

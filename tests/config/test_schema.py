@@ -74,7 +74,8 @@ def test_the_cell_is_the_config_without_its_seed():
     ("override", "changes"),
     [
         ("output_dir=elsewhere", False), ("tracking.mlflow=false", False), ("checkpoint.keep_last=9", False),
-        ("timeout_s=9", False), ("contrasts=[[td3,sac]]", False), ("evaluation.video_episodes=0", False), ("evaluation.n_scenes=9", True),
+        ("timeout_s=9", False), ("contrasts=[[td3,sac]]", False), ("label=best", False),
+        ("evaluation.video_episodes=0", False), ("evaluation.n_scenes=9", True),
         ("algorithm.gamma=0.9", True), ("total_timesteps=30000", True), ("env.duration=50", True), ("n_envs=4", True),
     ],
 )  # fmt: skip

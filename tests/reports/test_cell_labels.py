@@ -8,7 +8,8 @@ from support.runs import stored_params
 
 from parking_exp.config.cell_labels import differing_keys, find_factors, label_cells, labels_from_factors
 from parking_exp.config.compose import compose_runs
-from parking_exp.reports.cell_selection import group
+from parking_exp.errors import ConfigError
+from parking_exp.reports.cell_selection import find_contrasts, group
 from parking_exp.results.frames import config_column
 from parking_exp.sweeps.sweep import plan
 
@@ -114,6 +115,14 @@ def test_labels_that_are_the_same_get_the_key_of_their_cell():
     assert labels_from_factors(factors, settings, names) == ["sac (aa)", "td3", "sac (cc)"]
 
 
+def stored(runs):
+    """Planned runs as rows of `Results.runs`."""
+    configs = [stored_params(run.config) for run in runs]
+    columns = {f"config.{key}": config_column(c.get(key) for c in configs) for key in set().union(*configs)}
+    columns |= {"cell": [run.config.cell for run in runs], "seed": [run.config.seed for run in runs]}
+    return pd.DataFrame({"experiment": "parking", "status": "done", "started": range(len(runs)), **columns})
+
+
 @pytest.mark.parametrize(
     ("overrides", "expected"),
     [
@@ -124,11 +133,20 @@ def test_labels_that_are_the_same_get_the_key_of_their_cell():
 )
 def test_plans_and_reports_label_the_same_cells_alike(overrides, expected, tmp_path):
     runs = plan(compose_runs("config", [*overrides, f"output_dir={tmp_path}"]))
-    configs = [stored_params(run.config) for run in runs]
-    keys = {*configs[0], *configs[-1]}
-    columns = {f"config.{key}": config_column(config.get(key) for config in configs) for key in keys}
-    columns |= {"cell": [run.config.cell for run in runs], "seed": [run.config.seed for run in runs]}
-    frame = pd.DataFrame({"experiment": "parking", "status": "done", "started": range(len(runs)), **columns})
     planned = {run.config.cell: run.label for run in runs}
-    assert planned == {cell.name: cell.label for cell in group(frame)}
+    assert planned == {cell.name: cell.label for cell in group(stored(runs))}
     assert expected is None or set(planned.values()) == expected
+
+
+@pytest.mark.parametrize("experiment", ["goal_tasks", "her_tuned", "ladder", "td3_or_sac"])
+def test_declared_contrasts_name_cells_of_their_experiment(experiment, tmp_path):
+    runs = plan(compose_runs("config", [f"experiment={experiment}", "seeds=1", f"output_dir={tmp_path}"]))
+    contrasts, warnings = find_contrasts(group(stored(runs)))
+    assert (len(contrasts), warnings) == (len(runs[0].config.contrasts), [])
+
+
+def test_a_label_on_the_command_line_selects_a_cell_and_renames_none():
+    (run,) = plan(compose_runs("config", ["experiment=ladder", "seeds=1", "label='no EMA'"]))
+    assert (run.config.label, run.config.algorithm.policy_ema_half_life) == ("no EMA", None)
+    with pytest.raises(ConfigError, match="experiment=ladder has no such cell"):
+        compose_runs("config", ["experiment=ladder", "label=no ema"])
