@@ -92,7 +92,7 @@ def label_by_experiment(configs: Mapping[tuple[str, str], Config]) -> dict[tuple
 
 
 def label_cells(configs: Sequence[Config], names: Sequence[str]) -> list[str]:
-    """Return the labels of an experiment's cells; a single one has that of its config, else its algorithm and buffer."""
+    """Return the labels of the cells of an experiment; a single cell is named after its algorithm and buffer."""
     if len(configs) == 1:
         options = [str(configs[0][f"{group}.name"]) for group in GROUPS[1:] if f"{group}.name" in configs[0]]
         return [str(configs[0].get(LABEL) or ", ".join(options) or names[0])]
