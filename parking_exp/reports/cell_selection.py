@@ -15,6 +15,7 @@ from pydantic import TypeAdapter
 
 from parking_exp.config.cell_labels import (
     GROUPS,
+    LABEL,
     Config,
     Factor,
     Setting,
@@ -169,7 +170,7 @@ def _find_matching(cells: Sequence[CellRuns], pattern: str, key: str) -> list[Ce
 def _narrow(selected: Sequence[CellRuns], cells: Sequence[CellRuns], condition: str) -> list[CellRuns]:
     """Return the selected cells whose config fits `KEY=VALUE,VALUE`."""
     name, _, text = condition.partition("=")
-    keys = dict.fromkeys(key for cell in cells for key in cell.config if can_matter(key))
+    keys = dict.fromkeys(key for cell in cells for key in cell.config if can_matter(key) or key == LABEL)
     exact = f"{name}.name" if name in GROUPS else name
     fitting = [exact] if exact in keys else [key for key in keys if key.endswith(f".{name}")]
     if len(fitting) != 1:

@@ -9,7 +9,7 @@ from support.runs import stored_params
 from parking_exp.config.cell_labels import differing_keys, find_factors, label_cells, labels_from_factors
 from parking_exp.config.compose import compose_runs
 from parking_exp.errors import ConfigError
-from parking_exp.reports.cell_selection import find_contrasts, group
+from parking_exp.reports.cell_selection import choose, find_contrasts, group
 from parking_exp.results.frames import config_column
 from parking_exp.sweeps.sweep import plan
 
@@ -141,8 +141,11 @@ def test_plans_and_reports_label_the_same_cells_alike(overrides, expected, tmp_p
 @pytest.mark.parametrize("experiment", ["goal_tasks", "her_tuned", "ladder", "td3_or_sac"])
 def test_declared_contrasts_name_cells_of_their_experiment(experiment, tmp_path):
     runs = plan(compose_runs("config", [f"experiment={experiment}", "seeds=1", f"output_dir={tmp_path}"]))
-    contrasts, warnings = find_contrasts(group(stored(runs)))
+    cells = group(stored(runs))
+    contrasts, warnings = find_contrasts(cells)
     assert (len(contrasts), warnings) == (len(runs[0].config.contrasts), [])
+    if experiment == "ladder":
+        assert [cell.label for cell in choose(cells, ["label=no EMA"])] == ["no EMA"]
 
 
 def test_a_label_on_the_command_line_selects_a_cell_and_renames_none():
