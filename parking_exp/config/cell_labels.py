@@ -65,7 +65,8 @@ def find_factors(
     for group in GROUPS:
         if f"{group}.name" in varying:
             names = [config.get(f"{group}.name") for config in configs]
-            columns |= {} if LABEL in columns and _follows(names, columns[LABEL]) else {group: names}
+            if LABEL not in columns or not _follows(names, columns[LABEL]):
+                columns[group] = names
             varying.remove(f"{group}.name")
     options = list(columns.values())
     n_distinct = len({tuple(hashable(config.get(key)) for key in varying) for config in configs})
@@ -92,7 +93,7 @@ def label_by_experiment(configs: Mapping[tuple[str, str], Config]) -> dict[tuple
 
 
 def label_cells(configs: Sequence[Config], names: Sequence[str]) -> list[str]:
-    """Return the labels of the cells of an experiment; a single cell is named after its algorithm and buffer."""
+    """Return the labels of an experiment's cells; a single one without a label has its algorithm and buffer."""
     if len(configs) == 1:
         options = [str(configs[0][f"{group}.name"]) for group in GROUPS[1:] if f"{group}.name" in configs[0]]
         return [str(configs[0].get(LABEL) or ", ".join(options) or names[0])]

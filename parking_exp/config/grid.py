@@ -23,8 +23,8 @@ def expand_points(
     """Return the overrides of every cell.
 
     Values on the command line select from the blocks that list them; blocks without any of them are dropped. A value
-    that no block lists replaces the values of each block that sweeps over its key. Any other key becomes an axis of
-    each block whose configs have it.
+    that no block lists replaces the values of each block that sweeps over its key, except labels, which would no
+    longer distinguish cells. Any other key becomes an axis of each block whose configs have it.
 
     Args:
         blocks: of the experiment file; none: a single cell.

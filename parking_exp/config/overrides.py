@@ -73,8 +73,8 @@ def axes_of(overrides: Iterable[str]) -> dict[str, list[str]]:
             values = list(override.sweep_string_iterator())
         if not values:
             raise ConfigError(f"{override.input_line}: there are no values to sweep over")
-        if override.key_or_group == "label" and not override.is_sweep_override():
-            values = [str(override.value())]  # as in the cells of experiments, without quotes
+        if override.key_or_group == "label":  # to be found in the cells of an experiment, which have no escapes
+            values = [str(one.value()) for one in parse_overrides(f"label={value}" for value in values)]
         axes[override.get_key_element()] = values
     if "seed" in axes and axes.get("seeds", ["null"]) != ["null"]:
         raise ConfigError("seed and seeds are both given; seeds=[...] names several")

@@ -151,5 +151,7 @@ def test_declared_contrasts_name_cells_of_their_experiment(experiment, tmp_path)
 def test_a_label_on_the_command_line_selects_a_cell_and_renames_none():
     (run,) = plan(compose_runs("config", ["experiment=ladder", "seeds=1", "label='no EMA'"]))
     assert (run.config.label, run.config.algorithm.policy_ema_half_life) == ("no EMA", None)
+    two = compose_runs("config", ["experiment=ladder", "seeds=1", "label='no EMA',default"])
+    assert [run.config.label for run in plan(two)] == ["default", "no EMA"]
     with pytest.raises(ConfigError, match="experiment=ladder has no such cell"):
         compose_runs("config", ["experiment=ladder", "label=no ema"])
