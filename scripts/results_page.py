@@ -1,5 +1,5 @@
 #!/usr/bin/env python
-"""Write docs/results.md, its figures and README's rates from the exports in docs/results; `--check` only compares."""
+"""Write docs/results.md, docs/provenance.md, figures and README's rates from docs/results; `--check` only compares."""
 
 import re
 import shutil
@@ -30,6 +30,7 @@ from parking_exp.terminal import say
 
 DOCS = ROOT / "docs"
 EXPORTS, PAGE, README = DOCS / "results", DOCS / "results.md", ROOT / "README.md"
+PROVENANCE = DOCS / "provenance.md"
 FIGURES = {"algorithms": "learning_curves", "tutorial": "learning_curves"}  # the others have final_success
 FIGURE_CELLS = {  # the cells that a figure shows; the others show all
     "her_relabelling": ("her_future*", "algorithm.features=ego_mirrored"),
@@ -90,6 +91,10 @@ class Experiment:
         """Return the mean CPU seconds of a cell's runs."""
         return formats.number(self.cell(label).cpu_s.value)
 
+    def cpu_s_to_90(self, label: str) -> str:
+        """Return the median CPU seconds of a cell's runs to 90 %."""
+        return formats.number(self.cell(label).median_cpu_s)
+
     def reaching(self, label: str, threshold: float) -> str:
         """Return how many seeds of a cell reach a final success, with the exact interval: `99/100 [94.6, 100.0]`."""
         return formats.share_interval(statistics.share_reaching(seed_rates(self.cell(label)).rates, threshold))
@@ -98,7 +103,7 @@ class Experiment:
         """Return the difference in success of two cells, e.g. `+9.1 points [+4.0, +14.2], p = 0.012`."""
         pair = self._pair(first, second)
         pair = pair if pair.a == self.cell(first).id else pair.reverse()
-        return f"{formats.points_interval(pair.difference)}, {formats.p_value(pair.p_holm)}"
+        return f"{formats.points_interval(pair.difference)}, {formats.p_value(pair.p_corrected)}"
 
     def ranks(self, first: str, second: str) -> str:
         """Return Holm's p of Mann and Whitney's test of two cells' seeds, e.g. `p = 0.012`."""
@@ -131,18 +136,12 @@ class Experiment:
             lines.append(_row([*names, *(COLUMNS[name][1](cell) for name in columns)]))
         return "\n".join(lines)
 
-    def grid(self, row: str, column: str, **where: str) -> str:
-        """Return a Markdown table of success by two config keys, in percent.
-
-        Args:
-            row, column: config keys; cells without one of them are left out.
-            where: another key, with `__` for its dots, and its value.
-        """
+    def grid(self, row: str, column: str) -> str:
+        """Return a Markdown table of success by two config keys, in percent; cells without one of them are left out."""
         rates = {
             place: formats.percent_interval(cell.success)
             for cell in self.report.cells
             if all(place := (self._setting(cell, row), self._setting(cell, column)))
-            and all(self._setting(cell, key.replace("__", ".")) == value for key, value in where.items())
         }
         rows, columns = (list(dict.fromkeys(place[axis] for place in rates)) for axis in (0, 1))
         row_name, column_name = (key.removesuffix(".name").rpartition(".")[2] for key in (row, column))
@@ -170,6 +169,8 @@ class Experiment:
     @property
     def cross_checked(self) -> str:
         """Number of scenes of a run that were cross-checked on highway-env."""
+        if (self.results.runs["config.env.simulator"] == "highway_env").all():
+            return "all"
         return ", ".join(map(str, self.results.runs["config.evaluation.n_certified_scenes"].unique()))
 
     @property
@@ -189,7 +190,11 @@ def main(arguments: list[str]) -> int:
     parser.add_argument("--check", action="store_true", help="write nothing; fail if a text is not up to date")
     only_check = parser.parse_args(arguments).check
     experiments = {folder.name: _experiment(folder) for folder in sorted(EXPORTS.iterdir()) if folder.is_dir()}
-    texts = {PAGE: _rendered("page", experiments), README: _readme(experiments)}
+    texts = {
+        PAGE: _rendered("page", experiments),
+        PROVENANCE: _rendered("provenance", experiments),
+        README: _readme(experiments),
+    }
     stale = [path for path, text in texts.items() if path.read_text(encoding="utf-8") != text]
     if only_check:
         for path in stale:
@@ -200,7 +205,7 @@ def main(arguments: list[str]) -> int:
     for name, experiment in experiments.items():
         if f"images/results_{name}.png" in texts[PAGE]:
             _draw(name, experiment.only(*FIGURE_CELLS[name]).report if name in FIGURE_CELLS else experiment.report)
-    say(f"written        {PAGE.relative_to(ROOT)}, {README.relative_to(ROOT)}, docs/images/results_*.png")
+    say(f"written        {', '.join(str(path.relative_to(ROOT)) for path in texts)}, docs/images/results_*.png")
     return 0
 
 

@@ -34,14 +34,16 @@ class Perturbation:
     """A change of the task after training.
 
     Attributes:
-        env: keys of its config.
+        action: keys of `env.action`.
+        vehicles_count: number of parked cars; none: 10 for an agent trained among cars, else 0.
         noise: standard deviation of what the agent measures of itself, in each step: position [m] and velocity [m/s],
             and a tenth of it in the cosine and sine of the heading.
         delay: policy steps, of 0.2 s, until an action has an effect.
         shift_m: the start is uniform within this distance in x, and half of it in y.
     """
 
-    env: Mapping[str, Any] = field(default_factory=dict)
+    action: Mapping[str, Any] = field(default_factory=dict)
+    vehicles_count: int | None = None
     noise: float = 0.0
     delay: int = 0
     shift_m: float = 0.0
@@ -54,6 +56,7 @@ PERTURBATIONS = {
     "steering up to 40° instead of 45°": Perturbation({"steering_range": [-np.radians(40), np.radians(40)]}),
     "steering up to 30°": Perturbation({"steering_range": [-np.radians(30), np.radians(30)]}),
     "acceleration up to 3 m/s² instead of 5": Perturbation({"acceleration_range": [-3.0, 3.0]}),
+    "20 parked cars, seen only by `crowded`": Perturbation(vehicles_count=20),
     "noise of 0.1 m, 0.1 m/s, 0.6°": Perturbation(noise=0.1),
     "noise of 0.3 m, 0.3 m/s, 1.7°": Perturbation(noise=0.3),
     "actions 0.2 s late": Perturbation(delay=1),
@@ -81,8 +84,11 @@ def main() -> None:
 
 
 def _perturbed(env: ParkingConfig, perturbation: Perturbation) -> ParkingConfig:
-    action = env.action.model_copy(update=dict(perturbation.env))
-    return env.model_copy(update={"action": action, "vehicles_count": 10 if env.vehicles_range[1] else 0})
+    cars = perturbation.vehicles_count
+    if cars is None:
+        cars = 10 if env.vehicles_range[1] else 0
+    action = env.action.model_copy(update=dict(perturbation.action))
+    return env.model_copy(update={"action": action, "vehicles_count": cars})
 
 
 def evaluate(policy: Policy, config: ParkingConfig, perturbation: Perturbation) -> dict[str, float]:

@@ -62,8 +62,8 @@ def compare_pairs(cells: Sequence[Cell], baseline: str | None, contrasts: Sequen
     if not couples:
         return Family([], "", None)
     sentence = (
-        f"Comparisons of the final success of seeds: {family}. p is Holm's over this family, and intervals are "
-        "simultaneous: 0 lies outside exactly where p is below 0.05."
+        f"Comparisons of the final success of seeds: {family}. p has Bonferroni's correction for this family, and "
+        "intervals are simultaneous: 0 lies outside exactly where p is below 0.05."
     )
     if reference is not None and reference.id != baseline:
         sentence += (
@@ -100,13 +100,13 @@ def _compare(a: Cell, b: Cell, difference: Difference) -> Pair:
         b=b.id,
         difference=difference,
         p=difference.p,
-        p_holm=difference.p_holm,
+        p_corrected=difference.p_corrected,
         rank_p=rank_test(rates_a, rates_b),
         rank_p_holm=None,
         improvement=probability_of_improvement(rates_a, rates_b),
         log_rank_p=log_rank_p,
         log_rank_p_holm=None,
-        verdict=_judge(difference, difference.p_holm),
+        verdict=_judge(difference, difference.p_corrected),
     )
 
 

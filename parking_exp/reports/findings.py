@@ -84,8 +84,8 @@ def _describe_contrast(pair: Pair, labels: Mapping[str, str]) -> str:
 
 
 def _write_gap(label: str, pair: Pair) -> str:
-    """Write `td3 (+26.1 points [+16.9, +35.4], Holm's p < 0.001)`, and where ranks disagree, their p."""
-    p = f", Holm's {p_value(pair.p_holm)}" if pair.p_holm is not None else ""
+    """Write `td3 (+26.1 points [+16.9, +35.4], p < 0.001)`, and where ranks disagree, their p."""
+    p = f", {p_value(pair.p_corrected)}" if pair.p_corrected is not None else ""
     many = pair.difference.n >= ENOUGH_SEEDS  # with fewer, ranks of several pairs can't be significant after Holm
     if many and pair.rank_p_holm is not None and (pair.rank_p_holm < SIGNIFICANT) != (pair.verdict in ("a", "b")):
         p += f", but by ranks {p_value(pair.rank_p_holm)}"

@@ -47,6 +47,6 @@ def describe_methods(report: ReportData) -> Iterator[str]:
     if report.effects:
         yield (
             "Main effects are means of cell means, with intervals made likewise; p of the difference of the best and "
-            "the worst level, and its interval, are Holm's over the pairs of levels."
+            "the worst level, and its interval, have Bonferroni's correction over the pairs of levels."
         )
     yield REFERENCES

@@ -47,7 +47,7 @@ class Curve:
     """Evaluations during training over the seeds that have them, shape (steps,) each."""
 
     step: Sequence[int]  # env steps
-    mean: Sequence[float | None]  # success, with its interval
+    mean: Sequence[float | None]  # success, with its range over the seeds
     low: Sequence[float | None]
     high: Sequence[float | None]
     n: Sequence[int]  # seeds
@@ -100,13 +100,13 @@ class Pair:
     b: str
     difference: Interval  # mean of a minus mean of b
     p: float | None  # of the difference
-    p_holm: float | None  # corrected for the pairs of the report, as the interval of the difference
+    p_corrected: float | None  # corrected for the pairs of the report, as the interval of the difference
     rank_p: float | None  # of Mann and Whitney's test
     rank_p_holm: float | None
     improvement: float  # probability that a seed of a is better than one of b, ties counted half
     log_rank_p: float | None  # of the times to 90 %; None where none was reached
     log_rank_p_holm: float | None
-    verdict: Verdict  # `a` or `b` is better (p_holm < 0.05), `same`: not significant, `unknown`: too few seeds
+    verdict: Verdict  # `a` or `b` is better (p_corrected < 0.05), `same`: not significant, `unknown`: too few seeds
 
     def reverse(self) -> "Pair":
         """Return the comparison of b with a."""

@@ -1,4 +1,4 @@
-"""Comparison of cells: differences, probability of improvement, Holm's correction. Seeds are not paired."""
+"""Comparison of cells: differences, ranks, and corrections for many pairs. Seeds are not paired."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -15,25 +15,28 @@ Cells = Sequence[SeedRates]
 
 @dataclass(frozen=True)
 class Difference(Interval):
-    """mean(a) - mean(b) with its interval, and two-sided p, also corrected by Holm; None where there is none."""
+    """mean(a) - mean(b) with its interval, and two-sided p, also corrected by Bonferroni; None where there is none."""
 
     p: float | None = None
-    p_holm: float | None = None
+    p_corrected: float | None = None
 
 
 def compare(pairs: Sequence[tuple[Cells, Cells]], alpha: float = 0.05) -> list[Difference]:
     """Return the differences of a family of pairs: the mean of some cells' means minus that of others.
 
-    p is Holm's over the family. Intervals are simultaneous: each is at the level at which Holm's method tests its pair,
-    so that 0 lies outside exactly where p is below alpha. Where a cell has a single seed there is neither.
+    By Bonferroni's correction the intervals of the family are simultaneous, and 0 lies outside exactly where the corrected
+    p is below alpha. (Holm's smaller p has no such intervals.) Where a cell has a single seed there is neither p nor
+    interval, and the pair is no part of the family.
     """
     contrasts = [contrast(a, b) for a, b in pairs]
-    corrected = holm([draws.p for draws in contrasts]).tolist()
+    size = max(1, sum(draws.p is not None for draws in contrasts))
     return [
-        Difference(**vars(draws.interval(alpha * draws.p / p_holm)), p=draws.p, p_holm=p_holm)
-        if draws.p is not None
-        else Difference(**vars(draws.interval()))
-        for draws, p_holm in zip(contrasts, corrected, strict=True)
+        Difference(
+            **vars(draws.interval(alpha / size)),
+            p=draws.p,
+            p_corrected=None if draws.p is None else min(1, size * draws.p),
+        )
+        for draws in contrasts
     ]
 
 

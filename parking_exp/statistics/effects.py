@@ -29,7 +29,7 @@ class MainEffect:
         levels: the mean of each.
         complete: whether all combinations are there; else levels are averaged over different cells.
         largest: the highest mean minus the lowest, with an interval corrected as p; None with a single level.
-        p: of that difference, corrected (Holm) over all pairs of levels.
+        p: of that difference, corrected (Bonferroni) over all pairs of levels.
     """
 
     factor: str
@@ -60,4 +60,4 @@ def _main_effect(name: str, own: Mapping[Any, Sequence[SeedRates]], complete: bo
     order = sorted(levels, key=lambda level: level.effect.value or 0.0, reverse=True)
     pairs = [(own[high.level], own[low.level]) for high, low in combinations(order, 2)]
     largest = compare(pairs)[len(levels) - 2]  # the first level minus the last
-    return MainEffect(name, levels, complete, largest, largest.p_holm)
+    return MainEffect(name, levels, complete, largest, largest.p_corrected)

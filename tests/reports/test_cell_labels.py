@@ -138,7 +138,7 @@ def test_plans_and_reports_label_the_same_cells_alike(overrides, expected, tmp_p
     assert expected is None or set(planned.values()) == expected
 
 
-@pytest.mark.parametrize("experiment", ["goal_tasks", "her_tuned", "ladder", "td3_or_sac"])
+@pytest.mark.parametrize("experiment", ["envs_and_updates", "goal_tasks", "her_tuned", "ladder", "td3_or_sac"])
 def test_declared_contrasts_name_cells_of_their_experiment(experiment, tmp_path):
     runs = plan(compose_runs("config", [f"experiment={experiment}", "seeds=1", f"output_dir={tmp_path}"]))
     cells = group(stored(runs))

@@ -70,7 +70,7 @@ def _draw_seeds_and_mean(axes: Axes, row: int, cell: Cell) -> None:
 
 
 def draw_learning_curves(report: ReportData) -> Iterator[Drawing]:
-    """Draw mean success with its interval, and mean failure rate, against env steps."""
+    """Draw mean success with the range of the seeds, and mean failure rate, against env steps."""
     curves = [(cell, cell.curve) for cell in report.shown_cells if cell.curve and len(cell.curve.step) > 1]
     if not curves:
         return

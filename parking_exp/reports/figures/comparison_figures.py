@@ -30,7 +30,7 @@ def draw_pairs(report: ReportData) -> Iterator[Drawing]:
     each = f"Final success minus that of {reference}" if reference else "Final success of one cell minus another's"
     caption = (
         f"{each}, in percentage points, with 95 % intervals. ▲ the first is better, ▼ worse, ≈ not distinguishable, "
-        f"? too few seeds; p corrected by Holm's method. {report.family}"
+        f"? too few seeds; p with Bonferroni's correction. {report.family}"
     )
     n_rows = rows_on_page(labels)
     for begin in range(0, len(pairs), n_rows):
@@ -46,7 +46,7 @@ def _draw_differences(pairs: Sequence[Pair], labels: Sequence[str]) -> Figure:
         value, low, high = percentages([pair.difference.value, pair.difference.low, pair.difference.high])
         axes.plot([low, high], [row, row], color=INK)
         axes.plot(value, row, color=INK, marker="o", markersize=5)
-        text = f"{points_interval(pair.difference)}   {VERDICTS[pair.verdict].mark} {p_value(pair.p_holm)}"
+        text = f"{points_interval(pair.difference)}   {VERDICTS[pair.verdict].mark} {p_value(pair.p_corrected)}"
         axes.text(1.02, row, text, transform=axes.get_yaxis_transform(), fontsize=SMALL_PT, va="center")
     return figure
 

@@ -136,7 +136,7 @@ def pairs(report: ReportData) -> Iterator[Table]:
             cell_column("A", "a", "a_label"),
             cell_column("B", "b", "b_label"),
             interval_column("A − B (points)", "difference", formats.difference_interval),  # noqa: RUF001
-            column("p (Holm)", "p_holm", formats.probability),
+            column("p (Bonferroni)", "p_corrected", formats.probability),
             column("p, ranks (Holm)", "rank_p_holm", formats.probability),
             column("A better than B (%)", "improvement", formats.percent),
             column("p, time to 90 % (Holm)", "log_rank_p_holm", formats.probability),
