@@ -24,7 +24,7 @@ class Difference(Interval):
 def compare(pairs: Sequence[tuple[Cells, Cells]], alpha: float = 0.05) -> list[Difference]:
     """Return the differences of a family of pairs: the mean of some cells' means minus that of others.
 
-    Bonferroni's correction makes the intervals of the family simultaneous, and 0 lies outside exactly where the corrected
+    Bonferroni's correction makes the family's intervals simultaneous, and 0 lies outside exactly where the corrected
     p is below alpha. (Holm's smaller p has no such intervals.) Where a cell has a single seed there is neither p nor
     interval, and the pair is no part of the family.
     """
