@@ -194,9 +194,9 @@ def _normalise(text: str) -> str:
 
 
 def _split_values(text: str) -> list[str]:
-    """Split values at commas, except inside brackets; brackets around all of them are removed."""
+    """Split values at commas, except inside brackets; brackets around all of them, and quotes, are removed."""
     inner = text[1:-1] if text.startswith("[") and text.endswith("]") else text
-    return [value.strip() for value in re.split(r",(?![^\[]*\])", inner)]
+    return [value.strip(" '\"") for value in re.split(r",(?![^\[]*\])", inner)]
 
 
 def _read_config(row: pd.Series) -> dict[str, Setting]:

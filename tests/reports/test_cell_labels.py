@@ -145,7 +145,7 @@ def test_declared_contrasts_name_cells_of_their_experiment(experiment, tmp_path)
     contrasts, warnings = find_contrasts(cells)
     assert (len(contrasts), warnings) == (len(runs[0].config.contrasts), [])
     if experiment == "ladder":
-        assert [cell.label for cell in choose(cells, ["label=no EMA"])] == ["no EMA"]
+        assert [cell.label for cell in choose(cells, ["label='no EMA',default"])] == ["default", "no EMA"]
 
 
 def test_a_label_on_the_command_line_selects_a_cell_and_renames_none():
