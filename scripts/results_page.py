@@ -31,7 +31,7 @@ from parking_exp.terminal import say
 DOCS = ROOT / "docs"
 EXPORTS, PAGE, README = DOCS / "results", DOCS / "results.md", ROOT / "README.md"
 PROVENANCE = DOCS / "provenance.md"
-FIGURES = {"algorithms": "learning_curves", "tutorial": "learning_curves"}  # the others have final_success
+FIGURES = dict.fromkeys(("algorithms", "goal_tasks", "tutorial"), "learning_curves")  # the others have final_success
 FIGURE_CELLS = {  # the cells that a figure shows; the others show all
     "her_relabelling": ("her_future*", "algorithm.features=ego_mirrored"),
 }

@@ -155,9 +155,7 @@ def test_raising_a_seed_never_lowers_an_end_of_a_difference_nor_moves_that_of_ot
     raised = [*rates]
     raised[place] = data.draw(st.integers(round(100 * rates[place]), 100)) / 100
     other, control = [SeedRates(others, n_episodes)], [SeedRates(TEN, n_episodes)]
-    before, after = (
-        compare([([SeedRates(side, n_episodes)], other), (other, control)]) for side in (rates, raised)
-    )
+    before, after = (compare([([SeedRates(side, n_episodes)], other), (other, control)]) for side in (rates, raised))
     assert after[0].low >= before[0].low - 1e-12
     assert after[0].high >= before[0].high - 1e-12
     assert after[1] == before[1]

@@ -107,7 +107,7 @@ def _draw_curve(success: Axes, failure: Axes, cell: Cell, curve: Curve, *, with_
 
 def _new_figure_with_legend(height: float, cells: Sequence[Cell]) -> Figure:
     """Return a figure with a legend of the cells at the right, at least as high as that."""
-    labels = wrapped_labels(cells, 32, lines=3)
+    labels = wrapped_labels(cells, 32, lines=8)
     figure = new_figure(max(height, 0.4 + sum(0.14 + 0.12 * label.count("\n") for label in labels)))
     styles = [cell_style(cell.id) for cell in cells]
     lines = [Line2D([], [], color=look.colour, linestyle=look.line, marker=look.marker) for look in styles]
