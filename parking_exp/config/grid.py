@@ -9,6 +9,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
+from parking_exp.config.overrides import in_quotes
 from parking_exp.errors import ConfigError
 
 Block = Mapping[str, Any]
@@ -44,13 +45,13 @@ def expand_points(
         for key, value in block.items():
             values, replaceable = _values(value), isinstance(value, list) or key not in {*swept, "label"}
             kept = [v for v in axes.get(key, values) if v in values or (replaceable and v not in listed[key])]
-            lines.append([f"{key}={v}" for v in kept])
+            lines.append([_override(key, v) for v in kept])
         if not all(lines):
             continue
         first = tuple(values[0] for values in lines)
         for key, values in axes.items():
             if key not in block and (key not in listed or has(key, first)):
-                lines.append([f"{key}={v}" for v in values])
+                lines.append([_override(key, v) for v in values])
         if len(cells) + math.prod(map(len, lines)) > MAX_CELLS:
             raise ConfigError(f"a sweep has at most {MAX_CELLS} cells")
         cells |= dict.fromkeys(itertools.product(*lines))
@@ -76,6 +77,10 @@ def seeds_of(value: object) -> list[int] | None:
     if value is not None:
         raise ConfigError(f"seeds={value!r} is neither a number up to {MAX_SEEDS} nor a list of seeds below {2**32}")
     return None
+
+
+def _override(key: str, value: str) -> str:
+    return f"{key}={in_quotes(value) if key == 'label' else value}"  # other values are in Hydra's syntax
 
 
 def _values(value: object) -> list[str]:
