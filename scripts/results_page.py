@@ -169,6 +169,8 @@ class Experiment:
     @property
     def cross_checked(self) -> str:
         """Number of scenes of a run that were cross-checked on highway-env."""
+        if "config.env.simulator" not in self.results.runs:
+            return "none"
         if (self.results.runs["config.env.simulator"] == "highway_env").all():
             return "all"
         return ", ".join(map(str, self.results.runs["config.evaluation.n_certified_scenes"].unique()))
