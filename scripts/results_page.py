@@ -33,9 +33,10 @@ EXPORTS, PAGE, README = DOCS / "results", DOCS / "results.md", ROOT / "README.md
 PROVENANCE = DOCS / "provenance.md"
 FIGURES = dict.fromkeys(("algorithms", "goal_tasks", "tutorial"), "learning_curves")  # the others have final_success
 FIGURE_CELLS = {  # the cells that a figure shows; the others show all
+    "goal_tasks": ("env=point_maze",),
     "her_relabelling": ("her_future*", "algorithm.features=ego_mirrored"),
 }
-PACKAGES = ("highway-env", "stable-baselines3", "sb3-contrib", "torch", "python")
+PACKAGES = ("highway-env", "stable-baselines3", "sb3-contrib", "gymnasium-robotics", "mujoco", "torch", "python")
 LINK, NO_BREAK = re.compile(r"\[[^\]]*\]\([^)]*\)"), "\0"
 MARKED = re.compile(r"(<!-- results: (?P<name>\w+) -->\n).*?(<!-- end of results -->)", re.DOTALL)
 COLUMNS = {

@@ -80,7 +80,8 @@ def seeds_of(value: object) -> list[int] | None:
 
 
 def _override(key: str, value: str) -> str:
-    return f"{key}={in_quotes(value) if key == 'label' else value}"  # other values are in Hydra's syntax
+    is_text = key == "label" and value != "null"  # other values are in Hydra's syntax
+    return f"{key}={in_quotes(value) if is_text else value}"
 
 
 def _values(value: object) -> list[str]:

@@ -23,7 +23,7 @@ def config_dir() -> Path:
 
 def in_quotes(value: str) -> str:
     """Quote a string for Hydra's grammar."""
-    escaped = value.replace("\\", "\\\\").replace("'", "\\'")
+    escaped = re.sub(r"(\\+)(?='|\Z)", r"\1\1", value).replace("'", "\\'")  # backslashes escape nothing but quotes
     return f"'{escaped}'"
 
 

@@ -92,6 +92,8 @@ def kaplan_meier(times: ArrayLike, observed: ArrayLike) -> SurvivalCurve:
 def log_rank(a: Sequence[ArrayLike], b: Sequence[ArrayLike]) -> float | None:
     """Return the two-sided p of the log-rank test (Mantel 1966) of two pairs (times, observed); None without any event.
 
+    It is 1 where all times are equal.
+
     Raises:
         ValueError: as `kaplan_meier`.
     """
@@ -100,7 +102,8 @@ def log_rank(a: Sequence[ArrayLike], b: Sequence[ArrayLike]) -> float | None:
     if not (np.any(a[1]) or np.any(b[1])):
         return None
     with np.errstate(invalid="ignore", divide="ignore"):
-        return finite_or_none(stats.logrank(_censored(*a), _censored(*b)).pvalue)
+        p = finite_or_none(stats.logrank(_censored(*a), _censored(*b)).pvalue)
+    return 1.0 if p is None else p
 
 
 def _curve(steps: ArrayLike, values: ArrayLike) -> tuple[np.ndarray, np.ndarray]:

@@ -257,6 +257,7 @@ def test_kaplan_meier_without_events_and_with_nothing_else():
 def test_log_rank_agrees_with_the_published_leukaemia_trial_and_needs_an_event():
     assert log_rank(MERCAPTOPURINE, PLACEBO) == pytest.approx(stats.chi2.sf(16.79, 1), rel=0.01)  # chi-square 16.79
     assert log_rank(([5, 5], [0, 0]), ([5], [0])) is None
+    assert log_rank(([5, 5], [1, 1]), ([5], [1])) == 1.0
 
 
 # Curves
