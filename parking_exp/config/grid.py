@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from parking_exp.config.overrides import in_quotes
-from parking_exp.errors import ConfigError
+from parking_exp.errors import ConfigError, suggestion
 
 Block = Mapping[str, Any]
 Point = tuple[str, ...]
@@ -34,11 +34,15 @@ def expand_points(
         experiment: its name, for the error.
 
     Raises:
-        ConfigError: no cell matches, or there are too many.
+        ConfigError: there is no such label, no cell matches, or there are too many.
     """
     items = [item for block in blocks for item in block.items()]
     listed = {key: {value for k, values in items if k == key for value in _values(values)} for key, _ in items}
     swept = {key for key, values in items if isinstance(values, list)}
+    labels = listed.get("label", set())
+    if blocks and (unknown := [label for label in axes.get("label", ()) if label not in labels]):
+        hint = suggestion(unknown[0], labels) or "; select cells by their keys"
+        raise ConfigError(f"label={unknown[0]}: experiment={experiment} has no such label{hint}")
     cells: dict[Point, None] = {}
     for block in blocks or [{}]:
         lines = []

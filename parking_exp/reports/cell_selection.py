@@ -129,12 +129,12 @@ def find_cell(cells: Sequence[CellRuns], name: str, key: str, preferred: Sequenc
     return fitting[0]
 
 
-def find_contrasts(cells: Sequence[CellRuns]) -> tuple[list[tuple[CellRuns, CellRuns]], list[str]]:
-    """Return the pairs that experiments declare as `contrasts`, and a warning for each that is left out.
+def find_contrasts(cells: Sequence[CellRuns]) -> tuple[list[tuple[CellRuns, CellRuns]], list[str], list[str]]:
+    """Return the pairs that experiments declare as `contrasts`, those that name no cell, and warnings.
 
     Those of an experiment's first run count, and its cells are named as in a report on it alone.
     """
-    contrasts, warnings = dict[frozenset[int], tuple[CellRuns, CellRuns]](), list[str]()
+    contrasts, unknown, warnings = dict[frozenset[int], tuple[CellRuns, CellRuns]](), list[str](), list[str]()
     for experiment in dict.fromkeys(cell.experiment for cell in cells):
         own = sorted((cell for cell in cells if cell.experiment == experiment), key=lambda cell: cell.begun)
         labelled = relabel(own)[0]
@@ -146,12 +146,12 @@ def find_contrasts(cells: Sequence[CellRuns]) -> tuple[list[tuple[CellRuns, Cell
         for pair in named or ():
             try:
                 first, second = (own[labelled.index(find_cell(labelled, name, "contrasts"))] for name in pair)
-            except ConfigError as error:
-                warnings.append(f"The declared contrast of {pair[0]} and {pair[1]} is left out ({error}).")
+            except ConfigError:
+                unknown.append(" minus ".join(pair))
                 continue
             if first is not second:
                 contrasts.setdefault(frozenset((id(first), id(second))), (first, second))
-    return list(contrasts.values()), warnings
+    return list(contrasts.values()), unknown, warnings
 
 
 def _find_named(cells: Sequence[CellRuns], name: str) -> list[CellRuns]:
@@ -178,7 +178,8 @@ def _narrow(selected: Sequence[CellRuns], cells: Sequence[CellRuns], condition: 
         raise ConfigError(f"{name}: neither a key of this command nor of these runs' configs{hint}")
     (key,) = fitting
     values = {_normalise(setting(cell.config[key])): setting(cell.config[key]) for cell in cells if key in cell.config}
-    wanted = [_normalise(value) for value in ([text] if _normalise(text) in values else _split_values(text))]
+    whole = text.strip(" '\"")
+    wanted = [_normalise(value) for value in ([whole] if _normalise(whole) in values else _split_values(text))]
     if unknown := [value for value in wanted if value not in values]:
         raise ConfigError(f"{name}={unknown[0]}: no run has that{suggestion(unknown[0], values.values())}")
     return [cell for cell in selected if key in cell.config and _normalise(setting(cell.config[key])) in wanted]

@@ -104,12 +104,14 @@ def _select(
         if reference is not None:
             _refuse_unfinished([reference], f"baseline={baseline}")
     ids = {id(cell): f"c{number}" for number, cell in enumerate(selected)}
-    contrasts, warnings = find_contrasts(cells)
+    contrasts, missing, warnings = find_contrasts(cells)
     with_results = {id(cell) for cell in selected if len(cell.done)}
     usable = [pair for pair in contrasts if {id(cell) for cell in pair} <= with_results]
-    for a, b in (pair for pair in contrasts if pair not in usable):
+    n_declared = len(contrasts) + len(missing)
+    if missing := [*missing, *(f"{a.label} minus {b.label}" for a, b in contrasts if (a, b) not in usable)]:
         warnings.append(
-            f"The declared contrast of {a.label} and {b.label} is left out: it needs finished runs of both."
+            f"{len(missing)} of {n_declared} declared contrasts lack a selected cell with finished runs, and p is "
+            f"corrected for the others only: {report_warnings.list_names(missing)}."
         )
     labelled, factors = relabel(selected)
     return Selection(
@@ -182,22 +184,18 @@ def _collect_provenance(cells: Sequence[CellRuns], left_out: Sequence[str], uri:
 
 
 def _list_unfinished(cell: CellRuns) -> list[UnfinishedRun]:
-    runs = cell.runs[cell.runs["status"] != "done"]
+    runs = cell.runs[cell.runs["status"] != "done"].astype(object)
     return [
         UnfinishedRun(
             cell.label,
             int(run["seed"]),
             str(run["status"]),
-            _text_or_none(run["error"]) or REASONS.get(str(run["status"]), "no reason is known"),
-            _text_or_none(run["run_dir"]),
+            run["error"] or REASONS.get(str(run["status"]), "no reason is known"),
+            run["run_dir"],
         )
-        for run in runs.to_dict("records")
+        for run in runs.where(runs.notna(), None).to_dict("records")
     ]
 
 
 def _count_values(values: pd.Series) -> dict[str, int]:
     return {str(value): count for value, count in Counter(values.dropna()).most_common()}
-
-
-def _text_or_none(value: object) -> str | None:
-    return value if isinstance(value, str) and value else None

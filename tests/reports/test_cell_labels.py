@@ -142,8 +142,8 @@ def test_plans_and_reports_label_the_same_cells_alike(overrides, expected, tmp_p
 def test_declared_contrasts_name_cells_of_their_experiment(experiment, tmp_path):
     runs = plan(compose_runs("config", [f"experiment={experiment}", "seeds=1", f"output_dir={tmp_path}"]))
     cells = group(stored(runs))
-    contrasts, warnings = find_contrasts(cells)
-    assert (len(contrasts), warnings) == (len(runs[0].config.contrasts), [])
+    contrasts, *problems = find_contrasts(cells)
+    assert (len(contrasts), problems) == (len(runs[0].config.contrasts), [[], []])
     if experiment == "ladder":
         assert [cell.label for cell in choose(cells, ["label='no EMA',default"])] == ["default", "no EMA"]
 
@@ -155,5 +155,9 @@ def test_a_label_on_the_command_line_selects_a_cell_and_renames_none():
     assert [run.config.label for run in plan(two)] == ["default", "no EMA"]
     any_text = compose_runs("config", [r"""cells=[{label:"a, 'b\c'",seed:1},{label:null,seed:2}]"""])
     assert [run.config.label for run in plan(any_text)] == [r"a, 'b\c'", None]
-    with pytest.raises(ConfigError, match="experiment=ladder has no such cell"):
-        compose_runs("config", ["experiment=ladder", "label=no ema"])
+    for overrides, hint in {
+        ("experiment=ladder", "label=default,no EMAs"): "label=no EMAs: experiment=ladder .*; did you mean 'no EMA'",
+        ("experiment=goal_tasks", "label='fetch_reach, replay'"): "goal_tasks has no such label; select cells by their",
+    }.items():
+        with pytest.raises(ConfigError, match=hint):
+            compose_runs("config", [*overrides])
