@@ -5,7 +5,7 @@ import re
 
 from parking_exp.cli.command import rename_experiment, run_command
 from parking_exp.config.compose import compose_configs
-from parking_exp.config.overrides import in_quotes
+from parking_exp.config.overrides import in_quotes, without_quotes
 from parking_exp.errors import ConfigError
 from parking_exp.reports.report_request import KEYS, validate_report
 
@@ -39,8 +39,7 @@ def read_overrides(words: list[str]) -> list[str]:
         if key == "experiment" and equals and value != "null":
             overrides.append(f"{key}={_quote_list(value.removeprefix('[').removesuffix(']').split(','))}")
         elif key in {"baseline", "from", "export"} and value not in {"", "null"}:
-            is_quoted = len(value) > 1 and value[0] == value[-1] and value[0] in "'\""
-            overrides.append(f"{key}={in_quotes(value[1:-1] if is_quoted else value)}")
+            overrides.append(f"{key}={in_quotes(without_quotes(value))}")
         elif key == "cells" and equals and value != "null" and not value.startswith("["):
             cells += _split_labels(value)
         elif re.split(r"[./]", key.lstrip("+~"))[0] in {*KEYS, "hydra"}:

@@ -24,8 +24,8 @@ def expand_points(
     """Return the overrides of every cell.
 
     Values on the command line select from the blocks that list them; blocks without any of them are dropped. A value
-    that no block lists replaces the values of each block that sweeps over its key, except labels, which would no
-    longer distinguish cells. Any other key becomes an axis of each block whose configs have it.
+    that no block lists replaces the values of each block that sweeps over its key; a label that none lists is an error.
+    Any other key becomes an axis of each block whose configs have it.
 
     Args:
         blocks: of the experiment file; none: a single cell.
@@ -39,15 +39,14 @@ def expand_points(
     items = [item for block in blocks for item in block.items()]
     listed = {key: {value for k, values in items if k == key for value in _values(values)} for key, _ in items}
     swept = {key for key, values in items if isinstance(values, list)}
-    labels = listed.get("label", set())
-    if blocks and (unknown := [label for label in axes.get("label", ()) if label not in labels]):
-        hint = suggestion(unknown[0], labels) or "; select cells by their keys"
+    if blocks and (unknown := [label for label in axes.get("label", ()) if label not in listed.get("label", ())]):
+        hint = suggestion(unknown[0], listed.get("label", ())) or "; select cells by their keys"
         raise ConfigError(f"label={unknown[0]}: experiment={experiment} has no such label{hint}")
     cells: dict[Point, None] = {}
     for block in blocks or [{}]:
         lines = []
         for key, value in block.items():
-            values, replaceable = _values(value), isinstance(value, list) or key not in {*swept, "label"}
+            values, replaceable = _values(value), isinstance(value, list) or key not in swept
             kept = [v for v in axes.get(key, values) if v in values or (replaceable and v not in listed[key])]
             lines.append([_override(key, v) for v in kept])
         if not all(lines):
@@ -84,8 +83,7 @@ def seeds_of(value: object) -> list[int] | None:
 
 
 def _override(key: str, value: str) -> str:
-    is_text = key == "label" and value != "null"  # other values are in Hydra's syntax
-    return f"{key}={in_quotes(value) if is_text else value}"
+    return f"{key}={in_quotes(value) if key == 'label' and value != 'null' else value}"  # others: in Hydra's syntax
 
 
 def _values(value: object) -> list[str]:

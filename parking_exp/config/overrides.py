@@ -23,8 +23,12 @@ def config_dir() -> Path:
 
 def in_quotes(value: str) -> str:
     """Quote a string for Hydra's grammar."""
-    escaped = re.sub(r"(\\+)(?='|\Z)", r"\1\1", value).replace("'", "\\'")  # backslashes escape nothing but quotes
-    return f"'{escaped}'"
+    return "'" + re.sub(r"(\\+)(?='|\Z)", r"\1\1", value).replace("'", "\\'") + "'"  # backslashes escape only quotes
+
+
+def without_quotes(value: str) -> str:
+    """Remove quotes around a value."""
+    return re.sub(r"""\A(['"])(.*)\1\Z""", r"\2", value, flags=re.DOTALL)
 
 
 def to_hydra_syntax(argument: str) -> str:

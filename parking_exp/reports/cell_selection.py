@@ -25,6 +25,7 @@ from parking_exp.config.cell_labels import (
     labels_from_factors,
     setting,
 )
+from parking_exp.config.overrides import without_quotes
 from parking_exp.errors import ConfigError, suggestion
 from parking_exp.reports import report_request
 
@@ -178,7 +179,7 @@ def _narrow(selected: Sequence[CellRuns], cells: Sequence[CellRuns], condition: 
         raise ConfigError(f"{name}: neither a key of this command nor of these runs' configs{hint}")
     (key,) = fitting
     values = {_normalise(setting(cell.config[key])): setting(cell.config[key]) for cell in cells if key in cell.config}
-    whole = text.strip(" '\"")
+    whole = without_quotes(text)
     wanted = [_normalise(value) for value in ([whole] if _normalise(whole) in values else _split_values(text))]
     if unknown := [value for value in wanted if value not in values]:
         raise ConfigError(f"{name}={unknown[0]}: no run has that{suggestion(unknown[0], values.values())}")

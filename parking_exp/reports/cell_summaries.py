@@ -187,9 +187,9 @@ def _average(values: Sequence[float | None], is_rate: bool = False, n_episodes: 
     known = [value for value in values if value is not None]
     if not known:
         return Interval(None)
-    if n_episodes is None and len(set(known)) == 1:  # e.g. areas that are all 1: only episodes would give an interval
-        return Interval(known[0], n=len(known))
-    return mean_interval(known, n_episodes) if is_rate else Interval(sum(known) / len(known), n=len(known))
+    if not is_rate or (n_episodes is None and len(set(known)) == 1):  # an interval of areas that are all 1 has no width
+        return Interval(sum(known) / len(known), n=len(known))
+    return mean_interval(known, n_episodes)
 
 
 def _count_stages(status: pd.Series) -> dict[str, int]:

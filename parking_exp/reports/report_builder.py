@@ -104,14 +104,13 @@ def _select(
         if reference is not None:
             _refuse_unfinished([reference], f"baseline={baseline}")
     ids = {id(cell): f"c{number}" for number, cell in enumerate(selected)}
-    contrasts, missing, warnings = find_contrasts(cells)
+    contrasts, unknown, warnings = find_contrasts(cells)
     with_results = {id(cell) for cell in selected if len(cell.done)}
     usable = [pair for pair in contrasts if {id(cell) for cell in pair} <= with_results]
-    n_declared = len(contrasts) + len(missing)
-    if missing := [*missing, *(f"{a.label} minus {b.label}" for a, b in contrasts if (a, b) not in usable)]:
+    if untested := [*unknown, *(f"{a.label} minus {b.label}" for a, b in contrasts if (a, b) not in usable)]:
         warnings.append(
-            f"{len(missing)} of {n_declared} declared contrasts lack a selected cell with finished runs, and p is "
-            f"corrected for the others only: {report_warnings.list_names(missing)}."
+            f"{len(untested)} of {len(unknown) + len(contrasts)} declared contrasts lack a selected cell with finished "
+            f"runs, and p is corrected for the others only: {report_warnings.list_names(untested)}."
         )
     labelled, factors = relabel(selected)
     return Selection(

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from parking_exp.statistics.rates import finite, finite_or_none, wilson_interval
+from parking_exp.statistics.rates import finite, wilson_interval
 
 if TYPE_CHECKING:
     from scipy.stats import CensoredData
@@ -92,7 +92,7 @@ def kaplan_meier(times: ArrayLike, observed: ArrayLike) -> SurvivalCurve:
 def log_rank(a: Sequence[ArrayLike], b: Sequence[ArrayLike]) -> float | None:
     """Return the two-sided p of the log-rank test (Mantel 1966) of two pairs (times, observed); None without any event.
 
-    It is 1 where all times are equal.
+    It is 1 where the statistic has no variance, e.g. with equal times.
 
     Raises:
         ValueError: as `kaplan_meier`.
@@ -102,8 +102,7 @@ def log_rank(a: Sequence[ArrayLike], b: Sequence[ArrayLike]) -> float | None:
     if not (np.any(a[1]) or np.any(b[1])):
         return None
     with np.errstate(invalid="ignore", divide="ignore"):
-        p = finite_or_none(stats.logrank(_censored(*a), _censored(*b)).pvalue)
-    return 1.0 if p is None else p
+        return float(np.nan_to_num(stats.logrank(_censored(*a), _censored(*b)).pvalue, nan=1.0))
 
 
 def _curve(steps: ArrayLike, values: ArrayLike) -> tuple[np.ndarray, np.ndarray]:

@@ -155,6 +155,8 @@ def test_a_label_on_the_command_line_selects_a_cell_and_renames_none():
     assert [run.config.label for run in plan(two)] == ["default", "no EMA"]
     any_text = compose_runs("config", [r"""cells=[{label:"a, 'b\c'",seed:1},{label:null,seed:2}]"""])
     assert [run.config.label for run in plan(any_text)] == [r"a, 'b\c'", None]
+    (cell,) = choose(group(stored(plan(any_text))), [r"""label="a, 'b\c'" """.strip()])
+    assert cell.label == r"a, 'b\c'"
     for overrides, hint in {
         ("experiment=ladder", "label=default,no EMAs"): "label=no EMAs: experiment=ladder .*; did you mean 'no EMA'",
         ("experiment=goal_tasks", "label='fetch_reach, replay'"): "goal_tasks has no such label; select cells by their",

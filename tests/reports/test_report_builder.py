@@ -11,7 +11,7 @@ from support.result_frames import ALGORITHMS, REPLAY, Run, results, together
 from parking_exp.errors import ConfigError, RunNotFoundError
 from parking_exp.reports.cell_selection import choose, find_cell, group
 from parking_exp.reports.report_builder import build_report
-from parking_exp.statistics import SeedRates, compare
+from parking_exp.statistics import Interval, SeedRates, compare
 
 ENDS = {"sac": [0.8, 1.0, 0.8, 1.0, 1.0], "td3": [0.4, 0.2, 0.4, 0.6, 0.4]}
 GOALS = {str(n): {"buffer.n_sampled_goal": n} for n in (1, 2, 4)}
@@ -155,6 +155,8 @@ def test_time_to_90_percent_is_censored_where_it_was_not_held():
     assert (cell.survival.k, cell.survival.n, cell.survival.median) == (1, 2, 200)
     assert cell.median_cpu_s == 150.0
     assert cell.seeds[0].area == pytest.approx((2 / 3 + 1 + 1) / 3)
+    assert cell.area.low < cell.area.value < cell.area.high
+    assert content({"sac": {}}, [0, 1], lambda *_: Run(curve=[1.0] * 4)).cells[0].area == Interval(1.0, n=2)
 
 
 def test_fewer_than_three_evaluations_say_nothing_of_the_time_to_90_percent():
