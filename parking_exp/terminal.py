@@ -1,11 +1,13 @@
 """Print text on a terminal, with control characters escaped: text from a run directory or store may be hostile."""
 
 import sys
+from pathlib import Path
 from typing import Any
 
 from rich.console import Console
 from rich.text import Text
 
+COMMANDS = {"train", "tune", "status", "report", "evaluate", "export"}
 WIDE = 1000  # columns of a file or pipe, where lines are not wrapped
 
 
@@ -37,3 +39,14 @@ def console(*, stderr: bool = False) -> Console:
     """Return a console that does not wrap lines."""
     out = Screen(stderr=stderr, soft_wrap=True)
     return out if out.is_terminal else Screen(stderr=stderr, width=WIDE)
+
+
+def is_script() -> bool:
+    """Return whether this process is one of our scripts in a clone, and not an installed command or a user's Python."""
+    program = Path(sys.argv[0])
+    return program.suffix == ".py" and program.stem in COMMANDS
+
+
+def program(name: str) -> str:
+    """Return how to start a command, as this process was: `python scripts/status.py`, or `parking-status`."""
+    return f"python scripts/{name}.py" if is_script() else f"parking-{name}"

@@ -2,9 +2,10 @@
 
 import io
 
+import pytest
 from rich.table import Table
 
-from parking_exp.terminal import Screen, printable, say
+from parking_exp.terminal import Screen, printable, program, say
 
 HOSTILE = "a\x1b]0;t\x07\x1b[2J\x9b31m\r\b\x7f\u202eb\u2066\nfailed   c\x00\t\u2028\udc9b"
 SHOWN = r"a\x1b]0;t\x07\x1b[2J\x9b31m\r\x08\x7f\u202eb\u2066\nfailed   c\x00\t\u2028\udc9b"
@@ -35,3 +36,19 @@ def test_a_console_shows_lines_cells_and_headings():
     screen.print(f"[bold] :warning: {HOSTILE}")
     lines = [line.strip() for line in out.getvalue().splitlines()]
     assert lines == [f"1{SHOWN}", f"2{SHOWN}", f"3{SHOWN}", f"[bold] :warning: {SHOWN}"]
+
+
+@pytest.mark.parametrize(
+    ("started", "named"),
+    [
+        ("scripts/train.py", "python scripts/status.py"),
+        ("/somewhere/scripts/report.py", "python scripts/status.py"),
+        ("/somewhere/bin/parking-train", "parking-status"),
+        ("my_study.py", "parking-status"),
+        ("/somewhere/ipykernel_launcher.py", "parking-status"),
+        ("", "parking-status"),
+    ],
+)
+def test_messages_name_commands_as_this_process_was_started(started, named, monkeypatch):
+    monkeypatch.setattr("sys.argv", [started])
+    assert program("status") == named

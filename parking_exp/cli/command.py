@@ -5,12 +5,13 @@ Commands import torch and mlflow after our own keys are validated.
 """
 
 import argparse
+import io
 import os
 import re
 import signal
 import sys
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, redirect_stdout
 from pathlib import Path
 from typing import NoReturn, TypeVar
 
@@ -20,7 +21,7 @@ from omegaconf import DictConfig, OmegaConf
 from parking_exp.config.compose import VERSION_BASE, compose_configs, user_options
 from parking_exp.config.overrides import config_dir, to_hydra_syntax
 from parking_exp.errors import DISK_ERRORS, ConfigError, InterruptedRunError, OutputDirectoryError, ParkingError
-from parking_exp.terminal import say
+from parking_exp.terminal import is_script, program, say
 
 Request = TypeVar("Request")
 Command = Callable[[list[str], str | None], None]
@@ -39,8 +40,7 @@ def run_command(config_name: str, command: Command, read: Callable[[list[str]], 
         options, words = _parse(sys.argv[1:])
         overrides = [to_hydra_syntax(override) for override in read(words)]
         if options.help:
-            sys.argv[1:] = ["--help", *user_options(options.config_dir)]
-            hydra.main(str(config_dir()), config_name, VERSION_BASE)(lambda config: None)()
+            _print_help(config_name, user_options(options.config_dir))
         elif options.cfg:
             configs = compose_configs(config_name, overrides, options.config_dir)
             sys.stdout.write("---\n".join(map(OmegaConf.to_yaml, configs)))
@@ -96,6 +96,21 @@ def fail(error: ParkingError) -> NoReturn:
     lines = text.split("\n") if isinstance(error, ConfigError) else [text]
     say(*(f"{prefix}{line}" for line in lines), stderr=True)
     sys.exit(128 + error.signal_number if isinstance(error, InterruptedRunError) else 2)
+
+
+def _print_help(config_name: str, overrides: list[str]) -> None:
+    """Print Hydra's help, with the names that commands and `conf/` have where the package was installed."""
+    sys.argv[1:] = ["--help", *overrides]
+    output = io.StringIO()
+    try:
+        with redirect_stdout(output):
+            hydra.main(str(config_dir()), config_name, VERSION_BASE)(lambda config: None)()  # it exits
+    finally:
+        text = output.getvalue()
+        if not is_script():
+            text = re.sub(r"python scripts/(\w+)\.py", lambda match: program(match[1]), text)
+            text = re.sub(r"\bconf/", f"{config_dir()}/", text)
+        sys.stdout.write(text)
 
 
 def _parse(arguments: list[str]) -> tuple[argparse.Namespace, list[str]]:

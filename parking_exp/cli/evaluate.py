@@ -4,6 +4,7 @@ from parking_exp.cli.command import run_command
 from parking_exp.config.compose import compose_configs
 from parking_exp.errors import ConfigError
 from parking_exp.evaluation.evaluate_run import TRAINING_KEYS, evaluate_runs
+from parking_exp.terminal import program
 
 
 def main() -> None:
@@ -27,7 +28,7 @@ def read_overrides(words: list[str]) -> list[str]:
         key, _, value = word.lstrip("+~").partition("=")
         section = key.replace("/", ".").partition(".")[0]
         if section in TRAINING_KEYS:
-            raise ConfigError(f"{word} is a training key; evaluate.py takes the keys of conf/evaluate.yaml and env.KEY")
+            raise ConfigError(f"{word} is a training key; {program('evaluate')} --help lists the keys of this command")
         if f"{key}.".startswith("env.observation."):
             raise ConfigError(f"{word}: the observation is always that of the agent's training")
         if key == "env.simulator":

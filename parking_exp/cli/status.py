@@ -4,7 +4,7 @@ import json
 import time
 from dataclasses import asdict
 from functools import partial
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from pydantic import Field
 from rich.console import Console
@@ -17,10 +17,10 @@ from parking_exp.config_model import Name
 from parking_exp.errors import ParkingError, RunNotFoundError, StoreError, plural, suggestion
 from parking_exp.runs.directory import RunDirectory
 from parking_exp.runs.lookup import find_runs
-from parking_exp.runs.run_state import RunState, as_plain, read_state
+from parking_exp.runs.run_state import RunState, as_plain, as_planned, read_state
 from parking_exp.runs.state_tables import cell_table, state_lines
 from parking_exp.terminal import console, say
-from parking_exp.tracking.mirror import mirror_missing
+from parking_exp.tracking.mirror import delete_stored, mirror_missing
 from parking_exp.tracking.store import Store
 from parking_exp.tuning.search import SEARCH_FILE, StoredSearch, study_in
 from parking_exp.tuning.trials import OBJECTIVE, count_states, progress_lines, progress_table
@@ -40,12 +40,15 @@ class StatusRequest(OutputConfig):
     as_json: Annotated[bool, Field(alias="json")]
     watch: bool
     sync: bool
+    prune: Literal["pending"] | None
     tracking: StoreConfig
 
 
 def show(request: StatusRequest) -> None:
     """Print the progress of runs, repeatedly with `watch`."""
     out = console()
+    if request.prune:
+        _prune(request)
     if request.sync:
         _sync(request)
     while True:
@@ -64,18 +67,40 @@ def show(request: StatusRequest) -> None:
 
 def _read_states(request: StatusRequest) -> list[RunState]:
     experiment, folder = request.experiment_name, request.output_path
-    if states := [read_state(path) for path in find_runs(folder, experiment)]:
+    if states := as_planned(read_state(path) for path in find_runs(folder, experiment)):
         return states
+    if request.prune:  # none is left
+        return []
     if experiment is None:
         raise RunNotFoundError(f"there are no runs in {folder}; train one first, or set output_dir")
     hint = suggestion(experiment, {path.parents[1].name for path in find_runs(folder)})
     raise RunNotFoundError(f"experiment={experiment}: it has no runs in {folder}{hint}")
 
 
+def _prune(request: StatusRequest) -> None:
+    """Delete the directories of runs that never began, and mark them as deleted in the stores."""
+    stores = [Store(uri, request.output_path) for uri in _stores(request)]
+    for path in find_runs(request.output_path, request.experiment_name):
+        directory = RunDirectory(path)
+        if directory.is_locked or not directory.never_began:
+            continue
+        for store in stores:
+            uri = directory.tracking_uri
+            if directory.run_id and uri and is_same_store(uri, store.uri):
+                delete_stored(directory, store)
+        directory.delete_plan()
+        say(f"dropped  {path}", stderr=True)
+
+
+def _stores(request: StatusRequest) -> set[str]:
+    """Return the stores of a request; those that a run directory names may come from elsewhere."""
+    return {default_uri(request.output_path), *filter(None, [request.tracking.uri])}
+
+
 def _sync(request: StatusRequest) -> None:
     """Send to the stores whatever they lack."""
     directories = [RunDirectory(path) for path in find_runs(request.output_path, request.experiment_name)]
-    uris = {default_uri(request.output_path), *filter(None, [request.tracking.uri])}
+    uris = _stores(request)
     for uri in {directory.tracking_uri for directory in directories}:
         if uri and not any(is_same_store(uri, absolute(named)) for named in uris):
             say(f"left out: runs that are tracked in {uri}; pass tracking.uri={uri} to send them", stderr=True)

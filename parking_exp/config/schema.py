@@ -62,6 +62,10 @@ class BufferConfig(ThirdParty):
     buffer_size: Annotated[int, Field(ge=1, le=100_000_000)]  # 11 GB
 
 
+FINAL_EVALUATION = {"final_n_scenes", "n_certified_scenes", "video_episodes"}
+"""Keys of `evaluation` that concern the finished model alone: a finished run is evaluated again, not trained again."""
+
+
 class EvaluationConfig(ConfigModel):
     """Evaluation on episodes with fixed seeds, during training and at its end."""
 
@@ -71,6 +75,11 @@ class EvaluationConfig(ConfigModel):
     n_certified_scenes: NumberOfEpisodes
     first_scene: EpisodeSeed
     video_episodes: NonNegativeInt
+
+    @property
+    def final_settings(self) -> dict[str, int]:
+        """The settings of the final evaluation, with which a finished run can be evaluated again."""
+        return self.model_dump(include=FINAL_EVALUATION)
 
 
 class CheckpointConfig(ConfigModel):
@@ -148,17 +157,22 @@ class RunConfig(OutputConfig):
 
     @property
     def cell_key(self) -> str:
-        """Short hash of everything that can change a result, except the seed."""
-        return short_hash({key: value for key, value in self._result_part().items() if key != "seed"})
+        """Short hash of everything that can change the training or its learning curve, except the seed."""
+        return short_hash({key: value for key, value in self._trained_part().items() if key != "seed"})
 
     @property
     def run_key(self) -> str:
-        """Short hash of everything that can change a result, the seed included."""
-        return short_hash(self._result_part())
+        """Short hash of everything that can change the training or its learning curve, the seed included."""
+        return short_hash(self._trained_part())
 
-    def _result_part(self) -> dict[str, Any]:
-        """Return the non-default keys that can change a result, so that a new key with a default keeps hashes."""
-        return result_part(self.model_dump(by_alias=True, exclude_defaults=True))
+    def _trained_part(self) -> dict[str, Any]:
+        """Return the keys that can change the training or its learning curve.
+
+        Keys with their default are left out, so that a new one keeps hashes.
+        """
+        part = result_part(self.model_dump(by_alias=True, exclude_defaults=True))
+        part["evaluation"] = self.evaluation.model_dump(exclude=FINAL_EVALUATION)
+        return part
 
     @property
     def cell(self) -> str:

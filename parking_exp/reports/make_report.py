@@ -23,7 +23,7 @@ from parking_exp.results.frame_export import REPORT, read_export, refuse_foreign
 from parking_exp.results.frames import Results, load, read_store
 from parking_exp.runs.directory import RunDirectory
 from parking_exp.runs.lookup import find_runs
-from parking_exp.terminal import console, say
+from parking_exp.terminal import console, program, say
 from parking_exp.tracking.mirror import mirror_problem
 from parking_exp.tracking.store import Store
 
@@ -94,7 +94,7 @@ def _build_content(request: ReportRequest, source: ReportSource) -> ReportData:
         cells=request.cells_asked,
         baseline=request.baseline,
         quick=request.report.quick,
-        command=shlex.join(["python", "scripts/report.py", *sys.argv[1:]]),
+        command=shlex.join([*program("report").split(), *sys.argv[1:]]),
     )
     if request.source is None:
         return add_search(data, request.output_path)

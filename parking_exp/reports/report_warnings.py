@@ -70,7 +70,7 @@ def _find_mixed(runs: Sequence[CellRuns], origin: Provenance) -> Iterator[str]:
     if len(origin.machines) > 1:
         yield f"Machines are mixed, so that CPU-seconds do not compare: {list_names(list(origin.machines))}."
     for key, words in MIXED.items():
-        values = list(dict.fromkeys(cell.config.get(key) for cell in runs))
+        values = list(dict.fromkeys(value for cell in runs for value in _values_of_runs(cell, key)))
         if len(values) > 1:
             yield words.format(_list_values(values))
     keys = [key for key in differing_keys([cell.config for cell in runs]) if key.startswith("env.")]
@@ -78,6 +78,13 @@ def _find_mixed(runs: Sequence[CellRuns], origin: Provenance) -> Iterator[str]:
         yield f"Tasks are mixed: cells differ in {list_names(mixed)}; their rates are not of the same episodes."
     if len({tuple(cell.done["seed"]) for cell in runs if len(cell.done)}) > 1:
         yield "Cells do not have the same seeds."
+
+
+def _values_of_runs(cell: CellRuns, key: str) -> list[Setting]:
+    """Return the values of a config key; the runs of a cell may differ in the settings of their final evaluation."""
+    if key == "evaluation.final_n_scenes":
+        return [int(number) for number in cell.runs["n_scenes"].dropna()]
+    return [cell.config.get(key)]
 
 
 def _list_values(values: Sequence[Setting]) -> str:

@@ -24,8 +24,9 @@ from pydantic import TypeAdapter, ValidationError
 from parking_exp.config.paths import absolute, directory_path, refuse_links, relative
 from parking_exp.config.schema import RunConfig
 from parking_exp.errors import OutputDirectoryError, RunLockedError
-from parking_exp.runs.atomic_files import read_object, write_json
+from parking_exp.runs.atomic_files import read_object, sha256, write_json
 from parking_exp.runs.run_files import (
+    CONFIG_FILE,
     HEARTBEAT_FILE,
     OUTPUT_DIR,
     RESULT_FILE,
@@ -36,7 +37,8 @@ from parking_exp.runs.run_files import (
     read_entries,
     write_config,
 )
-from parking_exp.runs.run_provenance import command_line
+from parking_exp.runs.run_provenance import PROVENANCE_FILE, command_line
+from parking_exp.terminal import program
 
 MODEL, BUFFER, MANIFEST = "model.zip", "replay_buffer.npz", "manifest.json"  # of a checkpoint
 SUPERVISOR_LOCK, TRAINING_LOCK = ".claim", ".lock"
@@ -45,6 +47,9 @@ WORKER_PATIENCE_S = 20.0  # the worker of a supervisor that was killed ends soon
 # Space that a run keeps while it trains, so that its end can be written on a disk that is full by then.
 RESERVE, RESERVE_BYTES = ".reserve", 64 * 1024
 ENDS = ("done", "failed", "interrupted")
+STATUS_LOCK = ".status.lock"
+# All that the directory of a run that never began can hold.
+PLAN_FILES = {CONFIG_FILE, STATUS_FILE, STATUS_LOCK, ".sync.lock", SUPERVISOR_LOCK, TRAINING_LOCK, RESERVE}
 
 
 @dataclass(frozen=True)
@@ -101,7 +106,7 @@ class RunDirectory:
         if values.get("status") in ENDS:
             (self.path / RESERVE).unlink(missing_ok=True)
         # A training, its supervisor, a mirror and an evaluation may change different entries at once.
-        with FileLock(self.path / ".status.lock"):
+        with FileLock(self.path / STATUS_LOCK):
             changed = {**self.read_status(), **values}
             kept = {key: value for key, value in changed.items() if value is not None}
             write_json(self.path / STATUS_FILE, kept, durable=durable)
@@ -122,6 +127,51 @@ class RunDirectory:
         write_json(self.path / RESULT_FILE, asdict(result))
         self.update(status="done", steps=result.steps, **values)
 
+    def needs_evaluation(self, config: RunConfig) -> bool:
+        """Return whether a finished run was evaluated with other settings than those of a config."""
+        entries = self.read_status()
+        settings = entries.get("evaluation")
+        return entries.get("status") == "done" and settings not in (None, config.evaluation.final_settings)
+
+    def evaluation_problem(self) -> str | None:
+        """Return in a sentence why a finished run can't be evaluated again, as its checkpoint is gone; or None."""
+        checkpoint = self.checkpoints / checkpoint_name(self.read_status().get("steps", 0))
+        problem = checkpoint_problem(checkpoint)
+        if problem is None:
+            return None
+        return (
+            f"it can't be evaluated again with other settings, since {problem} in {checkpoint}; "
+            f"`{program('evaluate')} run={self.path}` evaluates its final model"
+        )
+
+    def reopen(self) -> None:
+        """Make a finished run unfinished, so that it goes on at its last checkpoint: with the final evaluation."""
+        # Without its start, the store makes a new run of it. This comes first: if the process is killed in between,
+        # the run is still finished, and reopened again.
+        (self.path / PROVENANCE_FILE).unlink(missing_ok=True)
+        (self.path / "video.mp4").unlink(missing_ok=True)
+        self.update(status="pending")
+
+    @property
+    def never_began(self) -> bool:
+        """Whether the run was planned, and no process has begun it."""
+        status = self.read_status()
+        is_planned = status.get("status") == "pending" and "started" not in status
+        return is_planned and {file.name for file in self.path.iterdir()} <= PLAN_FILES
+
+    def delete_plan(self) -> None:
+        """Delete the directory of a run that never began, and its parents if they are empty then.
+
+        Raises what `supervisor_lock` does.
+        """
+        with self.supervisor_lock():
+            if self.never_began:  # another process may have begun it
+                for file in self.path.iterdir():
+                    file.unlink()
+        with suppress(OSError):  # it has other files, or its cell other runs
+            for folder in (self.path, *self.path.parents[:2]):
+                folder.rmdir()
+
     def create(self, config: RunConfig) -> None:
         """Make the directory, write the resolved config into it, and reserve space for the run's end."""
         with self._writable():
@@ -136,7 +186,7 @@ class RunDirectory:
     def write_plan(
         self, config: RunConfig, label: str, started: float | None, entries: Mapping[str, Any] | None = None
     ) -> None:
-        """Write the config, the label and other entries of status.json of a pending run.
+        """Write the config, the label and other entries of status.json of a pending run, or reopen a finished one.
 
         Nothing is written if the run is locked, or if another process has begun it since `started`. There is no fsync:
         after a power cut, rerunning the sweep writes the files again.
@@ -145,8 +195,12 @@ class RunDirectory:
             return
         with suppress(RunLockedError), self._held(SUPERVISOR_LOCK, LOCK_PATIENCE_S):
             status = self.read_status()
-            if status.get("status") == "done" or status.get("started") != started:
+            is_reopened = self.needs_evaluation(config)
+            is_over = status.get("status") == "done" and not is_reopened
+            if is_over or status.get("started") != started:
                 return
+            if is_reopened:
+                self.reopen()
             with self._writable():
                 write_config(self.path, config, durable=False)
             plan = {"label": label, "total_timesteps": config.total_timesteps, "command": command_line()}
@@ -203,6 +257,19 @@ class RunDirectory:
     def read_status(self) -> dict[str, Any]:
         """Return the valid entries of status.json."""
         return read_entries(self.path / STATUS_FILE, StatusEntries)[0]
+
+
+def checkpoint_name(step: int) -> str:
+    """Return the name of a checkpoint's folder; names sort by step."""
+    return f"step={step:010d}"
+
+
+def checkpoint_problem(folder: Path) -> str | None:
+    """Return what is wrong with a checkpoint; None if all files have their hashes."""
+    for name, digest in (read_object(folder / MANIFEST) or {MANIFEST: None}).items():
+        if not (folder / name).is_file() or sha256(folder / name) != digest:
+            return f"{name} is missing or damaged"
+    return None
 
 
 def is_held(path: Path) -> bool:

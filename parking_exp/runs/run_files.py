@@ -50,6 +50,8 @@ class StatusEntries(_Entries):
     command: str | None = None
     search: str | None = None
     trial: BoundedCount | None = None
+    cell_number: BoundedCount | None = None
+    evaluation: dict[str, BoundedCount] | None = None
 
 
 class HeartbeatEntries(_Entries):

@@ -10,6 +10,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 from parking_exp import __version__
+from parking_exp.terminal import is_script, program
 
 PROVENANCE_FILE = "provenance.json"
 PACKAGES = [
@@ -31,14 +32,10 @@ def collect_provenance() -> dict[str, str]:
 
 def command_line() -> str | None:
     """Return the command line of this process, None unless it is a command of this package."""
-    name = Path(sys.argv[0]).name
-    if name.startswith("parking-"):
-        words = [name]
-    elif name in {"train.py", "tune.py"}:
-        words = ["python", f"scripts/{name}"]
-    else:  # called from Python
+    name = Path(sys.argv[0]).stem.removeprefix("parking-")
+    if not is_script() and not Path(sys.argv[0]).name.startswith("parking-"):  # called from Python
         return None
-    return shlex.join([*words, *sys.argv[1:]])
+    return shlex.join([*program(name).split(), *sys.argv[1:]])
 
 
 def _git() -> dict[str, str]:

@@ -1,5 +1,6 @@
 """The state of runs (done, running, failed, pending), read from the small files of their directories."""
 
+import math
 import time
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
@@ -16,6 +17,8 @@ from parking_exp.runs.run_files import (
 
 Stage = Literal["done", "running", "failed", "pending"]
 STAGES: tuple[Stage, ...] = ("done", "running", "failed", "pending")
+# Fields that `status.py` doesn't show.
+OWN = ("status", "steps", "error", "run_id", "tracking_uri", "command", "search", "cell_number", "evaluation")
 
 
 class RunState(StatusEntries):
@@ -37,7 +40,7 @@ class RunState(StatusEntries):
 
     def plain(self) -> dict[str, Any]:
         """Return the entries of public interest as JSON can hold them."""
-        return self.model_dump(exclude={"status", "steps", "error", "run_id", "tracking_uri", "command", "search"})
+        return self.model_dump(exclude={*OWN})
 
 
 def read_state(path: Path) -> RunState:
@@ -64,6 +67,27 @@ def read_state(path: Path) -> RunState:
         if status == "failed":
             fields |= {"stage": "failed", "reason": entries.get("error")}
     return RunState.model_construct(**fields)  # `read_entries` has checked what may be damaged
+
+
+def as_planned(states: Iterable[RunState]) -> list[RunState]:
+    """Return runs by experiment, in the order of the plan that made them, and each cell with a label of its own."""
+    in_order = sorted(states, key=_place)
+    cells: dict[tuple[str, str], set[str]] = {}
+    for state in in_order:
+        cells.setdefault((state.experiment, state.label), set()).add(state.cell)
+    return [_with_key(state) if len(cells[state.experiment, state.label]) > 1 else state for state in in_order]
+
+
+def _with_key(state: RunState) -> RunState:
+    """Return a run whose label ends with the key of its cell: cells of several plans may have the same label."""
+    key = state.cell.rpartition("-")[2]
+    return state.model_copy(update={"label": f"{state.label} ({key})"})
+
+
+def _place(state: RunState) -> tuple[str, float, str, int]:
+    """Return the key by which runs are sorted: trials of a search by number, others by their cell's in the plan."""
+    number = state.cell_number if state.trial is None else state.trial
+    return state.experiment, math.inf if number is None else number, state.cell, state.seed
 
 
 def count_stages(states: Iterable[RunState]) -> dict[Stage, int]:

@@ -4,8 +4,9 @@ Its whole state is in the run directories: the same command resumes it, and seve
 """
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -15,13 +16,13 @@ from parking_exp.config.cell_labels import label_by_experiment, settings_of
 from parking_exp.config.compose import ComposedRun
 from parking_exp.config.schema import RunConfig
 from parking_exp.config.validate import validate_all
-from parking_exp.errors import FailedRunError, plural
+from parking_exp.errors import ConfigError, FailedRunError, plural
 from parking_exp.runs.directory import RunDirectory
 from parking_exp.runs.run_state import RunState, Stage, count_stages, read_state
-from parking_exp.runs.state_tables import cell_table, state_lines
+from parking_exp.runs.state_tables import cell_table, run_name, state_lines
 from parking_exp.sweeps.hydra_launcher import Launcher
 from parking_exp.sweeps.monitor import Monitor
-from parking_exp.terminal import console
+from parking_exp.terminal import console, program
 from parking_exp.tracking.mirror import mirror_problem
 from parking_exp.tracking.store import Store
 
@@ -35,6 +36,7 @@ class PlannedRun:
     Attributes:
         retried: whether it is run again if it has failed.
         entries: additional entries of its status.json.
+        cell_number: position of its cell in the plan.
     """
 
     config: RunConfig
@@ -43,13 +45,26 @@ class PlannedRun:
     state: RunState
     retried: bool = False
     entries: Mapping[str, Any] = field(default_factory=dict)
+    cell_number: int = 0
 
     @property
     def is_due(self) -> bool:
         """Whether this sweep runs it, unless another process does."""
         if self.state.stage == "failed":
             return self.state.killed or self.retried
-        return self.state.stage != "done"
+        if self.state.stage == "done":
+            return self.needs_evaluation and self.evaluation_problem is None
+        return True
+
+    @cached_property
+    def needs_evaluation(self) -> bool:
+        """Whether it is finished, but was evaluated with other settings than those of this sweep."""
+        return self.state.stage == "done" and RunDirectory(self.path).needs_evaluation(self.config)
+
+    @cached_property
+    def evaluation_problem(self) -> str | None:
+        """Why a finished run can't be evaluated again, or None."""
+        return RunDirectory(self.path).evaluation_problem()
 
 
 def plan(composed: Sequence[ComposedRun], retry: str | None = None) -> list[PlannedRun]:
@@ -58,7 +73,9 @@ def plan(composed: Sequence[ComposedRun], retry: str | None = None) -> list[Plan
     cells = {
         key: (config, config.run_dir.parent) for key, config in zip(unique, validate_all(unique.values()), strict=True)
     }
+    _refuse_two_evaluations(cells.values())
     names = {folder: (folder.parent.name, folder.name) for _, folder in cells.values()}
+    numbers = {folder: number for number, folder in enumerate(names)}
     labels = label_by_experiment({names[folder]: settings_of(config.plain()) for config, folder in cells.values()})
     runs: dict[Path, PlannedRun] = {}
     for run in composed:
@@ -67,8 +84,24 @@ def plan(composed: Sequence[ComposedRun], retry: str | None = None) -> list[Plan
             config = config.model_copy(update={"seed": run.seed})
         path = folder / f"seed={config.seed}"
         if path not in runs:
-            runs[path] = PlannedRun(config, path, labels[names[folder]], read_state(path), retry is not None)
+            state = read_state(path)
+            label = labels[names[folder]]
+            runs[path] = PlannedRun(config, path, label, state, retry is not None, cell_number=numbers[folder])
     return list(runs.values())
+
+
+def _refuse_two_evaluations(cells: Iterable[tuple[RunConfig, Path]]) -> None:
+    """Refuse cells that differ in their final evaluation alone: they would be the same runs."""
+    settings: dict[Path, dict[str, int]] = {}
+    for config, folder in cells:
+        evaluation = config.evaluation.final_settings
+        first = settings.setdefault(folder, evaluation)
+        for name, value in evaluation.items():
+            if value != first[name]:
+                raise ConfigError(
+                    f"evaluation.{name}={first[name]},{value}: the same runs can't have both; give one value, and "
+                    f"evaluate them on others with {program('evaluate')}"
+                )
 
 
 def print_plan(runs: Sequence[PlannedRun], out: Console) -> None:
@@ -77,13 +110,20 @@ def print_plan(runs: Sequence[PlannedRun], out: Console) -> None:
     out.print(cell_table(states))
     for line in state_lines(states, "damaged"):
         out.print(line)
-    by_stage, due = count_stages(states), [run for run in runs if run.is_due and run.state.stage != "running"]
+    for run, state in zip(runs, states, strict=True):
+        if run.needs_evaluation and run.evaluation_problem is not None:
+            out.print(f"kept     {run_name(state)}: {run.evaluation_problem}")
+    n_reevaluated = sum(run.is_due for run in runs if run.state.stage == "done")
+    stages = ("pending", "failed")
+    by_stage, due = count_stages(states), [run for run in runs if run.is_due and run.state.stage in stages]
     n_cells, n_seeds = len({run.path.parent for run in runs}), len({run.config.seed for run in runs})
     product = plural(n_cells, "cell")
     if n_cells * n_seeds == len(runs):
         product += f" x {plural(n_seeds, 'seed')}"
     failed = by_stage["failed"] - sum(run.state.stage == "failed" for run in due)
-    parts = [f"{by_stage['done']} done", f"{by_stage['running']} running elsewhere" if by_stage["running"] else ""]
+    parts = [f"{by_stage['done'] - n_reevaluated} done"]
+    parts += [f"{n_reevaluated} to evaluate again" if n_reevaluated else ""]
+    parts += [f"{by_stage['running']} running elsewhere" if by_stage["running"] else ""]
     parts += [f"{failed} failed before (retry=failed runs them again)" if failed else "", f"{len(due)} to run"]
     out.print(f"{product} = {plural(len(runs), 'run')}: {', '.join(filter(None, parts))}")
 
@@ -101,7 +141,9 @@ def sweep(runs: Sequence[PlannedRun], launcher: Launcher, *, dry_run: bool = Fal
         return
     due = [run for run in runs if run.is_due]
     for run in due:
-        RunDirectory(run.path).write_plan(run.config, run.label, run.state.started, entries=run.entries)
+        entries = {**run.entries, "cell_number": run.cell_number}
+        RunDirectory(run.path).write_plan(run.config, run.label, run.state.started, entries=entries)
+    _number_finished_runs([run for run in runs if run not in due])
     try:
         if due:
             with Monitor(lambda: paths, len(paths)) as monitor:
@@ -114,6 +156,13 @@ def sweep(runs: Sequence[PlannedRun], launcher: Launcher, *, dry_run: bool = Fal
         for line in state_lines(states, "stopped", "failed"):
             out.print(line)
     _check_all_done(states)
+
+
+def _number_finished_runs(runs: Sequence[PlannedRun]) -> None:
+    """Write the cell's place in this plan into the runs that an earlier plan has begun."""
+    for run in runs:
+        if run.state.cell_number != run.cell_number:
+            RunDirectory(run.path).update(durable=False, cell_number=run.cell_number)
 
 
 def _launch_all(due: list[Path], launcher: Launcher, monitor: Monitor) -> None:

@@ -17,12 +17,13 @@ from parking_exp.config.cell_labels import settings_of
 from parking_exp.config.paths import database, default_uri, is_same_store, relative_path
 from parking_exp.config.run_key import short_hash
 from parking_exp.config.schema import RunConfig
-from parking_exp.errors import one_line, plural
+from parking_exp.errors import StoreError, one_line, plural
 from parking_exp.runs.atomic_files import read_object
 from parking_exp.runs.directory import MODEL, RunDirectory, Status
 from parking_exp.runs.metric_logs import EPISODES_FILE, METRICS_FILE, MONITOR_FILE, read_metrics
 from parking_exp.runs.run_files import CONFIG_FILE
 from parking_exp.runs.run_provenance import PROVENANCE_FILE
+from parking_exp.terminal import program
 from parking_exp.tracking.client import reason
 from parking_exp.tracking.store import Store
 
@@ -119,6 +120,25 @@ def mirror_missing(directories: Iterable[RunDirectory], store: Store) -> Iterato
             yield directory, try_mirror(directory, store)
 
 
+def delete_stored(directory: RunDirectory, store: Store) -> None:
+    """Mark what a store has of a directory as deleted.
+
+    Raises:
+        StoreError: the store fails.
+    """
+    try:
+        experiment_id = store.experiments().get(directory.path.parents[1].name)
+        runs = store.search([experiment_id]) if experiment_id else []
+        for run in runs:
+            run_dir = store.run_dir(run)
+            is_same = run_dir is not None and run_dir.resolve() == directory.path.resolve()
+            if is_same and run.info.lifecycle_stage != "deleted":
+                with store.writing() as client:
+                    client.delete_run(run.info.run_id)
+    except Exception as error:
+        raise StoreError(f"{directory.path} is kept, since the store {store.uri} fails: {reason(error)}") from error
+
+
 def mirror_problem(directories: Iterable[RunDirectory], store: Store) -> str | None:
     """Mirror what a store lacks of some runs; return a sentence if it still lacks some, with the command to run."""
     problems = [(directory, problem) for directory, problem in mirror_missing(directories, store) if problem]
@@ -131,12 +151,12 @@ def mirror_problem(directories: Iterable[RunDirectory], store: Store) -> str | N
 
 def sync_hint(output_dir: Path, uri: str | None) -> str:
     """Return the command that sends what a store lacks; `uri` is the store, None for the embedded one."""
-    command = ["python", "scripts/status.py", "sync=true"]
+    words = [*program("status").split(), "sync=true"]
     if output_dir != Path("outputs").absolute():
-        command.append(f"output_dir={output_dir}")
+        words.append(f"output_dir={output_dir}")
     if uri is not None and uri != default_uri(output_dir):
-        command.append(f"tracking.uri={uri}")
-    return f"`{shlex.join(command)}` sends what is missing"
+        words.append(f"tracking.uri={uri}")
+    return f"`{shlex.join(words)}` sends what is missing"
 
 
 def _status(directory: RunDirectory) -> Status:

@@ -22,8 +22,8 @@ from parking_exp.algorithms.fast.fast_training import FastTraining
 from parking_exp.algorithms.model_files import load_weights
 from parking_exp.algorithms.policy_ema import PolicyEMA
 from parking_exp.buffers import HerBuffer
-from parking_exp.runs.atomic_files import fsync, read_object, sha256, write_json
-from parking_exp.runs.directory import BUFFER, MANIFEST, MODEL
+from parking_exp.runs.atomic_files import fsync, sha256, write_json
+from parking_exp.runs.directory import BUFFER, MANIFEST, MODEL, checkpoint_name, checkpoint_problem
 from parking_exp.runs.metric_logs import copy_logs
 from parking_exp.terminal import say
 from parking_exp.training import rollout_state
@@ -60,7 +60,7 @@ def save(
     Raises:
         OSError: the disk is full; earlier checkpoints are untouched.
     """
-    target = directory / f"step={progress.step:010d}"
+    target = directory / checkpoint_name(progress.step)
     with _new_directory(target) as folder:
         model.save(folder / MODEL)
         with (folder / BUFFER).open("wb") as file:
@@ -88,17 +88,9 @@ def save(
 def latest(directory: Path) -> Path | None:
     """Return the newest intact checkpoint, or None."""
     for folder in reversed(_folders(directory)):
-        if (problem := _problem(folder)) is None:
+        if (problem := checkpoint_problem(folder)) is None:
             return folder
         say(f"warning: checkpoint {folder} is skipped ({problem}); trying the one before it", stderr=True)
-    return None
-
-
-def _problem(folder: Path) -> str | None:
-    """Return what is wrong with a checkpoint; None if all files have their hashes."""
-    for name, digest in (read_object(folder / MANIFEST) or {MANIFEST: None}).items():
-        if not (folder / name).is_file() or sha256(folder / name) != digest:
-            return f"{name} is missing or damaged"
     return None
 
 

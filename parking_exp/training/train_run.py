@@ -2,6 +2,7 @@
 
 import os
 import resource
+import shlex
 import signal
 import socket
 import sys
@@ -10,12 +11,14 @@ import traceback
 from collections.abc import Mapping
 from contextlib import closing, nullcontext
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import torch
 from omegaconf import DictConfig
 
 from parking_exp.algorithms.build_model import torch_settings
+from parking_exp.config.paths import default_uri
 from parking_exp.config.schema import RunConfig
 from parking_exp.config.validate import validate
 from parking_exp.errors import ConfigError, FailedRunError, InterruptedRunError
@@ -25,7 +28,7 @@ from parking_exp.runs.directory import RunDirectory, RunResult
 from parking_exp.runs.metric_logs import restore_logs
 from parking_exp.runs.run_provenance import command_line
 from parking_exp.tasks.registry import make_task
-from parking_exp.terminal import say
+from parking_exp.terminal import is_script, say
 from parking_exp.tracking.mirror import sync_hint
 from parking_exp.tracking.tracker import Tracker
 from parking_exp.training import checkpoints
@@ -49,13 +52,15 @@ def train(config: DictConfig | Mapping[str, Any] | RunConfig, *, supervised: boo
     config = validate(config)
     directory = RunDirectory(config.run_dir)
     lacks_device = config.device.startswith("cuda") and int(config.device[5:] or 0) >= torch.cuda.device_count()
-    if lacks_device and directory.result() is None:
+    if lacks_device and (directory.result() is None or directory.needs_evaluation(config)):
         raise ConfigError(f"device={config.device}: torch finds no such device; use auto")
     with nullcontext() if supervised else directory.supervisor_lock(), directory.training_lock():
         if (result := directory.result()) is not None:
-            say("already done; to train it again, change the seed or delete its directory")
-            say(*_closing_lines(result, directory))
-            return result
+            if (reason := _reason_to_keep(directory, config)) is not None:
+                say(reason, *_closing_lines(result, directory))
+                return result
+            say("already trained; its final model is evaluated again, with other settings")
+            directory.reopen()
         directory.create(config)
         # Slurm signals every process of a job, and the supervisor passes its own signal on: the checkpoint comes first.
         at_second = None if supervised else signal.default_int_handler
@@ -63,11 +68,20 @@ def train(config: DictConfig | Mapping[str, Any] | RunConfig, *, supervised: boo
             return _train(config, directory, stop)
 
 
+def _reason_to_keep(directory: RunDirectory, config: RunConfig) -> str | None:
+    """Return why the result of a finished run is kept; None if the run is to be evaluated again."""
+    if not directory.needs_evaluation(config):
+        return "already done; to train it again, change the seed or delete its directory"
+    if problem := directory.evaluation_problem():
+        return f"already done; {problem}"
+    return None
+
+
 def _train(config: RunConfig, directory: RunDirectory, stop: StopRequest) -> RunResult:
     (directory.path / "traceback.txt").unlink(missing_ok=True)
     process: dict[str, Any] = {"pid": os.getpid(), "host": socket.gethostname(), "started": time.time()}
-    if command := command_line():  # a supervised run has the sweep's
-        process["command"] = command
+    if words := command_line():  # a supervised run has the sweep's
+        process["command"] = words
     directory.update(status="running", error=None, killed=None, total_timesteps=config.total_timesteps, **process)
     tracker = Tracker(config, directory, partial(say, stderr=True))
     try:
@@ -90,6 +104,7 @@ def _train(config: RunConfig, directory: RunDirectory, stop: StopRequest) -> Run
             wall_s=metrics.get("time/wall_s"),
             cpu_s=metrics.get("time/cpu_s"),
             memory_bytes=memory_bytes,
+            evaluation=config.evaluation.final_settings,
         )
     except (InterruptedRunError, KeyboardInterrupt):
         directory.update(status="interrupted")
@@ -122,8 +137,17 @@ def _closing_lines(result: RunResult, directory: RunDirectory) -> list[str]:
     lines = [f"final success rate {rate:.1%}, after {result.steps} env steps"] if rate is not None else []
     lines.append(f"run directory  {result.run_dir}")
     if result.run_id:
-        lines.append(f"MLflow run     {result.run_id}   (make ui)")
+        lines.append(f"MLflow run     {result.run_id}   ({_ui(directory.tracking_uri or '')})")
     if directory.unsynced:
         hint = sync_hint(directory.output_dir, directory.tracking_uri)
         lines.append(f"not all of it is in the store ({directory.unsynced}); {hint}")
     return lines
+
+
+def _ui(uri: str) -> str:
+    """Return the command that shows a store in MLflow's UI; a tracking server is its own."""
+    if not uri.startswith("sqlite"):
+        return uri
+    if not is_script():
+        return f"mlflow ui --workers 1 --backend-store-uri {shlex.quote(uri)}"
+    return "make ui" if uri == default_uri(Path("outputs").absolute()) else f"make ui STORE={shlex.quote(uri)}"

@@ -24,7 +24,7 @@ from parking_exp.sweeps.hydra_launcher import Launcher
 from parking_exp.sweeps.local import LocalLauncher, run_workers
 from parking_exp.sweeps.monitor import Monitor
 from parking_exp.sweeps.sweep import PlannedRun, sweep, sync_store
-from parking_exp.terminal import console
+from parking_exp.terminal import console, program
 from parking_exp.tuning.search import Search, study_in
 from parking_exp.tuning.trial_worker import success_auc, work
 from parking_exp.tuning.trials import (
@@ -159,4 +159,4 @@ def write_winner(search: Search, retested: Sequence[RetestedTrial], out: Console
     out.print(f"the winner is {winner.label}: {OBJECTIVE} {mean(winner.test):.1%} on {seeds}")
     out.print(f"experiment     {path}")
     config_dir = ["--config-dir", search.extra_config_dir] if search.extra_config_dir else []
-    out.print(f"train it with  {shlex.join(['python', 'scripts/train.py', f'experiment={path}', *config_dir])}")
+    out.print(f"train it with  {shlex.join([*program('train').split(), f'experiment={path}', *config_dir])}")

@@ -135,8 +135,10 @@ def _definition(search: SearchConfig, base: RunConfig) -> dict[str, Any]:
     """Return what must not change for trials to be comparable: seeds, space and base config."""
     plain = json.loads(search.model_dump_json(by_alias=True, exclude_none=True))
     definition = {f"search.space.{key}": value for key, value in plain["space"].items()}
-    run_key = base.model_copy(update={"seed": 0}).run_key
-    return definition | {"search.tuning_seeds": search.tuning_seeds, "base config": run_key}
+    definition["search.tuning_seeds"] = search.tuning_seeds
+    definition["evaluation.final_n_scenes"] = base.evaluation.final_n_scenes
+    definition["base config"] = base.model_copy(update={"seed": 0}).run_key
+    return definition
 
 
 def trial_lock_path(folder: Path, number: int) -> Path:

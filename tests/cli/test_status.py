@@ -6,12 +6,14 @@ import time
 
 import optuna
 import pytest
-from support.runs import call_script
+from support.runs import call_script, store
 from support.searches import SETTINGS
 
+from parking_exp.config.compose import compose_runs
 from parking_exp.runs.atomic_files import read_json, write_json
 from parking_exp.runs.directory import RunDirectory
 from parking_exp.runs.run_state import read_state
+from parking_exp.sweeps.sweep import plan
 from parking_exp.tuning.study import storage_of
 
 
@@ -162,3 +164,76 @@ def test_a_damaged_search_is_shown_beside_the_runs(tmp_path, stored, attributes,
     plain = json.loads(call_script("status", f"output_dir={tmp_path}", "--json").stdout)
     assert plain["done"] == 1
     assert problem in plain["searches"][0]["error"]
+
+
+def test_cells_are_listed_in_the_order_of_the_plan_and_their_seeds_by_number(tmp_path):
+    for number, cell in enumerate(["cell-d", "cell-a", "cell-c"]):
+        for seed in (10, 2):
+            run_dir(tmp_path, cell, seed, status="done", cell_number=number)
+    run_dir(tmp_path, "cell-b", 0, status="done")  # not of a plan
+    lines = call_script("status", f"output_dir={tmp_path}").stdout.splitlines()
+    assert [line.split()[0] for line in lines] == ["cell", "d", "a", "c", "b", "all"]
+    plain = json.loads(call_script("status", f"output_dir={tmp_path}", "json=true").stdout)
+    assert [cell["cell"] for cell in plain["cells"]] == ["cell-d", "cell-a", "cell-c", "cell-b"]
+    assert [run["seed"] for run in plain["cells"][0]["runs"]] == [2, 10]
+
+
+def test_trials_of_a_search_are_listed_by_their_numbers(tmp_path):
+    for number in (10, 9, 0):
+        run_dir(tmp_path, f"cell-{number}", 0, status="done", trial=number, label=f"trial {number}")
+    lines = call_script("status", f"output_dir={tmp_path}").stdout.splitlines()
+    assert [line.split()[1] for line in lines[1:4]] == ["0", "9", "10"]
+
+
+def test_cells_of_two_plans_with_the_same_label_get_their_keys(tmp_path):
+    run_dir(tmp_path, "parking-td3-her_future-0a", 0, status="done", label="td3")
+    run_dir(tmp_path, "parking-td3-her_future-1b", 0, status="done", label="td3")
+    lines = call_script("status", f"output_dir={tmp_path}").stdout.splitlines()
+    assert [line.split()[:2] for line in lines[1:3]] == [["td3", "(0a)"], ["td3", "(1b)"]]
+
+
+def planned(output_dir, seed, **status):
+    path = run_dir(output_dir, "cell-a", seed, status="pending", **status)
+    (path / "config.yaml").touch()
+    return path
+
+
+def test_prune_drops_runs_that_never_began_and_nothing_else(tmp_path):
+    dropped = planned(tmp_path, 0)
+    began = planned(tmp_path, 1, started=1.0)
+    with_data = planned(tmp_path, 2)
+    (with_data / "metrics.jsonl").touch()
+    held = planned(tmp_path, 3)
+    interrupted = run_dir(tmp_path, "cell-a", 4, status="interrupted")
+    damaged = run_dir(tmp_path, "cell-a", 5)
+    (damaged / "status.json").write_text("{")
+    with RunDirectory(held).supervisor_lock():
+        done = call_script("status", f"output_dir={tmp_path}", "prune=pending")
+    assert (done.returncode, done.stderr) == (0, f"dropped  {dropped}\n")
+    assert set(tmp_path.glob("*/*/*")) == {began, with_data, held, interrupted, damaged}
+    assert "a" in done.stdout.split()
+
+
+def test_prune_of_all_runs_leaves_no_folder_behind(tmp_path):
+    for seed in (0, 1):
+        planned(tmp_path, seed)
+    done = call_script("status", f"output_dir={tmp_path}", "prune=pending")
+    assert (done.returncode, done.stderr.count("dropped")) == (0, 2)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_prune_marks_planned_runs_as_deleted_in_the_store(output_dir):
+    (run,) = plan(compose_runs("config", ["experiment=smoke", f"output_dir={output_dir}"]))
+    directory = RunDirectory(run.path)
+    directory.write_plan(run.config, run.label, None)
+    assert call_script("status", f"output_dir={output_dir}", "sync=true").returncode == 0
+    assert [stored.info.run_id for stored in store(output_dir).search_runs(["1"])] == [directory.run_id]
+    assert call_script("status", f"output_dir={output_dir}", "prune=pending").returncode == 0
+    assert store(output_dir).search_runs(["1"]) == []
+    assert not run.path.exists()
+
+
+def test_prune_takes_one_word(tmp_path):
+    done = call_script("status", f"output_dir={tmp_path}", "prune=failed")
+    assert (done.returncode, done.stderr.count("\n")) == (2, 1)
+    assert done.stderr.startswith("error: prune='failed'")

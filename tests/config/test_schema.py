@@ -76,12 +76,18 @@ def test_the_cell_is_the_config_without_its_seed():
         ("output_dir=elsewhere", False), ("tracking.mlflow=false", False), ("checkpoint.keep_last=9", False),
         ("timeout_s=9", False), ("contrasts=[[td3,sac]]", False), ("label=best", False),
         ("evaluation.video_episodes=0", False), ("evaluation.n_scenes=9", True),
+        ("evaluation.every_n_steps=9", True), ("evaluation.first_scene=9", True),
         ("algorithm.gamma=0.9", True), ("total_timesteps=30000", True), ("env.duration=50", True), ("n_envs=4", True),
     ],
 )  # fmt: skip
 def test_the_run_key_changes_with_what_can_change_results(override, changes):
     assert (make_config(override).run_key != make_config().run_key) is changes
     assert changes_results(override.partition("=")[0]) is changes
+
+
+@pytest.mark.parametrize("override", ["evaluation.final_n_scenes=600", "evaluation.n_certified_scenes=3"])
+def test_the_final_evaluation_is_not_part_of_the_run_key(override):
+    assert make_config(override).run_key == make_config().run_key
 
 
 def test_strategies_and_their_options_have_one_name_everywhere():

@@ -57,7 +57,7 @@ def call_script(name, *arguments, cwd=None):
     main = importlib.import_module(f"parking_exp.cli.{name}").main
     output, errors, code = io.StringIO(), io.StringIO(), 0
     with contextlib.ExitStack() as stack:
-        stack.enter_context(pytest.MonkeyPatch.context()).setattr(sys, "argv", [name, *arguments])
+        stack.enter_context(pytest.MonkeyPatch.context()).setattr(sys, "argv", [f"scripts/{name}.py", *arguments])
         stack.enter_context(contextlib.chdir(cwd or Path.cwd()))
         stack.enter_context(contextlib.redirect_stdout(output))
         stack.enter_context(contextlib.redirect_stderr(errors))

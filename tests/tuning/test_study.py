@@ -115,6 +115,14 @@ def test_the_study_of_another_search_or_config_is_refused_and_what_differs_is_na
         open_study(tmp_path / "test", settings(**changes), config, VALUES)
 
 
+def test_a_study_whose_trials_had_another_final_evaluation_is_refused(tmp_path):
+    opened(tmp_path)
+    config = base(tmp_path)
+    evaluation = config.evaluation.model_copy(update={"final_n_scenes": 6})
+    with pytest.raises(ConfigError, match=r"another evaluation\.final_n_scenes;"):
+        open_study(tmp_path / "test", settings(), config.model_copy(update={"evaluation": evaluation}), VALUES)
+
+
 def test_a_journal_that_is_damaged_is_reported_in_one_sentence(tmp_path):
     study = opened(tmp_path)
     (study.folder / STUDY_FILE).write_text("{}\n")

@@ -1,0 +1,163 @@
+"""A finished run with other settings of its final evaluation is evaluated again, and not trained again."""
+
+import shutil
+import time
+
+import pandas as pd
+import pytest
+from support.run_equality import differences
+from support.runs import call_script, make_config, only_run, store
+from support.sweep_processes import begin, stages, sweep, wait_until
+
+from parking_exp.runs.metric_logs import restore_logs
+from parking_exp.runs.run_provenance import PROVENANCE_FILE
+from parking_exp.training.train_run import train
+
+SMOKE = ("experiment=smoke", "total_timesteps=100", "tracking.tensorboard=false")
+OTHER = ("evaluation.final_n_scenes=7", "evaluation.n_certified_scenes=2", "evaluation.video_episodes=0")
+
+
+@pytest.fixture(scope="module")
+def trained(empty, tmp_path_factory):
+    """Output directories of a run with the first and with the other settings."""
+    folder = tmp_path_factory.mktemp("trained")
+    for name, settings in (("first", ()), ("other", OTHER)):
+        (folder / name).mkdir()
+        shutil.copy(empty / "mlflow.db", folder / name)
+        train(make_config(*SMOKE, *settings, f"output_dir={folder / name}"))
+    return folder
+
+
+@pytest.fixture
+def finished(trained, tmp_path):
+    """A copy of the run with the first settings: (its directory, its output directory)."""
+    output_dir = tmp_path / "outputs"
+    shutil.copytree(trained / "first", output_dir)
+    return only_run(output_dir), output_dir
+
+
+def config(output_dir, *overrides):
+    return make_config(*SMOKE, *overrides, f"output_dir={output_dir}")
+
+
+def final_runs(output_dir):
+    """Number of episodes and final return of the runs that the store shows."""
+    runs = store(output_dir).search_runs(["1"])
+    return [(run.data.params["evaluation.final_n_scenes"], run.data.metrics["final/return_mean"]) for run in runs]
+
+
+def test_it_ends_as_a_run_that_had_these_settings_from_the_start(finished, trained):
+    directory, output_dir = finished
+    assert (directory.path / "video.mp4").exists()
+    result = train(config(output_dir, *OTHER))
+    reference = only_run(trained / "other")
+    assert differences(directory.path, reference.path) == []
+    assert result.metrics["final/return_mean"] == reference.result().metrics["final/return_mean"]
+    assert not (directory.path / "video.mp4").exists()
+    assert directory.config().evaluation == reference.config().evaluation
+    assert final_runs(output_dir) == [("7", result.metrics["final/return_mean"])]
+    assert directory.run_id == result.run_id
+
+
+def test_the_same_settings_and_other_keys_without_effect_evaluate_nothing(finished, capsys):
+    directory, output_dir = finished
+    before = (directory.path / "episodes.csv").stat().st_mtime_ns
+    train(config(output_dir, "checkpoint.keep_last=5"))
+    assert capsys.readouterr().out.startswith("already done; ")
+    assert (directory.path / "episodes.csv").stat().st_mtime_ns == before
+
+
+def killed_before_it_is_reopened(directory):
+    (directory.path / PROVENANCE_FILE).unlink()
+
+
+def killed_when_it_was_reopened(directory):
+    directory.reopen()
+
+
+def killed_in_the_final_evaluation(directory):
+    directory.reopen()
+    (checkpoint,) = directory.checkpoints.glob("step=0000000100")
+    restore_logs(directory.path, checkpoint)
+    (directory.path / "episodes.csv").open("a").write("final,100,0,")
+    directory.update(status="running")
+
+
+@pytest.mark.parametrize(
+    "kill", [killed_before_it_is_reopened, killed_when_it_was_reopened, killed_in_the_final_evaluation]
+)
+def test_after_a_kill_the_same_command_ends_in_the_same_state(finished, trained, kill):
+    directory, output_dir = finished
+    kill(directory)
+    result = train(config(output_dir, *OTHER))
+    assert differences(directory.path, only_run(trained / "other").path) == []
+    assert final_runs(output_dir) == [("7", result.metrics["final/return_mean"])]
+
+
+def delete_checkpoint(directory):
+    shutil.rmtree(directory.checkpoints)
+
+
+def damage_checkpoint(directory):
+    (directory.checkpoints / "step=0000000100" / "model.zip").write_bytes(b"")
+
+
+@pytest.mark.parametrize(
+    ("damage", "problem"),
+    [
+        (delete_checkpoint, "manifest.json is missing or damaged in "),
+        (damage_checkpoint, "model.zip is missing or damaged in "),
+    ],
+)
+def test_without_its_last_checkpoint_its_results_are_kept(finished, damage, problem):
+    directory, output_dir = finished
+    damage(directory)
+    files = [directory.path / name for name in ("episodes.csv", "config.yaml")]
+    before = [file.read_bytes() for file in files]
+    for arguments in ((), ("retry=failed",)):  # a single run, and a sweep
+        done = call_script("train", *SMOKE, *OTHER, f"output_dir={output_dir}", *arguments)
+        assert done.returncode == 0, done.stderr
+        assert f"it can't be evaluated again with other settings, since {problem}{directory.path}" in done.stdout
+        assert f"`python scripts/evaluate.py run={directory.path}` evaluates its final model" in done.stdout
+    assert [file.read_bytes() for file in files] == before
+    assert directory.status == "done"
+
+
+def test_a_sweep_says_how_many_runs_it_evaluates_again_and_trains_none(tmp_path):
+    assert sweep(tmp_path, "seeds=2").returncode == 0
+    steps = [file.stat().st_mtime_ns for file in tmp_path.glob("*/*/seed=*/checkpoints/*/model.zip")]
+    plan = sweep(tmp_path, "seeds=3", "evaluation.final_n_scenes=4", "dry_run=true")
+    assert "1 cell x 3 seeds = 3 runs: 0 done, 2 to evaluate again, 1 to run\n" in plan.stdout
+    assert sweep(tmp_path, "seeds=2", "evaluation.final_n_scenes=4").returncode == 0
+    assert [file.stat().st_mtime_ns for file in tmp_path.glob("*/*/seed=*/checkpoints/*/model.zip")] == steps
+    for file in tmp_path.glob("*/*/seed=*/episodes.csv"):
+        assert len(pd.read_csv(file).query("phase == 'final'")) == 4
+    assert "2 done, 0 to run\n" in sweep(tmp_path, "seeds=2", "evaluation.final_n_scenes=4", "dry_run=true").stdout
+
+
+def test_two_final_evaluations_of_the_same_runs_are_refused(tmp_path):
+    done = call_script("train", *SMOKE, f"output_dir={tmp_path}", "evaluation.final_n_scenes=5,6")
+    assert (done.returncode, done.stderr.count("\n")) == (2, 1)
+    assert done.stderr.startswith("error: evaluation.final_n_scenes=5,6: the same runs can't have both; ")
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.slow
+def test_a_sweep_that_is_killed_while_it_evaluates_again_goes_on(tmp_path):
+    assert sweep(tmp_path / "reference", "seeds=2", "evaluation.final_n_scenes=40").returncode == 0
+    assert sweep(tmp_path / "outputs", "seeds=2").returncode == 0
+    for delay in range(6):
+        process = begin(tmp_path / "outputs", "seeds=2", "evaluation.final_n_scenes=40")
+        _wait(process, tmp_path / "outputs", 0.2 * delay)
+        process.kill()
+        process.communicate()
+    assert sweep(tmp_path / "outputs", "seeds=2", "evaluation.final_n_scenes=40").returncode == 0
+    ours, theirs = (sorted((tmp_path / name).glob("*/*/seed=*")) for name in ("outputs", "reference"))
+    for one, other in zip(ours, theirs, strict=True):
+        assert differences(one, other) == []
+
+
+def _wait(process, output_dir, delay):
+    """Wait until a run of a sweep has been running for some seconds, or the sweep is over."""
+    wait_until(lambda: process.poll() is not None or "running" in stages(output_dir))
+    time.sleep(delay)
