@@ -8,6 +8,7 @@ from typing import Any
 import torch
 from gymnasium import spaces
 from hydra.utils import get_class, instantiate
+from stable_baselines3.common.buffers import DictReplayBuffer
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from stable_baselines3.common.save_util import recursive_getattr
 from stable_baselines3.common.torch_layers import CombinedExtractor
@@ -20,7 +21,7 @@ from parking_exp.algorithms.normalization import NormalizedExtractor, Normalizer
 from parking_exp.buffers import HerBuffer
 from parking_exp.config.constructor_arguments import CLASS_ARGUMENTS, POLICY, policy_class, takes
 from parking_exp.config.schema import RunConfig
-from parking_exp.errors import ConfigError
+from parking_exp.errors import ConfigError, ModelError
 from parking_exp.tasks.feature_extractors import SymmetricFeatures
 from parking_exp.tasks.registry import make_task
 from parking_exp.tasks.task import Policy, Task
@@ -63,6 +64,8 @@ def build_model(config: RunConfig, env: VecEnv, seed: int, *, for_training: bool
         objects["replay_buffer_kwargs"] = config.buffer.arguments
         if issubclass(objects["replay_buffer_class"], HerBuffer) and env.has_attr("goal_reward"):
             (objects["replay_buffer_kwargs"]["reward"],) = env.get_attr("goal_reward", 0)
+    else:
+        objects["replay_buffer_class"] = NoReplayBuffer
     _skip_compiler_import()
     try:
         if (noise := arguments.get("action_noise")) is not None:
@@ -73,6 +76,17 @@ def build_model(config: RunConfig, env: VecEnv, seed: int, *, for_training: bool
     if unsaved := _unsaved_weights(model):
         raise ConfigError(f"algorithm._target_={target}: its files would lose {', '.join(unsaved)}")
     return model
+
+
+class NoReplayBuffer(DictReplayBuffer):
+    """The buffer of a model that only predicts: training with it is refused."""
+
+    def add(self, *_: Any) -> None:
+        """Refuse a transition."""
+        raise ModelError(
+            "this model only predicts, since it has no replay buffer; parking_exp.train() trains a run, and "
+            "Stable-Baselines3's load() reads models/final.zip of its directory"
+        )
 
 
 def greedy_policy(model: OffPolicyAlgorithm) -> Policy:

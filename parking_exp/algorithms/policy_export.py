@@ -4,6 +4,7 @@ The file takes the env's Dict observation and gives the action that `predict(det
 mirroring, and the scale of the actions are inside.
 """
 
+import os
 import warnings
 from pathlib import Path
 
@@ -50,6 +51,7 @@ def export_onnx(model: OffPolicyAlgorithm, path: Path) -> None:
         ModelError: the file's actions on random observations differ from the model's; nothing is written.
         OSError: the file cannot be written.
     """
+    os.environ["ORT_DISABLE_TELEMETRY"] = "1"  # read at the import: nothing leaves the machine
     import onnx
     import onnxruntime  # type: ignore[import-untyped]
 

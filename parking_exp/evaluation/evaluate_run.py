@@ -21,7 +21,7 @@ from parking_exp.runs.atomic_files import write_json
 from parking_exp.runs.directory import RunDirectory
 from parking_exp.runs.metric_logs import EPISODES_FILE
 from parking_exp.tasks.registry import EnvConfig, make_task
-from parking_exp.terminal import Screen, say
+from parking_exp.terminal import say
 
 TRAINING_KEYS = ({*RunConfig.model_fields} | SWEEP_KEYS) - {"env", "output_dir", "tracking"}
 """Keys of the recipe that an option of `env` may set."""
@@ -127,7 +127,7 @@ def evaluate_runs(configs: Sequence[DictConfig]) -> None:
         for request in requests
         for agent in find(request.run, request.output_path, request.model, trust=request.trust)
     ]
-    if len({evaluation.folder for evaluation in evaluations}) < len(evaluations):
+    if len({evaluation.folder.resolve() for evaluation in evaluations}) < len(evaluations):
         raise ConfigError("two of these evaluations would share a folder; leave name out, and name each run once")
     rates = [_evaluate(evaluation) for evaluation in evaluations]
     if len(evaluations) > 1:
@@ -163,20 +163,18 @@ def _label(settings: Sequence[dict[str, Any]], experiments: Sequence[str], defau
 
 def _evaluate(evaluation: Evaluation) -> dict[str, float]:
     """Evaluate an agent, print, write and store the results, and return the rates and means."""
-    from rich.progress import Progress
-
     from parking_exp.algorithms.build_model import greedy_policy, torch_settings
     from parking_exp.evaluation.evaluate_policy import describe, evaluate, intervals, summarise
+    from parking_exp.evaluation.evaluation_progress import EvaluationProgress
     from parking_exp.evaluation.video import record
 
     request, agent, env, folder = evaluation.request, evaluation.agent, evaluation.env, evaluation.folder
     if agent.directory is not None:
         say(f"run directory  {agent.directory.path}")
     task = make_task(env)
-    policy, seeds, screen = greedy_policy(agent.model(env)), request.seeds, Screen(stderr=True)
-    with torch_settings(agent.config), Progress(console=screen, transient=True, disable=not screen.is_terminal) as bar:
-        shown = bar.add_task(f"{plural(len(seeds), 'episode')} of {env.name}", total=len(seeds))
-        episodes = evaluate(policy, task, seeds, lambda finished: bar.update(shown, completed=finished))
+    policy, seeds = greedy_policy(agent.model(env)), request.seeds
+    with torch_settings(agent.config), EvaluationProgress(len(seeds), env.name) as progress:
+        episodes = evaluate(policy, task, seeds, progress.update)
     folder.mkdir(parents=True, exist_ok=True)
     for outdated in folder.glob("video.*"):
         outdated.unlink()

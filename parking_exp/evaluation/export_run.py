@@ -1,6 +1,7 @@
 """Export the policy of a stored run, or of a pretrained agent, to a file that other programs read."""
 
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated, Literal
@@ -11,7 +12,7 @@ from pydantic import Field
 from parking_exp.config.paths import directory_path
 from parking_exp.config.validate import parse
 from parking_exp.errors import ConfigError
-from parking_exp.evaluation.agents import AgentRequest, find_agent
+from parking_exp.evaluation.agents import Agent, AgentRequest, find_agent
 from parking_exp.terminal import say
 
 
@@ -33,15 +34,41 @@ def validate_request(config: DictConfig) -> ExportRequest:
     return request
 
 
-def export_run(request: ExportRequest) -> Path:
-    """Write the policy; return the file's path.
+@dataclass(frozen=True)
+class Export:
+    """A request, the agent that it names, and the file to write."""
+
+    request: ExportRequest
+    agent: Agent
+    path: Path
+
+
+def export_runs(configs: Sequence[DictConfig]) -> None:
+    """Write the policies of the agents that each config names.
 
     Raises:
+        ConfigError: a config is wrong, or two policies would be written to one file; nothing is written.
         ModelError: the model can't be exported; also what `agents.load_model` raises.
     """
+    exports = [_find_export(request) for request in map(validate_request, configs)]
+    files = [export.path.resolve() for export in exports]
+    for export, file in zip(exports, files, strict=True):
+        if files.count(file) > 1:
+            raise ConfigError(f"path={export.path}: {files.count(file)} policies would be written to this file")
+    for export in exports:
+        _write(export)
+
+
+def _find_export(request: ExportRequest) -> Export:
     agent = find_agent(request.run, request.output_path, request.model, trust=request.trust)
     agent = replace(agent, config=agent.config.model_copy(update={"device": "cpu"}))  # files are for any machine
     path = directory_path(request.path) if request.path else agent.folder / "exports" / f"policy.{request.format}"
+    return Export(request, agent, path)
+
+
+def _write(export: Export) -> None:
+    """Write a policy, and say where."""
+    request, agent, path = export.request, export.agent, export.path
     if agent.directory is not None:
         say(f"run directory  {agent.directory.path}")
 
@@ -56,4 +83,3 @@ def export_run(request: ExportRequest) -> Path:
         f"exported       {agent.name} as {request.format}, {path.stat().st_size / 1000:.1f} kB",
         f"file           {path}",
     )
-    return path

@@ -12,7 +12,7 @@ from parking_exp.algorithms.build_model import greedy_policy
 from parking_exp.algorithms.policy_files import load_policy, save_policy
 from parking_exp.errors import ModelError, RunNotFoundError, UntrustedError
 from parking_exp.evaluation import agents
-from parking_exp.evaluation.agents import PRETRAINED_DIR, find_agent
+from parking_exp.evaluation.agents import PRETRAINED_DIR, find_agent, load_model
 from parking_exp.evaluation.evaluate_policy import evaluate, summarise
 from parking_exp.tasks.parking.parking_metrics import METRICS
 from parking_exp.tasks.registry import make_task
@@ -50,6 +50,12 @@ def test_pretrained_agents_park(name, env, metric, rate, tmp_path):
         evaluate(greedy_policy(agent.model(agent.config.env)), make_task(agent.config.env), range(50)), METRICS
     )
     assert summary[metric] == rate
+
+
+def test_a_loaded_model_refuses_to_learn_in_a_sentence(tmp_path):
+    model = load_model("pretrained", tmp_path)
+    with pytest.raises(ModelError, match=r"^this model only predicts, since it has no replay buffer; .*$"):
+        model.learn(100)
 
 
 def test_their_configs_are_those_of_the_recipes():

@@ -155,3 +155,11 @@ def test_a_pretrained_agent_is_evaluated_on_20_scenes_and_a_run_on_100_by_defaul
     for arguments, expected in ((["first_scene=3"], range(3, 3 + n_scenes)), (["episodes=7"], range(7))):
         (config,) = compose_configs("evaluate", [f"run={run}", *arguments])
         assert validate_request(config).seeds == expected
+
+
+def test_two_evaluations_with_one_name_are_refused_before_anything_is_written(tmp_path):
+    done = call_script("evaluate", "run=pretrained", "episodes=1,2", "name=mine", cwd=tmp_path)
+    assert (done.returncode, done.stdout, list(tmp_path.iterdir())) == (2, "", [])
+    assert done.stderr == (
+        "error: two of these evaluations would share a folder; leave name out, and name each run once\n"
+    )

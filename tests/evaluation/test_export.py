@@ -13,7 +13,7 @@ import torch
 from safetensors.numpy import load_file
 from support.marks import slow_but
 from support.models import make_model
-from support.runs import ROOT, call_script
+from support.runs import ROOT, call_script, run_script
 
 from parking_exp.algorithms import policy_export
 from parking_exp.algorithms.policy_export import export_onnx
@@ -126,6 +126,53 @@ def test_a_mistake_is_one_sentence_that_names_the_key(arguments, named, run, tmp
     assert (done.returncode, done.stderr.count("\n")) == (2, 1)
     assert done.stderr.startswith(f"error: {named.format(here=tmp_path)}")
     assert [path.name for path in tmp_path.iterdir()] == ["file"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "file"),
+    [
+        (["run=pretrained,pretrained/parked", "path=x.onnx"], "x.onnx"),
+        (["run=pretrained,pretrained/default"], "outputs/pretrained/default/exports/policy.onnx"),
+        (["run={run}", "model=final,best"], "{run}/exports/policy.onnx"),
+        (["run='{run}','{link}'"], "{run}/exports/policy.onnx"),
+    ],
+)
+def test_two_policies_for_one_file_are_refused_before_anything_is_written(arguments, file, run, tmp_path):
+    link = tmp_path / "link"
+    link.symlink_to(run)
+    names = {"run": run, "link": link}
+    before = sorted(run.rglob("*"))
+    done = call_script("export", *(argument.format(**names) for argument in arguments), cwd=tmp_path)
+    assert done.returncode == 2
+    assert done.stdout == ""
+    assert done.stderr.endswith(": 2 policies would be written to this file\n")
+    assert f"/{file.format(**names).lstrip('/')}: " in done.stderr
+    assert [entry.name for entry in tmp_path.iterdir()] == ["link"]
+    assert sorted(run.rglob("*")) == before
+
+
+def test_several_agents_are_exported_to_their_own_files(tmp_path):
+    done = call_script("export", "run=pretrained,pretrained/parked", "format=safetensors", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    files = sorted(tmp_path.rglob("*.safetensors"))
+    assert [str(file.relative_to(tmp_path)) for file in files] == [
+        f"outputs/pretrained/{name}/exports/policy.safetensors" for name in ("default", "parked")
+    ]
+
+
+def test_an_agent_that_is_not_found_refuses_all_exports(tmp_path):
+    done = call_script("export", "run=pretrained,parked", "format=safetensors", cwd=tmp_path)
+    assert (done.returncode, done.stdout, list(tmp_path.iterdir())) == (2, "", [])
+
+
+def test_an_export_starts_no_telemetry_of_onnxruntime(tmp_path):
+    home = tmp_path / "home"
+    home.mkdir()
+    environment = {"HOME": str(home), "XDG_CACHE_HOME": "", "ORT_DISABLE_TELEMETRY": ""}
+    done = run_script("export", "run=pretrained", "path=x.onnx", cwd=tmp_path, env=environment)
+    assert done.returncode == 0, done.stderr
+    written = {file.parent.name for file in home.rglob("*") if file.is_file()}
+    assert written <= {"matplotlib"}
 
 
 def test_without_the_extra_onnx_is_refused(run, monkeypatch):
