@@ -37,16 +37,30 @@ CLASSES = {
 ALLOWED = frozenset(f"{module}.{name}" for module, names in CLASSES.items() for name in names)
 
 
-def check_trust(config: RunConfig, source: Path) -> None:
+def check_trust(config: RunConfig, source: Path, option: str = "trust=true") -> None:
     """Refuse a stored config that would execute anything but the classes of the allow-list.
+
+    Args:
+        config: as stored in the file `source`.
+        option: how a user allows it.
 
     Raises:
         UntrustedError: a class or `_target_` is not on the list.
     """
+    if (unlisted := unlisted_class(config)) is not None:
+        raise UntrustedError(
+            f"{unlisted} in {source} is not on the allow-list, and the run was not trained here; {option} allows it, "
+            "if you trust its author"
+        )
+
+
+def unlisted_class(config: RunConfig) -> str | None:
+    """Return the first `key=class` of a config that is not on the allow-list, or None."""
     imported = [(f"env.{key}", path) for key, path in config.env.imports.items()]
     for key, target in [*_targets(config.plain()), *imported]:
         if not isinstance(target, str) or target not in ALLOWED:
-            raise UntrustedError(f"{key}={target} in {source} is not on the allow-list (trust=true allows it)")
+            return f"{key}={target}"
+    return None
 
 
 def _targets(node: Any, key: str = "") -> Iterator[tuple[str, Any]]:

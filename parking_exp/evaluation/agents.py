@@ -13,6 +13,7 @@ from parking_exp.errors import RunNotFoundError, plural
 from parking_exp.runs.directory import RunDirectory
 from parking_exp.runs.lookup import find_run, find_runs_below
 from parking_exp.runs.run_files import CONFIG_FILE, read_config
+from parking_exp.runs.trained_here import was_trained_here
 from parking_exp.tasks.registry import EnvConfig
 from parking_exp.terminal import say
 
@@ -61,8 +62,10 @@ class AgentRequest(OutputConfig):
     trust: bool
 
 
-def find_agent(run: str, output_dir: Path, model: ModelName = "final", *, trust: bool = False) -> Agent:
-    """Find a trained agent; arguments and errors are those of `load_model`."""
+def find_agent(
+    run: str, output_dir: Path, model: ModelName = "final", *, trust: bool = False, trust_option: str = "trust=true"
+) -> Agent:
+    """Find a trained agent; arguments and errors are those of `load_model`, which trust by `trust_option`."""
     if is_pretrained(run):
         return _find_pretrained(run, output_dir, model)
     others = [PRETRAINED, *(f"{PRETRAINED}/{name}" for name in PRETRAINED_NAMES)]
@@ -72,8 +75,8 @@ def find_agent(run: str, output_dir: Path, model: ModelName = "final", *, trust:
         raise RunNotFoundError(f"run={run}: {weights} does not exist; the run is {directory.status}")
     config = directory.config()
     directory.check_links()
-    if not trust:
-        check_trust(config, directory.path / CONFIG_FILE)
+    if not trust and not was_trained_here(directory.path):
+        check_trust(config, directory.path / CONFIG_FILE, trust_option)
     return Agent(f"{model} model", config, weights, directory.path, directory)
 
 
@@ -100,7 +103,8 @@ def load_model(
         run: run directory, MLflow run id, `latest`, `pretrained` or `pretrained/NAME`.
         output_dir: where runs are looked for.
         model: which of a run's models.
-        trust: whether its config may name classes that are not on the list of known ones.
+        trust: whether its config may name classes that are not on the list of known ones. Those of a run that you
+            trained here may.
 
     Raises:
         ConfigError: its config can't be read, or a model of its class can't be restored exactly.
@@ -108,7 +112,7 @@ def load_model(
         RunNotFoundError: there is no such run, or it has no such model yet.
         UntrustedError: its config names an unknown class, or a symbolic link leads out of its directory.
     """
-    agent = find_agent(run, directory_path(output_dir), model, trust=trust)
+    agent = find_agent(run, directory_path(output_dir), model, trust=trust, trust_option="trust=True")
     return agent.model(agent.config.env)
 
 

@@ -27,6 +27,7 @@ from parking_exp.runs.atomic_files import write_atomically
 from parking_exp.runs.directory import RunDirectory, RunResult
 from parking_exp.runs.metric_logs import restore_logs
 from parking_exp.runs.run_provenance import command_line
+from parking_exp.runs.trained_here import record_training
 from parking_exp.tasks.registry import make_task
 from parking_exp.terminal import is_script, say
 from parking_exp.tracking.mirror import sync_hint
@@ -62,6 +63,7 @@ def train(config: DictConfig | Mapping[str, Any] | RunConfig, *, supervised: boo
             say("already trained; its final model is evaluated again, with other settings")
             directory.reopen()
         directory.create(config)
+        record_training(directory.path, config)
         # Slurm signals every process of a job, and the supervisor passes its own signal on: the checkpoint comes first.
         at_second = None if supervised else signal.default_int_handler
         with stop_on_signal(at_second) as stop, torch_settings(config):
