@@ -139,14 +139,14 @@ def _closing_lines(result: RunResult, directory: RunDirectory) -> list[str]:
     lines = [f"final success rate {rate:.1%}, after {result.steps} env steps"] if rate is not None else []
     lines.append(f"run directory  {result.run_dir}")
     if result.run_id:
-        lines.append(f"MLflow run     {result.run_id}   ({_ui(directory.tracking_uri or '')})")
+        lines.append(f"MLflow run     {result.run_id}   ({ui_command(directory.tracking_uri or '')})")
     if directory.unsynced:
         hint = sync_hint(directory.output_dir, directory.tracking_uri)
         lines.append(f"not all of it is in the store ({directory.unsynced}); {hint}")
     return lines
 
 
-def _ui(uri: str) -> str:
+def ui_command(uri: str) -> str:
     """Return the command that shows a store in MLflow's UI; a tracking server is its own."""
     if not uri.startswith("sqlite"):
         return uri

@@ -1,5 +1,6 @@
 """The command line, as a process of its own."""
 
+import contextlib
 import errno
 import json
 import re
@@ -11,6 +12,7 @@ import pytest
 from support.marks import slow_but
 from support.runs import GROUPS, ROOT, call_script, options, script
 
+from parking_exp.cli import status
 from parking_exp.cli.command import _parse, errors_as_sentences
 
 # One process for all command lines; modules that one of them imports stay imported.
@@ -159,3 +161,13 @@ def test_an_editable_install_has_the_console_scripts(tmp_path):
     command = [Path(sys.executable).parent / "parking-train", "sead=1"]
     done = subprocess.run(command, check=False, capture_output=True, text=True, cwd=tmp_path)
     assert done.stderr == "error: sead: there is no such key; did you mean 'seed'?\n"
+
+
+def test_the_help_of_an_installed_command_names_it_and_where_its_keys_are_explained(monkeypatch, capsys):
+    monkeypatch.setattr(sys, "argv", ["/somewhere/bin/parking-status", "--help"])
+    with contextlib.suppress(SystemExit):
+        status.main()
+    shown = capsys.readouterr().out
+    assert "  parking-status experiment=her_ablation watch=true\n" in shown
+    assert f"Every key is explained in {ROOT}/conf/status.yaml." in shown
+    assert "scripts" not in shown.replace(str(ROOT), "")

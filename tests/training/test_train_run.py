@@ -3,6 +3,7 @@
 import re
 import shutil
 import subprocess
+import sys
 import time
 
 import numpy as np
@@ -38,7 +39,7 @@ from parking_exp.tasks.registry import make_task
 from parking_exp.tasks.training_envs import make_training_envs
 from parking_exp.training import checkpoints
 from parking_exp.training.finish import certified_seeds
-from parking_exp.training.train_run import train
+from parking_exp.training.train_run import train, ui_command
 
 STEPS = [100, 200, 300, 400]
 
@@ -259,3 +260,18 @@ def test_a_full_disk_under_a_checkpoint_fails_the_run_without_a_traceback(tmp_pa
     done = subprocess.run(command, check=False, capture_output=True, timeout=180, **keywords)
     assert done.returncode == 0, done.stderr
     assert f"resuming at step {max(kept)}" in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("started", "uri", "command"),
+    [
+        ("scripts/train.py", "sqlite:///{here}/outputs/mlflow.db", "make ui"),
+        ("scripts/train.py", "sqlite:////else/mlflow.db", "make ui STORE=sqlite:////else/mlflow.db"),
+        ("bin/parking-train", "sqlite:////a b.db", "mlflow ui --workers 1 --backend-store-uri 'sqlite:////a b.db'"),
+        ("my_study.py", "http://host:5000", "http://host:5000"),
+    ],
+)
+def test_the_way_to_the_ui_is_that_of_the_store_and_of_the_installation(started, uri, command, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "argv", [started])
+    assert ui_command(uri.format(here=tmp_path)) == command
