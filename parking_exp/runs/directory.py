@@ -130,8 +130,9 @@ class RunDirectory:
     def needs_evaluation(self, config: RunConfig) -> bool:
         """Return whether a finished run was evaluated with other settings than those of a config."""
         entries = self.read_status()
-        settings = entries.get("evaluation")
-        return entries.get("status") == "done" and settings not in (None, config.evaluation.final_settings)
+        if entries.get("status") != "done" or "evaluation" not in entries:
+            return False
+        return entries["evaluation"] != config.evaluation.final_settings
 
     def evaluation_problem(self) -> str | None:
         """Return in a sentence why a finished run can't be evaluated again, as its checkpoint is gone; or None."""

@@ -1,6 +1,6 @@
 """The state of runs (done, running, failed, pending), read from the small files of their directories."""
 
-import math
+import sys
 import time
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
@@ -70,24 +70,31 @@ def read_state(path: Path) -> RunState:
 
 
 def as_planned(states: Iterable[RunState]) -> list[RunState]:
-    """Return runs by experiment, in the order of the plan that made them, and each cell with a label of its own."""
+    """Return runs by experiment, in the order of the plan that made them.
+
+    Cells of several plans may have the same label; these labels get the keys of their cells.
+    """
     in_order = sorted(states, key=_place)
     cells: dict[tuple[str, str], set[str]] = {}
     for state in in_order:
         cells.setdefault((state.experiment, state.label), set()).add(state.cell)
-    return [_with_key(state) if len(cells[state.experiment, state.label]) > 1 else state for state in in_order]
+
+    labelled = []
+    for state in in_order:
+        label = state.label
+        if len(cells[state.experiment, label]) > 1:
+            key = state.cell.rpartition("-")[2]
+            label = f"{label} ({key})"
+        labelled.append(state.model_copy(update={"label": label}))
+    return labelled
 
 
-def _with_key(state: RunState) -> RunState:
-    """Return a run whose label ends with the key of its cell: cells of several plans may have the same label."""
-    key = state.cell.rpartition("-")[2]
-    return state.model_copy(update={"label": f"{state.label} ({key})"})
-
-
-def _place(state: RunState) -> tuple[str, float, str, int]:
-    """Return the key by which runs are sorted: trials of a search by number, others by their cell's in the plan."""
+def _place(state: RunState) -> tuple[str, int, str, int]:
+    """Return the key by which runs are sorted: trials of a search by number, others by their cell's."""
     number = state.cell_number if state.trial is None else state.trial
-    return state.experiment, math.inf if number is None else number, state.cell, state.seed
+    if number is None:  # of no plan
+        number = sys.maxsize
+    return state.experiment, number, state.cell, state.seed
 
 
 def count_stages(states: Iterable[RunState]) -> dict[Stage, int]:

@@ -152,4 +152,6 @@ def ui_command(uri: str) -> str:
         return uri
     if not is_script():
         return f"mlflow ui --workers 1 --backend-store-uri {shlex.quote(uri)}"
-    return "make ui" if uri == default_uri(Path("outputs").absolute()) else f"make ui STORE={shlex.quote(uri)}"
+    if uri == default_uri(Path("outputs").absolute()):
+        return "make ui"
+    return f"make ui STORE={shlex.quote(uri)}"
