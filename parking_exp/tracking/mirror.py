@@ -216,7 +216,11 @@ def _find(directory: RunDirectory, store: Store, experiment_id: str, tags: Mappi
     The id in status.json may have been copied, or written by anybody. A run of another directory is taken only if that
     is gone: then it was moved here.
     """
-    for run in store.search([experiment_id], f"tags.run_key = '{tags['run_key']}'"):
+    runs = store.search([experiment_id], f"tags.run_key = '{tags['run_key']}'")
+    if not runs:  # or it was sent by an earlier version, whose keys were others
+        same_seed = store.search([experiment_id], f"tags.seed = '{tags['seed']}'")
+        runs = [run for run in same_seed if run.data.tags.get("run_dir") == tags["run_dir"]]
+    for run in runs:
         run_dir = store.run_dir(run)
         if run_dir is None or run.info.lifecycle_stage == "deleted":
             continue

@@ -304,3 +304,16 @@ def test_a_server_that_comes_up_later_gets_everything_artifacts_too(tmp_path):
         assert artifacts(client, directory.run_id) == [
             "checkpoint/model.zip", "config.yaml", "episodes.csv", "metrics.jsonl"
         ]  # fmt: skip
+
+
+def test_a_run_that_was_sent_under_another_key_is_found_by_its_directory(output_dir):
+    directory = finished_run(output_dir, started_ms=1234567)
+    sync(directory)
+    run_id = directory.run_id
+    store(output_dir).set_tag(run_id, "run_key", "0123456789")
+    evaluation = directory.path / "evaluations" / "new"
+    evaluation.mkdir(parents=True)
+    (evaluation / "summary.json").write_text("{}")
+    sync(directory)
+    assert [run.info.run_id for run in store(output_dir).search_runs(["1"])] == [run_id]
+    assert stored_run(directory).data.tags["run_key"] == directory.config().run_key
