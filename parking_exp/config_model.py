@@ -15,6 +15,7 @@ def _check_range(bounds: list[float]) -> list[float]:
     return bounds
 
 
+Count = Annotated[int, Field(ge=1, le=10**12)]
 Name = Annotated[str, Field(pattern=NAME, max_length=80)]
 Duration = Annotated[float, Field(gt=0, le=100_000)]
 Pixels = Annotated[int, Field(ge=1, le=10_000)]

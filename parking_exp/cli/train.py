@@ -23,12 +23,15 @@ def train(overrides: list[str], extra_config_dir: str | None) -> None:
     first = runs[0].cell  # all runs have the same keys of the sweep
     options = parse(SweepOptions, {name: first[name] for name in SweepOptions.model_fields})
     planned = plan(runs, options.retry)
-    launcher_named = any(override.lstrip("+~").startswith("hydra/launcher") for override in overrides)
+    names_launcher = any(override.lstrip("+~").startswith("hydra/launcher") for override in overrides)
     # These need a supervisor, so that even a single run becomes a sweep.
-    supervised = launcher_named or options.dry_run or options.retry or planned[0].config.timeout_s
+    is_elsewhere = names_launcher or runs[0].launcher != "local"
+    supervised = is_elsewhere or options.dry_run or options.retry or planned[0].config.timeout_s
     if len(planned) > 1 or supervised:
         gc.enable()
-        sweep(planned, launcher_of(overrides, extra_config_dir), dry_run=options.dry_run)
+        is_due = any(run.is_due for run in planned)
+        launcher = launcher_of(runs, extra_config_dir, connect=is_due and not options.dry_run)
+        sweep(planned, launcher, dry_run=options.dry_run)
     else:
         from parking_exp.training.train_run import train as train_run
 

@@ -14,4 +14,5 @@ def tune(overrides: list[str], extra_config_dir: str | None) -> None:
     from parking_exp.tuning.run_search import tune as run_search
     from parking_exp.tuning.search import Search
 
-    run_search(Search(overrides, extra_config_dir), launcher_of(overrides, extra_config_dir))
+    search = Search(overrides, extra_config_dir)
+    run_search(search, launcher_of([search.compose({})], extra_config_dir))

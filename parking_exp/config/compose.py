@@ -20,7 +20,9 @@ from omegaconf import DictConfig, ListConfig, OmegaConf, open_dict
 from omegaconf.errors import ConfigAttributeError, ConfigKeyError, OmegaConfBaseException
 
 from parking_exp.config.cell_labels import settings_of
-from parking_exp.config.grid import Point, check_blocks, expand_points, seeds_of
+from parking_exp.config.constructor_arguments import argument_hint
+from parking_exp.config.grid import MAX_RUNS, Point, check_blocks, expand_points, seeds_of
+from parking_exp.config.hydra_settings import check_hydra_overrides, check_hydra_settings
 from parking_exp.config.overrides import (
     axes_of,
     config_dir,
@@ -31,18 +33,20 @@ from parking_exp.config.overrides import (
 )
 from parking_exp.config.schema import RunConfig
 from parking_exp.config.validate import validate
-from parking_exp.errors import ConfigError, ParkingError, did_you_mean, first_line, one_line, suggestion
+from parking_exp.errors import ConfigError, ParkingError, first_line, one_line, suggestion
 
 VERSION_BASE = "1.3"
 
 
 @dataclass(frozen=True)
 class ComposedRun:
-    """One run: the config of its cell as Hydra composed it, its seed, and the options of groups."""
+    """One run: the config of its cell as Hydra composed it, its seed, the options of groups, and the launcher."""
 
     cell: DictConfig  # shared by all runs of the cell
     seed: int | None = None  # None: the config's own
     options: Mapping[str, str] = field(default_factory=dict)  # group -> option
+    launcher: str = "local"
+    launcher_settings: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def config(self) -> DictConfig:
@@ -57,13 +61,19 @@ class ComposedRun:
         return replace(self, cell=cell)
 
 
-def compose(*overrides: str) -> RunConfig:
+def compose(*overrides: str, config_dir: str | Path | None = None) -> RunConfig:
     """Return the checked config of one run: `compose("experiment=smoke", "seed=1")`, for `train`.
 
+    Args:
+        overrides: as on the command line.
+        config_dir: a directory of your own options, as `--config-dir`.
+
     Raises:
-        ConfigError: an override is wrong, or the overrides define several runs.
+        ConfigError: an override is wrong, the overrides define several runs, or there is no such directory.
     """
-    runs = compose_configs("config", list(overrides))
+    if config_dir is not None and not Path(config_dir).is_dir():
+        raise ConfigError(f"config_dir={config_dir} is not a directory")
+    runs = compose_configs("config", list(overrides), config_dir and str(config_dir))
     if len(runs) > 1:
         raise ConfigError(f"these overrides define {len(runs)} runs, but compose() returns one; give one value each")
     return validate(runs[0])
@@ -85,8 +95,10 @@ def compose_runs(config_name: str, overrides: list[str], extra_config_dir: str |
     Raises:
         ConfigError: an override names no key or option, or the config does not compose.
     """
+    hydra_lines = [*user_options(extra_config_dir), *filter(is_hydra_override, overrides)]
+    check_hydra_overrides(config_name, hydra_lines)
     with hydra_ready():
-        compose_point = _composer(config_name, [*user_options(extra_config_dir), *filter(is_hydra_override, overrides)])
+        compose_point = _composer(config_name, hydra_lines)
         axes = axes_of(to_hydra_syntax(line) for line in overrides if not is_hydra_override(line))
         experiments = axes.pop("experiment", None)
         if experiments is None:
@@ -104,10 +116,15 @@ def _composer(config_name: str, hydra_lines: list[str]) -> Callable[[Point], Com
             config = hydra.compose(config_name, [*hydra_lines, *lines], return_hydra_config=True)
         except ValueError as error:  # a group is set to a number or to null
             raise ConfigError(f"{' '.join([*hydra_lines, *lines])}: {error}") from error
-        options = {str(k): v for k, v in config.hydra.runtime.choices.items() if not str(k).startswith("hydra")}
+        choices = {str(group): option for group, option in config.hydra.runtime.choices.items()}
+        options = {group: option for group, option in choices.items() if not group.startswith("hydra")}
+        if hydra_lines or any("/" in line for line in lines):  # only files of the user's own set keys of Hydra
+            plain = hydra.compose(config_name, return_hydra_config=True)
+            check_hydra_settings(config_name, config.hydra, plain.hydra)
+        settings = cast(dict[str, Any], OmegaConf.to_container(config.hydra.launcher, resolve=True))
         with open_dict(config):
             del config["hydra"]
-        return ComposedRun(config, options=options)
+        return ComposedRun(config, options=options, launcher=choices["hydra/launcher"], launcher_settings=settings)
 
     def compose_point(lines: Point) -> ComposedRun:
         options = [line for line in lines if line.partition("=")[0] in groups and "={" not in line]
@@ -136,8 +153,10 @@ def _runs(compose_point: Callable[[Point], ComposedRun], axes: dict[str, list[st
 
     all_seeds: list[int] | list[None] = seeds or [None]
     all_points = expand_points(blocks, axes, has, axes.get("experiment", [""])[0])
+    if len(all_points) * len(all_seeds) > MAX_RUNS:
+        raise ConfigError(f"{len(all_points)} cells x {len(all_seeds)} seeds: a sweep has at most {MAX_RUNS} runs")
     cells = {OmegaConf.to_yaml(run.cell): run for run in map(compose_point, all_points)}  # blocks may overlap
-    return [ComposedRun(run.cell, seed, run.options) for seed in all_seeds for run in cells.values()]
+    return [replace(run, seed=seed) for seed in all_seeds for run in cells.values()]
 
 
 def _container(node: object) -> Any:
@@ -202,8 +221,10 @@ def _unknown_key(error: ConfigKeyError | ConfigAttributeError) -> str:
     path = next((path for path in settings_of(known) if f".{name}." in f"{path}."), None)
     if path is not None:  # a section was left out
         hint = f"; did you mean {f'{section}.{path.partition(name)[0]}{name}'.lstrip('.')!r}?"
-    elif "_target_" in known or not known:  # takes other keys, too
-        hint = did_you_mean(name, known, cutoff=0.8) or f"; write ++{key}=VALUE to add it"
+    elif "_target_" in known:
+        hint = argument_hint(key, known)
+    elif not known:  # takes other keys, too
+        hint = f"; write ++{key}=VALUE to add it"
     else:
         hint = suggestion(name, known)
     option = f" in {section}={known['name']}" if section and "name" in known else ""

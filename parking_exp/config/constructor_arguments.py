@@ -14,12 +14,12 @@ from pydantic import ConfigDict, TypeAdapter, ValidationError
 
 from parking_exp.config.argument_limits import CLASS_LIMITS, LIMITS
 from parking_exp.config.schema import AlgorithmConfig, BufferConfig, RunConfig
-from parking_exp.errors import ConfigError, one_line, suggestion
+from parking_exp.errors import ConfigError, did_you_mean, one_line, suggestion
 
 # Base classes of the sections' classes.
 BASES = {
     "algorithm": "stable_baselines3.common.off_policy_algorithm.OffPolicyAlgorithm",
-    "buffer": "stable_baselines3.common.buffers.ReplayBuffer",
+    "buffer": "stable_baselines3.common.buffers.DictReplayBuffer",  # observations of goal tasks are dictionaries
 }
 # Arguments that are classes, as dotted paths or `_target_` nodes, and their base classes.
 CLASS_ARGUMENTS = {
@@ -94,6 +94,24 @@ def takes(call: Any, name: str) -> bool:
     return is_open or name in parameters
 
 
+def argument_hint(key: str, node: Mapping[str, Any]) -> str:
+    """Say what to type instead of an unknown key of a node with a `_target_`, whose class may take more arguments."""
+    section, _, name = key.rpartition(".")
+    try:
+        parameters, is_open = _parameters(import_object(node["_target_"]))
+    except ConfigError:
+        parameters, is_open = {}, True
+    arguments = set(parameters) - SET_BY_RUN.get(section, set()) - set(node)
+    if hint := did_you_mean(name, node, cutoff=0.8):
+        return hint
+    similar = [argument for argument in sorted(arguments) if did_you_mean(name, [argument], cutoff=0.8)]
+    if similar and name not in arguments:
+        return f"; did you mean '++{section}.{similar[0]}'?"
+    if name in arguments or is_open:
+        return f"; write ++{key}=VALUE to add it"
+    return suggestion(name, [*node, *arguments])
+
+
 def _check_policy(algorithm: AlgorithmConfig, algorithm_class: type) -> Iterator[str]:
     """Check `policy_kwargs` against the policy's own constructor."""
     key, given = "algorithm.policy_kwargs", algorithm.arguments.get("policy_kwargs") or {}
@@ -161,11 +179,27 @@ def _check_value(key: str, value: Any, parameter: inspect.Parameter, limits: Map
     try:
         TypeAdapter(limit, config=ConfigDict(strict=True, allow_inf_nan=False)).validate_python(value)
     except ValidationError as error:
-        yield f"{key}={value!r}: {' or '.join(problem['msg'].lower() for problem in error.errors())}"
+        reasons = [problem["msg"].removeprefix("Value error, ").lower() for problem in error.errors()]
+        yield f"{key}={value!r}: {' or '.join(reasons)}"
 
 
 def _parameters(call: Any) -> tuple[dict[str, inspect.Parameter], bool]:
-    """Return the named parameters of a class or function, and whether it takes any others."""
+    """Return the named parameters of a class or function, and whether it takes any others.
+
+    A class that takes others probably passes them on, so that those of its base classes are named as well.
+    """
+    parameters, is_open = _signature(call)
+    is_passed_on = is_open and isinstance(call, type)
+    for base in call.__mro__[1:] if is_passed_on else ():
+        inherited, passes_on = _signature(base)
+        for name, parameter in inherited.items():
+            parameters.setdefault(name, parameter.replace(default=None))  # which the class itself may give
+        if not passes_on:
+            break
+    return parameters, is_open
+
+
+def _signature(call: Any) -> tuple[dict[str, inspect.Parameter], bool]:
     try:
         parameters = inspect.signature(call).parameters
     except (TypeError, ValueError):  # compiled, without a signature

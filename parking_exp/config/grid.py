@@ -15,7 +15,7 @@ from parking_exp.errors import ConfigError, suggestion
 Block = Mapping[str, Any]
 Point = tuple[str, ...]
 """The overrides of a cell."""
-MAX_CELLS, MAX_SEEDS = 10_000, 100_000
+MAX_CELLS, MAX_SEEDS, MAX_RUNS = 10_000, 100_000, 100_000
 
 
 def expand_points(
@@ -68,6 +68,11 @@ def check_blocks(value: Any) -> list[Block]:
     """Return `cells` if it is a list of mappings."""
     if not isinstance(value or [], list) or not all(isinstance(block, dict) and block for block in value or []):
         raise ConfigError(f"cells={value!r} is not a list of {{key: [values]}}")
+    for block in value or []:
+        labels = block.get("label")
+        for label in labels if isinstance(labels, list) else [labels]:
+            if not isinstance(label, str | None):  # how it was written is lost: 0.10 is 0.1
+                raise ConfigError(f"cells: the label {label!r} is no text; put it in quotes, label: '...'")
     return value or []
 
 
@@ -83,7 +88,8 @@ def seeds_of(value: object) -> list[int] | None:
 
 
 def _override(key: str, value: str) -> str:
-    return f"{key}={in_quotes(value) if key == 'label' and value != 'null' else value}"  # others: in Hydra's syntax
+    is_text = key.lstrip("+") == "label" and value != "null"  # others: in Hydra's syntax
+    return f"{key}={in_quotes(value) if is_text else value}"
 
 
 def _values(value: object) -> list[str]:

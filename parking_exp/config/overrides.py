@@ -1,17 +1,22 @@
 """Command-line overrides in Hydra's grammar: quoting, parsing, the values of each key."""
 
+import math
 import os
 import re
+import sys
 from collections.abc import Iterable
 from contextlib import suppress
 from pathlib import Path
 
 from hydra.core.global_hydra import GlobalHydra
 from hydra.core.override_parser.overrides_parser import OverridesParser
-from hydra.core.override_parser.types import Override
+from hydra.core.override_parser.types import Override, RangeSweep
 from hydra.errors import HydraException
 
-from parking_exp.errors import ConfigError
+from parking_exp.errors import ConfigError, first_line
+
+MAX_VALUES = 100_000  # of a range
+WORD = re.compile(r"""(["'])(?:\\.|(?!\1).)*\1|[^][(),]+""")  # a quoted text, or what stands between commas
 
 
 def config_dir() -> Path:
@@ -42,7 +47,7 @@ def to_hydra_syntax(argument: str) -> str:
     elif not equals or "/" not in value or key.startswith("-"):
         return argument
     else:
-        with suppress(HydraException):  # a path that Hydra can't parse is quoted below
+        with suppress(HydraException, ValueError):  # a path that Hydra can't parse is quoted below
             OverridesParser.create().parse_override(argument)
             return argument
     return f"{key}={in_quotes(value)}"
@@ -53,33 +58,73 @@ def is_hydra_override(override: str) -> bool:
     return re.match(r"[+~]*hydra\b", override) is not None
 
 
-def hydra_overrides(overrides: Iterable[str]) -> list[str]:
-    """Return the overrides that choose and set up the launcher."""
-    others = re.compile(r"[+~]*hydra[./](sweeper|mode|run|sweep|help)\b")
-    return [override for override in overrides if is_hydra_override(override) and not others.match(override)]
-
-
 def parse_overrides(overrides: Iterable[str]) -> list[Override]:
     """Parse overrides, within `hydra_ready`."""
-    parsed = OverridesParser.create(config_loader=GlobalHydra.instance().config_loader()).parse_overrides([*overrides])
+    lines = list(overrides)
+    try:
+        parsed = OverridesParser.create(config_loader=GlobalHydra.instance().config_loader()).parse_overrides(lines)
+    except ValueError as error:  # a number of thousands of digits, which Python does not read
+        keys = ", ".join(line.partition("=")[0] for line in lines if len(line) > sys.get_int_max_str_digits())
+        raise ConfigError(f"{keys}: {first_line(error).partition(';')[0]}") from error
     for override in parsed:
         if not override.key_or_group:
             raise ConfigError(f"{override.input_line}: there is no key before the equals sign; write KEY=VALUE")
     return parsed
 
 
+def numbers_as_text(value: str) -> str:
+    """Quote the words of a value that Hydra's grammar would read as numbers or booleans: `0.10` stays `0.10`."""
+
+    def quote(match: re.Match[str]) -> str:
+        word = match[0].strip()
+        if match[1] or not word:
+            return match[0]
+        with suppress(HydraException):
+            (override,) = parse_overrides([f"label={word}"])
+            if isinstance(override.value(), int | float):
+                return in_quotes(word)
+        return match[0]
+
+    return WORD.sub(quote, value)
+
+
 def axes_of(overrides: Iterable[str]) -> dict[str, list[str]]:
     """Return the values of each key, in Hydra's syntax; of a key that is overridden twice, the last."""
     axes = {}
-    for override in parse_overrides(overrides):
+    for override in parse_overrides(map(_label_as_text, overrides)):
+        _refuse_long_range(override)
         values = [] if override.is_sweep_override() else [override.get_value_element_as_str()]
         if override.is_discrete_sweep():
             values = list(override.sweep_string_iterator())
         if not values:
             raise ConfigError(f"{override.input_line}: there are no values to sweep over")
         if override.key_or_group == "label":  # to be found in the cells of an experiment, which have no escapes
-            values = [str(one.value()) for one in parse_overrides(f"label={value}" for value in values)]
+            values = [_label(label) for label in parse_overrides(f"label={numbers_as_text(value)}" for value in values)]
         axes[override.get_key_element()] = values
     if "seed" in axes and axes.get("seeds", ["null"]) != ["null"]:
         raise ConfigError("seed and seeds are both given; seeds=[...] names several")
     return axes
+
+
+def _label_as_text(override: str) -> str:
+    key, equals, value = override.partition("=")
+    return f"{key}={numbers_as_text(value)}" if equals and key.lstrip("+") == "label" else override
+
+
+def _label(override: Override) -> str:
+    label = override.value()
+    if label is not None and not isinstance(label, str):
+        raise ConfigError(f"{override.input_line}: a label is text; write \"label='...'\"")
+    return "null" if label is None else label
+
+
+def _refuse_long_range(override: Override) -> None:
+    """Refuse a range of more values than a sweep can have, before they are listed."""
+    sweep = override.value()
+    if not isinstance(sweep, RangeSweep) or sweep.start is None or sweep.stop is None:
+        return
+    if not sweep.step:
+        raise ConfigError(f"{override.input_line}: the step of a range can't be 0")
+    n_values = (sweep.stop - sweep.start) // sweep.step
+    if math.isnan(n_values) or n_values > MAX_VALUES:
+        raise ConfigError(f"{override.input_line}: a sweep has at most {MAX_VALUES} values of a key")

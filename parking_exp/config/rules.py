@@ -1,6 +1,7 @@
 """Rules between the keys of a config."""
 
 from collections.abc import Iterable, Iterator, Mapping
+from fractions import Fraction
 
 from parking_exp.config.argument_limits import HER_OPTIONS
 from parking_exp.config.schema import RunConfig
@@ -9,6 +10,8 @@ from parking_exp.tasks.registry import make_task
 from parking_exp.tasks.task import Task
 
 HER_CLASSES = ("HerBuffer", "HerReplayBuffer")
+MAX_ROUND = 1000
+"""The most steps of each env from one round of updates to the next."""
 
 
 def check_rules(run: RunConfig) -> Iterator[str]:
@@ -83,6 +86,32 @@ def _check_algorithm(run: RunConfig) -> Iterator[str]:
         yield "algorithm.train_freq counts episodes, which works with one env only; set n_envs=1"
     if run.tracking.mlflow and run.experiment_name == "Default":
         yield "experiment_name=Default is reserved by MLflow; choose another name"
+
+
+def check_update_ratio(run: RunConfig) -> Iterator[str]:
+    """Yield a sentence if no round of updates has the ratio that the config asks for."""
+    train_freq, gradient_steps = run.update_rounds()
+    asked = f"updates_per_step={run.updates_per_step}"
+    given = [
+        f"algorithm.{name}={run.algorithm.arguments[name]}"
+        for name in ("train_freq", "gradient_steps")
+        if run.algorithm.arguments.get(name) is not None
+    ]
+    if isinstance(train_freq, tuple):
+        if gradient_steps != -1:
+            yield f"{' and '.join(given)}: the ratio would depend on the length of episodes; leave gradient_steps null"
+        elif run.update_ratio != 1:
+            yield f"{given[0]} does one update per env step; set updates_per_step=1, or leave train_freq null"
+        return
+    ratio = Fraction(1) if gradient_steps == -1 else Fraction(gradient_steps, train_freq * run.n_envs)
+    if ratio != run.update_ratio:
+        yield (
+            f"{' and '.join(given)} with n_envs={run.n_envs}: {float(ratio)} updates per env step, not {asked}; set "
+            f"updates_per_step={float(ratio)}, or leave train_freq and gradient_steps null"
+        )
+    elif not given and train_freq > MAX_ROUND:
+        near = run.update_ratio.limit_denominator(MAX_ROUND)
+        yield f"{asked}: updates would come after {train_freq} steps of each env; try updates_per_step={float(near)}"
 
 
 def _check_evaluation(run: RunConfig) -> Iterator[str]:

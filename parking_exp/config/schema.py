@@ -9,11 +9,11 @@ from fractions import Fraction
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, NonNegativeInt, PositiveFloat, PositiveInt
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, NonNegativeInt, PositiveFloat
 
 from parking_exp.config.paths import absolute, default_uri, directory_path, refuse_password
 from parking_exp.config.run_key import result_part, short_hash
-from parking_exp.config_model import ConfigModel, EpisodeSeed, Name, NumberOfEpisodes
+from parking_exp.config_model import ConfigModel, Count, EpisodeSeed, Name, NumberOfEpisodes
 from parking_exp.tasks.registry import EnvConfig
 
 STORES = re.compile(r"sqlite:///[^?]+|(https?|postgresql|mysql|mssql)(\+\w+)?://.+|databricks.*")
@@ -69,7 +69,7 @@ FINAL_EVALUATION = {"final_n_scenes", "n_certified_scenes", "video_episodes"}
 class EvaluationConfig(ConfigModel):
     """Evaluation on episodes with fixed seeds, during training and at its end."""
 
-    every_n_steps: PositiveInt | None
+    every_n_steps: Count | None
     n_scenes: NumberOfEpisodes
     final_n_scenes: NumberOfEpisodes
     n_certified_scenes: NumberOfEpisodes
@@ -85,8 +85,8 @@ class EvaluationConfig(ConfigModel):
 class CheckpointConfig(ConfigModel):
     """Checkpoints of the whole training state."""
 
-    every_n_steps: PositiveInt | None
-    keep_last: PositiveInt
+    every_n_steps: Count | None
+    keep_last: Count
 
 
 class StoreConfig(ConfigModel):
@@ -103,7 +103,7 @@ class TrackingConfig(ConfigModel):
     stdout: bool
     csv: bool
     tensorboard: bool
-    log_interval: PositiveInt
+    log_interval: Count
     progress_bar: bool
 
 
@@ -130,7 +130,7 @@ class RunConfig(OutputConfig):
 
     experiment_name: Name
     seed: Annotated[int, Field(ge=0, lt=2**32)]
-    total_timesteps: PositiveInt
+    total_timesteps: Count
     n_envs: Annotated[int, Field(ge=1, le=100_000)]
     updates_per_step: Annotated[float, Field(ge=0.001, le=1000)]  # 0.001: one update in 1,000 steps of each env
     device: Annotated[str, Field(pattern=r"^(cpu|auto|cuda(:\d{1,3})?)$")]
@@ -199,16 +199,26 @@ class RunConfig(OutputConfig):
     def update_rounds(self) -> tuple[int | tuple[int, str], int]:
         """Return (`train_freq`, `gradient_steps`): the shortest round that makes `updates_per_step` exact.
 
-        Values of the `algorithm` section take precedence: `train_freq: [1, episode]` does as many updates as steps (-1)
-        unless `gradient_steps` is set.
+        Values of the `algorithm` section take precedence; `rules.check_update_ratio` refuses those of another ratio.
+        -1 updates are as many as env steps.
         """
-        train_freq, gradient_steps = map(self.algorithm.arguments.get, ("train_freq", "gradient_steps"))
-        if isinstance(train_freq, list):
+        train_freq = self.algorithm.arguments.get("train_freq")
+        gradient_steps = self.algorithm.arguments.get("gradient_steps")
+        if isinstance(train_freq, list | tuple):
             number, unit = train_freq
-            return (number, unit), -1 if gradient_steps is None else gradient_steps
-        per_vec_step = Fraction(self.updates_per_step).limit_denominator(1000) * self.n_envs
+            if unit == "episode":
+                return (number, unit), -1 if gradient_steps is None else gradient_steps
+            train_freq = number
+        per_vec_step = self.update_ratio * self.n_envs
+        if train_freq is None and gradient_steps is None:
+            return per_vec_step.denominator, per_vec_step.numerator
         if train_freq is None:
-            train_freq = 1 if gradient_steps is not None else per_vec_step.denominator
+            train_freq = 1 if gradient_steps == -1 else max(1, math.floor(gradient_steps / per_vec_step))
         if gradient_steps is None:
             gradient_steps = math.ceil(per_vec_step * train_freq)
         return train_freq, gradient_steps
+
+    @property
+    def update_ratio(self) -> Fraction:
+        """`updates_per_step` as a fraction, so that 0.3 is three updates in ten steps."""
+        return Fraction(self.updates_per_step).limit_denominator(1_000_000)

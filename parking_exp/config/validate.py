@@ -12,7 +12,7 @@ from omegaconf.errors import MissingMandatoryValue, OmegaConfBaseException
 from pydantic import BaseModel, ValidationError
 
 from parking_exp.config.constructor_arguments import check_arguments
-from parking_exp.config.rules import check_rules, check_tasks
+from parking_exp.config.rules import check_rules, check_tasks, check_update_ratio
 from parking_exp.config.schema import RunConfig, SweepOptions
 from parking_exp.errors import ConfigError, did_you_mean, first_line
 from parking_exp.tasks.registry import TASKS
@@ -53,6 +53,7 @@ def validate_all(configs: Iterable[Config]) -> list[RunConfig]:
     refuse(check_tasks(runs))
     for run in runs:
         refuse(check_arguments(run))
+        refuse(check_update_ratio(run))
     return runs
 
 
@@ -91,6 +92,8 @@ def _sentence(error: Any, model: type[BaseModel]) -> str:
                 name for part in (schema, *schema.get("$defs", {}).values()) for name in part.get("properties", ())
             }
             return f"{key}: there is no such key{did_you_mean(name, known - {name})}"
+        case "string_type" if isinstance(error["input"], int | float):
+            return f"{key}={error['input']!r} is not text; put it in quotes, \"{key}='...'\""
         case "union_tag_invalid" | "union_tag_not_found":
             return f"{key}.task: {reason}"
         case "value_error":  # the message of one of our validators; the value may be a password

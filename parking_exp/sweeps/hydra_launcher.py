@@ -1,6 +1,6 @@
 """The launcher of a command line, `hydra/launcher=NAME`: one of ours, or a plugin of Hydra."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Protocol, cast
 
@@ -11,10 +11,10 @@ from hydra.experimental.callback import Callback
 from hydra.plugins.launcher import Launcher as Plugin
 from hydra.types import HydraContext, RunMode
 from hydra.utils import get_class
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import DictConfig, open_dict
 
-from parking_exp.config.compose import hydra_ready, user_options
-from parking_exp.config.overrides import hydra_overrides, in_quotes
+from parking_exp.config.compose import ComposedRun, hydra_ready, user_options
+from parking_exp.config.overrides import in_quotes
 from parking_exp.errors import ConfigError, first_line, plural
 from parking_exp.sweeps.local import LocalLauncher
 from parking_exp.sweeps.supervisor import supervise_job
@@ -29,28 +29,49 @@ class Launcher(Protocol):
         """Train runs until they are over or interrupted; return an error of the launcher itself, or None."""
 
 
-def launcher_of(overrides: list[str], extra_config_dir: str | None = None) -> Launcher:
-    """Return the launcher that a command line names, with its settings checked.
+def launcher_of(runs: Sequence[ComposedRun], extra_config_dir: str | None = None, *, connect: bool = False) -> Launcher:
+    """Return the launcher that the command line or the experiment file of runs names, with its settings checked.
+
+    Args:
+        runs: of one sweep.
+        extra_config_dir: Hydra's `--config-dir`.
+        connect: whether to connect to the cluster now, before anything is on disk.
 
     Raises:
-        ConfigError: it is unknown, not installed, or set up wrongly.
+        ConfigError: it is unknown, not installed, set up wrongly or out of reach, or experiments name different ones.
     """
+    name, settings = runs[0].launcher, dict(runs[0].launcher_settings)
+    if any((run.launcher, run.launcher_settings) != (name, settings) for run in runs):
+        raise ConfigError("these experiments have different launchers; name one with hydra/launcher=NAME")
+    if name == "basic":  # Hydra's own
+        return LocalLauncher(1)
     with hydra_ready():
-        loader = GlobalHydra.instance().config_loader()
-        lines = [*user_options(extra_config_dir), *hydra_overrides(overrides)]
-        config = loader.load_configuration("worker", lines, RunMode.MULTIRUN)
-        name, settings = config.hydra.runtime.choices["hydra/launcher"], config.hydra.launcher
-        if name == "basic":  # Hydra's own
-            return LocalLauncher(1)
         try:
-            if settings._target_.startswith("parking_exp."):
-                keywords = cast(dict[str, Any], OmegaConf.to_container(settings, resolve=True))
-                return get_class(keywords.pop("_target_"))(**keywords)
+            if settings["_target_"].startswith("parking_exp."):
+                return get_class(settings.pop("_target_"))(**settings)
+            if connect and name == "ray":
+                _connect_to_ray(settings)
+            loader = GlobalHydra.instance().config_loader()
+            lines = [*user_options(extra_config_dir), f"hydra/launcher={name}"]
+            config = loader.load_configuration("worker", lines, RunMode.MULTIRUN)
+            with open_dict(config):
+                config.hydra.launcher = settings
             # Launchers notify the context's callbacks of each job; a plain `Callback` does nothing.
             context = HydraContext(config_loader=loader, callbacks=cast(Any, Callback()))
             return PluginLauncher(name, Plugins.instance().instantiate_launcher(context, _train, config))
         except (ImportError, RuntimeError, TypeError) as error:
             raise _unusable(name, error) from error
+
+
+def _connect_to_ray(settings: Mapping[str, Any]) -> None:
+    """Connect to the running cluster; the plugin uses this connection."""
+    import ray
+
+    try:
+        ray.init(**settings["ray"]["init"])
+    except (ConnectionError, RuntimeError, ValueError) as error:
+        reason = first_line(error).partition(". ")[0]
+        raise ConfigError(f"hydra/launcher=ray: {reason}; start a cluster with `ray start --head`") from error
 
 
 class PluginLauncher:

@@ -3,8 +3,9 @@
 from collections.abc import Iterator, Mapping
 from typing import Annotated, Any, ClassVar, Literal
 
-from pydantic import Field, PositiveInt
+from pydantic import Field
 
+from parking_exp.config_model import Count
 from parking_exp.tasks.task_config import TaskConfig
 
 ENV_ID_PATTERN = r"^([A-Za-z_][\w.]*:)?([\w-]+/)?[\w.-]+$"
@@ -20,7 +21,7 @@ class GymnasiumConfig(TaskConfig):
     task: Literal["gymnasium"]
     id: Annotated[str, Field(pattern=ENV_ID_PATTERN)]
     kwargs: dict[str, Any]
-    max_episode_steps: PositiveInt | None
+    max_episode_steps: Count | None
     vectorization: Literal["sync", "async"]
     success_key: str | None
     failure_key: str | None
@@ -28,6 +29,12 @@ class GymnasiumConfig(TaskConfig):
     def episode_steps(self) -> int | None:
         """Return the longest episode in steps; None where only the registered environment knows."""
         return self.max_episode_steps
+
+    def problems(self) -> Iterator[str]:
+        """Yield a sentence if a success would also count as a failure."""
+        success_keys = (self.success_key,) if self.success_key else ("is_success", "success")
+        if self.failure_key in success_keys:
+            yield f"env.failure_key={self.failure_key} tells of success; name the entry that tells of failure, or null"
 
     @property
     def imports(self) -> dict[str, str]:

@@ -1,5 +1,6 @@
 """Tests of composing: options, overrides in Hydra's grammar, and what is refused before any value is checked."""
 
+import re
 from pathlib import Path
 
 import hydra
@@ -10,9 +11,9 @@ from omegaconf import OmegaConf
 from support.runs import GROUPS, make_config, options
 
 from parking_exp.config.allowlist import check_trust
-from parking_exp.config.compose import compose_configs
+from parking_exp.config.compose import compose, compose_configs, compose_runs
 from parking_exp.config.overrides import config_dir, to_hydra_syntax
-from parking_exp.config.validate import validate_all
+from parking_exp.config.validate import validate, validate_all
 from parking_exp.errors import ConfigError
 
 
@@ -41,6 +42,8 @@ def test_every_option_of_every_group_composes_validates_and_is_trusted(group, op
         ("learning_rate=1e-3", "'algorithm.learning_rate'"),
         ("experiment=tutorail", "'tutorial'"),
         ("algorithm.policy_kwargs.n_critics=3", "++algorithm.policy_kwargs.n_critics="),
+        ("algorithm.learning_rate.ende=1e-4", "'end'"),
+        ("algorithm.verbosity=1", "algorithm.verbosity: there is no such key in algorithm=sac; choose from"),
         ("tracking.mlfow=true", "'mlflow'"),
         ("algorithm.policy_kwargs=[1]", "algorithm.policy_kwargs"),
         ("hydra.launcher.n_job=2", "'n_jobs'"),
@@ -50,6 +53,18 @@ def test_every_option_of_every_group_composes_validates_and_is_trusted(group, op
         ("seed=[1", "seed=[1"),
         ("seed=choice()", "seed=choice()"),
         ("seed=interval(0,1)", "seed=interval(0,1)"),
+        ("seed=range(1,5,0)", "step"),
+        ("seed=range(1,1000000000)", "at most 100000 values"),
+        ("seed=shuffle(range(1,1000000000))", "at most 100000 values"),
+        ("seed=range(0,1,1e-12)", "at most 100000 values"),
+        ("total_timesteps=" + "9" * 5000, "total_timesteps: Exceeds the limit (4300 digits)"),
+        ("label=[a]", "a label is text"),
+        ("label={a:1}", "a label is text"),
+        ("hydra.run.dir=elsewhere", "output_dir=DIR"),
+        ("hydra.job.chdir=true", "output_dir=DIR"),
+        ("+hydra.job.env_set.X=1", "environment variables in the shell"),
+        ("hydra.sweeper.params={seed: '1,2'}", "cells: "),
+        ("hydra.verbose=true", "only hydra/launcher"),
         ("experiment=nowhere.yaml", "nowhere.yaml"),
     ],
 )
@@ -114,6 +129,105 @@ def test_an_experiment_file_may_be_anywhere(tmp_path):
     path.write_text("n_envs: [")
     with pytest.raises(ConfigError, match=r"own=1.yaml"):
         make_config(line)
+
+
+@pytest.mark.parametrize(
+    ("override", "labels"),
+    [
+        ("label=0.10", ["0.10"]),
+        ("label=1e-3,0.20,'a, b',x", ["1e-3", "0.20", "a, b", "x"]),
+        ("label=choice(0.10,true)", ["0.10", "true"]),
+        ("++label=1_000", ["1_000"]),
+        ("label='1e5'", ["1e5"]),
+        ("label=null", [None]),
+    ],
+)
+def test_labels_are_text_as_they_were_typed(override, labels):
+    assert [validate(config).label for config in compose_configs("config", [override])] == labels
+
+
+def test_labels_of_an_experiment_file_are_text_and_one_that_yaml_reads_as_a_number_is_refused(tmp_path):
+    path = tmp_path / "mine.yaml"
+    cells = "cells:\n  - {label: '0.10', algorithm.gamma: 0.9}\n  - {label: '1e-3'}\n"
+    path.write_text(f"# @package _global_\n{cells}contrasts: [['0.10', '1e-3']]\n")
+    (config,) = compose_configs("config", [f"experiment={path}", "label=0.10"])
+    assert (config.label, config.contrasts) == ("0.10", [["0.10", "1e-3"]])
+    with pytest.raises(ConfigError, match=r"did you mean '0\.10'\?$"):
+        compose_configs("config", [f"experiment={path}", "label=0.1"])
+    path.write_text("# @package _global_\ncells:\n  - {label: 0.10}\n")
+    with pytest.raises(ConfigError, match=r"^cells: the label 0\.1 is no text; put it in quotes"):
+        compose_configs("config", [f"experiment={path}"])
+
+
+@pytest.mark.parametrize("as_path", [True, False])
+def test_the_launcher_of_an_experiment_file_is_used_unless_the_command_line_names_one(tmp_path, as_path):
+    path = tmp_path / "experiment" / "on_a_cluster.yaml"
+    path.parent.mkdir()
+    path.write_text(
+        "# @package _global_\ndefaults:\n  - smoke\n  - override /hydra/launcher: slurm\n"
+        "hydra: {launcher: {n_jobs: 1, parameters: {mem_gb: 7}}}\n"
+    )
+    experiment = f"experiment={path}" if as_path else "experiment=on_a_cluster"
+    own_options = None if as_path else str(tmp_path)
+
+    def composed(*overrides):
+        (run,) = compose_runs("config", [experiment, *overrides], own_options)
+        return run.launcher, run.launcher_settings["n_jobs"]
+
+    assert composed() == ("slurm", 1)
+    assert composed("hydra.launcher.n_jobs=5") == ("slurm", 5)
+    assert composed("hydra/launcher=local") == ("local", 1)
+
+
+@pytest.mark.parametrize(
+    ("settings", "words"),
+    [
+        ("sweeper: {params: {seed: '1,2'}}", "hydra.sweeper.params.seed=1,2 has no effect; list the values"),
+        ("job: {chdir: true}", "hydra.job.chdir=True has no effect; start the command in that directory"),
+        ("job: {env_set: {X: 1}}", "hydra.job.env_set.X=1 has no effect; set environment variables"),
+        ("run: {dir: elsewhere}", "hydra.run.dir=elsewhere has no effect; set output_dir=DIR"),
+    ],
+)
+def test_other_settings_of_hydra_in_a_file_are_refused(tmp_path, settings, words):
+    path = tmp_path / "mine.yaml"
+    path.write_text(f"# @package _global_\nhydra: {{{settings}}}\n")
+    with pytest.raises(ConfigError, match=rf"^{re.escape(words)}[^\n]*$"):
+        compose_configs("config", [f"experiment={path}"])
+
+
+@pytest.mark.parametrize("name", ["evaluate", "export", "report", "status"])
+def test_a_launcher_is_refused_by_commands_that_launch_nothing(name):
+    with pytest.raises(ConfigError, match=r"^hydra/launcher=slurm has no effect; only scripts/train\.py"):
+        compose_configs(name, ["hydra/launcher=slurm"])
+
+
+def test_arguments_that_a_class_of_the_users_own_takes_are_suggested(tmp_path, monkeypatch):
+    (tmp_path / "floor_sac.py").write_text(
+        "from stable_baselines3 import SAC\n"
+        "class FloorSAC(SAC):\n"
+        "    def __init__(self, *args, entropy_floor: float = 0.0, **rest):\n"
+        "        super().__init__(*args, **rest)\n"
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    (tmp_path / "conf" / "algorithm").mkdir(parents=True)
+    option = "defaults: [sac, _self_]\nname: floor_sac\n_target_: floor_sac.FloorSAC\n"
+    (tmp_path / "conf" / "algorithm" / "floor_sac.yaml").write_text(option)
+    for override, hint in (
+        ("algorithm.entropy_flor=2", "did you mean '++algorithm.entropy_floor'?"),
+        ("algorithm.entropy_floor=2", "write ++algorithm.entropy_floor=VALUE to add it"),
+        ("algorithm.learning_start=2", "did you mean 'learning_starts'?"),
+    ):
+        with pytest.raises(ConfigError, match=rf"{re.escape(hint)}$"):
+            compose_configs("config", ["algorithm=floor_sac", override], str(tmp_path / "conf"))
+
+
+def test_compose_takes_a_directory_of_the_users_own_options(tmp_path):
+    (tmp_path / "env").mkdir()
+    (tmp_path / "env" / "short.yaml").write_text("defaults: [parking]\nname: short\nduration: 50\n")
+    assert compose("env=short", config_dir=tmp_path).env.name == "short"
+    assert compose("env=short", config_dir=str(tmp_path)).env.duration == 50
+    with pytest.raises(ConfigError, match=r"^config_dir=nowhere is not a directory$"):
+        compose("env=short", config_dir="nowhere")
 
 
 @pytest.mark.parametrize(

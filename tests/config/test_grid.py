@@ -91,6 +91,8 @@ def test_seeds_on_a_command_line():
         (("seeds=3", "seed=1"), "seed and seeds"),
         (("buffer=her_future,replay", "buffer.n_sampled_goal=2,4"), r"buffer\.n_sampled_goal: .*buffer=replay"),
         (("cells=[3]",), r"cells=\[3\]"),
+        (("seeds=1000000000",), "seeds=1000000000"),
+        (("seeds=100000", "algorithm.gamma=0.9,0.95"), "2 cells x 100000 seeds: a sweep has at most 100000 runs"),
         (("seed=range(0,1000)", "total_timesteps=range(1000,2000)"), "a sweep has at most 10000 cells"),
     ],
 )

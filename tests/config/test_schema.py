@@ -1,6 +1,7 @@
 """Names, keys and derived values of a run's config."""
 
 import inspect
+import re
 from typing import get_args
 
 import pytest
@@ -11,6 +12,7 @@ from parking_exp.buffers import HerBuffer
 from parking_exp.buffers.strategies import STRATEGIES
 from parking_exp.config.argument_limits import HER_OPTIONS, GoalStrategy
 from parking_exp.config.run_key import changes_results
+from parking_exp.errors import ConfigError
 
 
 def test_parking_has_highway_envs_own_options_and_values():
@@ -53,13 +55,50 @@ def test_update_rounds_keep_updates_per_step_for_any_n_envs(updates_per_step, n_
 @pytest.mark.parametrize(
     ("overrides", "rounds"),
     [
-        (("algorithm.train_freq=[1,episode]", "n_envs=1"), ((1, "episode"), -1)),
+        (("algorithm.train_freq=[1,episode]", "n_envs=1", "updates_per_step=1"), ((1, "episode"), -1)),
         (("algorithm.train_freq=4",), (4, 32)),
-        (("algorithm.gradient_steps=2",), (1, 2)),
+        (("algorithm.train_freq=[4,step]",), (4, 32)),
+        (("algorithm.train_freq=4", "n_envs=8"), (4, 1)),
+        (("algorithm.gradient_steps=16",), (2, 16)),
+        (("algorithm.gradient_steps=-1", "updates_per_step=1"), (1, -1)),
+        (("updates_per_step=0.0015",), (125, 48)),
+        (("updates_per_step=0.3333333333333333", "n_envs=1"), (3, 1)),
     ],
 )
 def test_train_freq_and_gradient_steps_can_be_set_by_hand(overrides, rounds):
     assert make_config(*overrides).update_rounds() == rounds
+
+
+@pytest.mark.parametrize(
+    ("overrides", "ratio"),
+    [
+        (("algorithm.train_freq=1", "n_envs=8"), "set updates_per_step=0.125,"),
+        (("algorithm.train_freq=1", "n_envs=1"), "set updates_per_step=1.0,"),
+        (("algorithm.train_freq=[1,step]", "n_envs=8"), "set updates_per_step=0.125,"),
+        (("algorithm.gradient_steps=2",), "set updates_per_step=0.0078125,"),
+        (("algorithm.gradient_steps=-1",), "set updates_per_step=1.0,"),
+        (("algorithm.train_freq=4", "algorithm.gradient_steps=4", "n_envs=8"), "set updates_per_step=0.125,"),
+        (("algorithm.train_freq=[1,episode]", "n_envs=1"), "set updates_per_step=1,"),
+        (
+            ("algorithm.train_freq=[1,episode]", "n_envs=1", "updates_per_step=1", "algorithm.gradient_steps=40"),
+            "leave gradient_steps null",
+        ),
+        (("updates_per_step=0.123456", "n_envs=8"), "try updates_per_step=0.1234567"),
+        (("updates_per_step=0.0015", "n_envs=1"), "try updates_per_step=0.00149925"),
+    ],
+)
+def test_rounds_of_another_ratio_than_the_one_asked_for_are_refused(overrides, ratio):
+    with pytest.raises(ConfigError, match=rf"^[^\n]*{re.escape(ratio)}[^\n]*$"):
+        make_config(*overrides)
+
+
+@pytest.mark.parametrize("n_envs", [1, 2, 8, 256])
+def test_the_rounds_of_every_ratio_that_is_accepted_are_exact(n_envs):
+    default = make_config()
+    for ratio in (0.001, 0.0015, 0.03125, 0.1, 0.3, 1 / 3, 0.7, 1, 2.5, 20):
+        config = default.model_copy(update={"updates_per_step": ratio, "n_envs": n_envs})
+        train_freq, gradient_steps = config.update_rounds()
+        assert gradient_steps / (train_freq * n_envs) == ratio
 
 
 def test_the_cell_is_the_config_without_its_seed():

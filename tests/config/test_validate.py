@@ -74,7 +74,16 @@ def refusal(plain):
         ("algorithm.learning_starts", 100, "25856"),
         ("total_timesteps", 26000, "26001"),
         ("algorithm._target_", "stable_baselines3.PPO", "OffPolicyAlgorithm"),
+        ("algorithm.ent_coef", "auto_0", "above 0"),
+        ("algorithm.ent_coef", "auto_1e-999", "above 0"),
+        ("algorithm.stats_window_size", 10**30, "1000000000000"),
+        ("algorithm.action_noise", {**NOISE, "dtype": "os.system"}, "'float32' or 'float64'"),
+        ("total_timesteps", 10**30, "1000000000000"),
+        ("experiment_name", 0.1, "in quotes"),
+        ("contrasts", [[0.1, "a"]], "in quotes"),
         ("buffer._target_", "stable_baselines3.SAC", "ReplayBuffer"),
+        ("buffer._target_", "stable_baselines3.common.buffers.NStepReplayBuffer", "DictReplayBuffer"),
+        ("buffer._target_", "stable_baselines3.common.buffers.ReplayBuffer", "DictReplayBuffer"),
         ("buffer.buffer_size", 800, "26112"),
         ("buffer.goal_selection_strategy", ["future"], "future"),
         (f"{POLICY}.n_critic", 3, "'n_critics'"),
@@ -182,6 +191,7 @@ def test_a_users_own_class_is_checked_against_its_signature(own_algorithm):
     for values, key in (
         ({"beta": "fast"}, "beta"), ({"beta": True}, "beta"), ({"beta": 1, "layers": None}, "layers"),
         ({"beta": 1, "layers": 1.5}, "layers"), ({"beta": 1, "tag": 3}, "tag"),
+        ({"beta": 1, "tau": 3}, "tau"), ({"beta": 1, "train_freq": "often"}, "train_freq"),
     ):  # fmt: skip
         assert refusal(own_algorithm(**values)).startswith(f"algorithm.{key}")
 

@@ -202,6 +202,7 @@ SLURM = ("hydra/launcher=slurm", "hydra.launcher.executor=local")
         (["hydra/launcher=locl"], "did you mean 'local'?"),
         (["hydra/launcher=ray_a"], "hydra/launcher=ray_a"),
         (["hydra.launcher.n_jobs=0"], "hydra.launcher.n_jobs=0"),
+        (["hydra/launcher=ray"], "ray"),  # not installed, or without a cluster
         ([*SLURM, "hydra.launcher.executor=slurm"], "srun"),
         ([*SLURM, "hydra.launcher.parameters.slurm_nodelist=n1"], "hydra.launcher.parameters.slurm_nodelist"),
         ([*SLURM, "+hydra.launcher.parameters.slurm_qso=high"], "qso"),
@@ -220,7 +221,7 @@ def test_a_sweep_or_launcher_that_is_wrong_is_refused_before_anything_is_made(tm
 
 def test_keys_of_submitit_that_the_yaml_lists_or_that_are_added_are_accepted():
     keys = ("hydra.launcher.parameters.slurm_qos=high", "+hydra.launcher.parameters.slurm_nodelist=n1")
-    assert launcher_of([*SLURM, *keys]).parameters["slurm_nodelist"] == "n1"
+    assert launcher_of(compose_runs("config", [*SLURM, *keys])).parameters["slurm_nodelist"] == "n1"
 
 
 @pytest.mark.slow

@@ -51,6 +51,12 @@ def config(env_id, *overrides):
         (f"{TOY}Endless-v0", [], "set env.max_episode_steps"),
         (f"{TOY}BitFlip-v0", ["env.failure_key=lots"], "env.failure_key=lots.* is_success, lost"),
         (f"{TOY}BitFlip-v0", ["env.success_key=won"], "env.success_key=won"),
+        (f"{TOY}BitFlip-v0", ["env.failure_key=is_success"], "^env.failure_key=is_success tells of success"),
+        (
+            f"{TOY}BitFlip-v0",
+            ["env.success_key=lost", "env.failure_key=lost"],
+            "^env.failure_key=lost tells of success",
+        ),
         (f"{TOY}BitFlip-v0", ["+env.kwargs.bits=3"], "env.kwargs.*bits"),
         (f"{TOY}BitFlip-v0", ["algorithm.features=ego", "algorithm.normalize=false"], "algorithm.features=ego"),
         (f"{TOY}BitFlip-v0", ["algorithm.learning_starts=63"], "algorithm.learning_starts=63: .* at least 64"),
@@ -79,7 +85,7 @@ def test_an_episode_ends_at_the_goal_or_at_the_limit_with_seeds_that_reproduce_i
     assert set(table["outcome"]) == {"timeout", "success"}
     assert (table.loc[~reached, "steps"] == 8).all()
     assert (table["return"] == reached - table["steps"]).all()
-    failing = make_task(config(f"{TOY}BitFlip-v0", "env.failure_key=is_success").env)
+    failing = make_task(config(f"{TOY}BitFlip-v0", "env.success_key=lost", "env.failure_key=is_success").env)
     assert (evaluate(but_the_first, failing, range(30))["outcome"] == "failure").equals(reached)
 
 

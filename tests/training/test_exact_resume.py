@@ -31,7 +31,7 @@ KINDS = {
         "evaluation.final_n_scenes=5",
     ),
     "sac, one highway_env by episodes, gSDE": (
-        "experiment=smoke", "env.simulator=highway_env", "n_envs=1", "algorithm.train_freq=[1,episode]",
+        "experiment=smoke", "env.simulator=highway_env", "n_envs=1", "algorithm.train_freq=[1,episode]", "updates_per_step=1",
         "algorithm.use_sde=true",
     ),
     "td3, EMA, Ornstein-Uhlenbeck noise, a full buffer": (

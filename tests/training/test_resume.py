@@ -33,7 +33,7 @@ KINDS = {
         "algorithm.use_sde=true", "algorithm.sde_sample_freq=4", "algorithm.train_freq=4", "tracking.log_interval=1",
     ),
     "sac, by episodes, in one highway_env, replay": (
-        HIGHWAY, "n_envs=1", "algorithm.train_freq=[1,episode]", "buffer=replay",
+        HIGHWAY, "n_envs=1", "algorithm.train_freq=[1,episode]", "updates_per_step=1", "buffer=replay",
     ),
     "td3, EMA, random goals, a full buffer": (
         "algorithm=td3", "algorithm.policy_ema_half_life=20", "buffer=her_random", "buffer.buffer_size=100",
