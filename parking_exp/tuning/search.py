@@ -17,7 +17,7 @@ from parking_exp.errors import ConfigError
 from parking_exp.runs.atomic_files import read_object, write_json
 from parking_exp.tuning.search_config import SearchConfig, SearchFile, TuneRequest
 from parking_exp.tuning.study import OpenStudy, open_study, storage_of, study_errors
-from parking_exp.tuning.trials import TrialRow, read_trials
+from parking_exp.tuning.trials import TrialRow, check_trials, read_trials
 
 if TYPE_CHECKING:
     from optuna import Study
@@ -114,7 +114,18 @@ class Search:
         """Return the study; create it, and its folder, if there is none yet."""
         run, space = self.compose({}), self.request.search.space
         values = {key: run.options.get(key) or OmegaConf.select(run.cell, key.lstrip("+")) for key in space}
-        return open_study(self.folder, self.request.search, self.base, values)
+        return open_study(self.folder, self.request.search, self.base, values, self._option_keys)
+
+    @cached_property
+    def _option_keys(self) -> dict[str, str]:
+        """The run key with each option that trials choose from, which changes with the contents of its file."""
+        groups = self.compose({}).options
+        keys: dict[str, str] = {}
+        for group, dimension in self.request.search.space.items():
+            for option in dimension.ends if group in groups else []:
+                config = self.config({group: option}).model_copy(update={"seed": 0})
+                keys[f"{group}={option}"] = config.run_key
+        return keys
 
     def save(self) -> None:
         """Write `search.json`, from which other commands read the search."""
@@ -136,7 +147,7 @@ def study_in(folder: Path) -> StoredSearch | None:
     """Return the search of an experiment's folder; None without one.
 
     Raises:
-        ConfigError: its settings or its study are damaged.
+        ConfigError: its settings or its study are damaged, or a trial has values outside of the space.
         StoreError: the journal can't be read.
         UntrustedError: see `storage_of`.
     """
@@ -147,4 +158,6 @@ def study_in(folder: Path) -> StoredSearch | None:
 
     with study_errors(folder.name):
         study = optuna.load_study(study_name=folder.name, storage=storage_of(folder))
-    return StoredSearch(stored.search, stored.n_trials, study, read_trials(study, folder, stored.n_trials))
+    trials = read_trials(study, folder, stored.n_trials)
+    check_trials(trials, stored.search.space)
+    return StoredSearch(stored.search, stored.n_trials, study, trials)

@@ -3,7 +3,7 @@
 import json
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
-from pydantic import Field, NonNegativeInt, PositiveInt, model_validator
+from pydantic import Field, NonNegativeInt, model_validator
 
 from parking_exp.config.schema import SweepOptions
 from parking_exp.config_model import Bounds, ConfigModel, Name
@@ -12,7 +12,10 @@ if TYPE_CHECKING:
     from optuna.distributions import BaseDistribution
 
 DIGITS = 6  # of sampled numbers, so that configs stay readable
+HYPERPARAMETERS = ("algorithm", "buffer", "env", "n_envs", "updates_per_step")
+"""Keys that a space may have: these, and keys of these groups."""
 Value = bool | int | float | str | None | list[Any] | dict[str, Any]
+NumberOfTrials = Annotated[int, Field(ge=1, le=100_000)]
 Seeds = Annotated[list[Annotated[int, Field(ge=0, lt=2**32)]], Field(min_length=1)]
 
 
@@ -72,8 +75,13 @@ class Dimension(ConfigModel):
         return value if low <= value <= high else None
 
     def allows(self, value: Any) -> bool:
-        """Return whether a trial may have a value: one of the choices, or any number, since samples are rounded."""
-        return isinstance(value, int | float) if self.choices is None else self.to_parameter(value) is not None
+        """Return whether a trial may have a value: one of the choices, or a number of the range when it is rounded."""
+        if self.choices is not None:
+            return self.to_parameter(value) is not None
+        if isinstance(value, bool) or not isinstance(value, int if self.whole else int | float):
+            return False
+        low, high = self.ends
+        return min(low, self.to_value(low)) <= value <= max(high, self.to_value(high))
 
     def to_value(self, parameter: Any) -> Any:
         """Return Optuna's parameter as a config's value."""
@@ -98,8 +106,12 @@ class SearchConfig(ConfigModel):
         seeds = [*self.tuning_seeds, *self.test_seeds]
         if twice := [seed for seed in seeds if seeds.count(seed) > 1]:
             raise ValueError(f"seed {twice[0]} occurs twice in tuning_seeds and test_seeds; all have to differ")
-        if "seed" in self.space or "seeds" in self.space:
-            raise ValueError("space has seeds; every trial is trained on tuning_seeds")
+        for key in self.space:
+            if key.lstrip("+").partition(".")[0] not in HYPERPARAMETERS:
+                raise ValueError(
+                    f"space has {key}, which is no hyperparameter; it may have n_envs, updates_per_step, and keys or "
+                    "options of algorithm, buffer and env (seeds are in tuning_seeds)"
+                )
         return self
 
 
@@ -107,12 +119,12 @@ class TuneRequest(SweepOptions):
     """The keys of `conf/tune.yaml` beside those of a run."""
 
     search: SearchConfig
-    n_trials: PositiveInt
-    n_workers: PositiveInt | None
+    n_trials: NumberOfTrials
+    n_workers: Annotated[int, Field(ge=1, le=10_000)] | None
 
 
 class SearchFile(ConfigModel):
     """The content of `search.json`, from which other commands read the search."""
 
-    n_trials: int
+    n_trials: NumberOfTrials
     search: SearchConfig

@@ -89,16 +89,23 @@ def storage_of(folder: Path) -> Any:
     return JournalStorage(JournalFileBackend(str(path), lock_obj=cast(Any, _JournalLock(path))))
 
 
-def open_study(folder: Path, search: SearchConfig, base: RunConfig, values: Mapping[str, Any]) -> OpenStudy:
+def open_study(
+    folder: Path,
+    search: SearchConfig,
+    base: RunConfig,
+    values: Mapping[str, Any],
+    option_keys: Mapping[str, str] | None = None,
+) -> OpenStudy:
     """Return the study of a search; create it, with trial 0, the unchanged config, if there is none.
 
     Args:
         folder: of the experiment.
         base: the config that trials change.
         values: value of each key of the space in this config.
+        option_keys: run key of this config with each option that trials choose from.
 
     Raises:
-        ConfigError: the study was made with another space, seeds or base config.
+        ConfigError: the study was made with another space, seeds, base config, or contents of an option.
         StoreError: the journal can't be read.
     """
     import optuna
@@ -109,7 +116,7 @@ def open_study(folder: Path, search: SearchConfig, base: RunConfig, values: Mapp
         storage = storage_of(folder)
         with FileLock(folder / CLAIM_LOCK):
             study = optuna.create_study(storage=storage, study_name=name, direction="maximize", load_if_exists=True)
-            definition = _definition(search, base)
+            definition = {**_definition(search, base), **(option_keys or {})}
             known = study.user_attrs.get(DEFINITION)
             if known is None:
                 study.set_user_attr(DEFINITION, definition)
@@ -132,7 +139,7 @@ def open_study(folder: Path, search: SearchConfig, base: RunConfig, values: Mapp
 
 
 def _definition(search: SearchConfig, base: RunConfig) -> dict[str, Any]:
-    """Return what must not change for trials to be comparable: seeds, space and base config."""
+    """Return what must not change for trials to be comparable: seeds, space, base config and evaluation."""
     plain = json.loads(search.model_dump_json(by_alias=True, exclude_none=True))
     definition = {f"search.space.{key}": value for key, value in plain["space"].items()}
     definition["search.tuning_seeds"] = search.tuning_seeds

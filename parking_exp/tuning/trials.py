@@ -13,6 +13,7 @@ from parking_exp.config.cell_labels import setting
 from parking_exp.errors import ConfigError, plural
 from parking_exp.runs.atomic_files import read_object
 from parking_exp.runs.directory import is_held
+from parking_exp.tuning.search_config import Dimension
 from parking_exp.tuning.study import study_errors, trial_lock_path
 
 if TYPE_CHECKING:
@@ -74,6 +75,27 @@ def read_trials(study: "Study", folder: Path, n_trials: int) -> list[TrialRow]:
     with study_errors(study.study_name):
         trials = study.get_trials(deepcopy=False)[:n_trials]
     return [_row(trial, folder) for trial in trials]
+
+
+def check_trials(trials: Sequence[TrialRow], space: Mapping[str, Dimension]) -> None:
+    """Refuse trials with values that their search can't have sampled.
+
+    Raises:
+        ConfigError: with the first of them.
+    """
+    for trial in trials:
+        outside = [key for key, value in trial.changes.items() if key not in space or not space[key].allows(value)]
+        outside += [key for key, value in trial.parameters.items() if not _is_parameter(space.get(key), value)]
+        if outside:
+            raise ConfigError(f"the study is damaged: trial {trial.number} has {outside[0]} outside of search.space")
+
+
+def _is_parameter(dimension: Dimension | None, value: Any) -> bool:
+    if dimension is None:
+        return False
+    if dimension.choices is not None:
+        return value in [plain_choice(json.dumps(choice)) for choice in dimension.choices]
+    return dimension.to_parameter(value) is not None
 
 
 def _row(trial: "FrozenTrial", folder: Path) -> TrialRow:

@@ -29,6 +29,11 @@ DISTRIBUTIONS = {
     "buffer": CategoricalDistribution(['"her_future"', '"replay"']),
     "buffer.n_sampled_goal": IntDistribution(1, 8),
 }
+SPACE = {
+    "algorithm.learning_rate": {"log": [1e-4, 1e-2]},
+    "buffer": {"choices": ["her_future", "replay"]},
+    "buffer.n_sampled_goal": {"int": [1, 8]},
+}
 OWN = [section for section in SECTIONS if section.id in ("retest", "tuning")]
 
 
@@ -71,7 +76,7 @@ def write_retest(folder, *trials):
 
 def write_search(folder, **changes):
     folder.mkdir(exist_ok=True)
-    plain = settings().model_dump(by_alias=True)
+    plain = settings(space=SPACE).model_dump(by_alias=True)
     write_json(folder / "search.json", {"n_trials": 3, "search": plain, **changes})
 
 

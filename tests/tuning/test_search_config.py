@@ -4,7 +4,7 @@ import json
 
 import optuna
 import pytest
-from support.searches import SETTINGS, settings
+from support.searches import SETTINGS
 
 from parking_exp.config.validate import check
 from parking_exp.errors import ConfigError
@@ -39,10 +39,30 @@ def test_a_value_outside_of_a_dimension_has_no_parameter(form, value):
     assert Dimension.model_validate(form).to_parameter(value) is None
 
 
+@pytest.mark.parametrize(
+    ("form", "allowed", "refused"),
+    [
+        (
+            {"uniform": [0.9, 0.99]},
+            [0.9, 0.95, 0.99],
+            [5.0, -3, True, float("nan"), float("inf"), "0.95", [0.95], None],
+        ),
+        ({"uniform": [0.12345678, 0.2345678]}, [0.123457, 0.234568], [0.123456, 0.234569]),  # rounded to six digits
+        ({"log": [1e-4, 1e-2]}, [1e-4, 0.003], [0, 0.02, False]),
+        ({"int": [1, 8]}, [1, 8], [0, 9, 2.0, True]),
+        ({"choices": ["sac", None, 1]}, ["sac", None, 1], ["td3", True, float("nan")]),
+    ],
+)
+def test_a_trial_may_have_the_values_that_its_dimension_can_sample(form, allowed, refused):
+    dimension = Dimension.model_validate(form)
+    assert [dimension.allows(value) for value in allowed] == [True] * len(allowed)
+    assert [dimension.allows(value) for value in refused] == [False] * len(refused)
+
+
 def test_sampled_values_lie_within_both_ends_and_have_six_digits():
     study = optuna.create_study(sampler=optuna.samplers.RandomSampler(seed=0))
     forms = {"a": {"log": [1e-4, 1e-2]}, "b": {"uniform": [0.9, 1]}, "c": {"int": [1, 3]}, "d": {"choices": [[1], [2]]}}
-    space = settings(space=forms).space
+    space = {key: Dimension.model_validate(form) for key, form in forms.items()}
     trials = [study.ask({key: dimension.distribution() for key, dimension in space.items()}) for _ in range(200)]
     sampled = {key: [dimension.to_value(trial.params[key]) for trial in trials] for key, dimension in space.items()}
     assert all(1e-4 <= value <= 1e-2 and value == float(f"{value:.6g}") for value in sampled["a"])
@@ -58,6 +78,22 @@ def test_sampled_values_lie_within_both_ends_and_have_six_digits():
         ({"space": {}}, "space"),
         ({"space": {"algorithm.gamma": {"log": [0.99, 0.9]}}}, "space.algorithm.gamma"),
         ({"space": {"seed": {"int": [0, 5]}}}, "tuning_seeds"),
+        *(
+            ({"space": {key: {"choices": [1]}}}, f"space has {key}, which is no hyperparameter")
+            for key in (
+                "output_dir",
+                "experiment_name",
+                "total_timesteps",
+                "device",
+                "tracking.uri",
+                "budget",
+                "evaluation.n_scenes",
+                "checkpoint.keep_last",
+                "+label",
+                "search.n_retest",
+                "experiment",
+            )
+        ),
         ({"tuning_seeds": [1, 2], "test_seeds": [2, 3]}, "seed 2"),
     ],
 )
