@@ -4,8 +4,10 @@ import gc
 
 from parking_exp.cli.command import run_command
 from parking_exp.config.compose import compose_runs
+from parking_exp.config.rules import update_ratio_warning
 from parking_exp.config.schema import SweepOptions
 from parking_exp.config.validate import parse
+from parking_exp.terminal import say
 
 
 def main() -> None:
@@ -23,6 +25,9 @@ def train(overrides: list[str], extra_config_dir: str | None) -> None:
     first = runs[0].cell  # all runs have the same keys of the sweep
     options = parse(SweepOptions, {name: first[name] for name in SweepOptions.model_fields})
     planned = plan(runs, options.retry)
+    for warning in dict.fromkeys(update_ratio_warning(run.config) for run in planned):
+        if warning is not None:
+            say(f"warning: {warning}", stderr=True)
     names_launcher = any(override.lstrip("+~").startswith("hydra/launcher") for override in overrides)
     # These need a supervisor, so that even a single run becomes a sweep.
     is_elsewhere = names_launcher or runs[0].launcher != "local"

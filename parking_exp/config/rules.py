@@ -10,6 +10,10 @@ from parking_exp.tasks.registry import make_task
 from parking_exp.tasks.task import Task
 
 HER_CLASSES = ("HerBuffer", "HerReplayBuffer")
+FAR = 8
+"""The factor from which on a ratio is far from the one that the number of envs suggests."""
+MANY_FOR_FEW = 32
+"""The most envs for which envs=few is an alternative."""
 MAX_ROUND = 1000
 """The most steps of each env from one round of updates to the next."""
 
@@ -86,6 +90,21 @@ def _check_algorithm(run: RunConfig) -> Iterator[str]:
         yield "algorithm.train_freq counts episodes, which works with one env only; set n_envs=1"
     if run.tracking.mlflow and run.experiment_name == "Default":
         yield "experiment_name=Default is reserved by MLflow; choose another name"
+
+
+def update_ratio_warning(run: RunConfig) -> str | None:
+    """Return a sentence if the update-to-data ratio is far from what the number of envs suggests.
+
+    Of the cells of experiment=envs_and_updates, those with one update per env step up to 8 envs, and 8 updates per
+    step of all envs from there on, learn well for their cost.
+    """
+    suggested = min(1, 8 / run.n_envs)
+    if suggested / FAR <= run.updates_per_step <= suggested * FAR:
+        return None
+    warning = f"updates_per_step={run.updates_per_step} is far from {suggested}, which n_envs={run.n_envs} suggests"
+    if run.n_envs <= MANY_FOR_FEW and run.updates_per_step < suggested:
+        warning += "; envs=few sets 8 envs and the keys that depend on their number"
+    return warning
 
 
 def check_update_ratio(run: RunConfig) -> Iterator[str]:

@@ -11,6 +11,7 @@ from support.runs import make_config, options
 from parking_exp.buffers import HerBuffer
 from parking_exp.buffers.strategies import STRATEGIES
 from parking_exp.config.argument_limits import HER_OPTIONS, GoalStrategy
+from parking_exp.config.rules import update_ratio_warning
 from parking_exp.config.run_key import changes_results
 from parking_exp.errors import ConfigError
 
@@ -90,6 +91,36 @@ def test_train_freq_and_gradient_steps_can_be_set_by_hand(overrides, rounds):
 def test_rounds_of_another_ratio_than_the_one_asked_for_are_refused(overrides, ratio):
     with pytest.raises(ConfigError, match=rf"^[^\n]*{re.escape(ratio)}[^\n]*$"):
         make_config(*overrides)
+
+
+@pytest.mark.parametrize(
+    ("overrides", "warning"),
+    [
+        ((), None),
+        (("envs=few",), None),
+        (("n_envs=8",), "0.03125 is far from 1, which n_envs=8 suggests; envs=few sets 8 envs"),
+        (("n_envs=64",), None),
+        (("updates_per_step=0.5",), "0.5 is far from 0.03125, which n_envs=256 suggests$"),
+        (("experiment=smoke",), None),
+        (("env=fetch_push",), None),
+    ],
+)
+def test_a_ratio_far_from_what_the_number_of_envs_suggests_is_warned_of(overrides, warning):
+    text = update_ratio_warning(make_config(*overrides))
+    assert text is None if warning is None else re.search(warning, text)
+
+
+def test_envs_few_has_the_values_of_the_measured_cell_and_composes_with_algorithms_budgets_and_experiments():
+    for other in (
+        (),
+        ("algorithm=td3",),
+        ("budget=small",),
+        ("experiment=features", "seeds=null", "algorithm.features=ego"),
+    ):
+        config = make_config("envs=few", *other)
+        values = (config.n_envs, config.updates_per_step, config.total_timesteps)
+        assert values == (8, 1, 9200)
+        assert config.algorithm.arguments["learning_starts"] == 1000
 
 
 @pytest.mark.parametrize("n_envs", [1, 2, 8, 256])

@@ -21,7 +21,7 @@ from parking_exp.evaluation.evaluate_run import evaluate_runs
 from parking_exp.runs.directory import RunDirectory
 
 ROOT = Path(__file__).resolve().parents[2]
-GROUPS = ("env", "algorithm", "buffer", "budget", "evaluation", "checkpoint", "tracking", "experiment")
+GROUPS = ("env", "algorithm", "buffer", "budget", "envs", "evaluation", "checkpoint", "tracking", "experiment")
 
 
 def options(group):

@@ -194,6 +194,26 @@ def test_the_configs_of_queued_runs_are_frozen(tmp_path):
 SLURM = ("hydra/launcher=slurm", "hydra.launcher.executor=local")
 
 
+def test_a_plan_warns_of_a_ratio_far_from_what_the_number_of_envs_suggests(tmp_path):
+    done = call_script("train", "n_envs=8", "seeds=2", "dry_run=true", f"output_dir={tmp_path}")
+    assert done.returncode == 0
+    assert done.stderr.startswith("warning: updates_per_step=0.03125 is far from 1, which n_envs=8 suggests; envs=few ")
+    assert done.stderr.count("\n") == 1
+
+
+def test_a_launcher_in_an_experiment_file_makes_the_sweep_use_it(tmp_path, monkeypatch):
+    monkeypatch.setenv("PATH", str(tmp_path))  # without Slurm's commands
+    path = tmp_path / "mine.yaml"
+    path.write_text("# @package _global_\ndefaults: [smoke, {override /hydra/launcher: slurm}]\n")
+    done = call_script("train", f"experiment={path}", f"output_dir={tmp_path / 'outputs'}")
+    assert (done.returncode, done.stderr.count("\n")) == (2, 1)
+    assert "srun" in done.stderr
+    path.write_text("# @package _global_\ndefaults: [smoke]\nhydra: {launcher: {n_jobs: 0}}\n")
+    done = call_script("train", f"experiment={path}", "seeds=2", f"output_dir={tmp_path / 'outputs'}")
+    assert done.stderr.startswith("error: hydra.launcher.n_jobs=0")
+    assert list(tmp_path.iterdir()) == [path]
+
+
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
