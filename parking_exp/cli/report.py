@@ -5,7 +5,7 @@ import re
 
 from parking_exp.cli.command import rename_experiment, run_command
 from parking_exp.config.compose import compose_configs
-from parking_exp.config.overrides import in_quotes, without_quotes
+from parking_exp.config.overrides import in_quotes, numbers_as_text, without_quotes
 from parking_exp.errors import ConfigError
 from parking_exp.reports.report_request import KEYS, validate_report
 
@@ -42,6 +42,8 @@ def read_overrides(words: list[str]) -> list[str]:
             overrides.append(f"{key}={in_quotes(without_quotes(value))}")
         elif key == "cells" and equals and value != "null" and not value.startswith("["):
             cells += _split_labels(value)
+        elif key == "cells" and equals:
+            overrides.append(f"{key}={numbers_as_text(value)}")
         elif re.split(r"[./]", key.lstrip("+~"))[0] in {*KEYS, "hydra"}:
             overrides.append(word)
         else:

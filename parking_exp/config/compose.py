@@ -73,7 +73,7 @@ def compose(*overrides: str, config_dir: str | Path | None = None) -> RunConfig:
     """
     if config_dir is not None and not Path(config_dir).is_dir():
         raise ConfigError(f"config_dir={config_dir} is not a directory")
-    runs = compose_configs("config", list(overrides), config_dir and str(config_dir))
+    runs = compose_configs("config", list(overrides), None if config_dir is None else str(config_dir))
     if len(runs) > 1:
         raise ConfigError(f"these overrides define {len(runs)} runs, but compose() returns one; give one value each")
     return validate(runs[0])

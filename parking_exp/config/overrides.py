@@ -79,9 +79,8 @@ def numbers_as_text(value: str) -> str:
         word = match[0].strip()
         if match[1] or not word:
             return match[0]
-        with suppress(HydraException):
-            (override,) = parse_overrides([f"label={word}"])
-            if isinstance(override.value(), int | float):
+        with suppress(HydraException, ValueError):
+            if isinstance(OverridesParser.create().parse_override(f"label={word}").value(), int | float):
                 return in_quotes(word)
         return match[0]
 
@@ -91,7 +90,7 @@ def numbers_as_text(value: str) -> str:
 def axes_of(overrides: Iterable[str]) -> dict[str, list[str]]:
     """Return the values of each key, in Hydra's syntax; of a key that is overridden twice, the last."""
     axes = {}
-    for override in parse_overrides(map(_label_as_text, overrides)):
+    for override in parse_overrides(map(_labels_as_text, overrides)):
         _refuse_long_range(override)
         values = [] if override.is_sweep_override() else [override.get_value_element_as_str()]
         if override.is_discrete_sweep():
@@ -106,9 +105,10 @@ def axes_of(overrides: Iterable[str]) -> dict[str, list[str]]:
     return axes
 
 
-def _label_as_text(override: str) -> str:
+def _labels_as_text(override: str) -> str:
     key, equals, value = override.partition("=")
-    return f"{key}={numbers_as_text(value)}" if equals and key.lstrip("+") == "label" else override
+    has_labels = equals and key.lstrip("+") in ("label", "contrasts")
+    return f"{key}={numbers_as_text(value)}" if has_labels else override
 
 
 def _label(override: Override) -> str:

@@ -210,12 +210,11 @@ class RunConfig(OutputConfig):
                 return (number, unit), -1 if gradient_steps is None else gradient_steps
             train_freq = number
         per_vec_step = self.update_ratio * self.n_envs
-        if train_freq is None and gradient_steps is None:
-            return per_vec_step.denominator, per_vec_step.numerator
-        if train_freq is None:
-            train_freq = 1 if gradient_steps == -1 else max(1, math.floor(gradient_steps / per_vec_step))
         if gradient_steps is None:
-            gradient_steps = math.ceil(per_vec_step * train_freq)
+            train_freq = train_freq or per_vec_step.denominator
+            return train_freq, math.ceil(per_vec_step * train_freq)
+        if train_freq is None:
+            train_freq = max(1, math.floor(gradient_steps / per_vec_step))
         return train_freq, gradient_steps
 
     @property

@@ -146,6 +146,11 @@ def test_labels_are_text_as_they_were_typed(override, labels):
     assert [validate(config).label for config in compose_configs("config", [override])] == labels
 
 
+def test_contrasts_are_text_as_they_were_typed():
+    (config,) = compose_configs("config", ["contrasts=[[0.10,1e-3],[a,'b, c']]"])
+    assert validate(config).contrasts == [["0.10", "1e-3"], ["a", "b, c"]]
+
+
 def test_labels_of_an_experiment_file_are_text_and_one_that_yaml_reads_as_a_number_is_refused(tmp_path):
     path = tmp_path / "mine.yaml"
     cells = "cells:\n  - {label: '0.10', algorithm.gamma: 0.9}\n  - {label: '1e-3'}\n"

@@ -14,7 +14,9 @@ from support.runs import ROOT, in_memory, store
 from support.store_factory import Look, make_store
 
 from parking_exp.cli.report import read_overrides
+from parking_exp.config.compose import compose_configs
 from parking_exp.errors import ConfigError
+from parking_exp.reports.report_request import validate_report
 from parking_exp.results import load
 
 ALGORITHMS = {"sac": [], "td3": ["algorithm=td3"]}
@@ -197,6 +199,13 @@ def test_words_without_a_key_of_the_command_name_cells():
     ]
     with pytest.raises(ConfigError, match=r"name cells either as words or as cells=\[...\]"):
         read_overrides(["her", "cells=[x]"])
+
+
+@pytest.mark.parametrize("words", [["0.10", "1e-3"], ["0.10,1e-3"], ["cells=0.10,1e-3"], ["cells=[0.10,1e-3]"]])
+def test_labels_that_look_like_numbers_select_cells_as_text(words):
+    (config,) = compose_configs("report", read_overrides(["experiment=a", "baseline=0.10", *words]))
+    request = validate_report(config)
+    assert (request.cells_asked, request.baseline) == (["0.10", "1e-3"], "0.10")
 
 
 def test_the_report_of_an_experiment_renamed_to_a_path_stays_in_the_output_directory(made):
