@@ -143,8 +143,11 @@ def _runs(compose_point: Callable[[Point], ComposedRun], axes: dict[str, list[st
     seed_values = [yaml.safe_load(value) for value in axes.pop("seeds", [])]
     overriding = seed_values[0] if len(seed_values) == 1 else seed_values
     seeds = seeds_of(overriding if seed_values else _container(base.get("seeds")))
-    if "seed" in axes or any("seed" in block for block in blocks):
+    is_swept = any("seed" in block for block in blocks)
+    if "seed" in axes or is_swept:
         seeds = None
+    if len(axes.get("seed", [])) > 1 and not is_swept and all(map(str.isdecimal, axes["seed"])):
+        seeds = seeds_of([int(seed) for seed in axes.pop("seed")])  # a cell is composed once for all its seeds
 
     def has(key: str, point: Point) -> bool:
         section, _, name = key.rpartition(".")

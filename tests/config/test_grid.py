@@ -5,7 +5,7 @@ from collections import Counter
 import pytest
 from support.marks import slow_but
 
-from parking_exp.config.compose import compose_configs
+from parking_exp.config.compose import compose_configs, compose_runs
 from parking_exp.config.grid import expand_points, seeds_of
 from parking_exp.config.validate import validate
 from parking_exp.errors import ConfigError
@@ -76,6 +76,7 @@ def test_seeds_on_a_command_line():
     assert [run.seed for run in runs("seeds=[5,2]")] == [run.seed for run in runs("seeds=5,2")] == [5, 2]
     assert [run.seed for run in runs("experiment=her_relabelling", "seed=9", "buffer=her_episode")] == [9] * 11
     assert [run.seed for run in runs("seed=3", "seeds=null")] == [3]
+    assert [run.seed for run in compose_runs("config", ["seed=range(0,20000)"])] == list(range(20000))  # in seconds
     # All cells get their first seed before any gets its second.
     assert [(run.seed, run.algorithm.name) for run in runs("seeds=2", "algorithm=sac,td3")] == [
         (0, "sac"), (0, "td3"), (1, "sac"), (1, "td3"),
@@ -93,7 +94,12 @@ def test_seeds_on_a_command_line():
         (("cells=[3]",), r"cells=\[3\]"),
         (("seeds=1000000000",), "seeds=1000000000"),
         (("seeds=100000", "algorithm.gamma=0.9,0.95"), "2 cells x 100000 seeds: a sweep has at most 100000 runs"),
-        (("seed=range(0,1000)", "total_timesteps=range(1000,2000)"), "a sweep has at most 10000 cells"),
+        (("n_envs=range(0,1000)", "total_timesteps=range(1000,2000)"), "a sweep has at most 10000 cells"),
+        (
+            ("seed=range(0,1000)", "total_timesteps=range(1000,2000)"),
+            "1000 cells x 1000 seeds: a sweep has at most 100000",
+        ),
+        (("seed=1,4294967296",), "seeds="),
     ],
 )
 def test_an_invalid_sweep_is_refused_in_one_sentence(overrides, named):
