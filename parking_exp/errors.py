@@ -51,6 +51,14 @@ class VideoError(ParkingError):
     """An environment cannot be rendered on this machine."""
 
 
+class EnvProcessError(ParkingError):
+    """A process of an env (`env.vectorization=async`) has ended."""
+
+
+class DivergenceError(ParkingError):
+    """An observation, a reward or a loss that is not finite."""
+
+
 class CrossCheckError(ParkingError):
     """The simulator and highway-env disagree on an episode."""
 

@@ -19,21 +19,27 @@ MIN_STD, CLIP = 1e-2, 5.0  # of the paper's implementation: clipped to five stan
 KINDS = {"observation": "observation", "achieved_goal": "goal", "desired_goal": "goal"}
 
 
+def entry_kinds(space: spaces.Dict) -> dict[str, str]:
+    """Return the entries of an observation and the names of their statistics, further entries last."""
+    others = [key for key in space.spaces if key not in KINDS]
+    return {**KINDS, **{key: f"entry_{number}" for number, key in enumerate(others)}}
+
+
 class Normalizer(nn.Module):
     """Means and standard deviations of what the training envs have shown; saved with the policy that has it."""
 
     def __init__(self, space: spaces.Dict) -> None:
         super().__init__()
-        for key, kind in KINDS.items():
+        self.kinds = entry_kinds(space)
+        for key, kind in self.kinds.items():
             size = spaces.flatdim(space[key])
             for name in ("sum", "squares"):
                 self.register_buffer(f"{kind}_{name}", torch.zeros(size, dtype=torch.float64))
-        self.register_buffer("goal_count", torch.zeros((), dtype=torch.float64))
-        self.register_buffer("observation_count", torch.zeros((), dtype=torch.float64))
+            self.register_buffer(f"{kind}_count", torch.zeros((), dtype=torch.float64))
 
     def update(self, observations: Mapping[str, np.ndarray]) -> None:
         """Add observations, each entry of shape (n, ...)."""
-        for key, kind in KINDS.items():
+        for key, kind in self.kinds.items():
             count = self.get_buffer(f"{kind}_count")
             values = torch.as_tensor(observations[key], dtype=torch.float64, device=count.device).flatten(1)
             count.add_(len(values))
@@ -42,7 +48,7 @@ class Normalizer(nn.Module):
 
     def forward(self, key: str, values: torch.Tensor) -> torch.Tensor:
         """Return an entry, shape (batch, size), in standard deviations from the mean; unscaled before any update."""
-        kind = KINDS[key]
+        kind = self.kinds[key]
         count, total, squares = (self.get_buffer(f"{kind}_{name}") for name in ("count", "sum", "squares"))
         known = torch.clamp(count, min=1.0)
         mean = total / known
@@ -52,7 +58,7 @@ class Normalizer(nn.Module):
 
 
 class NormalizedExtractor(TaskFeatures):
-    """Observation, achieved and desired goal, normalised.
+    """Observation, achieved and desired goal, and further entries of the observation, normalised.
 
     Args:
         observation_space: of a goal environment.
@@ -60,12 +66,12 @@ class NormalizedExtractor(TaskFeatures):
     """
 
     def __init__(self, observation_space: spaces.Dict, normalizer: Normalizer) -> None:
-        super().__init__(observation_space, sum(spaces.flatdim(observation_space[key]) for key in KINDS))
+        super().__init__(observation_space, sum(spaces.flatdim(observation_space[key]) for key in normalizer.kinds))
         self.normalizer = normalizer
 
     def forward(self, observations: dict[str, torch.Tensor]) -> torch.Tensor:
         """Return features of shape (batch, size of all entries)."""
-        return torch.cat([self.normalizer(key, observations[key].flatten(1)) for key in KINDS], dim=1)
+        return torch.cat([self.normalizer(key, observations[key].flatten(1)) for key in self.normalizer.kinds], dim=1)
 
 
 class UpdateNormalizer(BaseCallback):

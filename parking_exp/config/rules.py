@@ -5,7 +5,6 @@ from fractions import Fraction
 
 from parking_exp.config.argument_limits import HER_OPTIONS
 from parking_exp.config.schema import RunConfig
-from parking_exp.config_model import TRAINING_SEEDS_START
 from parking_exp.tasks.registry import make_task
 from parking_exp.tasks.task import Task
 
@@ -68,6 +67,7 @@ def check_tasks(runs: Iterable[RunConfig]) -> Iterator[str]:
         if run.env.for_training().episode_steps() is None:
             yield from check_lengths(run, tasks[key].episode_steps)
         yield from _check_noise(run, tasks[key])
+        tasks[key].close()
 
 
 def _check_noise(run: RunConfig, task: Task) -> Iterator[str]:
@@ -139,8 +139,9 @@ def _check_evaluation(run: RunConfig) -> Iterator[str]:
     for name in ("n_scenes", "video_episodes"):
         if final < getattr(evaluation, name):
             yield f"evaluation.final_n_scenes={final} is below evaluation.{name}={getattr(evaluation, name)}"
-    if evaluation.first_scene + final > TRAINING_SEEDS_START:
+    training_start = run.env.training_seeds.start
+    if evaluation.first_scene + final > training_start:
         yield (
             f"evaluation.first_scene={evaluation.first_scene} overlaps the training seeds; "
-            f"it can be {TRAINING_SEEDS_START - final} at most"
+            f"it can be {training_start - final} at most"
         )

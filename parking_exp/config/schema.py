@@ -13,7 +13,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, NonNegativeIn
 
 from parking_exp.config.paths import absolute, default_uri, directory_path, refuse_password
 from parking_exp.config.run_key import result_part, short_hash
-from parking_exp.config_model import ConfigModel, Count, EpisodeSeed, Name, NumberOfEpisodes
+from parking_exp.config_model import MAX_ENVS, ConfigModel, Count, EpisodeSeed, Name, NumberOfEpisodes
 from parking_exp.tasks.registry import EnvConfig
 
 STORES = re.compile(r"sqlite:///[^?]+|(https?|postgresql|mysql|mssql)(\+\w+)?://.+|databricks.*")
@@ -72,7 +72,7 @@ class EvaluationConfig(ConfigModel):
     every_n_steps: Count | None
     n_scenes: NumberOfEpisodes
     final_n_scenes: NumberOfEpisodes
-    n_certified_scenes: NumberOfEpisodes
+    n_certified_scenes: Annotated[int, Field(ge=0, le=10_000_000)]
     first_scene: EpisodeSeed
     video_episodes: NonNegativeInt
 
@@ -131,7 +131,7 @@ class RunConfig(OutputConfig):
     experiment_name: Name
     seed: Annotated[int, Field(ge=0, lt=2**32)]
     total_timesteps: Count
-    n_envs: Annotated[int, Field(ge=1, le=100_000)]
+    n_envs: Annotated[int, Field(ge=1, le=MAX_ENVS)]
     updates_per_step: Annotated[float, Field(ge=0.001, le=1000)]  # 0.001: one update in 1,000 steps of each env
     device: Annotated[str, Field(pattern=r"^(cpu|auto|cuda(:\d{1,3})?)$")]
     torch_threads: Annotated[int, Field(ge=1, le=1024)] | None
@@ -188,7 +188,7 @@ class RunConfig(OutputConfig):
     def n_certified(self) -> int:
         """Number of final episodes that are repeated on the task's reference simulator; all if the run trains on it.
 
-        A task with one simulator has none to compare it with.
+        A task with one simulator has none to compare it with. 0 of the others: there is no cross-check.
         """
         n_final, simulators = self.evaluation.final_n_scenes, self.env.simulators
         if len(simulators) == 1:

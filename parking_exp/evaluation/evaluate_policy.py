@@ -7,6 +7,7 @@ import numpy as np
 import pandas as pd
 
 from parking_exp.statistics import wilson_interval
+from parking_exp.tasks.finite import check_finite
 from parking_exp.tasks.metrics import EPISODE_SEED, Episode, Metric, episode_columns, outcome
 from parking_exp.tasks.task import EvaluationBatch, Policy, Task
 
@@ -30,6 +31,9 @@ def evaluate(
         seeds: of `env.reset`.
         on_step: called after each step of a batch with the number of finished episodes; may raise to stop.
         simulator: one of the config's `simulators`; None: its `simulator`.
+
+    Raises:
+        DivergenceError: an observation or a reward is not finite.
     """
     rows: list[dict[str, Any]] = []
     for first in range(0, len(seeds), task.batch_size):
@@ -101,6 +105,7 @@ def _run_batch(
     while len(batch):
         step = batch.step(policy(observation))
         steps += 1
+        check_finite({**step.observation, "reward": step.reward}, f"in step {steps} of an episode")
         totals += step.reward
         done = step.terminated | step.truncated
         for index in np.flatnonzero(done).tolist():

@@ -14,7 +14,7 @@ from parking_exp.config.paths import default_uri, is_same_store
 from parking_exp.config.run_key import short_hash
 from parking_exp.config.schema import RunConfig, StoreConfig
 from parking_exp.config.validate import SWEEP_KEYS, check, parse, refuse
-from parking_exp.config_model import TRAINING_SEEDS_START, ConfigModel, EpisodeSeed, Name, NumberOfEpisodes
+from parking_exp.config_model import ConfigModel, EpisodeSeed, Name, NumberOfEpisodes
 from parking_exp.errors import ConfigError, VideoError, plural
 from parking_exp.evaluation.agents import Agent, AgentRequest, find_agents, is_pretrained
 from parking_exp.runs.atomic_files import write_json
@@ -112,9 +112,6 @@ def validate_request(config: DictConfig) -> EvaluationRequest:
         raise ConfigError(f"video={request.video} is above episodes; use at most {n_episodes}")
     if request.gif and not request.video:
         raise ConfigError("gif=true needs a video; set video=N as well")
-    if request.seeds.stop > TRAINING_SEEDS_START:
-        highest = TRAINING_SEEDS_START - n_episodes
-        raise ConfigError(f"first_scene={request.first_scene} overlaps the training seeds; it can be at most {highest}")
     return request
 
 
@@ -194,6 +191,7 @@ def _evaluate(evaluation: Evaluation) -> dict[str, float]:
         except VideoError as error:
             say(str(error))
         say(*(f"video          {path}" for path in sorted(folder.glob("video.*"))))
+    task.close()
     if agent.directory is not None and request.tracking.mlflow:
         _store(request, agent.directory)
     say(f"results        {folder}")
@@ -235,5 +233,8 @@ def choose_env(request: EvaluationRequest, agent: Agent) -> EnvConfig:
     simulator = request.simulator or env.simulators[-1]  # by default the task's reference
     if simulator != env.simulator:
         env = env.model_copy(update={"simulator": simulator})
+    if request.seeds.stop > env.training_seeds.start:
+        highest = env.training_seeds.start - len(request.seeds)
+        raise ConfigError(f"first_scene={request.first_scene} overlaps the training seeds; it can be at most {highest}")
     refuse([*env.problems(), *make_task(env).problems()])
     return env

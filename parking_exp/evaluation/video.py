@@ -7,12 +7,26 @@ from typing import Any
 import imageio.v2 as iio
 from PIL import Image
 
+from parking_exp.errors import VideoError, one_line
 from parking_exp.runs.atomic_files import replacing
 from parking_exp.tasks.task import Policy, Task
 
 
 def record(policy: Policy, task: Task, seeds: Sequence[int], path: Path, gif: bool = False) -> None:
-    """Record one episode from each seed in one mp4, and with `gif` also a GIF of the same name."""
+    """Record one episode from each seed in one mp4, and with `gif` also a GIF of the same name.
+
+    Raises:
+        VideoError: for whatever drivers, bindings, shared libraries and the environment's own code raise.
+    """
+    try:
+        _record(policy, task, seeds, path, gif)
+    except VideoError:
+        raise
+    except (Exception, SystemExit) as error:
+        raise VideoError(f"no video of {task.env_id}: {type(error).__name__}: {one_line(error)}") from error
+
+
+def _record(policy: Policy, task: Task, seeds: Sequence[int], path: Path, gif: bool) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     # Every third frame and a palette: small enough for a README.
     stride, gif_frames = max(1, task.frame_rate // 5), []

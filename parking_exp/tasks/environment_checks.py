@@ -1,6 +1,7 @@
 """Check whether a Gymnasium environment can be trained on with HER, by random actions."""
 
 from collections.abc import Iterator
+from contextlib import closing
 
 import gymnasium as gym
 import numpy as np
@@ -8,49 +9,58 @@ from gymnasium import spaces
 
 from parking_exp.errors import ConfigError, one_line
 from parking_exp.tasks.gymnasium_config import GymnasiumConfig
-from parking_exp.tasks.gymnasium_env import (
-    GOAL_KEYS,
-    RANDOM_STEPS,
-    SUCCESS_KEYS,
-    GymnasiumReward,
-    make_env,
-    random_steps,
-)
+from parking_exp.tasks.gymnasium_env import RANDOM_STEPS, SUCCESS_KEYS, GymnasiumReward, make_env, random_steps
 from parking_exp.tasks.training_envs import ReplayActions
 
 TOLERANCE = 1e-6  # of rewards, which may be float32
+FAR = 1_000.0  # what is added to a goal to get one that is not reached
+VECTORS = (spaces.Box, spaces.MultiBinary)
 
 
 def check_env(config: GymnasiumConfig) -> Iterator[str]:
     """Yield what an environment lacks to be a goal task, at most one sentence."""
-    try:
-        env = make_env(config)
-    except ConfigError as error:
-        yield str(error)
-        return
-    env_id, space, actions = f"env.id={config.id}", env.observation_space, env.action_space
-    entries = space.spaces if isinstance(space, spaces.Dict) else {}
-    not_vectors = [key for key, entry in entries.items() if len(entry.shape or ()) != 1]
-    if absent := [key for key in reversed(GOAL_KEYS) if key not in entries]:
-        yield f"{env_id} is not a goal environment: its observation has no {absent[0]}"
-    elif not_vectors:
-        yield f"{env_id} has the {not_vectors[0]} {entries[not_vectors[0]]}; it has to be a vector"
-    elif not isinstance(actions, spaces.Box) or not actions.is_bounded():
-        yield f"{env_id} has the actions {actions}; they have to be continuous with finite bounds (Box)"
-    elif not hasattr(env.unwrapped, "compute_reward"):
-        yield f"{env_id} is not a goal environment: it has no compute_reward"
-    elif env.spec is None or env.spec.max_episode_steps is None:
-        yield f"{env_id} has no limit to the length of an episode; set env.max_episode_steps"
-    else:
+    reward = GymnasiumReward(config)
+    with closing(reward):
         try:
-            yield from _check_steps(env, config, env_id)
+            env = reward.env
+        except ConfigError as error:
+            yield str(error)
+            return
+        problem = _space_problem(env, f"env.id={config.id}")
+        if problem is not None:
+            yield problem
+            return
+        try:
+            yield from _check_steps(reward, f"env.id={config.id}")
         except Exception as error:  # whatever a user's environment raises
-            yield f"{env_id}: {type(error).__name__}: {one_line(error)}"
+            yield f"env.id={config.id}: {type(error).__name__}: {one_line(error)}"
 
 
-def _check_steps(env: gym.Env, config: GymnasiumConfig, env_id: str) -> Iterator[str]:
+def _space_problem(env: gym.Env, env_id: str) -> str | None:
+    """Return what is wrong with an environment that has not been stepped yet."""
+    space, actions = env.observation_space, env.action_space
+    entries = space.spaces if isinstance(space, spaces.Dict) else {}
+    for key in ("desired_goal", "achieved_goal", "observation"):
+        if key not in entries:
+            return f"{env_id} is not a goal environment: its observation has no {key}"
+    for key, entry in entries.items():
+        if not isinstance(entry, VECTORS) or len(entry.shape) != 1:
+            return f"{env_id} has the {key} {entry}; it has to be a vector"
+    if not isinstance(actions, spaces.Box) or not actions.is_bounded():
+        return f"{env_id} has the actions {actions}; they have to be continuous with finite bounds (Box)"
+    if not np.issubdtype(actions.dtype, np.floating):
+        return f"{env_id} has the actions {actions}; they have to be float32, and can be rounded in `step`"
+    if not env.has_wrapper_attr("compute_reward"):
+        return f"{env_id} is not a goal environment: it has no compute_reward"
+    if env.spec is None or env.spec.max_episode_steps is None:
+        return f"{env_id} has no limit to the length of an episode; set env.max_episode_steps"
+    return None
+
+
+def _check_steps(reward: GymnasiumReward, env_id: str) -> Iterator[str]:
     """Compare the rewards of random steps with those that `compute_reward` returns for the whole batch."""
-    achieved, desired, rewards, infos = random_steps(env.env)
+    config = reward.config
+    achieved, desired, rewards, infos = reward.steps
     known = {key: None for info in infos for key in info}
     for name in ("success_key", "failure_key"):
         if (key := getattr(config, name)) is not None and key not in known:
@@ -60,12 +70,12 @@ def _check_steps(env: gym.Env, config: GymnasiumConfig, env_id: str) -> Iterator
         yield f"{env_id}: info has neither {' nor '.join(SUCCESS_KEYS)}; name the entry in env.success_key"
         return
     try:
-        computed = np.asarray(env.unwrapped.compute_reward(achieved, desired, infos))
+        computed = reward.compute(achieved, desired, infos)
     except Exception as error:  # whatever a function that was not written for batches raises
         yield f"{env_id}: compute_reward is not vectorised: {type(error).__name__}: {one_line(error)}"
         return
-    if computed.shape != rewards.shape:
-        yield f"{env_id}: compute_reward is not vectorised: for {len(infos)} goals it returns shape {computed.shape}"
+    if len(computed) != len(rewards):
+        yield f"{env_id}: compute_reward is not vectorised: for {len(infos)} goals it returns {len(computed)} rewards"
         return
     failed = np.array([bool(config.failure_key and info.get(config.failure_key)) for info in infos])
     different = np.flatnonzero(~(np.abs(computed - rewards) <= TOLERANCE) & ~failed)
@@ -76,16 +86,40 @@ def _check_steps(env: gym.Env, config: GymnasiumConfig, env_id: str) -> Iterator
             "a penalty for failure, set env.failure_key to the entry of info that reports it"
         )
         return
-    reward = GymnasiumReward(config)
+    if (ignored := _ignored_goal(reward, computed)) is not None:
+        yield (
+            f"{env_id}: compute_reward ignores its {ignored}: whatever it is, {len(infos)} random steps have the same "
+            "rewards; compute them from the arguments, not from a goal or a state that the environment keeps"
+        )
+        return
     rows = np.array([[float(info[key]) for key in reward.info_keys] for info in infos])
     relabelled, _ = reward(achieved, desired, rows)  # calls `compute_terminated`, whose error is then reported
     if not np.allclose(relabelled, computed, rtol=0, atol=TOLERANCE):
         yield f"{env_id}: compute_reward depends on more than goals and the numbers in every info; HER can't compute it"
 
 
+def _ignored_goal(reward: GymnasiumReward, computed: np.ndarray) -> str | None:
+    """Return which of the two goals never changes the rewards of random steps, `computed`, not even far away."""
+    achieved, _, _, infos = reward.steps
+    far = (achieved + FAR).astype(achieved.dtype)
+    try:
+        own = reward.compute(achieved, achieved.copy(), infos)
+        with_far_goal = reward.compute(achieved, far, infos)
+        from_far = reward.compute(far, achieved, infos)
+    except Exception:  # an environment may refuse goals that can't be reached: it looks at them
+        return None
+    if np.array_equal(own, with_far_goal) and np.array_equal(own, computed):
+        return "desired_goal"
+    return "achieved_goal" if np.array_equal(own, from_far) else None
+
+
 def resumes_exactly(config: GymnasiumConfig) -> bool:
     """Return whether an env continues identically after replaying the actions of another."""
-    first, second = ReplayActions(make_env(config)), ReplayActions(make_env(config))
+    with closing(ReplayActions(make_env(config))) as first, closing(ReplayActions(make_env(config))) as second:
+        return _continues_identically(first, second)
+
+
+def _continues_identically(first: ReplayActions, second: ReplayActions) -> bool:
     random_steps(first)
     first.reset()  # what an episode leaves behind must not affect the next
     for _ in range(3):
@@ -94,7 +128,7 @@ def resumes_exactly(config: GymnasiumConfig) -> bool:
     for _ in range(RANDOM_STEPS):
         action = first.action_space.sample()
         (expected, reward, *ended, _), (observation, *others, _) = first.step(action), second.step(action)
-        same = all(np.array_equal(expected[key], observation[key]) for key in GOAL_KEYS)
+        same = all(np.array_equal(expected[key], observation[key]) for key in expected)
         if not (same and [reward, *ended] == others):
             return False
         if any(ended):

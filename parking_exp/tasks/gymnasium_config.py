@@ -5,7 +5,7 @@ from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import Field
 
-from parking_exp.config_model import Count
+from parking_exp.config_model import MAX_ENVS, Count
 from parking_exp.tasks.task_config import TaskConfig
 
 ENV_ID_PATTERN = r"^([A-Za-z_][\w.]*:)?([\w-]+/)?[\w.-]+$"
@@ -17,6 +17,7 @@ class GymnasiumConfig(TaskConfig):
     simulators: ClassVar[tuple[str, ...]] = ("gymnasium",)
     simulator: ClassVar[str] = "gymnasium"
     training_keys: ClassVar[tuple[str, ...]] = ("vectorization",)
+    training_seeds: ClassVar[range] = range(2**30, 2**31 - MAX_ENVS)  # simulators in C may take 31 bits
 
     task: Literal["gymnasium"]
     id: Annotated[str, Field(pattern=ENV_ID_PATTERN)]
@@ -41,6 +42,12 @@ class GymnasiumConfig(TaskConfig):
         """Keys by which making an env may import a module or open a file, and their values."""
         unsafe = {f"kwargs.{key}": str(value) for key, value in self.kwargs.items() if not _is_harmless(value)}
         return unsafe | ({"id": self.id} if ":" in self.id else {})
+
+    def problems(self) -> Iterator[str]:
+        """Yield a sentence for a window that the envs would open."""
+        mode = self.kwargs.get("render_mode")
+        if mode not in (None, "rgb_array"):
+            yield f"env.kwargs.render_mode={mode}: envs open no windows here; leave it out, videos are made without it"
 
     def model_problems(self, features: str, buffer: Mapping[str, Any]) -> Iterator[str]:
         """Yield a sentence for the policy's features, or an argument of the buffer, that the task does not support."""

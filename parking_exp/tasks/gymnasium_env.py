@@ -5,8 +5,9 @@ import importlib.util
 import io
 import sys
 import warnings
-from contextlib import redirect_stderr, redirect_stdout
-from functools import cached_property
+from collections.abc import Callable
+from contextlib import redirect_stderr, redirect_stdout, suppress
+from functools import cached_property, partial
 from typing import Any
 
 import gymnasium as gym
@@ -15,7 +16,6 @@ import numpy as np
 from parking_exp.errors import ConfigError, one_line, suggestion
 from parking_exp.tasks.gymnasium_config import GymnasiumConfig
 
-GOAL_KEYS = ("observation", "achieved_goal", "desired_goal")
 ROBOTICS = ("Fetch", "Hand", "PointMaze", "AntMaze", "FrankaKitchen", "Adroit")  # how ids of gymnasium-robotics begin
 SUCCESS_KEYS = ("is_success", "success")
 RANDOM_STEPS = 60  # at least; see `random_steps`
@@ -40,6 +40,12 @@ class GoalInfo(gym.Wrapper):
         info = {**info, "is_success": is_success, "is_failure": is_failure}
         return observation, float(reward), bool(terminated), bool(truncated), info
 
+    def close(self) -> None:
+        """Close the env, and the one of its reward. Errors are ignored: all that was asked of the env is done."""
+        with suppress(Exception):
+            self.env.close()
+        self.goal_reward.close()
+
 
 class GymnasiumReward:
     """The `compute_reward` of an environment, for many goals at once.
@@ -55,32 +61,64 @@ class GymnasiumReward:
         self.config = config
 
     @cached_property
-    def env(self) -> Any:
+    def env(self) -> gym.Env:
         """Environment whose `compute_reward` is called; made late, since this object is pickled for other processes."""
-        env = make_env(self.config)
-        env.reset(seed=0)
-        return env.unwrapped
+        return make_env(self.config)
+
+    def close(self) -> None:
+        """Close the environment if it was made."""
+        if "env" in vars(self):
+            self.env.close()
 
     @cached_property
-    def _steps(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[dict[str, Any]]]:
-        return random_steps(make_env(self.config).env)
+    def steps(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[dict[str, Any]]]:
+        """What `random_steps` returns; the environment is then at the start of an episode."""
+        assert isinstance(self.env, GoalInfo)
+        steps = random_steps(self.env.env)
+        self.env.reset(seed=0)
+        return steps
 
     @cached_property
     def terminates(self) -> bool:
         """Whether an episode ends where its goal is reached, as `compute_terminated` of the environment says."""
-        _, (goal, *_), _, (info, *_) = self._steps
-        return bool(getattr(self.env, "compute_terminated", lambda *_: False)(goal, goal, info))
+        _, (goal, *_), _, (info, *_) = self.steps
+        return bool(self._compute_terminated(goal, goal, info))
+
+    @cached_property
+    def _compute_terminated(self) -> Callable[..., Any]:
+        if self.env.has_wrapper_attr("compute_terminated"):
+            return self.env.get_wrapper_attr("compute_terminated")
+        return lambda *_: False
 
     @cached_property
     def info_keys(self) -> tuple[str, ...]:
         """Numeric entries that every info has; none if the reward does not depend on info."""
-        achieved, desired, _, infos = self._steps
+        achieved, desired, _, infos = self.steps
         try:
-            without = self.env.compute_reward(achieved, desired, [{} for _ in infos])
-            needed = not np.array_equal(without, self.env.compute_reward(achieved, desired, infos))
+            without = self.compute(achieved, desired, [{} for _ in infos])
+            needed = not np.array_equal(without, self.compute(achieved, desired, infos))
         except Exception:  # whatever a function raises that misses something
             needed = True
         return tuple(key for key in infos[0] if needed and all(isinstance(i.get(key), NUMBERS) for i in infos))
+
+    @cached_property
+    def _infos(self) -> Callable[[list[dict[str, Any]]], Any]:
+        """The type in which `compute_reward` takes many infos.
+
+        A list, or an array where it takes no list: Stable-Baselines3 passes both (`copy_info_dict`).
+        """
+        achieved, desired, _, infos = self.steps
+        try:
+            self.env.get_wrapper_attr("compute_reward")(achieved, desired, infos)
+        except Exception:  # whatever a function raises that expects an array
+            return partial(np.array, dtype=object)
+        return list
+
+    def compute(self, achieved: np.ndarray, desired: np.ndarray, infos: list[dict[str, Any]]) -> np.ndarray:
+        """Return the rewards that the environment or one of its wrappers computes, shape (n,)."""
+        infos = self._infos(infos)
+        rewards = self.env.get_wrapper_attr("compute_reward")(achieved, desired, infos)
+        return np.reshape(rewards, -1)  # one number for one goal, or a column
 
     def __call__(
         self, achieved: np.ndarray, desired: np.ndarray, info: np.ndarray | None = None
@@ -88,10 +126,10 @@ class GymnasiumReward:
         """Return reward and whether the goal is reached, both of shape (n,); `info` has the shape (n, info_keys)."""
         rows = np.empty((len(desired), 0)) if info is None else info
         infos = [dict(zip(self.info_keys, row.tolist(), strict=False)) for row in rows]
-        reward = np.asarray(self.env.compute_reward(achieved, desired, infos))
+        reward = self.compute(achieved, desired, infos)
         if self.terminates:  # it takes one goal at a time
-            return reward, np.array(list(map(self.env.compute_terminated, achieved, desired, infos)), bool)
-        return reward, reward >= np.asarray(self.env.compute_reward(desired, desired, infos))
+            return reward, np.array(list(map(self._compute_terminated, achieved, desired, infos)), bool)
+        return reward, reward >= self.compute(desired, desired, infos)
 
 
 def random_steps(env: gym.Env) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[dict[str, Any]]]:
@@ -144,4 +182,10 @@ def _not_found(env_id: str, error: Exception) -> str:
         return f"env.id={env_id} needs the module {name}, which is not installed or not on PYTHONPATH"
     if env_id.startswith(ROBOTICS) and not importlib.util.find_spec("gymnasium_robotics"):
         return f"env.id={env_id} needs gymnasium-robotics, which is not installed; pip install 'parking-exp[robotics]'"
-    return f"env.id={env_id} is not registered with Gymnasium{suggestion(env_id, gym.registry)}"
+    if ":" in env_id:
+        module, name = env_id.split(":")
+        return f"env.id={env_id}: {module} registers no {name}{suggestion(name, gym.registry)}"
+    return (
+        f"env.id={env_id} is not registered with Gymnasium{suggestion(env_id, gym.registry)}; "
+        f"if it is in a package of its own, name the module that registers it: env.id=MODULE:{env_id}"
+    )

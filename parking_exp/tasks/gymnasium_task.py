@@ -4,15 +4,17 @@ import os
 import signal
 import subprocess
 import sys
-from collections.abc import Iterator, Sequence
-from contextlib import closing
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import closing, contextmanager
 from functools import cached_property, partial
 
 import gymnasium as gym
 import numpy as np
+from gymnasium.envs.registration import EnvSpec
 from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecEnv
+from stable_baselines3.common.vec_env.base_vec_env import VecEnvStepReturn
 
-from parking_exp.errors import VideoError, one_line
+from parking_exp.errors import EnvProcessError, VideoError
 from parking_exp.tasks.captions import LAST_FRAME_S, add_caption
 from parking_exp.tasks.env_batch import EnvBatch
 from parking_exp.tasks.environment_checks import check_env, resumes_exactly
@@ -29,7 +31,7 @@ class GymnasiumTask:
     metrics = GYMNASIUM_METRICS
     failure = "failure"
     monitored: tuple[str, ...] = ("is_success",)
-    batch_size = 10  # each has an env of its own, which may take a second to make
+    batch_size = 4  # each has an env of its own, which may take a second to make, and much memory
 
     def __init__(self, config: GymnasiumConfig) -> None:
         self.config = config
@@ -44,13 +46,20 @@ class GymnasiumTask:
     def training_envs(self, n_envs: int) -> VecEnv:
         """Make training envs, in this process or in one each."""
         if self.config.vectorization == "async":
-            return SubprocVecEnv([partial(_env_of_worker, self.config)] * n_envs)
+            spec = gym.registry.get(self.config.id)
+            return EnvProcesses([partial(_env_of_worker, self.config, spec)] * n_envs)
         return DummyVecEnv([lambda: ReplayActions(make_env(self.config))] * n_envs)
 
     def evaluation_batch(self, seeds: Sequence[int], simulator: str) -> EvaluationBatch:
         """Start the episodes of some seeds; envs are reused."""
         self._envs += [make_env(self.config) for _ in range(len(seeds) - len(self._envs))]
         return EnvBatch(self._envs[: len(seeds)], seeds, "is_failure")
+
+    def close(self) -> None:
+        """Close the envs of evaluations."""
+        for env in self._envs:
+            env.close()
+        self._envs.clear()
 
     def prediction_env(self) -> gym.Env:
         """Return an env."""
@@ -61,8 +70,8 @@ class GymnasiumTask:
     @cached_property
     def episode_steps(self) -> int:
         """The longest episode."""
-        spec = self.prediction_env().spec
-        return (spec and spec.max_episode_steps) or 1
+        with closing(make_env(self.config)) as env:
+            return (env.spec and env.spec.max_episode_steps) or 1
 
     def problems(self) -> Iterator[str]:
         """Yield a sentence for each thing that the environment lacks to be a goal task."""
@@ -80,38 +89,71 @@ class GymnasiumTask:
         """Yield a frame for the start of each episode and each step, and one second of its end."""
         if "rgb_array" not in self.prediction_env().metadata.get("render_modes", ()):
             raise VideoError(f"no video: env.id={self.env_id} does not render to arrays")
-        with closing(_make_video_env(self.config)) as env:
+        if "mujoco" in sys.modules and "MUJOCO_GL" not in os.environ:
+            os.environ["MUJOCO_GL"] = _mujoco_backend()
+        with closing(make_env(self.config, "rgb_array")) as env:
             for seed in seeds:
                 observation, info = env.reset(seed=seed)
                 done = False
                 while not done:
-                    yield add_caption(np.asarray(env.render()), f"seed {seed}")
+                    yield _frame(env, f"seed {seed}")
                     action = policy({key: value[np.newaxis] for key, value in observation.items()})[0]
                     observation, _, terminated, truncated, info = env.step(action)
                     done = terminated or truncated
                 ending = outcome(self.failure, info["is_failure"], info["is_success"])
-                last = add_caption(np.asarray(env.render()), f"seed {seed}: {ending}")
+                last = _frame(env, f"seed {seed}: {ending}")
                 yield from [last] * round(LAST_FRAME_S * self.frame_rate)
 
 
-def _env_of_worker(config: GymnasiumConfig) -> gym.Env:
-    """Make an env in a process of its own, which leaves signals to the training: it ends with the pipe."""
+class EnvProcesses(SubprocVecEnv):
+    """Envs with a process each; a sentence says when one of them ends."""
+
+    def __init__(self, env_fns: list[Callable[[], gym.Env]]) -> None:
+        with _process_errors():
+            super().__init__(env_fns)
+
+    def step_wait(self) -> VecEnvStepReturn:
+        """Return what the envs send."""
+        with _process_errors():
+            return super().step_wait()
+
+    def close(self) -> None:
+        """End the processes; those that are left where one of them is gone already, too."""
+        try:
+            super().close()
+        except (EOFError, ConnectionError):
+            for process in self.processes:
+                process.kill()
+
+
+@contextmanager
+def _process_errors() -> Iterator[None]:
+    try:
+        yield
+    except (EOFError, ConnectionError) as error:
+        raise EnvProcessError(
+            "the process of an env has ended, its own error is printed above; env.vectorization=sync needs no processes"
+        ) from error
+
+
+def _env_of_worker(config: GymnasiumConfig, spec: EnvSpec | None) -> gym.Env:
+    """Make an env in a process of its own, which leaves signals to the training: it ends with the pipe.
+
+    The process knows only environments that some module registers, not those of a notebook: `spec` tells.
+    """
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, signal.SIG_IGN)
+    if spec is not None:
+        gym.registry.setdefault(spec.id, spec)
     return ReplayActions(make_env(config))
 
 
-def _make_video_env(config: GymnasiumConfig) -> gym.Env:
-    """Make an env that renders; VideoError where none can."""
-    if "mujoco" in sys.modules and "MUJOCO_GL" not in os.environ:
-        os.environ["MUJOCO_GL"] = _mujoco_backend()
-    try:
-        env = make_env(config, "rgb_array")
-        env.reset(seed=0)
-        env.render()
-    except Exception as error:  # of drivers, bindings and shared libraries
-        raise VideoError(f"no video of env.id={config.id}: {type(error).__name__}: {one_line(error)}") from error
-    return env
+def _frame(env: gym.Env, caption: str) -> np.ndarray:
+    """Render an env, and write a caption on the frame."""
+    frame = env.render()
+    if not isinstance(frame, np.ndarray):
+        raise VideoError(f"no video: the environment renders {type(frame).__name__} instead of an array")
+    return add_caption(frame, caption)
 
 
 def _mujoco_backend() -> str:

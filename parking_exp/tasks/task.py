@@ -100,6 +100,9 @@ class Task(Protocol):
     def evaluation_batch(self, seeds: Sequence[int], simulator: str) -> EvaluationBatch:
         """Start the episodes of some seeds on one of the config's `simulators`."""
 
+    def close(self) -> None:
+        """Close the envs of evaluations."""
+
     def prediction_env(self) -> "gym.Env":
         """Make one env with the task's spaces, for a model that only predicts."""
 

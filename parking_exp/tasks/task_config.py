@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Any, ClassVar, Self
 
-from parking_exp.config_model import ConfigModel, Name
+from parking_exp.config_model import TRAINING_SEEDS_START, ConfigModel, Name
 
 
 class TaskConfig(ConfigModel):
@@ -13,11 +13,13 @@ class TaskConfig(ConfigModel):
         simulators: the first trains; the last is the reference that results are cross-checked on.
         agent_keys: keys that evaluation takes from an agent's training, e.g. what the agent observes.
         training_keys: keys that do not change the episodes of an evaluation.
+        training_seeds: of the first training env, from which the others count up; those of evaluation are smaller.
     """
 
     simulators: ClassVar[tuple[str, ...]]
     agent_keys: ClassVar[tuple[str, ...]] = ()
     training_keys: ClassVar[tuple[str, ...]] = ()
+    training_seeds: ClassVar[range] = range(TRAINING_SEEDS_START, 2 * TRAINING_SEEDS_START)
 
     task: Any
     name: Name

@@ -30,7 +30,7 @@ def finish(loop: TrainingLoop) -> pd.DataFrame:
     loop.bar.say(describe_rates(summary, loop.model.num_timesteps, metrics))
     loop.record_evaluation(episodes, "final")
     certified, reference = parts[0], config.env.simulators[-1]
-    if config.env.simulator != reference:
+    if cross_checked and config.env.simulator != reference:
         loop.bar.show_activity(f"cross-check on {reference}")
         certified = loop.run_episodes(cross_checked, reference)
     if cross_checked:
@@ -60,5 +60,5 @@ def certified_seeds(config: RunConfig) -> list[int]:
     They are drawn with the run's seed, so that a sweep covers many; on the reference itself, all are returned.
     """
     first, number = config.evaluation.first_scene, config.evaluation.final_n_scenes
-    rng = np.random.default_rng(derive_seeds(config.seed).certified)
+    rng = np.random.default_rng(derive_seeds(config.seed, config.env.training_seeds).certified)
     return sorted(rng.choice(range(first, first + number), config.n_certified, replace=False).tolist())

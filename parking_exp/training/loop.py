@@ -3,6 +3,7 @@
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
+from numbers import Real
 from pathlib import Path
 from typing import Any
 
@@ -16,10 +17,11 @@ from parking_exp.algorithms.normalization import UpdateNormalizer
 from parking_exp.algorithms.policy_ema import PolicyEMA
 from parking_exp.buffers import HerBuffer
 from parking_exp.config.schema import RunConfig
-from parking_exp.config_model import TRAINING_SEEDS_START
+from parking_exp.errors import DivergenceError
 from parking_exp.evaluation.evaluate_policy import describe_rates, evaluate, rank, summarise
 from parking_exp.runs.directory import RunDirectory
 from parking_exp.runs.metric_logs import EPISODES_FILE, METRICS_FILE, MONITOR_FILE, MetricsLog, append_episodes
+from parking_exp.tasks.finite import check_finite
 from parking_exp.tasks.registry import make_task
 from parking_exp.tasks.training_envs import make_training_envs
 from parking_exp.tracking.tracker import Tracker
@@ -37,14 +39,19 @@ class Seeds:
     """Seeds of one run's random generators."""
 
     policy: int  # weights, exploration and minibatches (Python, NumPy and torch), below 2**31
-    training_envs: int  # of the first training env; env i gets this + i. At least 2**31: not an evaluation's seed
+    training_envs: int  # of the first training env; env i gets this + i. None is an evaluation's seed
     certified: int  # draws the episodes of the final evaluation that are cross-checked
 
 
-def derive_seeds(seed: int) -> Seeds:
-    """Derive the seeds of a run's independent random generators from its one seed."""
+def derive_seeds(seed: int, training_seeds: range) -> Seeds:
+    """Derive the seeds of a run's independent random generators from its one seed.
+
+    Args:
+        seed: of the run.
+        training_seeds: of the task, from which that of the first training env is taken.
+    """
     policy, training, certified = np.random.SeedSequence(seed).generate_state(3).tolist()
-    return Seeds(policy % 2**31, TRAINING_SEEDS_START + training % 2**31, certified)
+    return Seeds(policy % 2**31, training_seeds[training % len(training_seeds)], certified)
 
 
 class TrainingLoop:
@@ -61,7 +68,7 @@ class TrainingLoop:
         self._wall_start = time.monotonic() - progress.wall_s
         directory.models.mkdir(exist_ok=True)
         self.metrics = MetricsLog(path / METRICS_FILE)
-        seeds = derive_seeds(config.seed)
+        seeds = derive_seeds(config.seed, config.env.training_seeds)
         self.task = make_task(config.env)
         self.env = make_training_envs(config.env, config.n_envs, path / MONITOR_FILE, progress.wall_s)
         self.model = build_model(config, self.env, seeds.policy)
@@ -86,6 +93,7 @@ class TrainingLoop:
         """Remove the progress bar and close the envs."""
         self.bar.close()
         self.env.close()
+        self.task.close()
 
     def learn(self) -> None:
         """Train up to `total_timesteps`, with evaluations and checkpoints on the way."""
@@ -108,7 +116,10 @@ class TrainingLoop:
 
     def run_episodes(self, seeds: Sequence[int], simulator: str | None = None) -> pd.DataFrame:
         """Return the greedy policy's episodes, or raise when a signal asks to stop."""
-        return evaluate(self.policy, self.task, seeds, lambda _: self.stop_if_asked(), simulator)
+        try:
+            return evaluate(self.policy, self.task, seeds, lambda _: self.stop_if_asked(), simulator)
+        except DivergenceError as error:
+            raise DivergenceError(f"evaluation at step {self.model.num_timesteps}: {error}") from error
 
     def episode_seeds(self, number: int) -> range:
         """Return the seeds of the first `number` of the fixed evaluation episodes."""
@@ -182,6 +193,7 @@ class RolloutCallback(BaseCallback):
         loop = self.loop
         config, progress, step = loop.config, loop.progress, self.num_timesteps
         loop.restore_rollout_state()  # here, where it was saved
+        self._check_losses()
         loop.average.update()
         loop.stop_if_asked()
         if _is_due(step, progress.evaluated, config.evaluation.every_n_steps):
@@ -193,10 +205,21 @@ class RolloutCallback(BaseCallback):
             self._update_bar()
 
     def _on_step(self) -> bool:
+        where = f"at step {self.num_timesteps}"
+        check_finite({**self.locals["new_obs"], "reward": self.locals["rewards"]}, where)
+        for env in np.flatnonzero(self.locals["dones"]):
+            check_finite(self.locals["infos"][env]["terminal_observation"], where)
         return True
 
     def _on_training_end(self) -> None:
+        self._check_losses()
         self._update_bar()
+
+    def _check_losses(self) -> None:
+        """Check what the last updates have logged."""
+        logged = self.model.logger.name_to_value.items()
+        losses = {name: value for name, value in logged if name.startswith("train/") and isinstance(value, Real)}
+        check_finite(losses, f"at step {self.num_timesteps}")
 
     def _update_bar(self) -> None:
         successes, episodes = self.model.ep_success_buffer, self.model.ep_info_buffer

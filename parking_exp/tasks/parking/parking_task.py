@@ -45,6 +45,9 @@ class ParkingTask:
         scenes = Scenes.from_seeds(seeds, self.config.vehicles_range, self.config.obstacles)
         return Simulator(self.config, scenes)
 
+    def close(self) -> None:
+        """Do nothing: there is nothing to close."""
+
     def prediction_env(self) -> gym.Env:
         """Make one env of highway-env."""
         return make_env(self.config)
