@@ -32,22 +32,19 @@ class GymnasiumConfig(TaskConfig):
         return self.max_episode_steps
 
     def problems(self) -> Iterator[str]:
-        """Yield a sentence if a success would also count as a failure."""
+        """Yield a sentence for a success that would also count as a failure, and for a window."""
         success_keys = (self.success_key,) if self.success_key else ("is_success", "success")
         if self.failure_key in success_keys:
             yield f"env.failure_key={self.failure_key} tells of success; name the entry that tells of failure, or null"
+        mode = self.kwargs.get("render_mode")
+        if mode not in (None, "rgb_array"):
+            yield f"env.kwargs.render_mode={mode}: envs open no windows here; leave it out, videos are made without it"
 
     @property
     def imports(self) -> dict[str, str]:
         """Keys by which making an env may import a module or open a file, and their values."""
         unsafe = {f"kwargs.{key}": str(value) for key, value in self.kwargs.items() if not _is_harmless(value)}
         return unsafe | ({"id": self.id} if ":" in self.id else {})
-
-    def problems(self) -> Iterator[str]:
-        """Yield a sentence for a window that the envs would open."""
-        mode = self.kwargs.get("render_mode")
-        if mode not in (None, "rgb_array"):
-            yield f"env.kwargs.render_mode={mode}: envs open no windows here; leave it out, videos are made without it"
 
     def model_problems(self, features: str, buffer: Mapping[str, Any]) -> Iterator[str]:
         """Yield a sentence for the policy's features, or an argument of the buffer, that the task does not support."""

@@ -1,5 +1,8 @@
 """Toy goal environments as a user's own package: `toy_tasks:BitFlip-v0` and some that are refused."""
 
+import multiprocessing
+import os
+
 import gymnasium as gym
 import numpy as np
 
@@ -123,6 +126,135 @@ class Discrete(BitFlip):
     action_space = gym.spaces.Discrete(BITS)
 
 
-for cls in (BitFlip, OneByOne, OtherReward, Priced, Silent, Broken, Unseeded, Discrete, Worded, Drawn):
+class Blank(Drawn):
+    """It renders nothing, such as EGL without a display."""
+
+    def render(self):
+        return None
+
+
+class LosesContext(Drawn):
+    """Rendering fails after three frames."""
+
+    n_frames = 0
+
+    def render(self):
+        self.n_frames += 1
+        if self.n_frames > 3:
+            raise RuntimeError("GL context lost")
+        return super().render()
+
+
+class CloseFails(BitFlip):
+    """Its server is gone when it is closed."""
+
+    def close(self):
+        raise RuntimeError("Not connected to physics server.")
+
+
+class Diverges(BitFlip):
+    """Its observation is NaN from the 300th step of the process on."""
+
+    n_steps = 0
+
+    def step(self, action):
+        Diverges.n_steps += 1
+        observation, *rest = super().step(action)
+        if Diverges.n_steps >= 300:
+            observation["observation"] = np.full(BITS, np.nan)
+        return observation, *rest
+
+
+class Extra(BitFlip):
+    """The observation has a further entry."""
+
+    observation_space = gym.spaces.Dict({**BitFlip.observation_space.spaces, "sign": gym.spaces.Box(-1, 1, (2,))})
+
+    def _observe(self):
+        return {**super()._observe(), "sign": self.np_random.choice([-1, 1], 2).astype(np.float32)}
+
+
+class OwnGoal(BitFlip):
+    """`compute_reward` looks at the goal that the environment keeps."""
+
+    def compute_reward(self, achieved_goal, desired_goal, info):
+        return super().compute_reward(achieved_goal, self.goal, info)
+
+
+class NoReward(gym.Env):
+    """`BitFlip`, without its `compute_reward`."""
+
+    observation_space, action_space = BitFlip.observation_space, BitFlip.action_space
+
+    def __init__(self):
+        self.bit_flip = BitFlip()
+
+    def reset(self, *, seed=None, options=None):
+        return self.bit_flip.reset(seed=seed)
+
+    def step(self, action):
+        return self.bit_flip.step(action)
+
+
+class RewardWrapper(gym.Wrapper):
+    """`compute_reward` is on the wrapper, where Stable-Baselines3 finds it."""
+
+    compute_reward, compute_terminated = BitFlip.compute_reward, BitFlip.compute_terminated
+
+
+class InfoArray(Priced):
+    """`compute_reward` takes one info, or an array of infos as Stable-Baselines3 passes it, and no list."""
+
+    def compute_reward(self, achieved_goal, desired_goal, info):
+        if isinstance(info, list):
+            raise TypeError("info is a list")
+        return super().compute_reward(achieved_goal, desired_goal, info)
+
+
+class SmallSeeds(BitFlip):
+    """Its seeds have 31 bits."""
+
+    def reset(self, *, seed=None, options=None):
+        if seed is not None and seed >= 2**31:
+            raise OverflowError("Python int too large to convert to C int")
+        return super().reset(seed=seed)
+
+
+class IntegerActions(BitFlip):
+    """Its actions are integers."""
+
+    action_space = gym.spaces.Box(-5, 5, (BITS,), np.int64)
+
+
+class Counted(BitFlip):
+    """It counts how many of its kind there are at once."""
+
+    n_open, n_most = 0, 0
+
+    def __init__(self):
+        Counted.n_open += 1
+        Counted.n_most = max(Counted.n_open, Counted.n_most)
+
+    def close(self):
+        Counted.n_open -= 1
+
+
+class Exits(BitFlip):
+    """Its process ends in the first step, unless that is the one of the tests."""
+
+    def step(self, action):
+        if multiprocessing.parent_process() is not None:
+            os._exit(1)
+        return super().step(action)
+
+
+def wrapped_bit_flip():
+    return RewardWrapper(NoReward())
+
+
+REFUSED = (OneByOne, OtherReward, Silent, Broken, Discrete, Worded, OwnGoal, IntegerActions)
+QUIRKY = (Blank, LosesContext, CloseFails, Diverges, Extra, InfoArray, SmallSeeds, Counted, Exits)
+for cls in (BitFlip, Priced, Unseeded, Drawn, *REFUSED, *QUIRKY):
     gym.register(f"{cls.__name__}-v0", cls, max_episode_steps=BITS)
 gym.register("Endless-v0", BitFlip)
+gym.register("Wrapped-v0", wrapped_bit_flip, max_episode_steps=BITS)

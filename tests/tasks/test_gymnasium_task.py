@@ -61,6 +61,11 @@ def config(env_id, *overrides):
         (f"{TOY}BitFlip-v0", ["algorithm.features=ego", "algorithm.normalize=false"], "algorithm.features=ego"),
         (f"{TOY}BitFlip-v0", ["algorithm.learning_starts=63"], "algorithm.learning_starts=63: .* at least 64"),
         (f"{TOY}BitFlip-v0", ["env.max_steps=3"], "env.max_steps.*did you mean 'max_episode_steps'"),
+        (f"{TOY}OwnGoal-v0", [], "compute_reward ignores its desired_goal"),
+        (f"{TOY}IntegerActions-v0", [], r"actions Box\(-5, 5, \(8,\), int64\); they have to be float32"),
+        (f"{TOY}Drawn-v0", ["+env.kwargs.render_mode=human"], "env.kwargs.render_mode=human: envs open no windows"),
+        ("PandaReach-v3", [], "name the module that registers it: env.id=MODULE:PandaReach-v3"),
+        (f"{TOY}BitFlop-v0", [], "toy_tasks registers no BitFlop-v0; did you mean 'BitFlip-v0'"),
         (f"{TOY}BitFlip-v0", ["env.vectorization=threads"], "env.vectorization='threads'.*'sync' or 'async'"),
     ],
 )
