@@ -38,7 +38,7 @@ def read_overrides(words: list[str]) -> list[str]:
         key, equals, value = word.partition("=")
         if key == "experiment" and equals and value != "null":
             overrides.append(f"{key}={_quote_list(value.removeprefix('[').removesuffix(']').split(','))}")
-        elif key in {"baseline", "from", "export"} and value not in {"", "null"}:
+        elif key in {"baseline", "contrast", "from", "export"} and value not in {"", "null"}:
             overrides.append(f"{key}={in_quotes(without_quotes(value))}")
         elif key == "cells" and equals and value != "null" and not value.startswith("["):
             cells += _split_labels(value)

@@ -29,29 +29,36 @@ MAX_LEVELS = 12  # of a factor; more are values drawn from a range
 COVERED = 0.75  # share of the combinations that makes a design crossed
 
 
+class Contrasts(NamedTuple):
+    """Pairs of cells that were chosen before their results were seen."""
+
+    pairs: Sequence[tuple[str, str]]  # ids of cells
+    source: str  # ends a sentence that begins with their number
+
+
 class Family(NamedTuple):
     """Pairs that were compared, the sentence that declares them, and the cell that is part of all of them, if any."""
 
     pairs: list[Pair]
     sentence: str
     reference: str | None
-    declared: bool = False  # whether the pairs are the experiment's contrasts
+    declared: bool = False  # whether the pairs are contrasts
 
 
-def compare_pairs(cells: Sequence[Cell], baseline: str | None, contrasts: Sequence[tuple[str, str]] = ()) -> Family:
+def compare_pairs(cells: Sequence[Cell], baseline: str | None, contrasts: Contrasts) -> Family:
     """Return the comparisons of a report, of cells given by their ids.
 
-    These are all cells against the baseline, else the declared contrasts, else all pairs or, where cells are many, all
+    These are all cells against the baseline, else the contrasts, else all pairs or, where cells are many, all
     against the one with the highest mean. The verdict of fewer than two finished seeds is unknown.
     """
     rated = [cell for cell in cells if cell.success.value is not None]
     reference = next((cell for cell in rated if cell.id == baseline), None)
     by_id = {cell.id: cell for cell in rated}
-    declared = [(by_id[a], by_id[b]) for a, b in contrasts if {a, b} <= by_id.keys()] if reference is None else []
+    declared = [(by_id[a], by_id[b]) for a, b in contrasts.pairs if {a, b} <= by_id.keys()] if reference is None else []
     if reference is None and not declared and len(rated) > ALL_PAIRS_UP_TO:
         reference = max(rated, key=lambda cell: cell.success.value or 0.0)
     if declared:
-        couples, family = declared, f"{plural(len(declared), 'pair')} that the experiment declares as contrasts"
+        couples, family = declared, f"{plural(len(declared), 'pair')} {contrasts.source}"
     elif reference is None:
         couples = list(combinations(rated, 2))
         family = "two cells" if len(couples) == 1 else f"all {len(couples)} pairs of {len(rated)} cells"

@@ -21,6 +21,7 @@ from parking_exp.config.cell_labels import (
     Setting,
     can_matter,
     find_factors,
+    hashable,
     label_cells,
     labels_from_factors,
     setting,
@@ -153,6 +154,51 @@ def find_contrasts(cells: Sequence[CellRuns]) -> tuple[list[tuple[CellRuns, Cell
             if first is not second:
                 contrasts.setdefault(frozenset((id(first), id(second))), (first, second))
     return list(contrasts.values()), unknown, warnings
+
+
+def match_cells(cells: Sequence[CellRuns], factors: Sequence[Factor], contrast: str) -> list[tuple[CellRuns, CellRuns]]:
+    """Return the pairs of cells that differ in one factor alone, for a contrast `FACTOR:LEVEL-LEVEL`.
+
+    A factor that one of the two cells does not have is not compared, such as `n_sampled_goal` of replay.
+
+    Raises:
+        ConfigError: there is no such factor or level, or no two cells match.
+    """
+    name, _, levels = contrast.partition(":")
+    factor = next((factor for factor in factors if name in (factor.key, factor.name)), None)
+    if factor is None:
+        hint = suggestion(name, [factor.name for factor in factors])
+        raise ConfigError(f"contrast={contrast}: these cells do not differ in {name!r}{hint}")
+    first_level, second_level = _find_levels(factor, levels, contrast)
+    first_cells = [cell for cell in cells if _normalise(setting(cell.settings[factor.key])) == first_level]
+    second_cells = [cell for cell in cells if _normalise(setting(cell.settings[factor.key])) == second_level]
+    others = [other.key for other in factors if other is not factor]
+    pairs = []
+    for first in first_cells:
+        for second in second_cells:
+            if first is not second and all(_is_matched(first, second, key) for key in others):
+                pairs.append((first, second))
+    if not pairs:
+        raise ConfigError(f"contrast={contrast}: no two of these cells differ in {factor.name} alone")
+    return pairs
+
+
+def _find_levels(factor: Factor, text: str, contrast: str) -> tuple[str, str]:
+    """Return the two levels of `LEVEL-LEVEL`, which may have hyphens themselves."""
+    known = {_normalise(setting(level)) for level in factor.levels}
+    splits = [(text[: hyphen.start()], text[hyphen.end() :]) for hyphen in re.finditer("-", text)]
+    for first, second in splits:
+        if {_normalise(first), _normalise(second)} <= known:
+            return _normalise(first), _normalise(second)
+    closest = max(splits, key=lambda split: sum(_normalise(level) in known for level in split))
+    unknown = next(level for level in closest if _normalise(level) not in known)
+    hint = suggestion(unknown, map(setting, factor.levels))
+    raise ConfigError(f"contrast={contrast}: {factor.name} has no level {unknown!r}{hint}")
+
+
+def _is_matched(first: CellRuns, second: CellRuns, key: str) -> bool:
+    levels = {hashable(first.settings[key]), hashable(second.settings[key])}
+    return len(levels - {hashable(None)}) <= 1
 
 
 def _find_named(cells: Sequence[CellRuns], name: str) -> list[CellRuns]:

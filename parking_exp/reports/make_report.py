@@ -93,6 +93,7 @@ def _build_content(request: ReportRequest, source: ReportSource) -> ReportData:
         source.experiments,
         cells=request.cells_asked,
         baseline=request.baseline,
+        contrast=request.contrast,
         quick=request.report.quick,
         command=shlex.join([*program("report").split(), *sys.argv[1:]]),
     )

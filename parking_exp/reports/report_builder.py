@@ -2,6 +2,7 @@
 
 from collections import Counter
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from datetime import UTC, datetime
 from itertools import chain
 from typing import NamedTuple
@@ -12,7 +13,15 @@ from parking_exp import __version__
 from parking_exp.config.cell_labels import Factor, can_matter, differing_keys
 from parking_exp.errors import RunNotFoundError, plural
 from parking_exp.reports import cell_comparisons, findings, report_warnings
-from parking_exp.reports.cell_selection import CellRuns, choose, find_cell, find_contrasts, group, relabel
+from parking_exp.reports.cell_selection import (
+    CellRuns,
+    choose,
+    find_cell,
+    find_contrasts,
+    group,
+    match_cells,
+    relabel,
+)
 from parking_exp.reports.cell_summaries import RunEvaluations, summarise
 from parking_exp.reports.report_data import Cell, Provenance, ReportData, UnfinishedRun
 from parking_exp.results.frames import Results
@@ -30,7 +39,7 @@ class Selection(NamedTuple):
     cells: list[CellRuns]
     factors: list[Factor]
     baseline: str | None  # id of the cell
-    contrasts: list[tuple[str, str]]  # ids of cells
+    contrasts: cell_comparisons.Contrasts
     warnings: list[str]  # of contrasts that are left out
     left_out: list[str]  # labels of the other cells
 
@@ -41,6 +50,7 @@ def build_report(
     *,
     cells: Sequence[str] = (),
     baseline: str | None = None,
+    contrast: str | None = None,
     quick: bool = False,
     command: str = "",
 ) -> ReportData:
@@ -51,23 +61,24 @@ def build_report(
         experiments: their names.
         cells: labels, names, patterns and conditions, see `cell_selection.choose`; none: all.
         baseline: label of the cell that the others are compared with.
+        contrast: `FACTOR:LEVEL-LEVEL`, of which matched cells are compared, see `cell_selection.match_cells`.
         quick: whether the curves of unfinished runs are included.
         command: the command line that makes the report.
 
     Raises:
-        ConfigError: there is no such cell or baseline.
+        ConfigError: there is no such cell, baseline or contrast.
         RunNotFoundError: no run is done, and `quick` is not set.
     """
-    selection = _select(results, experiments, cells, baseline, quick=quick)
+    selection = _select(results, experiments, cells, baseline, contrast, quick=quick)
     groups, factors = selection.cells, selection.factors
     evaluations = RunEvaluations.of(results)
     summaries = [summarise(cell, number, evaluations, quick) for number, cell in enumerate(groups)]
-    shown = _choose_shown(summaries, [selection.baseline, *chain(*selection.contrasts)])
+    shown = _choose_shown(summaries, [selection.baseline, *chain(*selection.contrasts.pairs)])
     effects = cell_comparisons.main_effects(summaries, factors)
     family = cell_comparisons.compare_pairs(summaries, selection.baseline, selection.contrasts)
     origin = _collect_provenance(groups, selection.left_out, results.uri)
     incomparable = report_warnings.find_incomparable(groups, summaries, origin)
-    return ReportData(
+    report = ReportData(
         title=" and ".join(experiments),
         experiments=list(experiments),
         made=datetime.now(UTC).isoformat(timespec="seconds"),
@@ -82,17 +93,24 @@ def build_report(
         family=family.sentence,
         pairs=family.pairs,
         effects=effects,
-        claims=[*findings.describe_cells(summaries, family), *findings.describe_factors(factors, effects)],
+        claims=list(findings.describe(summaries, family, factors, effects)),
         warnings=list(dict.fromkeys([*selection.warnings, *incomparable, *results.problems[:MAX_PROBLEMS]])),
         missing=list(report_warnings.find_missing(summaries, experiments, results.runs["experiment"])),
         provenance=origin,
-        notes=list(_write_notes(summaries, shown, selection, crossed=bool(effects))),
         reference=family.reference,
+        declared=family.declared,
     )
+    return replace(report, notes=list(_write_notes(report)))
 
 
 def _select(
-    results: Results, experiments: Sequence[str], wanted: Sequence[str], baseline: str | None, *, quick: bool
+    results: Results,
+    experiments: Sequence[str],
+    wanted: Sequence[str],
+    baseline: str | None,
+    contrast: str | None,
+    *,
+    quick: bool,
 ) -> Selection:
     """Return the wanted cells, all without any, and the baseline; both must have a finished run unless `quick`."""
     cells = group(results.runs)
@@ -103,21 +121,29 @@ def _select(
         _refuse_unfinished(selected, f"experiment={','.join(experiments)}", "; report=quick shows what there is so far")
         if reference is not None:
             _refuse_unfinished([reference], f"baseline={baseline}")
-    ids = {id(cell): f"c{number}" for number, cell in enumerate(selected)}
-    contrasts, unknown, warnings = find_contrasts(cells)
-    with_results = {id(cell) for cell in selected if len(cell.done)}
-    usable = [pair for pair in contrasts if {id(cell) for cell in pair} <= with_results]
+    labelled, factors = relabel(selected)
+    ids: dict[int, str] = {}
+    for number, (cell, own) in enumerate(zip(selected, labelled, strict=True)):
+        ids[id(cell)] = ids[id(own)] = f"c{number}"
+    if contrast is None:
+        contrasts, unknown, warnings = find_contrasts(cells)
+        words = "declared contrasts"
+        source = "that the experiment declares as contrasts"
+    else:
+        contrasts, unknown, warnings = match_cells(labelled, factors, contrast), [], []
+        words = "matched pairs"
+        source = f"of cells that differ in one factor alone, {contrast}"
+    usable = [(a, b) for a, b in contrasts if {id(a), id(b)} <= ids.keys() and len(a.done) and len(b.done)]
     if untested := [*unknown, *(f"{a.label} minus {b.label}" for a, b in contrasts if (a, b) not in usable)]:
         warnings.append(
-            f"{len(untested)} of {len(unknown) + len(contrasts)} declared contrasts lack a selected cell with finished "
+            f"{len(untested)} of {len(unknown) + len(contrasts)} {words} lack a selected cell with finished "
             f"runs, and p is corrected for the others only: {report_warnings.list_names(untested)}."
         )
-    labelled, factors = relabel(selected)
     return Selection(
         labelled,
         factors,
         baseline=None if reference is None else ids[id(reference)],
-        contrasts=[(ids[id(a)], ids[id(b)]) for a, b in usable],
+        contrasts=cell_comparisons.Contrasts([(ids[id(a)], ids[id(b)]) for a, b in usable], source),
         warnings=warnings,
         left_out=[cell.label for cell in cells if cell not in selected],
     )
@@ -145,14 +171,20 @@ def _choose_shown(cells: Sequence[Cell], always: Sequence[str | None]) -> list[s
     return [cell.id for cell in cells if cell.id in best]
 
 
-def _write_notes(cells: Sequence[Cell], shown: Sequence[str], selection: Selection, *, crossed: bool) -> Iterator[str]:
-    """Yield notes on what figures and main effects, or the report as a whole, leave out."""
-    if len(shown) < len(cells):
+def _write_notes(report: ReportData) -> Iterator[str]:
+    """Yield notes on what figures and main effects leave out."""
+    cells = report.cells
+    if len(report.shown) < len(cells):
         yield (
-            f"Figures show {len(shown)} of {len(cells)} cells: baseline, contrasts, controls, and the best; "
+            f"Figures show {len(report.shown)} of {len(cells)} cells: baseline, contrasts, controls, and the best; "
             "tables have all."
         )
-    if outside := [cell.label for cell in cells if None in cell.settings.values()] if crossed else []:
+    if len(report.drawn_pairs) < len(report.pairs):
+        yield (
+            f"No figure shows the {len(report.pairs)} pairs of cells; the table has them. baseline=CELL and "
+            "contrast=FACTOR:LEVEL-LEVEL compare fewer; choose these before you see the results."
+        )
+    if outside := [cell.label for cell in cells if None in cell.settings.values()] if report.effects else []:
         yield f"Not part of the main effects, without a value of every factor: {report_warnings.list_names(outside)}."
 
 

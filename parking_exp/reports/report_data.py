@@ -14,6 +14,7 @@ from parking_exp.tasks.registry import FAILURES
 if TYPE_CHECKING:
     from parking_exp.reports.search_report import Tuning
 
+MAX_DRAWN_PAIRS = 21  # all pairs of seven cells
 Verdict = Literal["a", "b", "same", "unknown"]
 
 
@@ -170,6 +171,7 @@ class ReportData:
     provenance: Provenance
     notes: Sequence[str] = field(default_factory=tuple)
     reference: str | None = None  # id of the cell in all pairs: the baseline or, of many cells, the best; None: none
+    declared: bool = False  # whether the pairs are contrasts
     tuning: "Tuning | None" = None
 
     def cell(self, cell_id: str) -> Cell:
@@ -180,6 +182,17 @@ class ReportData:
     def shown_cells(self) -> list[Cell]:
         """The cells that figures show."""
         return [cell for cell in self.cells if cell.id in self.shown]
+
+    @property
+    def effects_by_size(self) -> list[MainEffect]:
+        """What each factor does, the most first."""
+        return sorted(self.effects, key=lambda effect: effect.size, reverse=True)
+
+    @property
+    def drawn_pairs(self) -> Sequence[Pair]:
+        """The pairs that figures show: none where all pairs of many cells were compared, which nobody has asked for."""
+        chosen = self.declared or self.reference is not None
+        return self.pairs if chosen or len(self.pairs) <= MAX_DRAWN_PAIRS else ()
 
     def plain(self) -> dict[str, Any]:
         """Return everything as JSON can hold it; further metrics of cells and seeds stand beside the others."""

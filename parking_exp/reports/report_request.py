@@ -1,5 +1,6 @@
 """The config of `scripts/report.py`, checked before anything is read."""
 
+import re
 from collections.abc import Sequence
 from typing import Annotated, Literal
 
@@ -31,6 +32,7 @@ class ReportRequest(OutputConfig):
     export: Annotated[str, Field(min_length=1)] | None
     cells: str | list[str] | None
     baseline: str | None
+    contrast: str | None
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._+-]*$", max_length=200)] | None
     tracking: StoreConfig
     report: ReportOptions
@@ -56,9 +58,19 @@ def validate_report(config: DictConfig) -> ReportRequest:
     of_stores = {"experiment": request.experiments, "tracking.uri": request.tracking.uri, "export": request.export}
     if request.source and (beside := [key for key, value in of_stores.items() if value]):
         raise ConfigError(f"{beside[0]}: cannot be combined with from={request.source}; leave one of them out")
+    if request.contrast is not None:
+        _check_contrast(request.contrast, request.baseline)
     if keys := [text.partition("=")[0] for text in request.cells_asked if "=" in text]:
         _refuse_misspelt(keys)
     return request
+
+
+def _check_contrast(contrast: str, baseline: str | None) -> None:
+    if baseline is not None:
+        raise ConfigError(f"contrast: cannot be combined with baseline={baseline}; leave one of them out")
+    if not re.fullmatch(r"[^:]+:.+-.+", contrast):
+        example = "contrast=buffer:her_future-replay"
+        raise ConfigError(f"contrast={contrast}: write a factor and two of its levels, e.g. {example}")
 
 
 def _refuse_misspelt(keys: Sequence[str]) -> None:

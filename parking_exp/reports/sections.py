@@ -10,6 +10,7 @@ from typing import Any
 import matplotlib.figure
 
 from parking_exp.figure_style import Drawing, clean, report_style
+from parking_exp.reports.cell_summaries import HOLD
 from parking_exp.reports.figures.cell_figures import draw_final_success, draw_learning_curves, draw_time_to_90
 from parking_exp.reports.figures.comparison_figures import draw_pairs, draw_two_factors
 from parking_exp.reports.figures.study_figures import draw_history, draw_parameter_importance, draw_slices
@@ -58,6 +59,19 @@ def what_was_run(report: ReportData) -> Iterable[str]:
         yield f"Cells of these experiments that were not selected: {'; '.join(origin.left_out)}."
 
 
+def explain_few_evaluations(report: ReportData) -> Iterable[str]:
+    """Yield why there are no learning curves or times to 90 %, where runs were evaluated too rarely."""
+    curves = [curve for cell in report.cells if (curve := cell.curve)]
+    n_evaluations = [len(steps) for curve in curves for _, steps, _ in curve.seeds]
+    most = max(n_evaluations, default=HOLD)
+    if most < HOLD:
+        absent = "learning curves and times to 90 %" if most == 1 else "times to 90 %"
+        yield (
+            f"There are no {absent}: no run was evaluated more than {'once' if most == 1 else 'twice'}. "
+            "A smaller evaluation.every_n_steps evaluates runs more often."
+        )
+
+
 SECTIONS = (
     Section("retest", "The best on test seeds", tables=[retest_table]),
     Section(
@@ -72,6 +86,12 @@ SECTIONS = (
         tables=[trial_table],
     ),
     Section(
+        "factors",
+        "What each factor does",
+        figures=[Figure("two_factors", "Success by two factors", draw_two_factors)],
+        tables=[report_tables.factors, report_tables.effects],
+    ),
+    Section(
         "results",
         "Which is better",
         figures=[Figure("final_success", "Final success, every seed", draw_final_success)],
@@ -80,6 +100,7 @@ SECTIONS = (
     Section(
         "curves",
         "Learning curves",
+        text=explain_few_evaluations,
         figures=[Figure("learning_curves", "Learning curves", draw_learning_curves)],
         tables=[report_tables.curves],
     ),
@@ -95,12 +116,6 @@ SECTIONS = (
         text=lambda report: [report.family] if report.pairs else [],
         figures=[Figure("pairwise", "Differences between cells", draw_pairs)],
         tables=[report_tables.pairs],
-    ),
-    Section(
-        "factors",
-        "What each factor does",
-        figures=[Figure("two_factors", "Success by two factors", draw_two_factors)],
-        tables=[report_tables.effects],
     ),
     Section("seeds", "Every seed", tables=[report_tables.seeds]),
     Section(

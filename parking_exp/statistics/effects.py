@@ -38,6 +38,20 @@ class MainEffect:
     largest: Interval | None = None
     p: float | None = None
 
+    @property
+    def size(self) -> float:
+        """The difference between its highest and its lowest mean; 0 with a single level."""
+        return self.largest.value or 0.0 if self.largest else 0.0
+
+    @property
+    def extremes(self) -> tuple[Level, Level]:
+        """The levels with the highest and the lowest mean, the first of equal ones."""
+
+        def mean(level: Level) -> float:
+            return level.effect.value or 0.0
+
+        return max(self.levels, key=mean), min(self.levels, key=mean)
+
 
 def main_effects(factors: Sequence[str], cells: Sequence[tuple[Sequence[Any], SeedRates]]) -> list[MainEffect]:
     """Return the mean of cell means for every level of every factor; `cells` are (level of each factor, rates).

@@ -14,6 +14,7 @@ from support import report_factory
 from parking_exp.figure_style import INK, cell_style, report_style, wrapped_labels
 from parking_exp.reports.figures import cell_figures, comparison_figures
 from parking_exp.reports.sections import SECTIONS, draw
+from parking_exp.reports.tables import report_tables
 from parking_exp.tasks.parking import lot_figures
 
 SVG = "{http://www.w3.org/2000/svg}"
@@ -134,12 +135,21 @@ def test_pairs_are_differences_between_all_cells_or_from_the_baseline(three):
     assert "▲" in axes.texts[1].get_text()
     _, _, ddpg = axes.lines[1:][1::2]
     assert ddpg.get_xdata() == pytest.approx([100 * three.pairs[2].difference.value])
-    many = [*comparison_figures.draw_pairs(replace(three, pairs=[three.pairs[0]] * 60))]
+    many = [*comparison_figures.draw_pairs(replace(three, pairs=[three.pairs[0]] * 60, declared=True))]
     assert [len(figure.axes[0].texts) for figure, _ in many] == [24, 24, 12]  # as many as fit on a page
     assert [caption for _, caption in many[1:]] == ["Continued."] * 2
     against = replace(three, baseline="c2", reference="c2", pairs=three.pairs[1:])
     (axes,) = axes_of(comparison_figures.draw_pairs, against)
     assert texts(axes.get_yticklabels()) == ["sac", "td3"]
+
+
+def test_pairs_that_nobody_has_chosen_are_drawn_only_if_they_are_few():
+    eight = report_factory.report(8, 2)
+    assert len(eight.pairs) == 28
+    assert [*comparison_figures.draw_pairs(eight)] == []
+    (table,) = report_tables.pairs(eight)
+    assert (len(table.rows), table.folded) == (28, True)
+    assert len([*comparison_figures.draw_pairs(report_factory.report(7, 2))]) == 1
 
 
 def test_two_crossed_factors_are_a_map_of_mean_success():

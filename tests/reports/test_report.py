@@ -159,6 +159,9 @@ def test_hostile_names_are_text_everywhere(output_dir):
         (["experiment=on"], r"experiment=on: there is no such experiment in sqlite:///.*; did you mean 'one'\?"),
         (["experiment=one", "td4"], r"cells: no cell is called 'td4'; did you mean 'td3'\?"),
         (["experiment=one", "nmae=x"], r"nmae: neither a key of this command nor of these runs' configs; did you mean 'name'\?"),
+        (["experiment=one", "contrast=algorithm:sac-td4"], "algorithm has no level 'td4'; did you mean 'td3'"),
+        (["experiment=one", "contrast=sac-td3"], "contrast=sac-td3: write a factor and two of its levels, e.g. contrast=b"),
+        (["contrast=algorithm:sac-td3", "baseline=sac"], "contrast: cannot be combined with baseline=sac"),
         (["experiment=one", "report=quik"], r"report=quik: there is no such option; did you mean 'quick'\?"),
         (["experiment=one", "tracking.uri=sqlite:///nowhere.db"], "there is no store .*nowhere.db"),
     ],
@@ -190,10 +193,18 @@ def test_keys_that_a_runs_own_class_may_have_are_looked_up_in_the_store(tmp_path
 
 
 def test_words_without_a_key_of_the_command_name_cells():
-    words = ["experiment=a,b", "her_*", "buffer.n_sampled_goal=1,4", "baseline=x, y=1", "report=quick"]
+    words = [
+        "experiment=a,b",
+        "her_*",
+        "buffer.n_sampled_goal=1,4",
+        "baseline=x, y=1",
+        "contrast=a:b-c d",
+        "report=quick",
+    ]
     assert read_overrides(words) == [
         "experiment_name=['a','b']",
         "baseline='x, y=1'",
+        "contrast='a:b-c d'",
         "report=quick",
         "cells=['her_*','buffer.n_sampled_goal=1,4']",
     ]

@@ -9,8 +9,12 @@ import scipy.stats
 from support.result_frames import ALGORITHMS, REPLAY, Run, results, together
 
 from parking_exp.errors import ConfigError, RunNotFoundError
+from parking_exp.figure_style import report_style
 from parking_exp.reports.cell_selection import choose, find_cell, group
+from parking_exp.reports.figures.comparison_figures import draw_two_factors
 from parking_exp.reports.report_builder import build_report
+from parking_exp.reports.sections import section_contents
+from parking_exp.reports.tables import report_tables
 from parking_exp.statistics import Interval, SeedRates, compare
 
 ENDS = {"sac": [0.8, 1.0, 0.8, 1.0, 1.0], "td3": [0.4, 0.2, 0.4, 0.6, 0.4]}
@@ -138,6 +142,8 @@ def test_a_run_without_a_final_rate_is_left_out_with_a_warning():
     report = content({"sac": {}}, look=lambda _, seed: Run(success=0.6, columns=nan if seed == 1 else {}))
     assert (report.cells[0].success.value, report.cells[0].success.n) == (pytest.approx(0.6), 2)
     assert any("no final success rate" in line for line in report.warnings)
+    (headline,) = report_tables.headline(report)
+    assert headline.columns[1].write(headline.rows[0]) == "2 of 3"  # what the mean is over
     assert json.loads(json.dumps(report.plain(), allow_nan=False))["cells"][0]["success"]["n"] == 2
 
 
@@ -189,6 +195,107 @@ def test_a_her_ablation_has_main_effects_without_its_control():
     assert levels == [{"her_future": 0.6, "her_final": 0.4}, {1: 0.3, 4: 0.7}]
     assert any("Not part of the main effects" in note and "replay" in note for note in report.notes)
     assert any(claim.startswith("n_sampled_goal: ") and "+40.0 points" in claim for claim in report.claims)
+
+
+def factorial(n_seeds=3, her=0.9):
+    """A report on twelve cells: replay and HER, three algorithms, two values of gamma. Replay never succeeds."""
+    cells = {}
+    for buffer, keys in (("her_future", {}), ("replay", REPLAY)):
+        for algorithm in ("sac", "td3", "ddpg"):
+            for gamma in (0.9, 0.95):
+                name = f"{buffer} {algorithm} {gamma}"
+                cells[name] = {**keys, "algorithm.name": algorithm, "algorithm.gamma": gamma}
+    rates = {name: her if name.startswith("her") else 0.0 for name in cells}
+    rates["her_future sac 0.95"] += 0.1
+    return results(cells, range(n_seeds), lambda label, seed: Run(success=rates[label]))
+
+
+def test_a_factorial_report_begins_with_what_each_factor_does_the_largest_first():
+    report = build_report(factorial(), ["one"])
+    assert [claim.partition(":")[0] for claim in report.claims[:3]] == ["buffer", "algorithm", "gamma"]
+    assert report.claims[0].startswith("buffer: her_future (91.7 % [")
+    assert ") minus replay (0.0 % [" in report.claims[0]
+    assert "averaged over other factors: +91.7 points [" in report.claims[0]
+    assert report.claims[0].endswith("p < 0.001.")
+    assert report.claims[3].startswith("“sac, her_future, gamma=0.95” has the highest final success: 100.0 %")
+    readable = [content for content in section_contents(report) if content.readable_tables]
+    assert readable[0].id == "factors"
+    factors, levels = readable[0].readable_tables
+    assert [factors.columns[0].write(row) for row in factors.rows] == ["buffer", "algorithm", "gamma"]
+    assert factors.columns[3].write(factors.rows[0]).startswith("+91.7 [")
+    assert len(levels.rows) == 7
+    assert report.drawn_pairs == ()
+    assert any("No figure shows the 66 pairs" in note for note in report.notes)
+
+
+def test_the_map_shows_the_two_factors_that_do_most():
+    with report_style():
+        ((_, caption),) = draw_two_factors(build_report(factorial(), ["one"]))
+    assert caption.startswith("Mean final success by buffer and algorithm, in %")
+
+
+def test_cells_that_fail_are_named_where_many_are_indistinguishable():
+    report = build_report(factorial(2, her=0.4), ["one"])
+    (claim,) = (claim for claim in report.claims if "is indistinguishable from" in claim)
+    assert "is indistinguishable from 11 others" in claim
+    assert "That is not equal: “sac, replay, gamma=0.9”, " in claim
+    assert " and 2 more succeed in 0.0 % [" in claim
+
+
+def matched(report):
+    return {(report.cell(pair.a).label, report.cell(pair.b).label) for pair in report.pairs}
+
+
+def test_a_contrast_compares_matched_cells():
+    report = build_report(factorial(), ["one"], contrast="buffer:her_future-replay")
+    others = [f"{algorithm}, {{}}, gamma={gamma}" for algorithm in ("sac", "td3", "ddpg") for gamma in (0.9, 0.95)]
+    assert matched(report) == {(label.format("her_future"), label.format("replay")) for label in others}
+    assert "6 pairs of cells that differ in one factor alone, buffer:her_future-replay." in report.family
+    assert report.drawn_pairs == report.pairs
+    pair = report.pairs[0]
+    assert pair.p_corrected == pytest.approx(6 * pair.p)
+
+
+def test_a_control_is_matched_in_the_factors_that_it_has():
+    report = content({**crossed(), "replay": REPLAY}, contrast="buffer:replay-her_final")
+    assert matched(report) == {("replay", f"her_final, n_sampled_goal={n}") for n in (1, 4)}
+
+
+def test_levels_of_a_contrast_may_be_numbers_with_hyphens():
+    cells = {str(rate): {"algorithm.learning_rate": rate} for rate in (1e-3, 1e-4, 1e-5)}
+    report = content(cells, contrast="learning_rate:1e-3-1e-5")
+    assert matched(report) == {("learning_rate=0.001", "learning_rate=1e-05")}
+
+
+@pytest.mark.parametrize(
+    ("contrast", "message"),
+    [
+        ("bufer:her_future-replay", "these cells do not differ in 'bufer'; did you mean 'buffer'?"),
+        ("algorithm.name:sac-td3", "these cells do not differ in 'algorithm.name'; did you mean 'algorithm'?"),
+        ("buffer:her_futur-replay", "buffer has no level 'her_futur'; did you mean 'her_future'?"),
+        ("gamma:0.95-0.8", "gamma has no level '0.8'; did you mean '0.9'?"),
+        ("gamma:0.9-0.90", "no two of these cells differ in gamma alone"),
+    ],
+)
+def test_an_unknown_factor_or_level_of_a_contrast_is_a_sentence(contrast, message):
+    with pytest.raises(ConfigError) as error:
+        build_report(factorial(1), ["one"], contrast=contrast)
+    assert str(error.value) == f"contrast={contrast}: {message}"
+
+
+@pytest.mark.parametrize(
+    ("n_evaluations", "sentence"),
+    [
+        (1, "There are no learning curves and times to 90 %: no run was evaluated more than once. "),
+        (2, "There are no times to 90 %: no run was evaluated more than twice. "),
+        (3, None),
+    ],
+)
+def test_a_report_says_why_it_has_no_curves(n_evaluations, sentence):
+    report = content(ALGORITHMS, look=lambda *_: Run(curve=[0.8] * n_evaluations))
+    (curves,) = (part for part in section_contents(report) if part.id == "curves")
+    expected = [f"{sentence}A smaller evaluation.every_n_steps evaluates runs more often."] if sentence else []
+    assert curves.text == expected
 
 
 @pytest.mark.parametrize(

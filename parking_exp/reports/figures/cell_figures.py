@@ -28,9 +28,8 @@ _MOST_SEED_LINES = 4  # cells; with more, lines of seeds hide the means
 _LINE_90: dict[str, Any] = {"color": INK, "linewidth": 0.7, "linestyle": (0, (2, 2)), "alpha": 0.7, "zorder": 1}
 
 
-def _count_seeds(cells: Sequence[Cell]) -> str:
+def _count_seeds(counts: Sequence[int]) -> str:
     """Return e.g. `10 seeds per cell` or `3 to 10 seeds per cell`."""
-    counts = [len(cell.seeds) for cell in cells]
     low, high = min(counts), max(counts)
     return f"{plural(high, 'seed')} per cell" if low == high else f"{low} to {plural(high, 'seed')} per cell"
 
@@ -47,9 +46,10 @@ def draw_final_success(report: ReportData) -> Iterator[Drawing]:
         _draw_seeds_and_mean(axes, row, cell)
     left, right = axes.dataLim.intervalx
     axes.set_xlim(left - 0.03 * (right - left) - 1, 101)
+    n_seeds = _count_seeds([cell.success.n for cell in cells])
     yield (
         figure,
-        f"Final success over the evaluation episodes. Points: seeds ({_count_seeds(cells)}), spread vertically so that "
+        f"Final success over the evaluation episodes. Points: seeds ({n_seeds}), spread vertically so that "
         "they do not overlap; bar: mean with its 95 % interval, where there is one, cut at 0 and 100 %. Dashed: 90 %.",
     )
 
@@ -85,10 +85,11 @@ def draw_learning_curves(report: ReportData) -> Iterator[Drawing]:
     success.set(ylim=(-2, 103), ylabel="success (%)")
     names = [name for name in FAILURES if any(name in cell.further for cell in cells)] or ["failure"]
     failure.set(ylim=(0, max(10, failure.get_ylim()[1])), ylabel=f"{' or '.join(names)} (%)")
+    n_seeds = [len(curve.seeds) for _, curve in curves]
     lines = "thin lines: seeds; " if with_seeds else ""
     yield (
         figure,
-        f"Evaluations during training. Above: mean success over seeds ({_count_seeds(cells)}) between the "
+        f"Evaluations during training. Above: mean success over seeds ({_count_seeds(n_seeds)}) between the "
         f"lowest and the highest seed; {lines}dashed: 90 %. Below: mean rate of {' or '.join(names)}.",
     )
 
@@ -126,10 +127,11 @@ def draw_time_to_90(report: ReportData) -> Iterator[Drawing]:
         _draw_survival(axes, cell)
     axes.set(ylim=(-3, 103), ylabel="seeds at 90 % (%)")
     time_axis(axes, "env steps")
+    n_seeds = [cell.survival.n for cell in cells if cell.survival]
     yield (
         figure,
         "Share of seeds whose success has reached 90 % in three evaluations in a row (Kaplan–Meier estimate; "  # noqa: RUF001
-        f"{_count_seeds(cells)}), with 95 % intervals where some have. Crosses (+): seeds not there when their "
+        f"{_count_seeds(n_seeds)}), with 95 % intervals where some have. Crosses (+): seeds not there when their "
         "observation ended.",
     )
 

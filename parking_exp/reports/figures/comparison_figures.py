@@ -24,7 +24,7 @@ from parking_exp.reports.report_data import Pair, ReportData
 def draw_pairs(report: ReportData) -> Iterator[Drawing]:
     """Draw the differences of final success between the cells of figures, with intervals; many in several figures."""
     cells = dict(zip(report.shown, wrapped_labels(report.shown_cells, 36, lines=3), strict=True))
-    pairs = [p for p in report.pairs if p.a in cells and p.b in cells and p.difference.value is not None]
+    pairs = [p for p in report.drawn_pairs if p.a in cells and p.b in cells and p.difference.value is not None]
     labels = [cells[pair.a] if report.reference else f"{cells[pair.a]}\n− {cells[pair.b]}" for pair in pairs]  # noqa: RUF001
     reference = report.cell(report.reference).label if report.reference else None
     each = f"Final success minus that of {reference}" if reference else "Final success of one cell minus another's"
@@ -52,9 +52,8 @@ def _draw_differences(pairs: Sequence[Pair], labels: Sequence[str]) -> Figure:
 
 
 def draw_two_factors(report: ReportData) -> Iterator[Drawing]:
-    """Draw mean success by the two crossed factors with most levels, over the settings of the others."""
-    largest = sorted(report.effects, key=lambda effect: -len(effect.levels))[:2]
-    keys = [effect.factor for effect in report.effects if effect in largest]
+    """Draw mean success by the two crossed factors that do most, over the settings of the others."""
+    keys = [effect.factor for effect in report.effects_by_size[:2]]
     if len(keys) < 2:
         return
     rows = [(*(level(cell.settings[key]) for key in keys), cell.success.value) for cell in report.cells]

@@ -145,12 +145,35 @@ def pairs(report: ReportData) -> Iterator[Table]:
         "Pairs of cells: difference of mean final success in percentage points, with simultaneous 95 % intervals; Mann "
         "and Whitney's test of the ranks of seeds; probability that a seed of A is better than one of B.",
         latex=True,
+        folded=not report.drawn_pairs,
+    )
+
+
+def factors(report: ReportData) -> Iterator[Table]:
+    """Yield the table of the difference that each factor makes."""
+    names = {factor.key: factor.name for factor in report.factors}
+    rows = []
+    for effect in report.effects_by_size:
+        high, low = effect.extremes
+        rows.append({**record(effect), "name": names[effect.factor], "highest": high.level, "lowest": low.level})
+    yield Table(
+        "factors",
+        rows,
+        [
+            column("Factor", "name", numeric=False),
+            column("Highest", "highest", formats.setting, numeric=False),
+            column("Lowest", "lowest", formats.setting, numeric=False),
+            interval_column("Highest − lowest (points)", "largest", formats.difference_interval),  # noqa: RUF001
+            column("p (Bonferroni)", "p", formats.probability),
+        ],
+        "Factors: the levels with the highest and the lowest mean over the other factors, and their difference in "
+        "percentage points, with 95 % intervals." + _warn_of_missing_combinations(report),
+        latex=True,
     )
 
 
 def effects(report: ReportData) -> Iterator[Table]:
     """Yield the table of each factor's levels."""
-    complete = all(effect.complete for effect in report.effects)
     yield Table(
         "effects",
         [{**record(effect), **record(level)} for effect in report.effects for level in effect.levels],
@@ -161,9 +184,14 @@ def effects(report: ReportData) -> Iterator[Table]:
             column("Cells", "cells", formats.number),
         ],
         f"Main effects: mean final success at each level over the levels of the other factors, {PERCENT}."
-        + ("" if complete else " Combinations are missing: levels are not comparable."),
+        + _warn_of_missing_combinations(report),
         latex=True,
     )
+
+
+def _warn_of_missing_combinations(report: ReportData) -> str:
+    complete = all(effect.complete for effect in report.effects)
+    return "" if complete else " Combinations are missing: levels are not comparable."
 
 
 def config(report: ReportData) -> Iterator[Table]:
@@ -224,7 +252,7 @@ def _list_cell_rows(report: ReportData) -> list[Row]:
     return [
         {
             **cell_record(cell),
-            "seeds": len(cell.seeds),
+            "seeds": cell.success.n,  # a run that is done may lack its rate
             **{f"runs_{stage}": cell.counts.get(stage) for stage in stages},
             **record(cell, without=("id", "label")),
         }
