@@ -10,14 +10,12 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from parking_exp.figure_style import clean
 from parking_exp.reports.report_data import ReportData
 from parking_exp.reports.report_page import render_page
 from parking_exp.reports.sections import SectionContent, draw, section_contents
+from parking_exp.reports.tables.latex import to_latex
 from parking_exp.reports.tables.table import Table
 from parking_exp.runs.atomic_files import write_atomically
-
-LATEX = str.maketrans({**{c: f"\\{c}" for c in "%#_&${}"}, "\\": r"\textbackslash{}", "^": r"\^{}", "~": r"\~{}"})
 
 
 def write_report(report: ReportData, folder: Path, formats: Sequence[str]) -> None:
@@ -37,7 +35,7 @@ def write_report(report: ReportData, folder: Path, formats: Sequence[str]) -> No
 
 
 def write_tables(contents: Sequence[SectionContent], folder: Path) -> None:
-    """Write every table as CSV, and those for a paper as LaTeX with booktabs."""
+    """Write every table as CSV, and those for a paper as LaTeX."""
     folder.mkdir(parents=True, exist_ok=True)
     for table in (table for content in contents for table in content.tables if table.rows):
         (folder / f"{table.name}.csv").write_text(to_csv(table), encoding="utf-8")
@@ -56,20 +54,3 @@ def to_csv(table: Table) -> str:
 def escape_formula(value: Any) -> Any:
     """Keep spreadsheets from running a text as a formula: an apostrophe before `=`, `+`, `-`, `@`, tab and return."""
     return f"'{value}" if isinstance(value, str) and value.startswith(("=", "+", "-", "@", "\t", "\r")) else value
-
-
-def to_latex(table: Table) -> str:
-    """Return a table for LaTeX with booktabs; `--` where nothing is known. pandas escapes cells, but no captions."""
-    return str(
-        pd.DataFrame([[clean(column.write(row)) or "--" for column in table.columns] for row in table.rows])
-        .set_axis([clean(column.title) for column in table.columns], axis="columns")
-        .to_latex(
-            index=False,
-            escape=True,
-            caption=table.caption.translate(LATEX),
-            label=f"tab:{table.name}",
-            column_format="".join("r" if column.numeric else "l" for column in table.columns),
-        )
-        .replace("−", "$-$")  # noqa: RUF001
-        .replace("≥", r"$\geq$")
-    )

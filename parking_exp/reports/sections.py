@@ -172,7 +172,7 @@ class SectionContent:
     @property
     def readable_tables(self) -> list[Table]:
         """The tables that people read."""
-        return [table for table in self.tables if table.readable]
+        return [without_constants(table) for table in self.tables if table.readable]
 
 
 def section_contents(
@@ -184,7 +184,7 @@ def section_contents(
             section.id,
             section.title,
             list(section.text(report)),
-            [without_constants(table) for tables in section.tables for table in tables(report)],
+            [table for tables in section.tables for table in tables(report)],
             [picture for picture in pictures if picture.section == section.id],
         )
         for section in (sections_of(report) if sections is None else sections)

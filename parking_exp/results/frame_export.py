@@ -9,7 +9,7 @@
 import gzip
 import re
 from collections import defaultdict
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +19,7 @@ import pandas as pd
 from parking_exp.config.paths import directory_path
 from parking_exp.errors import ConfigError, ResultsError
 from parking_exp.results.frames import FINAL, RUN_TYPES, TEXT, Results, as_results_error, config_column
-from parking_exp.results.run_logs import CURVE_TYPES, EPISODES, REQUIRED
+from parking_exp.results.run_logs import CURVE_KEYS, CURVE_TYPES, EPISODES, REQUIRED
 from parking_exp.runs.atomic_files import read_json, replacing, write_json
 from parking_exp.tasks.metrics import EPISODE_SEED
 
@@ -48,8 +48,8 @@ def write_export(results: Results, folder: str | Path, about: Mapping[str, Any] 
         outdated.unlink(missing_ok=True)
     final = results.episodes[results.episodes["phase"] == "final"].astype({"run_id": str})
     tables = {
-        "runs.csv.gz": _exported_runs(results.runs),
-        "curves.csv.gz": results.curves,
+        "runs.csv.gz": _without_unknown(_exported_runs(results.runs), FINAL.values()),
+        "curves.csv.gz": _without_unknown(results.curves, CURVE_KEYS.values()),
         # One column per run: equal columns compress to almost nothing.
         "outcomes.csv.gz": final.pivot(index=EPISODE_SEED, columns="run_id", values="outcome").reset_index(),
     }
@@ -103,6 +103,11 @@ def _exported_runs(runs: pd.DataFrame) -> pd.DataFrame:
     kept = kept.assign(**config.where(config.notna(), None).map(str))
     texts = kept.select_dtypes(["object", "string"])
     return kept.assign(**{str(name): texts[name].map(without_paths, na_action="ignore") for name in texts})
+
+
+def _without_unknown(frame: pd.DataFrame, metrics: Iterable[str]) -> pd.DataFrame:
+    """Return a frame without the metrics that none of its runs has, such as other tasks'; reading adds them again."""
+    return frame.drop(columns=[name for name in metrics if name in frame and frame[name].isna().all()])
 
 
 def _read_runs(path: Path) -> pd.DataFrame:

@@ -54,6 +54,26 @@ def edit(path, old, new):
     path.write_bytes(gzip.compress(content) if path.suffix == ".gz" else content)
 
 
+def test_an_export_has_no_metrics_of_other_tasks_and_reading_gives_their_columns_back(stored, tmp_path):
+    of_parking = ["crash_rate", "parked_rate"]
+    own = replace(
+        stored,
+        runs=stored.runs.assign(
+            failure_rate=stored.runs["crash_rate"], crash_rate=float("nan"), parked_rate=float("nan")
+        ),
+        curves=stored.curves.assign(crash_rate=float("nan"), parked_rate=float("nan")),
+    )
+    for results, absent, present in ((stored, ["failure_rate"], of_parking), (own, of_parking, ["success_rate"])):
+        folder = write_export(results, tmp_path / present[0])
+        for name in ("runs.csv.gz", "curves.csv.gz"):
+            columns = [*pd.read_csv(folder / name)]
+            assert [column for column in columns if column in absent] == []
+            assert [column for column in present if column not in columns] == []
+        frames = read_export(folder)
+        assert frames.runs[absent].isna().all(axis=None)
+        assert frames.curves[absent].isna().all(axis=None)
+
+
 def test_runs_come_back_with_their_types_and_without_places(stored, written):
     runs = read_export(written).runs
     places = [name for name in LOCAL_COLUMNS if name in stored.runs]

@@ -32,22 +32,31 @@ def headline(report: ReportData) -> Iterator[Table]:
             cell_column(),
             Column("Seeds", _count_finished, "seeds", given=True),
             column("Env steps", "total_timesteps", formats.number, given=True),
-            *(interval_column(REPORTED[name].heading, name) for name in _select_rates(report)),
-            column("Lowest", "lowest", formats.percent),
-            column("IQM", "iqm", formats.percent),
-            Column("Seeds ≥ 95 %", _count_reaching_95, "reaching_95_k"),
-            column("Steps to hold 90 %", "survival_median", formats.number),
-            column(REPORTED["episode_steps"].heading, "episode_steps", partial(formats.number, digits=1)),
+            *(interval_column(REPORTED[name].heading, name, paper=name != "timeout") for name in _select_rates(report)),
+            column("Lowest", "lowest", formats.percent, note="success of the worst seed"),
+            column("IQM", "iqm", formats.percent, note="interquartile mean of success over seeds", paper=False),
+            Column(
+                "Seeds ≥ 95 %",
+                _count_reaching_95,
+                "reaching_95_k",
+                note="how many seeds ended at 95 % or above, with the exact interval of their share",
+                paper=False,
+            ),
+            column(
+                "Steps to hold 90 %",
+                "survival_median",
+                formats.number,
+                note="median of the env steps until 90 % were held for three evaluations",
+            ),
+            column(REPORTED["episode_steps"].heading, "episode_steps", partial(formats.number, digits=1), paper=False),
             column("CPU (s)", "cpu_s", formats.number),
             *(
-                column(REPORTED[name].heading, name, partial(formats.number, digits=2))
+                column(REPORTED[name].heading, name, partial(formats.number, digits=2), paper=False)
                 for name in FURTHER
                 if not REPORTED[name].is_rate
             ),
         ],
-        f"Final evaluation: means over seeds, {PERCENT}; success of the worst seed, and its interquartile mean over "
-        "seeds; how many seeds ended at 95 % or above, with the exact interval of their share; median of the env steps "
-        "until 90 % were held for three evaluations.",
+        f"Final evaluation: means over seeds, {PERCENT}.",
         latex=True,
     )
 
@@ -137,13 +146,23 @@ def pairs(report: ReportData) -> Iterator[Table]:
             cell_column("B", "b", "b_label"),
             interval_column("A − B (points)", "difference", formats.difference_interval),  # noqa: RUF001
             column("p (Bonferroni)", "p_corrected", formats.probability),
-            column("p, ranks (Holm)", "rank_p_holm", formats.probability),
-            column("A better than B (%)", "improvement", formats.percent),
-            column("p, time to 90 % (Holm)", "log_rank_p_holm", formats.probability),
-            column("In words", "verdict", lambda verdict: formats.VERDICTS[verdict].table, numeric=False),
+            column(
+                "p, ranks (Holm)",
+                "rank_p_holm",
+                formats.probability,
+                note="Mann and Whitney's test of the ranks of seeds",
+            ),
+            column(
+                "A better than B (%)",
+                "improvement",
+                formats.percent,
+                note="probability that a seed of A is better than one of B",
+                paper=False,
+            ),
+            column("p, time to 90 % (Holm)", "log_rank_p_holm", formats.probability, paper=False),
+            column("In words", "verdict", lambda verdict: formats.VERDICTS[verdict].table, numeric=False, paper=False),
         ],
-        "Pairs of cells: difference of mean final success in percentage points, with simultaneous 95 % intervals; Mann "
-        "and Whitney's test of the ranks of seeds; probability that a seed of A is better than one of B.",
+        "Pairs of cells: difference of mean final success in percentage points, with simultaneous 95 % intervals.",
         latex=True,
         folded=not report.drawn_pairs,
     )

@@ -24,6 +24,8 @@ class Column(NamedTuple):
         numeric: whether it shows numbers.
         cell: key of the id of the cell that it names.
         given: whether it is a condition, not a result: the caption has it where it is the same in every row.
+        note: what the caption says of it, without a full stop.
+        paper: whether LaTeX has it, too.
     """
 
     title: str
@@ -32,6 +34,8 @@ class Column(NamedTuple):
     numeric: bool = True
     cell: str | None = None
     given: bool = False
+    note: str = ""
+    paper: bool = True
 
 
 @dataclass(frozen=True)
@@ -52,7 +56,10 @@ class Table:
 
 
 def without_constants(table: Table) -> Table:
-    """Return a table whose caption has what is the same in every row: conditions, and what is nowhere known."""
+    """Return a table whose caption has notes on its columns, and what is the same in every row.
+
+    That are conditions, and what is nowhere known.
+    """
     constants = {}
     for column in table.columns[1:]:
         texts = {column.write(row) for row in table.rows}
@@ -60,7 +67,9 @@ def without_constants(table: Table) -> Table:
             constants[column] = clean(texts.pop()) or "not known"
     sentences = "".join(f" {column.title} in every row: {text}." for column, text in constants.items())
     columns = [column for column in table.columns if column not in constants]
-    return replace(table, columns=columns, caption=table.caption + sentences)
+    notes = [column.note for column in columns if column.note]
+    caption = "; ".join([table.caption.removesuffix("."), *notes])
+    return replace(table, columns=columns, caption=f"{caption}.{sentences}" if caption else "")
 
 
 def record(item: Any, prefix: str = "", *, without: Collection[str] = ()) -> dict[str, Any]:
@@ -90,10 +99,17 @@ def cell_record(cell: Cell) -> dict[str, str]:
 
 
 def column(
-    title: str, key: str, write: Callable[[Any], str] = formats.words, *, numeric: bool = True, given: bool = False
+    title: str,
+    key: str,
+    write: Callable[[Any], str] = formats.words,
+    *,
+    numeric: bool = True,
+    given: bool = False,
+    note: str = "",
+    paper: bool = True,
 ) -> Column:
     """Return a column of one value of each row, written by e.g. `formats.percent`."""
-    return Column(title, lambda row: write(row.get(key)), key, numeric, given=given)
+    return Column(title, lambda row: write(row.get(key)), key, numeric, given=given, note=note, paper=paper)
 
 
 def cell_column(title: str = "Cell", cell: str = "cell", label: str = "label") -> Column:
@@ -101,11 +117,13 @@ def cell_column(title: str = "Cell", cell: str = "cell", label: str = "label") -
     return Column(title, lambda row: str(row[label]), label, numeric=False, cell=cell, given=True)
 
 
-def interval_column(title: str, key: str, write: Callable[[Interval], str] = formats.percent_interval) -> Column:
+def interval_column(
+    title: str, key: str, write: Callable[[Interval], str] = formats.percent_interval, *, paper: bool = True
+) -> Column:
     """Return a column of a number with its interval, by default a rate in per cent."""
 
     def text(row: Row) -> str:
         value, low, high = (finite_or_none(row.get(name)) for name in (key, f"{key}_low", f"{key}_high"))
         return write(Interval(value, low, high))
 
-    return Column(title, text, key)
+    return Column(title, text, key, paper=paper)
