@@ -60,7 +60,8 @@ which `pandas.read_csv` reads as well, and a JSON file:
     report.json      problems; names of the experiments; the search, if there is one
 
 Left out are metrics that none of the runs has, such as those of other tasks; evaluation episodes during training; what
-`Results.episodes` has besides outcomes; and everything that names a place on the machine. Numbers are rounded to 6 significant digits.
+`Results.episodes` has besides outcomes; and everything that names a place on the machine. Numbers are rounded to 6
+significant digits.
 """
 
 from parking_exp.results.frame_export import read_export, write_export
