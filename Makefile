@@ -81,9 +81,9 @@ benchmark: setup  ## measure speed relative to named peers
 	$(BIN)/python scripts/benchmark.py $(ARGS)
 
 ui: $(VENV)/.ui  ## MLflow's web UI
-	@echo "MLflow may open its GenAI view: choose 'Model training' at the top left, once, or open the address"
-	@echo "that follows (by default http://127.0.0.1:5000) with /#/experiments/1?workflowType=machine_learning after it"
-	MLFLOW_DISABLE_TELEMETRY=true $(BIN)/mlflow ui --backend-store-uri $(STORE) $(ARGS)
+	@echo "open  http://127.0.0.1:$(or $(shell echo '$(ARGS)' | sed -nE 's/.*(--port|-p)[ =]*([0-9]+).*/\2/p'),5000)/#/experiments?workflowType=machine_learning"
+	@echo "and choose an experiment: the names of finished runs begin with their success rates"
+	MLFLOW_DISABLE_TELEMETRY=true $(BIN)/mlflow ui --workers 1 --backend-store-uri $(STORE) $(ARGS)
 
 dashboard: $(VENV)/.ui  ## Optuna's dashboard on a study (STUDY=outputs/NAME/study.journal)
 	$(BIN)/optuna-dashboard $(STUDY) $(ARGS)

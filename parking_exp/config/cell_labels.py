@@ -4,7 +4,9 @@ A group's option (`algorithm=td3`) changes many keys at once: keys that it deter
 that always change together count once. A `label` in the configs takes the place of all keys that it determines.
 """
 
+import json
 from collections.abc import Collection, Hashable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
@@ -39,6 +41,30 @@ def settings_of(config: Mapping[str, Any], prefix: str = "") -> dict[str, Settin
         else:
             flat[f"{prefix}{key}"] = str(value) if isinstance(value, list | dict) else value
     return flat
+
+
+def setting_text(value: Setting) -> str:
+    """Return a setting as text, for stores and tables; `parse_value` is its inverse.
+
+    A text that would be read as anything else is in double quotes.
+    """
+    text = str(value)
+    return json.dumps(value, ensure_ascii=False) if isinstance(value, str) and parse_value(text) != value else text
+
+
+def parse_value(text: str | None) -> Setting:
+    """Return the setting that a text stands for: None, a bool, a number or a text; lists and mappings are text."""
+    if text in (None, "None", "True", "False"):
+        return {"True": True, "False": False}.get(text or "")
+    if text.startswith('"'):
+        with suppress(ValueError):  # it was cut, or is of an earlier version
+            return str(json.loads(text))
+    for number in (int, float):
+        try:
+            return number(text) if "_" not in text else text  # 2024_11 is a name
+        except ValueError:
+            continue
+    return text
 
 
 def can_matter(key: str) -> bool:

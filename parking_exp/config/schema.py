@@ -11,7 +11,14 @@ from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, NonNegativeInt, PositiveFloat
 
-from parking_exp.config.paths import absolute, default_uri, directory_path, refuse_password
+from parking_exp.config.paths import (
+    SQLITE,
+    absolute,
+    default_uri,
+    directory_path,
+    refuse_password,
+    refuse_question_mark,
+)
 from parking_exp.config.run_key import result_part, short_hash
 from parking_exp.config_model import MAX_ENVS, ConfigModel, Count, EpisodeSeed, Name, NumberOfEpisodes
 from parking_exp.tasks.registry import EnvConfig
@@ -22,7 +29,14 @@ STORES = re.compile(r"sqlite:///[^?]+|(https?|postgresql|mysql|mssql)(\+\w+)?://
 def _check_store(uri: str) -> str:
     if not STORES.fullmatch(refuse_password(uri)):
         raise ValueError("it is not an MLflow store; use sqlite:///PATH, or http://HOST:PORT of a tracking server")
+    if uri.startswith(SQLITE):
+        refuse_question_mark(Path(absolute(uri)))
     return uri
+
+
+def _check_output_dir(text: str) -> str:
+    refuse_question_mark(directory_path(text))
+    return text
 
 
 Uri = Annotated[str, AfterValidator(_check_store)]
@@ -117,7 +131,7 @@ class SweepOptions(ConfigModel):
 class OutputConfig(ConfigModel):
     """The output directory, a key of each command."""
 
-    output_dir: Annotated[str, Field(pattern=r"^[^?]+$")]  # a sqlite URI ends at a question mark
+    output_dir: Annotated[str, Field(min_length=1), AfterValidator(_check_output_dir)]
 
     @property
     def output_path(self) -> Path:

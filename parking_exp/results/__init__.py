@@ -7,8 +7,8 @@
 
 `runs` has one row per run, by experiment, cell and seed:
 
-    run_id, name, experiment, cell, run_key    str       MLflow run id and name; what it belongs to; hash of all that
-                                                         can change its result
+    run_id, name, experiment, cell, run_key    str       MLflow run id and name, without the rate in front of it; what
+                                                         it belongs to; hash of all that can change its result
     seed                                       int64
     status                                     category  done, running, failed, interrupted: in the store
     error                                      str       why it failed, in one line; missing for others

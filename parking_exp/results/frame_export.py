@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from parking_exp.config.cell_labels import setting_text
 from parking_exp.config.paths import directory_path
 from parking_exp.errors import ConfigError, ResultsError
 from parking_exp.results.frames import FINAL, RUN_TYPES, TEXT, Results, as_results_error, config_column
@@ -27,6 +28,8 @@ REPORT = "report.json"
 FILES = ("runs.csv.gz", "curves.csv.gz", "outcomes.csv.gz", REPORT)
 LOCAL_COLUMNS = ("run_dir", "artifact_uri", "config.output_dir", "config.tracking.uri")
 """Columns of runs that name a place on the machine; an export has none of them."""
+LABEL_COLUMNS = ["config.label", "config.contrasts"]
+"""Columns of runs with labels, in which slashes separate no folders."""
 PATH = re.compile(r"(?<![\w.~:/])(?:(?:sqlite|file):/*)?~?/(?:[^\s/'\",:;)\]]+/)*([^\s/'\",:;)\]]+)/?")
 
 
@@ -100,8 +103,8 @@ def _exported_runs(runs: pd.DataFrame) -> pd.DataFrame:
     """Return runs without columns that name a place, with the config as text, like MLflow's parameters."""
     kept = runs.drop(columns=[name for name in LOCAL_COLUMNS if name in runs])
     config = kept.filter(regex=r"^config\.").astype(object)
-    kept = kept.assign(**config.where(config.notna(), None).map(str))
-    texts = kept.select_dtypes(["object", "string"])
+    kept = kept.assign(**config.where(config.notna(), None).map(setting_text))
+    texts = kept.select_dtypes(["object", "string"]).drop(columns=LABEL_COLUMNS, errors="ignore")
     return kept.assign(**{str(name): texts[name].map(without_paths, na_action="ignore") for name in texts})
 
 
@@ -119,7 +122,8 @@ def _read_runs(path: Path) -> pd.DataFrame:
     others = sorted(name for name in map(str, runs) if name.startswith(("version.", "config.")))
     for name in others:
         if name.startswith("config."):
-            runs[name] = config_column(runs[name].astype(object).where(runs[name].notna(), None))
+            texts = runs[name].astype(object).where(runs[name].notna(), None)
+            runs[name] = config_column(texts, name.removeprefix("config."))
     others.sort(key=lambda name: name.startswith("config."))
     of_other_tasks = {name: np.nan for name in FINAL.values() if name not in runs}
     return runs.assign(run_dir=None, artifact_uri=None, **of_other_tasks)[[*RUN_TYPES, *others]].astype(RUN_TYPES)

@@ -1,5 +1,6 @@
 """Load the results of runs from an MLflow store."""
 
+import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
@@ -9,6 +10,7 @@ from typing import TYPE_CHECKING, Any, cast
 
 import pandas as pd
 
+from parking_exp.config.cell_labels import LABEL, parse_value
 from parking_exp.config.paths import database, default_uri, directory_path, refuse_password
 from parking_exp.errors import ParkingError, ResultsError, suggestion
 from parking_exp.results.run_logs import CATEGORIES, CURVE, CURVE_TYPES, EPISODES, read_episodes, read_points
@@ -48,6 +50,7 @@ RUN_TYPES: dict[str, Any] = {
 """Columns of `runs` before those of versions and config, and their types."""
 
 DOWNLOADS_AT_ONCE = 16
+RATE = re.compile(r"^\d+\.\d% ")  # in front of the names of finished runs
 TAGS = ("cell", "seed", "run_key", "run_dir", "status")
 """Tags of every run of this package; other runs are ignored."""
 
@@ -126,6 +129,7 @@ def _chosen(store: Store, experiments: str | Iterable[str] | None) -> dict[str, 
     names = [experiments] if isinstance(experiments, str) else list(experiments)
     for name in names:
         if name not in ids:
+            store.refuse_deleted(name)
             hint = suggestion(name, set(ids) - {"Default"})
             raise ResultsError(f"experiment={name}: there is no such experiment in {store.uri}{hint}")
     return {name: ids[name] for name in names}
@@ -136,21 +140,13 @@ def _is_from_this_package(run: "Run") -> bool:
     return all(name in tags for name in TAGS) and tags["status"] in STATUSES and tags["seed"].isdecimal()
 
 
-def parse_value(text: str | None) -> Any:
-    """Parse the text of a parameter: None, a bool or a number; lists, mappings and words stay text."""
-    if text in (None, "None", "True", "False"):
-        return {"True": True, "False": False}.get(text or "")
-    for number in (int, float):
-        try:
-            return number(text) if "_" not in text else text  # 2024_11 is a name
-        except ValueError:
-            continue
-    return text
-
-
-def config_column(texts: Iterable[str | None]) -> pd.Series:
-    """Return the typed values of a parameter; where some are None, all stay Python objects."""
-    values = [parse_value(text) for text in texts]
+def config_column(texts: Iterable[str | None], key: str = "") -> pd.Series:
+    """Return the typed values of a config key; where some are None, all stay Python objects."""
+    values = []
+    for text in texts:
+        value = parse_value(text)
+        # Stores and exports of earlier versions have no quotes around a label that looks like a number.
+        values.append(text if key == LABEL and isinstance(value, int | float) else value)
     return pd.Series(values, dtype=object if None in values else None)
 
 
@@ -163,7 +159,11 @@ def _runs(stored: Sequence["Run"], names: Mapping[str, str], run_dir: Callable[[
         path = run_dir(run)
         rows.append(
             {name: tags.get(name) for name in ("cell", "run_key", "seed", "status", "git_commit", "cpu")}
-            | {"run_id": info.run_id, "name": info.run_name, "experiment": names[info.experiment_id]}
+            | {
+                "run_id": info.run_id,
+                "name": RATE.sub("", info.run_name or ""),
+                "experiment": names[info.experiment_id],
+            }
             | {"error": tags.get("error") or None, "steps": 0}
             | {column: parse_value(params.get(key)) for key, column in CONFIGURED.items()}
             | {column: metrics.get(key) for key, column in (final | COST).items()}
@@ -177,7 +177,7 @@ def _runs(stored: Sequence["Run"], names: Mapping[str, str], run_dir: Callable[[
     versions = sorted({name for run in stored for name in run.data.tags if name.startswith("version.")})
     keys = sorted({key for run in stored for key in run.data.params})
     described = {name: pd.Series([run.data.tags.get(name) for run in stored], dtype=TEXT) for name in versions}
-    config = {f"config.{key}": config_column(run.data.params.get(key) for run in stored) for key in keys}
+    config = {f"config.{key}": config_column([run.data.params.get(key) for run in stored], key) for key in keys}
     runs = pd.concat([runs.astype(RUN_TYPES), pd.DataFrame(described | config)], axis=1)
     return runs.sort_values(["experiment", "cell", "seed", "started"], ignore_index=True)
 

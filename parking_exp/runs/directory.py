@@ -25,6 +25,7 @@ from parking_exp.config.paths import absolute, directory_path, refuse_links, rel
 from parking_exp.config.schema import RunConfig
 from parking_exp.errors import OutputDirectoryError, RunLockedError
 from parking_exp.runs.atomic_files import read_object, sha256, write_json
+from parking_exp.runs.metric_logs import EPISODES_FILE, METRICS_FILE, MONITOR_FILE
 from parking_exp.runs.run_files import (
     CONFIG_FILE,
     HEARTBEAT_FILE,
@@ -50,6 +51,17 @@ ENDS = ("done", "failed", "interrupted")
 STATUS_LOCK = ".status.lock"
 # All that the directory of a run that never began can hold.
 PLAN_FILES = {CONFIG_FILE, STATUS_FILE, STATUS_LOCK, ".sync.lock", SUPERVISOR_LOCK, TRAINING_LOCK, RESERVE}
+WRITTEN_AT_THE_END = (
+    EPISODES_FILE,
+    "curves.png",
+    "video.mp4",
+    MONITOR_FILE,
+    "progress.csv",
+    "traceback.txt",
+    "models/best.zip",
+    "models/final.zip",
+)
+"""Files that are whole once a run has ended."""
 
 
 @dataclass(frozen=True)
@@ -77,6 +89,11 @@ class RunDirectory:
     def status(self) -> Status:
         """Status in status.json; that of a run that was killed is still `running`."""
         return self.read_status().get("status", "pending")
+
+    @property
+    def is_status_damaged(self) -> bool:
+        """Whether status.json can't be read."""
+        return read_entries(self.path / STATUS_FILE, StatusEntries)[1]
 
     @property
     def run_id(self) -> str | None:
@@ -123,8 +140,9 @@ class RunDirectory:
             return None
 
     def finish(self, result: RunResult, **values: Any) -> None:
-        """Write the result, then the status `done` with other entries of status.json."""
-        write_json(self.path / RESULT_FILE, asdict(result))
+        """Write the result and the hashes of the run's files, then the status `done` with other entries."""
+        hashes = {name: sha256(file) for name, file in self._finished_files().items()}
+        write_json(self.path / RESULT_FILE, {**asdict(result), "sha256": hashes})
         self.update(status="done", steps=result.steps, **values)
 
     def needs_evaluation(self, config: RunConfig) -> bool:
@@ -172,6 +190,20 @@ class RunDirectory:
         with suppress(OSError):  # it has other files, or its cell other runs
             for folder in (self.path, *self.path.parents[:2]):
                 folder.rmdir()
+
+    def changed_files(self) -> list[str]:
+        """Return the names of files that have changed since the run was finished; deleted ones have not."""
+        hashes = read_object(self.path / RESULT_FILE).get("sha256")
+        if self.status != "done" or not isinstance(hashes, dict):  # results of earlier versions have none
+            return []
+        files = self._finished_files()
+        return [name for name, file in files.items() if name in hashes and sha256(file) != hashes[name]]
+
+    def _finished_files(self) -> dict[str, Path]:
+        """Return the files that no longer change once the run is finished, by their names in the directory."""
+        files = [self.path / name for name in (CONFIG_FILE, METRICS_FILE, *WRITTEN_AT_THE_END)]
+        files += sorted(self.checkpoints.glob(f"*/{MODEL}"))
+        return {str(file.relative_to(self.path)): file for file in files if file.is_file()}
 
     def create(self, config: RunConfig) -> None:
         """Make the directory, write the resolved config into it, and reserve space for the run's end."""

@@ -23,7 +23,8 @@ from parking_exp.runs.state_tables import cell_table, run_name, state_lines
 from parking_exp.sweeps.hydra_launcher import Launcher
 from parking_exp.sweeps.monitor import Monitor
 from parking_exp.terminal import console, program
-from parking_exp.tracking.mirror import mirror_problem
+from parking_exp.tracking.client import say_ignored_store
+from parking_exp.tracking.mirror import follow_store, mirror_problem
 from parking_exp.tracking.store import Store
 
 POLL_S = 1.0
@@ -144,8 +145,11 @@ def sweep(runs: Sequence[PlannedRun], launcher: Launcher, *, dry_run: bool = Fal
         entries = {**run.entries, "cell_number": run.cell_number}
         RunDirectory(run.path).write_plan(run.config, run.label, run.state.started, entries=entries)
     _number_finished_runs([run for run in runs if run not in due])
+    tracked_elsewhere = [run for run in runs if follow_store(RunDirectory(run.path), run.config)]
+    if any(run.config.tracking.mlflow and run.config.tracking.uri is None for run in due):
+        say_ignored_store()
     try:
-        if due:
+        if due or tracked_elsewhere:
             with Monitor(lambda: paths, len(paths)) as monitor:
                 _launch_all([run.path for run in due], launcher, monitor)
                 sync_store(paths, [run.config for run in runs], monitor)

@@ -10,6 +10,7 @@ import logging
 import os
 import sqlite3
 from contextlib import AbstractContextManager, closing, nullcontext
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,6 +18,7 @@ from filelock import FileLock
 
 from parking_exp.config.paths import SQLITE, database
 from parking_exp.errors import ParkingError, one_line
+from parking_exp.terminal import say
 
 if TYPE_CHECKING:
     from mlflow import MlflowClient
@@ -45,6 +47,13 @@ def import_mlflow() -> None:
     for name, value in ENVIRONMENT.items():
         os.environ.setdefault(name, value)
     import mlflow  # noqa: F401
+
+
+@cache
+def say_ignored_store() -> None:
+    """Say once that MLflow's own variable chooses no store; else run directories of others would be sent there."""
+    if os.environ.get("MLFLOW_TRACKING_URI"):
+        say("MLFLOW_TRACKING_URI is ignored; tracking.uri=URI chooses a store other than output_dir's", stderr=True)
 
 
 def connect(uri: str, output_dir: Path | None = None) -> "MlflowClient":

@@ -1,27 +1,30 @@
 """Mirror run directories to an MLflow store; the directory is the truth, and the store its index.
 
 `mirror` sends what the store lacks of a run directory, in any state that a kill can leave it in. The tag `mirrored`
-of a stored run, written last, is a digest of the files that the store has. Metrics are sent as soon as they are final:
-up to the last checkpoint, from which an interrupted run resumes, and all of them when the run is done.
+of a stored run is a digest of the files that the store has; it and the tag `status` are written last, so that a run is
+`done` in the store once all of it is there. Metrics are sent as soon as they are final: up to the last checkpoint, from
+which an interrupted run resumes, and all of them when the run is done. Files of a finished run that have changed since
+are not sent.
 """
 
 import shlex
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from filelock import FileLock
 
-from parking_exp.config.cell_labels import settings_of
+from parking_exp.config.cell_labels import setting_text, settings_of
 from parking_exp.config.paths import database, default_uri, is_same_store, relative_path
 from parking_exp.config.run_key import short_hash
 from parking_exp.config.schema import RunConfig
 from parking_exp.errors import StoreError, one_line, plural
 from parking_exp.runs.atomic_files import read_object
-from parking_exp.runs.directory import MODEL, RunDirectory, Status
-from parking_exp.runs.metric_logs import EPISODES_FILE, METRICS_FILE, MONITOR_FILE, read_metrics
-from parking_exp.runs.run_files import CONFIG_FILE
+from parking_exp.runs.directory import MODEL, WRITTEN_AT_THE_END, RunDirectory, Status
+from parking_exp.runs.metric_logs import METRICS_FILE, read_metrics
+from parking_exp.runs.output_identity import output_id
+from parking_exp.runs.run_files import CONFIG_FILE, STATUS_FILE
 from parking_exp.runs.run_provenance import PROVENANCE_FILE
 from parking_exp.terminal import program
 from parking_exp.tracking.client import reason
@@ -30,22 +33,12 @@ from parking_exp.tracking.store import Store
 if TYPE_CHECKING:
     from mlflow.entities import Metric, Run
 
-DIGEST, STARTED = "mirrored", "started_ms"  # tags
+DIGEST, STARTED, STATUS, OUTPUT_ID = "mirrored", "started_ms", "status", "output_id"  # tags
 WAIT_S = 120  # for another process that mirrors the same run
 MAX_ERROR_LENGTH = 500
 MAX_PARAM_LENGTH = 6000  # MLflow refuses longer values; the whole config is also an artifact
 MLFLOW_STATUS = {"done": "FINISHED", "failed": "FAILED"}  # others: KILLED
 FROM_STATUS = ("command", "search", "trial")  # tags
-AT_THE_END = (
-    EPISODES_FILE,
-    "curves.png",
-    "video.mp4",
-    MONITOR_FILE,
-    "progress.csv",
-    "traceback.txt",
-    "models/best.zip",
-    "models/final.zip",
-)
 
 
 def mirror(directory: RunDirectory, store: Store) -> None:
@@ -53,19 +46,25 @@ def mirror(directory: RunDirectory, store: Store) -> None:
     config = directory.config()
     directory.check_links()
     with FileLock(directory.path / ".sync.lock", timeout=WAIT_S):
-        status, digest, files = _status(directory), _digest(directory), _files(directory)
-        tags = _tags(directory, config, store.uri, status)
+        if changed := directory.changed_files():
+            raise StoreError(_describe_damage(changed))
+        status = _status(directory)
+        files = _files(directory)
+        digest = _digest(directory, files)
+        tags = _tags(directory, config, store)
         experiment_id = store.experiment_id(config)
         run = _find(directory, store, experiment_id, tags)
+        name = f"{config.cell}-seed={config.seed}"
         if run is None:
             start_ms = int(tags[STARTED]) if STARTED in tags else None
             with store.writing() as client:
-                run = client.create_run(experiment_id, start_ms, tags, f"{config.cell}-seed={config.seed}")
+                run = client.create_run(experiment_id, start_ms, {**tags, STATUS: "running"}, name)
         if directory.run_id != run.info.run_id or directory.tracking_uri != store.uri:
             directory.update(run_id=run.info.run_id, tracking_uri=store.uri)
-        if (run.data.tags.get(DIGEST), run.data.tags.get("run_dir")) == (digest, tags["run_dir"]):
+        is_same = (run.data.tags.get(DIGEST), run.data.tags.get("run_dir")) == (digest, tags["run_dir"])
+        if is_same and store.has_artifacts(run, files):
             return
-        params = {key: str(value)[:MAX_PARAM_LENGTH] for key, value in settings_of(config.plain()).items()}
+        params = {key: setting_text(value)[:MAX_PARAM_LENGTH] for key, value in settings_of(config.plain()).items()}
         store.log(run, params, tags, list(_new_metrics(run, files.get(METRICS_FILE))))
         for name, file in files.items():
             store.put_artifact(run, name, file.read_bytes())
@@ -73,9 +72,12 @@ def mirror(directory: RunDirectory, store: Store) -> None:
             if status == "running":
                 client.update_run(run.info.run_id, "RUNNING")
             else:
-                end_ms = files.get(METRICS_FILE, files[CONFIG_FILE]).stat().st_mtime_ns // 1_000_000
+                last = files.get(METRICS_FILE, files[CONFIG_FILE])
+                end_ms = last.stat().st_mtime_ns // 1_000_000
                 client.set_terminated(run.info.run_id, MLFLOW_STATUS.get(status, "KILLED"), end_ms)
-        store.log(run, {}, {DIGEST: digest})
+            if status == "done" and run.info.run_name == name:  # the first thing that MLflow's UI shows of a run
+                client.update_run(run.info.run_id, name=f"{_rate(directory)}{name}")
+        store.log(run, {}, {DIGEST: digest, STATUS: status})
 
 
 def try_mirror(directory: RunDirectory, store: Store) -> str | None:
@@ -95,6 +97,17 @@ def try_mirror(directory: RunDirectory, store: Store) -> str | None:
     return problem
 
 
+def follow_store(directory: RunDirectory, config: RunConfig) -> bool:
+    """Make a finished run one of the store that a command names; return whether it was tracked elsewhere."""
+    if not config.tracking.mlflow or directory.status != "done":
+        return False
+    tracked_in = directory.tracking_uri
+    if tracked_in is not None and (config.tracking.uri is None or is_same_store(tracked_in, config.store_uri)):
+        return False
+    directory.update(tracking_uri=config.store_uri)
+    return True
+
+
 def mirror_missing(directories: Iterable[RunDirectory], store: Store) -> Iterator[tuple[RunDirectory, str | None]]:
     """Mirror the runs that a store lacks or has an older state of, found by one search.
 
@@ -103,6 +116,10 @@ def mirror_missing(directories: Iterable[RunDirectory], store: Store) -> Iterato
     Yields:
         Each run that the store lacked, and what kept it from being sent now, or None.
     """
+    directories = list(directories)
+    for directory in directories:
+        if directory.is_status_damaged:
+            yield directory, f"{STATUS_FILE} can't be read; restore it, or rerun the command of the run"
     tracked = [run for run in directories if (uri := run.tracking_uri) and is_same_store(uri, store.uri)]
     idle = [directory for directory in tracked if not directory.is_locked]
     if not idle:
@@ -114,9 +131,11 @@ def mirror_missing(directories: Iterable[RunDirectory], store: Store) -> Iterato
     except Exception as error:
         yield from ((directory, reason(error)) for directory in idle)
         return
-    mirrored = {(run_dir.resolve(), run.data.tags.get(DIGEST)) for run in runs if (run_dir := store.run_dir(run))}
+    mirrored = {(run_dir.resolve(), run.data.tags.get(DIGEST)): run for run in runs if (run_dir := store.run_dir(run))}
     for directory in idle:
-        if (directory.path.resolve(), _digest(directory)) not in mirrored:
+        files = _files(directory)
+        run = mirrored.get((directory.path.resolve(), _digest(directory, files)))
+        if run is None or not store.has_artifacts(run, files):
             yield directory, try_mirror(directory, store)
 
 
@@ -145,8 +164,21 @@ def mirror_problem(directories: Iterable[RunDirectory], store: Store) -> str | N
     if not problems:
         return None
     directory, problem = problems[0]
-    incomplete = f"the store lacks data of {plural(len(problems), 'run')}, e.g. {directory.path}"
+    incomplete = f"files and store differ for {plural(len(problems), 'run')}, e.g. {directory.path}"
     return f"{incomplete}: {problem}; {sync_hint(directory.output_dir, store.uri)}"
+
+
+def _rate(directory: RunDirectory) -> str:
+    """Return the final success rate of a finished run as `98.6% `, or nothing where it has none."""
+    rate = directory.read_status().get("success_rate")
+    return "" if rate is None else f"{rate:.1%} "
+
+
+def _describe_damage(names: Sequence[str]) -> str:
+    return (
+        f"{', '.join(names)} changed after the run was finished, so it is damaged and not sent; "
+        "restore it, or delete it to keep what the store has"
+    )
 
 
 def sync_hint(output_dir: Path, uri: str | None) -> str:
@@ -165,31 +197,32 @@ def _status(directory: RunDirectory) -> Status:
     return "interrupted" if status == "pending" or (status == "running" and not directory.is_locked) else status
 
 
-def _digest(directory: RunDirectory) -> str:
-    """Return a hash of what the store should have of a run, without parsing any file."""
+def _digest(directory: RunDirectory, files: Mapping[str, Path]) -> str:
+    """Return a hash of what the store should have of a run, `files` among it, without parsing any file."""
     entries, provenance = directory.read_status(), directory.path / PROVENANCE_FILE
     state = [_status(directory), *(entries.get(name) for name in ("error", *FROM_STATUS))]
-    files = [*([provenance] if provenance.exists() else []), *_files(directory).values()]
-    stats = [(str(file.relative_to(directory.path)), file.stat()) for file in files]
+    sent = [*([provenance] if provenance.exists() else []), *files.values()]
+    stats = [(str(file.relative_to(directory.path)), file.stat()) for file in sent]
     return short_hash([state, *([name, stat.st_size, stat.st_mtime_ns] for name, stat in stats)])
 
 
-def _tags(directory: RunDirectory, config: RunConfig, uri: str, status: Status) -> dict[str, str]:
-    """Return the tags of a run; those that identify it overwrite others of the same name in its provenance."""
-    path, entries = database(uri), directory.read_status()
+def _tags(directory: RunDirectory, config: RunConfig, store: Store) -> dict[str, str]:
+    """Return the tags of a run except its status; they overwrite others of the same name in its provenance."""
+    path, entries = database(store.uri), directory.read_status()
     provenance = read_object(directory.path / PROVENANCE_FILE)
-    error = one_line(entries.get("error", "")) if status == "failed" else ""
+    error = one_line(entries.get("error", "")) if entries.get("status") == "failed" else ""
     stored = provenance.get("tags")
+    described = {str(name): str(value) for name, value in stored.items()} if isinstance(stored, dict) else {}
     return {
-        **({str(name): str(value) for name, value in stored.items()} if isinstance(stored, dict) else {}),
+        **{name: value for name, value in described.items() if name not in (DIGEST, STATUS, OUTPUT_ID)},
         **({STARTED: str(provenance[STARTED])} if STARTED in provenance else {}),
         **{name: str(entries[name]) for name in FROM_STATUS if name in entries},
+        **({} if store.is_own else {OUTPUT_ID: output_id(directory.output_dir)}),
         "experiment": config.experiment_name,
         "cell": config.cell,
         "seed": str(config.seed),
         "run_key": config.run_key,
         "run_dir": relative_path(directory.path, path.parent) if path else str(directory.path.absolute()),
-        "status": status,
         "error": error[:MAX_ERROR_LENGTH],
     }
 
@@ -204,7 +237,7 @@ def _files(directory: RunDirectory) -> dict[str, Path]:
     if status == "done":
         files[METRICS_FILE] = path / METRICS_FILE
     if status != "running":
-        files |= {name: path / name for name in AT_THE_END}
+        files |= {name: path / name for name in WRITTEN_AT_THE_END}
     evaluations = sorted((path / "evaluations").glob("*/[!.]*"))
     files |= {f"evaluations/{file.parent.name}/{file.name}": file for file in evaluations}
     return {name: file for name, file in files.items() if file.exists()}
@@ -214,24 +247,27 @@ def _find(directory: RunDirectory, store: Store, experiment_id: str, tags: Mappi
     """Return the store's run of a directory; delete one of an earlier training in the same place.
 
     The id in status.json may have been copied, or written by anybody. A run of another directory is taken only if that
-    is gone: then it was moved here.
+    is gone: then it was moved here. A shared store has runs of other output directories, some of which have the same
+    path on another machine: their runs are left alone, and so is what has no owner, unless it is this very training.
     """
+    own_id = tags.get(OUTPUT_ID)  # None in the output directory's own store
     runs = store.search([experiment_id], f"tags.run_key = '{tags['run_key']}'")
     if not runs:  # or it was sent by an earlier version, whose keys were others
         same_seed = store.search([experiment_id], f"tags.seed = '{tags['seed']}'")
         runs = [run for run in same_seed if run.data.tags.get("run_dir") == tags["run_dir"]]
     for run in runs:
         run_dir = store.run_dir(run)
-        if run_dir is None or run.info.lifecycle_stage == "deleted":
+        owner = run.data.tags.get(OUTPUT_ID)
+        if run_dir is None or run.info.lifecycle_stage == "deleted" or owner not in (None, own_id):
             continue
         if run_dir.resolve() != directory.path.resolve():
             if run.info.run_id == directory.run_id and not run_dir.is_dir():
                 return run
-        elif STARTED in tags and run.data.tags.get(STARTED, tags[STARTED]) != tags[STARTED]:
+        elif STARTED not in tags or run.data.tags.get(STARTED, tags[STARTED]) == tags[STARTED]:
+            return run
+        elif owner == own_id:
             with store.writing() as client:
                 client.delete_run(run.info.run_id)  # it can be restored in MLflow's UI
-        else:
-            return run
     return None
 
 

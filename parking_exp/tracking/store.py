@@ -1,5 +1,6 @@
 """Read and write an MLflow store through its public client; many processes may write at a time."""
 
+import shlex
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import cached_property
@@ -11,7 +12,7 @@ from parking_exp.config.paths import ARTIFACTS, absolute, database, lies_inside,
 from parking_exp.config.schema import RunConfig
 from parking_exp.errors import StoreError
 from parking_exp.runs.atomic_files import replacing
-from parking_exp.tracking.client import OUTPUT_DIR_TAG, connect, write_lock
+from parking_exp.tracking.client import OUTPUT_DIR_TAG, connect, say_ignored_store, write_lock
 
 if TYPE_CHECKING:
     from mlflow import MlflowClient
@@ -34,10 +35,17 @@ class Store:
         self._own_directory = output_dir if path and output_dir and path.is_relative_to(output_dir) else None
         self._runs = dict[frozenset[str], "list[Run]"]()  # of `runs`
 
+    @property
+    def is_own(self) -> bool:
+        """Whether this is the store inside of the output directory."""
+        return self._own_directory is not None
+
     @cached_property
     def client(self) -> "MlflowClient":
         """MLflow's client of the store, for reading; see `writing`. Raises what `client.connect` does."""
         path, root = self._database, self._own_directory
+        if root:
+            say_ignored_store()
         if path and root and not lies_inside(path, root):
             raise StoreError(f"{path} is a symbolic link that leads out of {root}; name the store with tracking.uri=")
         return connect(self.uri, root)
@@ -95,8 +103,19 @@ class Store:
             experiment = client.get_experiment_by_name(name)
             if experiment is None:
                 return client.create_experiment(name, location, tags)
+        self.refuse_deleted(name)
         self._artifact_path(experiment.artifact_location, "")
         return experiment.experiment_id
+
+    def refuse_deleted(self, name: str) -> None:
+        """Raise StoreError if there is an experiment of a name, but it is deleted."""
+        experiment = self.client.get_experiment_by_name(name)
+        if experiment is not None and experiment.lifecycle_stage == "deleted":
+            command = f"mlflow experiments restore --experiment-id {experiment.experiment_id}"
+            raise StoreError(
+                f"experiment={name} is deleted in MLflow; restore it by "
+                f"`MLFLOW_TRACKING_URI={shlex.quote(self.uri)} {command}`, or choose another name"
+            )
 
     def log(
         self, run: "Run", params: Mapping[str, str], tags: Mapping[str, str], metrics: Sequence["Metric"] = ()
@@ -112,6 +131,17 @@ class Store:
         for batch in batches:
             with self.writing() as client:
                 client.log_batch(run.info.run_id, **batch)
+
+    def has_artifacts(self, run: "Run", files: Mapping[str, Path]) -> bool:
+        """Return whether a run has artifacts of these names and sizes, if they are files of this machine."""
+        folder = local_folder(run.info.artifact_uri)
+        if folder is None or run.info.lifecycle_stage == "deleted":
+            return True
+        for name, file in files.items():
+            artifact = folder / name
+            if not artifact.is_file() or artifact.stat().st_size != file.stat().st_size:
+                return False
+        return True
 
     def put_artifact(self, run: "Run", name: str, content: bytes) -> None:
         """Store an artifact of a run, in place of an earlier one of that name; see `_artifact_path`."""

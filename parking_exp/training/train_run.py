@@ -30,7 +30,8 @@ from parking_exp.runs.run_provenance import command_line
 from parking_exp.runs.trained_here import record_training
 from parking_exp.tasks.registry import make_task
 from parking_exp.terminal import is_script, say
-from parking_exp.tracking.mirror import sync_hint
+from parking_exp.tracking.mirror import follow_store, sync_hint, try_mirror
+from parking_exp.tracking.store import Store
 from parking_exp.tracking.tracker import Tracker
 from parking_exp.training import checkpoints
 from parking_exp.training.finish import finish
@@ -58,6 +59,9 @@ def train(config: DictConfig | Mapping[str, Any] | RunConfig, *, supervised: boo
     with nullcontext() if supervised else directory.supervisor_lock(), directory.training_lock():
         if (result := directory.result()) is not None:
             if (reason := _reason_to_keep(directory, config)) is not None:
+                if follow_store(directory, config):
+                    try_mirror(directory, Store(config.store_uri, directory.output_dir))
+                    result = directory.result() or result
                 say(reason, *_closing_lines(result, directory))
                 return result
             say("already trained; its final model is evaluated again, with other settings")

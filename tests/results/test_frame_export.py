@@ -11,8 +11,10 @@ from pathlib import Path
 import pandas as pd
 import pytest
 from support.runs import in_memory, read_text
-from support.store_factory import Look, make_store
+from support.store_factory import Look, compose, make_store
+from support.tracked_runs import rows
 
+from parking_exp.config.cell_labels import parse_value, setting_text
 from parking_exp.errors import ConfigError, ResultsError
 from parking_exp.results import load, read_export, write_export
 from parking_exp.results.frame_export import FILES, LOCAL_COLUMNS, without_paths
@@ -182,3 +184,38 @@ def test_rows_of_runs_that_an_export_does_not_have_are_left_out(written):
     edit(written / "outcomes.csv.gz", "scene,", "scene,x")
     results = read_export(written)
     assert set(results.curves["run_id"]) | set(results.episodes["run_id"]) <= set(results.runs["run_id"])
+
+
+LABELS = ["0.10", "1e-3", "True", "None", "nan", "2024_11", '"quoted"', "her /no noise", "a/b /c d"]
+
+
+def test_labels_and_words_that_look_like_numbers_stay_text_in_stores_and_exports(output_dir, tmp_path):
+    contrasts = [["her /no noise", "0.10"]]
+    cells = {
+        label: compose().model_copy(update={"label": label, "contrasts": contrasts, "torch_threads": number})
+        for number, label in enumerate(LABELS, 1)
+    }
+    words = {label: {"x.word": setting_text(label), "x.number": setting_text(0.1)} for label in LABELS}
+    named = {f"{number}": config for number, config in enumerate(cells.values())}
+    make_store(output_dir, "e", named, [0], lambda name, _: Look(params=words[LABELS[int(name)]]))
+    stored = load("e", output_dir=output_dir)
+    exported = read_export(write_export(stored, tmp_path / "export"))
+    for results in (stored, exported):
+        assert set(results.runs["config.label"]) == set(LABELS)
+        assert set(results.runs["config.contrasts"]) == {str(contrasts)}
+        assert set(results.runs["config.x.number"]) == {0.1}
+    assert set(stored.runs["config.x.word"]) == set(LABELS)
+
+
+def test_labels_of_stores_of_earlier_versions_are_text(output_dir):
+    make_store(output_dir, "e", {"a": ["label=x"]}, [0])
+    rows(output_dir, "UPDATE params SET value = '0.10' WHERE key = 'label'")
+    assert load("e", output_dir=output_dir).runs["config.label"].tolist() == ["0.10"]
+
+
+@pytest.mark.parametrize(
+    "value", [None, True, False, 3, -0.5, 1e-300, "", "word", "3", "['a']", '"', '"3"', "None", "é"]
+)
+def test_settings_come_back_from_text(value):
+    assert parse_value(setting_text(value)) == value
+    assert type(parse_value(setting_text(value))) is type(value)

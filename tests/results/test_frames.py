@@ -189,9 +189,9 @@ def test_an_unreadable_store_is_a_sentence(tmp_path):
     with pytest.raises(ResultsError, match="can't be read: file is not a database"):
         load("her", output_dir=tmp_path)
     assert (tmp_path / "mlflow.db").read_text() == text
-    refused = pytest.raises(ResultsError, match=r"http://me@127\S+ can't be read: .*Connection refused")
+    refused = pytest.raises(ResultsError, match=r"http://127\S+ can't be read: .*Connection refused")
     with closed_port() as port, refused:
-        load("her", uri=f"http://me@127.0.0.1:{port}")
+        load("her", uri=f"http://127.0.0.1:{port}")
 
 
 def test_an_experiment_that_is_unknown_or_has_no_runs_is_refused(ablation, output_dir):

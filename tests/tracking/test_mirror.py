@@ -297,6 +297,7 @@ def test_a_server_that_comes_up_later_gets_everything_artifacts_too(tmp_path):
     with mlflow_server(port, tmp_path):
         assert mirror_all(tmp_path, uri) == [None]
         grow(directory, rows=5)
+        finish(directory)
         sync(directory)
         client = connect(uri)
         stored = [(key, step, value) for key in KEYS for step, value in history(client, directory.run_id, key)]
