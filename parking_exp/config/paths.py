@@ -70,9 +70,7 @@ def refuse_question_mark(path: Path) -> Path:
         ConfigError: it has a question mark, at which such a URI ends.
     """
     if "?" in str(path):
-        raise ConfigError(
-            f"{path} has a question mark in it, at which the URI of a sqlite store ends; rename the directory"
-        )
+        raise ConfigError(f"{path} has a question mark, at which the URI of a sqlite store ends; choose another path")
     return path
 
 

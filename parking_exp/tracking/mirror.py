@@ -54,11 +54,11 @@ def mirror(directory: RunDirectory, store: Store) -> None:
         tags = _tags(directory, config, store)
         experiment_id = store.experiment_id(config)
         run = _find(directory, store, experiment_id, tags)
-        name = f"{config.cell}-seed={config.seed}"
+        run_name = f"{config.cell}-seed={config.seed}"
         if run is None:
             start_ms = int(tags[STARTED]) if STARTED in tags else None
             with store.writing() as client:
-                run = client.create_run(experiment_id, start_ms, {**tags, STATUS: "running"}, name)
+                run = client.create_run(experiment_id, start_ms, {**tags, STATUS: "running"}, run_name)
         if directory.run_id != run.info.run_id or directory.tracking_uri != store.uri:
             directory.update(run_id=run.info.run_id, tracking_uri=store.uri)
         is_same = (run.data.tags.get(DIGEST), run.data.tags.get("run_dir")) == (digest, tags["run_dir"])
@@ -75,8 +75,8 @@ def mirror(directory: RunDirectory, store: Store) -> None:
                 last = files.get(METRICS_FILE, files[CONFIG_FILE])
                 end_ms = last.stat().st_mtime_ns // 1_000_000
                 client.set_terminated(run.info.run_id, MLFLOW_STATUS.get(status, "KILLED"), end_ms)
-            if status == "done" and run.info.run_name == name:  # the first thing that MLflow's UI shows of a run
-                client.update_run(run.info.run_id, name=f"{_rate(directory)}{name}")
+            if status == "done" and run.info.run_name == run_name:  # the first thing that MLflow's UI shows of a run
+                client.update_run(run.info.run_id, name=f"{_rate(directory)}{run_name}")
         store.log(run, {}, {DIGEST: digest, STATUS: status})
 
 
