@@ -7,6 +7,7 @@ BIN := $(VENV)/bin
 TORCH ?= 2.13.0
 STORE := sqlite:///outputs/mlflow.db
 STUDY ?= outputs/smoke/study.journal
+UI_PORT = $(or $(shell echo '$(ARGS)' | sed -nE 's/.*(--port|-p)[ =]*([0-9]+).*/\2/p'),5000)
 
 # Packages are installed by uv: the one on the PATH, or one that pip installs into .venv. uv does not read pip's settings,
 # so the package indexes are passed on; as with pip, the newest version of all indexes wins.
@@ -81,8 +82,8 @@ benchmark: setup  ## measure speed relative to named peers
 	$(BIN)/python scripts/benchmark.py $(ARGS)
 
 ui: $(VENV)/.ui  ## MLflow's web UI
-	@echo "open  http://127.0.0.1:$(or $(shell echo '$(ARGS)' | sed -nE 's/.*(--port|-p)[ =]*([0-9]+).*/\2/p'),5000)/#/experiments?workflowType=machine_learning"
-	@echo "and choose an experiment: the names of finished runs begin with their success rates"
+	@echo "open an experiment; the names of finished runs begin with their success rates:"
+	@$(BIN)/python -m parking_exp.tracking.ui_addresses $(STORE) $(UI_PORT)
 	MLFLOW_DISABLE_TELEMETRY=true $(BIN)/mlflow ui --workers 1 --backend-store-uri $(STORE) $(ARGS)
 
 dashboard: $(VENV)/.ui  ## Optuna's dashboard on a study (STUDY=outputs/NAME/study.journal)

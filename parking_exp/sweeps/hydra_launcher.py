@@ -1,5 +1,6 @@
 """The launcher of a command line, `hydra/launcher=NAME`: one of ours, or a plugin of Hydra."""
 
+import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Protocol, cast
@@ -65,6 +66,7 @@ def launcher_of(runs: Sequence[ComposedRun], extra_config_dir: str | None = None
 
 def _connect_to_ray(settings: Mapping[str, Any]) -> None:
     """Connect to the running cluster; the plugin uses this connection."""
+    os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")  # of a cluster that `init` starts
     import ray
 
     try:

@@ -146,12 +146,14 @@ def delete_stored(directory: RunDirectory, store: Store) -> None:
         StoreError: the store fails.
     """
     try:
+        own_id = None if store.is_own else output_id(directory.output_dir)
         experiment_id = store.experiments().get(directory.path.parents[1].name)
         runs = store.search([experiment_id]) if experiment_id else []
         for run in runs:
             run_dir = store.run_dir(run)
             is_same = run_dir is not None and run_dir.resolve() == directory.path.resolve()
-            if is_same and run.info.lifecycle_stage != "deleted":
+            is_own = run.data.tags.get(OUTPUT_ID) == own_id
+            if is_same and is_own and run.info.lifecycle_stage != "deleted":
                 with store.writing() as client:
                     client.delete_run(run.info.run_id)
     except Exception as error:

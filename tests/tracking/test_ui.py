@@ -3,12 +3,15 @@
 import re
 import shutil
 import subprocess
+import sys
 
 import pytest
 from support.mlflow_servers import closed_port, mlflow_server, needs_server
 from support.runs import ROOT
+from support.sync_processes import sync
 from support.tracked_runs import finished_run
 
+from parking_exp.config.paths import default_uri
 from parking_exp.tracking.mirror import mirror
 from parking_exp.tracking.store import Store
 
@@ -18,21 +21,29 @@ ARGUMENTS = ["--no-sandbox", "--disable-gpu", "--disable-background-networking",
 
 
 def make_ui(*arguments):
-    """Lines that `make ui` would run or print."""
+    """Commands that `make ui` would run."""
     command = ["make", "--dry-run", "ui", *arguments]
     return subprocess.run(command, cwd=ROOT, check=True, capture_output=True, text=True).stdout.splitlines()
 
 
-def address_of(lines):
-    return next(match[1] for line in lines if (match := re.search(r"(http://\S+machine_learning)", line)))
+def addresses(uri, port):
+    """Address of each experiment, as `make ui` prints them."""
+    command = [sys.executable, "-m", "parking_exp.tracking.ui_addresses", uri, str(port)]
+    lines = subprocess.run(command, cwd=ROOT, check=True, capture_output=True, text=True).stdout.splitlines()
+    return dict(line.split() for line in lines)
 
 
-def test_make_ui_has_one_worker_and_prints_the_address_of_its_port():
-    lines = make_ui()
-    assert address_of(lines) == "http://127.0.0.1:5000/#/experiments?workflowType=machine_learning"
-    assert "mlflow ui --workers 1 --backend-store-uri sqlite:///outputs/mlflow.db" in lines[-1]
-    for arguments in ("ARGS=--port 7000", "ARGS=--host 0.0.0.0 -p 7000", "ARGS=--port=7000"):
-        assert address_of(make_ui(arguments)).startswith("http://127.0.0.1:7000/#/")
+def test_make_ui_has_one_worker_and_prints_addresses_with_its_port():
+    for arguments, port in {"": 5000, "--port 7000": 7000, "--host 0.0.0.0 -p 7000": 7000, "--port=7000": 7000}.items():
+        *_, printing, serving = make_ui(f"ARGS={arguments}")
+        assert printing.endswith(f"-m parking_exp.tracking.ui_addresses sqlite:///outputs/mlflow.db {port}")
+        assert "mlflow ui --workers 1 --backend-store-uri sqlite:///outputs/mlflow.db" in serving
+
+
+def test_the_address_of_an_experiment_leads_to_its_runs(output_dir):
+    sync(finished_run(output_dir))
+    page = "http://127.0.0.1:5000/#/experiments/1/runs?workflowType=machine_learning"
+    assert addresses(default_uri(output_dir), 5000) == {"smoke": page}
 
 
 @needs_server
@@ -46,8 +57,7 @@ def test_the_list_of_runs_shows_their_success_rates(tmp_path):
         mirror(directory, Store(uri, tmp_path))
         browser = driver.chromium.launch(executable_path=BROWSER, args=ARGUMENTS)
         page = browser.new_page(viewport={"width": 1280, "height": 800})
-        page.goto(address_of(make_ui(f"ARGS=--port {port}")), timeout=120_000)
-        page.get_by_role("link", name="smoke").click(timeout=120_000)
+        page.goto(addresses(uri, port)["smoke"], timeout=120_000)
         run = page.get_by_text(re.compile(r"^98\.5% parking-sac"))
         run.wait_for(timeout=120_000)
         assert run.is_visible()
