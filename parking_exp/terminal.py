@@ -1,8 +1,11 @@
-"""Print text on a terminal, with control characters escaped: text from a run directory or store may be hostile."""
+"""Print text on a terminal that may go away, with control characters escaped: text from a run may be hostile."""
 
+import os
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, TextIO, cast
 
 from rich.console import Console
 from rich.text import Text
@@ -15,13 +18,88 @@ def printable(line: str) -> str:
     r"""Return a line with unprintable or unencodable characters escaped, e.g. `\x1b`, `\n`, `\u202e`."""
     if not line.isprintable():
         line = "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in line)
-    encoding = sys.stdout.encoding or "utf-8"
+    encoding = getattr(sys.stdout, "encoding", None) or "utf-8"
     return line.encode(encoding, "backslashreplace").decode(encoding)
 
 
 def say(*lines: str, stderr: bool = False) -> None:
     """Print lines; a line break within one is shown as `\\n`."""
     print(*map(printable, lines), sep="\n", file=sys.stderr if stderr else sys.stdout)
+
+
+class _UnfailingStream:
+    """A standard stream that drops what can't be written: its terminal is gone, its pipe closed, its disk full."""
+
+    def __init__(self, stream: TextIO | None) -> None:
+        self._stream = stream or open(os.devnull, "w", encoding="utf-8")  # noqa: PTH123, SIM115
+        self.error: OSError | None = None
+
+    def write(self, text: str) -> int:
+        """Write a text, or drop it."""
+        try:
+            self._stream.write(text)
+        except OSError as error:
+            self.error = error
+        except ValueError:  # the stream is closed, or has no such characters
+            pass
+        return len(text)
+
+    def flush(self) -> None:
+        """Flush the stream, as far as possible."""
+        try:
+            self._stream.flush()
+        except OSError as error:
+            self.error = error
+        except ValueError:
+            pass
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._stream, name)
+
+
+@contextmanager
+def unfailing_output() -> Iterator[None]:
+    """Let no write to the standard streams fail while the block runs: a run is worth more than its output."""
+    streams = sys.stdout, sys.stderr
+    make_output_unfailing()
+    try:
+        yield
+    finally:
+        sys.stdout, sys.stderr = streams
+
+
+def make_output_unfailing() -> None:
+    """Let no write to the standard streams of this process fail."""
+    sys.stdout = cast(TextIO, _UnfailingStream(sys.stdout))
+    sys.stderr = cast(TextIO, _UnfailingStream(sys.stderr))
+
+
+def check_output() -> None:
+    """Raise the OSError of a standard output that was lost, in commands that make nothing else."""
+    sys.stdout.flush()
+    error = getattr(sys.stdout, "error", None)
+    if error is not None:
+        raise error
+
+
+def open_standard_streams() -> None:
+    """Open standard streams that are closed, or else the next file would get their descriptors, and the output."""
+    for descriptor in range(3):
+        try:
+            os.fstat(descriptor)
+        except OSError:
+            os.open(os.devnull, os.O_RDWR)  # the lowest free descriptor, which is this one
+            os.set_inheritable(descriptor, True)
+
+
+def drop_unwritten_output() -> None:
+    """Drop what the standard streams could not write: Python would try again at its exit, and fail."""
+    for stream in (sys.stdout, sys.stderr):
+        try:
+            if stream is not None:
+                stream.flush()
+        except OSError:
+            os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
 
 
 class Screen(Console):

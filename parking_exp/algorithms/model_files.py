@@ -5,16 +5,21 @@ The pickled part of a file is not read, and tensors are loaded as torch's `weigh
 
 import io
 import re
+import time
+import zipfile
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
+from unittest.mock import patch
 
 import torch
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from stable_baselines3.common.save_util import load_from_zip_file, recursive_getattr
 
 from parking_exp.errors import ModelError, one_line
-from parking_exp.runs.atomic_files import replacing
+from parking_exp.runs.atomic_files import read_file, replacing
 
+EARLIEST = (1980, 1, 1, 0, 0, 0)
 # Pickled entries for which `SAC.load` would require an env, because of the HER buffer.
 BUFFER_ENTRIES = ("replay_buffer_class", "replay_buffer_kwargs")
 
@@ -26,7 +31,14 @@ def save_model(model: OffPolicyAlgorithm, path: Path) -> None:
         OSError: the disk is full; an earlier file is untouched.
     """
     with replacing(path) as temporary:
-        model.save(temporary, exclude=BUFFER_ENTRIES)
+        write_zip(model, temporary, exclude=BUFFER_ENTRIES)
+
+
+def write_zip(model: OffPolicyAlgorithm, path: Path, exclude: Iterable[str] = ()) -> None:
+    """Write a model with Stable-Baselines3, whatever the clock says: zip files have no times before 1980."""
+    now = max(time.localtime()[:6], EARLIEST)
+    with patch.object(zipfile.time, "localtime", return_value=now):  # type: ignore[attr-defined]
+        model.save(path, exclude=exclude)
 
 
 def load_weights(path: Path, model: OffPolicyAlgorithm) -> None:
@@ -57,7 +69,7 @@ def read_weights(path: Path, device: torch.device) -> tuple[dict[str, Any], dict
     Raises:
         ModelError: bytes are missing or changed, or it holds something other than weights.
     """
-    content = io.BytesIO(path.read_bytes())  # an error of the disk is not damage
+    content = io.BytesIO(read_file(path))  # an error of the disk is not damage
     try:
         _, weights, variables = load_from_zip_file(content, load_data=False, device=device)
     except Exception as error:  # damaged bytes make zipfile and torch raise anything

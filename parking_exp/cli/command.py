@@ -21,7 +21,15 @@ from omegaconf import DictConfig, OmegaConf
 from parking_exp.config.compose import VERSION_BASE, compose_configs, user_options
 from parking_exp.config.overrides import config_dir, to_hydra_syntax
 from parking_exp.errors import DISK_ERRORS, ConfigError, InterruptedRunError, OutputDirectoryError, ParkingError
-from parking_exp.terminal import is_script, program, say
+from parking_exp.terminal import (
+    check_output,
+    drop_unwritten_output,
+    is_script,
+    open_standard_streams,
+    program,
+    say,
+    unfailing_output,
+)
 
 Request = TypeVar("Request")
 Command = Callable[[list[str], str | None], None]
@@ -36,16 +44,32 @@ def run_command(config_name: str, command: Command, read: Callable[[list[str]], 
         command: the function to call.
         read: turns the words of the command line into Hydra's overrides.
     """
-    with errors_as_sentences():
-        options, words = _parse(sys.argv[1:])
-        overrides = [to_hydra_syntax(override) for override in read(words)]
-        if options.help:
+    open_standard_streams()
+    try:
+        with unfailing_output(), errors_as_sentences():
+            _run(config_name, command, read)
+    finally:
+        drop_unwritten_output()
+
+
+def _run(config_name: str, command: Command, read: Callable[[list[str]], list[str]]) -> None:
+    try:
+        Path.cwd()
+    except FileNotFoundError as error:
+        raise ConfigError("the working directory does not exist any more; change to one that does") from error
+    options, words = _parse(sys.argv[1:])
+    overrides = [to_hydra_syntax(override) for override in read(words)]
+    if options.help:
+        try:
             _print_help(config_name, user_options(options.config_dir))
-        elif options.cfg:
-            configs = compose_configs(config_name, overrides, options.config_dir)
-            sys.stdout.write("---\n".join(map(OmegaConf.to_yaml, configs)))
-        else:
-            command(overrides, options.config_dir)
+        finally:  # Hydra exits
+            check_output()
+    elif options.cfg:
+        configs = compose_configs(config_name, overrides, options.config_dir)
+        sys.stdout.write("---\n".join(map(OmegaConf.to_yaml, configs)))
+        check_output()
+    else:
+        command(overrides, options.config_dir)
 
 
 def for_each(config_name: str, validate: Callable[[DictConfig], Request], task: Callable[[Request], object]) -> Command:
@@ -68,14 +92,10 @@ def rename_experiment(words: list[str]) -> list[str]:
 def errors_as_sentences() -> Iterator[None]:
     """Print a `ParkingError` without its traceback, and exit with a status."""
     try:
-        try:
-            yield
-        finally:
-            sys.stdout.flush()
+        yield
     except ParkingError as error:
         fail(error)
     except BrokenPipeError:  # `... | head`
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(1)
     except OSError as error:  # a full disk, a file in the way
         if error.errno not in DISK_ERRORS:

@@ -19,7 +19,7 @@ from parking_exp.runs.directory import RunDirectory
 from parking_exp.runs.lookup import find_runs
 from parking_exp.runs.run_state import RunState, as_plain, as_planned, read_state
 from parking_exp.runs.state_tables import cell_table, state_lines
-from parking_exp.terminal import console, say
+from parking_exp.terminal import check_output, console, say
 from parking_exp.tracking.mirror import delete_stored, mirror_missing
 from parking_exp.tracking.store import Store
 from parking_exp.tuning.search import SEARCH_FILE, StoredSearch, study_in
@@ -60,6 +60,7 @@ def show(request: StatusRequest) -> None:
             if request.watch:
                 out.clear()
             _print_tables(out, states, searches)
+        check_output()
         if not request.watch:
             break
         time.sleep(WATCH_S)

@@ -17,7 +17,7 @@ from hydra.core.global_hydra import GlobalHydra
 from hydra.core.override_parser.types import OverrideType
 from hydra.errors import HydraException, MissingConfigException, OverrideParseException
 from omegaconf import DictConfig, ListConfig, OmegaConf, open_dict
-from omegaconf.errors import ConfigAttributeError, ConfigKeyError, OmegaConfBaseException
+from omegaconf.errors import ConfigAttributeError, ConfigKeyError, KeyValidationError, OmegaConfBaseException
 
 from parking_exp.config.cell_labels import settings_of
 from parking_exp.config.constructor_arguments import argument_hint
@@ -139,6 +139,8 @@ def _composer(config_name: str, hydra_lines: list[str]) -> Callable[[Point], Com
 def _runs(compose_point: Callable[[Point], ComposedRun], axes: dict[str, list[str]]) -> list[ComposedRun]:
     """Compose every cell of an experiment with its first seed, then with its second, and so on."""
     base = compose_point(tuple(f"{key}={axes[key][0]}" for key in ("experiment", "cells") if key in axes)).cell
+    if "seeds" in axes and "seeds" not in base:
+        raise ConfigError("seeds: there is no such key; only train.py takes seeds")
     blocks = check_blocks(_container(base.cells)) if "seeds" in base else []  # a report's cells are labels
     seed_values = [yaml.safe_load(value) for value in axes.pop("seeds", [])]
     overriding = seed_values[0] if len(seed_values) == 1 else seed_values
@@ -210,6 +212,8 @@ def _sentence(error: Exception) -> str:
     cause = error if isinstance(error, OmegaConfBaseException) else error.__cause__
     if isinstance(cause, ConfigKeyError | ConfigAttributeError) and cause.parent_node is not None:
         return _unknown_key(cause)
+    if any(isinstance(item, KeyValidationError) for item in (cause, error.__context__)):
+        return "a config file has a key that is null or not a word; write it in quotes, as 'null'"
     if isinstance(cause, OmegaConfBaseException) and cause.full_key:
         return f"{cause.full_key}: {first_line(cause)}"
     return one_line(error)

@@ -113,20 +113,31 @@ def local_folder(uri: str) -> Path | None:
 def is_same_store(uri: str, other_uri: str) -> bool:
     """Return whether two URIs name the same store."""
     file, other = database(uri), database(other_uri)
-    return uri == other_uri if file is None or other is None else file.resolve() == other.resolve()
+    return uri == other_uri if file is None or other is None else resolved(file) == resolved(other)
+
+
+def resolved(path: Path) -> Path:
+    """Return a path with all symbolic links followed; unlike `Path.resolve`, it accepts links to themselves."""
+    return Path(os.path.realpath(path))
 
 
 def lies_inside(path: Path, folder: Path) -> bool:
     """Return whether a path is below a folder once all symbolic links are followed."""
-    return path.resolve().is_relative_to(folder.resolve())
+    return resolved(path).is_relative_to(resolved(folder))
 
 
 def refuse_links(paths: Iterable[Path], folder: Path) -> None:
     """Refuse symbolic links out of a folder: files elsewhere would be read, written or sent to a store.
 
+    Links that lead nowhere, pipes and devices are refused as well: opening a pipe waits for ever.
+
     Raises:
-        UntrustedError: one of the paths is such a link.
+        UntrustedError: one of the paths is such a link or file.
     """
     for path in paths:
         if path.is_symlink() and not lies_inside(path, folder):
             raise UntrustedError(f"{path} is a symbolic link that leads out of {folder}; remove it")
+        if path.is_symlink() and not path.exists():
+            raise UntrustedError(f"{path} is a symbolic link that leads nowhere; remove it")
+        if path.exists() and not path.is_file() and not path.is_dir():
+            raise UntrustedError(f"{path} is neither a file nor a directory; remove it")

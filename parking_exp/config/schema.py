@@ -42,6 +42,16 @@ def _check_output_dir(text: str) -> str:
 Uri = Annotated[str, AfterValidator(_check_store)]
 
 
+def _check_local(path: str) -> str:
+    if re.match(r"[A-Za-z][\w+.-]*:/", path):
+        raise ValueError(f"{path} is a URI; files are written to local folders only, so name one")
+    return path
+
+
+LocalPath = Annotated[str, Field(min_length=1), AfterValidator(_check_local)]
+"""A path of this machine: `s3://bucket` would become a folder `s3:`."""
+
+
 class ThirdParty(BaseModel):
     """A section with our own keys and constructor arguments of the class in `_target_`."""
 
@@ -131,7 +141,7 @@ class SweepOptions(ConfigModel):
 class OutputConfig(ConfigModel):
     """The output directory, a key of each command."""
 
-    output_dir: Annotated[str, Field(min_length=1), AfterValidator(_check_output_dir)]
+    output_dir: Annotated[LocalPath, AfterValidator(_check_output_dir)]
 
     @property
     def output_path(self) -> Path:

@@ -4,14 +4,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Literal
 
 from omegaconf import DictConfig
-from pydantic import Field
 
 from parking_exp.config.paths import directory_path
+from parking_exp.config.schema import LocalPath
 from parking_exp.config.validate import parse
-from parking_exp.errors import ConfigError
+from parking_exp.errors import ConfigError, OutputDirectoryError
 from parking_exp.evaluation.agents import Agent, AgentRequest, find_agent
 from parking_exp.terminal import say
 
@@ -20,7 +20,7 @@ class ExportRequest(AgentRequest):
     """The config of scripts/export.py."""
 
     format: Literal["onnx", "safetensors"]
-    path: Annotated[str, Field(min_length=1)] | None
+    path: LocalPath | None
 
 
 def validate_request(config: DictConfig) -> ExportRequest:
@@ -76,9 +76,12 @@ def _write(export: Export) -> None:
     from parking_exp.algorithms.policy_files import save_policy
 
     model = agent.model(agent.config.env)
-    path.parent.mkdir(parents=True, exist_ok=True)
     write = export_onnx if request.format == "onnx" else save_policy
-    write(model, path)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write(model, path)
+    except OSError as error:
+        raise OutputDirectoryError(f"path: {path} cannot be written: {error.strerror}") from error
     say(
         f"exported       {agent.name} as {request.format}, {path.stat().st_size / 1000:.1f} kB",
         f"file           {path}",

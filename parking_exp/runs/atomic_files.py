@@ -1,16 +1,23 @@
-"""Atomic writes of files, and reads of JSON and YAML."""
+"""Atomic writes of files, and reads of JSON and YAML, which may come from others."""
 
+import errno
+import fcntl
 import hashlib
 import json
 import os
+import stat
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import yaml
 
 from parking_exp.errors import first_line
+
+MAX_SMALL = 2**20  # bytes of a YAML file, which is parsed slowly
+MAX_JSON = 2**26
+MAX_LARGE = 2**31  # of a log, a model or a video
 
 
 @contextmanager
@@ -19,14 +26,40 @@ def replacing(path: Path, *, durable: bool = True) -> Iterator[Path]:
 
     After a kill, an error or on a full disk, the file has the old or the new content; after a power cut, if `durable`.
     """
+    _remove_leftovers(path.parent)
     temporary = path.with_name(f".tmp-{os.getpid()}-{path.name}")  # two processes may write at once; the last one wins
     try:
-        yield temporary
-        if durable:
-            fsync(temporary)
-        temporary.replace(path)
+        with _locked(temporary):
+            yield temporary
+            if durable:
+                fsync(temporary)
+            temporary.replace(path)
     finally:
         temporary.unlink(missing_ok=True)
+
+
+@contextmanager
+def _locked(path: Path) -> Iterator[None]:
+    """Lock a file, which is made, while it is written; the system unlocks it when the process ends."""
+    handle = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_NOFOLLOW, 0o666)
+    try:
+        with suppress(OSError):  # a file system without locks
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        yield
+    finally:
+        os.close(handle)
+
+
+def _remove_leftovers(folder: Path) -> None:
+    """Remove the temporary files of processes that were killed: those that nobody has locked."""
+    for leftover in folder.glob(".tmp-*"):
+        with suppress(OSError):  # another process writes it, has just renamed it, or it is a directory
+            handle = os.open(leftover, os.O_RDONLY | os.O_NONBLOCK | os.O_NOFOLLOW)
+            try:
+                fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                leftover.unlink()
+            finally:
+                os.close(handle)
 
 
 def write_atomically(path: Path, text: str, *, durable: bool = True) -> None:
@@ -43,17 +76,49 @@ def write_json(path: Path, value: Any, *, durable: bool = True) -> None:
 def read_json(path: Path) -> Any:
     """Read a JSON file; return None if it does not exist. Raises ValueError for other content."""
     try:
-        return json.loads(path.read_text(encoding="utf-8")) if path.exists() else None
+        return json.loads(read_file(path, MAX_JSON)) if path.exists() else None
     except RecursionError as error:
         raise ValueError(f"{path} is nested too deeply") from error
 
 
 def read_plain_yaml(path: Path) -> Any:
-    """Read a YAML file that holds what JSON has; raises ValueError for a tag or a date."""
+    """Read a YAML file that holds what JSON has; raises ValueError for a tag, an alias or a date."""
     try:
-        return json.loads(json.dumps(yaml.safe_load(path.read_text(encoding="utf-8"))))
+        return json.loads(json.dumps(yaml.load(read_file(path, MAX_SMALL), _PlainLoader)))
     except (yaml.YAMLError, RecursionError, LookupError, AttributeError, TypeError) as error:
         raise ValueError(first_line(error)) from error
+
+
+class _PlainLoader(yaml.SafeLoader):
+    """Loads YAML without aliases, by which a few lines can stand for more than fits in memory."""
+
+    def compose_node(self, parent: Any, index: Any) -> Any:
+        if self.check_event(yaml.AliasEvent):
+            raise yaml.YAMLError("it has an alias; stored configs have values only")
+        return super().compose_node(parent, index)
+
+
+def read_file(path: Path, limit: int = MAX_LARGE) -> bytes:
+    """Return the content of a file.
+
+    Raises:
+        OSError: it is a pipe or a device, which might never end, has more bytes than the limit, or can't be read.
+    """
+    with open_file(path, limit) as file:
+        return file.read()
+
+
+def open_file(path: Path, limit: int = MAX_LARGE) -> BinaryIO:
+    """Open a file for reading; raises as `read_file`."""
+    file = os.fdopen(os.open(path, os.O_RDONLY | os.O_NONBLOCK), "rb")
+    status = os.fstat(file.fileno())
+    if not stat.S_ISREG(status.st_mode):
+        file.close()
+        raise OSError(errno.EINVAL, "It is not a file", str(path))
+    if status.st_size > limit:
+        file.close()
+        raise OSError(errno.EFBIG, f"It has more than {limit:,} bytes", str(path))
+    return file
 
 
 def read_object(path: Path) -> dict[str, Any]:

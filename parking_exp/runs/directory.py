@@ -251,7 +251,7 @@ class RunDirectory:
         return read_config(self.path, self.output_dir)
 
     def check_links(self) -> None:
-        """Raise UntrustedError if a symbolic link leads out of the directory: it would be written to, or sent."""
+        """Raise UntrustedError if a link or file of the directory would let others be written, sent, or waited for."""
         refuse_links(self.path.rglob("*"), self.path)
 
     def supervisor_lock(self) -> AbstractContextManager[None]:
@@ -308,7 +308,7 @@ def checkpoint_problem(folder: Path) -> str | None:
 def is_held(path: Path) -> bool:
     """Return whether a process holds a lock file; the system releases it when that ends."""
     try:
-        handle = os.open(path, os.O_RDONLY)
+        handle = os.open(path, os.O_RDONLY | os.O_NONBLOCK)  # a pipe in its place would wait for a writer
     except OSError:  # it was never locked
         return False
     try:

@@ -3,21 +3,35 @@
 from collections.abc import Sequence
 from pathlib import Path
 
-from parking_exp.config.paths import directory_path
-from parking_exp.errors import RunNotFoundError, did_you_mean, plural
+from parking_exp.config.paths import directory_path, resolved
+from parking_exp.errors import OutputDirectoryError, RunNotFoundError, did_you_mean, plural
 from parking_exp.runs.directory import RunDirectory
 from parking_exp.runs.run_files import STATUS_FILE
 
 
 def find_runs(output_dir: Path, experiment: str | None = None) -> list[Path]:
     """Return the run directories under an output directory, of one experiment or of all, sorted."""
-    directories = (file.parent for file in output_dir.glob(f"*/*/seed=*/{STATUS_FILE}"))
-    return sorted(path for path in directories if experiment in (None, path.parents[1].name))  # a name is not a pattern
+    directories = _distinct(output_dir, "*/*/seed=*")
+    return [path for path in directories if experiment in (None, path.parents[1].name)]  # a name is not a pattern
 
 
 def find_runs_below(folder: Path) -> list[Path]:
     """Return the run directories in a folder, such as an experiment's or a cell's, sorted."""
-    return sorted(file.parent for depth in ("*", "*/*", "*/*/*") for file in folder.glob(f"{depth}/{STATUS_FILE}"))
+    return _distinct(folder, "*", "*/*", "*/*/*")
+
+
+def _distinct(folder: Path, *patterns: str) -> list[Path]:
+    """Return the run directories that match, sorted; one that links reach as well occurs once, without the link."""
+    real_folder, by_place = resolved(folder), dict[Path, Path]()
+    try:
+        for pattern in patterns:
+            for file in folder.glob(f"{pattern}/{STATUS_FILE}"):
+                path, place = file.parent, resolved(file.parent)
+                if place not in by_place or place == real_folder / path.relative_to(folder):
+                    by_place[place] = path
+    except OSError as error:
+        raise OutputDirectoryError(f"{folder} can't be searched for runs: {error.strerror}") from error
+    return sorted(by_place.values())
 
 
 def find_run(name: str, output_dir: Path, having: str, others: Sequence[str] = ()) -> RunDirectory:

@@ -8,6 +8,8 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from parking_exp.runs.atomic_files import open_file
+
 if TYPE_CHECKING:
     import pandas as pd
 
@@ -34,7 +36,7 @@ def restore_logs(run_dir: Path, checkpoint: Path | None) -> None:
 def read_metrics(path: Path) -> Iterator[dict[str, Any]]:
     """Yield the rows of a `metrics.jsonl` if there is one, without a last line that is still being written."""
     if path.exists():
-        with path.open("rb") as file:
+        with open_file(path) as file:
             yield from (json.loads(line) for line in file if line.endswith(b"\n"))
 
 

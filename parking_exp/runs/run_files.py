@@ -94,7 +94,8 @@ def read_config(directory: Path, output_dir: Path) -> RunConfig:
     try:
         stored = read_plain_yaml(path)
     except (OSError, ValueError) as error:
-        raise ConfigError(f"{path} can't be read: {first_line(error)}") from error
+        reason = getattr(error, "strerror", None) or first_line(error)
+        raise ConfigError(f"{path} can't be read: {reason}") from error
     if not isinstance(stored, dict):
         raise ConfigError(f"{path} can't be read: expected a mapping, got a {type(stored).__name__}")
     if interpolation := re.search(r'[^"]*\$\{[^"]*', json.dumps(stored)):

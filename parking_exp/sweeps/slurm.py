@@ -13,6 +13,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
+from parking_exp.config.paths import refuse_links
 from parking_exp.errors import ConfigError, FailedRunError, first_line, plural
 from parking_exp.resources import cores
 from parking_exp.runs.run_state import read_state
@@ -42,7 +43,8 @@ class SlurmLauncher:
             raise ConfigError(f"hydra.launcher.parameters={parameters} is not a mapping, {{KEY: VALUE}}")
         if not isinstance(folder, str | None):
             raise ConfigError(f"hydra.launcher.folder={folder} is not a path")
-        self.executor, self.folder = executor, folder and Path(folder)
+        self.executor = executor
+        self.folder = Path(folder) if folder else None
         self.n_jobs = check_n_jobs(n_jobs) or (len(cores()) if executor == "local" else None)
         self.parameters = {key: value for key, value in parameters.items() if value is not None}
         self._submitter(Path())  # before anything is on disk
@@ -55,13 +57,19 @@ class SlurmLauncher:
 
         Raises:
             FailedRunError: a job cannot be submitted.
+            UntrustedError: a link leads out of the output directory, to which submitit would write.
             InterruptedRunError: a signal stopped it.
         """
         from submitit.core.utils import FailedJobError
 
-        submitter = self._submitter(self.folder or paths[0].parents[2] / ".submitit")
+        output_dir = paths[0].parents[2]
+        folder = self.folder
+        if folder is None:
+            folder = output_dir / ".submitit"
+            refuse_links([folder, *folder.rglob("*")], output_dir)  # the output directory may come from others
+        submitter = self._submitter(folder)
         waiting, jobs, active = list(paths), dict[Path, Any](), list[Any]()
-        with stop_on_signal() as request:
+        with stop_on_signal(signals=(signal.SIGINT, signal.SIGTERM)) as request:  # jobs outlive a closed terminal
             try:
                 while (waiting or active) and not request.is_made:
                     while waiting and len(active) < (self.n_jobs or len(paths)) and not request.is_made:

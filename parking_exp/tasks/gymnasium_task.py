@@ -23,6 +23,7 @@ from parking_exp.tasks.gymnasium_env import make_env
 from parking_exp.tasks.metrics import GYMNASIUM_METRICS, outcome
 from parking_exp.tasks.task import EvaluationBatch, Policy
 from parking_exp.tasks.training_envs import ReplayActions
+from parking_exp.terminal import make_output_unfailing
 
 
 class GymnasiumTask:
@@ -141,8 +142,9 @@ def _env_of_worker(config: GymnasiumConfig, spec: EnvSpec | None) -> gym.Env:
 
     The process knows only environments that some module registers, not those of a notebook: `spec` tells.
     """
-    for number in (signal.SIGINT, signal.SIGTERM):
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)
+    make_output_unfailing()
     if spec is not None:
         gym.registry.setdefault(spec.id, spec)
     return ReplayActions(make_env(config))

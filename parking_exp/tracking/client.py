@@ -92,7 +92,12 @@ def connect(uri: str, output_dir: Path | None = None) -> "MlflowClient":
 def write_lock(uri: str) -> AbstractContextManager[Any]:
     """Return the lock that all writers to an embedded store share; other stores have their own."""
     path = database(uri)
-    return FileLock(path.with_name(f".{path.name}.lock"), timeout=WAIT_S, poll_interval=0.01) if path else nullcontext()
+    if path is None:
+        return nullcontext()
+    lock = path.with_name(f".{path.name}.lock")
+    # Where no file can be made, as in /proc, FileLock would try again until its timeout.
+    os.close(os.open(lock, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK, 0o644))
+    return FileLock(lock, timeout=WAIT_S, poll_interval=0.01)
 
 
 def reason(error: BaseException) -> str:

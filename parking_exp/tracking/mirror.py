@@ -16,11 +16,11 @@ from typing import TYPE_CHECKING
 from filelock import FileLock
 
 from parking_exp.config.cell_labels import setting_text, settings_of
-from parking_exp.config.paths import database, default_uri, is_same_store, relative_path
+from parking_exp.config.paths import database, default_uri, is_same_store, relative_path, resolved
 from parking_exp.config.run_key import short_hash
 from parking_exp.config.schema import RunConfig
 from parking_exp.errors import StoreError, one_line, plural
-from parking_exp.runs.atomic_files import read_object
+from parking_exp.runs.atomic_files import read_file, read_object
 from parking_exp.runs.directory import MODEL, WRITTEN_AT_THE_END, RunDirectory, Status
 from parking_exp.runs.metric_logs import METRICS_FILE, read_metrics
 from parking_exp.runs.output_identity import output_id
@@ -67,7 +67,7 @@ def mirror(directory: RunDirectory, store: Store) -> None:
         params = {key: setting_text(value)[:MAX_PARAM_LENGTH] for key, value in settings_of(config.plain()).items()}
         store.log(run, params, tags, list(_new_metrics(run, files.get(METRICS_FILE))))
         for name, file in files.items():
-            store.put_artifact(run, name, file.read_bytes())
+            store.put_artifact(run, name, read_file(file))
         with store.writing() as client:
             if status == "running":
                 client.update_run(run.info.run_id, "RUNNING")
@@ -131,10 +131,10 @@ def mirror_missing(directories: Iterable[RunDirectory], store: Store) -> Iterato
     except Exception as error:
         yield from ((directory, reason(error)) for directory in idle)
         return
-    mirrored = {(run_dir.resolve(), run.data.tags.get(DIGEST)): run for run in runs if (run_dir := store.run_dir(run))}
+    mirrored = {(resolved(run_dir), run.data.tags.get(DIGEST)): run for run in runs if (run_dir := store.run_dir(run))}
     for directory in idle:
         files = _files(directory)
-        run = mirrored.get((directory.path.resolve(), _digest(directory, files)))
+        run = mirrored.get((resolved(directory.path), _digest(directory, files)))
         if run is None or not store.has_artifacts(run, files):
             yield directory, try_mirror(directory, store)
 
@@ -242,7 +242,7 @@ def _files(directory: RunDirectory) -> dict[str, Path]:
         files |= {name: path / name for name in WRITTEN_AT_THE_END}
     evaluations = sorted((path / "evaluations").glob("*/[!.]*"))
     files |= {f"evaluations/{file.parent.name}/{file.name}": file for file in evaluations}
-    return {name: file for name, file in files.items() if file.exists()}
+    return {name: file for name, file in files.items() if file.is_file()}
 
 
 def _find(directory: RunDirectory, store: Store, experiment_id: str, tags: Mapping[str, str]) -> "Run | None":
@@ -262,7 +262,7 @@ def _find(directory: RunDirectory, store: Store, experiment_id: str, tags: Mappi
         owner = run.data.tags.get(OUTPUT_ID)
         if run_dir is None or run.info.lifecycle_stage == "deleted" or owner not in (None, own_id):
             continue
-        if run_dir.resolve() != directory.path.resolve():
+        if resolved(run_dir) != resolved(directory.path):
             if run.info.run_id == directory.run_id and not run_dir.is_dir():
                 return run
         elif STARTED not in tags or run.data.tags.get(STARTED, tags[STARTED]) == tags[STARTED]:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from parking_exp.config.paths import ARTIFACTS, absolute, database, lies_inside, local_folder
 from parking_exp.config.schema import RunConfig
 from parking_exp.errors import StoreError
-from parking_exp.runs.atomic_files import replacing
+from parking_exp.runs.atomic_files import read_file, replacing
 from parking_exp.tracking.client import OUTPUT_DIR_TAG, connect, say_ignored_store, write_lock
 
 if TYPE_CHECKING:
@@ -160,7 +160,7 @@ class Store:
     def artifact(self, run_id: str, folder_uri: str, name: str) -> bytes | None:
         """Return the content of a run's artifact, None if it has none of that name; see `_artifact_path`."""
         if (path := self._artifact_path(folder_uri, name)) is not None:
-            return path.read_bytes() if path.exists() else None
+            return read_file(path) if path.exists() else None
         if not any(item.path == name for item in self.client.list_artifacts(run_id)):
             return None
         with TemporaryDirectory() as temporary:

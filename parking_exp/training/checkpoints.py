@@ -19,7 +19,7 @@ from stable_baselines3.common.buffers import ReplayBuffer
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 
 from parking_exp.algorithms.fast.fast_training import FastTraining
-from parking_exp.algorithms.model_files import load_weights
+from parking_exp.algorithms.model_files import load_weights, write_zip
 from parking_exp.algorithms.policy_ema import PolicyEMA
 from parking_exp.buffers import HerBuffer
 from parking_exp.runs.atomic_files import fsync, sha256, write_json
@@ -62,7 +62,7 @@ def save(
     """
     target = directory / checkpoint_name(progress.step)
     with _new_directory(target) as folder:
-        model.save(folder / MODEL)
+        write_zip(model, folder / MODEL)
         with (folder / BUFFER).open("wb") as file:
             np.savez(file, allow_pickle=False, **_buffer_state(model.replay_buffer))
         if best.exists():

@@ -1,10 +1,10 @@
-"""Turn SIGINT and SIGTERM into a stop request that is honoured between rollouts."""
+"""Turn SIGINT, SIGTERM and SIGHUP into a stop request that is honoured between rollouts."""
 
 import os
 import signal
 import threading
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from types import FrameType
 
@@ -31,11 +31,12 @@ class StopRequest:
 @contextmanager
 def stop_on_signal(
     at_second: Callable[[int, FrameType | None], object] | None = signal.default_int_handler,
-    signals: Sequence[int] = (signal.SIGINT, signal.SIGTERM),
+    signals: Sequence[int] = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP),
 ) -> Iterator[StopRequest]:
     """Turn the first of some signals into a StopRequest; `at_second` handles later ones, None ignores them.
 
-    Outside the main thread signals can't be caught, and nothing changes.
+    SIGHUP, of a terminal that is closed, stays ignored under `nohup`, and never counts as a second signal: the shell
+    and the system both send it. Outside the main thread signals can't be caught, and nothing changes.
     """
     request = StopRequest()
     if threading.current_thread() is not threading.main_thread():
@@ -46,11 +47,14 @@ def stop_on_signal(
         if not request.is_made:
             request.signal_number = number
             hint = b"; interrupt again to leave at once" if at_second else b""
-            # Not print: the signal may have interrupted one.
-            os.write(2, b"\nstopping after a checkpoint" + hint + b"\n")
-        elif at_second:
+            with suppress(OSError):  # the terminal may be gone
+                # Not print: the signal may have interrupted one.
+                os.write(2, b"\nstopping after a checkpoint" + hint + b"\n")
+        elif at_second and number != signal.SIGHUP:
             at_second(number, frame)
 
+    if signal.getsignal(signal.SIGHUP) is signal.SIG_IGN:
+        signals = [number for number in signals if number != signal.SIGHUP]
     before = {number: signal.signal(number, handle) for number in signals}
     try:
         yield request

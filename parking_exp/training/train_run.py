@@ -29,7 +29,7 @@ from parking_exp.runs.metric_logs import restore_logs
 from parking_exp.runs.run_provenance import command_line
 from parking_exp.runs.trained_here import record_training
 from parking_exp.tasks.registry import make_task
-from parking_exp.terminal import is_script, say
+from parking_exp.terminal import is_script, say, unfailing_output
 from parking_exp.tracking.mirror import follow_store, sync_hint, try_mirror
 from parking_exp.tracking.store import Store
 from parking_exp.tracking.tracker import Tracker
@@ -51,7 +51,11 @@ def train(config: DictConfig | Mapping[str, Any] | RunConfig, *, supervised: boo
         InterruptedRunError: SIGINT or SIGTERM; the state is saved.
         FailedRunError: anything else; the run is marked failed, its traceback kept.
     """
-    config = validate(config)
+    with unfailing_output():
+        return _train_or_resume(validate(config), supervised)
+
+
+def _train_or_resume(config: RunConfig, supervised: bool) -> RunResult:
     directory = RunDirectory(config.run_dir)
     lacks_device = config.device.startswith("cuda") and int(config.device[5:] or 0) >= torch.cuda.device_count()
     if lacks_device and (directory.result() is None or directory.needs_evaluation(config)):

@@ -18,6 +18,7 @@ from filelock import FileLock
 from parking_exp.config.paths import refuse_links
 from parking_exp.config.schema import RunConfig
 from parking_exp.errors import ConfigError, ParkingError, StoreError, first_line
+from parking_exp.runs.atomic_files import open_file
 from parking_exp.runs.directory import is_held
 from parking_exp.tuning.search_config import SearchConfig
 
@@ -86,6 +87,7 @@ def storage_of(folder: Path) -> Any:
     if not path.exists():  # status and report read studies of directories that are read-only
         folder.mkdir(parents=True, exist_ok=True)
         path.touch()
+    open_file(path).close()  # Optuna would read it whatever its size
     return JournalStorage(JournalFileBackend(str(path), lock_obj=cast(Any, _JournalLock(path))))
 
 
