@@ -19,7 +19,7 @@ from stable_baselines3.common.save_util import load_from_zip_file, recursive_get
 from parking_exp.errors import ModelError, one_line
 from parking_exp.runs.atomic_files import read_file, replacing
 
-EARLIEST = (1980, 1, 1, 0, 0, 0)
+EARLIEST, LATEST = (1980, 1, 1, 0, 0, 0), (2107, 12, 31, 23, 59, 58)
 # Pickled entries for which `SAC.load` would require an env, because of the HER buffer.
 BUFFER_ENTRIES = ("replay_buffer_class", "replay_buffer_kwargs")
 
@@ -35,8 +35,8 @@ def save_model(model: OffPolicyAlgorithm, path: Path) -> None:
 
 
 def write_zip(model: OffPolicyAlgorithm, path: Path, exclude: Iterable[str] = ()) -> None:
-    """Write a model with Stable-Baselines3, whatever the clock says: zip files have no times before 1980."""
-    now = max(time.localtime()[:6], EARLIEST)
+    """Write a model with Stable-Baselines3, whatever the clock says: zip files have times from 1980 to 2107 only."""
+    now = min(max(time.localtime()[:6], EARLIEST), LATEST)
     with patch.object(zipfile.time, "localtime", return_value=now):  # type: ignore[attr-defined]
         model.save(path, exclude=exclude)
 

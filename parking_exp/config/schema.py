@@ -201,7 +201,12 @@ class RunConfig(OutputConfig):
     @property
     def cell(self) -> str:
         """Readable and unique name of this config without its seed."""
-        return f"{self.env.name}-{self.algorithm.name}-{self.buffer.name}-{self.cell_key}"
+        return f"{self.options}-{self.cell_key}"
+
+    @property
+    def options(self) -> str:
+        """The options of the three groups that make a cell."""
+        return f"{self.env.name}-{self.algorithm.name}-{self.buffer.name}"
 
     @property
     def run_dir(self) -> Path:

@@ -11,8 +11,10 @@ from parking_exp.config.paths import directory_path, refuse_links
 from parking_exp.config.schema import OutputConfig, RunConfig
 from parking_exp.errors import RunNotFoundError, plural
 from parking_exp.runs.directory import RunDirectory
-from parking_exp.runs.lookup import find_run, find_runs_below
+from parking_exp.runs.lookup import LATEST, find_run, find_runs_below
 from parking_exp.runs.run_files import CONFIG_FILE, read_config
+from parking_exp.runs.run_state import read_state
+from parking_exp.runs.state_tables import run_name
 from parking_exp.runs.trained_here import was_trained_here
 from parking_exp.tasks.registry import EnvConfig
 from parking_exp.terminal import say
@@ -75,6 +77,8 @@ def find_agent(
         raise RunNotFoundError(f"run={run}: {weights} does not exist; the run is {directory.status}")
     config = directory.config()
     directory.check_links()
+    if run == LATEST:
+        say(f"run=latest     {run_name(read_state(directory.path))} of experiment={config.experiment_name}")
     if not trust and not was_trained_here(directory.path):
         check_trust(config, directory.path / CONFIG_FILE, trust_option)
     return Agent(f"{model} model", config, weights, directory.path, directory)

@@ -10,7 +10,7 @@ from omegaconf import DictConfig, OmegaConf
 from pydantic import NonNegativeInt
 
 from parking_exp.config.cell_labels import find_factors, label_factors, setting, settings_of
-from parking_exp.config.paths import default_uri, is_same_store
+from parking_exp.config.paths import default_uri, is_same_store, resolved
 from parking_exp.config.run_key import short_hash
 from parking_exp.config.schema import RunConfig, StoreConfig
 from parking_exp.config.validate import SWEEP_KEYS, check, parse, refuse
@@ -124,7 +124,7 @@ def evaluate_runs(configs: Sequence[DictConfig]) -> None:
         for request in requests
         for agent in find(request.run, request.output_path, request.model, trust=request.trust)
     ]
-    if len({evaluation.folder.resolve() for evaluation in evaluations}) < len(evaluations):
+    if len({resolved(evaluation.folder) for evaluation in evaluations}) < len(evaluations):
         raise ConfigError("two of these evaluations would share a folder; leave name out, and name each run once")
     rates = [_evaluate(evaluation) for evaluation in evaluations]
     if len(evaluations) > 1:

@@ -8,7 +8,7 @@ from typing import Literal
 
 from omegaconf import DictConfig
 
-from parking_exp.config.paths import directory_path
+from parking_exp.config.paths import directory_path, resolved
 from parking_exp.config.schema import LocalPath
 from parking_exp.config.validate import parse
 from parking_exp.errors import ConfigError, OutputDirectoryError
@@ -51,7 +51,7 @@ def export_runs(configs: Sequence[DictConfig]) -> None:
         ModelError: the model can't be exported; also what `agents.load_model` raises.
     """
     exports = [_find_export(request) for request in map(validate_request, configs)]
-    files = [export.path.resolve() for export in exports]
+    files = [resolved(export.path) for export in exports]
     for export, file in zip(exports, files, strict=True):
         if files.count(file) > 1:
             raise ConfigError(f"path={export.path}: {files.count(file)} policies would be written to this file")
@@ -80,7 +80,7 @@ def _write(export: Export) -> None:
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         write(model, path)
-    except OSError as error:
+    except FileNotFoundError as error:  # there are no files, as in /proc
         raise OutputDirectoryError(f"path: {path} cannot be written: {error.strerror}") from error
     say(
         f"exported       {agent.name} as {request.format}, {path.stat().st_size / 1000:.1f} kB",

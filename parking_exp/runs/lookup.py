@@ -8,6 +8,8 @@ from parking_exp.errors import OutputDirectoryError, RunNotFoundError, did_you_m
 from parking_exp.runs.directory import RunDirectory
 from parking_exp.runs.run_files import STATUS_FILE
 
+LATEST = "latest"
+
 
 def find_runs(output_dir: Path, experiment: str | None = None) -> list[Path]:
     """Return the run directories under an output directory, of one experiment or of all, sorted."""
@@ -46,14 +48,14 @@ def find_run(name: str, output_dir: Path, having: str, others: Sequence[str] = (
     runs = find_runs(output_dir)
     usable = [path for path in runs if (path / having).exists()]
     usable.sort(key=lambda path: (path / having).stat().st_mtime)  # a sync or an evaluation changes status.json
-    if name == "latest" and usable:
+    if name == LATEST and usable:
         return RunDirectory(usable[-1].absolute())
-    if name == "latest" and runs:
+    if name == LATEST and runs:
         raise RunNotFoundError(f"run=latest: of {plural(len(runs), 'run')} in {output_dir}, none has {having} yet")
     ids = {run_id: path for path in runs if (run_id := RunDirectory(path).run_id)}
     if name in ids:
         return RunDirectory(ids[name].absolute())
-    choices = [*(["latest"] if usable else []), *others, *ids, *map(str, runs)]
+    choices = [*([LATEST] if usable else []), *others, *ids, *map(str, runs)]
     hint = did_you_mean(name, choices) or (f"; write run={choices[0]}" if choices else "; train one first")
     raise RunNotFoundError(
         f"run={name} is neither a run directory nor the MLflow run id of a run in {output_dir}{hint}"

@@ -10,6 +10,7 @@ from contextlib import suppress
 from pathlib import Path
 
 from parking_exp.config.allowlist import unlisted_class
+from parking_exp.config.paths import resolved
 from parking_exp.config.schema import RunConfig
 from parking_exp.runs.run_files import CONFIG_FILE
 
@@ -42,7 +43,7 @@ def was_trained_here(run_dir: Path) -> bool:
 
 def _entry(run_dir: Path) -> str:
     content = (run_dir / CONFIG_FILE).read_bytes()
-    return hashlib.sha256(os.fsencode(run_dir.resolve()) + b"\0" + content).hexdigest()
+    return hashlib.sha256(os.fsencode(resolved(run_dir)) + b"\0" + content).hexdigest()
 
 
 def _record() -> Path | None:

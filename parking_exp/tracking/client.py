@@ -46,6 +46,8 @@ def import_mlflow() -> None:
     """Import mlflow, with what it reads from the environment at that time."""
     for name, value in ENVIRONMENT.items():
         os.environ.setdefault(name, value)
+    if os.path.expanduser("~") == "~":  # noqa: PTH111 (the other way raises)
+        os.environ["HOME"] = "/nonexistent"  # a user of a container may have none, for which mlflow's import fails
     import mlflow  # noqa: F401
 
 

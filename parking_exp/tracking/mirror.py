@@ -151,7 +151,7 @@ def delete_stored(directory: RunDirectory, store: Store) -> None:
         runs = store.search([experiment_id]) if experiment_id else []
         for run in runs:
             run_dir = store.run_dir(run)
-            is_same = run_dir is not None and run_dir.resolve() == directory.path.resolve()
+            is_same = run_dir is not None and resolved(run_dir) == resolved(directory.path)
             is_own = run.data.tags.get(OUTPUT_ID) == own_id
             if is_same and is_own and run.info.lifecycle_stage != "deleted":
                 with store.writing() as client:

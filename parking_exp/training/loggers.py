@@ -1,5 +1,8 @@
 """Stable-Baselines3 logger with a run's outputs: metrics.jsonl, progress.csv, TensorBoard, stdout."""
 
+import numbers
+import re
+import shutil
 import sys
 from pathlib import Path
 from typing import Any
@@ -15,33 +18,72 @@ from stable_baselines3.common.logger import (
 from parking_exp.config.schema import TrackingConfig
 from parking_exp.runs.metric_logs import MetricsLog
 
+TENSORBOARD_DIR = "tensorboard"
+# TensorBoard sorts its groups by name and opens the first: evaluations, not what else begins with a, b or c.
+GROUPS_IN_TENSORBOARD = {"buffer/": "replay/", "certified/": "final/certified_"}
+MAX_NAME_LENGTH = 60
 
-def make_logger(tracking: TrackingConfig, run_dir: Path, metrics: MetricsLog) -> Logger:
-    """Make a run's logger, which continues the files of a run that is resumed."""
-    formats: list[KVWriter] = [_MetricsWriter(metrics, run_dir / "progress.csv" if tracking.csv else None)]
+
+def make_logger(tracking: TrackingConfig, run_dir: Path, metrics: MetricsLog, label: str) -> Logger:
+    """Make a run's logger.
+
+    `progress.csv` and TensorBoard's files are made anew from `metrics.jsonl`: a run that is resumed has each step once.
+
+    Args:
+        tracking: which outputs the run has.
+        run_dir: where they are.
+        metrics: the log of the run so far, which is continued.
+        label: of the run's cell; TensorBoard names a run by its folder.
+    """
+    table = CSVOutputFormat(str(run_dir / "progress.csv")) if tracking.csv else None
+    board = None
     if tracking.tensorboard:
-        formats.append(TensorBoardOutputFormat(str(run_dir / "tensorboard")))
+        shutil.rmtree(run_dir / TENSORBOARD_DIR, ignore_errors=True)
+        board = TensorBoardOutputFormat(str(run_dir / TENSORBOARD_DIR / _folder_name(label)))
+    formats: list[KVWriter] = [_MetricsWriter(metrics, table, board)]
     if tracking.stdout:
         formats.append(HumanOutputFormat(sys.stdout))
     return Logger(str(run_dir), formats)
 
 
-class _MetricsWriter(KVWriter):
-    """Writes to metrics.jsonl, and what that accepts to progress.csv, which starts as a copy of metrics.jsonl."""
+def _folder_name(label: str) -> str:
+    """Return a label as the name of a folder."""
+    return re.sub(r"[^\w .,=+-]", "_", label)[:MAX_NAME_LENGTH].strip(" .") or "run"
 
-    def __init__(self, metrics: MetricsLog, csv: Path | None) -> None:
-        self.metrics = metrics
-        self.table = CSVOutputFormat(str(csv)) if csv else None
+
+def _tensorboard_tag(key: str) -> str:
+    """Return the name of a metric in TensorBoard."""
+    for group, shown in GROUPS_IN_TENSORBOARD.items():
+        if key.startswith(group):
+            return shown + key.removeprefix(group)
+    return key
+
+
+class _MetricsWriter(KVWriter):
+    """Writes to metrics.jsonl, and what that accepts to the other files, which start as copies of metrics.jsonl."""
+
+    def __init__(
+        self, metrics: MetricsLog, table: CSVOutputFormat | None, board: TensorBoardOutputFormat | None
+    ) -> None:
+        self.metrics, self.table, self.board = metrics, table, board
         for record in metrics.records():
-            self._add_row(record["metrics"], record["step"])
+            self._add_row(record["metrics"], record["step"], record["time_ms"] / 1000)
 
     def write(self, key_values: dict[str, Any], key_excluded: dict[str, tuple[str, ...]], step: int = 0) -> None:
         self._add_row(self.metrics.append(step, key_values), step)
+        if self.board is not None:
+            others = {key: value for key, value in key_values.items() if not isinstance(value, numbers.Real)}
+            self.board.write(others, {key: key_excluded[key] for key in others}, step)  # figures; and it flushes
 
     def close(self) -> None:
         if self.table is not None:
             self.table.close()
+        if self.board is not None:
+            self.board.close()
 
-    def _add_row(self, row: dict[str, float], step: int) -> None:
+    def _add_row(self, row: dict[str, float], step: int, time_s: float | None = None) -> None:
         if row and self.table is not None:
             self.table.write(row, dict.fromkeys(row, ()), step)
+        if self.board is not None:
+            for key, value in row.items():
+                self.board.writer.add_scalar(_tensorboard_tag(key), value, step, time_s)

@@ -80,7 +80,8 @@ class TrainingLoop:
             self._best.unlink(missing_ok=True)  # of an attempt that was killed before its first checkpoint
         else:
             self._rollout_state = checkpoints.restore(checkpoint, self.model, self._best, self.average)
-        self.model.set_logger(make_logger(config.tracking, path, self.metrics))
+        label = directory.read_status().get("label") or config.label or config.options
+        self.model.set_logger(make_logger(config.tracking, path, self.metrics, label))
         shown = config.tracking.progress_bar
         self.bar = TrainingProgress(config.total_timesteps, progress.step, shown, heartbeat=directory.heartbeat)
         self.bar.say(f"{config.cell}, seed {config.seed}: {config.total_timesteps} env steps, in {path}")

@@ -47,6 +47,7 @@ LIGHT = [
         (["--cfg"], "--cfg/-c: "),
         (["--cfg", "job", "sead=1"], "sead: "),
         (["--config-dir=/nope", "--dry-run"], "--config-dir=/nope "),
+        (["output_dir=s3://bucket/x"], "output_dir: s3://bucket/x is a URI"),
         (["--dry-rum"], "dry_rum: there is no such key; did you mean 'dry_run'?"),
     ],
 )
@@ -104,6 +105,33 @@ def test_a_closed_pipe_ends_the_output_without_a_traceback():
     process.stdout.close()
     assert process.stderr.read() == ""
     assert process.wait(60) == 1
+
+
+@pytest.mark.parametrize("name", ["status", "export"])
+def test_commands_without_seeds_say_so(name):
+    assert call_script(name, "seeds=2").stderr == "error: seeds: there is no such key; only train.py takes seeds\n"
+
+
+@pytest.mark.parametrize("key", ["null: 3", "algorithm:\n  null: 3"])
+def test_a_key_that_is_null_is_one_sentence(tmp_path, key):
+    (tmp_path / "mine.yaml").write_text(f"# @package _global_\nexperiment_name: mine\n{key}\n")
+    done = call_script("train", "experiment=mine.yaml", cwd=tmp_path)
+    assert done.stderr == "error: a config file has a key that is null or not a word; write it in quotes, as 'null'\n"
+
+
+def test_a_working_directory_that_was_deleted_is_one_sentence(tmp_path):
+    command, keywords = script("status", cwd=tmp_path)
+    inside = ["bash", "-c", 'mkdir gone && cd gone && rmdir ../gone && exec "$@"', "bash", *command]
+    done = subprocess.run(inside, check=False, capture_output=True, **keywords)
+    assert done.stderr == "error: the working directory does not exist any more; change to one that does\n"
+
+
+@pytest.mark.skipif(not Path("/proc/self").exists(), reason="there is no /proc")
+def test_places_where_no_file_can_be_made_are_refused_in_a_sentence():
+    exported = call_script("export", "run=pretrained", "format=safetensors", "path=/proc/self/x.safetensors")
+    assert exported.stderr == "error: path: /proc/self/x.safetensors cannot be written: No such file or directory\n"
+    trained = call_script("train", "experiment=smoke", "output_dir=/proc")
+    assert re.fullmatch(r"error: output_dir: /proc/\S+ cannot be written: No such file or directory\n", trained.stderr)
 
 
 def test_a_disk_error_is_one_sentence(capsys):

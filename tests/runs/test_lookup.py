@@ -3,6 +3,7 @@
 import os
 
 import pytest
+from support.tracked_runs import finished_run
 
 from parking_exp.errors import RunNotFoundError
 from parking_exp.evaluation.agents import find_agent
@@ -54,3 +55,12 @@ def test_an_unknown_name_is_refused_with_suggestions(output_dir):
 @pytest.mark.parametrize(("name", "meant"), [("default", "pretrained/default"), ("lates", "latest")])
 def test_the_name_of_an_agent_or_of_the_latest_run_is_suggested(name, meant, output_dir):
     assert refusal(name, output_dir).endswith(f"did you mean {meant!r}?")
+
+
+def test_the_run_that_latest_chose_is_named(tmp_path, capsys):
+    directory = finished_run(tmp_path, seed=3)
+    directory.update(label="n_sampled_goal=8")
+    directory.models.mkdir()
+    (directory.models / "final.zip").touch()
+    assert find_agent("latest", tmp_path).folder == directory.path
+    assert capsys.readouterr().out == "run=latest     n_sampled_goal=8 seed=3 of experiment=smoke\n"

@@ -57,15 +57,16 @@ def table(path, comment=0, without=CLOCKED):
 
 
 def events(path):
-    """TensorBoard's points by tag. A final evaluation that was cut off may stand there twice."""
+    """TensorBoard's points by tag, each once."""
     if not path.exists():
         return {}
     from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
-    board = EventAccumulator(str(path), size_guidance={"scalars": 0})
+    (folder,) = path.iterdir()
+    board = EventAccumulator(str(folder), size_guidance={"scalars": 0}, purge_orphaned_data=False)
     board.Reload()
     tags = without_clock(dict.fromkeys(board.Tags()["scalars"]))
-    return {f"tensorboard/{tag}": {(event.step, event.value) for event in board.Scalars(tag)} for tag in tags}
+    return {f"tensorboard/{tag}": [(event.step, event.value) for event in board.Scalars(tag)] for tag in tags}
 
 
 def state(path):

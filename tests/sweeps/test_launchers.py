@@ -11,7 +11,7 @@ import psutil
 import pytest
 from support.sweep_processes import FAILING, SLOW, begin, stages, statuses, sweep, trained, wait_until
 
-from parking_exp.errors import FailedRunError
+from parking_exp.errors import FailedRunError, UntrustedError
 from parking_exp.sweeps import slurm as slurm_launcher
 
 RAY = Path(sys.executable).with_name("ray")
@@ -153,3 +153,15 @@ def test_a_job_that_slurm_refuses_cancels_those_before_it(tmp_path, fake):
     with pytest.raises(FailedRunError, match="over the limit"):
         train_on_slurm(tmp_path)
     assert (tmp_path / "calls").read_text().split() == ["sbatch", "sbatch", "scancel", "7", "squeue"]
+
+
+def test_a_link_out_of_the_output_directory_is_refused_where_submitit_would_write(tmp_path):
+    pytest.importorskip("submitit")
+    output_dir, elsewhere = tmp_path / "outputs", tmp_path / "elsewhere"
+    elsewhere.mkdir()
+    output_dir.mkdir()
+    (output_dir / ".submitit").symlink_to(elsewhere)
+    launcher = slurm_launcher.SlurmLauncher("local", 1, None, {})
+    with pytest.raises(UntrustedError, match=r"\.submitit is a symbolic link that leads out"):
+        launcher.train([output_dir / "sweep" / "cell" / "seed=0"])
+    assert list(elsewhere.iterdir()) == []

@@ -72,3 +72,21 @@ def test_a_database_of_another_program_stays_where_it_is(tmp_path):
         connect(f"sqlite:///{database}")
     assert execute(database, "SELECT id FROM studies") == [(1,)]
     assert [path.name for path in tmp_path.glob("other*")] == ["other.db"]
+
+
+def test_a_store_where_no_file_can_be_made_fails_at_once():
+    with pytest.raises(FileNotFoundError, match=r"/proc/\.x\.lock"):
+        connect("sqlite:////proc/x")
+
+
+def test_mlflow_is_imported_for_a_user_without_a_home():
+    code = """
+import os, pwd
+def unknown(uid): raise KeyError(uid)
+pwd.getpwuid = unknown
+os.environ.pop("HOME", None)
+from parking_exp.tracking.client import import_mlflow
+import_mlflow()
+"""
+    done = subprocess.run([sys.executable, "-c", code], check=False, capture_output=True, text=True, timeout=100)
+    assert (done.returncode, done.stderr) == (0, "")

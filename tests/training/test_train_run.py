@@ -172,9 +172,13 @@ def test_stable_baselines3_reads_the_logs_and_the_model(smoke):
     assert set(monitor.columns) >= {"r", "l", "t", "is_success", "crashed"}
     assert monitor["l"].max() == 11  # training_duration of 2 s
     assert pd.read_csv(path / "progress.csv")["eval/success_rate"].notna().sum() == 4
-    events = EventAccumulator(str(path / "tensorboard"))
+    (board,) = (path / "tensorboard").iterdir()
+    assert board.name == "parking-sac-her_future"
+    events = EventAccumulator(str(board))
     events.Reload()
     assert [event.step for event in events.Scalars("eval/success_rate")] == STEPS
+    assert sorted(events.Tags()["scalars"])[0].startswith("eval/")  # what TensorBoard opens on
+    assert {"replay/real_share", "final/success_rate", "final/certified_success_rate"} <= {*events.Tags()["scalars"]}
     env = make_training_envs(config.env, 1)
     observation, plain = env.reset(), stable_baselines3.SAC.load(path / "models" / "final.zip")
     ours = build_model(config, env, seed=1, for_training=False)
