@@ -60,10 +60,7 @@ def _run(config_name: str, command: Command, read: Callable[[list[str]], list[st
     options, words = _parse(sys.argv[1:])
     overrides = [to_hydra_syntax(override) for override in read(words)]
     if options.help:
-        try:
-            _print_help(config_name, user_options(options.config_dir))
-        finally:  # Hydra exits
-            check_output()
+        _print_help(config_name, user_options(options.config_dir))
     elif options.cfg:
         configs = compose_configs(config_name, overrides, options.config_dir)
         sys.stdout.write("---\n".join(map(OmegaConf.to_yaml, configs)))
@@ -131,6 +128,7 @@ def _print_help(config_name: str, overrides: list[str]) -> None:
             text = re.sub(r"python scripts/(\w+)\.py", lambda match: program(match[1]), text)
             text = re.sub(r"\bconf/", f"{config_dir()}/", text)
         sys.stdout.write(text)
+        check_output()
 
 
 def _parse(arguments: list[str]) -> tuple[argparse.Namespace, list[str]]:
