@@ -83,7 +83,7 @@ benchmark: setup  ## measure speed relative to named peers
 
 ui: $(VENV)/.ui  ## MLflow's web UI
 	@echo "open an experiment; the names of finished runs begin with their success rates:"
-	@$(BIN)/python -m parking_exp.tracking.ui_addresses $(STORE) $(UI_PORT)
+	-@$(BIN)/python -m parking_exp.tracking.ui_addresses $(STORE) $(UI_PORT)
 	MLFLOW_DISABLE_TELEMETRY=true $(BIN)/mlflow ui --workers 1 --backend-store-uri $(STORE) $(ARGS)
 
 dashboard: $(VENV)/.ui  ## Optuna's dashboard on a study (STUDY=outputs/NAME/study.journal)

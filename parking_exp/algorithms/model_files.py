@@ -36,8 +36,12 @@ def save_model(model: OffPolicyAlgorithm, path: Path) -> None:
 
 def write_zip(model: OffPolicyAlgorithm, path: Path, exclude: Iterable[str] = ()) -> None:
     """Write a model with Stable-Baselines3, whatever the clock says: zip files have times from 1980 to 2107 only."""
-    now = min(max(time.localtime()[:6], EARLIEST), LATEST)
-    with patch.object(zipfile.time, "localtime", return_value=now):  # type: ignore[attr-defined]
+    now = time.localtime(time.time())
+    possible = min(max(now[:6], EARLIEST), LATEST)
+    if possible == now[:6]:
+        model.save(path, exclude=exclude)
+        return
+    with patch.object(zipfile.time, "localtime", return_value=possible):  # type: ignore[attr-defined]
         model.save(path, exclude=exclude)
 
 

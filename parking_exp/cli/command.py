@@ -126,7 +126,7 @@ def _print_help(config_name: str, overrides: list[str]) -> None:
         text = output.getvalue()
         if not is_script():
             text = re.sub(r"python scripts/(\w+)\.py", lambda match: program(match[1]), text)
-            text = re.sub(r"\bconf/", f"{config_dir()}/", text)
+            text = re.sub(r"\bconf/", lambda _: f"{config_dir()}/", text)
         sys.stdout.write(text)
         check_output()
 

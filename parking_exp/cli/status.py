@@ -85,12 +85,15 @@ def _prune(request: StatusRequest) -> None:
         directory = RunDirectory(path)
         if directory.is_locked or not directory.never_began:
             continue
-        for store in stores:
-            uri = directory.tracking_uri
-            if directory.run_id and uri and is_same_store(uri, store.uri):
-                delete_stored(directory, store)
-        directory.delete_plan()
-        say(f"dropped  {path}", stderr=True)
+        uri = directory.tracking_uri
+        stored_in = [store for store in stores if directory.run_id and uri and is_same_store(uri, store.uri)]
+        if directory.delete_plan(before=partial(_delete_stored, directory, stored_in)):
+            say(f"dropped  {path}", stderr=True)
+
+
+def _delete_stored(directory: RunDirectory, stores: list[Store]) -> None:
+    for store in stores:
+        delete_stored(directory, store)
 
 
 def _stores(request: StatusRequest) -> set[str]:

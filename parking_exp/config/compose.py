@@ -140,7 +140,7 @@ def _runs(compose_point: Callable[[Point], ComposedRun], axes: dict[str, list[st
     """Compose every cell of an experiment with its first seed, then with its second, and so on."""
     base = compose_point(tuple(f"{key}={axes[key][0]}" for key in ("experiment", "cells") if key in axes)).cell
     if "seeds" in axes and "seeds" not in base:
-        raise ConfigError("seeds: there is no such key; only train.py takes seeds")
+        raise ConfigError("seeds: there is no such key; leave it out, this command takes no seeds")
     blocks = check_blocks(_container(base.cells)) if "seeds" in base else []  # a report's cells are labels
     seed_values = [yaml.safe_load(value) for value in axes.pop("seeds", [])]
     overriding = seed_values[0] if len(seed_values) == 1 else seed_values

@@ -13,7 +13,7 @@ from parking_exp.errors import ConfigError
 READ = ("help", "job.config_name", "job.override_dirname", "mode", "overrides", "runtime", "searchpath")
 LAUNCHING = ("config", "tune")
 INSTEAD = {
-    "launcher": "only scripts/train.py and scripts/tune.py launch runs",
+    "launcher": "this command launches no runs; leave it out",
     "sweeper": "list the values on the command line, KEY=1,2, or as cells: [{KEY: [1, 2]}] in an experiment file",
     "job.env_set": "set environment variables in the shell, before the command",
     "job.chdir": "start the command in that directory, or set output_dir=DIR",

@@ -190,6 +190,8 @@ def _find_levels(factor: Factor, text: str, contrast: str) -> tuple[str, str]:
     for first, second in splits:
         if {_normalise(first), _normalise(second)} <= known:
             return _normalise(first), _normalise(second)
+    if not splits:
+        raise ConfigError(f"contrast={contrast}: write it as {factor.name}:LEVEL-LEVEL")
     closest = max(splits, key=lambda split: sum(_normalise(level) in known for level in split))
     unknown = next(level for level in closest if _normalise(level) not in known)
     hint = suggestion(unknown, map(setting, factor.levels))

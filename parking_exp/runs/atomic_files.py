@@ -1,15 +1,17 @@
 """Atomic writes of files, and reads of JSON and YAML, which may come from others."""
 
 import errno
-import fcntl
 import hashlib
 import json
 import os
+import re
+import socket
 import stat
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from io import BufferedReader
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
 import yaml
 
@@ -18,6 +20,7 @@ from parking_exp.errors import first_line
 MAX_SMALL = 2**20  # bytes of a YAML file, which is parsed slowly
 MAX_JSON = 2**26
 MAX_LARGE = 2**31  # of a log, a model or a video
+HOST = re.sub(r"[^A-Za-z0-9]", "", socket.gethostname())
 
 
 @contextmanager
@@ -27,39 +30,34 @@ def replacing(path: Path, *, durable: bool = True) -> Iterator[Path]:
     After a kill, an error or on a full disk, the file has the old or the new content; after a power cut, if `durable`.
     """
     _remove_leftovers(path.parent)
-    temporary = path.with_name(f".tmp-{os.getpid()}-{path.name}")  # two processes may write at once; the last one wins
+    # Two processes, of different machines even, may write at once; the last one wins.
+    temporary = path.with_name(f".tmp-{HOST}-{os.getpid()}-{path.name}")
     try:
-        with _locked(temporary):
-            yield temporary
-            if durable:
-                fsync(temporary)
-            temporary.replace(path)
+        yield temporary
+        if durable:
+            fsync(temporary)
+        temporary.replace(path)
     finally:
         temporary.unlink(missing_ok=True)
 
 
-@contextmanager
-def _locked(path: Path) -> Iterator[None]:
-    """Lock a file, which is made, while it is written; the system unlocks it when the process ends."""
-    handle = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_NOFOLLOW, 0o666)
-    try:
-        with suppress(OSError):  # a file system without locks
-            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        yield
-    finally:
-        os.close(handle)
-
-
 def _remove_leftovers(folder: Path) -> None:
-    """Remove the temporary files of processes that were killed: those that nobody has locked."""
-    for leftover in folder.glob(".tmp-*"):
-        with suppress(OSError):  # another process writes it, has just renamed it, or it is a directory
-            handle = os.open(leftover, os.O_RDONLY | os.O_NONBLOCK | os.O_NOFOLLOW)
-            try:
-                fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    """Remove the temporary files of processes of this machine that were killed."""
+    for leftover in folder.glob(f".tmp-{HOST}-*"):
+        pid = leftover.name.removeprefix(f".tmp-{HOST}-").partition("-")[0]
+        if pid.isdecimal() and not _is_alive(int(pid)):
+            with suppress(OSError):  # another process has removed it, or it is a directory
                 leftover.unlink()
-            finally:
-                os.close(handle)
+
+
+def _is_alive(pid: int) -> bool:
+    try:
+        os.kill(pid, 0)
+    except (ProcessLookupError, OverflowError):
+        return False
+    except PermissionError:  # of another user
+        return True
+    return True
 
 
 def write_atomically(path: Path, text: str, *, durable: bool = True) -> None:
@@ -108,7 +106,7 @@ def read_file(path: Path, limit: int = MAX_LARGE) -> bytes:
         return file.read()
 
 
-def open_file(path: Path, limit: int = MAX_LARGE) -> BinaryIO:
+def open_file(path: Path, limit: int = MAX_LARGE) -> BufferedReader:
     """Open a file for reading; raises as `read_file`."""
     file = os.fdopen(os.open(path, os.O_RDONLY | os.O_NONBLOCK), "rb")
     status = os.fstat(file.fileno())
@@ -131,8 +129,8 @@ def read_object(path: Path) -> dict[str, Any]:
 
 
 def sha256(path: Path) -> str:
-    """Return the SHA-256 of a file's content, in hex."""
-    with path.open("rb") as file:
+    """Return the SHA-256 of a file's content, in hex; raises as `read_file`."""
+    with open_file(path) as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 

@@ -12,7 +12,7 @@ that is responsible for the run (its supervisor, or the one that trains it witho
 import fcntl
 import os
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -178,18 +178,33 @@ class RunDirectory:
         is_planned = status.get("status") == "pending" and "started" not in status
         return is_planned and {file.name for file in self.path.iterdir()} <= PLAN_FILES
 
-    def delete_plan(self) -> None:
+    def delete_plan(self, before: Callable[[], None]) -> bool:
         """Delete the directory of a run that never began, and its parents if they are empty then.
 
-        Raises what `supervisor_lock` does.
+        Args:
+            before: called first, with the run locked.
+
+        Returns:
+            Whether it was deleted; another process may have begun it.
         """
-        with self.supervisor_lock():
-            if self.never_began:  # another process may have begun it
+        try:
+            with self.supervisor_lock():
+                if not self.never_began:
+                    return False
+                before()
                 for file in self.path.iterdir():
                     file.unlink()
+        except RunLockedError:
+            return False
         with suppress(OSError):  # it has other files, or its cell other runs
             for folder in (self.path, *self.path.parents[:2]):
                 folder.rmdir()
+        return True
+
+    @property
+    def has_hashes(self) -> bool:
+        """Whether the run's files can be checked: results of earlier versions, and damaged ones, have no hashes."""
+        return isinstance(read_object(self.path / RESULT_FILE).get("sha256"), dict)
 
     def changed_files(self) -> list[str]:
         """Return the names of files that have changed since the run was finished; deleted ones have not."""

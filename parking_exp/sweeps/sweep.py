@@ -5,6 +5,7 @@ Its whole state is in the run directories: the same command resumes it, and seve
 
 import time
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -165,8 +166,9 @@ def sweep(runs: Sequence[PlannedRun], launcher: Launcher, *, dry_run: bool = Fal
 def _number_finished_runs(runs: Sequence[PlannedRun]) -> None:
     """Write the cell's place in this plan into the runs that an earlier plan has begun."""
     for run in runs:
-        if run.state.cell_number != run.cell_number:
-            RunDirectory(run.path).update(durable=False, cell_number=run.cell_number)
+        if run.state.cell_number is None:
+            with suppress(OSError):  # a directory that can't be written keeps its order
+                RunDirectory(run.path).update(durable=False, cell_number=run.cell_number)
 
 
 def _launch_all(due: list[Path], launcher: Launcher, monitor: Monitor) -> None:

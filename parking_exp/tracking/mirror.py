@@ -55,6 +55,8 @@ def mirror(directory: RunDirectory, store: Store) -> None:
         experiment_id = store.experiment_id(config)
         run = _find(directory, store, experiment_id, tags)
         run_name = f"{config.cell}-seed={config.seed}"
+        if run is not None and STARTED not in tags and status != "done" and run.data.tags.get(STATUS) == "done":
+            return  # it is planned to be evaluated again, and keeps its results until that begins
         if run is None:
             start_ms = int(tags[STARTED]) if STARTED in tags else None
             with store.writing() as client:
@@ -64,6 +66,8 @@ def mirror(directory: RunDirectory, store: Store) -> None:
         is_same = (run.data.tags.get(DIGEST), run.data.tags.get("run_dir")) == (digest, tags["run_dir"])
         if is_same and store.has_artifacts(run, files):
             return
+        if status == "done" and run.data.tags.get(STATUS) == "done" and not directory.has_hashes:
+            raise StoreError("files changed, and result.json has no hashes to check them; the store keeps what it has")
         params = {key: setting_text(value)[:MAX_PARAM_LENGTH] for key, value in settings_of(config.plain()).items()}
         store.log(run, params, tags, list(_new_metrics(run, files.get(METRICS_FILE))))
         for name, file in files.items():
@@ -265,7 +269,10 @@ def _find(directory: RunDirectory, store: Store, experiment_id: str, tags: Mappi
         if resolved(run_dir) != resolved(directory.path):
             if run.info.run_id == directory.run_id and not run_dir.is_dir():
                 return run
-        elif STARTED not in tags or run.data.tags.get(STARTED, tags[STARTED]) == tags[STARTED]:
+        elif STARTED not in tags:
+            if owner == own_id:
+                return run
+        elif run.data.tags.get(STARTED, tags[STARTED]) == tags[STARTED]:
             return run
         elif owner == own_id:
             with store.writing() as client:

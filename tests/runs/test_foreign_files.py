@@ -7,7 +7,16 @@ from support.tracked_runs import finished_run
 
 from parking_exp.config.paths import default_uri
 from parking_exp.errors import ConfigError, UntrustedError
-from parking_exp.runs.atomic_files import MAX_JSON, MAX_LARGE, MAX_SMALL, read_file, read_object, replacing, write_json
+from parking_exp.runs.atomic_files import (
+    MAX_JSON,
+    MAX_LARGE,
+    MAX_SMALL,
+    read_file,
+    read_json,
+    read_object,
+    replacing,
+    write_json,
+)
 from parking_exp.runs.directory import RunDirectory
 from parking_exp.runs.lookup import find_runs, find_runs_below
 from parking_exp.runs.run_files import read_config
@@ -84,15 +93,32 @@ def test_loops_of_links_count_no_run_twice(tmp_path):
 
 
 def test_the_next_write_removes_what_a_killed_process_left_and_nothing_else(tmp_path):
-    (tmp_path / ".tmp-1-video.mp4").touch()
     process = os.fork()
     if process == 0:  # dies while it writes
-        with replacing(tmp_path / "rates.json"):
+        with replacing(tmp_path / "rates.json") as temporary:
+            temporary.write_text("half")
             os._exit(0)
     os.waitpid(process, 0)
-    assert len([*tmp_path.glob(".tmp-*")]) == 1  # its own
+    assert len([*tmp_path.glob(".tmp-*")]) == 1
+    (tmp_path / ".tmp-otherhost-1-rates.json").touch()
     write_json(tmp_path / "rates.json", {})
-    assert [path.name for path in tmp_path.iterdir()] == ["rates.json"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == [".tmp-otherhost-1-rates.json", "rates.json"]
+
+
+def test_processes_that_write_into_one_folder_at_once_do_not_disturb_each_other(tmp_path):
+    processes = []
+    for number in range(4):
+        process = os.fork()
+        if process == 0:
+            try:
+                for value in range(300):
+                    write_json(tmp_path / f"{number}.json", value)
+            except BaseException:
+                os._exit(1)
+            os._exit(0)
+        processes.append(process)
+    assert [os.waitpid(process, 0)[1] for process in processes] == [0, 0, 0, 0]
+    assert [read_json(tmp_path / f"{number}.json") for number in range(4)] == [299] * 4
 
 
 def test_a_file_that_another_process_writes_is_left_alone(tmp_path):

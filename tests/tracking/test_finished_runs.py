@@ -161,3 +161,21 @@ def test_result_json_has_the_hashes_of_what_no_longer_changes(finished):
     hashes = json.loads((finished.path / "result.json").read_text())["sha256"]
     assert set(hashes) == set(FILES)
     assert finished.changed_files() == []
+
+
+def test_without_the_hashes_of_a_result_changed_files_are_not_sent(finished):
+    before = stored_files(finished)
+    (finished.path / "metrics.jsonl").write_text("")
+    (finished.path / "result.json").write_text("")
+    synced = call_script("status", f"output_dir={finished.output_dir}", "sync=true")
+    assert synced.returncode == 2
+    assert "result.json has no hashes to check them; the store keeps what it has" in synced.stderr
+    assert stored_files(finished) == before
+
+
+def test_a_run_that_is_planned_to_be_evaluated_again_keeps_its_results_in_the_store(finished):
+    before = stored_files(finished)
+    finished.reopen()
+    sync(finished)
+    assert stored_files(finished) == before
+    assert load("smoke", output_dir=finished.output_dir).runs["status"].tolist() == ["done"]
