@@ -190,7 +190,8 @@ def _evaluate(evaluation: Evaluation) -> dict[str, float]:
             record(policy, task, seeds[: request.video], folder / "video.mp4", request.gif)
         except VideoError as error:
             say(str(error))
-        say(*(f"video          {path}" for path in sorted(folder.glob("video.*"))))
+        for path in sorted(folder.glob("video.*")):
+            say(f"video          {path}")
     task.close()
     if agent.directory is not None and request.tracking.mlflow:
         _store(request, agent.directory)

@@ -1,6 +1,7 @@
 """Record episodes as a video."""
 
 from collections.abc import Sequence
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -33,7 +34,7 @@ def _record(policy: Policy, task: Task, seeds: Sequence[int], path: Path, gif: b
     with replacing(path) as temporary:
         options: dict[str, Any] = {"fps": task.frame_rate, "codec": "libx264", "macro_block_size": 2}
         video: Any = iio.get_writer(temporary, format="FFMPEG", **options)
-        with video:
+        with closing(video):  # as a context manager, it would leave ffmpeg running after an error
             for number, frame in enumerate(task.frames(policy, seeds), start=1):
                 video.append_data(frame)
                 if gif and number % stride == 1 % stride:

@@ -186,6 +186,6 @@ def _not_found(env_id: str, error: Exception) -> str:
         module, name = env_id.split(":")
         return f"env.id={env_id}: {module} registers no {name}{suggestion(name, gym.registry)}"
     return (
-        f"env.id={env_id} is not registered with Gymnasium{suggestion(env_id, gym.registry)}; "
-        f"if it is in a package of its own, name the module that registers it: env.id=MODULE:{env_id}"
+        f"env.id={env_id} is not registered with Gymnasium; if another package has it, name the module that registers "
+        f"it: env.id=MODULE:{env_id}{suggestion(env_id, gym.registry)}"
     )

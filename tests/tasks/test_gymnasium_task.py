@@ -38,7 +38,7 @@ def config(env_id, *overrides):
 @pytest.mark.parametrize(
     ("env_id", "overrides", "reason"),
     [
-        ("FetchReech-v4", [], "not registered with Gymnasium; did you mean 'FetchReach-v4'"),
+        ("FetchReech-v4", [], "not registered with Gymnasium; .*MODULE:FetchReech-v4; did you mean 'FetchReach-v4'"),
         ("no_such_module:X-v0", [], "needs the module no_such_module, which is not installed"),
         (f"{TOY}Worded-v0", [], "compute_reward depends on more than goals and the numbers"),
         ("racetrack-v0", [], "not a goal environment: its observation has no desired_goal"),

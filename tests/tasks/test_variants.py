@@ -97,8 +97,9 @@ def test_success_in_training_may_be_closer_than_in_evaluation(simulator):
 
 @pytest.mark.parametrize("seed", [0, 1, 2**32 - 1])
 def test_training_and_evaluation_scenes_never_meet(seed):
-    seeds = derive_seeds(seed)
+    training_seeds = make_config().env.training_seeds
+    seeds = derive_seeds(seed, training_seeds)
     assert seeds.training_envs >= TRAINING_SEEDS_START
     assert 0 <= seeds.policy < 2**31
-    assert derive_seeds(seed) == seeds
-    assert derive_seeds(seed + 1).training_envs != seeds.training_envs
+    assert derive_seeds(seed, training_seeds) == seeds
+    assert derive_seeds(seed + 1, training_seeds).training_envs != seeds.training_envs
