@@ -114,7 +114,7 @@ def _sync(request: StatusRequest) -> None:
             say(f"{directory.path}: {problem or 'the store has everything'}", stderr=True)
             n_failed += problem is not None
     if n_failed:
-        raise StoreError(f"files and store differ for {plural(n_failed, 'run')}; sync=true tries again")
+        raise StoreError(f"files and store differ for {plural(n_failed, 'run')}; the lines above say why")
 
 
 def _print_tables(out: Console, states: list[RunState], searches: dict[str, StoredSearch | ParkingError]) -> None:

@@ -92,6 +92,8 @@ def _train(config: RunConfig, directory: RunDirectory, stop: StopRequest) -> Run
     process: dict[str, Any] = {"pid": os.getpid(), "host": socket.gethostname(), "started": time.time()}
     if words := command_line():  # a supervised run has the sweep's
         process["command"] = words
+    if config.label is not None:
+        process["label"] = config.label
     directory.update(status="running", error=None, killed=None, total_timesteps=config.total_timesteps, **process)
     tracker = Tracker(config, directory, partial(say, stderr=True))
     try:
