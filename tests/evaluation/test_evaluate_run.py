@@ -34,7 +34,9 @@ def test_episodes_rates_and_a_video_are_printed_and_stored(finished):
     done = call_script(
         "evaluate", f"run={directory.run_id}", f"output_dir={output_dir}", "episodes=6", "video=1", "gif=true"
     )
-    assert (done.returncode, done.stderr) == (0, "")
+    assert done.returncode == 0, done.stderr
+    progress = "evaluation  "  # of an evaluation that takes seconds, on a slow machine
+    assert [line for line in done.stderr.splitlines() if not line.startswith(progress)] == []
     for name in ("success", "crash", "timeout", "parked"):
         assert re.search(rf"^{name} +\d+\.\d%   95 % interval", done.stdout, re.MULTILINE)
     folder = directory.path / "evaluations" / "parking-final-seeds-0-5"
