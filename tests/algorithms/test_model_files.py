@@ -113,3 +113,4 @@ def test_a_wrong_clock_keeps_no_model_from_being_saved(model, tmp_path, now, mon
     monkeypatch.setattr("time.time", lambda: now)
     save_model(model, tmp_path / "model.zip")
     load_weights(tmp_path / "model.zip", model)
+    assert (tmp_path / "model.zip").stat().st_size > 1000
