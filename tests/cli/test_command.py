@@ -109,7 +109,10 @@ def test_a_closed_pipe_ends_the_output_without_a_traceback():
 
 @pytest.mark.parametrize("name", ["status", "export"])
 def test_commands_without_seeds_say_so(name):
-    assert call_script(name, "seeds=2").stderr == "error: seeds: there is no such key; leave it out, this command takes no seeds\n"
+    assert (
+        call_script(name, "seeds=2").stderr
+        == "error: seeds: there is no such key; leave it out, this command takes no seeds\n"
+    )
 
 
 @pytest.mark.parametrize("key", ["null: 3", "algorithm:\n  null: 3"])
