@@ -50,7 +50,7 @@ class _UnfailingStream:
             self._stream.flush()
         except OSError as error:
             self.error = error
-        except ValueError:
+        except ValueError:  # it is closed
             pass
 
     def __getattr__(self, name: str) -> Any:

@@ -185,7 +185,7 @@ class ReportData:
 
     @property
     def effects_by_size(self) -> list[MainEffect]:
-        """What each factor does, the most first."""
+        """Return the effect of each factor, the largest first."""
         return sorted(self.effects, key=lambda effect: effect.size, reverse=True)
 
     @property

@@ -72,7 +72,7 @@ class GymnasiumReward:
 
     @cached_property
     def steps(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[dict[str, Any]]]:
-        """What `random_steps` returns; the environment is then at the start of an episode."""
+        """Return the steps of `random_steps`, and leave the environment at the start of an episode."""
         assert isinstance(self.env, GoalInfo)
         steps = random_steps(self.env.env)
         self.env.reset(seed=0)

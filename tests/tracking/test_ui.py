@@ -1,4 +1,4 @@
-"""What a newcomer sees in MLflow's UI at the address that `make ui` prints, in Chromium."""
+"""MLflow's UI as a newcomer sees it at the address that `make ui` prints, in Chromium."""
 
 import re
 import shutil
