@@ -22,7 +22,7 @@ ARGUMENTS = ["--no-sandbox", "--disable-gpu", "--disable-background-networking",
 
 def make_ui(*arguments):
     """Commands that `make ui` would run."""
-    command = ["make", "--dry-run", "ui", *arguments]
+    command = ["make", "--no-print-directory", "--dry-run", "ui", *arguments]
     return subprocess.run(command, cwd=ROOT, check=True, capture_output=True, text=True).stdout.splitlines()
 
 
