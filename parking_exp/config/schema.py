@@ -100,11 +100,6 @@ class EvaluationConfig(ConfigModel):
     first_scene: EpisodeSeed
     video_episodes: NonNegativeInt
 
-    @property
-    def final_settings(self) -> dict[str, int]:
-        """The settings of the final evaluation, with which a finished run can be evaluated again."""
-        return self.model_dump(include=FINAL_EVALUATION)
-
 
 class CheckpointConfig(ConfigModel):
     """Checkpoints of the whole training state."""
@@ -224,6 +219,12 @@ class RunConfig(OutputConfig):
             return 0
         is_reference = self.env.simulator == simulators[-1]
         return n_final if is_reference else min(self.evaluation.n_certified_scenes, n_final)
+
+    @property
+    def final_settings(self) -> dict[str, int]:
+        """The settings of the final evaluation as they take effect; with others, a finished run is evaluated again."""
+        settings = self.evaluation.model_dump(include=FINAL_EVALUATION)
+        return {**settings, "n_certified_scenes": self.n_certified}
 
     def update_rounds(self) -> tuple[int | tuple[int, str], int]:
         """Return (`train_freq`, `gradient_steps`): the shortest round that makes `updates_per_step` exact.

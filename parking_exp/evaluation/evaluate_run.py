@@ -17,8 +17,7 @@ from parking_exp.config.validate import SWEEP_KEYS, check, parse, refuse
 from parking_exp.config_model import ConfigModel, EpisodeSeed, Name, NumberOfEpisodes
 from parking_exp.errors import ConfigError, VideoError, plural
 from parking_exp.evaluation.agents import Agent, AgentRequest, find_agents, is_pretrained
-from parking_exp.runs.atomic_files import write_json
-from parking_exp.runs.directory import RunDirectory
+from parking_exp.runs.directory import EVALUATIONS, SUMMARY_FILE, RunDirectory, write_summary
 from parking_exp.runs.metric_logs import EPISODES_FILE
 from parking_exp.tasks.registry import EnvConfig, make_task
 from parking_exp.terminal import say
@@ -70,7 +69,7 @@ class Evaluation:
     @property
     def folder(self) -> Path:
         """Folder of the results."""
-        return self.agent.folder / "evaluations" / (self.request.name or self.default_name)
+        return self.agent.folder / EVALUATIONS / (self.request.name or self.default_name)
 
     @property
     def default_name(self) -> str:
@@ -173,13 +172,10 @@ def _evaluate(evaluation: Evaluation) -> dict[str, float]:
     with torch_settings(agent.config), EvaluationProgress(len(seeds), env.name) as progress:
         episodes = evaluate(policy, task, seeds, progress.update)
     folder.mkdir(parents=True, exist_ok=True)
-    for outdated in folder.glob("video.*"):
-        outdated.unlink()
+    for outdated in (folder / SUMMARY_FILE, *folder.glob("video.*")):
+        outdated.unlink(missing_ok=True)
     episodes.to_csv(folder / EPISODES_FILE, index=False)
     rates = summarise(episodes, task.metrics)
-    settings = {"simulator": env.simulator, "model": request.model, "first_scene": request.first_scene}
-    numbers = {"episodes": len(episodes), **rates, "intervals": intervals(episodes, task.metrics)}
-    write_json(folder / "summary.json", {"env": env.name, "env_config": env.model_dump(), **settings, **numbers})
     say(
         f"{agent.name} on {plural(len(seeds), 'episode')} of {evaluation.env_text}, from seed {request.first_scene}, "
         f"simulated by {env.simulator}",
@@ -192,6 +188,9 @@ def _evaluate(evaluation: Evaluation) -> dict[str, float]:
             say(str(error))
         for path in sorted(folder.glob("video.*")):
             say(f"video          {path}")
+    settings = {"simulator": env.simulator, "model": request.model, "first_scene": request.first_scene}
+    numbers = {"episodes": len(episodes), **rates, "intervals": intervals(episodes, task.metrics)}
+    write_summary(folder, {"env": env.name, "env_config": env.model_dump(), **settings, **numbers})
     task.close()
     if agent.directory is not None and request.tracking.mlflow:
         _store(request, agent.directory)

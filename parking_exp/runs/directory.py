@@ -42,6 +42,7 @@ from parking_exp.runs.run_provenance import PROVENANCE_FILE, command_line
 from parking_exp.terminal import program
 
 MODEL, BUFFER, MANIFEST = "model.zip", "replay_buffer.npz", "manifest.json"  # of a checkpoint
+EVALUATIONS, SUMMARY_FILE = "evaluations", "summary.json"
 SUPERVISOR_LOCK, TRAINING_LOCK = ".claim", ".lock"
 LOCK_PATIENCE_S = 2.0  # another process takes a lock for a moment to see whether it is held
 WORKER_PATIENCE_S = 20.0  # the worker of a supervisor that was killed ends soon after it
@@ -150,7 +151,7 @@ class RunDirectory:
         entries = self.read_status()
         if entries.get("status") != "done" or "evaluation" not in entries:
             return False
-        return entries["evaluation"] != config.evaluation.final_settings
+        return entries["evaluation"] != config.final_settings
 
     def evaluation_problem(self) -> str | None:
         """Return in a sentence why a finished run can't be evaluated again, as its checkpoint is gone; or None."""
@@ -170,6 +171,11 @@ class RunDirectory:
         (self.path / PROVENANCE_FILE).unlink(missing_ok=True)
         (self.path / "video.mp4").unlink(missing_ok=True)
         self.update(status="pending")
+
+    @property
+    def is_evaluated_again(self) -> bool:
+        """Whether the run was finished, and its final evaluation is not over yet."""
+        return self.status != "done" and (self.path / RESULT_FILE).exists()
 
     @property
     def never_began(self) -> bool:
@@ -207,12 +213,18 @@ class RunDirectory:
         return isinstance(read_object(self.path / RESULT_FILE).get("sha256"), dict)
 
     def changed_files(self) -> list[str]:
-        """Return the names of files that have changed since the run was finished; deleted ones have not."""
-        hashes = read_object(self.path / RESULT_FILE).get("sha256")
-        if self.status != "done" or not isinstance(hashes, dict):  # results of earlier versions have none
-            return []
-        files = self._finished_files()
-        return [name for name, file in files.items() if name in hashes and sha256(file) != hashes[name]]
+        """Return the names of files that have changed since they were finished; deleted ones have not."""
+        changed = []
+        for folder in self.evaluations():
+            names = _changed_in_evaluation(folder)
+            changed += [f"{EVALUATIONS}/{folder.name}/{name}" for name in names]
+        if self.status == "done":
+            changed += _changed(self._finished_files(), read_object(self.path / RESULT_FILE))
+        return changed
+
+    def evaluations(self) -> list[Path]:
+        """Return the folders of the evaluations that are complete."""
+        return sorted(summary.parent for summary in self.path.glob(f"{EVALUATIONS}/[!.]*/{SUMMARY_FILE}"))
 
     def _finished_files(self) -> dict[str, Path]:
         """Return the files that no longer change once the run is finished, by their names in the directory."""
@@ -305,6 +317,29 @@ class RunDirectory:
     def read_status(self) -> dict[str, Any]:
         """Return the valid entries of status.json."""
         return read_entries(self.path / STATUS_FILE, StatusEntries)[0]
+
+
+def write_summary(folder: Path, entries: Mapping[str, Any]) -> None:
+    """Write the summary of an evaluation, its last file, with the hashes of the others."""
+    others = [file for file in folder.glob("[!.]*") if file.name != SUMMARY_FILE]
+    hashes = {file.name: sha256(file) for file in others}
+    write_json(folder / SUMMARY_FILE, {**entries, "sha256": hashes})
+
+
+def _changed_in_evaluation(folder: Path) -> list[str]:
+    """Return the names of files of an evaluation that have changed since it ended."""
+    summary = read_object(folder / SUMMARY_FILE)
+    if not summary:
+        return [SUMMARY_FILE]
+    return _changed({file.name: file for file in folder.glob("[!.]*") if file.is_file()}, summary)
+
+
+def _changed(files: Mapping[str, Path], record: Mapping[str, Any]) -> list[str]:
+    """Return the names of files that do not have the hashes of a record; those of earlier versions have none."""
+    hashes = record.get("sha256")
+    if not isinstance(hashes, dict):
+        return []
+    return [name for name, file in files.items() if name in hashes and sha256(file) != hashes[name]]
 
 
 def checkpoint_name(step: int) -> str:

@@ -96,7 +96,7 @@ def _refuse_two_evaluations(cells: Iterable[tuple[RunConfig, Path]]) -> None:
     """Refuse cells that differ in their final evaluation alone: they would be the same runs."""
     settings: dict[Path, dict[str, int]] = {}
     for config, folder in cells:
-        evaluation = config.evaluation.final_settings
+        evaluation = config.final_settings
         first = settings.setdefault(folder, evaluation)
         for name, value in evaluation.items():
             if value != first[name]:
@@ -108,7 +108,7 @@ def _refuse_two_evaluations(cells: Iterable[tuple[RunConfig, Path]]) -> None:
 
 def print_plan(runs: Sequence[PlannedRun], out: Console) -> None:
     """Print the plan: cells x seeds, what is done, and what will run."""
-    states = [run.state.model_copy(update={"label": run.label}) for run in runs]
+    states = [_planned_state(run) for run in runs]
     out.print(cell_table(states))
     for line in state_lines(states, "damaged"):
         out.print(line)
@@ -123,11 +123,19 @@ def print_plan(runs: Sequence[PlannedRun], out: Console) -> None:
     if n_cells * n_seeds == len(runs):
         product += f" x {plural(n_seeds, 'seed')}"
     failed = by_stage["failed"] - sum(run.state.stage == "failed" for run in due)
-    parts = [f"{by_stage['done'] - n_reevaluated} done"]
+    parts = [f"{by_stage['done']} done"]
     parts += [f"{n_reevaluated} to evaluate again" if n_reevaluated else ""]
     parts += [f"{by_stage['running']} running elsewhere" if by_stage["running"] else ""]
     parts += [f"{failed} failed before (retry=failed runs them again)" if failed else "", f"{len(due)} to run"]
     out.print(f"{product} = {plural(len(runs), 'run')}: {', '.join(filter(None, parts))}")
+
+
+def _planned_state(run: PlannedRun) -> RunState:
+    """Return a run's state as the plan shows it: one that is evaluated again is pending."""
+    changes = {"label": run.label}
+    if run.state.stage == "done" and run.is_due:
+        changes["stage"] = "pending"
+    return run.state.model_copy(update=changes)
 
 
 def sweep(runs: Sequence[PlannedRun], launcher: Launcher, *, dry_run: bool = False) -> None:

@@ -21,7 +21,7 @@ from parking_exp.config.run_key import short_hash
 from parking_exp.config.schema import RunConfig
 from parking_exp.errors import StoreError, one_line, plural
 from parking_exp.runs.atomic_files import read_file, read_object
-from parking_exp.runs.directory import MODEL, WRITTEN_AT_THE_END, RunDirectory, Status
+from parking_exp.runs.directory import EVALUATIONS, MODEL, WRITTEN_AT_THE_END, RunDirectory, Status
 from parking_exp.runs.metric_logs import METRICS_FILE, read_metrics
 from parking_exp.runs.output_identity import output_id
 from parking_exp.runs.run_files import CONFIG_FILE, STATUS_FILE
@@ -53,10 +53,13 @@ def mirror(directory: RunDirectory, store: Store) -> None:
         digest = _digest(directory, files)
         tags = _tags(directory, config, store)
         experiment_id = store.experiment_id(config)
-        run = _find(directory, store, experiment_id, tags)
+        run, earlier = _find(directory, store, experiment_id, tags)
         run_name = f"{config.cell}-seed={config.seed}"
-        if run is not None and STARTED not in tags and status != "done" and run.data.tags.get(STATUS) == "done":
-            return  # it is planned to be evaluated again, and keeps its results until that begins
+        if directory.is_evaluated_again and (run or earlier):
+            return  # its results stay until that is done
+        for each in earlier:
+            with store.writing() as client:
+                client.delete_run(each.info.run_id)  # it can be restored in MLflow's UI
         if run is None:
             start_ms = int(tags[STARTED]) if STARTED in tags else None
             with store.writing() as client:
@@ -182,8 +185,8 @@ def _rate(directory: RunDirectory) -> str:
 
 def _describe_damage(names: Sequence[str]) -> str:
     return (
-        f"{', '.join(names)} changed after the run was finished, so it is damaged and not sent; "
-        "restore it, or delete it to keep what the store has"
+        f"{', '.join(names)} changed after the run was finished; the store keeps what it has. Restore the file, "
+        "or delete it, and this warning goes"
     )
 
 
@@ -244,19 +247,23 @@ def _files(directory: RunDirectory) -> dict[str, Path]:
         files[METRICS_FILE] = path / METRICS_FILE
     if status != "running":
         files |= {name: path / name for name in WRITTEN_AT_THE_END}
-    evaluations = sorted((path / "evaluations").glob("*/[!.]*"))
-    files |= {f"evaluations/{file.parent.name}/{file.name}": file for file in evaluations}
+    for folder in directory.evaluations():
+        files |= {f"{EVALUATIONS}/{folder.name}/{file.name}": file for file in sorted(folder.glob("[!.]*"))}
     return {name: file for name, file in files.items() if file.is_file()}
 
 
-def _find(directory: RunDirectory, store: Store, experiment_id: str, tags: Mapping[str, str]) -> "Run | None":
-    """Return the store's run of a directory; delete one of an earlier training in the same place.
+def _find(
+    directory: RunDirectory, store: Store, experiment_id: str, tags: Mapping[str, str]
+) -> "tuple[Run | None, list[Run]]":
+    """Return the store's run of a directory, and those of earlier trainings or evaluations in the same place.
 
     The id in status.json may have been copied, or written by anybody. A run of another directory is taken only if that
     is gone: then it was moved here. A shared store has runs of other output directories, some of which have the same
     path on another machine: their runs are left alone, and so is what has no owner, unless it is this very training.
     """
     own_id = tags.get(OUTPUT_ID)  # None in the output directory's own store
+    found: Run | None = None
+    earlier = []
     runs = store.search([experiment_id], f"tags.run_key = '{tags['run_key']}'")
     if not runs:  # or it was sent by an earlier version, whose keys were others
         same_seed = store.search([experiment_id], f"tags.seed = '{tags['seed']}'")
@@ -268,16 +275,15 @@ def _find(directory: RunDirectory, store: Store, experiment_id: str, tags: Mappi
             continue
         if resolved(run_dir) != resolved(directory.path):
             if run.info.run_id == directory.run_id and not run_dir.is_dir():
-                return run
+                found = found or run
         elif STARTED not in tags:
             if owner == own_id:
-                return run
+                found = found or run
         elif run.data.tags.get(STARTED, tags[STARTED]) == tags[STARTED]:
-            return run
+            found = found or run
         elif owner == own_id:
-            with store.writing() as client:
-                client.delete_run(run.info.run_id)  # it can be restored in MLflow's UI
-    return None
+            earlier.append(run)
+    return found, earlier
 
 
 def _new_metrics(run: "Run", log: Path | None) -> "Iterator[Metric]":

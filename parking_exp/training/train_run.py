@@ -116,7 +116,7 @@ def _train(config: RunConfig, directory: RunDirectory, stop: StopRequest) -> Run
             wall_s=metrics.get("time/wall_s"),
             cpu_s=metrics.get("time/cpu_s"),
             memory_bytes=memory_bytes,
-            evaluation=config.evaluation.final_settings,
+            evaluation=config.final_settings,
         )
     except (InterruptedRunError, KeyboardInterrupt):
         directory.update(status="interrupted")

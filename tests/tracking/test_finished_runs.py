@@ -11,6 +11,8 @@ from support.tracked_runs import finished_run, rows, written_run
 from parking_exp.config.paths import default_uri
 from parking_exp.errors import StoreError
 from parking_exp.results.frames import load
+from parking_exp.runs.atomic_files import write_json
+from parking_exp.runs.directory import write_summary
 from parking_exp.tracking.mirror import mirror_problem
 from parking_exp.tracking.store import Store
 
@@ -81,6 +83,25 @@ def test_a_damaged_file_does_not_get_into_a_new_store(finished, empty):
     with pytest.raises(StoreError, match=r"^episodes\.csv changed after the run was finished"):
         sync(finished)
     assert rows(finished.output_dir, "SELECT count(*) FROM runs") == [(0,)]
+
+
+@pytest.mark.parametrize("damage", ["emptied", "half"])
+@pytest.mark.parametrize("name", ["episodes.csv", "summary.json"])
+def test_a_damaged_file_of_an_evaluation_does_not_replace_what_the_store_has(finished, name, damage):
+    folder = finished.path / "evaluations" / "again"
+    folder.mkdir(parents=True)
+    (folder / "episodes.csv").write_text("episode,success\n0,1\n")
+    sync(finished)
+    assert "evaluations/again/episodes.csv" not in stored_files(finished)  # it is under way
+    write_summary(folder, {"success_rate": 1.0})
+    sync(finished)
+    before = stored_files(finished)
+    assert {"evaluations/again/episodes.csv", "evaluations/again/summary.json"} < set(before)
+    DAMAGES[damage](folder / name)
+    synced = call_script("status", f"output_dir={finished.output_dir}", "sync=true")
+    assert synced.returncode == 2
+    assert f"evaluations/again/{name} changed after the run was finished; the store keeps what it has" in synced.stderr
+    assert stored_files(finished) == before
 
 
 def test_a_status_that_can_t_be_read_is_a_problem_of_a_sync(finished):
@@ -173,9 +194,18 @@ def test_without_the_hashes_of_a_result_changed_files_are_not_sent(finished):
     assert stored_files(finished) == before
 
 
-def test_a_run_that_is_planned_to_be_evaluated_again_keeps_its_results_in_the_store(finished):
-    before = stored_files(finished)
+@pytest.mark.parametrize("status", ["pending", "running", "interrupted", "failed"])
+def test_a_run_that_is_evaluated_again_keeps_its_results_in_the_store_until_that_is_done(finished, status):
+    before, run_id, result = stored_files(finished), finished.run_id, finished.result()
     finished.reopen()
     sync(finished)
+    write_json(finished.path / "provenance.json", {"started_ms": 1_800_000_000_000, "tags": {}})
+    finished.update(status=status)
+    sync(finished)
+    assert finished.run_id == run_id
     assert stored_files(finished) == before
+    assert load("smoke", output_dir=finished.output_dir).runs["status"].tolist() == ["done"]
+    finished.finish(result)
+    sync(finished)
+    assert finished.run_id != run_id
     assert load("smoke", output_dir=finished.output_dir).runs["status"].tolist() == ["done"]

@@ -25,7 +25,7 @@ from support.tracked_runs import finish, finished_run, rows, written_run
 
 from parking_exp.config.paths import default_uri
 from parking_exp.runs.atomic_files import write_json
-from parking_exp.runs.directory import RunDirectory
+from parking_exp.runs.directory import RunDirectory, write_summary
 from parking_exp.runs.lookup import find_runs
 from parking_exp.runs.metric_logs import restore_logs
 from parking_exp.runs.run_provenance import collect_provenance
@@ -314,7 +314,7 @@ def test_a_run_that_was_sent_under_another_key_is_found_by_its_directory(output_
     store(output_dir).set_tag(run_id, "run_key", "0123456789")
     evaluation = directory.path / "evaluations" / "new"
     evaluation.mkdir(parents=True)
-    (evaluation / "summary.json").write_text("{}")
+    write_summary(evaluation, {"episodes": 1})
     sync(directory)
     assert [run.info.run_id for run in store(output_dir).search_runs(["1"])] == [run_id]
     assert stored_run(directory).data.tags["run_key"] == directory.config().run_key

@@ -67,6 +67,15 @@ def test_the_same_settings_and_other_keys_without_effect_evaluate_nothing(finish
     assert (directory.path / "episodes.csv").stat().st_mtime_ns == before
 
 
+def test_a_cross_check_that_changes_nothing_evaluates_nothing(finished, capsys):
+    _, output_dir = finished
+    n_scenes = make_config(*SMOKE).evaluation.final_n_scenes
+    train(config(output_dir, f"evaluation.n_certified_scenes={n_scenes}"))
+    capsys.readouterr()
+    train(config(output_dir, f"evaluation.n_certified_scenes={n_scenes + 1}"))
+    assert capsys.readouterr().out.startswith("already done; ")
+
+
 def killed_before_it_is_reopened(directory):
     (directory.path / PROVENANCE_FILE).unlink()
 
@@ -128,6 +137,9 @@ def test_a_sweep_says_how_many_runs_it_evaluates_again_and_trains_none(tmp_path)
     steps = [file.stat().st_mtime_ns for file in tmp_path.glob("*/*/seed=*/checkpoints/*/model.zip")]
     plan = sweep(tmp_path, "seeds=3", "evaluation.final_n_scenes=4", "dry_run=true")
     assert "1 cell x 3 seeds = 3 runs: 0 done, 2 to evaluate again, 1 to run\n" in plan.stdout
+    head, row = (line.split() for line in plan.stdout.splitlines()[:2])
+    assert head == ["cell", "done", "running", "failed", "pending", "success"]
+    assert row[-1] == "3"  # pending ones
     assert sweep(tmp_path, "seeds=2", "evaluation.final_n_scenes=4").returncode == 0
     assert [file.stat().st_mtime_ns for file in tmp_path.glob("*/*/seed=*/checkpoints/*/model.zip")] == steps
     for file in tmp_path.glob("*/*/seed=*/episodes.csv"):
