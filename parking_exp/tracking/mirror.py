@@ -55,7 +55,7 @@ def mirror(directory: RunDirectory, store: Store) -> None:
         experiment_id = store.experiment_id(config)
         run, earlier = _find(directory, store, experiment_id, tags)
         run_name = f"{config.cell}-seed={config.seed}"
-        if directory.is_evaluated_again and (run or earlier):
+        if directory.is_evaluated_again and (earlier or (run and STARTED not in tags)):
             return  # its results stay until that is done
         for each in earlier:
             with store.writing() as client:
