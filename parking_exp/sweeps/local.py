@@ -9,6 +9,7 @@ from pathlib import Path
 from parking_exp.errors import ConfigError
 from parking_exp.resources import cores, cuda_devices, shares
 from parking_exp.sweeps.supervisor import WorkerResult, supervise
+from parking_exp.sweeps.worker_process import LOCAL_START_METHOD
 from parking_exp.terminal import say
 from parking_exp.training.signals import stop_on_signal
 
@@ -56,7 +57,9 @@ def run_workers(work: Callable[[Train], None], n_workers: int) -> None:
 
         def start(some_cores: Sequence[int], device: str | None) -> None:
             def train(path: Path) -> WorkerResult:
-                return "stopped" if request.is_made else supervise(path, lambda: request.is_made, some_cores, device)
+                if request.is_made:
+                    return "stopped"
+                return supervise(path, lambda: request.is_made, some_cores, device, LOCAL_START_METHOD)
 
             work(train)
 

@@ -3,27 +3,22 @@
 All launchers train runs like this. If the supervisor dies, its worker dies with it.
 """
 
-import os
+import math
 import signal
 import socket
-import subprocess
-import sys
 import time
 from collections.abc import Callable, Sequence
-from contextlib import suppress
-from functools import partial
 from pathlib import Path
-from typing import IO, Any, Literal
+from typing import Any, Literal
 
 from parking_exp.config.paths import directory_path
 from parking_exp.errors import ConfigError, OutputDirectoryError, RunLockedError
-from parking_exp.resources import THREAD_VARIABLES
 from parking_exp.runs.directory import RunDirectory
 from parking_exp.runs.run_files import CONFIG_FILE
-from parking_exp.sweeps.worker import LOCKED_EXIT
+from parking_exp.sweeps.worker import LOCKED_EXIT, LOG_FILE
+from parking_exp.sweeps.worker_process import SERVER_LOST, StartMethod, WorkerProcess
 from parking_exp.training.signals import stop_on_signal
 
-LOG_FILE = "log.txt"
 GRACE_S = 8.0  # to save a checkpoint after a signal, before the process is killed
 POLL_S = 0.05
 # Signals from outside; any other signal is an error of the run.
@@ -34,14 +29,21 @@ WorkerResult = Literal["done", "failed", "stopped", "elsewhere"]
 Stop = Callable[[], bool]
 
 
-def supervise(path: Path, stop: Stop, cores: Sequence[int] = (), device: str | None = None) -> WorkerResult:
-    """Train one run in a fresh process, and record in its directory how it ended.
+def supervise(
+    path: Path,
+    stop: Stop,
+    cores: Sequence[int] = (),
+    device: str | None = None,
+    start_method: StartMethod = "spawn",
+) -> WorkerResult:
+    """Train one run in a process of its own, and record in its directory how it ended.
 
     Args:
         path: the run directory, with its config.
         stop: polled; once it returns true, the run saves a checkpoint and exits, or is killed after GRACE_S.
         cores: for the worker, with a thread each; none: all.
         device: CUDA device for the worker; None: all.
+        start_method: how its process starts.
     """
     directory = RunDirectory(path)
     if directory.is_locked:
@@ -50,12 +52,13 @@ def supervise(path: Path, stop: Stop, cores: Sequence[int] = (), device: str | N
         with directory.supervisor_lock():
             if (status := directory.status) in ("done", "failed"):
                 return status  # by another sweep, since this one was planned
-            return _run(directory, partial(_start, path, cores, device), stop)
+            return _run(directory, WorkerProcess(path, cores, device, start_method), stop)
     except RunLockedError:
         return "elsewhere"
 
 
-def _run(directory: RunDirectory, start: Callable[[IO[bytes]], subprocess.Popen[bytes]], stop: Stop) -> WorkerResult:
+def _run(directory: RunDirectory, process: WorkerProcess, stop: Stop) -> WorkerResult:
+    """Start a run's process, and return how the run ended."""
     try:
         config = directory.config()
         if config.run_dir != directory_path(directory.path):
@@ -67,39 +70,37 @@ def _run(directory: RunDirectory, start: Callable[[IO[bytes]], subprocess.Popen[
     # Written before the worker starts, whose entries must not be overwritten.
     started_at: dict[str, Any] = {"host": socket.gethostname(), "started": time.time()}
     directory.update(status="running", error=None, killed=None, **started_at)
-    with (directory.path / LOG_FILE).open("ab") as log:
-        process = start(log)
-        try:
-            directory.update(pid=process.pid)
-            cause = _wait(process, config.timeout_s, stop)
-        finally:
-            if process.poll() is None:  # an error here: no worker is left without a supervisor
-                _kill(process)
-    return _result(directory, process.returncode, cause, config.timeout_s)
+    process.start()
+    try:
+        directory.update(pid=process.pid)
+        cause = _wait(process, config.timeout_s, stop)
+    finally:
+        if process.exit_status is None:  # an error here: no worker is left without a supervisor
+            process.kill()
+    exit_status = process.exit_status
+    assert exit_status is not None
+    return _result(directory, exit_status, cause, config.timeout_s)
 
 
-def _wait(process: subprocess.Popen[bytes], timeout_s: float | None, stop: Stop) -> Literal["late", "stopped"] | None:
+def _wait(process: WorkerProcess, timeout_s: float | None, stop: Stop) -> Literal["late", "stopped"] | None:
     """Wait for a worker, and end it if it takes too long or is to stop; return which of these it was."""
     cause: Literal["late", "stopped"] | None = None
-    begin, end = time.monotonic(), 0.0
-    while process.poll() is None:
+    deadline = math.inf if timeout_s is None else time.monotonic() + timeout_s
+    while process.exit_status is None:
         time.sleep(POLL_S)
         now = time.monotonic()
-        if cause is None:
-            cause = "late" if timeout_s is not None and now - begin > timeout_s else "stopped" if stop() else None
-            if cause is not None:
-                process.terminate()
-                end = now + GRACE_S
-        elif now > end:
-            _kill(process)
+        if cause is not None:
+            if now > deadline:
+                process.kill()
+            continue
+        if now > deadline:
+            cause = "late"
+        elif stop():
+            cause = "stopped"
+        if cause is not None:
+            process.terminate()
+            deadline = now + GRACE_S
     return cause
-
-
-def _kill(process: subprocess.Popen[bytes]) -> None:
-    """Kill a worker with its children, and wait for it."""
-    with suppress(ProcessLookupError):
-        os.killpg(process.pid, signal.SIGKILL)  # it leads a session of its own
-    process.wait()
 
 
 def _result(directory: RunDirectory, code: int, cause: str | None, timeout_s: float | None) -> WorkerResult:
@@ -119,30 +120,13 @@ def _result(directory: RunDirectory, code: int, cause: str | None, timeout_s: fl
     elif code < 0:
         reason = f"killed by {signal.Signals(-code).name}{' (out of memory?)' if -code == signal.SIGKILL else ''}"
         killed = -code in KILLS
+    elif code == SERVER_LOST:
+        reason = "its process was lost, as the server that it was forked from was killed"
+        killed = True
     else:
         reason = f"its process ended with status {code} and without a result; see {directory.path / LOG_FILE}"
     directory.update(status="failed", error=reason, killed=killed or None)
     return "failed"
-
-
-def _start(path: Path, cores: Sequence[int], device: str | None, log: IO[bytes]) -> subprocess.Popen[bytes]:
-    root = str(Path(__file__).resolve().parents[2])
-    paths = [root, *filter(None, os.environ.get("PYTHONPATH", "").split(os.pathsep))]
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(paths)}
-    if cores:
-        environment |= dict.fromkeys(THREAD_VARIABLES, str(len(cores)))
-    if device is not None:
-        environment["CUDA_VISIBLE_DEVICES"] = device
-    arguments = [str(path), str(os.getpid()), ",".join(map(str, cores))]
-    # A session of its own: Ctrl-C in the terminal reaches the supervisor alone, which passes it on.
-    return subprocess.Popen(
-        [sys.executable, "-m", "parking_exp.sweeps.worker", *arguments],
-        env=environment,
-        stdin=subprocess.DEVNULL,
-        stdout=log,
-        stderr=subprocess.STDOUT,
-        start_new_session=True,
-    )
 
 
 def supervise_job(path: Path) -> None:

@@ -1,15 +1,14 @@
-"""The worker process of a sweep, which trains one run and dies with its supervisor.
-
-Started as `python -m parking_exp.sweeps.worker RUN_DIR SUPERVISOR_PID CORES` (cores with commas, none for all).
-"""
+"""The work of a worker process, which trains one run and dies with its supervisor."""
 
 import faulthandler
 import gc
+import multiprocessing
 import os
 import signal
 import sys
 import threading
 import time
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from parking_exp.errors import FailedRunError, InterruptedRunError, ParkingError, RunLockedError
@@ -17,48 +16,71 @@ from parking_exp.runs.directory import RunDirectory
 from parking_exp.terminal import say
 from parking_exp.tracking.client import import_mlflow
 
+LOG_FILE = "log.txt"
+STDOUT = 1
+STDERR = 2
 LOCKED_EXIT = 75  # exit status if another worker, which is about to die, still holds the training lock
 
 
-def main() -> None:
-    """Train the run of a directory."""
-    path, supervisor, cores = Path(sys.argv[1]), int(sys.argv[2]), sys.argv[3]
-    _die_with(supervisor)
+def work(path: Path, cores: Sequence[int], environment: Mapping[str, str]) -> None:
+    """Train the run of a directory, and exit with a status.
+
+    Args:
+        path: the run directory, with its config.
+        cores: that this process may use, with a thread each; none: all.
+        environment: environment variables, in place of those that this process has.
+    """
+    # A session of its own: Ctrl-C in the terminal reaches the supervisor alone, which passes it on.
+    os.setsid()
+    threading.Thread(target=_die_with, args=[os.getppid()], daemon=True).start()
+    _redirect_output(path / LOG_FILE)
     faulthandler.enable()  # a fatal error in native code leaves a traceback in the log
+    os.environ.clear()
+    os.environ.update(environment)
     if cores and hasattr(os, "sched_setaffinity"):  # not on every system
-        os.sched_setaffinity(0, map(int, cores.split(",")))
-    directory = RunDirectory(path)
+        os.sched_setaffinity(0, cores)
+    sys.exit(_train(RunDirectory(path), len(cores)))
+
+
+def _train(directory: RunDirectory, n_threads: int) -> int:
+    """Train a run, and return the exit status of its process."""
     try:
         config = directory.config()
         gc.disable()  # imports are 0.8 s faster without it
-        from parking_exp.training.train_run import train  # of torch, for which cores and threads are settled now
+        import torch  # for which cores and environment are settled now
+
+        from parking_exp.training.train_run import train
 
         if config.tracking.mlflow:
             import_mlflow()
         gc.freeze()
         gc.enable()
+        if n_threads:
+            torch.set_num_threads(n_threads)  # a forked process has read the server's environment
         train(config, supervised=True)
     except InterruptedRunError as error:
-        sys.exit(128 + error.signal_number)
+        return 128 + error.signal_number
     except RunLockedError:
-        sys.exit(LOCKED_EXIT)
+        return LOCKED_EXIT
     except ParkingError as error:
         if not isinstance(error, FailedRunError):  # which training has recorded
             directory.update(status="failed", error=str(error))
         say(f"error: {error}", stderr=True)
-        sys.exit(2)
+        return 2
+    return 0
 
 
-def _die_with(supervisor: int) -> None:
-    """Kill this process when its supervisor is gone."""
-
-    def watch() -> None:
-        while os.getppid() == supervisor:
-            time.sleep(0.5)
-        os.kill(os.getpid(), signal.SIGKILL)
-
-    threading.Thread(target=watch, daemon=True).start()
+def _redirect_output(path: Path) -> None:
+    """Append the output of this process, that of native code included, to a file."""
+    with path.open("ab") as log:
+        os.dup2(log.fileno(), STDOUT)
+        os.dup2(log.fileno(), STDERR)
 
 
-if __name__ == "__main__":
-    main()
+def _die_with(parent: int) -> None:
+    """Kill this process when its supervisor, or its parent that it was forked from, is gone."""
+    supervisor = multiprocessing.parent_process()
+    assert supervisor is not None
+    while supervisor.is_alive() and os.getppid() == parent:
+        time.sleep(0.5)
+    os.kill(os.getpid(), signal.SIGKILL)

@@ -45,12 +45,13 @@ def wait_until(condition, timeout=90):
 
 def workers(output_dir):
     """Pids of the processes that train runs under an output directory."""
-    found = []
-    for process in psutil.process_iter(["cmdline", "status"]):
-        line = process.info["cmdline"] or []
-        if "parking_exp.sweeps.worker" in line and any(str(output_dir) in part for part in line):
-            found += [process.pid] if process.info["status"] != psutil.STATUS_ZOMBIE else []
-    return found
+    pids = {status.get("pid") for status in statuses(output_dir).values()}
+    return [pid for pid in pids if pid and is_alive(pid)]
+
+
+def is_alive(pid):
+    """Whether a process runs, which a zombie does not."""
+    return psutil.pid_exists(pid) and psutil.Process(pid).status() != psutil.STATUS_ZOMBIE
 
 
 def trained(output_dir):

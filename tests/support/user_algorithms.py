@@ -60,6 +60,8 @@ class Tells(SAC):
             "threads": {name: os.environ.get(name) for name in ("OMP_NUM_THREADS", "MKL_NUM_THREADS")},
             "torch": torch.get_num_threads(),
             "devices": os.environ.get("CUDA_VISIBLE_DEVICES"),
+            "parent": os.getppid(),
+            "session": os.getsid(0),
             "time": [begin, time.time()],
         }
         Path(os.environ["TELLS"], f"{os.getpid()}.json").write_text(json.dumps(told))

@@ -111,10 +111,10 @@ def test_kills_at_random_moments_lose_no_trial_and_repeat_none(tmp_path):
     for attempt in range(30):
         process = begin(tmp_path, *options, **TUNE)
         if attempt % 2:  # one worker
-            time.sleep(dice.uniform(4, 12))
+            time.sleep(dice.uniform(2, 6))
             for pid in workers(tmp_path)[:1]:
                 os.kill(pid, signal.SIGKILL)
-        time.sleep(dice.uniform(2, 12))
+        time.sleep(dice.uniform(1, 5))
         if process.poll() is None:  # the whole tuning
             os.killpg(process.pid, signal.SIGKILL)
         process.communicate()
