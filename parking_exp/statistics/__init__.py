@@ -1,7 +1,7 @@
 """Statistics of runs: intervals, comparisons, effects, survival. Pure functions without I/O; all intervals are at 95 %.
 
-Every training imports this package, so scipy.stats, which takes half a second to import, is imported by the functions
-that need it.
+Every training imports this package, so scipy, which takes half a second to import, is imported by the functions that
+need it.
 """
 
 from parking_exp.statistics.comparisons import Difference, compare, holm, probability_of_improvement, rank_test

@@ -15,18 +15,17 @@ same weights are used each time. `tests/support/coverage_simulation.py` simulate
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cache, lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.special import betaincinv, ndtr, ndtri
 
 from parking_exp.statistics.intervals import Interval
 from parking_exp.statistics.rates import finite
 
 DRAWS = 20_000
 UNSEEN, REACH = 0.05, 3.0  # of the unseen seed: weight and distance, chosen by simulation
-NORMAL_QUANTILES, KNOTS = ndtri(np.arange(1, DRAWS + 1) / (DRAWS + 1)), np.linspace(-6, 6, 481)
+KNOTS = np.linspace(-6, 6, 481)
 ROUNDING = 1e-9  # how far a rate may lie outside 0 ... 1
 
 
@@ -140,4 +139,14 @@ def _beta_quantiles(a: int, b: int) -> np.ndarray:
     """
     if not (a and b):
         return np.full(DRAWS, 0.0 if b else 1.0)
-    return np.interp(NORMAL_QUANTILES, KNOTS, betaincinv(a, b, ndtr(KNOTS)))
+    from scipy.special import betaincinv, ndtr
+
+    return np.interp(_normal_quantiles(), KNOTS, betaincinv(a, b, ndtr(KNOTS)))
+
+
+@cache
+def _normal_quantiles() -> np.ndarray:
+    """Return DRAWS quantiles of the normal distribution, in order."""
+    from scipy.special import ndtri
+
+    return ndtri(np.arange(1, DRAWS + 1) / (DRAWS + 1))

@@ -9,7 +9,7 @@ import numpy as np
 
 from parking_exp.tasks.captions import LAST_FRAME_S, add_caption
 from parking_exp.tasks.metrics import outcome
-from parking_exp.tasks.parking.highway import make_env
+from parking_exp.tasks.parking.highway import make_env, skip_unused_work
 from parking_exp.tasks.parking.parking_config import ParkingConfig
 from parking_exp.tasks.task import Policy
 
@@ -33,6 +33,7 @@ def frames(policy: Policy, config: ParkingConfig, scenes: Sequence[int]) -> Iter
         lot.viewer.window_position = lambda: np.zeros(2)
         for scene in scenes:
             observation, info = env.reset(seed=scene)
+            skip_unused_work(env)
             steps, done = 0, False
             images[:] = [draw()]
             while True:

@@ -1,0 +1,37 @@
+"""highway-env as the reference of the cross-check."""
+
+import numpy as np
+import pytest
+from support.runs import make_config, parking_envs
+
+from parking_exp.tasks.env_batch import EnvBatch
+from parking_exp.tasks.parking.highway import HighwayBatch, make_env
+
+SCENES = range(3)
+MAX_STEPS = 60
+
+
+@pytest.mark.parametrize("option", parking_envs())
+def test_what_the_cross_check_leaves_out_changes_no_bit_of_a_step(option):
+    config = make_config(f"env={option}").env
+    batch = HighwayBatch(config, SCENES)
+    plain = EnvBatch([make_env(config) for _ in SCENES], SCENES, "crashed")
+    rng = np.random.default_rng(0)
+    bias = rng.uniform(-1, 1, (len(SCENES), 2))
+    for _ in range(MAX_STEPS):
+        actions = np.clip(bias + rng.normal(0, 0.3, bias.shape), -1, 1).astype(np.float32)
+        ours = batch.step(actions)
+        theirs = plain.step(actions)
+        for key, value in theirs.observation.items():
+            assert np.array_equal(ours.observation[key], value)
+        for name in ("reward", "terminated", "truncated", "failed", "is_success"):
+            assert np.array_equal(getattr(ours, name), getattr(theirs, name))
+        going_on = ~(theirs.terminated | theirs.truncated)
+        for env, other in zip(batch.envs, plain.envs, strict=True):
+            for car, same in zip(env.unwrapped.road.vehicles, other.unwrapped.road.vehicles, strict=True):
+                assert (*car.position, car.heading, car.speed) == (*same.position, same.heading, same.speed)
+        batch.keep(going_on)
+        plain.keep(going_on)
+        bias = bias[going_on]
+        if not len(plain):
+            break
