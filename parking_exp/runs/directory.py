@@ -108,11 +108,6 @@ class RunDirectory:
         return absolute(uri, self.output_dir) if uri else None
 
     @property
-    def unsynced(self) -> str | None:
-        """Why the store lacks something of the run, or None."""
-        return self.read_status().get("unsynced")
-
-    @property
     def is_locked(self) -> bool:
         """Whether a process, this one included, holds one of the run's locks."""
         return any(is_held(self.path / name) for name in (SUPERVISOR_LOCK, TRAINING_LOCK))

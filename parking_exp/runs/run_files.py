@@ -46,7 +46,6 @@ class StatusEntries(_Entries):
     started: Seconds | None = None
     run_id: str | None = None
     tracking_uri: Annotated[str, Field(pattern=r"^[^\x00-\x1f]+$")] | None = None
-    unsynced: str | None = None
     command: str | None = None
     search: str | None = None
     trial: BoundedCount | None = None

@@ -5,11 +5,13 @@ import re
 import shlex
 import subprocess
 import sys
+import time
 from contextlib import suppress
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 from parking_exp import __version__
+from parking_exp.runs.atomic_files import read_object, write_json
 from parking_exp.terminal import is_script, program
 
 PROVENANCE_FILE = "provenance.json"
@@ -28,6 +30,13 @@ def collect_provenance() -> dict[str, str]:
         except PackageNotFoundError:
             continue
     return tags | _git() | {"cpu": _cpu()}
+
+
+def record_provenance(run_dir: Path) -> None:
+    """Write when a run was first started, and what trains it now, into its directory."""
+    path = run_dir / PROVENANCE_FILE
+    started_ms = read_object(path).get("started_ms") or time.time_ns() // 1_000_000
+    write_json(path, {"started_ms": started_ms, "tags": collect_provenance()})
 
 
 def command_line() -> str | None:

@@ -23,10 +23,10 @@ from parking_exp.runs.run_state import RunState, Stage, count_stages, read_state
 from parking_exp.runs.state_tables import cell_table, run_name, state_lines
 from parking_exp.sweeps.hydra_launcher import Launcher
 from parking_exp.sweeps.monitor import Monitor
+from parking_exp.sweeps.store_writer import StoreWriter
 from parking_exp.terminal import console, program
 from parking_exp.tracking.client import say_ignored_store
-from parking_exp.tracking.mirror import follow_store, mirror_problem
-from parking_exp.tracking.store import Store
+from parking_exp.tracking.mirror import follow_store
 
 POLL_S = 1.0
 
@@ -154,14 +154,14 @@ def sweep(runs: Sequence[PlannedRun], launcher: Launcher, *, dry_run: bool = Fal
         entries = {**run.entries, "cell_number": run.cell_number}
         RunDirectory(run.path).write_plan(run.config, run.label, run.state.started, entries=entries)
     _number_finished_runs([run for run in runs if run not in due])
-    tracked_elsewhere = [run for run in runs if follow_store(RunDirectory(run.path), run.config)]
+    for run in runs:
+        follow_store(RunDirectory(run.path), run.config)
     if any(run.config.tracking.mlflow and run.config.tracking.uri is None for run in due):
         say_ignored_store()
     try:
-        if due or tracked_elsewhere:
-            with Monitor(lambda: paths, len(paths)) as monitor:
-                _launch_all([run.path for run in due], launcher, monitor)
-                sync_store(paths, [run.config for run in runs], monitor)
+        configs = [run.config for run in runs]
+        with Monitor(lambda: paths, len(paths)) as monitor, StoreWriter(lambda: paths, configs, monitor.say):
+            _launch_all([run.path for run in due], launcher, monitor)
     finally:
         states = [read_state(path) for path in paths]
         if due:
@@ -190,14 +190,6 @@ def _launch_all(due: list[Path], launcher: Launcher, monitor: Monitor) -> None:
             time.sleep(POLL_S)
         stages = {path: read_state(path).stage for path in due}
         due = [path for path in due if stages[path] == "running" or (stages[path] == "pending" and path not in free)]
-
-
-def sync_store(paths: Sequence[Path], configs: Sequence[RunConfig], monitor: Monitor) -> None:
-    """Send to the stores of configs what workers could not, because they were killed or the store was down."""
-    directories = [RunDirectory(path) for path in paths]
-    for uri in {config.store_uri for config in configs if config.tracking.mlflow}:
-        if problem := mirror_problem(directories, Store(uri, configs[0].output_path)):
-            monitor.say(problem)
 
 
 def _check_all_done(states: Sequence[RunState]) -> None:

@@ -14,7 +14,6 @@ from pathlib import Path
 from parking_exp.errors import FailedRunError, InterruptedRunError, ParkingError, RunLockedError
 from parking_exp.runs.directory import RunDirectory
 from parking_exp.terminal import say
-from parking_exp.tracking.client import import_mlflow
 
 LOG_FILE = "log.txt"
 STDOUT = 1
@@ -51,8 +50,6 @@ def _train(directory: RunDirectory, n_threads: int) -> int:
 
         from parking_exp.training.train_run import train
 
-        if config.tracking.mlflow:
-            import_mlflow()
         gc.freeze()
         gc.enable()
         if n_threads:

@@ -9,7 +9,6 @@ are not sent.
 
 import shlex
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -49,8 +48,8 @@ def mirror(directory: RunDirectory, store: Store) -> None:
         if changed := directory.changed_files():
             raise StoreError(_describe_damage(changed))
         status = _status(directory)
-        files = _files(directory)
-        digest = _digest(directory, files)
+        files = _files(directory, status)
+        digest = _digest(directory, status, files)
         tags = _tags(directory, config, store)
         experiment_id = store.experiment_id(config)
         run, earlier = _find(directory, store, experiment_id, tags)
@@ -90,18 +89,13 @@ def mirror(directory: RunDirectory, store: Store) -> None:
 def try_mirror(directory: RunDirectory, store: Store) -> str | None:
     """Mirror as far as the store allows; return the reason of a failure, or None.
 
-    A failure stops no training, since the run directory has everything. The reason is the entry `unsynced` of
-    status.json until a later attempt succeeds.
+    A failure stops no training, since the run directory has everything.
     """
-    problem = None
     try:
         mirror(directory, store)
     except Exception as error:
-        problem = reason(error)
-    with suppress(OSError):  # on a full disk
-        if directory.unsynced != problem:
-            directory.update(unsynced=problem)
-    return problem
+        return reason(error)
+    return None
 
 
 def follow_store(directory: RunDirectory, config: RunConfig) -> bool:
@@ -140,8 +134,9 @@ def mirror_missing(directories: Iterable[RunDirectory], store: Store) -> Iterato
         return
     mirrored = {(resolved(run_dir), run.data.tags.get(DIGEST)): run for run in runs if (run_dir := store.run_dir(run))}
     for directory in idle:
-        files = _files(directory)
-        run = mirrored.get((resolved(directory.path), _digest(directory, files)))
+        status = _status(directory)
+        files = _files(directory, status)
+        run = mirrored.get((resolved(directory.path), _digest(directory, status, files)))
         if run is None or not store.has_artifacts(run, files):
             yield directory, try_mirror(directory, store)
 
@@ -206,10 +201,10 @@ def _status(directory: RunDirectory) -> Status:
     return "interrupted" if status == "pending" or (status == "running" and not directory.is_locked) else status
 
 
-def _digest(directory: RunDirectory, files: Mapping[str, Path]) -> str:
+def _digest(directory: RunDirectory, status: Status, files: Mapping[str, Path]) -> str:
     """Return a hash of what the store should have of a run, `files` among it, without parsing any file."""
     entries, provenance = directory.read_status(), directory.path / PROVENANCE_FILE
-    state = [_status(directory), *(entries.get(name) for name in ("error", *FROM_STATUS))]
+    state = [status, *(entries.get(name) for name in ("error", *FROM_STATUS))]
     sent = [*([provenance] if provenance.exists() else []), *files.values()]
     stats = [(str(file.relative_to(directory.path)), file.stat()) for file in sent]
     return short_hash([state, *([name, stat.st_size, stat.st_mtime_ns] for name, stat in stats)])
@@ -236,9 +231,9 @@ def _tags(directory: RunDirectory, config: RunConfig, store: Store) -> dict[str,
     }
 
 
-def _files(directory: RunDirectory) -> dict[str, Path]:
+def _files(directory: RunDirectory, status: Status) -> dict[str, Path]:
     """Return the files for the store, by their names there; those that grow with the run come at its end."""
-    path, status = directory.path, _status(directory)
+    path = directory.path
     files = {CONFIG_FILE: path / CONFIG_FILE}
     if checkpoints := sorted(directory.checkpoints.glob("step=*")):
         files[METRICS_FILE] = checkpoints[-1] / METRICS_FILE  # what is final of it

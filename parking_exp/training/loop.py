@@ -1,7 +1,7 @@
 """The training loop of a run: its model, envs and logs, with evaluations and checkpoints on the way."""
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from numbers import Real
 from pathlib import Path
@@ -24,7 +24,6 @@ from parking_exp.runs.metric_logs import EPISODES_FILE, METRICS_FILE, MONITOR_FI
 from parking_exp.tasks.finite import check_finite
 from parking_exp.tasks.registry import make_task
 from parking_exp.tasks.training_envs import make_training_envs
-from parking_exp.tracking.tracker import Tracker
 from parking_exp.training import checkpoints, rollout_state
 from parking_exp.training.checkpoints import SavedProgress
 from parking_exp.training.loggers import make_logger
@@ -58,9 +57,15 @@ class TrainingLoop:
     """The training of one run in one process, from its start or from a checkpoint."""
 
     def __init__(
-        self, config: RunConfig, directory: RunDirectory, tracker: Tracker, checkpoint: Path | None, stop: StopRequest
+        self,
+        config: RunConfig,
+        directory: RunDirectory,
+        on_checkpoint: Callable[[], None],
+        checkpoint: Path | None,
+        stop: StopRequest,
     ) -> None:
-        self.config, self.directory, self.tracker, self.stop = config, directory, tracker, stop
+        self.config, self.directory, self.stop = config, directory, stop
+        self._on_checkpoint = on_checkpoint
         saved = checkpoints.read_state(checkpoint)["progress"] if checkpoint else {}
         self.progress = progress = SavedProgress(**saved)
         path = directory.path
@@ -134,7 +139,7 @@ class TrainingLoop:
             self._rollout_state = None
 
     def save_checkpoint(self) -> None:
-        """Save the whole state, then sync the store."""
+        """Save the whole state, unless this step is saved already."""
         step = self.model.num_timesteps
         if step == self.progress.step:
             return
@@ -142,7 +147,7 @@ class TrainingLoop:
         self.progress.cpu_s, self.progress.wall_s = self.times()
         keep_last = self.config.checkpoint.keep_last
         checkpoints.save(self.directory.checkpoints, self.model, self.progress, self._best, keep_last, self.average)
-        self.tracker.sync()
+        self._on_checkpoint()
 
     def stop_if_asked(self) -> None:
         """Raise InterruptedRunError if a signal has asked to stop."""

@@ -26,12 +26,11 @@ from parking_exp.evaluation.evaluate_policy import describe
 from parking_exp.runs.atomic_files import write_atomically
 from parking_exp.runs.directory import RunDirectory, RunResult
 from parking_exp.runs.metric_logs import restore_logs
-from parking_exp.runs.run_provenance import command_line
+from parking_exp.runs.run_provenance import command_line, record_provenance
 from parking_exp.runs.trained_here import record_training
 from parking_exp.tasks.registry import make_task
 from parking_exp.terminal import is_script, say, unfailing_output
-from parking_exp.tracking.mirror import follow_store, sync_hint, try_mirror
-from parking_exp.tracking.store import Store
+from parking_exp.tracking.mirror import follow_store
 from parking_exp.tracking.tracker import Tracker
 from parking_exp.training import checkpoints
 from parking_exp.training.finish import finish
@@ -63,10 +62,11 @@ def _train_or_resume(config: RunConfig, supervised: bool) -> RunResult:
     with nullcontext() if supervised else directory.supervisor_lock(), directory.training_lock():
         if (result := directory.result()) is not None:
             if (reason := _reason_to_keep(directory, config)) is not None:
+                tracker = Tracker(config.store_uri, directory, partial(say, stderr=True))
                 if follow_store(directory, config):
-                    try_mirror(directory, Store(config.store_uri, directory.output_dir))
+                    tracker.mirror()
                     result = directory.result() or result
-                say(reason, *_closing_lines(result, directory))
+                say(reason, *_closing_lines(result, tracker))
                 return result
             say("already trained; its final model is evaluated again, with other settings")
             directory.reopen()
@@ -75,7 +75,7 @@ def _train_or_resume(config: RunConfig, supervised: bool) -> RunResult:
         # Slurm signals every process of a job, and the supervisor passes its own signal on: the checkpoint comes first.
         at_second = None if supervised else signal.default_int_handler
         with stop_on_signal(at_second) as stop, torch_settings(config):
-            return _train(config, directory, stop)
+            return _train(config, directory, stop, supervised)
 
 
 def _reason_to_keep(directory: RunDirectory, config: RunConfig) -> str | None:
@@ -87,7 +87,7 @@ def _reason_to_keep(directory: RunDirectory, config: RunConfig) -> str | None:
     return None
 
 
-def _train(config: RunConfig, directory: RunDirectory, stop: StopRequest) -> RunResult:
+def _train(config: RunConfig, directory: RunDirectory, stop: StopRequest, supervised: bool) -> RunResult:
     (directory.path / "traceback.txt").unlink(missing_ok=True)
     process: dict[str, Any] = {"pid": os.getpid(), "host": socket.gethostname(), "started": time.time()}
     if words := command_line():  # a supervised run has the sweep's
@@ -95,12 +95,16 @@ def _train(config: RunConfig, directory: RunDirectory, stop: StopRequest) -> Run
     if config.label is not None:
         process["label"] = config.label
     directory.update(status="running", error=None, killed=None, total_timesteps=config.total_timesteps, **process)
-    tracker = Tracker(config, directory, partial(say, stderr=True))
+    store_uri = config.store_uri if config.tracking.mlflow else None
+    directory.update(tracking_uri=store_uri)
+    # The process that the user started writes the store: of a supervised run, the sweep.
+    tracker = Tracker(None if supervised else store_uri, directory, partial(say, stderr=True))
     try:
         checkpoint = checkpoints.latest(directory.checkpoints)
         restore_logs(directory.path, checkpoint)
-        tracker.begin()
-        with closing(TrainingLoop(config, directory, tracker, checkpoint, stop)) as loop:
+        record_provenance(directory.path)
+        tracker.mirror()
+        with closing(TrainingLoop(config, directory, tracker.sync, checkpoint, stop)) as loop:
             try:
                 loop.learn()
                 with loop.average.applied():
@@ -130,7 +134,7 @@ def _train(config: RunConfig, directory: RunDirectory, stop: StopRequest) -> Run
     tracker.mirror()
     result = directory.result()
     assert result is not None
-    say(*describe(episodes, make_task(config.env).metrics).split("\n"), *_closing_lines(result, directory))
+    say(*describe(episodes, make_task(config.env).metrics).split("\n"), *_closing_lines(result, tracker))
     return result
 
 
@@ -144,15 +148,14 @@ def _record_failure(error: BaseException, directory: RunDirectory, tracker: Trac
         error.add_note(f"while recording the failure: {type(second_error).__name__}: {second_error}")
 
 
-def _closing_lines(result: RunResult, directory: RunDirectory) -> list[str]:
+def _closing_lines(result: RunResult, tracker: Tracker) -> list[str]:
     rate = result.metrics.get("final/success_rate")
     lines = [f"final success rate {rate:.1%}, after {result.steps} env steps"] if rate is not None else []
     lines.append(f"run directory  {result.run_dir}")
     if result.run_id:
-        lines.append(f"MLflow run     {result.run_id}   ({ui_command(directory.tracking_uri or '')})")
-    if directory.unsynced:
-        hint = sync_hint(directory.output_dir, directory.tracking_uri)
-        lines.append(f"not all of it is in the store ({directory.unsynced}); {hint}")
+        lines.append(f"MLflow run     {result.run_id}   ({ui_command(tracker.directory.tracking_uri or '')})")
+    if tracker.problem:
+        lines.append(f"not all of it is in the store ({tracker.problem}); {tracker.hint}")
     return lines
 
 

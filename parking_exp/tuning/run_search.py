@@ -23,7 +23,8 @@ from parking_exp.runs.run_state import read_state
 from parking_exp.sweeps.hydra_launcher import Launcher
 from parking_exp.sweeps.local import LocalLauncher, run_workers
 from parking_exp.sweeps.monitor import Monitor
-from parking_exp.sweeps.sweep import PlannedRun, sweep, sync_store
+from parking_exp.sweeps.store_writer import StoreWriter
+from parking_exp.sweeps.sweep import PlannedRun, sweep
 from parking_exp.terminal import console, program
 from parking_exp.tuning.search import Search, study_in
 from parking_exp.tuning.trial_worker import success_auc, work
@@ -98,15 +99,12 @@ def _train(search: Search, study: "Study", n_workers: int) -> list[TrialRow]:
     def runs() -> list[Path]:
         return [path for path in find_runs(base.output_path, base.experiment_name) if path.name in names]
 
-    with Monitor(runs, n_trials * len(names)) as monitor:
-        try:
-            while left := _n_left(trials := read_trials(study, search.folder, n_trials), n_trials):
-                if (free := left - count_states(trials)["running"]) > 0:
-                    run_workers(partial(work, search), min(n_workers, free))
-                else:
-                    time.sleep(POLL_S)
-        finally:
-            sync_store(runs(), [base], monitor)
+    with Monitor(runs, n_trials * len(names)) as monitor, StoreWriter(runs, [base], monitor.say):
+        while left := _n_left(trials := read_trials(study, search.folder, n_trials), n_trials):
+            if (free := left - count_states(trials)["running"]) > 0:
+                run_workers(partial(work, search), min(n_workers, free))
+            else:
+                time.sleep(POLL_S)
     return trials
 
 

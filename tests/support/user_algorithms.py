@@ -62,6 +62,7 @@ class Tells(SAC):
             "devices": os.environ.get("CUDA_VISIBLE_DEVICES"),
             "parent": os.getppid(),
             "session": os.getsid(0),
+            "store_modules": sorted({"mlflow", "sqlalchemy", "alembic"} & {*sys.modules}),
             "time": [begin, time.time()],
         }
         Path(os.environ["TELLS"], f"{os.getpid()}.json").write_text(json.dumps(told))

@@ -11,9 +11,10 @@ import time
 import psutil
 import pytest
 from support.run_equality import differences
-from support.runs import call_script, run_script
+from support.runs import call_script, run_script, store
 from support.sweep_processes import QUICK, SLOW, begin, is_alive, stages, statuses, sweep, wait_until, workers
 
+from parking_exp.results.frames import load
 from parking_exp.sweeps import local
 
 TWO = ("seeds=2", "hydra.launcher.n_jobs=2")
@@ -117,3 +118,34 @@ def test_runs_whose_server_is_killed_end_and_the_next_sweep_resumes_them(tmp_pat
     done = sweep(tmp_path, *TWO, *SLOW)
     assert done.returncode == 0, done.stderr
     assert stages(tmp_path) == ["done"] * 2
+
+
+def test_workers_import_no_mlflow(tmp_path, monkeypatch):
+    monkeypatch.setenv("TELLS", str(tmp_path))
+    done = call_script("train", *QUICK, TELLS, *TWO, "tracking.mlflow=true", f"output_dir={tmp_path / 'outputs'}")
+    assert done.returncode == 0, done.stderr
+    told = [json.loads(path.read_text()) for path in tmp_path.glob("*.json")]
+    assert [facts["store_modules"] for facts in told] == [[], []]
+    runs = load("smoke", output_dir=tmp_path / "outputs").runs
+    assert runs["status"].tolist() == ["done", "done"]
+
+
+def test_a_sweep_sends_checkpoints_while_its_runs_train_and_provenance_needs_no_store(tmp_path):
+    """`Lingers` leaves time to look."""
+    stored, untracked = tmp_path / "stored", tmp_path / "untracked"
+    process = begin(stored, *SLOW, "seeds=2", "tracking.mlflow=true", "total_timesteps=100000")
+    wait_until(lambda: statuses_in_store(stored) == ["RUNNING", "RUNNING"])
+    process.send_signal(signal.SIGINT)
+    process.communicate()
+    assert statuses_in_store(stored) == ["KILLED", "KILLED"]
+    assert sweep(untracked, "seeds=1", "retry=failed").returncode == 0
+    (path,) = untracked.glob("smoke/*/seed=0/provenance.json")
+    assert json.loads(path.read_text())["tags"]["cpu"]
+    assert not (untracked / "mlflow.db").exists()
+
+
+def statuses_in_store(output_dir):
+    """Status of each run as MLflow's UI shows it; none before there is a store."""
+    if not (output_dir / "mlflow.db").exists():
+        return []
+    return [run.info.status for run in store(output_dir).search_runs(["1"])]

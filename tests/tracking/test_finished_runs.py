@@ -72,7 +72,6 @@ def test_a_run_whose_damaged_file_is_restored_or_deleted_is_whole_again(finished
         assert "metrics.jsonl changed after the run was finished" in problem
         mend()
         assert call_script("status", f"output_dir={finished.output_dir}", "sync=true").returncode == 0
-        assert finished.unsynced is None
         assert stored_files(finished)["metrics.jsonl"] == content
 
 

@@ -245,17 +245,17 @@ def test_a_failed_store_is_not_tried_again_until_the_end_of_the_run(fresh_dir):
     blocked.touch()  # a file where the database's folder is to be
     uri = f"sqlite:///{blocked / 'mlflow.db'}"
     directory, messages = written_run(fresh_dir, uri=uri), []
-    tracker = Tracker(directory.config(), directory, messages.append)
-    tracker.begin()
+    tracker = Tracker(uri, directory, messages.append)
+    tracker.mirror()
     problem = f"[Errno 17] File exists: '{blocked}'"
-    assert directory.unsynced == problem
+    assert tracker.problem == problem
     assert problem in messages[0]
     assert sync_hint(fresh_dir, uri) in messages[0]
     blocked.unlink()
     tracker.sync()
-    assert directory.unsynced == problem
+    assert tracker.problem == problem
     tracker.mirror()
-    assert directory.unsynced is None
+    assert tracker.problem is None
     assert messages[1:] == ["the store is complete again"]
 
 
@@ -265,7 +265,6 @@ def test_a_store_that_fails_in_the_middle_is_completed(output_dir):
     for statement, problem in ((change_store, "disk is full"), ("DROP TRIGGER full", None)):
         rows(output_dir, statement)
         assert mirror_all(output_dir) == [problem]
-        assert directory.unsynced == problem
     assert_mirrored(directory)
 
 
@@ -276,7 +275,7 @@ def test_a_run_whose_store_is_down_finishes_and_is_sent_later(tmp_path):
     done = run_script("train", "experiment=smoke", f"output_dir={tmp_path}")
     assert done.returncode == 0, done.stderr
     directory, problem = only_run(tmp_path), "unable to open database file"
-    assert (directory.status, directory.unsynced, directory.run_id) == ("done", problem, None)
+    assert (directory.status, directory.run_id) == ("done", None)
     assert done.stderr.count(problem) == 1
     assert "Traceback" not in done.stderr
     blocked.rmdir()
