@@ -152,28 +152,6 @@ class CloseFails(BitFlip):
         raise RuntimeError("Not connected to physics server.")
 
 
-class Diverges(BitFlip):
-    """Its observation is NaN from the 300th step of the process on."""
-
-    n_steps = 0
-
-    def step(self, action):
-        Diverges.n_steps += 1
-        observation, *rest = super().step(action)
-        if Diverges.n_steps >= 300:
-            observation["observation"] = np.full(BITS, np.nan)
-        return observation, *rest
-
-
-class Extra(BitFlip):
-    """The observation has a further entry."""
-
-    observation_space = gym.spaces.Dict({**BitFlip.observation_space.spaces, "sign": gym.spaces.Box(-1, 1, (2,))})
-
-    def _observe(self):
-        return {**super()._observe(), "sign": self.np_random.choice([-1, 1], 2).astype(np.float32)}
-
-
 class OwnGoal(BitFlip):
     """`compute_reward` looks at the goal that the environment keeps."""
 
@@ -200,15 +178,6 @@ class RewardWrapper(gym.Wrapper):
     """`compute_reward` is on the wrapper, where Stable-Baselines3 finds it."""
 
     compute_reward, compute_terminated = BitFlip.compute_reward, BitFlip.compute_terminated
-
-
-class InfoArray(Priced):
-    """`compute_reward` takes one info, or an array of infos as Stable-Baselines3 passes it, and no list."""
-
-    def compute_reward(self, achieved_goal, desired_goal, info):
-        if isinstance(info, list):
-            raise TypeError("info is a list")
-        return super().compute_reward(achieved_goal, desired_goal, info)
 
 
 class SmallSeeds(BitFlip):
@@ -253,7 +222,7 @@ def wrapped_bit_flip():
 
 
 REFUSED = (OneByOne, OtherReward, Silent, Broken, Discrete, Worded, OwnGoal, IntegerActions)
-QUIRKY = (Blank, LosesContext, CloseFails, Diverges, Extra, InfoArray, SmallSeeds, Counted, Exits)
+QUIRKY = (Blank, LosesContext, CloseFails, SmallSeeds, Counted, Exits)
 for cls in (BitFlip, Priced, Unseeded, Drawn, *REFUSED, *QUIRKY):
     gym.register(f"{cls.__name__}-v0", cls, max_episode_steps=BITS)
 gym.register("Endless-v0", BitFlip)
