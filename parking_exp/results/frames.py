@@ -10,11 +10,20 @@ from typing import TYPE_CHECKING, Any, cast
 
 import pandas as pd
 
-from parking_exp.config.cell_labels import LABEL, parse_value
+from parking_exp.config.cell_labels import LABEL, Config, Setting, parse_value
 from parking_exp.config.paths import database, default_uri, directory_path, refuse_password
 from parking_exp.errors import ParkingError, ResultsError, suggestion
-from parking_exp.results.run_logs import CATEGORIES, CURVE, CURVE_TYPES, EPISODES, read_episodes, read_points
+from parking_exp.results.run_logs import (
+    CATEGORIES,
+    CURVE,
+    CURVE_TYPES,
+    EPISODES,
+    config_reader,
+    read_episodes,
+    read_points,
+)
 from parking_exp.runs.metric_logs import EPISODES_FILE, METRICS_FILE
+from parking_exp.runs.run_files import CONFIG_FILE
 from parking_exp.tasks.registry import METRICS
 from parking_exp.tracking.client import reason
 from parking_exp.tracking.store import Store
@@ -23,7 +32,7 @@ if TYPE_CHECKING:
     from mlflow.entities import Run
 
 STATUSES = ("done", "running", "failed", "interrupted")
-# Parameters and metrics, and their columns.
+# Keys of the config and metrics, and their columns.
 CONFIGURED = {
     "total_timesteps": "total_timesteps",
     "evaluation.final_n_scenes": "n_scenes",
@@ -97,6 +106,8 @@ def read_store(store: Store, experiments: str | Iterable[str] | None) -> Results
             searched = store.uri if experiments is None else f"experiment={','.join(ids)}"
             raise ResultsError(f"{searched}: it has no runs of parking_exp")
         runs = _runs(kept, {experiment_id: name for name, experiment_id in ids.items()}, store.run_dir)
+    configs, config_problems = _read_files(store, runs, CONFIG_FILE, config_reader())
+    runs = _with_configs(runs, configs)
     logs, log_problems = _read_files(store, runs, METRICS_FILE, read_points)
     points = [{"run_id": run_id, **point} for run_id, log in logs.items() for point in log]
     curves = pd.DataFrame(points, columns=[*CURVE_TYPES]).astype(CURVE_TYPES)
@@ -108,7 +119,8 @@ def read_store(store: Store, experiments: str | Iterable[str] | None) -> Results
     none = pd.DataFrame(columns=["run_id", *EPISODES]).astype(EPISODES)
     parts = [none, *(table.assign(run_id=run_id) for run_id, table in tables.items())]
     episodes = pd.concat(parts, ignore_index=True).astype({"run_id": run_ids, **CATEGORIES})
-    return Results(runs, curves, episodes, store.uri, (*_duplicates(runs), *log_problems, *table_problems))
+    problems = (*_duplicates(runs), *config_problems, *log_problems, *table_problems)
+    return Results(runs, curves, episodes, store.uri, problems)
 
 
 @contextmanager
@@ -141,20 +153,25 @@ def _is_from_this_package(run: "Run") -> bool:
 
 
 def config_column(texts: Iterable[str | None], key: str = "") -> pd.Series:
-    """Return the typed values of a config key; where some are None, all stay Python objects."""
+    """Return the typed values of a config key in an export."""
     values = []
     for text in texts:
         value = parse_value(text)
         # Stores and exports of earlier versions have no quotes around a label that looks like a number.
         values.append(text if key == LABEL and isinstance(value, int | float) else value)
+    return _setting_column(values)
+
+
+def _setting_column(values: Sequence[Setting]) -> pd.Series:
+    """Return the values of a config key as a column; where some are None, all stay Python objects."""
     return pd.Series(values, dtype=object if None in values else None)
 
 
 def _runs(stored: Sequence["Run"], names: Mapping[str, str], run_dir: Callable[["Run"], Path | None]) -> pd.DataFrame:
-    """Return `Results.runs` without `steps`, which comes from files."""
+    """Return `Results.runs` without what comes from files: the config and `steps`."""
     rows = []
     for run in stored:
-        info, tags, params, metrics = run.info, run.data.tags, run.data.params, run.data.metrics
+        info, tags, metrics = run.info, run.data.tags, run.data.metrics
         final = FINAL if tags["status"] == "done" else {}
         path = run_dir(run)
         rows.append(
@@ -165,7 +182,7 @@ def _runs(stored: Sequence["Run"], names: Mapping[str, str], run_dir: Callable[[
                 "experiment": names[info.experiment_id],
             }
             | {"error": tags.get("error") or None, "steps": 0}
-            | {column: parse_value(params.get(key)) for key, column in CONFIGURED.items()}
+            | dict.fromkeys(CONFIGURED.values())
             | {column: metrics.get(key) for key, column in (final | COST).items()}
             | {"started": info.start_time, "ended": info.end_time}
             | {"run_dir": str(path) if path else None, "artifact_uri": info.artifact_uri}
@@ -175,11 +192,27 @@ def _runs(stored: Sequence["Run"], names: Mapping[str, str], run_dir: Callable[[
     for name in ("started", "ended"):
         runs[name] = pd.to_datetime(runs[name].astype("Int64"), unit="ms", utc=True, errors="coerce")
     versions = sorted({name for run in stored for name in run.data.tags if name.startswith("version.")})
-    keys = sorted({key for run in stored for key in run.data.params})
     described = {name: pd.Series([run.data.tags.get(name) for run in stored], dtype=TEXT) for name in versions}
-    config = {f"config.{key}": config_column([run.data.params.get(key) for run in stored], key) for key in keys}
-    runs = pd.concat([runs.astype(RUN_TYPES), pd.DataFrame(described | config)], axis=1)
+    runs = pd.concat([runs.astype(RUN_TYPES), pd.DataFrame(described)], axis=1)
     return runs.sort_values(["experiment", "cell", "seed", "started"], ignore_index=True)
+
+
+def _with_configs(runs: pd.DataFrame, configs: Mapping[str, Config]) -> pd.DataFrame:
+    """Return runs with the columns of their configs, which are given by run id."""
+    rows = [configs.get(run_id, {}) for run_id in runs["run_id"]]
+    for key, column in CONFIGURED.items():
+        counts = [_count(row.get(key)) for row in rows]
+        runs[column] = pd.Series(counts, dtype="Int64")
+    keys = sorted({key for row in rows for key in row})
+    columns = {f"config.{key}": _setting_column([row.get(key) for row in rows]) for key in keys}
+    return pd.concat([runs, pd.DataFrame(columns)], axis=1)
+
+
+def _count(value: Setting) -> int | None:
+    """Return a setting that is a number of steps or episodes; a file of others may have anything."""
+    if isinstance(value, int) and 0 <= value < 2**63:
+        return value
+    return None
 
 
 def _read_files(

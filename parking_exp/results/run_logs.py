@@ -1,13 +1,18 @@
-"""Parsers of a run's files, as the store has them: metrics to points of curves, episodes to a frame."""
+"""Parsers of a run's files, as the store has them: config to settings, metrics to curves, episodes to a frame."""
 
 import io
 import json
+import re
+from collections.abc import Callable
+from functools import cache
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
+from parking_exp.config.cell_labels import Config, settings_of
 from parking_exp.config_model import TRAINING_SEEDS_START
+from parking_exp.runs.atomic_files import parse_plain_yaml
 from parking_exp.tasks.metrics import EPISODE_SEED
 from parking_exp.tasks.registry import DTYPES, METRICS, OUTCOMES
 
@@ -26,6 +31,26 @@ EPISODES: dict[str, Any] = {**REQUIRED, **DTYPES}
 """Columns of `Results.episodes` after the run id, and their types."""
 CATEGORIES = {name: kind for name, kind in EPISODES.items() if isinstance(kind, pd.CategoricalDtype)}
 NUMBERS = {name: kind for name, kind in EPISODES.items() if name not in CATEGORIES}
+
+
+SEED_LINE = re.compile(rb"^seed: (\d{1,10})$", re.MULTILINE)
+
+
+def config_reader() -> Callable[[bytes], Config]:
+    """Return a parser of the content of a `config.yaml`; any error means that it is damaged.
+
+    Runs of a cell differ in the line of their seed; what they share is parsed once, since YAML is slow.
+    """
+    read_shared = cache(lambda content: settings_of(parse_plain_yaml(content)))
+
+    def read(content: bytes) -> Config:
+        seed = SEED_LINE.search(content)
+        if seed is None:
+            return read_shared(content)
+        shared = content[: seed.start()] + content[seed.end() :]
+        return {**read_shared(shared), "seed": int(seed[1])}
+
+    return read
 
 
 def read_points(log: bytes) -> list[dict[str, Any]]:

@@ -80,9 +80,14 @@ def read_json(path: Path) -> Any:
 
 
 def read_plain_yaml(path: Path) -> Any:
-    """Read a YAML file that holds what JSON has; raises ValueError for a tag, an alias or a date."""
+    """Read a YAML file; raises as `read_file` and `parse_plain_yaml`."""
+    return parse_plain_yaml(read_file(path, MAX_SMALL))
+
+
+def parse_plain_yaml(content: bytes) -> Any:
+    """Return what YAML describes; raises ValueError for what JSON lacks, such as tags, aliases and dates."""
     try:
-        return json.loads(json.dumps(yaml.load(read_file(path, MAX_SMALL), _PlainLoader)))
+        return json.loads(json.dumps(yaml.load(content, _PlainLoader)))
     except (yaml.YAMLError, RecursionError, LookupError, AttributeError, TypeError) as error:
         raise ValueError(first_line(error)) from error
 

@@ -12,7 +12,6 @@ import pandas as pd
 import pytest
 from support.runs import in_memory, read_text
 from support.store_factory import Look, compose, make_store
-from support.tracked_runs import rows
 
 from parking_exp.config.cell_labels import parse_value, setting_text
 from parking_exp.errors import ConfigError, ResultsError
@@ -27,9 +26,9 @@ LOOKS = {
     ("none", 0): Look(success=1.0, crash=0.0, tags={"cpu": "Zürich 学習", "git_dirty": None}, nan=["eval/return_mean"]),
     ("none", 1): Look(status="running"),
 }
-PARAMS = {
-    "four": {"x.list": "[1, 2]", "x.mixed": "word", "x.whole": "3", "x.flag": "True", "x.text": HOSTILE, "x.path": "/home/me/own"},
-    "none": {"x.list": "[1, 2]", "x.mixed": "0.5", "x.null": "None", "x.number": "0.1234567891", "x.huge": "9" * 30, "x.empty": ""},
+SETTINGS = {
+    "four": {"list": [1, 2], "mixed": "word", "whole": 3, "flag": True, "text": HOSTILE, "path": "/home/me/own"},
+    "none": {"list": [1, 2], "mixed": 0.5, "null": None, "number": 0.1234567891, "huge": int("9" * 30), "empty": ""},
 }  # fmt: skip
 
 
@@ -38,7 +37,7 @@ def stored(empty):
     """Results of two cells with a done and another run each."""
     with in_memory() as folder:
         shutil.copy(empty / "mlflow.db", folder)
-        looks = {key: replace(look, params=PARAMS[key[0]]) for key, look in LOOKS.items()}
+        looks = {key: replace(look, settings=SETTINGS[key[0]]) for key, look in LOOKS.items()}
         make_store(Path(folder), "her", HER, range(2), lambda *key: looks[key])
         yield load("her", output_dir=folder)
 
@@ -195,9 +194,9 @@ def test_labels_and_words_that_look_like_numbers_stay_text_in_stores_and_exports
         label: compose().model_copy(update={"label": label, "contrasts": contrasts, "torch_threads": number})
         for number, label in enumerate(LABELS, 1)
     }
-    words = {label: {"x.word": setting_text(label), "x.number": setting_text(0.1)} for label in LABELS}
+    words = {label: {"word": label, "number": 0.1} for label in LABELS}
     named = {f"{number}": config for number, config in enumerate(cells.values())}
-    make_store(output_dir, "e", named, [0], lambda name, _: Look(params=words[LABELS[int(name)]]))
+    make_store(output_dir, "e", named, [0], lambda name, _: Look(settings=words[LABELS[int(name)]]))
     stored = load("e", output_dir=output_dir)
     exported = read_export(write_export(stored, tmp_path / "export"))
     for results in (stored, exported):
@@ -205,12 +204,6 @@ def test_labels_and_words_that_look_like_numbers_stay_text_in_stores_and_exports
         assert set(results.runs["config.contrasts"]) == {str(contrasts)}
         assert set(results.runs["config.x.number"]) == {0.1}
     assert set(stored.runs["config.x.word"]) == set(LABELS)
-
-
-def test_labels_of_stores_of_earlier_versions_are_text(output_dir):
-    make_store(output_dir, "e", {"a": ["label=x"]}, [0])
-    rows(output_dir, "UPDATE params SET value = '0.10' WHERE key = 'label'")
-    assert load("e", output_dir=output_dir).runs["config.label"].tolist() == ["0.10"]
 
 
 @pytest.mark.parametrize(

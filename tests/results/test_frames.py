@@ -102,12 +102,12 @@ def test_config_columns_are_typed_and_what_a_cell_does_not_have_is_missing(ablat
     assert runs["config.timeout_s"].isna().all()
 
 
-PARAMS = [("3", 3), ("5e-05", 5e-05), ("inf", math.inf), ("True", True), (None, None), ("[1, 2]", "[1, 2]"),
+TEXTS = [("3", 3), ("5e-05", 5e-05), ("inf", math.inf), ("True", True), (None, None), ("[1, 2]", "[1, 2]"),
           ("2024_11", "2024_11")]  # fmt: skip
 
 
-@pytest.mark.parametrize(("text", "value"), PARAMS)
-def test_a_parameter_has_the_value_that_was_logged(text, value):
+@pytest.mark.parametrize(("text", "value"), TEXTS)
+def test_a_setting_in_an_export_has_its_value(text, value):
     assert frames.parse_value(text) == value
     assert type(frames.parse_value(text)) is type(value)
 
@@ -136,6 +136,20 @@ def test_a_damaged_file_is_a_problem_of_its_run_alone(output_dir):
     pattern = rf"run \w+ \({results.runs['cell'][0]}, seed (\d+)\): (\S+) (is missing|can't be read: ).*"
     problems = [re.fullmatch(pattern, problem).groups()[:2] for problem in results.problems]
     assert problems == [("10", "metrics.jsonl"), *((str(seed), "episodes.csv") for seed in (*range(7), 9))]
+
+
+def test_a_damaged_config_is_a_problem_of_its_run_alone(output_dir):
+    contents = [b"", b"a: [", b"word", b"a: &a 1\nb: *a", b"total_timesteps: many\nseed: 4"]
+    made = make_store(output_dir, "e", {"": []}, range(len(contents) + 1))
+    for seed, content in enumerate(contents):
+        artifacts = output_dir / "mlflow-artifacts" / "e" / made["", seed].run_id / "artifacts"
+        (artifacts / "config.yaml").write_bytes(content)
+    results = load("e", output_dir=output_dir)
+    problem = rf"run \w+ \({results.runs['cell'][0]}, seed (\d)\): config.yaml can't be read: .*"
+    assert [re.fullmatch(problem, text)[1] for text in results.problems] == ["0", "1", "2", "3"]
+    *damaged, whole = results.runs["total_timesteps"]
+    assert (pd.isna(damaged).all(), whole) == (True, compose().total_timesteps)
+    assert results.runs["config.seed"].tolist() == [None, None, None, None, 4, 5]
 
 
 def test_runs_that_are_not_done_have_what_they_came_to_and_no_final_numbers(ablation):

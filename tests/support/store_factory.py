@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+import yaml
 
 from parking_exp.config.compose import compose_configs
 from parking_exp.config.paths import default_uri
@@ -41,7 +42,8 @@ class Look:
         curve: success rate of each evaluation, evenly spaced; None: a rise to `success` in every_n_steps.
         progress: fraction of the evaluations that an unfinished run has made.
         missing, contents: artifacts that are missing, and those with other content.
-        tags, params: that the store has besides or instead; None: a missing tag.
+        tags: that the store has besides or instead; None: a missing tag.
+        settings: that its config.yaml has besides, under the key `x`.
         rows: of training metrics between two evaluations.
     """
 
@@ -59,7 +61,7 @@ class Look:
     nan: Sequence[str] = ()
     real_share: float = 0.5
     tags: Mapping[str, str | None] = field(default_factory=dict)
-    params: Mapping[str, str] = field(default_factory=dict)
+    settings: Mapping[str, Any] = field(default_factory=dict)
     rows: int = 2
     started_ms: int = STARTED_MS
 
@@ -220,5 +222,7 @@ def _send(directory: RunDirectory, look: Look, store: Store) -> None:
             store.client.delete_tag(directory.run_id, key)
         else:
             store.client.set_tag(directory.run_id, key, value)
-    for key, value in look.params.items():
-        store.client.log_param(directory.run_id, key, value)
+    if look.settings:
+        run = store.client.get_run(directory.run_id)
+        config = store.artifact(directory.run_id, run.info.artifact_uri, "config.yaml")
+        store.put_artifact(run, "config.yaml", config + yaml.safe_dump({"x": dict(look.settings)}).encode())
