@@ -123,6 +123,28 @@ def test_envs_few_has_the_values_of_the_measured_cell_and_composes_with_algorith
         assert config.algorithm.arguments["learning_starts"] == 1000
 
 
+@pytest.mark.parametrize("algorithm", ["sac", "td3", "ddpg"])
+def test_the_tiny_budget_has_a_recipe_for_parking_that_the_command_line_overrides(algorithm):
+    config = make_config("budget=tiny", f"algorithm={algorithm}")
+    assert (config.total_timesteps, config.n_envs, config.algorithm.arguments["tau"]) == (43_000, 128, 0.14)
+    assert update_ratio_warning(config) is None
+    changed = make_config("budget=tiny", f"algorithm={algorithm}", "algorithm.tau=0.01", "total_timesteps=50000")
+    assert (changed.total_timesteps, changed.n_envs, changed.algorithm.arguments["tau"]) == (50_000, 128, 0.01)
+
+
+@pytest.mark.parametrize(
+    "other",
+    [
+        *(["algorithm=tqc"], ["algorithm=crossq"], ["env=parking_stop"]),
+        *(["env=point_maze"], ["env=point_maze", "algorithm=sac"], ["env=gymnasium", "env.id=FetchReach-v4"]),
+    ],
+)
+def test_the_tiny_budget_keeps_the_hyperparameters_of_other_tasks_and_algorithms(other):
+    plain, tiny = make_config(*other), make_config("budget=tiny", *other)
+    assert tiny.total_timesteps == 64_000
+    assert (tiny.algorithm, tiny.n_envs) == (plain.algorithm, plain.n_envs)
+
+
 @pytest.mark.parametrize("n_envs", [1, 2, 8, 256])
 def test_the_rounds_of_every_ratio_that_is_accepted_are_exact(n_envs):
     default = make_config()
