@@ -26,6 +26,7 @@ from parking_exp.runs.metric_logs import EPISODES_FILE, METRICS_FILE
 from parking_exp.runs.run_files import CONFIG_FILE
 from parking_exp.tasks.registry import METRICS
 from parking_exp.tracking.client import reason
+from parking_exp.tracking.mirror import prepare
 from parking_exp.tracking.store import Store
 
 if TYPE_CHECKING:
@@ -99,6 +100,7 @@ def read_store(store: Store, experiments: str | Iterable[str] | None) -> Results
     if (path := database(store.uri)) is not None and not path.is_file():
         raise ResultsError(f"there is no store {path}; train something first, or name another output_dir or store")
     with as_results_error(f"the store {store.uri} can't be read"):
+        prepare(store)
         ids = _chosen(store, experiments)
         stored = store.runs(ids.values())
         kept = [run for run in stored if run.info.lifecycle_stage == "active" and _is_from_this_package(run)]

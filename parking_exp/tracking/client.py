@@ -9,7 +9,7 @@ Readers (`mlflow ui`) need no lock.
 import logging
 import os
 import sqlite3
-from contextlib import AbstractContextManager, closing, nullcontext
+from contextlib import AbstractContextManager, nullcontext
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -50,6 +50,10 @@ def import_mlflow() -> None:
         os.environ["HOME"] = "/nonexistent"  # a user of a container may have none, for which mlflow's import fails
     import mlflow  # noqa: F401
 
+    for name in ("alembic", "mlflow"):
+        logging.getLogger(name).setLevel(logging.WARNING)
+    logging.getLogger("mlflow.store").setLevel(logging.CRITICAL)  # it prints the traceback of what it raises
+
 
 @cache
 def say_ignored_store() -> None:
@@ -58,37 +62,19 @@ def say_ignored_store() -> None:
         say("MLFLOW_TRACKING_URI is ignored; tracking.uri=URI chooses a store other than output_dir's", stderr=True)
 
 
-def connect(uri: str, output_dir: Path | None = None) -> "MlflowClient":
-    """Return a client of a store that has answered; create an embedded store if needed.
+def connect(uri: str) -> "MlflowClient":
+    """Return a client of a store that has answered; make a database of sqlite if there is none.
 
     Raises whatever MLflow, SQLAlchemy or the disk raise; `reason` makes a sentence of it.
-
-    Args:
-        uri: of the store.
-        output_dir: the directory that an embedded store is in, and may have been moved with.
     """
     import_mlflow()
-    for name in ("alembic", "mlflow"):
-        logging.getLogger(name).setLevel(logging.WARNING)
-    logging.getLogger("mlflow.store").setLevel(logging.CRITICAL)  # it prints the traceback of what it raises
     path = database(uri)
-    if path is None or (path.exists() and not os.access(path.parent, os.W_OK)):  # who can't write may still read
-        return _open(uri)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with write_lock(uri):  # processes that make the same store at once collide in MLflow's migrations
-        if not path.exists():
-            _make_database(path)
-        try:
-            client = _open(uri)
-        except Exception:
-            if not _has_interrupted_migrations(path):
-                raise
-            path.replace(path.with_name(f"{path.name}.unusable"))
-            _make_database(path)
-            client = _open(uri)
-        if output_dir is not None and os.access(path, os.W_OK):
-            _relocate_artifacts(path, output_dir)
-        return client
+    if path is not None and not path.exists():
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with write_lock(uri):  # processes that make the same store at once collide in MLflow's migrations
+            if not path.exists():
+                _make_database(path)
+    return open_client(uri)
 
 
 def write_lock(uri: str) -> AbstractContextManager[Any]:
@@ -128,35 +114,7 @@ def _make_database(path: Path) -> None:
             file.unlink(missing_ok=True)
 
 
-def _has_interrupted_migrations(path: Path) -> bool:
-    """Return whether a database is an empty store whose migrations were interrupted; MLflow can't complete it."""
-    with closing(sqlite3.connect(path)) as connection:
-        tables = {name for (name,) in connection.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
-        for table in tables - {"alembic_version", "workspaces"}:
-            user_made = "WHERE experiment_id != 0" if table == "experiments" else ""
-            if connection.execute(f'SELECT 1 FROM "{table}" {user_made} LIMIT 1').fetchone():
-                return False
-        return not tables or "experiments" in tables
-
-
-def _relocate_artifacts(path: Path, output_dir: Path) -> None:
-    """Point an embedded store to artifacts below the output directory that it is in now.
-
-    MLflow keeps absolute locations, which its client can't change: a moved store would keep writing to the old place,
-    a copied one to the original's. Experiments without the tag, of runs in other output directories, stay as they are.
-    """
-    with closing(sqlite3.connect(path)) as connection, connection:
-        tagged = "SELECT experiment_id, value FROM experiment_tags WHERE key = ? AND value != ?"
-        for experiment_id, earlier in connection.execute(tagged, (OUTPUT_DIR_TAG, str(output_dir))).fetchall():
-            old, new = f"{Path(earlier).absolute().as_uri()}/", f"{output_dir.as_uri()}/"
-            for table, column in (("experiments", "artifact_location"), ("runs", "artifact_uri")):
-                moved = f"UPDATE {table} SET {column} = replace({column}, ?, ?) WHERE experiment_id = ?"
-                connection.execute(moved, (old, new, experiment_id))
-            renamed = "UPDATE experiment_tags SET value = ? WHERE experiment_id = ? AND key = ?"
-            connection.execute(renamed, (str(output_dir), experiment_id, OUTPUT_DIR_TAG))
-
-
-def _open(uri: str) -> "MlflowClient":
+def open_client(uri: str) -> "MlflowClient":
     """Return a client of a store that has answered."""
     from mlflow import MlflowClient
     from sqlalchemy import create_engine, inspect

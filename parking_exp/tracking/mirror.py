@@ -7,32 +7,38 @@ which an interrupted run resumes, and all of them when the run is done. Files of
 are not sent.
 """
 
+import os
 import shlex
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from filelock import FileLock
+from rich.progress import track
 
 from parking_exp.config.cell_labels import setting_text, settings_of
-from parking_exp.config.paths import database, default_uri, is_same_store, relative_path, resolved
+from parking_exp.config.paths import SQLITE, database, default_uri, is_same_store, relative_path, resolved
 from parking_exp.config.run_key import short_hash
 from parking_exp.config.schema import RunConfig
 from parking_exp.errors import StoreError, one_line, plural
 from parking_exp.runs.atomic_files import read_file, read_object
 from parking_exp.runs.directory import EVALUATIONS, MODEL, WRITTEN_AT_THE_END, RunDirectory, Status
+from parking_exp.runs.lookup import find_runs
 from parking_exp.runs.metric_logs import METRICS_FILE, read_metrics
 from parking_exp.runs.output_identity import output_id
 from parking_exp.runs.run_files import CONFIG_FILE, STATUS_FILE
 from parking_exp.runs.run_provenance import PROVENANCE_FILE
-from parking_exp.terminal import program
-from parking_exp.tracking.client import reason
+from parking_exp.terminal import console, program
+from parking_exp.tracking.client import reason, write_lock
+from parking_exp.tracking.embedded_store import is_usable, remove_unfinished, set_aside, unfinished_path
 from parking_exp.tracking.store import Store
 
 if TYPE_CHECKING:
     from mlflow.entities import Metric, Run
 
 DIGEST, STARTED, STATUS, OUTPUT_ID = "mirrored", "started_ms", "status", "output_id"  # tags
+FEW_RUNS = 20  # are sent in a second or two
 WAIT_S = 120  # for another process that mirrors the same run
 MAX_ERROR_LENGTH = 500
 MAX_PARAM_LENGTH = 6000  # MLflow refuses longer values; the whole config is also an artifact
@@ -42,48 +48,107 @@ FROM_STATUS = ("command", "search", "trial")  # tags
 
 def mirror(directory: RunDirectory, store: Store) -> None:
     """Make a store agree with a run directory; idempotent."""
+    prepare(store)
+    with FileLock(directory.path / ".sync.lock", timeout=WAIT_S):
+        _send(directory, store, store.uri)
+
+
+def prepare(store: Store) -> None:
+    """Make the store inside of an output directory again from the run directories, if it can't be used.
+
+    It is made under another name, and renamed. What can't be sent now is left to the next sync, which says why.
+
+    Raises whatever MLflow, SQLAlchemy or the disk raise.
+    """
+    path = store.own_database
+    if path is None or (store.is_checked and path.exists()):
+        return
+    store.refuse_link()
+    path.parent.mkdir(parents=True, exist_ok=True)
+    if os.access(path.parent, os.W_OK):  # who can't write may still read
+        with write_lock(store.uri):
+            if not is_usable(path, path.parent):
+                _build(path, store.uri)
+    store.is_checked = True
+
+
+def _build(path: Path, uri: str) -> None:
+    """Make a store from the run directories beside it, in place of one that is there.
+
+    Args:
+        path: of the store.
+        uri: of the store.
+    """
+    output_dir = path.parent
+    remove_unfinished(path, output_dir)
+    set_aside(path, output_dir)
+    unfinished = unfinished_path(path)
+    new = Store(f"{SQLITE}{unfinished}", output_dir)
+    new.experiments()  # which makes it, even for no run
+    directories = [RunDirectory(run_dir) for run_dir in find_runs(output_dir)]
+    tracked = [run for run in directories if run.tracking_uri and is_same_store(run.tracking_uri, uri)]
+    is_quick = len(tracked) < FEW_RUNS
+    for directory in track(tracked, "making the store", console=console(stderr=True), transient=True, disable=is_quick):
+        with suppress(Exception):
+            _send(directory, new, uri, is_new=True)
+    unfinished.replace(path)
+    remove_unfinished(path, output_dir)  # its lock
+
+
+def _send(directory: RunDirectory, store: Store, uri: str, *, is_new: bool = False) -> None:
+    """Send a run directory to a store.
+
+    Args:
+        directory: of the run.
+        store: that gets it.
+        uri: of the store, under the name that it is going to have.
+        is_new: whether the store is known to lack the run.
+    """
     config = directory.config()
     directory.check_links()
-    with FileLock(directory.path / ".sync.lock", timeout=WAIT_S):
-        if changed := directory.changed_files():
-            raise StoreError(_describe_damage(changed))
-        status = _status(directory)
-        files = _files(directory, status)
-        digest = _digest(directory, status, files)
-        tags = _tags(directory, config, store)
-        experiment_id = store.experiment_id(config)
-        run, earlier = _find(directory, store, experiment_id, tags)
-        run_name = f"{config.cell}-seed={config.seed}"
-        if directory.is_evaluated_again and (earlier or (run and STARTED not in tags)):
-            return  # its results stay until that is done
-        for each in earlier:
-            with store.writing() as client:
-                client.delete_run(each.info.run_id)  # it can be restored in MLflow's UI
-        if run is None:
-            start_ms = int(tags[STARTED]) if STARTED in tags else None
-            with store.writing() as client:
-                run = client.create_run(experiment_id, start_ms, {**tags, STATUS: "running"}, run_name)
-        if directory.run_id != run.info.run_id or directory.tracking_uri != store.uri:
-            directory.update(run_id=run.info.run_id, tracking_uri=store.uri)
-        is_same = (run.data.tags.get(DIGEST), run.data.tags.get("run_dir")) == (digest, tags["run_dir"])
-        if is_same and store.has_artifacts(run, files):
-            return
-        if status == "done" and run.data.tags.get(STATUS) == "done" and not directory.has_hashes:
-            raise StoreError("files changed, and result.json has no hashes to check them; the store keeps what it has")
-        params = {key: setting_text(value)[:MAX_PARAM_LENGTH] for key, value in settings_of(config.plain()).items()}
-        store.log(run, params, tags, list(_new_metrics(run, files.get(METRICS_FILE))))
-        for name, file in files.items():
-            store.put_artifact(run, name, read_file(file))
+    if changed := directory.changed_files():
+        raise StoreError(_describe_damage(changed))
+    status = _status(directory)
+    files = _files(directory, status)
+    digest = _digest(directory, status, files)
+    tags = _tags(directory, config, store)
+    experiment_id = store.experiment_id(config)
+    run, earlier = (None, []) if is_new else _find(directory, store, experiment_id, tags)
+    run_name = f"{config.cell}-seed={config.seed}"
+    if directory.is_evaluated_again and (earlier or (run and STARTED not in tags)):
+        return  # its results stay until that is done
+    for each in earlier:
         with store.writing() as client:
-            if status == "running":
-                client.update_run(run.info.run_id, "RUNNING")
-            else:
-                last = files.get(METRICS_FILE, files[CONFIG_FILE])
-                end_ms = last.stat().st_mtime_ns // 1_000_000
-                client.set_terminated(run.info.run_id, MLFLOW_STATUS.get(status, "KILLED"), end_ms)
-            if status == "done" and run.info.run_name == run_name:  # the first thing that MLflow's UI shows of a run
-                client.update_run(run.info.run_id, name=f"{_rate(directory)}{run_name}")
-        store.log(run, {}, {DIGEST: digest, STATUS: status})
+            client.delete_run(each.info.run_id)  # it can be restored in MLflow's UI
+    # Nobody reads a store that is being made: its runs have their last tags and names from the start.
+    last_tags = {DIGEST: digest, STATUS: status}
+    last_name = f"{_rate(directory)}{run_name}" if status == "done" else run_name
+    if run is None:
+        start_ms = int(tags[STARTED]) if STARTED in tags else None
+        first_tags = last_tags if is_new else {STATUS: "running"}
+        with store.writing() as client:
+            run = client.create_run(experiment_id, start_ms, tags | first_tags, last_name if is_new else run_name)
+    if directory.run_id != run.info.run_id or directory.tracking_uri != uri:
+        directory.update(run_id=run.info.run_id, tracking_uri=uri)
+    is_same = (run.data.tags.get(DIGEST), run.data.tags.get("run_dir")) == (digest, tags["run_dir"])
+    if not is_new and is_same and store.has_artifacts(run, files):
+        return
+    if not is_new and status == "done" and run.data.tags.get(STATUS) == "done" and not directory.has_hashes:
+        raise StoreError("files changed, and result.json has no hashes to check them; the store keeps what it has")
+    params = {key: setting_text(value)[:MAX_PARAM_LENGTH] for key, value in settings_of(config.plain()).items()}
+    store.log(run, params, tags, list(_new_metrics(run, files.get(METRICS_FILE))))
+    for name, file in files.items():
+        store.put_artifact(run, name, read_file(file))
+    with store.writing() as client:
+        if status == "running":
+            client.update_run(run.info.run_id, "RUNNING")
+        else:
+            last = files.get(METRICS_FILE, files[CONFIG_FILE])
+            end_ms = last.stat().st_mtime_ns // 1_000_000
+            client.set_terminated(run.info.run_id, MLFLOW_STATUS.get(status, "KILLED"), end_ms)
+        if run.info.run_name == run_name != last_name:  # the first thing that MLflow's UI shows of a run
+            client.update_run(run.info.run_id, name=last_name)
+    store.log(run, {}, last_tags)
 
 
 def try_mirror(directory: RunDirectory, store: Store) -> str | None:
@@ -126,6 +191,7 @@ def mirror_missing(directories: Iterable[RunDirectory], store: Store) -> Iterato
     if not idle:
         return
     try:
+        prepare(store)
         ids = store.experiments()
         names = {directory.path.parents[1].name for directory in idle}
         runs = store.runs(ids[name] for name in names if name in ids)
@@ -148,6 +214,7 @@ def delete_stored(directory: RunDirectory, store: Store) -> None:
         StoreError: the store fails.
     """
     try:
+        prepare(store)
         own_id = None if store.is_own else output_id(directory.output_dir)
         experiment_id = store.experiments().get(directory.path.parents[1].name)
         runs = store.search([experiment_id]) if experiment_id else []

@@ -1,14 +1,15 @@
 """Read and write an MLflow store through its public client; many processes may write at a time."""
 
+import math
 import shlex
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import cached_property
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from parking_exp.config.paths import ARTIFACTS, absolute, database, lies_inside, local_folder
+from parking_exp.config.paths import ARTIFACTS, absolute, database, default_uri, lies_inside, local_folder
 from parking_exp.config.schema import RunConfig
 from parking_exp.errors import StoreError
 from parking_exp.runs.atomic_files import read_file, replacing
@@ -18,7 +19,7 @@ if TYPE_CHECKING:
     from mlflow import MlflowClient
     from mlflow.entities import Metric, Run
 
-METRICS_PER_BATCH, PARAMS_PER_BATCH = 1000, 100  # MLflow's own limits
+METRICS_PER_BATCH, PARAMS_PER_BATCH = 800, 100  # MLflow's limits are 100 parameters, and 1,000 entries in all
 RUNS_PER_PAGE, EXPERIMENTS = 10_000, 50_000  # one request for most stores; the latter is MLflow's limit
 
 
@@ -31,6 +32,7 @@ class Store:
 
     def __init__(self, uri: str, output_dir: Path | None) -> None:
         self.uri = absolute(uri)
+        self.is_checked = False  # whether it is known to be usable; see `mirror.prepare`
         self._database = path = database(self.uri)
         self._own_directory = output_dir if path and output_dir and path.is_relative_to(output_dir) else None
         self._runs = dict[frozenset[str], "list[Run]"]()  # of `runs`
@@ -43,12 +45,23 @@ class Store:
     @cached_property
     def client(self) -> "MlflowClient":
         """MLflow's client of the store, for reading; see `writing`. Raises what `client.connect` does."""
-        path, root = self._database, self._own_directory
-        if root:
+        if self._own_directory:
             say_ignored_store()
+        self.refuse_link()
+        return connect(self.uri)
+
+    @property
+    def own_database(self) -> Path | None:
+        """Its file, if it is the one store that the output directory itself has."""
+        if self._own_directory is None or self.uri != default_uri(self._own_directory):
+            return None
+        return self._database
+
+    def refuse_link(self) -> None:
+        """Raise StoreError if its file is a link that leads out of the output directory that it is in."""
+        path, root = self._database, self._own_directory
         if path and root and not lies_inside(path, root):
             raise StoreError(f"{path} is a symbolic link that leads out of {root}; name the store with tracking.uri=")
-        return connect(self.uri, root)
 
     @contextmanager
     def writing(self) -> "Iterator[MlflowClient]":
@@ -125,12 +138,16 @@ class Store:
 
         missing = [Param(key, value) for key, value in params.items() if key not in run.data.params]
         changed = [RunTag(key, value) for key, value in tags.items() if run.data.tags.get(key) != value]
-        batches: list[dict[str, Any]] = [{"tags": changed}] if changed else []
-        for kind, values, size in (("params", missing, PARAMS_PER_BATCH), ("metrics", metrics, METRICS_PER_BATCH)):
-            batches += [{kind: values[start : start + size]} for start in range(0, len(values), size)]
-        for batch in batches:
+        n_batches = max(
+            math.ceil(len(missing) / PARAMS_PER_BATCH),
+            math.ceil(len(metrics) / METRICS_PER_BATCH),
+            1 if changed else 0,
+        )
+        for number in range(n_batches):
+            some_metrics = metrics[number * METRICS_PER_BATCH : (number + 1) * METRICS_PER_BATCH]
+            some_params = missing[number * PARAMS_PER_BATCH : (number + 1) * PARAMS_PER_BATCH]
             with self.writing() as client:
-                client.log_batch(run.info.run_id, **batch)
+                client.log_batch(run.info.run_id, some_metrics, some_params, changed if number == 0 else ())
 
     def has_artifacts(self, run: "Run", files: Mapping[str, Path]) -> bool:
         """Return whether a run has artifacts of these names and sizes, if they are files of this machine."""

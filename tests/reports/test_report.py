@@ -3,12 +3,12 @@
 import json
 import re
 import shutil
-import sqlite3
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+import yaml
 from support.report_command import report
 from support.runs import ROOT, in_memory, store
 from support.store_factory import Look, make_store
@@ -141,9 +141,10 @@ def test_hostile_names_are_text_everywhere(output_dir):
     hostile = "<script>window.pwned=1</script>"
     tags = {"cpu": hostile, "mlflow.runName": hostile, "cell": f"x{hostile}-a"}
     make_store(output_dir, "one", {"a": []}, range(2), lambda *_: Look(tags=tags))
-    with sqlite3.connect(output_dir / "mlflow.db") as database:
-        name = "\x1b[2J\x9b31m\u202e\nerror: x"
-        database.execute("update params set value = ? where key = 'algorithm.name'", (name,))
+    for path in output_dir.glob("mlflow-artifacts/one/*/artifacts/config.yaml"):
+        config = yaml.safe_load(path.read_text())
+        config["algorithm"]["name"] = "\x1b[2J\x9b31m\u202e\nerror: x"
+        path.write_text(yaml.safe_dump(config))
     done = report(output_dir, "experiment=one")
     assert all(line.isprintable() for line in (done.stdout + done.stderr).split("\n"))
     assert done.stdout.startswith(r"“\x1b[2J\x9b31m\u202e\nerror: x, her_future” succeeds in 80.0 % [")

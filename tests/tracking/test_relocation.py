@@ -52,7 +52,9 @@ def test_a_moved_or_copied_output_directory_works_in_its_new_place_and_changes_n
     assert done.returncode == 0, done.stderr
     assert "not stored" not in done.stdout
     assert snapshot(old) == before
-    assert RunDirectory(path).run_id == run_id
+    assert "mlflow.db can't be used here and is made again; the old one is mlflow.db.replaced-1\n" in done.stderr
+    assert rows(new, "SELECT run_uuid FROM runs") != [(run_id,)]
+    run_id = RunDirectory(path).run_id
     assert rows(new, "SELECT run_uuid, lifecycle_stage FROM runs") == [(run_id, "active")]
     assert (new / "mlflow-artifacts" / "smoke" / run_id / "artifacts" / "evaluations" / "again").is_dir()
     results = load("smoke", output_dir=new)
@@ -172,7 +174,7 @@ def test_artifacts_of_an_embedded_store_are_neither_sent_elsewhere_nor_read_ther
     directory, late = finished_run(output_dir), finished_run(output_dir, seed=1)
     sync(directory, default_uri(output_dir))
     rows(output_dir, "UPDATE runs SET artifact_uri = ?", place)
-    assert len(load("smoke", output_dir=output_dir).problems) == 2  # of metrics.jsonl and of episodes.csv
+    assert len(load("smoke", output_dir=output_dir).problems) == 3  # one of each file
     rows(output_dir, "UPDATE experiments SET artifact_location = ? WHERE name = 'smoke'", place)
     with pytest.raises(StoreError, match="artifacts outside of") as refusal:
         sync(late, default_uri(output_dir))
