@@ -11,6 +11,8 @@ from parking_exp.algorithms.fast.optimizer import Adam, FlatTensors, polyak_upda
 class Critics:
     """The Q-networks of a model, updated without autograd.
 
+    Their inputs are features and actions side by side, shape (batch, features + actions).
+
     Args:
         model: a Stable-Baselines3 model with `critic` and `critic_target`.
     """
@@ -23,43 +25,38 @@ class Critics:
         self.flat_target = FlatTensors([tensor for network in targets for tensor in parameters(network)])
         self.adam = Adam(model.critic.optimizer, self.flat)
 
-    def target_value(self, features: torch.Tensor, actions: torch.Tensor) -> torch.Tensor:
+    def target_value(self, inputs: torch.Tensor) -> torch.Tensor:
         """Return the smallest target value of each transition, shape (batch, 1)."""
-        inputs = torch.cat((features, actions), 1)
         return torch.cat([network.forward(inputs)[-1] for network in self.targets], 1).amin(1, keepdim=True)
 
-    def update(
-        self, features: torch.Tensor, actions: torch.Tensor, target: torch.Tensor, weight: float
-    ) -> torch.Tensor:
-        """Take one step on `weight` times the sum of mean squared errors; return that loss."""
-        inputs = torch.cat((features, actions), 1)
-        losses, size = [], 2 * len(self.networks[0].layers)
+    def update(self, inputs: torch.Tensor, target: torch.Tensor, weight: float) -> torch.Tensor:
+        """Take one step on `weight` times the sum of mean squared errors; return errors, shape (critics, batch, 1)."""
+        size = 2 * len(self.networks[0].layers)
+        errors = []
         for number, network in enumerate(self.networks):
             values = network.forward(inputs)
             error = values[-1] - target
-            losses.append(error.square().mean())
-            gradient = error.mul_(2 / len(target)).mul_(weight)
+            gradient = error * (2 / len(target) * weight)
             network.backward(values, gradient, self.adam.gradients[number * size : (number + 1) * size])
+            errors.append(error)
         self.adam.step()
-        return sum(losses[1:], losses[0]) * weight
+        return torch.stack(errors)
 
-    def action_gradient(
-        self, features: torch.Tensor, actions: torch.Tensor, first: bool
-    ) -> tuple[torch.Tensor, torch.Tensor]:
+    def action_gradient(self, inputs: torch.Tensor, n_actions: int, first: bool) -> tuple[torch.Tensor, torch.Tensor]:
         """Return the values of actions, shape (batch, 1), and the gradient of minus their mean, shape (batch, actions).
 
         The value is the first critic's (TD3) or the smallest (SAC).
         """
-        inputs = torch.cat((features, actions), 1)
         networks = self.networks[:1] if first else self.networks
         passes = [network.forward(inputs) for network in networks]
-        value, index = torch.cat([values[-1] for values in passes], 1).min(1, keepdim=True)
-        share = -1 / len(actions)
+        outputs = torch.stack([values[-1] for values in passes])
+        value, index = outputs.min(0, keepdim=True)
+        shares = torch.zeros_like(outputs).scatter_(0, index, -1 / len(inputs))
         gradients = [
-            network.input_gradient(values, (index == number) * share)[:, features.shape[1] :]
-            for number, (network, values) in enumerate(zip(networks, passes, strict=True))
+            network.input_gradient(values, share)[:, -n_actions:]
+            for network, values, share in zip(networks, passes, shares, strict=True)
         ]
-        return value, sum(gradients[1:], gradients[0])
+        return value[0], sum(gradients[1:], gradients[0])
 
     def polyak_update(self, tau: float) -> None:
         """Update the target networks by Polyak averaging."""

@@ -33,11 +33,11 @@ class FastTraining:
 
     def train(self: Any, gradient_steps: int, batch_size: int = 64) -> None:
         """Do `gradient_steps` updates on minibatches of the replay buffer."""
-        if not is_supported(self):
+        self.bind()
+        if self._update is None:
             super().train(gradient_steps, batch_size)  # type: ignore[misc]
             return
         self._update_learning_rate(self._optimizers())
-        self.bind()
         with torch.inference_mode():  # a tenth faster than no_grad: most operations here are tiny
             losses = self._update.run(self, gradient_steps, batch_size)
         self.logger.record("train/n_updates", self._n_updates, exclude="tensorboard")
@@ -47,18 +47,21 @@ class FastTraining:
     def bind(self: Any) -> None:
         """Flatten the memory of networks and optimizers as the update needs it, unless it is already.
 
+        Whether the model is supported is checked at the same time: when it is new, or its weights were replaced.
+
         `train` calls this. Restoring a model calls it too: weights elsewhere in memory may round differently.
         """
-        if is_supported(self) and self._addresses() != self._bound:
-            with torch.no_grad():
-                self._update = self.update_class(self)
-            self._bound = self._addresses()
+        if self._addresses() == self._bound:
+            return
+        with torch.no_grad():
+            self._update = self.update_class(self) if is_supported(self) else None
+        self._bound = self._addresses()
 
     def _addresses(self: Any) -> list[int]:
         """Return where weights and optimizer states are: loading, copying or moving a model replaces some of them."""
-        states = [item for optimizer in self._optimizers() for item in optimizer.state.items()]
-        stepped = (tensor for parameter, state in states for tensor in (parameter, *state.values()))
-        return [tensor.data_ptr() for tensor in (*self.policy.parameters(), *stepped)]
+        states = [state for optimizer in self._optimizers() for state in optimizer.state.values()]
+        averages = [state["exp_avg"] for state in states if "exp_avg" in state]  # replaced together with the others
+        return [tensor.data_ptr() for tensor in (*self.policy.parameters(), *averages)]
 
     def _optimizers(self: Any) -> list[torch.optim.Optimizer]:
         optimizers = (self.actor.optimizer, self.critic.optimizer, getattr(self, "ent_coef_optimizer", None))

@@ -28,7 +28,7 @@ class MLP:
         """Return the input of every layer, and the output last; x has the shape (batch, inputs)."""
         values = [x]
         for weight, bias in self.layers[:-1]:
-            values.append(_linear(values[-1], weight, bias).relu_())
+            values.append(_linear(values[-1], weight, bias, relu=True))
         values.append(_linear(values[-1], *self.layers[-1]))
         return values
 
@@ -76,10 +76,11 @@ def _by_onednn(weight: torch.Tensor) -> bool:
     return _onednn is not None and min(weight.shape) >= WIDE and torch.get_float32_matmul_precision() != "highest"
 
 
-def _linear(x: torch.Tensor, weight: torch.Tensor, bias: torch.Tensor) -> torch.Tensor:
+def _linear(x: torch.Tensor, weight: torch.Tensor, bias: torch.Tensor, *, relu: bool = False) -> torch.Tensor:
     if _by_onednn(weight):
-        return _onednn(x, weight, bias, "none", [], "")
-    return torch.addmm(bias, x, weight.t())
+        return _onednn(x, weight, bias, "relu" if relu else "none", [], "")
+    output = torch.addmm(bias, x, weight.t())
+    return output.relu_() if relu else output
 
 
 def _times(gradient: torch.Tensor, weight: torch.Tensor) -> torch.Tensor:

@@ -1,7 +1,7 @@
 """Soft Actor-Critic with a faster update."""
 
 import math
-from typing import Any
+from typing import Any, NamedTuple
 
 import stable_baselines3
 import torch
@@ -36,21 +36,19 @@ class _Update:
 
     def run(self, model: Any, gradient_steps: int, batch_size: int) -> dict[str, float]:
         """Do `gradient_steps` updates and return the means of what Stable-Baselines3 logs."""
-        history: list[list[torch.Tensor]] = []
+        history: list[_Logged] = []
         for step, batch in enumerate(sample_minibatches(model, gradient_steps, batch_size)):
             history.append(self._step(model, batch))
             if step % model.target_update_interval == 0:
                 self.critics.polyak_update(model.tau)
         model._n_updates += gradient_steps
-        names = ["ent_coef", "actor_loss", "critic_loss", "ent_coef_loss"]
-        means = [torch.stack(column).mean().item() for column in zip(*history, strict=True)]
-        return dict(zip(names, means, strict=False))
+        return self._losses(model, history)
 
-    def _step(self, model: Any, minibatch: Minibatch) -> list[torch.Tensor]:
-        """Do one update; return entropy coefficient, actor loss, critic loss and the coefficient's loss."""
+    def _step(self, model: Any, minibatch: Minibatch) -> "_Logged":
+        """Do one update."""
         features, actions, rewards, discounts, _ = minibatch  # only TD3's target noise needs the signs
-        n = len(actions)
-        noise = torch.empty((2, *actions.shape), dtype=features.dtype)
+        n, n_actions = actions.shape
+        noise = torch.empty((2, n, n_actions), dtype=features.dtype)
         noise[0].normal_()  # one after the other, as Stable-Baselines3 draws them
         noise[1].normal_()
         # States and next states share the actor: one pass for both.
@@ -58,16 +56,17 @@ class _Update:
         hidden = values[-1].relu_()
         policy = _SquashedGaussian(self.mean.forward(hidden)[-1], self.log_std.forward(hidden)[-1], noise.flatten(0, 1))
         log_prob, next_log_prob = policy.log_prob[:n], policy.log_prob[n:]
-        ent_coef, logged = self._update_ent_coef(model, log_prob)
+        ent_coef = self._update_ent_coef(model, log_prob)
 
-        next_value = self.critics.target_value(features[n:], policy.actions[n:]) - ent_coef * next_log_prob
+        inputs = torch.cat((features, policy.actions), 1)
+        next_value = self.critics.target_value(inputs[n:]) - ent_coef * next_log_prob
         target = rewards + discounts * next_value
-        critic_loss = self.critics.update(features[:n], actions, target, weight=0.5)
+        errors = self.critics.update(torch.cat((features[:n], actions), 1), target, weight=0.5)
 
-        value, grad_action = self.critics.action_gradient(features[:n], policy.actions[:n], first=False)
+        value, grad_action = self.critics.action_gradient(inputs[:n], n_actions, first=False)
         grad_mean, grad_log_std = policy.backward(n, grad_action, ent_coef * (1 / n))
         self._update_actor([v[:n] for v in values], grad_mean, grad_log_std)
-        return [ent_coef.reshape(()), (ent_coef * log_prob - value).mean(), critic_loss, *logged]
+        return _Logged(ent_coef, log_prob, value, errors)
 
     def _update_actor(self, values: list[torch.Tensor], grad_mean: torch.Tensor, grad_log_std: torch.Tensor) -> None:
         """Pass the gradients by both heads' outputs back through them and the body, and take a step."""
@@ -78,16 +77,44 @@ class _Update:
         self.actor.backward(values, torch.ops.aten.threshold_backward(grad_hidden, values[-1], 0), body)
         self.adam.step()
 
-    def _update_ent_coef(self, model: Any, log_prob: torch.Tensor) -> tuple[torch.Tensor, list[torch.Tensor]]:
-        """Take a step on the entropy coefficient; return it as it was before, and its loss."""
+    def _update_ent_coef(self, model: Any, log_prob: torch.Tensor) -> torch.Tensor:
+        """Take a step on the entropy coefficient; return it as it was before, shape (1,)."""
         if self.ent_coef_adam is None:
-            return model.ent_coef_tensor, []
+            return model.ent_coef_tensor.reshape(1)
         ent_coef = model.log_ent_coef.exp()
         surplus = (log_prob + model.target_entropy).mean()
-        loss = -(model.log_ent_coef * surplus).reshape(())
         self.ent_coef_adam.gradients[0].copy_(-surplus)
         self.ent_coef_adam.step()
-        return ent_coef, [loss]
+        return ent_coef
+
+    def _losses(self, model: Any, history: list["_Logged"]) -> dict[str, float]:
+        """Return the mean entropy coefficient and losses of several updates: cheaper at once than one by one."""
+        ent_coef, log_prob, value, errors = (torch.stack(column) for column in zip(*history, strict=True))
+        means = {
+            "ent_coef": ent_coef.mean(),
+            "actor_loss": (ent_coef.unsqueeze(2) * log_prob - value).mean(),
+            "critic_loss": 0.5 * errors.square().mean((0, 2, 3)).sum(),
+        }
+        if self.ent_coef_adam is not None:
+            surplus = log_prob.mean((1, 2)) + model.target_entropy
+            means["ent_coef_loss"] = -(ent_coef.squeeze(1).log() * surplus).mean()
+        return {name: mean.item() for name, mean in means.items()}
+
+
+class _Logged(NamedTuple):
+    """What the losses of an update are computed from.
+
+    Attributes:
+        ent_coef: shape (1,).
+        log_prob: of the actor's actions, shape (batch, 1).
+        value: the smallest of these actions, shape (batch, 1).
+        errors: of the critics, shape (critics, batch, 1).
+    """
+
+    ent_coef: torch.Tensor
+    log_prob: torch.Tensor
+    value: torch.Tensor
+    errors: torch.Tensor
 
 
 class _SquashedGaussian:

@@ -33,9 +33,10 @@ class _Update:
             noise.clamp_(-model.target_noise_clip, model.target_noise_clip)
             noise.mul_(next_signs)  # it is drawn for the env's actions
             next_actions = noise.add_(self.target.forward(features[n:])[-1].tanh_()).clamp_(-1, 1)
-            next_value = self.critics.target_value(features[n:], next_actions)
+            next_value = self.critics.target_value(torch.cat((features[n:], next_actions), 1))
             target = rewards + discounts * next_value
-            critic_losses.append(self.critics.update(features[:n], actions, target, weight=1.0))
+            errors = self.critics.update(torch.cat((features[:n], actions), 1), target, weight=1.0)
+            critic_losses.append(errors.square().mean((1, 2)).sum())
             if model._n_updates % model.policy_delay == 0:
                 actor_losses.append(self._update_actor(features[:n]))
                 self.critics.polyak_update(model.tau)
@@ -46,7 +47,8 @@ class _Update:
     def _update_actor(self, features: torch.Tensor) -> torch.Tensor:
         values = self.actor.forward(features)
         actions = torch.tanh(values[-1])
-        value, gradient = self.critics.action_gradient(features, actions, first=True)
+        inputs = torch.cat((features, actions), 1)
+        value, gradient = self.critics.action_gradient(inputs, actions.shape[1], first=True)
         self.actor.backward(values, torch.ops.aten.tanh_backward(gradient, actions), self.adam.gradients)
         self.adam.step()
         return -value.mean()
