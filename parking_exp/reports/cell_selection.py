@@ -70,11 +70,14 @@ def group(runs: pd.DataFrame) -> list[CellRuns]:
     keys = [str(column) for column in runs if str(column).startswith(CONFIG)]
     begun = runs.sort_values("started", kind="stable", ignore_index=True)
     configs = begun[keys].astype(object)
+    has_config = configs.notna().any(axis=1)  # not if its file is damaged
     cells = []
     for (experiment, name), table in begun.drop(columns=keys).groupby(["experiment", "cell"], sort=False):
         newest = table.assign(done=table["status"] == "done").sort_values(["seed", "done", "started"], kind="stable")
         once = newest.drop_duplicates("seed", keep="last").drop(columns="done")
-        config = _read_config(configs.loc[table.index[0]])
+        with_config = [number for number in table.index if has_config[number]]
+        first = with_config[0] if with_config else table.index[0]
+        config = _read_config(configs.loc[first])
         cells.append(CellRuns(str(experiment), str(name), "", {}, config, once, len(table) - len(once)))
     labelled, factors = relabel(cells)
     levels = [[*factor.levels, None] for factor in factors]  # a control without the key comes last

@@ -26,7 +26,7 @@
     version.PACKAGE                            str       as many as there are
     config.KEY                                 the config by dotted keys: int64, float64, bool, str; object where it is
                                                missing or null in some runs (None), or words and numbers are mixed.
-                                               Lists are text. MLflow keeps 6,000 characters
+                                               Lists are text
 
 `curves` has one row per evaluation during training and at its end, by run and step:
 

@@ -41,7 +41,13 @@ def config_reader() -> Callable[[bytes], Config]:
 
     Runs of a cell differ in the line of their seed; what they share is parsed once, since YAML is slow.
     """
-    read_shared = cache(lambda content: settings_of(parse_plain_yaml(content)))
+
+    @cache
+    def read_shared(content: bytes) -> Config:
+        config = parse_plain_yaml(content)
+        if not isinstance(config, dict):
+            raise ValueError("it is not a mapping")
+        return settings_of(config)
 
     def read(content: bytes) -> Config:
         seed = SEED_LINE.search(content)

@@ -85,7 +85,9 @@ def read_plain_yaml(path: Path) -> Any:
 
 
 def parse_plain_yaml(content: bytes) -> Any:
-    """Return what YAML describes; raises ValueError for what JSON lacks, such as tags, aliases and dates."""
+    """Return what YAML describes; raises ValueError for large content, and for what JSON lacks, such as aliases."""
+    if len(content) > MAX_SMALL:
+        raise ValueError(f"it has more than {MAX_SMALL:,} bytes")
     try:
         return json.loads(json.dumps(yaml.load(content, _PlainLoader)))
     except (yaml.YAMLError, RecursionError, LookupError, AttributeError, TypeError) as error:

@@ -139,7 +139,7 @@ def test_a_damaged_file_is_a_problem_of_its_run_alone(output_dir):
 
 
 def test_a_damaged_config_is_a_problem_of_its_run_alone(output_dir):
-    contents = [b"", b"a: [", b"word", b"a: &a 1\nb: *a", b"total_timesteps: many\nseed: 4"]
+    contents = [b"", b"a: [", b"# " + b"x" * 2**20, b"a: &a 1\nb: *a", b"total_timesteps: many\nseed: 4"]
     made = make_store(output_dir, "e", {"": []}, range(len(contents) + 1))
     for seed, content in enumerate(contents):
         artifacts = output_dir / "mlflow-artifacts" / "e" / made["", seed].run_id / "artifacts"
