@@ -8,7 +8,6 @@ from typing import Self
 
 from parking_exp.config.paths import is_same_store
 from parking_exp.config.schema import RunConfig
-from parking_exp.errors import one_line
 from parking_exp.runs.directory import RunDirectory, Status
 from parking_exp.tracking.client import reason
 from parking_exp.tracking.mirror import mirror, mirror_problem
@@ -79,7 +78,7 @@ class StoreWriter:
                 if _moment(directory) != moment:  # it went on, and its files with it
                     return
                 self._resumes_at = time.monotonic() + PAUSE_S
-                self._say(f"the store {store.uri} lacks some of {directory.path}: {one_line(reason(error))}")
+                self._say(f"the store {store.uri} lacks some of {directory.path}: {reason(error)}")
                 return
         self._sent[directory.path] = moment
 

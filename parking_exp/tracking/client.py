@@ -82,10 +82,15 @@ def write_lock(uri: str) -> AbstractContextManager[Any]:
     path = database(uri)
     if path is None:
         return nullcontext()
-    lock = path.with_name(f".{path.name}.lock")
+    lock = lock_path(path)
     # Where no file can be made, as in /proc, FileLock would try again until its timeout.
     os.close(os.open(lock, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK, 0o644))
     return FileLock(lock, timeout=WAIT_S, poll_interval=0.01)
+
+
+def lock_path(path: Path) -> Path:
+    """Return the lock file of an embedded store."""
+    return path.with_name(f".{path.name}.lock")
 
 
 def reason(error: BaseException) -> str:

@@ -66,7 +66,7 @@ def unfinished_path(path: Path) -> Path:
 def remove_unfinished(path: Path, output_dir: Path) -> None:
     """Remove stores that processes were making when they were killed, and the artifacts that they had written."""
     leftovers = list(output_dir.glob(f"*{path.name}.build-*"))
-    if any(leftover.suffix != ".lock" for leftover in leftovers):
+    if any(leftover.suffix != ".lock" for leftover in leftovers):  # else the store was complete
         shutil.rmtree(output_dir / ARTIFACTS, ignore_errors=True)
     for leftover in leftovers:
         leftover.unlink(missing_ok=True)

@@ -10,7 +10,6 @@ are not sent.
 import os
 import shlex
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -29,8 +28,8 @@ from parking_exp.runs.metric_logs import METRICS_FILE, read_metrics
 from parking_exp.runs.output_identity import output_id
 from parking_exp.runs.run_files import CONFIG_FILE, STATUS_FILE
 from parking_exp.runs.run_provenance import PROVENANCE_FILE
-from parking_exp.terminal import console, program
-from parking_exp.tracking.client import reason, write_lock
+from parking_exp.terminal import console, program, say
+from parking_exp.tracking.client import lock_path, reason, write_lock
 from parking_exp.tracking.embedded_store import is_usable, remove_unfinished, set_aside, unfinished_path
 from parking_exp.tracking.store import Store
 
@@ -56,7 +55,7 @@ def mirror(directory: RunDirectory, store: Store) -> None:
 def prepare(store: Store) -> None:
     """Make the store inside of an output directory again from the run directories, if it can't be used.
 
-    It is made under another name, and renamed. What can't be sent now is left to the next sync, which says why.
+    It is made under another name, and renamed. Runs that can't be sent are named, and left to the next sync.
 
     Raises whatever MLflow, SQLAlchemy or the disk raise.
     """
@@ -88,11 +87,16 @@ def _build(path: Path, uri: str) -> None:
     directories = [RunDirectory(run_dir) for run_dir in find_runs(output_dir)]
     tracked = [run for run in directories if run.tracking_uri and is_same_store(run.tracking_uri, uri)]
     is_quick = len(tracked) < FEW_RUNS
+    problems = []
     for directory in track(tracked, "making the store", console=console(stderr=True), transient=True, disable=is_quick):
-        with suppress(Exception):
+        try:
             _send(directory, new, uri, is_new=True)
+        except Exception as error:  # of this run; the store has the others
+            problems.append(f"{directory.path}: {reason(error)}")
     unfinished.replace(path)
-    remove_unfinished(path, output_dir)  # its lock
+    lock_path(unfinished).unlink(missing_ok=True)
+    if problems:
+        say(f"the new store lacks {plural(len(problems), 'run')}, e.g. {problems[0]}", stderr=True)
 
 
 def _send(directory: RunDirectory, store: Store, uri: str, *, is_new: bool = False) -> None:

@@ -32,7 +32,7 @@ assert psutil.Process().num_threads() == 1
 
 
 def test_the_server_imports_the_training_without_threads_cuda_or_mlflow():
-    subprocess.run([sys.executable, "-c", SERVER], check=True)
+    assert subprocess.run([sys.executable, "-c", SERVER], check=False).returncode == 0
 
 
 @pytest.mark.parametrize("start_method", START_METHODS)

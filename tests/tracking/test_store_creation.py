@@ -50,6 +50,15 @@ def test_a_missing_store_is_made_from_all_run_directories(output_dir):
     assert (kept / "metrics.jsonl").read_bytes() == (first.path / "metrics.jsonl").read_bytes()
 
 
+def test_a_run_that_a_new_store_lacks_is_named(output_dir, capsys):
+    damaged, whole, _ = store_with_runs(output_dir)
+    (damaged.path / "episodes.csv").write_text("")
+    sync(whole)
+    assert stored(output_dir) == [1, 2]
+    problem = f"the new store lacks 1 run, e.g. {damaged.path}: episodes.csv changed after the run was finished"
+    assert problem in capsys.readouterr().err
+
+
 def test_a_store_that_a_kill_has_left_half_made_is_set_aside_and_made_anew(output_dir):
     directories, database, new = store_with_runs(output_dir), output_dir / "mlflow.db", output_dir / "new.db"
     code = f"import mlflow; mlflow.MlflowClient('sqlite:///{new}').search_experiments()"
